@@ -1,4 +1,5 @@
-//! What recording a period costs the one who records: processor time of its own thread, the disk and the hash being another's.
+//! Processor time per recorded control period in the recording thread. Another thread writes the
+//! file and computes the hash.
 //!
 //! `cargo bench -p haptimill --bench record`
 
@@ -6,7 +7,7 @@ use haptimill_machine_file::MachineFile;
 use haptimill_trace::{Header, Record, Recorder, Recording};
 use std::time::{Duration, Instant};
 
-/// Processor time of this thread, where the system tells it.
+/// Processor time of this thread, where the system reports it.
 fn processor_time() -> Option<Duration> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     let nanoseconds = text.split_whitespace().next()?.parse().ok()?;
@@ -30,12 +31,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let recorded = recorder.finish()?;
     if let (Some(before), Some(after)) = (before, after) {
         println!(
-            "recording: {:?} of processor time a period",
+            "recording: {:?} of processor time per period",
             (after - before) / count
         );
     }
     println!(
-        "recording: {:?} a period by the clock, disk and hash included",
+        "recording: {:?} of real time per period, with disk and hash",
         wall / count
     );
     let begin = Instant::now();
@@ -44,7 +45,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .filter_map(|record| record.ok())
         .map(|record| record.period)
         .sum();
-    println!("reading: {:?} a period ({sum})", begin.elapsed() / count);
+    println!("reading: {:?} per period ({sum})", begin.elapsed() / count);
     println!("{} MB", recorded.bytes / 1_000_000);
     std::fs::remove_file(&path)?;
     Ok(())

@@ -64,7 +64,7 @@ mod linux {
         let me = std::env::current_exe()?;
         let folder = me.parent().and_then(Path::parent).ok_or("no folder")?;
         let program = folder.join("haptimill");
-        let arguments = [&["console", "--work", "examples/block.toml"], more].concat();
+        let arguments = [&["console", "--stock", "examples/block.toml"], more].concat();
         let terminal = Terminal::start(&program, &arguments, root, (80, 24), Keyboard::Plain);
         home(&terminal);
         terminal.expect_text("the stock is clamped");
@@ -120,7 +120,7 @@ mod linux {
             &[
                 "--machine",
                 &machine_file,
-                "--person",
+                "--operator",
                 &script,
                 "examples/e8-hand.ngc",
             ],

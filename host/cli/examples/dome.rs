@@ -1,16 +1,17 @@
-//! Writes examples/dome.ngc: a spiral over a dome with the tool normal to the surface, A and B moving with it.
+//! Writes examples/dome.ngc: a spiral over a dome with the tool normal to the surface, A and B
+//! moving with it.
 //!
 //! `cargo run -p haptimill --example dome > examples/dome.ngc`
 
 /// Radius of the dome's sphere, mm.
 const SPHERE_MM: f64 = 60.0;
-/// Where the spiral ends: the angle of the surface's normal from the vertical, degrees.
+/// End of the spiral: angle of the surface normal from the vertical, degrees.
 const EDGE_DEG: f64 = 15.0;
-/// Distance of the spiral's turns, mm.
+/// Pitch of the spiral, mm.
 const PITCH_MM: f64 = 0.7;
 /// Length of a block, mm.
 const CHORD_MM: f64 = 0.5;
-/// Height of the dome's top: home is at 21.232.
+/// Height of the top of the dome, mm; home is at 21.232.
 const TOP_MM: f64 = 20.0;
 /// Feed, mm/min.
 const FEED: f64 = 480.0;
@@ -48,7 +49,8 @@ fn main() {
             polar.sin() * turn.sin(),
             polar.cos(),
         ];
-        // Tool axis (I, J, K) = (sin theta, cos theta sin alpha, cos theta cos alpha), docs/control.md (3.27), (3.28).
+        // Tool axis (I, J, K) = (sin theta, cos theta sin alpha, cos theta cos alpha),
+        // docs/control.md (3.27), (3.28).
         let theta = normal[0].atan2(normal[1].hypot(normal[2])).to_degrees();
         let alpha = normal[1].atan2(normal[2]).to_degrees();
         let z = TOP_MM + SPHERE_MM * (normal[2] - 1.0);

@@ -1,7 +1,8 @@
-//! The firmware's kinematics over a table of poses or slides.
+//! The firmware's kinematics for a table of poses or joint positions.
 //!
-//! Numbers are mm and degrees with nine decimals (the firmware's step is 0.95 nm and 84 ndeg). Columns are found by their name in the first row.
-//! Every bad cell is named by file, line and column; then nothing is calculated.
+//! Numbers are mm and degrees with nine decimals (the resolution of the firmware is 0.95 nm and
+//! 84 ndeg). Columns are found by their name in the first row. Every invalid cell is reported with
+//! file, line and column; then nothing is computed.
 
 use haptimill_firmware::config::Config;
 use haptimill_kinematics::Model;
@@ -14,13 +15,15 @@ use std::fmt::Write;
 const PER_MM: f64 = (1 << 20) as f64;
 const PER_DEG: f64 = 4_294_967_296.0 / 360.0;
 
-/// Slides of poses: `xw_mm, yw_mm, zw_mm, theta_deg, alpha_deg` to `l1_mm, l2_mm, l3_mm, l4_mm, status`.
+/// Inverse kinematics: `xw_mm, yw_mm, zw_mm, theta_deg, alpha_deg` to
+/// `l1_mm, l2_mm, l3_mm, l4_mm, status`.
 ///
-/// With `strokes`, slides or a table beyond the machine's strokes are `out_of_stroke` (and the slides still given); without, only the geometry speaks.
-/// An `alpha_deg` that no coordinate holds (180 or more, or below -180) is `out_of_stroke` in any case, without slides.
+/// With `strokes`, joints beyond the strokes of the machine are `out_of_stroke`, with joint
+/// positions; without, only the geometry is checked. An `alpha_deg` outside the range of a
+/// coordinate (180 or more, or below -180) is always `out_of_stroke`, without joint positions.
 ///
 /// # Errors
-/// One line for each bad cell, `name:line:column: what is wrong`.
+/// One line for each invalid cell, `name:line:column: problem`.
 pub fn inverse_table(
     config: &Config,
     strokes: bool,
@@ -45,7 +48,7 @@ pub fn inverse_table(
     Ok(out.into_bytes())
 }
 
-/// The arm of a machine.
+/// The H-4 kinematics of a machine.
 fn arm(config: &Config) -> Result<H4, String> {
     match &config.model {
         Model::H4(geometry) => Ok(H4::new(geometry)),
@@ -56,10 +59,11 @@ fn arm(config: &Config) -> Result<H4, String> {
     }
 }
 
-/// Poses of slides, in the frame of the slave base: `l1_mm, l2_mm, l3_mm, l4_mm` to `x_mm, y_mm, z_mm, theta_deg, status`; `strokes` as for [`inverse_table`].
+/// Forward kinematics in the frame of the machine base: `l1_mm, l2_mm, l3_mm, l4_mm` to
+/// `x_mm, y_mm, z_mm, theta_deg, status`; `strokes` as for [`inverse_table`].
 ///
 /// # Errors
-/// One line for each bad cell, `name:line:column: what is wrong`.
+/// One line for each invalid cell, `name:line:column: problem`.
 pub fn forward_table(
     config: &Config,
     strokes: bool,
@@ -79,7 +83,7 @@ pub fn forward_table(
                 true
             })
         });
-        // A slide beyond what a coordinate holds is beyond every rod.
+        // A position outside the range of a coordinate is out of reach of every rod.
         let base = if fits {
             arm.base_pose(&joints)
         } else {
@@ -105,14 +109,15 @@ pub fn forward_table(
     Ok(out.into_bytes())
 }
 
-/// The nearest coordinate, if there is one.
+/// The nearest fixed-point coordinate, none outside the range.
 fn fixed(value: f64, scale: f64) -> Option<Coordinate> {
     let raw = (value * scale).round();
     let range = f64::from(i32::MIN)..=f64::from(i32::MAX);
     range.contains(&raw).then_some(Coordinate(raw as i32))
 }
 
-/// A pose; one whose numbers do not fit the machine's coordinates is out of reach, and an angle is never wrapped into it.
+/// Converts a row to a pose. Numbers outside the range of a coordinate are unreachable; angles are
+/// never wrapped.
 fn pose(row: &[f64; 5]) -> Result<Pose, PoseError> {
     let mut pose = [Coordinate(0); MAX_AXES];
     for (value, coordinate) in row[..3].iter().zip(&mut pose) {
@@ -122,7 +127,7 @@ fn pose(row: &[f64; 5]) -> Result<Pose, PoseError> {
         return Err(PoseError::Tilt);
     }
     pose[3] = fixed(row[3], PER_DEG).ok_or(PoseError::Tilt)?;
-    // The table is a joint itself: beyond what a coordinate holds it is beyond its stroke.
+    // The rotary table is a joint: outside the range of a coordinate it is out of stroke.
     pose[4] = fixed(row[4], PER_DEG).ok_or(PoseError::OutOfStroke {
         axis: 4,
         by: if row[4] < 0.0 { i32::MIN } else { i32::MAX },
@@ -130,7 +135,7 @@ fn pose(row: &[f64; 5]) -> Result<Pose, PoseError> {
     Ok(Pose(pose))
 }
 
-/// A row of four numbers, or of four empty cells, and the status.
+/// Writes a row of four numbers, or four empty cells, and the status.
 fn line(out: &mut String, values: impl Iterator<Item = f64>, error: Option<PoseError>) {
     let mut cells = 0;
     for value in values {
@@ -145,10 +150,10 @@ fn line(out: &mut String, values: impl Iterator<Item = f64>, error: Option<PoseE
     out.push('\n');
 }
 
-/// The most problems that are listed; a table in the wrong format has one in each cell.
+/// Largest number of listed problems; a table in the wrong format has one in each cell.
 const MOST_PROBLEMS: usize = 20;
 
-/// The named columns of a table.
+/// Reads the named columns of a table.
 fn read<const N: usize>(
     name: &str,
     csv: &[u8],
@@ -164,7 +169,7 @@ fn read<const N: usize>(
     if !reader.read_byte_record(&mut record).map_err(unreadable)? {
         return Err(format!("{name}:1:1: the table is empty"));
     }
-    // A byte order mark before the first name is no part of it.
+    // A byte order mark before the first name is not part of it.
     let header = |cell: &[u8]| {
         let cell = cell.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(cell);
         String::from_utf8_lossy(cell).trim().to_string()

@@ -1,4 +1,4 @@
-//! The command as a user meets it: what it prints, what it writes, how it ends.
+//! The command line: help, exit codes, machine files, kinematics tables, ports.
 
 mod scene;
 
@@ -6,15 +6,15 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// What a run of the command left.
-struct Ran {
+/// Exit code and output of a command.
+struct RunResult {
     code: i32,
     out: String,
     err: String,
 }
 
 /// Runs the command in the root of the workspace.
-fn haptimill(arguments: &[&str], input: &str) -> Ran {
+fn haptimill(arguments: &[&str], input: &str) -> RunResult {
     let mut child = Command::new(env!("CARGO_BIN_EXE_haptimill"))
         .args(arguments)
         .current_dir(root())
@@ -24,10 +24,10 @@ fn haptimill(arguments: &[&str], input: &str) -> Ran {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // A command that does not read its input closes it.
+    // A command that does not read standard input closes it.
     let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
     let output = child.wait_with_output().unwrap();
-    Ran {
+    RunResult {
         code: output.status.code().unwrap(),
         out: String::from_utf8(output.stdout).unwrap(),
         err: String::from_utf8(output.stderr).unwrap(),
@@ -41,7 +41,7 @@ fn root() -> PathBuf {
         .unwrap()
 }
 
-/// The command, its output and its end, as one text.
+/// The command, its output and its exit code as one text.
 fn transcript(arguments: &[&str], input: &str) -> String {
     let ran = haptimill(arguments, input);
     let mut text = format!("$ haptimill {}\n{}", arguments.join(" "), ran.out);
@@ -53,7 +53,7 @@ fn transcript(arguments: &[&str], input: &str) -> String {
     text
 }
 
-/// A table of the golden values as rows of cells, with the names of its columns.
+/// A golden table as rows of cells, with its column names.
 fn table(text: &str) -> (Vec<String>, Vec<Vec<String>>) {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let names = reader
@@ -73,21 +73,25 @@ fn golden(name: &str) -> (Vec<String>, Vec<Vec<String>>) {
 }
 
 #[test]
-fn the_help_is_enough_to_work_from() {
+fn help_names_every_command() {
     let ran = haptimill(&["--help"], "");
     assert_eq!(ran.code, 0);
     for part in [
         "Examples:",
         "Exit codes:",
         "sim serve",
+        "machine init",
         "machine check",
         "kin ik",
         "--port",
     ] {
         assert!(ran.out.contains(part), "no {part} in\n{}", ran.out);
     }
+    let first = ran.out.lines().next().unwrap_or_default();
+    assert!(!first.contains("H-4"), "{first}");
     for command in [
-        "run", "jog", "home", "status", "enable", "disable", "stop", "reset", "ports",
+        "run", "jog", "home", "console", "teleop", "status", "enable", "disable", "stop", "reset",
+        "scenario", "force", "sim", "machine", "ports", "trace", "replay", "kin",
     ] {
         let ran = haptimill(&[command, "--help"], "");
         assert_eq!(ran.code, 0, "{command}");
@@ -96,7 +100,47 @@ fn the_help_is_enough_to_work_from() {
 }
 
 #[test]
-fn mistakes_on_the_command_line_end_with_2() {
+fn every_template_passes_machine_check_and_is_not_overwritten() {
+    let folder = std::env::temp_dir().join(format!("haptimill-init-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    for template in ["h4", "h4-step", "haptic-arm"] {
+        let path = folder.join(format!("{template}.toml"));
+        let file = path.to_str().unwrap();
+        let init = [
+            "machine",
+            "init",
+            "mill-7",
+            "--template",
+            template,
+            "--out",
+            file,
+        ];
+        let ran = haptimill(&init, "");
+        assert_eq!(ran.code, 0, "{template}: {}", ran.err);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains("\nname = \"mill-7\"\n"), "{template}");
+        let ran = haptimill(&["machine", "check", file], "");
+        assert_eq!(ran.code, 0, "{template}: {}", ran.err);
+        assert!(ran.out.contains("mill-7"), "{template}: {}", ran.out);
+        let ran = haptimill(&init, "");
+        assert_eq!(ran.code, 2, "{template}");
+        assert!(ran.err.contains("not overwritten"), "{}", ran.err);
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), text, "{template}");
+    }
+    for name in ["", "two words", "a/b", &"n".repeat(200)] {
+        let path = folder.join("none.toml");
+        let ran = haptimill(
+            &["machine", "init", name, "--out", path.to_str().unwrap()],
+            "",
+        );
+        assert_eq!(ran.code, 2, "{name:?}: {}", ran.err);
+        assert!(!path.exists(), "{name:?}");
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn invalid_command_lines_end_with_2() {
     for arguments in [
         &["fly"][..],
         &["run"],
@@ -108,6 +152,14 @@ fn mistakes_on_the_command_line_end_with_2() {
         &["jog", "x=5", "--for", "-1", "--port", "p"],
         &["status", "--port", "p", "--baud", "3"],
         &["sim", "serve", "--listen", "udp:1"],
+        // Names of earlier versions.
+        &["run", "a.ngc", "--work", "b.toml"],
+        &["run", "a.ngc", "--go-on"],
+        &["run", "a.ngc", "--force", "x", "--fd", "5"],
+        &["teleop", "--hand", "sim"],
+        &["sim", "serve", "--person", "a.toml"],
+        &["machine", "init"],
+        &["machine", "init", "m", "--template", "none"],
     ] {
         let ran = haptimill(arguments, "");
         assert_eq!(ran.code, 2, "{arguments:?}\n{}", ran.err);
@@ -116,7 +168,7 @@ fn mistakes_on_the_command_line_end_with_2() {
 }
 
 #[test]
-fn machine_files_are_checked() {
+fn machine_check_lists_problems() {
     let mut text = transcript(&["machine", "check", "machines/h4.toml"], "");
     text += &transcript(&["machine", "check", "machines/h4-step.toml", "--json"], "");
     text += &transcript(&["machine", "check", "machines/there-is-none.toml"], "");
@@ -125,7 +177,7 @@ fn machine_files_are_checked() {
 }
 
 #[test]
-fn tables_of_slides_agree_with_the_golden_values() {
+fn forward_kinematics_match_the_golden_table() {
     let (names, rows) = golden("h4_ik.csv");
     let ran = haptimill(
         &["kin", "ik", "--strokes", "--in", "tests/golden/h4_ik.csv"],
@@ -168,7 +220,7 @@ fn tables_of_slides_agree_with_the_golden_values() {
 }
 
 #[test]
-fn poses_that_are_out_of_reach_have_no_slides() {
+fn unreachable_poses_have_no_joint_positions() {
     let ran = haptimill(
         &["kin", "ik", "--in", "tests/golden/h4_unreachable.csv"],
         "",
@@ -182,7 +234,7 @@ fn poses_that_are_out_of_reach_have_no_slides() {
 }
 
 #[test]
-fn tables_of_poses_agree_with_the_golden_values() {
+fn inverse_kinematics_match_the_golden_table() {
     let (_, rows) = golden("h4_fk.csv");
     let ran = haptimill(&["kin", "fk", "--in", "tests/golden/h4_fk.csv"], "");
     assert_eq!((ran.code, ran.err.as_str()), (0, ""));
@@ -201,7 +253,7 @@ fn tables_of_poses_agree_with_the_golden_values() {
 }
 
 #[test]
-fn tables_say_what_is_wrong_where() {
+fn invalid_tables_report_line_and_column() {
     let ik = |input: &str| transcript(&["kin", "ik"], input);
     let header = "xw_mm,yw_mm,zw_mm,theta_deg,alpha_deg\n";
     let mut text = ik(&format!(
@@ -237,8 +289,8 @@ fn tables_say_what_is_wrong_where() {
 }
 
 #[test]
-fn a_table_is_not_written_over_itself() {
-    let folder = scene::Folder::new();
+fn input_table_is_not_overwritten() {
+    let folder = scene::TestFolder::new();
     let slides = "l1_mm,l2_mm,l3_mm,l4_mm\n1135,485,1135,485\n";
     let table = folder.file("b.csv", slides);
     let other = folder.path("./b.csv");
@@ -263,7 +315,7 @@ fn a_table_is_not_written_over_itself() {
 }
 
 #[test]
-fn ports_end_well_and_name_the_simulator() {
+fn ports_list_the_simulator() {
     let ran = haptimill(&["ports", "--json"], "");
     assert_eq!(ran.code, 0, "{}", ran.err);
     let list: Vec<serde_json::Value> = serde_json::from_str(&ran.out).unwrap();

@@ -1,9 +1,10 @@
-//! Jobs in which something goes wrong: a bad line never makes a wrong motion, and a machine that fails stops with a sentence.
+//! Jobs with injected faults: line errors never cause wrong motion, and machine faults stop the job
+//! with a message.
 
 mod scene;
 
 use haptimill_trace::{Axes, Recording, flag};
-use scene::{Folder, Ran, haptimill};
+use scene::{RunResult, TestFolder, haptimill};
 use std::path::Path;
 
 /// Lines, arcs and turns of both rotary axes, with a dwell; about 9 s.
@@ -17,8 +18,8 @@ G1 Z21.232 B0 A0
 M30
 ";
 
-/// Runs the program with faults; its folder has the files.
-fn run(folder: &Folder, out: &str, faults: &[&str], more: &[&str]) -> Ran {
+/// Runs the program with faults.
+fn run(folder: &TestFolder, out: &str, faults: &[&str], more: &[&str]) -> RunResult {
     let program = folder.file("part.ngc", PROGRAM);
     let out = folder.path(out);
     let mut arguments = vec!["run", &program, "--json", "--out", &out];
@@ -29,8 +30,8 @@ fn run(folder: &Folder, out: &str, faults: &[&str], more: &[&str]) -> Ran {
     haptimill(&arguments)
 }
 
-/// The wanted poses of a job, each once.
-fn commanded(folder: &Folder, out: &str) -> Vec<Axes> {
+/// The commanded poses of a job without repetitions.
+fn commanded_poses(folder: &TestFolder, out: &str) -> Vec<Axes> {
     let file = folder.path(&format!("{out}/recording.hmr"));
     let recording = Recording::open(Path::new(&file)).unwrap();
     let records = recording.iter().unwrap().map(Result::unwrap);
@@ -42,8 +43,8 @@ fn commanded(folder: &Folder, out: &str) -> Vec<Axes> {
     poses
 }
 
-/// How far a pose is from the way between two others (axis units), and which part of that way it is at.
-fn off(pose: &Axes, from: &Axes, to: &Axes) -> f64 {
+/// Distance of a pose from the segment between two others, axis units.
+fn distance_to_segment(pose: &Axes, from: &Axes, to: &Axes) -> f64 {
     let difference = |a: &Axes, b: &Axes| -> [f64; 6] {
         std::array::from_fn(|i| f64::from(a[i]) - f64::from(b[i]))
     };
@@ -58,15 +59,17 @@ fn off(pose: &Axes, from: &Axes, to: &Axes) -> f64 {
     dot(&rest, &rest).sqrt()
 }
 
-/// 0.2 um and 2e-5 degrees: the poses of a period are joined by straight lines here.
+/// 0.2 um and 2e-5 degrees, because the path between two periods is approximated by a line.
 const TOLERANCE: f64 = 210.0;
 
-/// Every pose lies on the way of the clean job, none before the one that came before it.
+/// Checks that every pose is on the path of the fault-free job, in order.
 #[track_caller]
-fn is_on_the_way(poses: &[Axes], clean: &[Axes]) {
+fn expect_on_path(poses: &[Axes], clean: &[Axes]) {
     let mut at = 0;
     for (index, pose) in poses.iter().enumerate() {
-        while at + 1 < clean.len() && off(pose, &clean[at], &clean[at + 1]) > TOLERANCE {
+        while at + 1 < clean.len()
+            && distance_to_segment(pose, &clean[at], &clean[at + 1]) > TOLERANCE
+        {
             at += 1;
         }
         assert!(
@@ -78,10 +81,10 @@ fn is_on_the_way(poses: &[Axes], clean: &[Axes]) {
 }
 
 #[test]
-fn a_bad_line_never_makes_a_wrong_motion() {
-    let folder = Folder::new();
-    run(&folder, "clean", &[], &["--baud", "115200"]).ended_with(0);
-    let clean = commanded(&folder, "clean");
+fn serial_line_errors_never_cause_wrong_motion() {
+    let folder = TestFolder::new();
+    run(&folder, "clean", &[], &["--baud", "115200"]).expect_code(0);
+    let clean = commanded_poses(&folder, "clean");
     assert!(clean.len() > 10_000, "{}", clean.len());
     let mut ended = 0;
     let lines = [
@@ -99,8 +102,8 @@ fn a_bad_line_never_makes_a_wrong_motion() {
     ];
     for line in lines {
         let ran = run(&folder, "out", &[line], &["--baud", "115200"]);
-        let poses = commanded(&folder, "out");
-        is_on_the_way(&poses, &clean);
+        let poses = commanded_poses(&folder, "out");
+        expect_on_path(&poses, &clean);
         let summary = folder.summary("out");
         println!(
             "{line}: exit code {}, {} of {} poses, {} underruns, {}",
@@ -134,8 +137,8 @@ fn a_bad_line_never_makes_a_wrong_motion() {
 }
 
 #[test]
-fn a_machine_that_fails_stops_and_says_what_to_do() {
-    let folder = Folder::new();
+fn machine_faults_stop_the_job_with_a_remedy() {
+    let folder = TestFolder::new();
     let mut text = String::new();
     let faults = [
         ("encoder-stuck axis=l2 channel=a level=high at=6s", "l2"),
@@ -151,11 +154,11 @@ fn a_machine_that_fails_stops_and_says_what_to_do() {
         ("index-missing axis=l2", "l2"),
     ];
     for (fault, joint) in faults {
-        let ran = run(&folder, "out", &[fault], &[]).ended_with(6);
+        let ran = run(&folder, "out", &[fault], &[]).expect_code(6);
         assert!(ran.err.contains(joint), "{fault}: {}", ran.err);
-        text += &format!("{fault}\n    {}\n", folder.anonymous(ran.err.trim_end()));
+        text += &format!("{fault}\n    {}\n", folder.redact(ran.err.trim_end()));
         if fault.contains("at=") {
-            // In the job: everything up to the stop is kept.
+            // A fault during the job: the results up to the stop are kept.
             let summary = folder.summary("out");
             assert_eq!(summary["completed"], false, "{fault}");
             assert_eq!(
@@ -176,28 +179,28 @@ fn a_machine_that_fails_stops_and_says_what_to_do() {
 }
 
 #[test]
-fn a_fault_before_the_job_moves_nothing_in_it() {
-    let folder = Folder::new();
-    let ran = run(&folder, "out", &["drive-dead axis=l2"], &[]).ended_with(6);
+fn fault_before_the_job_prevents_motion() {
+    let folder = TestFolder::new();
+    let ran = run(&folder, "out", &["drive-dead axis=l2"], &[]).expect_code(6);
     assert!(ran.err.contains("l2"), "{}", ran.err);
     assert!(!Path::new(&folder.path("out/recording.hmr")).exists());
 }
 
 #[test]
-fn an_emergency_stop_ends_the_search_for_the_references_as_a_fault() {
-    let folder = Folder::new();
-    let ran = run(&folder, "out", &["emergency-stop at=1s"], &[]).ended_with(6);
+fn emergency_stop_during_homing_ends_with_the_fault_code() {
+    let folder = TestFolder::new();
+    let ran = run(&folder, "out", &["emergency-stop at=1s"], &[]).expect_code(6);
     let told = ran.json();
     let what = told["error"].as_str().unwrap();
     assert!(what.contains("the emergency stop is latched"), "{told:#}");
     assert_eq!(told["exit_code"], 6);
-    let ran = run(&folder, "out", &["emergency-stop at=4s"], &[]).ended_with(6);
+    let ran = run(&folder, "out", &["emergency-stop at=4s"], &[]).expect_code(6);
     assert!(
         ran.err.contains("the emergency stop is latched"),
         "{}",
         ran.err
     );
-    // A summary says what was done to the machine, so nobody takes the job for one that went wrong by itself.
+    // The summary names the injected faults.
     let summary = folder.summary("out");
     let told = [&summary["injected"][0], &summary["final_state"]];
     assert_eq!(

@@ -1,10 +1,10 @@
-//! Recordings as MCAP, read by the package of those who made the format; and a build that has no MCAP says so before anything moves.
+//! MCAP export, checked with the reference MCAP reader; a build without MCAP refuses before motion.
 
 mod scene;
 
 #[cfg(feature = "mcap")]
 mod built {
-    use super::scene::{Folder, haptimill};
+    use super::scene::{TestFolder, haptimill};
     use haptimill_trace::Recording;
     use mcap::read::Options as ReadOptions;
     use mcap::{MessageStream, Summary};
@@ -12,27 +12,27 @@ mod built {
     use std::collections::BTreeMap;
     use std::path::Path;
 
-    /// The messages of an MCAP file; the check of each chunk is verified.
-    fn checked(bytes: &[u8]) -> MessageStream<'_> {
+    /// The messages of an MCAP file, with verified checksums.
+    fn read_with_checks(bytes: &[u8]) -> MessageStream<'_> {
         MessageStream::new_with_options(bytes, ReadOptions::ValidateChunkCrcs.into()).unwrap()
     }
 
     #[test]
-    fn a_hand_has_its_channels() {
-        let folder = Folder::new();
+    fn haptic_arm_has_channels() {
+        let folder = TestFolder::new();
         let out = folder.path("out");
         haptimill(&[
-            "teleop", "--hand", "sim", "--for", "1.5", "--quiet", "--out", &out,
+            "teleop", "--master", "sim", "--for", "1.5", "--quiet", "--out", &out,
         ])
-        .ended_with(0);
+        .expect_code(0);
         let (trace, file) = (folder.path("out/hand.hmr"), folder.path("hand.mcap"));
-        haptimill(&["trace", "mcap", &trace, "--out", &file]).ended_with(0);
+        haptimill(&["trace", "mcap", &trace, "--out", &file]).expect_code(0);
         let bytes = std::fs::read(&file).unwrap();
         let recording = Recording::open(Path::new(&trace)).unwrap();
         let mut records = recording.iter().unwrap().map(Result::unwrap);
         let mut held = 0;
         let mut seen = 0;
-        for message in checked(&bytes) {
+        for message in read_with_checks(&bytes) {
             let message = message.unwrap();
             if message.channel.topic != "/hand" {
                 continue;
@@ -61,14 +61,14 @@ mod built {
     }
 
     #[test]
-    fn mcap_has_everything_and_its_checks_hold() {
-        let folder = Folder::new();
+    fn mcap_is_complete_and_valid() {
+        let folder = TestFolder::new();
         let out = folder.path("out");
         let program = "examples/e7-slot.ngc";
-        haptimill(&["run", program, "--quiet", "--mcap", "--out", &out]).ended_with(0);
+        haptimill(&["run", program, "--quiet", "--mcap", "--out", &out]).expect_code(0);
         let trace = folder.path("out/recording.hmr");
         let again = folder.path("again.mcap");
-        haptimill(&["trace", "mcap", &trace, "--out", &again]).ended_with(0);
+        haptimill(&["trace", "mcap", &trace, "--out", &again]).expect_code(0);
         let bytes = std::fs::read(folder.path("out/recording.mcap")).unwrap();
         assert!(
             bytes == std::fs::read(&again).unwrap(),
@@ -89,7 +89,7 @@ mod built {
             assert_eq!(schema["type"], "object", "{}", channel.topic);
         }
         let mut topics: BTreeMap<String, Vec<(u64, Value)>> = BTreeMap::new();
-        for message in checked(&bytes) {
+        for message in read_with_checks(&bytes) {
             let message = message.unwrap();
             let value = serde_json::from_slice(&message.data).unwrap();
             topics
@@ -116,7 +116,7 @@ mod built {
                 "/yielded"
             ]
         );
-        // A thousand a second, with the values of the recording.
+        // 1000 messages per second, with the values of the recording.
         let state = &topics["/state"];
         assert_eq!(
             state.len() as u64,
@@ -151,7 +151,7 @@ mod built {
         );
         let times: Vec<u64> = events.iter().map(|(time, _)| *time).collect();
         assert!(times.is_sorted());
-        // A digit of a measure in the middle that is another one is found.
+        // A changed digit in the middle of the file is detected.
         let mut damaged = bytes.clone();
         let middle = damaged.len() / 2;
         let name = b"\"x_mm\":";
@@ -164,20 +164,21 @@ mod built {
             .position(u8::is_ascii_digit)
             .unwrap();
         damaged[middle + at + digit] ^= 1;
-        assert!(checked(&damaged).any(|message| message.is_err()));
+        assert!(read_with_checks(&damaged).any(|message| message.is_err()));
         let ran =
-            haptimill(&["trace", "mcap", &trace, "--out", "/there/is/none.mcap"]).ended_with(9);
+            haptimill(&["trace", "mcap", &trace, "--out", "/there/is/none.mcap"]).expect_code(9);
         assert!(ran.err.contains("/there/is/none.mcap: "), "{}", ran.err);
     }
 }
 
 #[cfg(not(feature = "mcap"))]
 #[test]
-fn without_mcap_nothing_is_run_for_it() {
-    let folder = scene::Folder::new();
+fn build_without_mcap_refuses_before_motion() {
+    let folder = scene::TestFolder::new();
     let out = folder.path("out");
     let program = "examples/e7-slot.ngc";
-    let ran = scene::haptimill(&["run", program, "--quiet", "--mcap", "--out", &out]).ended_with(2);
+    let ran =
+        scene::haptimill(&["run", program, "--quiet", "--mcap", "--out", &out]).expect_code(2);
     assert!(ran.err.contains("--features mcap"), "{}", ran.err);
     assert!(!std::path::Path::new(&out).exists());
 }

@@ -4,7 +4,7 @@
 mod scene;
 
 use haptimill_trace::{Recording, flag};
-use scene::{Folder, haptimill, number};
+use scene::{TestFolder, haptimill, number};
 use serde_json::Value;
 use std::path::Path;
 
@@ -18,17 +18,17 @@ fn without_hashes(summary: &Value) -> Value {
     summary
 }
 
-fn read(folder: &Folder, path: &str) -> Value {
+fn read(folder: &TestFolder, path: &str) -> Value {
     serde_json::from_str(&folder.read(path)).unwrap()
 }
 
 #[test]
 fn all_experiments_write_their_tables_pages_and_recordings() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let out = folder.path("out");
-    let ran = haptimill(&["scenario", "run", "all", "--out", &out]).ended_with(0);
+    let ran = haptimill(&["scenario", "run", "all", "--out", &out]).expect_code(0);
     assert_eq!(ran.err, "");
-    insta::assert_snapshot!("table", folder.anonymous(&ran.out));
+    insta::assert_snapshot!("table", folder.redact(&ran.out));
 
     let index = folder.read("out/index.html");
     for experiment in haptimill_experiments::all().unwrap() {
@@ -83,11 +83,11 @@ fn all_experiments_write_their_tables_pages_and_recordings() {
 
 #[test]
 fn an_experiment_is_deterministic() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let mut hashes = Vec::new();
     for out in ["first", "second"] {
         let out = folder.path(out);
-        let ran = haptimill(&["scenario", "run", "E7", "--json", "--out", &out]).ended_with(0);
+        let ran = haptimill(&["scenario", "run", "E7", "--json", "--out", &out]).expect_code(0);
         let results = ran.json();
         assert_eq!(results.as_array().unwrap().len(), 1);
         hashes.push(results[0]["passes"][0]["trace_sha256"].clone());
@@ -101,12 +101,12 @@ fn an_experiment_is_deterministic() {
 
 #[test]
 fn experiments_are_listed_and_others_refused() {
-    let list = haptimill(&["scenario", "list"]).ended_with(0).out;
+    let list = haptimill(&["scenario", "list"]).expect_code(0).out;
     for number in 1..=12 {
         let name = &format!("e{number} ");
         assert!(list.lines().any(|line| line.starts_with(name)), "{list}");
     }
-    let ran = haptimill(&["scenario", "run", "e13"]).ended_with(2);
+    let ran = haptimill(&["scenario", "run", "e13"]).expect_code(2);
     assert_eq!(
         ran.err,
         "there is no experiment \"e13\"; write one of e1, e2, e3, e4, e5, e6, e7, e8, e9, e10, e11, e12, or all\n"
@@ -115,7 +115,7 @@ fn experiments_are_listed_and_others_refused() {
 
 #[test]
 fn a_job_cuts_only_a_clamped_stock() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let run = |out: &str, more: &[&str]| {
         let dir = folder.path(out);
         let program = "examples/e7-slot.ngc";
@@ -131,7 +131,7 @@ fn a_job_cuts_only_a_clamped_stock() {
     };
     let (air, none) = run("air", &[]);
     assert_eq!(none, 0.0, "no stock is clamped");
-    let (cut, force) = run("cut", &["--work", "examples/block.toml"]);
+    let (cut, force) = run("cut", &["--stock", "examples/block.toml"]);
     assert!((4.0..12.0).contains(&force), "{force} N");
     // 7 N on a structure of 500 N/mm give 14 um, and the slides deflect too.
     let error = |summary: &Value| number(summary, "tool_error_max_mm");
@@ -140,19 +140,26 @@ fn a_job_cuts_only_a_clamped_stock() {
 
     let bad = folder.file("work.toml", "top_mm = 21.0\ncell_mm = 7.0\n");
     let out = folder.path("bad");
-    let ran = haptimill(&["run", "examples/e7-slot.ngc", "--work", &bad, "--out", &out]);
+    let ran = haptimill(&[
+        "run",
+        "examples/e7-slot.ngc",
+        "--stock",
+        &bad,
+        "--out",
+        &out,
+    ]);
     assert_eq!(ran.code, 3);
     assert_eq!(
-        folder.anonymous(&ran.err),
+        folder.redact(&ran.err),
         "DIR/work.toml:2:11: cell_mm: 7 is out of range, allowed is 0.01 to 1; lower it\n"
     );
     let port = [
         "run",
         "examples/e7-slot.ngc",
-        "--work",
+        "--stock",
         &bad,
         "--port",
         "tcp:127.0.0.1:1",
     ];
-    assert!(haptimill(&port).ended_with(2).err.starts_with("--work"));
+    assert!(haptimill(&port).expect_code(2).err.starts_with("--stock"));
 }

@@ -1,26 +1,26 @@
-//! The simulated machine as a device in real time, and everything that several programs can do to it: one-shot commands, jobs, stops
-//! from elsewhere, and processes that die.
+//! The served simulator with several hosts: simple commands, jobs, stops from another host, and
+//! processes that die.
 #![cfg(unix)]
 
 mod scene;
 
 use haptimill_trace::RECORD_BYTES;
-use scene::{Folder, Served, Started, number, start};
+use scene::{Running, SimServer, TestFolder, number, start};
 use std::time::{Duration, Instant};
 
-/// Back and forth for half a minute of machine time, at 10 mm/s.
-fn long_program(folder: &Folder) -> String {
+/// Moves back and forth for half a minute of machine time at 10 mm/s.
+fn long_program(folder: &TestFolder) -> String {
     let turns: String = (0..15).map(|_| "G1 X20\nG1 X0\n").collect();
     folder.file("long.ngc", format!("G21 G90 F600\n{turns}M30\n"))
 }
 
-/// There and back, about 2 s.
-fn short_program(folder: &Folder) -> String {
+/// Moves out and back in about 2 s.
+fn short_program(folder: &TestFolder) -> String {
     folder.file("short.ngc", "G21 G90 F600\nG1 X-5\nG3 X5 I5\nG1 X0\nM30\n")
 }
 
-/// A run on a served machine that is in the middle of its way.
-fn under_way(served: &Served, folder: &Folder, program: &str) -> Started {
+/// Starts a run on a served machine and waits until it moves.
+fn start_job(served: &SimServer, folder: &TestFolder, program: &str) -> Running {
     let mut run = start(&[
         "run",
         program,
@@ -29,8 +29,9 @@ fn under_way(served: &Served, folder: &Folder, program: &str) -> Started {
         "--out",
         &folder.path("out"),
     ]);
-    run.says("running");
-    // Machine time has to pass until it is at speed, and it may be slower than real time: the recording tells, a record every 20 ms.
+    run.wait_for_output("running");
+    // The machine needs machine time to reach its speed, which may be slower than real time. The
+    // size of the recording is the measure: one record every 20 ms.
     let recording = folder.path("out/recording.hmr");
     let size = || std::fs::metadata(&recording).map_or(0, |file| file.len());
     let mut header = 0;
@@ -42,9 +43,9 @@ fn under_way(served: &Served, folder: &Folder, program: &str) -> Started {
     run
 }
 
-/// The job of [`under_way`] was stopped on its path, and everything was kept.
+/// Checks that the job of [`start_job`] stopped along its path and kept its results.
 #[track_caller]
-fn was_stopped(folder: &Folder) {
+fn expect_stopped(folder: &TestFolder) {
     let summary = folder.summary("out");
     assert_eq!(summary["completed"], false);
     assert_eq!(summary["final_state"], "Idle", "{summary:#}");
@@ -60,7 +61,7 @@ fn was_stopped(folder: &Folder) {
     );
     assert!((0.3..20.0).contains(&duration), "{summary:#}");
     assert!(length > 1.0 && length < 200.0, "{summary:#}");
-    // A stop along the path leaves the tool on the path.
+    // After a stop along the path the tool is on the path.
     assert!(
         number(&summary, "contour_error_max_mm") < 0.1,
         "{summary:#}"
@@ -69,10 +70,10 @@ fn was_stopped(folder: &Folder) {
     assert!(folder.read("out/report.html").contains("</html>"));
 }
 
-/// A whole job runs, without homing again.
+/// Checks that a job runs without homing again.
 #[track_caller]
-fn runs_without_homing(served: &Served, folder: &Folder) {
-    let ran = served.does(&[
+fn expect_run_without_homing(served: &SimServer, folder: &TestFolder) {
+    let ran = served.run_ok(&[
         "run",
         &short_program(folder),
         "--out",
@@ -84,19 +85,19 @@ fn runs_without_homing(served: &Served, folder: &Folder) {
 }
 
 #[test]
-fn one_shot_commands_follow_each_other() {
-    let served = Served::on_tcp(&[]);
+fn simple_commands_in_sequence() {
+    let served = SimServer::on_tcp(&[]);
     let status = served.status();
     assert_eq!(
         (&status["state"], &status["homed"]),
         (&"Disabled".into(), &false.into()),
         "{status:#}"
     );
-    // Nothing to be done yet: told in words, with its own code.
-    let refused = served.tries(&["home", "--timeout", "0"]);
+    // The machine is not homed: an error message with its exit code.
+    let refused = served.run(&["home", "--timeout", "0"]);
     assert_eq!(refused.code, 2);
-    assert_eq!(served.does(&["enable", "--json"]).json()["state"], "Idle");
-    let homed = served.does(&["home", "--json"]).json();
+    assert_eq!(served.run_ok(&["enable", "--json"]).json()["state"], "Idle");
+    let homed = served.run_ok(&["home", "--json"]).json();
     assert_eq!(
         (&homed["state"], &homed["homed"]),
         (&"Idle".into(), &true.into()),
@@ -111,9 +112,9 @@ fn one_shot_commands_follow_each_other() {
     );
     assert!(number(&homed["following_error"], "l1").abs() < 0.02);
 
-    // 10 mm/s for a second, less the time to speed up; the stop comes after.
+    // 10 mm/s for one second, less the acceleration; the stop follows.
     let jogged = served
-        .does(&["jog", "x=10", "z=-2", "--for", "1", "--json"])
+        .run_ok(&["jog", "x=10", "z=-2", "--for", "1", "--json"])
         .json();
     assert_eq!(jogged["state"], "Idle");
     let (x, z) = (at(&jogged, "x"), at(&jogged, "z") - 21.232);
@@ -122,49 +123,49 @@ fn one_shot_commands_follow_each_other() {
         (z + x / 5.0).abs() < 0.1,
         "the ratio of the rates is kept: {jogged:#}"
     );
-    // Nothing moves afterwards.
+    // The machine is at standstill afterwards.
     assert_eq!(served.status()["commanded"], jogged["commanded"]);
-    served.does(&["jog", "theta=25", "--for", "1.3"]);
+    served.run_ok(&["jog", "theta=25", "--for", "1.3"]);
     let limited = served
-        .tries(&["jog", "theta=20", "--for", "1.5", "--json"])
-        .ended_with(0);
+        .run(&["jog", "theta=20", "--for", "1.5", "--json"])
+        .expect_code(0);
     let theta = at(&limited.json(), "theta");
     assert!(
-        limited.err.contains("theta stopped in front of its limit"),
+        limited.err.contains("theta stopped at its soft limit"),
         "{limited:?}"
     );
-    // Here it is a slide's stroke that ends it, before the soft limit of 35 degrees.
+    // The stroke of a joint limits the jog before the soft limit of 35 degrees.
     assert!(theta > 29.0 && theta <= 35.0, "{limited:?}");
     assert_eq!(limited.err.lines().count(), 1, "{}", limited.err);
-    served.does(&["jog", "theta=-20", "--for", "1.5"]);
-    let axis = served.tries(&["jog", "q=1"]).ended_with(2);
+    served.run_ok(&["jog", "theta=-20", "--for", "1.5"]);
+    let axis = served.run(&["jog", "q=1"]).expect_code(2);
     assert!(
         axis.err.contains("x, y, z, theta (or B), alpha (or A)"),
         "{}",
         axis.err
     );
-    // By the letters of part programs: A is the table, B the tilt.
+    // Letters of part programs: A is the table, B the tilt.
     let turned = served
-        .does(&["jog", "a=5", "--for", "0.5", "--json"])
+        .run_ok(&["jog", "a=5", "--for", "0.5", "--json"])
         .json();
     assert!(at(&turned, "alpha") > 1.5, "{turned:#}");
-    let twice = served.tries(&["jog", "A=5", "alpha=5"]).ended_with(2);
+    let twice = served.run(&["jog", "A=5", "alpha=5"]).expect_code(2);
     assert!(twice.err.contains("alpha is given twice"), "{}", twice.err);
-    let fast = served.tries(&["jog", "x=500"]).ended_with(2);
+    let fast = served.run(&["jog", "x=500"]).expect_code(2);
     assert!(fast.err.contains("at most 50"), "{}", fast.err);
 
-    assert_eq!(served.does(&["stop", "--json"]).json()["state"], "Idle");
+    assert_eq!(served.run_ok(&["stop", "--json"]).json()["state"], "Idle");
     assert_eq!(
-        served.does(&["disable", "--json"]).json()["state"],
+        served.run_ok(&["disable", "--json"]).json()["state"],
         "Disabled"
     );
-    let refused = served.tries(&["jog", "x=1"]).ended_with(8);
+    let refused = served.run(&["jog", "x=1"]).expect_code(8);
     assert!(refused.err.starts_with("jog: "), "{}", refused.err);
     assert_eq!(
-        served.does(&["reset", "--json"]).json()["state"],
+        served.run_ok(&["reset", "--json"]).json()["state"],
         "Disabled"
     );
-    let shown = served.does(&["status"]);
+    let shown = served.run_ok(&["status"]);
     assert!(
         shown
             .out
@@ -175,13 +176,13 @@ fn one_shot_commands_follow_each_other() {
 }
 
 #[test]
-fn a_job_runs_on_a_pseudo_terminal_and_again_without_homing() {
-    let folder = Folder::new();
+fn job_runs_on_a_pseudo_terminal_and_again_without_homing() {
+    let folder = TestFolder::new();
     let link = folder.path("machine");
-    let mut served = Served::on("pty", &["--link", &link]);
+    let mut served = SimServer::on("pty", &["--link", &link]);
     assert!(served.port.starts_with("/dev/"), "{}", served.port);
     served.port = link.clone();
-    let ran = served.does(&[
+    let ran = served.run_ok(&[
         "run",
         &short_program(&folder),
         "--out",
@@ -200,19 +201,19 @@ fn a_job_runs_on_a_pseudo_terminal_and_again_without_homing() {
         (number(&summary, "path_length_mm") - (10.0 + 5.0 * std::f64::consts::PI)).abs() < 1.0,
         "{summary:#}"
     );
-    runs_without_homing(&served, &folder);
-    // The link goes with the machine.
+    expect_run_without_homing(&served, &folder);
+    // The symbolic link is removed with the process.
     served.process.interrupt();
     assert_eq!(served.process.end().code, 0);
     assert!(!std::path::Path::new(&link).exists());
 }
 
 #[test]
-fn a_second_program_is_sent_away_and_a_stop_from_it_is_heard() {
-    let folder = Folder::new();
-    let served = Served::on_tcp(&[]);
-    let run = under_way(&served, &folder, &long_program(&folder));
-    let second = served.tries(&["status", "--json"]).ended_with(5);
+fn second_host_is_refused_and_its_stop_is_obeyed() {
+    let folder = TestFolder::new();
+    let served = SimServer::on_tcp(&[]);
+    let run = start_job(&served, &folder, &long_program(&folder));
+    let second = served.run(&["status", "--json"]).expect_code(5);
     assert!(
         second.err.contains("another host is connected") && !second.err.contains("fuser"),
         "{}",
@@ -221,79 +222,79 @@ fn a_second_program_is_sent_away_and_a_stop_from_it_is_heard() {
     assert_eq!(second.json()["exit_code"], 5);
     assert_eq!(second.json()["error"].as_str(), Some(second.err.trim_end()));
     let second = served
-        .tries(&[
+        .run(&[
             "run",
             &short_program(&folder),
             "--out",
             &folder.path("second"),
         ])
-        .ended_with(5);
+        .expect_code(5);
     assert!(
         second.err.contains("another host is connected"),
         "{}",
         second.err
     );
-    let stop = served.does(&["stop"]);
+    let stop = served.run_ok(&["stop"]);
     assert!(stop.out.contains("stop sent"), "{}", stop.out);
-    let ran = run.end().ended_with(7);
+    let ran = run.end().expect_code(7);
     assert!(ran.err.contains("stopped from elsewhere"), "{}", ran.err);
-    was_stopped(&folder);
+    expect_stopped(&folder);
     let status = served.status();
     assert_eq!(
         (&status["state"], &status["position_kept"]),
         (&"Idle".into(), &true.into()),
         "{status:#}"
     );
-    runs_without_homing(&served, &folder);
+    expect_run_without_homing(&served, &folder);
 }
 
 #[test]
-fn a_second_program_on_a_pseudo_terminal_is_sent_away_and_its_stop_is_heard() {
-    let folder = Folder::new();
-    let served = Served::on("pty", &[]);
-    let run = under_way(&served, &folder, &long_program(&folder));
-    let second = served.tries(&["status"]).ended_with(5);
+fn second_host_on_a_pseudo_terminal_is_refused_and_its_stop_is_obeyed() {
+    let folder = TestFolder::new();
+    let served = SimServer::on("pty", &[]);
+    let run = start_job(&served, &folder, &long_program(&folder));
+    let second = served.run(&["status"]).expect_code(5);
     assert!(
         second.err.contains("another program has it") && second.err.contains("fuser /dev/"),
         "{}",
         second.err
     );
-    served.does(&["stop"]);
-    let ran = run.end().ended_with(7);
+    served.run_ok(&["stop"]);
+    let ran = run.end().expect_code(7);
     assert!(ran.err.contains("stopped from elsewhere"), "{}", ran.err);
-    was_stopped(&folder);
+    expect_stopped(&folder);
     assert_eq!(served.status()["state"], "Idle");
 }
 
 #[test]
-fn ctrl_c_stops_a_job_on_its_path() {
-    let folder = Folder::new();
-    let served = Served::on_tcp(&[]);
-    let run = under_way(&served, &folder, &long_program(&folder));
+fn ctrl_c_stops_a_job_along_its_path() {
+    let folder = TestFolder::new();
+    let served = SimServer::on_tcp(&[]);
+    let run = start_job(&served, &folder, &long_program(&folder));
     run.interrupt();
-    let ran = run.end().ended_with(7);
+    let ran = run.end().expect_code(7);
     assert!(
         ran.err
             .contains("stopped by the user; the position is kept"),
         "{}",
         ran.err
     );
-    was_stopped(&folder);
-    runs_without_homing(&served, &folder);
+    expect_stopped(&folder);
+    expect_run_without_homing(&served, &folder);
 }
 
 #[test]
-fn a_host_that_dies_is_noticed_and_the_machine_stops_on_its_path() {
-    let folder = Folder::new();
-    let served = Served::on_tcp(&[]);
-    let mut run = under_way(&served, &folder, &long_program(&folder));
+fn dead_host_is_detected_and_the_machine_stops_along_its_path() {
+    let folder = TestFolder::new();
+    let served = SimServer::on_tcp(&[]);
+    let mut run = start_job(&served, &folder, &long_program(&folder));
     run.kill();
-    // The heartbeat is 500 ms, slowing down 300 ms. A new host that comes at once is sent away until the machine brakes for want of the old
-    // one: it must not hide the loss.
+    // The heartbeat is 500 ms, the deceleration 300 ms. A new host is refused until the heartbeat
+    // stop has begun, so that it cannot hide the loss of the old one.
     let lost = Instant::now();
     let status = loop {
         assert!(lost.elapsed() < Duration::from_secs(10));
-        let ran = served.tries(&["status", "--json"]);
+        let ran = served.run(&["status", "--json"]);
         if ran.code != 0 {
             let why = "another host is connected";
             assert!(ran.code == 5 && ran.err.contains(why), "{ran:?}");
@@ -317,26 +318,26 @@ fn a_host_that_dies_is_noticed_and_the_machine_stops_on_its_path() {
         "{status:#}"
     );
     let refused = served
-        .tries(&[
+        .run(&[
             "run",
             &short_program(&folder),
             "--out",
             &folder.path("again"),
         ])
-        .ended_with(6);
+        .expect_code(6);
     assert!(refused.err.contains("haptimill reset"), "{}", refused.err);
-    served.does(&["reset"]);
-    runs_without_homing(&served, &folder);
+    served.run_ok(&["reset"]);
+    expect_run_without_homing(&served, &folder);
 }
 
 #[test]
-fn a_machine_that_dies_is_noticed_and_the_trace_is_kept() {
-    let folder = Folder::new();
-    let mut served = Served::on_tcp(&[]);
-    let run = under_way(&served, &folder, &long_program(&folder));
+fn dead_controller_is_detected_and_the_trace_is_kept() {
+    let folder = TestFolder::new();
+    let mut served = SimServer::on_tcp(&[]);
+    let run = start_job(&served, &folder, &long_program(&folder));
     served.process.kill();
     let died = Instant::now();
-    let ran = run.end().ended_with(5);
+    let ran = run.end().expect_code(5);
     assert!(
         died.elapsed() < Duration::from_secs(5),
         "{:?}",
@@ -355,13 +356,13 @@ fn a_machine_that_dies_is_noticed_and_the_trace_is_kept() {
 }
 
 #[test]
-fn a_frozen_machine_is_given_up_after_a_second() {
-    let folder = Folder::new();
-    let served = Served::on("pty", &[]);
-    let run = under_way(&served, &folder, &long_program(&folder));
-    served.process.freeze();
+fn suspended_controller_times_out_after_one_second() {
+    let folder = TestFolder::new();
+    let served = SimServer::on("pty", &[]);
+    let run = start_job(&served, &folder, &long_program(&folder));
+    served.process.suspend();
     let froze = Instant::now();
-    let ran = run.end().ended_with(5);
+    let ran = run.end().expect_code(5);
     assert!(
         froze.elapsed() < Duration::from_secs(5),
         "{:?}",
@@ -376,35 +377,36 @@ fn a_frozen_machine_is_given_up_after_a_second() {
 }
 
 #[test]
-fn an_emergency_stop_is_latched_until_it_is_reset() {
-    let folder = Folder::new();
-    let served = Served::on_tcp(&[]);
-    served.does(&["home"]);
-    let stopped = served.does(&["stop", "--emergency", "--json"]).json();
+fn emergency_stop_is_latched_until_reset() {
+    let folder = TestFolder::new();
+    let served = SimServer::on_tcp(&[]);
+    served.run_ok(&["home"]);
+    let stopped = served.run_ok(&["stop", "--emergency", "--json"]).json();
     assert_eq!(stopped["state"], "EmergencyStop", "{stopped:#}");
     assert_eq!(served.status()["state"], "EmergencyStop");
-    let refused = served.tries(&["enable"]).ended_with(8);
+    let refused = served.run(&["enable"]).expect_code(8);
     assert!(refused.err.starts_with("enable: "), "{}", refused.err);
     let refused = served
-        .tries(&["run", &short_program(&folder), "--out", &folder.path("out")])
-        .ended_with(6);
+        .run(&["run", &short_program(&folder), "--out", &folder.path("out")])
+        .expect_code(6);
     assert!(refused.err.contains("haptimill reset"), "{}", refused.err);
     assert_eq!(
-        served.does(&["reset", "--json"]).json()["state"],
+        served.run_ok(&["reset", "--json"]).json()["state"],
         "Disabled"
     );
-    assert_eq!(served.does(&["enable", "--json"]).json()["state"], "Idle");
-    served.does(&["run", &short_program(&folder), "--out", &folder.path("out")]);
+    assert_eq!(served.run_ok(&["enable", "--json"]).json()["state"], "Idle");
+    served.run_ok(&["run", &short_program(&folder), "--out", &folder.path("out")]);
     assert_eq!(folder.summary("out")["completed"], true);
 }
 
 #[test]
-fn a_machine_that_lost_its_position_is_homed_from_its_presets() {
-    // The machine is long at its home pose, which is that of the presets, when the encoder goes mad.
+fn lost_position_is_homed_from_presets() {
+    // The machine has reached its home pose, which is that of the presets, when the encoder fault
+    // begins.
     let fault = "encoder-noise axis=l2 per-second=5000 at=10s for=200ms";
-    let served = Served::on_tcp(&["--fault", fault]);
-    served.does(&["home"]);
-    let refused = served.tries(&["home", "--at-preset"]).ended_with(8);
+    let served = SimServer::on_tcp(&["--fault", fault]);
+    served.run_ok(&["home"]);
+    let refused = served.run(&["home", "--at-preset"]).expect_code(8);
     assert!(
         refused
             .err
@@ -415,7 +417,7 @@ fn a_machine_that_lost_its_position_is_homed_from_its_presets() {
     let begun = Instant::now();
     let lost = loop {
         let status = served.status();
-        // Periods of 200 us: the noise is over.
+        // Control periods of 200 us: the fault has ended.
         if status["state"] == "Fault" && number(&status, "period") > 52_000.0 {
             break status;
         }
@@ -427,7 +429,7 @@ fn a_machine_that_lost_its_position_is_homed_from_its_presets() {
         (&false.into(), &false.into()),
         "{lost:#}"
     );
-    let refused = served.tries(&["home", "--at-preset"]).ended_with(8);
+    let refused = served.run(&["home", "--at-preset"]).expect_code(8);
     assert!(
         refused
             .err
@@ -435,12 +437,12 @@ fn a_machine_that_lost_its_position_is_homed_from_its_presets() {
         "{}",
         refused.err
     );
-    served.does(&["reset"]);
-    // Nothing was set by the attempt: the search still has nothing to begin from.
-    let refused = served.tries(&["home"]).ended_with(8);
+    served.run_ok(&["reset"]);
+    // The refused attempt set no position.
+    let refused = served.run(&["home"]).expect_code(8);
     assert!(refused.err.contains("--at-preset"), "{}", refused.err);
-    served.does(&["disable"]);
-    let homed = served.does(&["home", "--at-preset", "--json"]).json();
+    served.run_ok(&["disable"]);
+    let homed = served.run_ok(&["home", "--at-preset", "--json"]).json();
     assert_eq!(
         (&homed["homed"], &homed["position_kept"], &homed["state"]),
         (&true.into(), &true.into(), &"Idle".into()),
@@ -453,8 +455,8 @@ fn a_machine_that_lost_its_position_is_homed_from_its_presets() {
 }
 
 #[test]
-fn a_run_refuses_what_means_nothing_on_a_port() {
-    let folder = Folder::new();
+fn run_refuses_simulator_options_on_a_port() {
+    let folder = TestFolder::new();
     let program = short_program(&folder);
     let out = folder.path("none");
     for (option, value, part) in [
@@ -463,19 +465,19 @@ fn a_run_refuses_what_means_nothing_on_a_port() {
         ("--baud", "9600", "leave it out with tcp:"),
     ] {
         let run = ["run", &program, "--port", "tcp:localhost:1", "--out", &out];
-        let ran = scene::haptimill(&[&run[..], &[option, value]].concat()).ended_with(2);
+        let ran = scene::haptimill(&[&run[..], &[option, value]].concat()).expect_code(2);
         assert!(ran.err.contains(part), "{}", ran.err);
     }
     assert!(!std::path::Path::new(&out).exists());
 }
 
 #[test]
-fn a_pause_waits_for_enter_and_for_no_enter_of_before() {
+fn pause_waits_for_enter_and_ignores_an_earlier_one() {
     use haptimill_client::port::{PtyServer, Transport};
-    let folder = Folder::new();
-    let served = Served::on_tcp(&[]);
+    let folder = TestFolder::new();
+    let served = SimServer::on_tcp(&[]);
     let program = folder.file("pause.ngc", "G1 X3 F600\nM0 (turn the work)\nG1 X0\nM30\n");
-    // A person's terminal.
+    // A terminal on standard input.
     let mut terminal = PtyServer::open().unwrap();
     let input = std::fs::OpenOptions::new()
         .read(true)
@@ -483,25 +485,25 @@ fn a_pause_waits_for_enter_and_for_no_enter_of_before() {
         .open(terminal.name())
         .unwrap();
     let mut enter = || {
-        // With a key in front that is no text.
+        // With a byte before Enter that is not text.
         let pressed = terminal.write(b"\xe9\n", Duration::from_secs(1)).unwrap();
         assert_eq!(pressed, 2);
     };
     let out = folder.path("out");
     let run = ["run", &program, "--port", &served.port, "--out", &out];
     let mut run = scene::start_with(&run, input.into());
-    // Impatience while it homes passes nothing.
+    // An Enter during homing skips no pause.
     enter();
-    run.complains("line 2: the program pauses; Enter goes on");
+    run.wait_for_error("line 2: the program pauses; press Enter");
     let paused = Instant::now();
     while paused.elapsed() < Duration::from_millis(700) {
         assert!(run.runs(), "{:?}", run.end());
         std::thread::sleep(Duration::from_millis(20));
     }
     enter();
-    run.end().ended_with(0);
+    run.end().expect_code(0);
     let summary = folder.summary("out");
     assert_eq!(summary["completed"], true, "{summary:#}");
-    // The pause is in the time that the job took: there and back is 0.8 s.
+    // The duration of the job includes the pause; the motion takes 0.8 s.
     assert!(number(&summary, "duration_s") > 1.2, "{summary:#}");
 }

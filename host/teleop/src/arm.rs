@@ -270,7 +270,7 @@ impl<L: Line> Arm<L> {
             Notice::Connected(welcome) => {
                 if welcome.axes > 0 {
                     let what = format!(
-                        "{}: \"{}\" is a machine with {} axes, not a haptic arm; --hand is for the arm, --port for the machine",
+                        "{}: \"{}\" is a machine with {} axes, not a haptic arm; --master is for the arm, --port for the machine",
                         self.line.name(),
                         welcome.machine,
                         welcome.axes
@@ -280,7 +280,7 @@ impl<L: Line> Arm<L> {
                 if let Some(board) = &self.board {
                     let agreed = self.agreed && welcome.config_crc == 0;
                     let decision = board.decide(&welcome).map_err(|error| {
-                        let what = error.message.replace("-machine", "-hand-machine");
+                        let what = error.message.replace("-machine", "-master-machine");
                         Error::new(error.kind, format!("{}: {what}", self.line.name()))
                     })?;
                     match decision {
@@ -291,7 +291,7 @@ impl<L: Line> Arm<L> {
                         }
                         Decision::Send(_) => {}
                         Decision::Unknown(what) => {
-                            let what = what.replace("--machine", "--hand-machine");
+                            let what = what.replace("--machine", "--master-machine");
                             let what = format!("{}: {what}", self.line.name());
                             return Err(Error::new(ErrorKind::Command, what));
                         }

@@ -521,7 +521,7 @@ pub mod terminal {
         pub fn take() -> Result<Self, Error> {
             let stdin = io::stdin();
             if !stdin.is_terminal() {
-                let what = "--hand keyboard needs a terminal on standard input; run it in one, or use --hand sim, script:FILE or the port of an arm";
+                let what = "--master keyboard needs a terminal on standard input; run it in one, or use --master sim, script:FILE or the port of an arm";
                 return Err(Error::new(ErrorKind::Usage, what));
             }
             let failed = |error: rustix::io::Errno| {

@@ -11,7 +11,7 @@ use haptimill_machine_file::read_text;
 use std::path::Path;
 use std::str::FromStr;
 
-/// The script that `--hand sim` carries out.
+/// The script that `--master sim` carries out.
 pub const BUILT_IN: &str = include_str!("../../../examples/teleop.toml");
 
 /// What the operator orders.

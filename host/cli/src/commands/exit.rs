@@ -1,4 +1,4 @@
-//! How the command ends: one number for scripts, one sentence for people.
+//! Exit codes and error messages of the command.
 
 use haptimill_client::port::PortError;
 use haptimill_client::{Error, ErrorKind, Located};
@@ -9,76 +9,78 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Exit {
-    /// It is done.
+    /// Success.
     Done = 0,
-    /// A defect of this program, reported rather than hidden.
+    /// A defect of this program.
     Internal = 1,
-    /// The command line cannot be understood (this number is given by its reader).
+    /// The command line is not valid (clap uses this number, too).
     Usage = 2,
     /// An input file cannot be read or has a mistake; nothing moved.
     BadInput = 3,
-    /// The program asks for what the machine cannot do; nothing moved.
+    /// The part program exceeds a limit of the machine; nothing moved.
     Refused = 4,
-    /// The port cannot be opened, is taken, or the link to the controller broke.
+    /// The port cannot be opened, is in use, or the connection to the controller is lost.
     Port = 5,
     /// The machine latched a fault.
     Fault = 6,
-    /// Stopped by the user (Ctrl-C, or `haptimill stop`); the machine slowed down along its path.
+    /// Stopped by the user (Ctrl-C, or `haptimill stop`); the machine decelerated along its path.
     Stopped = 7,
-    /// The controller refused a command in its present state, or its board has another configuration than the command needs.
+    /// The controller refused a command in its state, or has another configuration than the command
+    /// needs; or a comparison found a difference.
     Command = 8,
-    /// The result cannot be written.
+    /// A result cannot be written.
     Output = 9,
 }
 
-/// The table of exit codes, as `--help` prints it.
+/// The table of exit codes for `--help`.
 pub const EXIT_CODES: &str = "\
 Exit codes:
-  0  done
+  0  success
   1  a defect of this program
-  2  the command line cannot be understood
+  2  the command line is not valid
   3  an input file cannot be read or has a mistake; nothing moved
-  4  the program asks for what the machine cannot do; nothing moved
-  5  the port cannot be opened, is taken, or the link broke
+  4  the part program exceeds a limit of the machine; nothing moved
+  5  the port cannot be opened, is in use, or the connection is lost
   6  the machine latched a fault
-  7  stopped by the user; the machine slowed down along its path
-  8  refused in the controller's present state or configuration; `trace diff`, `replay`: there is a difference
-  9  the result cannot be written
-With --json an error is an object on standard output too, unless the command line
-cannot be understood: {\"error\", \"exit_code\", \"problems\": [...]}.";
+  7  stopped by the user; the machine decelerated along its path
+  8  the controller refused a command in its state or configuration;
+     `trace diff` and `replay`: there is a difference
+  9  a result cannot be written
+With --json an error is an object on standard output, too, unless the command line
+is not valid: {\"error\", \"exit_code\", \"problems\": [...]}.";
 
-/// Why the command did not do what it was asked.
+/// Why the command failed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CliError {
     /// The exit code.
     pub exit: Exit,
-    /// What to tell, on standard error; may have several lines, ends without one.
+    /// The message on standard error: one or more lines, without a newline at the end.
     pub message: String,
-    /// The single mistakes of an input file, where that is the reason.
+    /// The mistakes of an input file, where that is the reason.
     pub problems: Vec<Located>,
-    /// With --json: what there is to say on standard output has been said.
-    pub told: bool,
+    /// With --json: the result on standard output is complete without this error.
+    pub reported: bool,
 }
 
 impl CliError {
-    /// An error with its exit code.
+    /// Creates an error with its exit code.
     pub fn new(exit: Exit, message: impl fmt::Display) -> Self {
         Self {
             exit,
             message: message.to_string(),
             problems: Vec::new(),
-            told: false,
+            reported: false,
         }
     }
 
-    /// The same, where standard output has its JSON already.
+    /// Marks an error whose result is already on standard output.
     #[must_use]
-    pub fn told(mut self) -> Self {
-        self.told = true;
+    pub fn reported(mut self) -> Self {
+        self.reported = true;
         self
     }
 
-    /// For a program that reads standard output.
+    /// The error as JSON.
     #[must_use]
     pub fn to_json(&self) -> serde_json::Value {
         serde_json::json!({
@@ -119,7 +121,7 @@ impl From<Error> for CliError {
             exit: error.kind.into(),
             message: error.message,
             problems: error.problems,
-            told: false,
+            reported: false,
         }
     }
 }
@@ -141,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_table_lists_every_code() {
+    fn table_lists_every_exit_code() {
         let all = [
             Exit::Done,
             Exit::Internal,
@@ -156,7 +158,7 @@ mod tests {
         ];
         let listed: Vec<u8> = EXIT_CODES
             .lines()
-            .filter(|line| line.starts_with("  "))
+            .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
             .map(|line| line.split_whitespace().next().unwrap().parse().unwrap())
             .collect();
         assert_eq!(listed, all.map(|exit| exit as u8));

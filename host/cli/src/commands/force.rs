@@ -1,6 +1,6 @@
-//! `haptimill force`: the force sensor and the force loop of a running controller.
+//! `haptimill force`: the force sensor and the force control of a running controller.
 
-use super::one_shot::{OneShotArgs, open};
+use super::simple::{SimpleArgs, open};
 use super::{CliError, Exit};
 use clap::{Args, Subcommand};
 use haptimill_client::board::Need;
@@ -8,29 +8,31 @@ use haptimill_client::session::{LoopChoice, PortLine, Session};
 use haptimill_machine_file::GATES;
 use haptimill_protocol::force::{COMPONENTS, ForceLoop, ForceTelemetry, Gate};
 
-/// Names of the components.
+/// Names of the force components.
 const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
 
-/// What can be done with the force.
+/// A command on the force control.
 #[derive(Debug, Subcommand)]
 pub enum ForceCommand {
-    /// Forces, how far the tool yields, which axes are under force control, and the settings of their loops on the controller
-    Show(OneShotArgs),
-    /// Take what the sensor shows now as its zero; only at rest, with nothing at the tool
-    Tare(OneShotArgs),
-    /// Set which axes are under force control, and their loops
+    /// Print the forces, the compliant displacement, the axes under force control and the settings
+    /// of their loops
+    Show(SimpleArgs),
+    /// Zero the force sensor; only at standstill, without contact
+    Tare(SimpleArgs),
+    /// Set the axes under force control, and the settings of their loops
     ///
-    /// What is not given stays as the controller has it. It can be changed while a job runs: the tool does not jump. An axis that is taken out returns to the programmed position
-    /// at f_d / K_V.
+    /// Settings that are not given keep their values. They can be changed while a job runs; the
+    /// tool does not jump. An axis that leaves force control returns to the programmed position at
+    /// f_d / K_V.
     Set(SetArgs),
 }
 
 impl ForceCommand {
-    /// Whether a program reads the standard output.
-    pub(super) fn json(&self) -> bool {
+    /// Whether standard output is JSON.
+    pub(super) fn is_json(&self) -> bool {
         match self {
             Self::Show(args) | Self::Tare(args) => args.json,
-            Self::Set(args) => args.force.json,
+            Self::Set(args) => args.simple.json,
         }
     }
 }
@@ -38,67 +40,69 @@ impl ForceCommand {
 /// Arguments of `haptimill force set`.
 #[derive(Debug, Clone, Args)]
 pub struct SetArgs {
-    /// Axes under force control, as x,z; none for none
-    #[arg(value_name = "AXES", value_parser = axes)]
-    pub axes: Axes,
+    /// Axes under force control, as x,z, or none
+    #[arg(value_name = "AXES", value_parser = parse_axes)]
+    pub axes: ForceAxes,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub gains: LoopArgs,
-    /// The most that the tool yields, mm
+    pub settings: ForceArgs,
+    /// Largest compliant displacement, mm
     #[arg(long, value_name = "MM", value_parser = finite, allow_negative_numbers = true)]
     pub limit: Option<f64>,
-    /// The fastest that the tool yields, mm/s
+    /// Largest rate of the compliant displacement, mm/s
     #[arg(long, value_name = "MM/S", value_parser = finite, allow_negative_numbers = true)]
     pub rate: Option<f64>,
-    /// When a force moves the tool away: against_motion, any, positive or negative
-    #[arg(long, value_name = "WHEN", value_parser = gate)]
+    /// Enable condition of the compliance: against_motion, any, positive or negative
+    #[arg(long, value_name = "WHEN", value_parser = parse_gate)]
     pub gate: Option<Gate>,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub force: OneShotArgs,
+    pub simple: SimpleArgs,
 }
 
-/// Desired force and gains.
+/// Force setpoint and admittance gains.
 #[derive(Debug, Clone, Default, Args)]
-pub struct LoopArgs {
-    /// Desired force f_d, N
+pub struct ForceArgs {
+    /// Force setpoint f_d, N
     #[arg(long, value_name = "N", value_parser = finite, allow_negative_numbers = true)]
-    pub fd: Option<f64>,
+    pub force_setpoint: Option<f64>,
     /// Virtual mass K_A, N s^2/mm
     #[arg(long, value_name = "GAIN", value_parser = finite, allow_negative_numbers = true)]
-    pub ka: Option<f64>,
+    pub virtual_mass: Option<f64>,
     /// Virtual damping K_V, N s/mm
     #[arg(long, value_name = "GAIN", value_parser = finite, allow_negative_numbers = true)]
-    pub kv: Option<f64>,
+    pub virtual_damping: Option<f64>,
 }
 
-impl LoopArgs {
-    /// What was said, and nothing else.
+impl ForceArgs {
+    /// The settings that were given.
     #[must_use]
     pub fn choice(&self) -> LoopChoice {
         LoopChoice {
-            desired_n: self.fd,
-            mass: self.ka,
-            damping: self.kv,
+            desired_n: self.force_setpoint,
+            mass: self.virtual_mass,
+            damping: self.virtual_damping,
             ..LoopChoice::default()
         }
     }
 
-    /// Whether nothing was said.
+    /// Whether no setting was given.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
-        self.fd.is_none() && self.ka.is_none() && self.kv.is_none()
+        self.force_setpoint.is_none()
+            && self.virtual_mass.is_none()
+            && self.virtual_damping.is_none()
     }
 }
 
-/// Axes of force, in order.
+/// Force axes in ascending order.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Axes(pub Vec<u8>);
+pub struct ForceAxes(pub Vec<u8>);
 
-/// Reads axes, as `x,z`.
-pub(super) fn axes(text: &str) -> Result<Axes, String> {
+/// Parses axes, as `x,z`.
+pub(super) fn parse_axes(text: &str) -> Result<ForceAxes, String> {
     if text == "none" {
-        return Ok(Axes(Vec::new()));
+        return Ok(ForceAxes(Vec::new()));
     }
     let mut found = Vec::new();
     for word in text.split(',') {
@@ -111,7 +115,7 @@ pub(super) fn axes(text: &str) -> Result<Axes, String> {
         }
     }
     found.sort_unstable();
-    Ok(Axes(found))
+    Ok(ForceAxes(found))
 }
 
 fn finite(text: &str) -> Result<f64, String> {
@@ -121,59 +125,62 @@ fn finite(text: &str) -> Result<f64, String> {
     }
 }
 
-fn gate(text: &str) -> Result<Gate, String> {
+fn parse_gate(text: &str) -> Result<Gate, String> {
     let found = GATES.iter().find(|(word, _)| *word == text);
     found
         .map(|(_, gate)| *gate)
         .ok_or_else(|| "write against_motion, any, positive or negative".to_string())
 }
 
-/// Carries out a force command.
+/// Runs a force command.
 ///
 /// # Errors
 /// See [`Exit`].
 pub fn run(command: ForceCommand) -> Result<(), CliError> {
     match command {
         ForceCommand::Show(args) => {
-            let mut session = look(&args)?;
+            let mut session = connect(&args)?;
             show(&mut session, args.json)
         }
         ForceCommand::Tare(args) => {
-            let mut session = look(&args)?;
+            let mut session = connect(&args)?;
             session.tare()?;
             show(&mut session, args.json)
         }
         ForceCommand::Set(args) => {
-            let mut session = look(&args.force)?;
+            let mut session = connect(&args.simple)?;
             let choice = LoopChoice {
                 limit_mm: args.limit,
                 rate_mm_s: args.rate,
                 gate: args.gate,
-                ..args.gains.choice()
+                ..args.settings.choice()
             };
             session.change_force_loops(&args.axes.0, &choice)?;
             session.set_force_mask(&args.axes.0)?;
-            show(&mut session, args.force.json)
+            show(&mut session, args.simple.json)
         }
     }
 }
 
-/// A session that changes no configuration: the force loop has the units of the wire.
-fn look(args: &OneShotArgs) -> Result<Session<PortLine>, CliError> {
+/// Opens a session that changes no configuration. Force settings have the units of the protocol, so
+/// they need no machine file.
+fn connect(args: &SimpleArgs) -> Result<Session<PortLine>, CliError> {
     let chosen = args.machine.load()?;
     let mut session = open(&args.connect, &chosen.file)?;
     chosen.agree(&mut session, Need::Nothing)?;
     Ok(session)
 }
 
-/// Says how the forces stand.
+/// Prints the forces and the settings.
 fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     let status = session.status()?;
     let Some(force) = status.force else {
         let what = if session.machine_name().is_empty() {
-            "the board has no configuration; `haptimill home --machine FILE` sends it the machine file"
+            "the board has no configuration; send it a machine file with \
+             `haptimill home --machine FILE`"
         } else {
-            "the controller has no force sensor in its configuration; configure it with a machine file that has a section [force]"
+            "the configuration of the controller has no force sensor; configure it with a machine \
+             file that has a section [force]"
         };
         return Err(CliError::new(Exit::Command, what));
     };
@@ -194,17 +201,17 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
             .zip(&loops)
             .map(|(name, settings)| ((*name).to_string(), loop_to_json(settings)))
             .collect();
-        tell!("{value:#}");
+        print_line!("{value:#}");
         return Ok(());
     }
     let row = |what: &str, unit: &str, values: [f64; COMPONENTS]| {
         let [x, y, z] = values;
-        tell!("{what:<14}{x:>10.3}{y:>10.3}{z:>10.3}  {unit}");
+        print_line!("{what:<14}{x:>10.3}{y:>10.3}{z:>10.3}  {unit}");
     };
-    tell!("{:<14}{:>10}{:>10}{:>10}", "", "x", "y", "z");
+    print_line!("{:<14}{:>10}{:>10}{:>10}", "", "x", "y", "z");
     row("force, high", "N", newtons(force.high));
     row("force, low", "N", newtons(force.low));
-    row("tool yields", "mm", millimetres(force.yielded));
+    row("displacement", "mm", millimetres(force.yielded));
     row("f_d", "N", newtons(loops.map(|x| x.desired)));
     row(
         "K_A",
@@ -216,24 +223,24 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
         "N s/mm",
         loops.map(|x| f64::from(x.damping) / 65_536.0),
     );
-    row("yields most", "mm", millimetres(loops.map(|x| x.limit)));
-    row("fastest", "mm/s", millimetres(loops.map(|x| x.rate)));
-    let [x, y, z] = loops.map(|settings| word(settings.gate));
-    tell!("{:<14}x {x}, y {y}, z {z}", "yields when");
-    let under: Vec<&str> = under_control(&force);
-    let under = if under.is_empty() {
+    row("limit", "mm", millimetres(loops.map(|x| x.limit)));
+    row("rate limit", "mm/s", millimetres(loops.map(|x| x.rate)));
+    let [x, y, z] = loops.map(|settings| gate_name(settings.gate));
+    print_line!("{:<14}x {x}, y {y}, z {z}", "enabled");
+    let axes: Vec<&str> = axes_under_control(&force);
+    let axes = if axes.is_empty() {
         "none".to_string()
     } else {
-        under.join(", ")
+        axes.join(", ")
     };
     let zero = if force.tared {
         "known"
     } else {
-        "not known; tare it"
+        "not known; zero it with `haptimill force tare`"
     };
-    tell!("under force control: {under}; zero of the sensor: {zero}");
+    print_line!("under force control: {axes}; zero of the sensor: {zero}");
     if let Some(problem) = problem {
-        tell!("{problem}");
+        print_line!("{problem}");
     }
     Ok(())
 }
@@ -246,13 +253,13 @@ fn millimetres(values: [i32; COMPONENTS]) -> [f64; COMPONENTS] {
     values.map(|value| f64::from(value) / 1_048_576.0)
 }
 
-/// A gate as the machine file and the command line call it.
-fn word(gate: Gate) -> &'static str {
+/// Name of an enable condition in the machine file and on the command line.
+fn gate_name(gate: Gate) -> &'static str {
     let found = GATES.iter().find(|(_, known)| *known == gate);
     found.map_or("", |(word, _)| word)
 }
 
-/// The settings of a loop, for a program: the names are those of the machine file.
+/// The settings of a loop as JSON, with the key names of the machine file.
 fn loop_to_json(settings: &ForceLoop) -> serde_json::Value {
     serde_json::json!({
         "desired_n": f64::from(settings.desired) / 65_536.0,
@@ -260,18 +267,18 @@ fn loop_to_json(settings: &ForceLoop) -> serde_json::Value {
         "damping_n_s_per_mm": f64::from(settings.damping) / 65_536.0,
         "limit_mm": f64::from(settings.limit) / 1_048_576.0,
         "rate_mm_s": f64::from(settings.rate) / 1_048_576.0,
-        "gate": word(settings.gate),
+        "gate": gate_name(settings.gate),
     })
 }
 
-fn under_control(force: &ForceTelemetry) -> Vec<&'static str> {
+fn axes_under_control(force: &ForceTelemetry) -> Vec<&'static str> {
     let axes = NAMES.iter().enumerate();
     axes.filter(|(axis, _)| force.mask & (1 << axis) != 0)
         .map(|(_, name)| *name)
         .collect()
 }
 
-/// How the forces stand, for a program.
+/// The forces as JSON.
 pub(super) fn to_json(force: &ForceTelemetry, problem: Option<&str>) -> serde_json::Value {
     let named = |values: [f64; COMPONENTS]| -> serde_json::Value {
         NAMES.iter().copied().zip(values).collect()
@@ -280,7 +287,7 @@ pub(super) fn to_json(force: &ForceTelemetry, problem: Option<&str>) -> serde_js
         "high_n": named(newtons(force.high)),
         "low_n": named(newtons(force.low)),
         "yielded_mm": named(millimetres(force.yielded)),
-        "under_control": under_control(force),
+        "under_control": axes_under_control(force),
         "tared": force.tared,
         "problem": problem,
     })

@@ -1,7 +1,8 @@
-//! `haptimill jog`: move at a rate for a time, with a dead-man deadline.
+//! `haptimill jog`: moves at a rate for a time, with a dead-man deadline.
 
-use super::one_shot::{open, report};
-use super::{BoardArg, CliError, ConnectArgs, Exit, seconds};
+use super::args::{BoardArg, ConnectArgs, seconds};
+use super::simple::{open, print_status};
+use super::{CliError, Exit};
 use clap::Args;
 use haptimill_client::session::{EMERGENCY_STOP, has_tool};
 use haptimill_machine_file::MachineFile;
@@ -12,9 +13,10 @@ use std::str::FromStr;
 const LONG: &str = "\
 Move pose coordinates at a rate for a time.
 
-Rates are in mm/s and degrees/s: `haptimill jog x=5 theta=-2 --for 1.5`. An axis is called by its name in the machine file (x, y, z, theta, alpha) \
-or by its letter in part programs: A is alpha (the table), B is theta (the tool's tilt). The controller clips the motion to the soft limits, and stops by itself \
-when this command falls silent for --deadline milliseconds. Ctrl-C stops.";
+Rates are in mm/s and degrees/s: `haptimill jog x=5 theta=-2 --for 1.5`. AXIS is its name in the \
+machine file (x, y, z, theta, alpha) or its letter in part programs: A is alpha (the table), B is \
+theta (the tilt of the tool). The controller clips the motion to the soft limits. It stops the \
+machine when it receives nothing from this command for --deadline milliseconds. Ctrl-C stops.";
 
 /// Arguments of `haptimill jog`.
 #[derive(Debug, Clone, Args)]
@@ -27,10 +29,10 @@ pub struct JogArgs {
         allow_negative_numbers = true
     )]
     pub axes: Vec<AxisRate>,
-    /// How long
+    /// Duration of the jog
     #[arg(long = "for", value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
     pub duration: f64,
-    /// Dead-man: the machine stops when nothing is heard for so long
+    /// Dead-man time: the machine stops when the controller receives nothing for this long
     #[arg(long, value_name = "MS", default_value_t = 200, value_parser = clap::value_parser!(u16).range(1..=1000))]
     pub deadline: u16,
     #[command(flatten)]
@@ -47,7 +49,8 @@ pub struct JogArgs {
 /// A pose coordinate and its rate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxisRate {
-    /// Name of the coordinate, as in the machine file, or its letter in part programs; in lower case.
+    /// Name of the coordinate, as in the machine file, or its letter in part programs; in lower
+    /// case.
     pub axis: String,
     /// Rate, mm/s or deg/s; finite.
     pub rate: f64,
@@ -68,10 +71,11 @@ impl FromStr for AxisRate {
     }
 }
 
-/// Time between two jog commands, as a part of the deadline: two may be lost before the machine stops.
+/// Time between two jog commands as a fraction of the deadline: two may be lost before the machine
+/// stops.
 const REPEAT: f64 = 0.3;
 
-/// Jogs.
+/// Jogs the machine.
 ///
 /// # Errors
 /// See [`Exit`].
@@ -89,7 +93,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     let repeat = (f64::from(args.deadline) * 1000.0 * REPEAT) as u64;
     let mut next = begun;
     if !args.json {
-        tell!("jogging for {} s; Ctrl-C stops", args.duration);
+        print_line!("jogging for {} s; Ctrl-C stops", args.duration);
     }
     let refused = loop {
         if session.now_us() >= next {
@@ -114,14 +118,14 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     let mut limited = Vec::new();
     for (_, event) in &session.events[first..] {
         match event {
-            // Every jog command that runs against the limit says so; once is enough for people.
+            // Every jog command at the limit reports it; the user needs it once.
             Event::JogLimited { axis } if !limited.contains(axis) => {
                 limited.push(*axis);
                 let name = machine
                     .pose
                     .get(usize::from(*axis))
                     .map_or("?", |axis| axis.name.as_str());
-                eprintln!("{name} stopped in front of its limit");
+                eprintln!("{name} stopped at its soft limit");
             }
             Event::Fault(fault) => return Err(session.fault(fault).into()),
             Event::State {
@@ -131,24 +135,24 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
             _ => {}
         }
     }
-    // After what it may be refused for.
+    // A fault or emergency stop above is the cause of a refusal, so it comes first.
     if let Some(refusal) = refused {
         return Err(CliError::new(Exit::Command, format!("jog: {refusal}")));
     }
-    report(&mut session, args.json)?;
+    print_status(&mut session, args.json)?;
     if session.interrupted() {
-        return Err(CliError::new(Exit::Stopped, "stopped by the user").told());
+        return Err(CliError::new(Exit::Stopped, "stopped by the user").reported());
     }
     Ok(())
 }
 
-/// Rates of all pose coordinates, as the wire wants them.
+/// Rates of all pose coordinates in the units of the protocol.
 fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
     let usage = |what: String| CliError::new(Exit::Usage, what);
     has_tool(machine)?;
     let mut given = vec![false; machine.pose.len()];
-    for wanted in &args.axes {
+    for command in &args.axes {
         let described = machine.config.model.descriptor().pose;
         let letters = described
             .iter()
@@ -156,8 +160,8 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
         let Some(index) = machine
             .pose
             .iter()
-            .position(|axis| axis.name.to_lowercase() == wanted.axis)
-            .or_else(|| letters.clone().position(|letter| letter == wanted.axis))
+            .position(|axis| axis.name.to_lowercase() == command.axis)
+            .or_else(|| letters.clone().position(|letter| letter == command.axis))
             .filter(|index| *index < machine.pose.len())
         else {
             let names: Vec<String> = machine
@@ -171,7 +175,7 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
                 .collect();
             return Err(usage(format!(
                 "there is no axis '{}'; this machine has {}",
-                wanted.axis,
+                command.axis,
                 names.join(", ")
             )));
         };
@@ -182,14 +186,14 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
                 axis.name
             )));
         }
-        if wanted.rate.abs() > axis.rate {
+        if command.rate.abs() > axis.rate {
             return Err(usage(format!(
-                "{}={} is faster than the axis may go; at most {}",
-                wanted.axis, wanted.rate, axis.rate
+                "{}={} exceeds the largest rate of the axis; write at most {}",
+                command.axis, command.rate, axis.rate
             )));
         }
         rates[index] =
-            (wanted.rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32;
+            (command.rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32;
     }
     Ok(rates.into_iter().collect())
 }

@@ -1,6 +1,7 @@
-//! `haptimill kin`: the firmware's kinematics over a table.
+//! `haptimill kin`: computes the firmware's kinematics for a table.
 
-use super::{CliError, Exit, MachineArg, out};
+use super::args::MachineArg;
+use super::{CliError, Exit, output};
 use crate::kin;
 use clap::Args;
 use haptimill_machine_file::input;
@@ -8,22 +9,26 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const IK_LONG: &str = "\
-Slides of poses: columns xw_mm, yw_mm, zw_mm, theta_deg, alpha_deg to l1_mm, l2_mm, l3_mm, l4_mm, status.
+Compute joint positions from poses (inverse kinematics): columns xw_mm, yw_mm, zw_mm, theta_deg, \
+alpha_deg to l1_mm, l2_mm, l3_mm, l4_mm, status.
 
-The status is ok, unreachable, near_singularity, near_reach_limit or tilt; only a row that is ok has slides. With --strokes a row whose slides or \
-alpha_deg are beyond the strokes of the machine is out_of_stroke, and still has its slides. An alpha_deg of 180 or more, or below -180, is \
-out_of_stroke with and without --strokes, and has none. Columns are found by name, others are left out. - is standard input or output.";
+The status is ok, unreachable, near_singularity, near_reach_limit or tilt; only a row with ok has \
+joint positions. With --strokes a row whose joints or alpha_deg exceed the strokes of the machine is \
+out_of_stroke, with joint positions. An alpha_deg of 180 or more, or below -180, is out_of_stroke \
+with and without --strokes, without joint positions. Columns are found by name; other columns are \
+ignored. - is standard input or output.";
 
 const FK_LONG: &str = "\
-Poses of slides: columns l1_mm, l2_mm, l3_mm, l4_mm to x_mm, y_mm, z_mm, theta_deg, status, in the frame of the slave base (before table and work \
-offsets).
+Compute poses from joint positions (forward kinematics): columns l1_mm, l2_mm, l3_mm, l4_mm to x_mm, \
+y_mm, z_mm, theta_deg, status, in the frame of the machine base (before table and work offsets).
 
-The status is ok, unreachable, near_singularity or near_reach_limit; only a row that is ok has a pose. With --strokes a row whose slides are beyond the \
-strokes of the machine is out_of_stroke, and still has its pose. Columns are found by name, others are left out. - is standard input or output.";
+The status is ok, unreachable, near_singularity or near_reach_limit; only a row with ok has a pose. \
+With --strokes a row whose joints exceed the strokes of the machine is out_of_stroke, with a pose. \
+Columns are found by name; other columns are ignored. - is standard input or output.";
 
 /// Arguments of `haptimill kin ik`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Slides of poses", long_about = IK_LONG)]
+#[command(about = "Compute joint positions from poses (inverse kinematics)", long_about = IK_LONG)]
 pub struct IkArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
@@ -32,26 +37,26 @@ pub struct IkArgs {
 
 /// Arguments of `haptimill kin fk`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Poses of slides", long_about = FK_LONG)]
+#[command(about = "Compute poses from joint positions (forward kinematics)", long_about = FK_LONG)]
 pub struct FkArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub table: TableArgs,
 }
 
-/// Which machine, and the tables.
+/// The machine and the tables.
 #[derive(Debug, Clone, Args)]
 pub struct TableArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub machine: MachineArg,
-    /// Check the strokes of the slides as well
+    /// Also check the strokes of the joints
     #[arg(long)]
     pub strokes: bool,
-    /// The table to read
+    /// Table to read
     #[arg(long = "in", value_name = "CSV", default_value = "-")]
     pub input: PathBuf,
-    /// The table to write
+    /// Table to write
     #[arg(long = "out", value_name = "CSV", default_value = "-")]
     pub output: PathBuf,
 }
@@ -79,7 +84,7 @@ fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
     let machine = args.machine.load()?;
     let standard = |path: &Path| path.as_os_str() == "-";
     if !standard(&args.input) && !standard(&args.output) {
-        out::not_over(&args.input, &args.output, "table")?;
+        output::refuse_overwrite(&args.input, &args.output, "table")?;
     }
     let name = if standard(&args.input) {
         "standard input".to_string()
@@ -95,11 +100,11 @@ fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
     let result = calculate(&machine.config, args.strokes, &name, &bytes)
         .map_err(|message| CliError::new(Exit::BadInput, message))?;
     if standard(&args.output) {
-        out::standard(|out| out.write_all(&result));
+        output::to_stdout(|out| out.write_all(&result));
         return Ok(());
     }
-    let failed = |error| out::unwritten(&args.output, error);
-    out::file(&args.output, failed, |out| {
+    let failed = |error| output::write_error(&args.output, error);
+    output::write_file(&args.output, failed, |out| {
         out.write_all(&result).map_err(failed)
     })
 }

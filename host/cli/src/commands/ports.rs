@@ -1,4 +1,4 @@
-//! `haptimill ports`: where a controller could be.
+//! `haptimill ports`: lists the serial ports.
 
 use super::CliError;
 use clap::Args;
@@ -6,17 +6,17 @@ use haptimill_client::port;
 
 /// Arguments of `haptimill ports`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "List the ports where a controller could be")]
+#[command(about = "List the ports that may have a controller")]
 pub struct PortsArgs {
     /// Print JSON: a list of {port, what}
     #[arg(long)]
     pub json: bool,
 }
 
-/// Lists serial ports, and what there is without one.
+/// Lists the serial ports and the built-in simulator.
 ///
 /// # Errors
-/// The system does not tell its ports.
+/// The operating system cannot list its ports.
 pub fn run(args: PortsArgs) -> Result<(), CliError> {
     let mut rows = port::list()?;
     let serial = rows.len();
@@ -26,20 +26,22 @@ pub fn run(args: PortsArgs) -> Result<(), CliError> {
             .iter()
             .map(|(port, what)| serde_json::json!({ "port": port, "what": what }))
             .collect();
-        tell!("{}", serde_json::Value::from(rows));
+        print_line!("{}", serde_json::Value::from(rows));
         return Ok(());
     }
     let width = rows.iter().map(|(port, _)| port.len()).max().unwrap_or(0);
     for (port, what) in &rows {
-        tell!("{port:width$}  {what}");
+        print_line!("{port:width$}  {what}");
     }
     if serial == 0 {
-        tell!(
-            "\nNo serial port was found. A board that is connected may need a driver, or you the right to see it."
+        print_line!(
+            "\nNo serial port was found. A connected board may need a driver, or the user a \
+             permission."
         );
     }
-    tell!(
-        "\nNot listed: pseudo-terminals and TCP ports. `haptimill sim serve` makes one and prints it."
+    print_line!(
+        "\nNot listed: pseudo-terminals and TCP ports. `haptimill sim serve` opens one and prints \
+         its name."
     );
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `haptimill replay`: a recorded job once more, through a new controller, compared bit by bit.
+//! `haptimill replay`: replays a recorded job through a new controller and compares bit by bit.
 
 use super::trace::open;
 use super::{CliError, Exit};
@@ -9,15 +9,18 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 const LONG: &str = "\
-Replay a recorded job: a new controller is given what the recorded one sensed since its power-on, and must say the same, bit by bit: the command to \
-every drive, the spindle, every byte to the host, and what it knew of itself in the job.
+Replay a recorded job. A new controller gets the recorded inputs since power-on. Its outputs are \
+compared bit by bit: the command to every drive, the spindle, every byte to the host, and its state \
+during the job.
 
-Equal ends with 0. A difference ends with 8 and names its first control period, the field and both values. A recording that was cut off (the host was killed) \
-is replayed as far as it goes. Jobs in the simulator and on an emulated board can be replayed; of a controller behind a port only its telemetry is known.";
+Exit code 0: equal. Exit code 8: different; the message names the first control period, the field \
+and both values. A truncated recording (the host process was killed) is replayed to its end. Jobs \
+in the simulator and on an emulated board can be replayed. Jobs behind a port cannot, because only \
+telemetry is recorded.";
 
 /// Arguments of `haptimill replay`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "A recorded job once more through a new controller: the same bits, or the first difference", long_about = LONG)]
+#[command(about = "Replay a recorded job through a new controller and compare bit by bit", long_about = LONG)]
 pub struct ReplayArgs {
     /// The recording (recording.hmr)
     #[arg(value_name = "TRACE")]
@@ -34,15 +37,15 @@ pub struct ReplayArgs {
 pub fn run(args: &ReplayArgs) -> Result<(), CliError> {
     let bad = |error: &dyn std::fmt::Display| CliError::new(Exit::BadInput, error);
     let recording = open(&args.trace)?;
-    let begun = Instant::now();
+    let start = Instant::now();
     let result = replay::replay(&recording).map_err(|error| match error {
         ReplayError::Recording(error) => bad(&error),
         error => bad(&error),
     })?;
-    let took_s = begun.elapsed().as_secs_f64();
+    let took_s = start.elapsed().as_secs_f64();
     let hash = recording.sha256().map_err(|error| bad(&error))?;
     let header = recording.header();
-    let cut = cut(&recording);
+    let truncated = describe_truncation(&recording);
     if args.json {
         let mut value = serde_json::json!({
             "recording": args.trace.display().to_string(),
@@ -58,22 +61,23 @@ pub fn run(args: &ReplayArgs) -> Result<(), CliError> {
             }
             Err(difference) => value["difference"] = serde_json::json!(difference),
         }
-        tell!("{value:#}");
+        print_line!("{value:#}");
     }
     match result {
         Ok(equal) => {
             if !args.json {
                 let seconds = equal.periods as f64 * recording.period_s();
-                tell!(
-                    "the same bits in {} control periods ({seconds:.1} s, {:.0} times real time), {} of them with a record",
+                print_line!(
+                    "the same bits in {} control periods ({seconds:.1} s, {:.0} times real time), {} \
+                     of them with a record",
                     equal.periods,
                     seconds / took_s.max(1e-9),
                     equal.records
                 );
-                tell!("sha256 {hash}");
+                print_line!("sha256 {hash}");
             }
-            if let Some(cut) = cut {
-                eprintln!("{cut}");
+            if let Some(truncated) = truncated {
+                eprintln!("{truncated}");
             }
             Ok(())
         }
@@ -87,21 +91,22 @@ pub fn run(args: &ReplayArgs) -> Result<(), CliError> {
                 );
             }
             let error = CliError::new(Exit::Command, text);
-            Err(if args.json { error.told() } else { error })
+            Err(if args.json { error.reported() } else { error })
         }
     }
 }
 
-/// What to say of a recording that was cut off.
-pub(super) fn cut(recording: &Recording) -> Option<String> {
+/// The message for a truncated recording.
+pub(super) fn describe_truncation(recording: &Recording) -> Option<String> {
     if recording.is_whole() {
         return None;
     }
     let file = recording.path().display();
     Some(match recording.cut_bytes() {
-        0 => format!("{file}: was cut off, its end is missing; all that is in it was read"),
+        0 => format!("{file}: the recording is truncated; all complete blocks were read"),
         bytes => format!(
-            "{file}: was cut off; the last {bytes} bytes, from byte {}, are no whole block and were left out",
+            "{file}: the recording is truncated; the last {bytes} bytes, from byte {}, are an \
+             incomplete block and were ignored",
             recording.bytes() - bytes
         ),
     })

@@ -1,6 +1,7 @@
 //! `haptimill scenario`: the experiments of the thesis in the simulator, compared with its numbers.
 
-use super::{CliError, Exit, MachineArg};
+use super::args::MachineArg;
+use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::{Args, Subcommand};
 use haptimill_client::port::PortSpec;
@@ -60,7 +61,7 @@ pub fn run(command: ScenarioCommand) -> Result<(), CliError> {
             for experiment in haptimill_experiments::all()? {
                 let passes = experiment.passes.len();
                 let plural = if passes == 1 { "" } else { "es" };
-                tell!(
+                print_line!(
                     "{:<5} {:<34} {passes} pass{plural}; {}",
                     experiment.name,
                     experiment.title,
@@ -115,10 +116,10 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
     if args.json {
         let json = serde_json::to_string_pretty(&results)
             .map_err(|error| CliError::new(Exit::Internal, error))?;
-        tell!("{json}");
+        print_line!("{json}");
     } else {
-        tell!("{}", haptimill_experiments::table(&results).trim_end());
-        tell!("report      {}", index.display());
+        print_line!("{}", haptimill_experiments::table(&results).trim_end());
+        print_line!("report      {}", index.display());
     }
     Ok(())
 }

@@ -1,15 +1,14 @@
-//! `haptimill sim serve`: the simulated machine as a device that any serial program can talk to, in real time.
+//! `haptimill sim serve`: serves the simulated machine in real time on a pseudo-terminal or TCP
+//! port.
 
-use super::{CliError, Exit, MachineArg};
+use super::args::{MachineArg, OperatorArg, SimulatorArgs, seconds};
+use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::Args;
 use haptimill_client::port::{TcpServer, Token, Transport};
-use haptimill_client::session::{self};
-use haptimill_hil_sim::config::PlantConfig;
-use haptimill_hil_sim::fault::Fault;
-use haptimill_machine_file::MachineFile;
+use haptimill_client::session;
 use haptimill_machine_file::input;
-use haptimill_teleop::script::{Person, Script};
+use haptimill_teleop::script::Person;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -19,46 +18,48 @@ use std::time::{Duration, Instant};
 const LONG: &str = "\
 Serve the simulated machine in real time.
 
-On a pseudo-terminal the path is the first line on standard output; on a TCP port the address is. Give it to another `haptimill` as --port. One \
-host is served at a time. Ctrl-C ends it. An address that other computers reach (any but 127.0.0.1 and ::1) asks every host for a token, which is the second \
-line; hosts give it with --token or in HAPTIMILL_TOKEN. It is not encrypted: on a network that is not trusted use ssh -L. A connection that says nothing within \
-2 s is closed; a host that was silent for 2 s makes room for another one, and is closed after 30 s. The board is configured as the machine that is served.";
+The first line on standard output is the path of the pseudo-terminal, or the address of the TCP \
+port. Give it to another `haptimill` as --port. One host is served at a time. Ctrl-C ends the \
+command. The board is configured as the machine that is served.
+
+An address that other computers can reach (any but 127.0.0.1 and ::1) requires a token, which is \
+the second line; hosts give it with --token or in HAPTIMILL_TOKEN. The connection is not encrypted: \
+use ssh -L on an untrusted network. A connection that sends nothing within 2 s is closed. A host that \
+sends nothing for 2 s can be replaced by another one, and is closed after 30 s.";
 
 /// Arguments of `haptimill sim serve`.
 #[derive(Debug, Clone, Args)]
 #[command(about = "Serve the simulated machine in real time", long_about = LONG, after_long_help = super::run::faults_help(),
-          after_help = "`haptimill sim serve --help` says more, and lists the faults.")]
+          after_help = "`haptimill sim serve --help` has details and lists the faults.")]
 pub struct ServeArgs {
-    /// Where: pty (a pseudo-terminal, its path is printed) or tcp:HOST:PORT (port 0 takes a free one)
+    /// Where to listen: pty (a pseudo-terminal) or tcp:HOST:PORT (port 0 takes a free one)
     #[arg(long, value_name = "WHERE", default_value = "pty")]
     pub listen: Listen,
-    /// File with the token that a host has to give on a TCP port. Without it an address that other computers reach gets a new token, which is printed
+    /// File with the token of the TCP port [default: a new token for an address that other
+    /// computers can reach]
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
-    /// Also make a symbolic link with this path to the pseudo-terminal
+    /// Also create a symbolic link with this path to the pseudo-terminal
     #[arg(long, value_name = "PATH")]
     pub link: Option<PathBuf>,
     #[command(flatten)]
     #[allow(missing_docs)]
     pub machine: MachineArg,
-    /// Seed of the simulated machine, instead of the one in the machine file
-    #[arg(long, value_name = "N")]
-    pub seed: Option<u64>,
-    /// Something that goes wrong in the machine, as "slide-jammed axis=l3 at=1.5s"; can be given several times. --help lists all faults
-    #[arg(long, value_name = "FAULT")]
-    pub fault: Vec<Fault>,
-    /// A person at the haptic arm of the machine file, who does what this script says once the arm's motors are on (as examples/teleop.toml; orders in it are not heard)
-    #[arg(long, value_name = "FILE")]
-    pub person: Option<PathBuf>,
-    /// A board without a configuration, as it comes from its maker; the first command needs --machine
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub simulator: SimulatorArgs,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub operator: OperatorArg,
+    /// Start the board without a configuration; the first command needs --machine
     #[arg(long)]
     pub unconfigured: bool,
-    /// End after so many seconds
-    #[arg(long = "for", value_name = "SECONDS", value_parser = super::seconds)]
+    /// End after this time
+    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub duration: Option<f64>,
 }
 
-/// Where a simulator is served.
+/// Where the simulator listens.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Listen {
     /// A pseudo-terminal.
@@ -85,10 +86,11 @@ impl FromStr for Listen {
 /// See [`Exit`].
 pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     let machine = args.machine.load()?;
-    let person = person(args.person.as_deref(), &machine)?;
-    let mut person = person.as_ref().map(Person::new);
-    // A port paces its bytes by itself; the simulated line in between adds nothing.
-    let mut rig = session::rig(&machine, args.seed, None, args.fault.clone())?;
+    let script = args.operator.load(&machine)?;
+    let mut operator = script.as_ref().map(Person::new);
+    // The port limits the byte rate, so the simulated line in between has no rate limit.
+    let faults = args.simulator.fault.clone();
+    let mut rig = session::rig(&machine, args.simulator.seed, None, faults)?;
     if !args.unconfigured {
         rig = session::commissioned(rig, &machine).unwrap_or_else(|(rig, error)| {
             eprintln!("the board is not configured: {error}");
@@ -106,105 +108,86 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
         })
         .and_then(|()| out.flush())
         .map_err(output)?;
-    let begun = Instant::now();
+    let start = Instant::now();
     let mut pace = Pace::new(u64::from(machine.config.period_us) * 1000);
     let mut buffer = [0; 4096];
-    let mut said = Vec::new();
-    let mut spoken_to = false;
+    let mut outgoing = Vec::new();
+    let mut has_host = false;
     while !interrupted.load(Ordering::Relaxed)
         && args
             .duration
-            .is_none_or(|limit| begun.elapsed().as_secs_f64() < limit)
+            .is_none_or(|limit| start.elapsed().as_secs_f64() < limit)
     {
-        let now_ns = u64::try_from(begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        let now_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
         for _ in 0..pace.due(now_ns, rig.time_ns()) {
-            if let Some(person) = &mut person {
-                person.act(&mut rig);
+            if let Some(operator) = &mut operator {
+                operator.act(&mut rig);
             }
             rig.step();
         }
-        rig.host_read(&mut said);
-        if !spoken_to {
-            // A pseudo-terminal would keep it for the first host.
-            said.clear();
+        rig.host_read(&mut outgoing);
+        if !has_host {
+            // A pseudo-terminal would buffer these bytes for the first host.
+            outgoing.clear();
         }
-        if !said.is_empty() {
-            let taken = port.write(&said, Duration::ZERO)?;
-            said.drain(..taken);
-            // A host that does not read loses what is old; its link asks for it again.
-            if said.len() > MOST_UNREAD {
-                said.clear();
+        if !outgoing.is_empty() {
+            let sent = port.write(&outgoing, Duration::ZERO)?;
+            outgoing.drain(..sent);
+            // A host that does not read loses the oldest bytes; its link requests them again.
+            if outgoing.len() > MAX_UNREAD_BYTES {
+                outgoing.clear();
             }
         }
         let count = port.read(&mut buffer, POLL)?;
-        spoken_to |= count > 0;
+        has_host |= count > 0;
         rig.host_write(&buffer[..count]);
     }
     drop(link);
     Ok(())
 }
 
-/// What the person at the simulated arm of a machine does, as `--person` says.
-///
-/// # Errors
-/// Nobody can be at an arm that is not there, or the script makes no sense.
-pub(crate) fn person(
-    file: Option<&Path>,
-    machine: &MachineFile,
-) -> Result<Option<Script>, CliError> {
-    let Some(file) = file else { return Ok(None) };
-    let plant: PlantConfig = machine.plant()?;
-    if plant.hand.is_none() {
-        let what = format!(
-            "--person: {}: has no [plant.haptic] and [plant.hand] to lead it; use machines/hand-master.toml, or append machines/hand.toml",
-            machine.file
-        );
-        return Err(CliError::new(Exit::Usage, what));
-    }
-    Ok(Some(Script::load(file)?))
-}
-
-/// Longest wait for bytes between two looks at the clock.
+/// Longest wait for bytes between two readings of the clock.
 const POLL: Duration = Duration::from_micros(200);
 
-/// Virtual time that is made up for at once when this process was held up. What the host said in the meantime still waits in the port: a machine
-/// that lived through all that time before it listens would find its host silent, and a job would end for nothing but a busy computer.
-const MOST_BEHIND: Duration = Duration::from_millis(20);
+/// Largest lag of virtual time behind real time that is caught up at once.
+///
+/// After a delay of this process the bytes of the host still wait in the port. A machine that
+/// simulated the whole delay before it reads them would have a heartbeat timeout.
+const MAX_LAG: Duration = Duration::from_millis(20);
 
-/// Keeps virtual time with real time.
+/// Synchronises virtual time with real time.
 pub(crate) struct Pace {
     period_ns: u64,
-    /// Real time that virtual time has given up for good.
-    given_up_ns: u64,
+    /// Real time that virtual time does not catch up.
+    skipped_ns: u64,
 }
 
 impl Pace {
     pub(crate) const fn new(period_ns: u64) -> Self {
         Self {
             period_ns,
-            given_up_ns: 0,
+            skipped_ns: 0,
         }
     }
 
-    /// Periods to go through now. Of a longer delay the most that may be made up for is, and the rest is given up: for the machine this process stood
-    /// still, with the time in it.
+    /// Number of control periods to simulate now. A lag above `MAX_LAG` is skipped.
     pub(crate) fn due(&mut self, real_ns: u64, virtual_ns: u64) -> u64 {
-        let behind = real_ns.saturating_sub(virtual_ns.saturating_add(self.given_up_ns));
-        let most = MOST_BEHIND.as_nanos() as u64;
-        let behind = if behind > most {
-            self.given_up_ns += behind - most;
-            most
+        let lag = real_ns.saturating_sub(virtual_ns.saturating_add(self.skipped_ns));
+        let limit = MAX_LAG.as_nanos() as u64;
+        let lag = if lag > limit {
+            self.skipped_ns += lag - limit;
+            limit
         } else {
-            behind
+            lag
         };
-        behind / self.period_ns.max(1)
+        lag / self.period_ns.max(1)
     }
 }
 
-/// Bytes that wait for a host that does not read.
-const MOST_UNREAD: usize = 1 << 16;
+/// Largest number of bytes kept for a host that does not read.
+const MAX_UNREAD_BYTES: usize = 1 << 16;
 
-/// A symbolic link that goes when the simulator goes.
+/// A symbolic link that is removed at the end of the command.
 struct Link(PathBuf);
 
 impl Drop for Link {
@@ -214,7 +197,7 @@ impl Drop for Link {
 }
 
 /// Reads a token from the first line of a file.
-fn token(path: &Path) -> Result<Token, CliError> {
+fn read_token(path: &Path) -> Result<Token, CliError> {
     let bad = |what: &dyn std::fmt::Display| {
         CliError::new(Exit::BadInput, format!("{}: {what}", path.display()))
     };
@@ -224,12 +207,12 @@ fn token(path: &Path) -> Result<Token, CliError> {
     line.trim().parse().map_err(|what: String| bad(&what))
 }
 
-/// A port that is served: its transport, its link, and a token that was made for it.
+/// A served port: its transport, its symbolic link, and a new token.
 type Served = (Box<dyn Transport>, Option<Link>, Option<Token>);
 
 fn listen(args: &ServeArgs) -> Result<Served, CliError> {
     if args.token_file.is_some() && args.listen == Listen::Pty {
-        let what = "--token-file is for a TCP port; the system guards a pseudo-terminal";
+        let what = "--token-file is for a TCP port; leave it out with pty";
         return Err(CliError::new(Exit::Usage, what));
     }
     match &args.listen {
@@ -240,16 +223,16 @@ fn listen(args: &ServeArgs) -> Result<Served, CliError> {
                     "--link is for a pseudo-terminal; leave it out with tcp:",
                 ));
             }
-            let token = args.token_file.as_deref().map(token).transpose()?;
+            let token = args.token_file.as_deref().map(read_token).transpose()?;
             let port = TcpServer::listen(address)?;
             let local = port.address().is_ok_and(|at| at.ip().is_loopback());
             let (token, new) = match token {
                 Some(token) => (Some(token), false),
                 None if local => (None, false),
                 None => {
-                    let made = Token::random();
-                    let made = made.map_err(|error| CliError::new(Exit::Internal, error))?;
-                    (Some(made), true)
+                    let token = Token::random();
+                    let token = token.map_err(|error| CliError::new(Exit::Internal, error))?;
+                    (Some(token), true)
                 }
             };
             let Some(token) = token else {
@@ -267,7 +250,7 @@ fn listen(args: &ServeArgs) -> Result<Served, CliError> {
                         CliError::new(
                             Exit::Output,
                             format!(
-                                "{}: {error}; take another path, or remove it",
+                                "{}: {error}; use another path, or remove the file",
                                 path.display()
                             ),
                         )
@@ -293,7 +276,7 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     #[test]
-    fn virtual_time_follows_real_time_and_gives_up_what_it_cannot_make_up() {
+    fn virtual_time_follows_real_time_and_skips_long_delays() {
         let mut pace = Pace::new(200_000);
         let mut virtual_ns = 0;
         let mut step = |real_ns: u64| {
@@ -301,20 +284,20 @@ mod tests {
             virtual_ns += periods * 200_000;
             (periods, virtual_ns)
         };
-        // Looked at often: exactly in step, to the period.
+        // Short steps: synchronous to the period.
         for real_us in (0..100_000).step_by(130) {
             let (periods, virtual_ns) = step(real_us * 1000);
             assert!(periods <= 1);
             assert_eq!(virtual_ns / 200_000, real_us / 200);
         }
-        // Held up a little: made up for at once.
+        // A short delay is caught up at once.
         assert_eq!(step(115 * MS).1, 115 * MS);
-        // Held up for three seconds, longer than any heartbeat: 20 ms pass for the machine, then it hears its host.
+        // A delay of three seconds, longer than any heartbeat: the machine simulates 20 ms.
         let before = step(115 * MS).1;
         let (periods, after) = step(3_115 * MS);
         assert_eq!((periods, after - before), (100, 20 * MS));
         assert_eq!(step(3_115 * MS).0, 0);
-        // And goes on at its pace.
+        // Virtual time then follows real time again.
         assert_eq!(step(3_125 * MS).1, after + 10 * MS);
     }
 }

@@ -4,7 +4,7 @@
 use super::app::App;
 use super::view_model::{Confirm, Overlay, Severity};
 use crate::commands::CliError;
-use crate::commands::part::PartProgram;
+use crate::commands::program::PartProgram;
 use haptimill_client::client::JobEnding;
 use haptimill_client::session::way;
 use haptimill_machine_file::MachineFile;

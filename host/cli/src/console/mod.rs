@@ -38,8 +38,7 @@ use crate::commands::{CliError, Exit};
 use app::{App, Settings};
 use connection::Connection;
 use haptimill_client::client::Options;
-use haptimill_client::port::{DEFAULT_BAUD, PortSpec};
-use haptimill_hil_sim::config::PlantConfig;
+use haptimill_client::port::PortSpec;
 use haptimill_machine_file::model::Model;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -81,29 +80,22 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
         }
     }
     terminal::require_terminal()?;
-    let baud = args.baud.unwrap_or(DEFAULT_BAUD);
+    let baud = args.port.baud_or_default();
     let mut options = Options {
         connect_us: (args.timeout * 1e6) as u64,
         ..Options::default()
     };
-    if matches!(args.port, PortSpec::Serial(_)) {
+    if matches!(args.port.port, PortSpec::Serial(_)) {
         options.timing.line_rate = baud / 10;
     }
-    let stock = match &args.work {
-        Some(path) => {
-            let stock = haptimill_machine_file::stock::load(path)?;
-            let plant: PlantConfig = machine.plant()?;
-            Some(plant.cutting(stock))
-        }
-        None => None,
-    };
-    let operator = crate::commands::sim::person(args.person.as_deref(), &machine)?;
+    let stock = args.stock.load(&machine)?;
+    let operator = args.operator.load(&machine)?;
     let connection = Connection::new(
-        &args.port,
+        &args.port.port,
         baud,
         &machine,
-        args.seed,
-        args.fault,
+        args.simulator.seed,
+        args.simulator.fault,
         operator.as_ref(),
     )?;
     let settings = Settings {
@@ -112,7 +104,7 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
         program: args.program,
         stock,
         options,
-        board: (args.port != PortSpec::Simulator).then_some(chosen),
+        board: (args.port.port != PortSpec::Simulator).then_some(chosen),
     };
     let signals = count_signals();
     terminal::take_over(&|| signals.load(Ordering::SeqCst) > 0)?;
@@ -137,23 +129,21 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
 
 /// Refuses combinations of arguments that make no sense.
 fn check_arguments(args: &ConsoleArgs) -> Result<(), CliError> {
-    let simulated = args.port == PortSpec::Simulator;
-    let message = if let PortSpec::Emulated(_) = args.port {
+    let simulated = args.port.port == PortSpec::Simulator;
+    let message = if let PortSpec::Emulated(_) = args.port.port {
         format!(
             "{}: an emulated controller is slower than real time; use --port sim, or a machine",
-            args.port
+            args.port.port
         )
-    } else if !simulated && args.work.is_some() {
-        "--work is for the simulator in this process; clamp a real workpiece on the machine itself"
+    } else if !simulated && args.stock.stock.is_some() {
+        "--stock is for the simulator in this process; clamp the stock on the table".to_string()
+    } else if !simulated && (args.simulator.seed.is_some() || !args.simulator.fault.is_empty()) {
+        "--seed and --fault are for the simulator in this process; give them to `haptimill sim serve`"
             .to_string()
-    } else if !simulated && (args.seed.is_some() || !args.fault.is_empty()) {
-        "--seed and --fault are for the simulator in this process; \
-         give them to `haptimill sim serve`"
+    } else if !simulated && args.operator.operator.is_some() {
+        "--operator is for the simulator in this process; give it to `haptimill sim serve`"
             .to_string()
-    } else if !simulated && args.person.is_some() {
-        "--person is for the simulator in this process; give it to `haptimill sim serve`"
-            .to_string()
-    } else if args.baud.is_some() && !matches!(args.port, PortSpec::Serial(_)) {
+    } else if args.port.baud.is_some() && !matches!(args.port.port, PortSpec::Serial(_)) {
         "--baud is for a serial port; leave it out".to_string()
     } else {
         return Ok(());

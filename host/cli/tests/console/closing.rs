@@ -50,7 +50,7 @@ fn closing_the_terminal_during_a_jog_stops_the_machine() {
 
 #[test]
 fn closing_the_terminal_during_a_program_stops_the_machine_along_its_path() {
-    let folder = scene::Folder::new();
+    let folder = scene::TestFolder::new();
     let program = folder.file("move.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);
@@ -140,7 +140,7 @@ fn quit_asks_first_when_drives_are_on() {
 
 #[test]
 fn missing_terminal_and_invalid_arguments_are_usage_errors() {
-    let ran = haptimill(&["console"]).ended_with(2);
+    let ran = haptimill(&["console"]).expect_code(2);
     assert!(
         ran.err
             .contains("standard input is not a terminal; run it in one"),
@@ -148,11 +148,11 @@ fn missing_terminal_and_invalid_arguments_are_usage_errors() {
         ran.err
     );
     assert_eq!(ran.out, "");
-    haptimill(&["console", "--port", "pil:mps2"]).ended_with(2);
-    haptimill(&["console", "--port", "tcp:localhost:1", "--seed", "3"]).ended_with(2);
-    let operator = ["--person", "examples/teleop.toml"];
+    haptimill(&["console", "--port", "pil:mps2"]).expect_code(2);
+    haptimill(&["console", "--port", "tcp:localhost:1", "--seed", "3"]).expect_code(2);
+    let operator = ["--operator", "examples/teleop.toml"];
     let remote = [&["console", "--port", "tcp:localhost:1"], &operator[..]].concat();
-    let ran = haptimill(&remote).ended_with(2);
+    let ran = haptimill(&remote).expect_code(2);
     assert!(
         ran.err.contains("give it to `haptimill sim serve`"),
         "{}",

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 #[test]
 fn console_reconnects_after_a_link_loss_without_motion() {
-    let folder = scene::Folder::new();
+    let folder = scene::TestFolder::new();
     let program = folder.file("move.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let cable = Cable::to(&machine.port);
@@ -59,7 +59,7 @@ fn pending_stop_is_sent_first_after_reconnection() {
 
 #[test]
 fn stuck_terminal_blocks_neither_link_nor_stop() {
-    let folder = scene::Folder::new();
+    let folder = scene::TestFolder::new();
     let program = folder.file("move.ngc", "G21 G90 F600\nG1 X100\nM30\n");
     let machine = Machine::start();
     let terminal = homed(&["--port", &machine.port, &program], Keyboard::Plain);

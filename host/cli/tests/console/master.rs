@@ -1,6 +1,6 @@
 //! Master panel: displayed values and settings.
 
-use super::scene::{Folder, Served};
+use super::scene::{SimServer, TestFolder};
 use super::terminal::Keyboard;
 use super::*;
 use haptimill_machine_file::{FOLLOW, HAPTIC_ARM};
@@ -54,10 +54,10 @@ fn commanded_x(terminal: &Terminal) -> f64 {
 
 #[test]
 fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let machine_file = folder.machine_with(HAPTIC_ARM);
     // The console configures the board, so it knows all settings.
-    let served = Served::on_tcp(&["--machine", &machine_file, "--unconfigured"]);
+    let served = SimServer::on_tcp(&["--machine", &machine_file, "--unconfigured"]);
     let arguments = [
         "--machine",
         machine_file.as_str(),
@@ -140,11 +140,11 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
 
 #[test]
 fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let machine_file = folder.machine_with(HAPTIC_ARM);
     let operator = folder.file("person.toml", oscillating_operator());
     let program = folder.file("wait.ngc", "G21 G90 F600\nG4 P60\nM30\n");
-    let served = Served::on_tcp(&["--machine", &machine_file, "--person", &operator]);
+    let served = SimServer::on_tcp(&["--machine", &machine_file, "--operator", &operator]);
     let arguments = ["--machine", &machine_file, "--port", &served.port, &program];
     let terminal = homed(&arguments, Keyboard::Plain);
     terminal.press_expect(b"w", "clutch pressed, drives no axis");
@@ -214,7 +214,7 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
 
 #[test]
 fn failed_arm_is_reported_and_takes_no_fixture() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let machine_file = folder.machine_with(HAPTIC_ARM);
     let trip = "hand-amplifiers-tripped at=1s";
     let terminal = console(
@@ -246,7 +246,7 @@ fn machine_without_a_master_reports_it() {
 
 #[test]
 fn remote_master_machine_has_a_scale_and_a_master_board_its_forces() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let machine_file = folder.machine_with(FOLLOW);
     let terminal = console(&["--machine", &machine_file], Keyboard::Plain);
     terminal.expect_state("DISABLED");
@@ -272,7 +272,7 @@ fn remote_master_machine_has_a_scale_and_a_master_board_its_forces() {
 
 #[test]
 fn master_panel_depends_on_the_terminal_height() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let machine_file = folder.machine_with(HAPTIC_ARM);
     let terminal = console(&["--machine", &machine_file], Keyboard::Plain);
     terminal.expect_state("DISABLED");

@@ -1,6 +1,6 @@
 //! Part programs, and the four keys that are always active.
 
-use super::scene::{Folder, Served};
+use super::scene::{SimServer, TestFolder};
 use super::terminal::Keyboard;
 use super::*;
 use std::time::Duration;
@@ -11,9 +11,9 @@ const LONG: &str =
 
 #[test]
 fn hold_resume_stop_and_emergency_work_whatever_is_open() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let program = folder.file("long.ngc", LONG);
-    let served = Served::on_tcp(&[]);
+    let served = SimServer::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port, &program], Keyboard::Plain);
     run(&terminal);
     terminal.expect_text("long.ngc  line 2/");
@@ -81,7 +81,7 @@ fn hold_resume_stop_and_emergency_work_whatever_is_open() {
 
 #[test]
 fn program_runs_to_its_end_with_a_recording() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let program = folder.file("short.ngc", "G21 G90 F1200\nG1 X4\nG3 X0 I-2\nM30\n");
     let out = folder.path("");
     let mut terminal = homed(&["--out", &out, &program], Keyboard::Plain);
@@ -122,9 +122,9 @@ fn program_runs_to_its_end_with_a_recording() {
 #[cfg(unix)]
 #[test]
 fn program_can_be_selected_right_at_standstill() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let program = folder.file("move.ngc", "G21 G90 F600\nG1 X1\nM30\n");
-    let served = Served::on("pty", &["--fault", "link-delay ms=100"]);
+    let served = SimServer::on("pty", &["--fault", "link-delay ms=100"]);
     // A line as slow as this one also carries fewer reports.
     let line = ["--port", &served.port, "--baud", "9600", &program];
     let terminal = homed(&line, Keyboard::Plain);
@@ -133,7 +133,7 @@ fn program_can_be_selected_right_at_standstill() {
 
 #[test]
 fn program_error_is_reported_with_its_line() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let bad = folder.file("bad.ngc", "G21\nG1 X10 F600\nG1 X900\nM30\n");
     // Given on the command line: reported before the screen is taken over.
     let mut terminal = console(&[&bad], Keyboard::Plain);
@@ -158,7 +158,7 @@ fn program_error_is_reported_with_its_line() {
 
 #[test]
 fn axis_sources_and_force_control_are_set_from_the_screen() {
-    let served = Served::on_tcp(&[]);
+    let served = SimServer::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port], Keyboard::Plain);
     terminal.press_expect(b"a", "Axis sources:");
     terminal.press(DOWN);

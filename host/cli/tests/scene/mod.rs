@@ -1,6 +1,6 @@
-//! The command as a process, folders that go away, and served machines that never outlive their test.
+//! Runs the command as a process, with temporary folders and served simulators.
 
-// Each test file uses its own part of this.
+// Each test file uses a part of this module.
 #![allow(dead_code)]
 
 use std::io::{BufRead, BufReader, Read};
@@ -10,10 +10,11 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// A command that has not ended by now hangs. No measure of speed: all scenarios take half a minute on two idle cores, and several on busy ones.
+/// Time after which a command counts as hanging. It is no speed limit: all scenarios take half a
+/// minute on two idle cores, and several minutes on busy ones.
 pub const LIMIT: Duration = Duration::from_secs(600);
 
-/// The root of the workspace; commands run there.
+/// The root of the workspace, where commands run.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../..")
@@ -21,10 +22,10 @@ pub fn root() -> PathBuf {
         .unwrap()
 }
 
-/// A folder of a test, gone with it.
-pub struct Folder(PathBuf);
+/// A temporary folder that is removed at the end of the test.
+pub struct TestFolder(PathBuf);
 
-impl Folder {
+impl TestFolder {
     pub fn new() -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
@@ -39,14 +40,14 @@ impl Folder {
         self.0.join(name).to_str().unwrap().to_string()
     }
 
-    /// Writes a file and gives its path.
+    /// Writes a file and returns its path.
     pub fn file(&self, name: &str, content: impl AsRef<[u8]>) -> String {
         let path = self.path(name);
         std::fs::write(&path, content).unwrap();
         path
     }
 
-    /// Writes the machine file of the built-in machine with other sections after it, and gives its path.
+    /// Writes the built-in machine file with more sections and returns its path.
     pub fn machine_with(&self, sections: &str) -> String {
         let text = [haptimill_machine_file::BUILT_IN, sections].join("\n");
         self.file("own.toml", text)
@@ -56,63 +57,63 @@ impl Folder {
         std::fs::read_to_string(self.0.join(name)).unwrap()
     }
 
-    /// The summary that a run left in a folder of this folder.
+    /// The summary of a run in a subfolder.
     pub fn summary(&self, out: &str) -> serde_json::Value {
         serde_json::from_str(&self.read(&format!("{out}/summary.json"))).unwrap()
     }
 
-    /// Text with the name of this folder taken out.
-    pub fn anonymous(&self, text: &str) -> String {
+    /// Replaces the path of this folder in a text.
+    pub fn redact(&self, text: &str) -> String {
         text.replace(self.0.to_str().unwrap(), "DIR")
     }
 }
 
-impl Drop for Folder {
+impl Drop for TestFolder {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 
-/// What a run of the command left.
+/// Exit code and output of a command.
 #[derive(Debug)]
-pub struct Ran {
-    /// Exit code; -1 when a signal ended it.
+pub struct RunResult {
+    /// Exit code; -1 if a signal ended the process.
     pub code: i32,
     pub out: String,
     pub err: String,
 }
 
-impl Ran {
+impl RunResult {
     /// The standard output as JSON.
     pub fn json(&self) -> serde_json::Value {
         serde_json::from_str(&self.out).unwrap_or_else(|error| panic!("{error} in {self:?}"))
     }
 
-    /// Ends the test unless the command ended with this code.
+    /// Fails the test unless the command ended with this exit code.
     #[track_caller]
-    pub fn ended_with(self, code: i32) -> Self {
+    pub fn expect_code(self, code: i32) -> Self {
         assert_eq!(self.code, code, "{self:#?}");
         self
     }
 }
 
-/// A process of the command, killed if the test ends first.
-pub struct Started {
+/// A running command, killed if the test ends first.
+pub struct Running {
     child: Child,
     out: Option<BufReader<std::process::ChildStdout>>,
-    said: String,
-    /// What it said on standard error so far, and who reads it.
-    complaints: Arc<Mutex<String>>,
+    output: String,
+    /// Standard error so far, and the thread that reads it.
+    errors: Arc<Mutex<String>>,
     err: Option<std::thread::JoinHandle<()>>,
 }
 
-/// Starts the command in the root of the workspace, without a terminal and with an empty input.
-pub fn start(arguments: &[&str]) -> Started {
+/// Starts the command in the root of the workspace, with an empty standard input and no terminal.
+pub fn start(arguments: &[&str]) -> Running {
     start_with(arguments, Stdio::null())
 }
 
-/// Starts the command with this input.
-pub fn start_with(arguments: &[&str], input: Stdio) -> Started {
+/// Starts the command with this standard input.
+pub fn start_with(arguments: &[&str], input: Stdio) -> Running {
     let mut child = Command::new(env!("CARGO_BIN_EXE_haptimill"))
         .args(arguments)
         .current_dir(root())
@@ -124,41 +125,41 @@ pub fn start_with(arguments: &[&str], input: Stdio) -> Started {
         .unwrap();
     let out = BufReader::new(child.stdout.take().unwrap());
     let mut err = child.stderr.take().unwrap();
-    let complaints = Arc::new(Mutex::new(String::new()));
-    let heard = Arc::clone(&complaints);
+    let errors = Arc::new(Mutex::new(String::new()));
+    let shared = Arc::clone(&errors);
     let err = std::thread::spawn(move || {
         let mut buffer = [0; 4096];
         while let Ok(count @ 1..) = err.read(&mut buffer) {
             let text = String::from_utf8_lossy(&buffer[..count]);
-            heard.lock().unwrap().push_str(&text);
+            shared.lock().unwrap().push_str(&text);
         }
     });
-    Started {
+    Running {
         child,
         out: Some(out),
-        said: String::new(),
-        complaints,
+        output: String::new(),
+        errors,
         err: Some(err),
     }
 }
 
 /// Runs the command to its end.
-pub fn haptimill(arguments: &[&str]) -> Ran {
+pub fn haptimill(arguments: &[&str]) -> RunResult {
     start(arguments).end()
 }
 
-impl Started {
-    /// The next line on standard output, without its end; empty when there is none.
+impl Running {
+    /// The next line of standard output without its newline; empty at the end.
     pub fn line(&mut self) -> String {
         let mut line = String::new();
         self.out.as_mut().unwrap().read_line(&mut line).unwrap();
-        self.said.push_str(&line);
+        self.output.push_str(&line);
         line.trim_end().to_string()
     }
 
-    /// Waits for a line of standard output that has `part` in it.
+    /// Waits for a line of standard output that contains `part`.
     #[track_caller]
-    pub fn says(&mut self, part: &str) {
+    pub fn wait_for_output(&mut self, part: &str) {
         loop {
             let line = self.line();
             if line.contains(part) {
@@ -166,36 +167,36 @@ impl Started {
             }
             if line.is_empty() {
                 let status = self.child.wait();
-                let err = self.complained();
+                let err = self.collect_errors();
                 panic!(
-                    "never said {part:?}, but {:?}; {status:?}, {err:?}",
-                    self.said
+                    "no {part:?} in the output {:?}; {status:?}, {err:?}",
+                    self.output
                 );
             }
         }
     }
 
-    /// All that is said on standard error until it is closed.
-    fn complained(&mut self) -> String {
+    /// Standard error until it is closed.
+    fn collect_errors(&mut self) -> String {
         if let Some(err) = self.err.take() {
             err.join().unwrap();
         }
-        self.complaints.lock().unwrap().clone()
+        self.errors.lock().unwrap().clone()
     }
 
-    /// Waits until standard error has `part` in it.
+    /// Waits until standard error contains `part`.
     #[track_caller]
-    pub fn complains(&mut self, part: &str) {
-        while !self.complaints.lock().unwrap().contains(part) {
+    pub fn wait_for_error(&mut self, part: &str) {
+        while !self.errors.lock().unwrap().contains(part) {
             if !self.runs() {
-                panic!("never complained of {part:?}, but {:?}", self.complained());
+                panic!("no {part:?} in standard error {:?}", self.collect_errors());
             }
             std::thread::sleep(Duration::from_millis(5));
         }
     }
 
     /// Waits for the end, at most [`LIMIT`].
-    pub fn end(mut self) -> Ran {
+    pub fn end(mut self) -> RunResult {
         let mut out = self.out.take().unwrap();
         let reader = std::thread::spawn(move || {
             let mut text = String::new();
@@ -203,47 +204,47 @@ impl Started {
             text
         });
         let status = self.wait();
-        self.said.push_str(&reader.join().unwrap());
-        Ran {
+        self.output.push_str(&reader.join().unwrap());
+        RunResult {
             code: status.code().unwrap_or(-1),
-            out: std::mem::take(&mut self.said),
-            err: self.complained(),
+            out: std::mem::take(&mut self.output),
+            err: self.collect_errors(),
         }
     }
 
     fn wait(&mut self) -> ExitStatus {
-        let begun = Instant::now();
+        let start = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return status;
             }
-            if begun.elapsed() > LIMIT {
+            if start.elapsed() > LIMIT {
                 let _ = self.child.kill();
                 let status = self.child.wait().unwrap();
                 panic!(
-                    "not at its end after {LIMIT:?}: {status}; said {:?}",
-                    self.said
+                    "still running after {LIMIT:?}: {status}; output {:?}",
+                    self.output
                 );
             }
-            // The standard library has no waiting with a limit.
+            // The standard library has no wait with a time limit.
             std::thread::sleep(Duration::from_millis(5));
         }
     }
 
-    /// Still there.
+    /// Whether the process is running.
     pub fn runs(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }
 
-    /// Ctrl-C.
+    /// Sends Ctrl-C.
     #[cfg(unix)]
     pub fn interrupt(&self) {
         self.signal(rustix::process::Signal::INT);
     }
 
-    /// It does nothing any more, and holds what it has.
+    /// Suspends the process, which keeps its ports open.
     #[cfg(unix)]
-    pub fn freeze(&self) {
+    pub fn suspend(&self) {
         self.signal(rustix::process::Signal::STOP);
     }
 
@@ -253,33 +254,34 @@ impl Started {
         rustix::process::kill_process(pid, signal).unwrap();
     }
 
-    /// Ends it as a power failure would.
+    /// Kills the process.
     pub fn kill(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-impl Drop for Started {
+impl Drop for Running {
     fn drop(&mut self) {
         self.kill();
     }
 }
 
-/// A simulated machine, served in real time.
-pub struct Served {
-    pub process: Started,
-    /// What to give as --port.
+/// A simulator served in real time.
+pub struct SimServer {
+    pub process: Running,
+    /// The value for --port.
     pub port: String,
 }
 
-impl Served {
-    /// On a TCP port that was free.
+impl SimServer {
+    /// Serves on a free TCP port.
     pub fn on_tcp(more: &[&str]) -> Self {
         Self::on("tcp:127.0.0.1:0", more)
     }
 
-    /// On `tcp:HOST:PORT` or `pty`. It ends by itself after two minutes, whatever becomes of the test.
+    /// Serves on `tcp:HOST:PORT` or `pty`. The process ends after two minutes even if the test
+    /// hangs.
     pub fn on(listen: &str, more: &[&str]) -> Self {
         let mut process =
             start(&[&["sim", "serve", "--for", "120", "--listen", listen], more].concat());
@@ -288,21 +290,21 @@ impl Served {
         Self { process, port }
     }
 
-    /// A one-shot command on it, which must succeed.
+    /// Runs a command on this port, which must succeed.
     #[track_caller]
-    pub fn does(&self, command: &[&str]) -> Ran {
-        self.tries(command).ended_with(0)
+    pub fn run_ok(&self, command: &[&str]) -> RunResult {
+        self.run(command).expect_code(0)
     }
 
-    /// A one-shot command on it.
-    pub fn tries(&self, command: &[&str]) -> Ran {
+    /// Runs a command on this port.
+    pub fn run(&self, command: &[&str]) -> RunResult {
         haptimill(&[command, &["--port", &self.port]].concat())
     }
 
     /// `haptimill status --json`.
     #[track_caller]
     pub fn status(&self) -> serde_json::Value {
-        self.does(&["status", "--json"]).json()
+        self.run_ok(&["status", "--json"]).json()
     }
 }
 

@@ -1,24 +1,24 @@
-//! In real time: over ports, from a stick, from keys in a terminal.
+//! Teleoperation in real time: over ports, with a joystick, with keys in a terminal.
 
-use super::scene::{self, Folder, Served, haptimill, number, start_with};
-use super::{AWAY, MM, records, within_limits};
+use super::scene::{self, SimServer, TestFolder, haptimill, number, start_with};
+use super::{AWAY, MM, expect_within_limits, read_records};
 use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
 
-/// Two controllers, each behind a port of its own, in real time.
+/// Two controllers on two ports in real time.
 #[cfg(unix)]
 #[test]
-fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
-    let folder = Folder::new();
+fn two_boards_over_ports_with_orders_on_standard_input() {
+    let folder = TestFolder::new();
     let script = folder.file("person.toml", AWAY);
-    let machine = Served::on_tcp(&[]);
-    let arm = Served::on(
+    let machine = SimServer::on_tcp(&[]);
+    let arm = SimServer::on(
         "pty",
         &[
             "--machine",
             "machines/hand-master.toml",
-            "--person",
+            "--operator",
             &script,
         ],
     );
@@ -29,29 +29,30 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
             "teleop",
             "--port",
             &machine.port,
-            "--hand",
+            "--master",
             &arm.port,
-            "--hand-baud",
+            "--master-baud",
             "1000000",
             "--out",
             &out,
             "--for",
             "8",
-            // This is about ports and orders, in real time: a busy computer is not to hold the machine.
+            // The test is about ports and orders; a long --stale prevents a hold on a busy
+            // computer.
             "--stale",
             "200",
         ],
         Stdio::from(orders),
     );
-    session.says("the hand leads");
-    session.says("idle -> running");
+    session.wait_for_output("teleoperation started");
+    session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(1500));
     input.write_all(b"hold\n").unwrap();
-    session.says("running -> on hold");
+    session.wait_for_output("running -> on hold");
     input.write_all(b"nonsense\nresume\n").unwrap();
-    session.says("no order");
-    session.says("on hold -> running");
-    let ran = session.end().ended_with(0);
+    session.wait_for_output("no order");
+    session.wait_for_output("on hold -> running");
+    let ran = session.end().expect_code(0);
     println!("{}", ran.out);
     let said = folder.summary("out");
     let session = &said["session"];
@@ -65,12 +66,12 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
         .map(|line| line.split(',').nth(10).unwrap().parse().unwrap())
         .collect();
     assert!(*tool.last().unwrap() < -10.0, "{tool:?}");
-    // Exchanged, both say what they are.
+    // With exchanged ports both controllers report what they are.
     let ran = haptimill(&[
         "teleop",
         "--port",
         &arm.port,
-        "--hand",
+        "--master",
         &machine.port,
         "--out",
         &out,
@@ -80,7 +81,8 @@ fn two_boards_are_connected_over_ports_and_orders_come_line_by_line() {
     assert!(ran.code != 0);
 }
 
-/// A game controller whose device file is a pipe. Held open from the start: a pipe without a writer is at its end.
+/// A game controller whose device file is a pipe. The test keeps it open, because a pipe without a
+/// writer is at its end.
 #[cfg(unix)]
 fn stick(device: &str) -> std::fs::File {
     rustix::fs::mknodat(
@@ -97,43 +99,43 @@ fn stick(device: &str) -> std::fs::File {
 
 #[cfg(unix)]
 #[test]
-fn a_line_that_is_no_text_is_refused_and_stop_is_still_heard() {
-    let folder = Folder::new();
+fn line_that_is_not_text_is_refused_and_stop_still_works() {
+    let folder = TestFolder::new();
     let device = folder.path("js0");
     let _stick = stick(&device);
     let (out, hand) = (folder.path("out"), format!("joystick:{device}"));
-    let arguments = ["teleop", "--hand", &hand, "--out", &out, "--for", "20"];
+    let arguments = ["teleop", "--master", &hand, "--out", &out, "--for", "20"];
     let (orders, mut input) = std::io::pipe().unwrap();
     let mut session = start_with(&arguments, Stdio::from(orders));
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     input.write_all(b"r\xe9sume\n").unwrap();
-    session.says("is no order; write hold");
+    session.wait_for_output("is no order; write hold");
     input.write_all(b"stop\n").unwrap();
-    let ran = session.end().ended_with(7);
+    let ran = session.end().expect_code(7);
     assert!(ran.err.contains("stopped by the operator"), "{}", ran.err);
     let said = folder.summary("out");
     assert_eq!(said["session"]["refused"].as_array().unwrap().len(), 1);
 
-    // A folder can be opened, and not be read.
+    // A folder can be opened but not read.
     let unreadable = std::fs::File::open(scene::root()).unwrap();
     let ran = start_with(&arguments, Stdio::from(unreadable))
         .end()
-        .ended_with(7);
+        .expect_code(7);
     let what = "orders cannot be read any more: ";
     assert!(ran.out.contains(what) && ran.err.contains(what), "{ran:?}");
 }
 
-/// A hand that is no device, and one that goes while it leads nothing.
+/// A master that is no device, and one that is lost while it is disengaged.
 #[cfg(unix)]
 #[test]
-fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
-    let folder = Folder::new();
+fn wrong_device_is_refused_and_a_lost_one_is_reported() {
+    let folder = TestFolder::new();
     let out = folder.path("out");
     let file = folder.file("file", "");
     for kind in ["joystick", "mouse3d"] {
         for path in ["/dev/null", "/dev/zero", &file, "/"] {
             let hand = format!("{kind}:{path}");
-            let ran = haptimill(&["teleop", "--hand", &hand, "--out", &out]).ended_with(5);
+            let ran = haptimill(&["teleop", "--master", &hand, "--out", &out]).expect_code(5);
             assert!(ran.err.contains(&format!("{path}: no ")), "{}", ran.err);
             assert!(!Path::new(&out).exists());
         }
@@ -142,33 +144,33 @@ fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
     let stick = stick(&device);
     let hand = format!("joystick:{device}");
     let mut session = start_with(
-        &["teleop", "--hand", &hand, "--out", &out, "--for", "4"],
+        &["teleop", "--master", &hand, "--out", &out, "--for", "4"],
         Stdio::null(),
     );
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     drop(stick);
-    session.says("the hand: ");
-    let ran = session.end().ended_with(5);
+    session.wait_for_output("the hand: ");
+    let ran = session.end().expect_code(5);
     assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
     let said = folder.summary("out");
-    assert_eq!(said["session"]["ended"], "hand_lost");
+    assert_eq!(said["session"]["ended"], "master_lost");
 }
 
 #[cfg(unix)]
 #[test]
-fn a_stick_leads_while_its_button_is_held() {
-    let folder = Folder::new();
+fn joystick_moves_the_tool_while_its_button_is_pressed() {
+    let folder = TestFolder::new();
     let device = folder.path("js0");
     let mut stick = stick(&device);
     let out = folder.path("out");
     let hand = format!("joystick:{device}");
     let mut session = start_with(
         &[
-            "teleop", "--hand", &hand, "--out", &out, "--for", "5", "--speed", "10",
+            "teleop", "--master", &hand, "--out", &out, "--for", "5", "--speed", "10",
         ],
         Stdio::null(),
     );
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     let record = |value: i16, kind: u8, number: u8| {
         let [low, high] = value.to_le_bytes();
         [0, 0, 0, 0, low, high, kind, number]
@@ -178,24 +180,24 @@ fn a_stick_leads_while_its_button_is_held() {
     stick.write_all(&record(1, 1, 0)).unwrap();
     std::thread::sleep(std::time::Duration::from_millis(1500));
     stick.write_all(&record(0, 1, 0)).unwrap();
-    session.end().ended_with(0);
-    let made = records(&format!("{out}/recording.hmr"));
-    within_limits(&made);
+    session.end().expect_code(0);
+    let made = read_records(&format!("{out}/recording.hmr"));
+    expect_within_limits(&made);
     let x = f64::from(made.last().unwrap().commanded[0] - made[0].commanded[0]) / MM;
-    // 10 mm/s for about a second and a half, as this computer keeps time.
+    // 10 mm/s for about 1.5 s of real time.
     assert!((8.0..20.0).contains(&x), "{x} mm");
-    haptimill(&["replay", &format!("{out}/recording.hmr")]).ended_with(0);
+    haptimill(&["replay", &format!("{out}/recording.hmr")]).expect_code(0);
 }
 
-/// Keys in a real terminal, and a window that is closed while the machine moves.
+/// Keys in a real terminal, and a terminal that is closed while the machine moves.
 #[cfg(unix)]
 #[test]
-fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
+fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
     use super::terminal::{Keyboard, Terminal};
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let out = folder.path("out");
     let open = |more: &[&str]| {
-        let words = ["teleop", "--hand", "keyboard", "--out", &out];
+        let words = ["teleop", "--master", "keyboard", "--out", &out];
         Terminal::start(
             Path::new(env!("CARGO_BIN_EXE_haptimill")),
             &[&words, more].concat(),
@@ -212,19 +214,19 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
         std::thread::sleep(std::time::Duration::from_millis(200));
     }
     window.expect_text("Run free");
-    window.press_expect(b"\x1b[6~", "Run led");
+    window.press_expect(b"\x1b[6~", "Run engaged");
     window.expect_text("Run free");
     window.press_expect(b" ", "running -> on hold");
     window.press_expect(b"g", "on hold -> running");
     window.press(b"q");
     assert_eq!(window.exit_code(), 0, "{}", window.text());
     assert!(window.is_restored());
-    let made = records(&format!("{out}/recording.hmr"));
-    within_limits(&made);
+    let made = read_records(&format!("{out}/recording.hmr"));
+    expect_within_limits(&made);
     let way = |axis: usize| {
         f64::from(made.last().unwrap().commanded[axis] - made[0].commanded[axis]) / MM
     };
-    // Three steps of 0.2 mm along x and one down, and the filter comes to rest within 2 um.
+    // Three steps of 0.2 mm in x and one in z; the filter settles within 2 um.
     assert!(
         (way(0) - 0.6).abs() < 0.002 && (way(2) + 0.2).abs() < 0.002,
         "{} {}",
@@ -232,15 +234,15 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
         way(2)
     );
 
-    let machine = Served::on_tcp(&[]);
+    let machine = SimServer::on_tcp(&[]);
     let mut window = open(&["--port", &machine.port, "--speed", "2"]);
     window.expect_text("idle -> running");
-    window.press_expect(b"++d", "led ");
+    window.press_expect(b"++d", "engaged");
     window.close();
-    // Whatever the process still could say: the machine stands, and knows where.
+    // The machine is at standstill with a valid position.
     let begun = std::time::Instant::now();
     let at_rest = loop {
-        let tried = machine.tries(&["status", "--json"]);
+        let tried = machine.run(&["status", "--json"]);
         if tried.code == 0 {
             let status = tried.json();
             if status["state"] != "Run" {
@@ -254,12 +256,13 @@ fn a_key_is_a_step_and_a_closed_window_stops_the_machine() {
     assert_eq!(at_rest["commanded"], again["commanded"]);
 }
 
-/// A machine with an arm on its own board, behind a port: the recording has what was reported of the hand.
+/// The recording of a machine with an arm on its own board, behind a port, has the reported master
+/// data.
 #[test]
-fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
-    let folder = Folder::new();
+fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
+    let folder = TestFolder::new();
     let own = folder.machine_with(haptimill_machine_file::HAPTIC_ARM);
-    let served = Served::on_tcp(&["--machine", &own]);
+    let served = SimServer::on_tcp(&["--machine", &own]);
     let program = folder.file("short.ngc", "G21 G90 F600\nG1 X2\nG1 X0\nM30\n");
     let out = folder.path("out");
     let run = [
@@ -273,9 +276,9 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
         "--out",
         &out,
     ];
-    haptimill(&run).ended_with(0);
+    haptimill(&run).expect_code(0);
     let trace = format!("{out}/recording.hmr");
-    let made = records(&trace);
+    let made = read_records(&trace);
     let known = made.iter().filter(|record| record.hand_flags != 0).count();
     assert!(
         known > 3 && made.len() < 2 * known + 10,
@@ -283,7 +286,7 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
         made.len()
     );
     let ran =
-        haptimill(&["trace", "csv", &trace, "--columns", "z_hand_mm,hand_held"]).ended_with(0);
+        haptimill(&["trace", "csv", &trace, "--columns", "z_hand_mm,hand_held"]).expect_code(0);
     assert!(
         ran.out
             .lines()
@@ -293,19 +296,19 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
     );
 }
 
-/// Nothing was led when it went, so nothing held: it is told all the same.
+/// The arm was disengaged, so the machine did not hold. The loss is still reported.
 #[test]
-fn an_arm_that_goes_while_its_button_is_free_is_told() {
-    let folder = Folder::new();
-    let machine = Served::on_tcp(&[]);
-    let mut arm = Served::on_tcp(&["--machine", "machines/hand-master.toml"]);
+fn lost_arm_with_open_clutch_is_reported() {
+    let folder = TestFolder::new();
+    let machine = SimServer::on_tcp(&[]);
+    let mut arm = SimServer::on_tcp(&["--machine", "machines/hand-master.toml"]);
     let out = folder.path("out");
     let mut session = start_with(
         &[
             "teleop",
             "--port",
             &machine.port,
-            "--hand",
+            "--master",
             &arm.port,
             "--out",
             &out,
@@ -314,30 +317,30 @@ fn an_arm_that_goes_while_its_button_is_free_is_told() {
         ],
         Stdio::null(),
     );
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(500));
     arm.process.kill();
-    session.says("the hand: ");
-    let ran = session.end().ended_with(5);
+    session.wait_for_output("the hand: ");
+    let ran = session.end().expect_code(5);
     assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
     let said = folder.summary("out");
     assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 0);
 }
 
-/// The arm's controller is gone with its port, and comes back.
+/// The arm's controller disappears with its port, and returns.
 #[cfg(unix)]
 #[test]
-fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
-    let folder = Folder::new();
+fn reconnected_arm_continues_after_resume() {
+    let folder = TestFolder::new();
     let script = folder.file("person.toml", AWAY);
-    let machine = Served::on_tcp(&[]);
+    let machine = SimServer::on_tcp(&[]);
     let more = [
         "--machine",
         "machines/hand-master.toml",
-        "--person",
+        "--operator",
         &script,
     ];
-    let mut arm = Served::on_tcp(&more);
+    let mut arm = SimServer::on_tcp(&more);
     let out = folder.path("out");
     let (orders, mut input) = std::io::pipe().unwrap();
     let mut session = start_with(
@@ -345,7 +348,7 @@ fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
             "teleop",
             "--port",
             &machine.port,
-            "--hand",
+            "--master",
             &arm.port,
             "--out",
             &out,
@@ -354,19 +357,19 @@ fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
         ],
         Stdio::from(orders),
     );
-    session.says("idle -> running");
+    session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(1500));
     arm.process.kill();
-    session.says("running -> on hold");
+    session.wait_for_output("running -> on hold");
     input.write_all(b"resume\n").unwrap();
-    session.says("not resumed: the hand: ");
-    let again = Served::on(&arm.port, &more);
+    session.wait_for_output("not resumed: the hand: ");
+    let again = SimServer::on(&arm.port, &more);
     std::thread::sleep(std::time::Duration::from_millis(2500));
     input.write_all(b"resume\n").unwrap();
-    session.says("on hold -> running");
+    session.wait_for_output("on hold -> running");
     input.write_all(b"gp=7\nend\n").unwrap();
-    session.says("G_P of 7 is out of its range: 0.1 to 2");
-    session.end().ended_with(0);
+    session.wait_for_output("G_P of 7 is out of its range: 0.1 to 2");
+    session.end().expect_code(0);
     drop(again);
     let said = folder.summary("out");
     let holds = said["session"]["holds"].as_array().unwrap();

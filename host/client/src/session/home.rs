@@ -17,7 +17,7 @@ pub fn has_tool(machine: &MachineFile) -> Result<(), Error> {
         return Ok(());
     }
     let what = format!(
-        "{}: a haptic arm alone, which has no tool to move; name a machine with --machine, and the arm with --hand of `haptimill teleop`",
+        "{}: a haptic arm alone, which has no tool to move; name a machine with --machine, and the arm with --master of `haptimill teleop`",
         machine.file
     );
     Err(Error::new(ErrorKind::BadInput, what))

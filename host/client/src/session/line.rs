@@ -59,7 +59,7 @@ pub trait JobLine: Line {
     fn clamp(&mut self, _: &CuttingConfig) -> Result<(), Error> {
         Err(Error::new(
             ErrorKind::Usage,
-            "--work is for the simulated machine; clamp the work by hand",
+            "--stock is for the simulated machine; clamp the work by hand",
         ))
     }
 

@@ -1,7 +1,6 @@
-//! What a person sees of a job under way: the bar, the line, the time left, pauses.
+//! Progress of a job on the terminal: bar, line, remaining time, pauses.
 
-use super::RunArgs;
-use haptimill_client::port::PortSpec;
+use super::args::RunArgs;
 use haptimill_client::session::Watcher;
 use haptimill_planner::Plan;
 use haptimill_protocol::message::Telemetry;
@@ -12,23 +11,23 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// The progress bar, with the time left.
-pub(super) struct Bar {
+/// The progress bar with the remaining time.
+pub(super) struct ProgressDisplay {
     bar: ProgressBar,
-    begun: Instant,
-    /// Seconds for a second of the program, where the job takes its own time; in the simulator it goes by faster, and is measured.
+    start: Instant,
+    /// Real time per programmed time on a machine. In the simulator, where it is measured, none.
     pace: Option<f64>,
     period_s: f64,
     lines: Vec<u32>,
     pauses: BTreeMap<u32, u32>,
-    passes_pauses: bool,
-    /// The line at which it stands until Enter is pressed.
-    waits_at: Option<u32>,
-    entered: Arc<AtomicBool>,
+    skips_pauses: bool,
+    /// The line of the present pause.
+    paused_at: Option<u32>,
+    enter_pressed: Arc<AtomicBool>,
 }
 
-impl Bar {
-    /// The bar of a job that begins now.
+impl ProgressDisplay {
+    /// Creates the progress bar of a job that starts now.
     pub(super) fn new(args: &RunArgs, plan: &Plan, pauses: BTreeMap<u32, u32>) -> Self {
         let total = (plan.figures.duration_s * 1000.0).round() as u64;
         let shown = !args.json && !args.quiet;
@@ -48,25 +47,24 @@ impl Bar {
             .collect();
         Self {
             bar,
-            begun: Instant::now(),
-            pace: (!matches!(args.port, PortSpec::Simulator | PortSpec::Emulated(_)))
-                .then(|| args.rate().recip()),
+            start: Instant::now(),
+            pace: (!args.port.is_simulated()).then(|| args.path_rate().recip()),
             period_s: plan.period_s,
             lines,
             pauses,
-            passes_pauses: args.passes_pauses(),
-            waits_at: None,
-            entered: Arc::new(AtomicBool::new(false)),
+            skips_pauses: args.skips_pauses(),
+            paused_at: None,
+            enter_pressed: Arc::new(AtomicBool::new(false)),
         }
     }
 
-    /// Takes the bar away.
-    pub(super) fn done(&self) {
+    /// Removes the bar.
+    pub(super) fn finish(&self) {
         self.bar.finish_and_clear();
     }
 }
 
-impl Watcher for Bar {
+impl Watcher for ProgressDisplay {
     fn progress(&mut self, telemetry: &Telemetry) {
         let done = f64::from(telemetry.program_periods) * self.period_s;
         let total = self.bar.length().unwrap_or(0) as f64 / 1000.0;
@@ -76,58 +74,60 @@ impl Watcher for Bar {
             .get(telemetry.setpoint as usize)
             .copied()
             .unwrap_or(0);
-        if let Some(line) = self.waits_at {
+        if let Some(line) = self.paused_at {
             self.bar
-                .set_message(format!("line {line}, waits for Enter"));
+                .set_message(format!("line {line}, paused, waiting for Enter"));
             return;
         }
-        let measured = || self.begun.elapsed().as_secs_f64() / done.max(0.1);
+        let measured = || self.start.elapsed().as_secs_f64() / done.max(0.1);
         let pace = self.pace.unwrap_or_else(measured);
-        let left = ((total - done).max(0.0) * pace).ceil();
-        let left = match left {
+        let remaining = ((total - done).max(0.0) * pace).ceil();
+        let remaining = match remaining {
             s if s < 60.0 => format!("{s} s"),
             s => haptimill_report::duration(s),
         };
-        self.bar.set_message(format!("line {line}, {left} left"));
+        self.bar
+            .set_message(format!("line {line}, {remaining} left"));
     }
 
     fn paused(&mut self, setpoint: u32) {
         let line = self.pauses.get(&setpoint).copied().unwrap_or(0);
-        if self.passes_pauses {
-            self.bar
-                .println(format!("line {line}: a pause, passed at once"));
+        if self.skips_pauses {
+            self.bar.println(format!("line {line}: pause skipped"));
             return;
         }
-        let what = format!("line {line}: the program pauses; Enter goes on, Ctrl-C ends it");
+        let what =
+            format!("line {line}: the program pauses; press Enter to continue, Ctrl-C to stop");
         if self.bar.is_hidden() {
-            // Without a bar, by --quiet or because standard error goes elsewhere, it must be said all the same.
+            // The bar is hidden with --quiet, or because standard error is no terminal. The user
+            // must still know about the pause.
             eprintln!("{what}");
         } else {
             self.bar.println(what);
         }
-        self.waits_at = Some(line);
-        self.entered.store(false, Ordering::Relaxed);
-        // An Enter of before the pause does not pass it.
+        self.paused_at = Some(line);
+        self.enter_pressed.store(false, Ordering::Relaxed);
+        // An Enter before the pause must not end it.
         #[cfg(unix)]
         let _ = rustix::termios::tcflush(std::io::stdin(), rustix::termios::QueueSelector::IFlush);
-        let entered = Arc::clone(&self.entered);
-        // Reading a line waits; the session must go on meanwhile, or the controller would miss its host.
+        let enter_pressed = Arc::clone(&self.enter_pressed);
+        // Reading a line blocks. The session must continue, or the heartbeat of the host times out.
         std::thread::spawn(move || {
-            // Whatever was typed in front of Enter, text or not.
+            // Any bytes before Enter are accepted.
             let mut line = Vec::new();
             match std::io::stdin().lock().read_until(b'\n', &mut line) {
                 Ok(0) => {}
-                Ok(_) => entered.store(true, Ordering::Relaxed),
-                Err(error) => eprintln!("Enter cannot be read: {error}; Ctrl-C ends the program"),
+                Ok(_) => enter_pressed.store(true, Ordering::Relaxed),
+                Err(error) => eprintln!("Enter cannot be read: {error}; stop with Ctrl-C"),
             }
         });
     }
 
     fn goes_on(&mut self) -> bool {
-        let goes_on = self.passes_pauses || self.entered.swap(false, Ordering::Relaxed);
-        if goes_on {
-            self.waits_at = None;
+        let resumes = self.skips_pauses || self.enter_pressed.swap(false, Ordering::Relaxed);
+        if resumes {
+            self.paused_at = None;
         }
-        goes_on
+        resumes
     }
 }

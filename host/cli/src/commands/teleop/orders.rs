@@ -1,27 +1,28 @@
-//! Orders from standard input.
+//! Operator commands from standard input.
 
 use haptimill_teleop::Heard;
 use std::io::BufRead;
 use std::sync::mpsc::{self, Receiver, Sender};
 
-/// Orders from lines of standard input; nothing comes any more at its end.
+/// Reads operator commands from standard input, one per line, until its end.
 pub(super) fn listen() -> Receiver<Heard> {
     let (sender, receiver) = mpsc::channel();
-    std::thread::spawn(move || hear(std::io::stdin().lock(), &sender));
+    std::thread::spawn(move || read_orders(std::io::stdin().lock(), &sender));
     receiver
 }
 
-/// Orders from lines. Bytes that are no text make a line that is no order, and the next line is heard all the same.
-fn hear(input: impl BufRead, sender: &Sender<Heard>) {
+/// Reads commands from lines. A line that is not UTF-8 text is reported as no command; reading
+/// continues with the next line.
+fn read_orders(input: impl BufRead, sender: &Sender<Heard>) {
     for line in input.split(b'\n') {
-        let heard = match &line {
+        let result = match &line {
             Ok(line) => match String::from_utf8_lossy(line) {
                 line if line.trim().is_empty() => continue,
                 line => line.parse().map_or_else(Heard::NoOrder, Heard::Order),
             },
             Err(error) => Heard::Lost(error.to_string()),
         };
-        if sender.send(heard).is_err() || line.is_err() {
+        if sender.send(result).is_err() || line.is_err() {
             return;
         }
     }
@@ -33,7 +34,7 @@ mod tests {
     use haptimill_teleop::Order;
     use std::io::{self, BufReader, Read};
 
-    /// Gives lines, then fails.
+    /// An input that fails after its lines.
     struct Breaks(&'static [u8]);
 
     impl Read for Breaks {
@@ -45,16 +46,16 @@ mod tests {
         }
     }
 
-    fn heard(input: impl Read) -> Vec<Heard> {
+    fn read(input: impl Read) -> Vec<Heard> {
         let (sender, receiver) = mpsc::channel();
-        hear(BufReader::new(input), &sender);
+        read_orders(BufReader::new(input), &sender);
         drop(sender);
         receiver.iter().collect()
     }
 
     #[test]
-    fn a_line_that_is_no_text_is_no_order_and_the_next_is_heard() {
-        let all = heard(&b"hold\r\n\n r\xe9sume\n\xff\nstop\nend"[..]);
+    fn a_line_that_is_not_text_is_reported_and_the_next_line_is_read() {
+        let all = read(&b"hold\r\n\n r\xe9sume\n\xff\nstop\nend"[..]);
         assert_eq!(all.len(), 5, "{all:?}");
         assert_eq!(all[0], Heard::Order(Order::Hold));
         assert!(matches!(&all[1], Heard::NoOrder(why) if why.contains("is no order; write hold")));
@@ -66,11 +67,11 @@ mod tests {
     }
 
     #[test]
-    fn an_input_that_breaks_is_told_and_one_that_ends_is_not() {
+    fn a_failing_input_is_reported_and_the_end_of_input_is_not() {
         assert_eq!(
-            heard(Breaks(b"hold\n")),
+            read(Breaks(b"hold\n")),
             [Heard::Order(Order::Hold), Heard::Lost("broken".to_string())]
         );
-        assert_eq!(heard(&b"hold\n"[..]), [Heard::Order(Order::Hold)]);
+        assert_eq!(read(&b"hold\n"[..]), [Heard::Order(Order::Hold)]);
     }
 }

@@ -1,4 +1,4 @@
-//! `haptimill trace info`: what a recording is.
+//! `haptimill trace info`: prints the properties of a recording.
 
 use super::{CliError, bad, open};
 use clap::Args;
@@ -12,18 +12,18 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// Arguments of `haptimill trace info`.
 #[derive(Debug, Clone, Args)]
 #[command(
-    about = "What a recording is: of what, how long, its columns, its events, whether it can be replayed"
+    about = "Print the properties of a recording: machine, duration, columns, events, replay"
 )]
 pub struct InfoArgs {
     /// The recording (recording.hmr)
     #[arg(value_name = "TRACE")]
     pub trace: PathBuf,
-    /// Print it as JSON on standard output, and nothing else there
+    /// Print only JSON on standard output
     #[arg(long)]
     pub json: bool,
 }
 
-/// Tells.
+/// Prints the properties of a recording.
 pub(super) fn run(args: &InfoArgs) -> Result<(), CliError> {
     let recording = open(&args.trace)?;
     recording.verify().map_err(bad)?;
@@ -77,51 +77,51 @@ pub(super) fn run(args: &InfoArgs) -> Result<(), CliError> {
                 "text": event.text,
             })).collect::<Vec<_>>(),
         });
-        tell!("{value:#}");
+        print_line!("{value:#}");
         return Ok(());
     }
-    tell!(
+    print_line!(
         "file        {}, {:.1} MB{}",
         args.trace.display(),
         recording.bytes() as f64 / 1e6,
         if recording.is_whole() {
             ""
         } else {
-            ", cut off: its end is missing"
+            ", truncated: its end is missing"
         }
     );
-    tell!("recorded    {written}, by haptimill {}", header.software);
-    tell!(
+    print_line!("recorded    {written}, by haptimill {}", header.software);
+    print_line!(
         "machine     {}, control period {} us, configuration {:08x}",
         header.machine,
         recording.config().period_us,
         header.config_crc
     );
-    tell!("program     {}", header.program);
+    print_line!("program     {}", header.program);
     match ends {
-        Some((first, last)) => tell!(
+        Some((first, last)) => print_line!(
             "job         {}: {} records, control periods {first} to {last}",
             duration(duration_s),
             recording.records()
         ),
-        None => tell!("job         nothing recorded"),
+        None => print_line!("job         nothing recorded"),
     }
     match &why_not {
-        None => tell!(
+        None => print_line!(
             "replay      possible: all {} control periods since power-on, {per_period:.1} bytes each",
             recording.periods()
         ),
-        Some(why) => tell!("replay      {why}"),
+        Some(why) => print_line!("replay      {why}"),
     }
-    tell!("sha256      {hash}");
+    print_line!("sha256      {hash}");
     let mut names = String::new();
     for group in columns.chunk_by(|one, next| one.group == next.group) {
         let group: Vec<&str> = group.iter().map(|column| column.name.as_str()).collect();
         names += &format!("\n            {}", group.join(" "));
     }
-    tell!("columns     {}", names.trim_start());
+    print_line!("columns     {}", names.trim_start());
     for event in &events {
-        tell!(
+        print_line!(
             "{:<11} {:9.4} s  {}",
             LEVELS[usize::from(event.level.min(2))],
             event.period as f64 * period_s,
@@ -131,16 +131,16 @@ pub(super) fn run(args: &InfoArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// What the levels of events are called.
+/// Names of the event levels.
 const LEVELS: [&str; 3] = ["event", "warning", "error"];
 
-/// A time as a date, UTC.
+/// Formats a time as a date, UTC.
 fn date(time: SystemTime) -> String {
     let seconds = time
         .duration_since(UNIX_EPOCH)
         .map_or(0, |since| since.as_secs());
     let (days, minutes) = (seconds / 86_400, seconds % 86_400 / 60);
-    // Days since 1 March of the year 0, in cycles of 400 years: the leap day ends a year then.
+    // Days since 1 March of the year 0, in cycles of 400 years: the leap day is then the last day.
     let days = days + 719_468;
     let (cycle, day) = (days / 146_097, days % 146_097);
     let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
@@ -162,7 +162,7 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn dates_are_those_of_the_calendar() {
+    fn dates_match_the_calendar() {
         for (seconds, text) in [
             (0, "1970-01-01 00:00 UTC"),
             (951_782_400, "2000-02-29 00:00 UTC"),

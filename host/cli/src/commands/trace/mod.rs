@@ -1,9 +1,9 @@
-//! `haptimill trace`: looking at recordings.
+//! `haptimill trace`: reads recordings.
 
 mod export;
 mod info;
 
-use super::{CliError, Exit, out};
+use super::{CliError, Exit, output};
 use clap::{Args, Subcommand};
 use haptimill_trace::{
     Column, Recording, RecordingError, Selection, Thinning, columns, difference,
@@ -15,10 +15,10 @@ use std::path::{Path, PathBuf};
 pub struct TraceArgs {
     #[command(subcommand)]
     #[allow(missing_docs)]
-    pub what: TraceCommand,
+    pub command: TraceCommand,
 }
 
-/// What to do with recordings.
+/// A command on recordings.
 #[derive(Debug, Clone, Subcommand)]
 pub enum TraceCommand {
     #[allow(missing_docs)]
@@ -29,34 +29,35 @@ pub enum TraceCommand {
     Plot(export::PlotArgs),
     #[allow(missing_docs)]
     Mcap(export::McapArgs),
-    /// Say where two recordings differ first: control period, field, both values (exit code 8 when they do)
+    /// Find the first difference of two recordings: control period, field, both values (exit code
+    /// 8)
     Diff {
-        /// A recording
+        /// First recording
         #[arg(value_name = "FIRST")]
         first: PathBuf,
-        /// Another one
+        /// Second recording
         #[arg(value_name = "SECOND")]
         second: PathBuf,
     },
 }
 
 impl TraceCommand {
-    /// Whether a program reads the standard output.
-    pub(super) fn json(&self) -> bool {
+    /// Whether standard output is JSON.
+    pub(super) fn is_json(&self) -> bool {
         matches!(self, Self::Info(args) if args.json)
     }
 }
 
-/// Which part of a recording.
+/// The part of a recording.
 #[derive(Debug, Clone, Args)]
 pub struct WindowArgs {
-    /// From here on, seconds since the first record
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = since)]
+    /// Start time, seconds since the first record
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = time_since_start)]
     pub from: f64,
-    /// Up to here [default: the end]
-    #[arg(long, value_name = "SECONDS", value_parser = since)]
+    /// End time, seconds since the first record [default: the end]
+    #[arg(long, value_name = "SECONDS", value_parser = time_since_start)]
     pub to: Option<f64>,
-    /// One of so many control periods
+    /// Use every Nth control period
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub every: u32,
 }
@@ -65,7 +66,7 @@ impl WindowArgs {
     fn thinning(&self) -> Result<Thinning, CliError> {
         let to_s = self.to.unwrap_or(f64::INFINITY);
         if to_s <= self.from {
-            let what = format!("--to {to_s} is not behind --from {}", self.from);
+            let what = format!("--to {to_s} must be greater than --from {}", self.from);
             return Err(CliError::new(Exit::Usage, what));
         }
         Ok(Thinning {
@@ -76,8 +77,8 @@ impl WindowArgs {
     }
 }
 
-/// Reads a time in seconds, 0 or more.
-fn since(text: &str) -> Result<f64, String> {
+/// Parses a time in seconds, 0 or more.
+fn time_since_start(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value >= 0.0 && value.is_finite() => Ok(value),
         _ => Err("write seconds, 0 or more".to_string()),
@@ -102,19 +103,19 @@ pub(super) fn open(path: &Path) -> Result<Recording, CliError> {
     })
 }
 
-/// The columns that were asked for; without a wish all of them.
-fn chosen(recording: &Recording, wish: Option<&str>) -> Result<Vec<Column>, CliError> {
+/// The selected columns; without a selection all of them.
+fn select_columns(recording: &Recording, names: Option<&str>) -> Result<Vec<Column>, CliError> {
     let all = columns(recording);
-    match wish {
+    match names {
         None => Ok(all),
-        Some(wish) => Selection::new(wish)
+        Some(names) => Selection::new(names)
             .of(&all)
             .map_err(|what| CliError::new(Exit::Usage, what)),
     }
 }
 
-/// An error of a file that was to be written, or of the recording.
-fn failed(recording: &Recording, error: RecordingError) -> CliError {
+/// Converts the error of an output file or of the recording.
+fn convert_error(recording: &Recording, error: RecordingError) -> CliError {
     match &error {
         RecordingError::Io(path, _) if path != recording.path() => {
             CliError::new(Exit::Output, error)
@@ -124,19 +125,19 @@ fn failed(recording: &Recording, error: RecordingError) -> CliError {
     }
 }
 
-/// Says on standard error that a recording was cut off.
-fn tell_cut(recording: &Recording) {
-    if let Some(cut) = super::replay::cut(recording) {
-        eprintln!("{cut}");
+/// Reports a truncated recording on standard error.
+fn report_truncation(recording: &Recording) {
+    if let Some(message) = super::replay::describe_truncation(recording) {
+        eprintln!("{message}");
     }
 }
 
-/// Looks at recordings.
+/// Runs a command on recordings.
 ///
 /// # Errors
-/// See [`Exit`]; [`Exit::Command`] when they differ.
+/// See [`Exit`]; [`Exit::Command`] when two recordings differ.
 pub fn run(args: &TraceArgs) -> Result<(), CliError> {
-    match &args.what {
+    match &args.command {
         TraceCommand::Info(args) => info::run(args),
         TraceCommand::Csv(args) => export::csv(args),
         TraceCommand::Plot(args) => export::plot(args),
@@ -150,7 +151,7 @@ fn diff(first: &Path, second: &Path) -> Result<(), CliError> {
     match difference(&first, &second).map_err(bad)? {
         Some(difference) => Err(CliError::new(Exit::Command, difference)),
         None => {
-            tell!("the same in all {} records", first.records());
+            print_line!("equal in all {} records", first.records());
             Ok(())
         }
     }

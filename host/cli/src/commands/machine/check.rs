@@ -1,0 +1,101 @@
+//! `haptimill machine check`: lists every problem of a machine file.
+
+use crate::commands::{CliError, Exit};
+use clap::Args;
+use haptimill_firmware::config::AxisKind;
+use haptimill_machine_file::{AxisLimits, MachineFile, Problem};
+use std::path::PathBuf;
+
+const LONG: &str = "\
+Check a machine file.
+
+Lists every problem with its line, the value, the allowed range and the remedy. Ends with exit code \
+3 when there is a problem, otherwise prints a summary of the file.";
+
+/// Arguments of `haptimill machine check`.
+#[derive(Debug, Clone, Args)]
+#[command(about = "Check a machine file", long_about = LONG)]
+pub struct CheckArgs {
+    /// The machine file
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    /// Print JSON: a list of {file, line, column, key, what, remedy}, empty when there is no
+    /// problem
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Checks a machine file.
+///
+/// # Errors
+/// [`Exit::BadInput`] with every problem.
+pub(super) fn run(args: CheckArgs) -> Result<(), CliError> {
+    let result = MachineFile::load(&args.file);
+    if args.json {
+        let problems = result.as_ref().err().map_or(&[][..], |p| &p.0);
+        let list: Vec<_> = problems.iter().map(as_json).collect();
+        print_line!("{}", serde_json::Value::from(list));
+    }
+    match result {
+        Ok(machine) if !args.json => print_line!("{}", summary(&machine).trim_end()),
+        Ok(_) => {}
+        Err(problems) => {
+            let count = problems.count();
+            let plural = if count == 1 { "" } else { "s" };
+            let message = format!("{problems}\n{count} problem{plural}");
+            return Err(CliError::new(Exit::BadInput, message).reported());
+        }
+    }
+    Ok(())
+}
+
+fn as_json(problem: &Problem) -> serde_json::Value {
+    serde_json::json!({
+        "file": problem.file,
+        "line": problem.line,
+        "column": problem.column,
+        "key": problem.key,
+        "what": problem.what,
+        "remedy": problem.remedy,
+    })
+}
+
+fn summary(machine: &MachineFile) -> String {
+    let config = &machine.config;
+    let mut text = format!(
+        "{}: no problem\n{}: control period {} us, {} pose coordinates, {} joints{}\n",
+        machine.file,
+        config.name,
+        config.period_us,
+        config.pose.len(),
+        config.joints.len(),
+        if machine.has_plant {
+            ", with a simulated plant"
+        } else {
+            ""
+        }
+    );
+    let mut table = |title: &str, axes: &[AxisLimits]| {
+        text.push_str(&format!(
+            "\n{title:<8} {:>10} {:>10} {:>12} {:>16}\n",
+            "low", "high", "rate", "acceleration"
+        ));
+        for axis in axes {
+            let unit = match axis.kind {
+                AxisKind::Linear => "mm",
+                AxisKind::Rotary => "deg",
+            };
+            text.push_str(&format!(
+                "{:<8} {:>10} {:>10} {:>12} {:>16}\n",
+                axis.name,
+                format!("{} {unit}", axis.low),
+                format!("{} {unit}", axis.high),
+                format!("{} {unit}/s", axis.rate),
+                format!("{} {unit}/s^2", axis.acceleration),
+            ));
+        }
+    };
+    table("pose", &machine.pose);
+    table("joint", &machine.joints);
+    text
+}

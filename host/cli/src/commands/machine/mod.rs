@@ -1,0 +1,37 @@
+//! `haptimill machine`: machine files.
+
+mod check;
+mod init;
+
+use super::CliError;
+use clap::Subcommand;
+
+pub use check::CheckArgs;
+pub use init::InitArgs;
+
+/// A command on machine files.
+#[derive(Debug, Subcommand)]
+pub enum MachineCommand {
+    #[allow(missing_docs)]
+    Check(CheckArgs),
+    #[allow(missing_docs)]
+    Init(InitArgs),
+}
+
+impl MachineCommand {
+    /// Whether standard output is JSON.
+    pub(super) fn is_json(&self) -> bool {
+        matches!(self, Self::Check(args) if args.json)
+    }
+}
+
+/// Runs a command on machine files.
+///
+/// # Errors
+/// See [`Exit`](super::Exit).
+pub fn run(command: MachineCommand) -> Result<(), CliError> {
+    match command {
+        MachineCommand::Check(args) => check::run(args),
+        MachineCommand::Init(args) => init::run(args),
+    }
+}

@@ -1,0 +1,217 @@
+//! Arguments of `haptimill run`.
+
+use crate::commands::args::{BoardArg, PortArgs, SimulatorArgs, StockArg, check_baud};
+use crate::commands::force::{ForceArgs, ForceAxes, parse_axes};
+use crate::commands::{CliError, Exit};
+use clap::Args;
+use haptimill_client::port::PortSpec;
+use haptimill_machine_file::MachineFile;
+use haptimill_trace::{MCAP, RECORD_BYTES, RecordingError};
+use std::path::PathBuf;
+
+const LONG: &str = "\
+Run a part program.
+
+The command first checks the program against the machine: workspace, strokes, singularities, joint \
+speeds. Nothing moves when a line is refused. It then homes the machine, streams the program, and \
+writes to DIR
+  recording.hmr  every control period, binary; trace_sha256 in summary.json is its SHA-256, which
+                 is equal for every run of a program in the simulator
+  trace.csv      the recording in mm, degrees and newtons, every --trace-every periods
+  summary.json   duration, length, errors, faults
+  report.html    one page with plots
+  recording.mcap with --mcap: the recording for Foxglove and PlotJuggler
+Ctrl-C stops the machine along its path; the recording is kept.
+
+At M0 the machine waits for Enter, so a program with M0 needs a terminal or --skip-pauses. M1 is \
+passed without --optional-stop.
+
+--stock, --seed and --fault are for a simulated machine (--port sim or pil:...).";
+
+/// The table of simulator faults for `--help`.
+pub(in crate::commands) fn faults_help() -> String {
+    format!(
+        "Faults of the simulated machine (--fault \"NAME KEY=VALUE ...\"):\n{}\n\
+         axis= is the name of a joint in the machine file: l1, l2, l3, l4, alpha on the H-4 \
+         machine.\n\
+         at=TIME is the start and for=TIME the duration, as 1.5s, 200ms or 40us; without at= the \
+         fault begins at the start, without for= it lasts to the end. TIME is simulated time, \
+         including homing.",
+        haptimill_hil_sim::fault::catalogue()
+    )
+}
+
+/// Arguments of `haptimill run`.
+#[derive(Debug, Clone, Args)]
+#[command(about = "Run a part program", long_about = LONG, after_long_help = faults_help(),
+          after_help = "`haptimill run --help` has details and lists the faults.")]
+pub struct RunArgs {
+    /// Part program (G-code)
+    #[arg(value_name = "FILE")]
+    pub program: PathBuf,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: BoardArg,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub port: PortArgs,
+    /// Folder for the results; created if it does not exist [default: the program's name with .out]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Check only: nothing moves, nothing is written
+    #[arg(long)]
+    pub check: bool,
+    /// Feed override, percent of the programmed path speed
+    #[arg(long = "override", value_name = "PERCENT", default_value_t = 100, value_parser = clap::value_parser!(u8).range(1..=100))]
+    pub feed_override: u8,
+    /// Write one row of trace.csv every N control periods
+    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
+    pub trace_every: u32,
+    /// Also write recording.mcap, 1000 samples per second, for Foxglove and PlotJuggler
+    /// (`haptimill trace mcap` writes it later)
+    #[arg(long)]
+    pub mcap: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub stock: StockArg,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub simulator: SimulatorArgs,
+    /// Pass M0 pauses of the program instead of waiting for Enter; always so in the simulator
+    #[arg(long)]
+    pub skip_pauses: bool,
+    /// Also pause at M1
+    #[arg(long)]
+    pub optional_stop: bool,
+    /// Emulated board: firmware image to run instead of the one that is built
+    #[arg(long, value_name = "FILE")]
+    pub image: Option<PathBuf>,
+    /// Emulated board: argument of the image; repeatable
+    #[arg(long, value_name = "WORD", hide = true)]
+    pub image_word: Vec<String>,
+    /// Emulated board whose image logs: file for the binary log (`cargo xtask log` decodes it)
+    #[arg(long, value_name = "FILE")]
+    pub log: Option<PathBuf>,
+    /// Emulated board: instructions per control period. After a period that takes more while a
+    /// drive is on, the next periods are missed [default: one instruction per cycle at 168 MHz,
+    /// 33600 in 200 us]
+    #[arg(long, value_name = "INSTRUCTIONS", value_parser = clap::value_parser!(u32).range(1000..))]
+    pub budget: Option<u32>,
+    /// Axes under force control, as x,z, or none; the force sensor is zeroed first [default: those
+    /// of the machine file]
+    #[arg(long, value_name = "AXES", value_parser = parse_axes)]
+    pub force: Option<ForceAxes>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub force_settings: ForceArgs,
+    /// Print only the summary as JSON on standard output; an error is {"error", "exit_code",
+    /// "problems": [{"file", "line", "column", "message", "remedy"}]}
+    #[arg(long)]
+    pub json: bool,
+    /// Print no progress bar
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+impl RunArgs {
+    /// Refuses options that contradict each other.
+    pub(super) fn check(&self) -> Result<(), CliError> {
+        let usage = |what: &str| Err(CliError::new(Exit::Usage, what));
+        if !self.force_settings.is_empty() {
+            match &self.force {
+                None => {
+                    return usage(
+                        "--force-setpoint, --virtual-mass and --virtual-damping need axes under \
+                         force control; add --force AXES",
+                    );
+                }
+                Some(ForceAxes(axes)) if axes.is_empty() => {
+                    return usage(
+                        "--force-setpoint, --virtual-mass and --virtual-damping need axes under \
+                         force control, and --force names none",
+                    );
+                }
+                Some(_) => {}
+            }
+        }
+        if self.mcap && !MCAP {
+            return Err(CliError::new(Exit::Usage, RecordingError::NoMcap));
+        }
+        if !matches!(self.port.port, PortSpec::Emulated(_)) {
+            let given = [
+                (self.image.is_some(), "--image"),
+                (self.log.is_some(), "--log"),
+                (self.budget.is_some(), "--budget"),
+            ];
+            if let Some((_, option)) = given.iter().find(|(given, _)| *given) {
+                return usage(&format!(
+                    "{option} is for an emulated board; add --port pil:mps2, or leave it out"
+                ));
+            }
+        }
+        if self.check || self.port.is_simulated() {
+            return Ok(());
+        }
+        self.simulator.check_unused()?;
+        self.stock.check_unused()?;
+        check_baud(&self.port.port, self.port.baud)
+    }
+
+    /// Whether M0 pauses are passed.
+    pub(super) fn skips_pauses(&self) -> bool {
+        self.skip_pauses || self.port.is_simulated()
+    }
+
+    /// Estimated size of the recording of a program with this programmed duration.
+    pub(super) fn recording_bytes(&self, machine: &MachineFile, programmed_s: f64) -> f64 {
+        let seconds = programmed_s / self.path_rate();
+        if self.port.is_simulated() {
+            seconds * bytes_per_s(machine)
+        } else {
+            // One record per telemetry frame, one frame every 20 ms.
+            seconds * 50.0 * RECORD_BYTES as f64
+        }
+    }
+
+    /// Feed override as a fraction.
+    pub(super) fn path_rate(&self) -> f64 {
+        f64::from(self.feed_override) / 100.0
+    }
+
+    /// Describes a programmed duration at the feed override.
+    pub(super) fn describe_duration(&self, programmed_s: f64) -> String {
+        let time = haptimill_report::duration(programmed_s / self.path_rate());
+        match self.feed_override {
+            100 => time,
+            percent => format!("{time} at {percent} %"),
+        }
+    }
+
+    /// The folder for the results.
+    #[must_use]
+    pub fn out_dir(&self) -> PathBuf {
+        let default = || {
+            let mut name = self.program.file_stem().unwrap_or_default().to_os_string();
+            name.push(".out");
+            PathBuf::from(name)
+        };
+        self.out.clone().unwrap_or_else(default)
+    }
+
+    /// Prints a message, unless --json or --quiet is given.
+    pub(super) fn print_message(&self, text: &str) {
+        if !self.json && !self.quiet {
+            print_line!("{text}");
+        }
+    }
+}
+
+/// Bytes per second of the recording of a simulated machine: a record and the logged inputs and
+/// outputs of every control period.
+pub(in crate::commands) fn bytes_per_s(machine: &MachineFile) -> f64 {
+    let periods = 1e6 / f64::from(machine.config.period_us.max(1));
+    periods * (RECORD_BYTES + PERIOD_BYTES) as f64
+}
+
+/// Approximate bytes of a control period in the I/O log.
+const PERIOD_BYTES: usize = 40;

@@ -1,0 +1,246 @@
+//! A run of a part program on a connected machine.
+
+use super::args::RunArgs;
+use super::progress::ProgressDisplay;
+use super::results::{self, ResultFolder};
+use crate::commands::force::ForceAxes;
+use crate::commands::program::{PartProgram, Planned};
+use crate::commands::{CliError, Exit};
+use haptimill_client::Error;
+use haptimill_client::client::JobEnding;
+use haptimill_client::session::{EMERGENCY_STOP, JobEnd, JobLine, JobRecording, Line, Session};
+use haptimill_hil_sim::process::CuttingConfig;
+use haptimill_machine_file::MachineFile;
+use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
+use haptimill_report::Outcome;
+use haptimill_trace::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::sync::Arc;
+
+/// Time between two telemetry frames of a haptic arm behind a port, microseconds.
+const MASTER_TELEMETRY_US: u32 = 20_000;
+
+/// A run of a part program.
+pub(super) struct Job<'a> {
+    pub(super) args: &'a RunArgs,
+    pub(super) machine: &'a MachineFile,
+    pub(super) program: &'a PartProgram,
+    /// Home pose of the machine.
+    pub(super) home: AxisValues,
+    pub(super) stock: Option<CuttingConfig>,
+    pub(super) folder: ResultFolder,
+}
+
+impl Job<'_> {
+    /// Homes the machine, runs the program and writes the results.
+    ///
+    /// # Errors
+    /// See [`Exit`].
+    pub(super) fn run<L: JobLine>(
+        &self,
+        mut session: Session<L>,
+        planned: Planned,
+    ) -> Result<(), CliError> {
+        refuse_latched_fault(&mut session)?;
+        session.enable()?;
+        let status = session.status()?;
+        let (start, planned) = if status.homed && status.position_kept {
+            // A homed machine starts at its present pose, so the program is checked again from
+            // there.
+            let planned = self
+                .program
+                .plan(self.machine, session.model(), &status.commanded)?;
+            (status.commanded, planned)
+        } else {
+            self.args.print_message("homing");
+            session.go_home(self.machine, &self.home)?;
+            (self.home.clone(), planned)
+        };
+        if let Some(stock) = &self.stock {
+            session.line_mut().clamp(stock)?;
+        }
+        session.ask(Command::Override {
+            percent: self.args.feed_override,
+        })?;
+        self.set_force_control(&mut session)?;
+        if self.machine.config.haptic.is_some() && !self.args.port.is_simulated() {
+            // The recording of a simulated machine has the haptic arm without telemetry.
+            let every = MASTER_TELEMETRY_US / u32::from(self.machine.config.period_us.max(1));
+            let every = every.clamp(1, u32::from(u16::MAX)) as u16;
+            session.ask(Command::MasterTelemetry { every })?;
+        }
+        self.stream(session, start, planned)
+    }
+
+    /// Sets the force control: settings, zero of the sensor without contact, then the axes.
+    fn set_force_control<L: JobLine>(&self, session: &mut Session<L>) -> Result<(), CliError> {
+        let Some(force) = &self.machine.config.force else {
+            return Ok(());
+        };
+        match &self.args.force {
+            Some(ForceAxes(axes)) => {
+                session.set_force_loops(self.machine, axes, &self.args.force_settings.choice())?;
+                // Other axes may still be under force control from an earlier command.
+                session.set_force_mask(&[])?;
+                if !axes.is_empty() {
+                    session.tare()?;
+                }
+                session.set_force_mask(axes)?;
+            }
+            None if force.mask != 0 => session.tare()?,
+            None => {}
+        }
+        Ok(())
+    }
+
+    /// Streams the program and writes the results.
+    fn stream<L: JobLine>(
+        &self,
+        mut session: Session<L>,
+        start: AxisValues,
+        planned: Planned,
+    ) -> Result<(), CliError> {
+        let Planned { plan, pauses, .. } = planned;
+        let dir = self.args.out_dir();
+        let output = |error: &dyn std::fmt::Display| {
+            CliError::new(Exit::Output, format!("{}: {error}", dir.display()))
+        };
+        let header = Header::of(self.machine, &self.program.name)
+            .map_err(|error| CliError::new(Exit::Internal, error))?
+            .with_program(&self.program.text);
+        self.folder.clear()?;
+        let recorder = Recorder::create(&dir.join(haptimill_report::RECORDING_FILE), &header)
+            .map_err(|error| output(&error))?;
+        self.args.print_message(&format!(
+            "running, {}",
+            self.args.describe_duration(plan.figures.duration_s)
+        ));
+        let plan = Arc::new(plan);
+        let setpoints = plan.setpoints.clone();
+        let mut progress = ProgressDisplay::new(self.args, &plan, pauses);
+        session.line_mut().begin_recording(JobRecording::new(
+            recorder,
+            Arc::clone(&plan),
+            self.machine,
+        ));
+        let end = session.run_job(2, start, setpoints, &mut progress);
+        progress.finish();
+        // The recording is kept and reported after an error, too.
+        let recorder = session.line_mut().end_recording();
+        let recorded = match recorder {
+            Some(recorder) => recorder
+                .finish()
+                .map_err(|error| results::recording_error(&dir, &error))?,
+            None => return Err(CliError::new(Exit::Internal, "the recording was lost")),
+        };
+        let injected = self
+            .args
+            .simulator
+            .fault
+            .iter()
+            .map(ToString::to_string)
+            .collect();
+        let outcome = match &end {
+            Ok(end) => Outcome {
+                setpoints: u64::from(end.setpoints),
+                underruns: end.underruns.len() as u64,
+                faults: describe_faults(&session, end),
+                injected,
+                completed: matches!(end.ending, JobEnding::Done { .. }),
+                final_state: Some(end.status.state),
+                position_kept: end.status.position_kept,
+                bytes_per_setpoint: f64::from(end.sent.message_bytes)
+                    / f64::from(end.setpoints.max(1)),
+                line_bytes_per_setpoint: f64::from(end.sent.bytes)
+                    / f64::from(end.setpoints.max(1)),
+            },
+            // The session is lost, so only the last telemetry is known.
+            Err(error) => Outcome {
+                setpoints: session
+                    .client_mut()
+                    .telemetry()
+                    .map_or(0, |last| u64::from(last.setpoint)),
+                faults: vec![error.message.clone()],
+                injected,
+                ..Outcome::default()
+            },
+        };
+        let summary = haptimill_report::write_all(&dir, &recorded, &outcome, self.args.trace_every)
+            .map_err(|error| output(&error))?;
+        if self.args.mcap {
+            let recording = Recording::open(&dir.join(haptimill_report::RECORDING_FILE))
+                .map_err(|error| output(&error))?;
+            let file = File::create(dir.join(haptimill_report::MCAP_FILE))
+                .map_err(|error| output(&error))?;
+            let mut file = BufWriter::new(file);
+            write_mcap(&recording, &mut file, MCAP_RATE).map_err(|error| output(&error))?;
+            file.flush().map_err(|error| output(&error))?;
+        }
+        let end_s = session.now_us() as f64 * 1e-6;
+        for fault in self
+            .args
+            .simulator
+            .fault
+            .iter()
+            .filter(|fault| fault.at_s > end_s)
+        {
+            eprintln!("--fault \"{fault}\" was not injected: the run ended at {end_s:.2} s");
+        }
+        if self.args.json {
+            let json = serde_json::to_string_pretty(&summary)
+                .map_err(|error| CliError::new(Exit::Internal, error))?;
+            print_line!("{json}");
+        } else {
+            print_line!("{}", summary.terminal().trim_end());
+            print_line!(
+                "report      {}",
+                dir.join(haptimill_report::REPORT_FILE).display()
+            );
+        }
+        if recorded.disk_full {
+            return Err(results::disk_full(&dir).reported());
+        }
+        end.and_then(|end| self.judge(&session, &end))
+            .map_err(|error| CliError::from(error).reported())
+    }
+
+    /// Reports underruns, and a job that did not complete.
+    fn judge<L: JobLine>(&self, session: &Session<L>, end: &JobEnd) -> Result<(), Error> {
+        for (setpoint, late) in &end.underruns {
+            let ms = f64::from(*late) * f64::from(self.machine.config.period_us) / 1000.0;
+            eprintln!(
+                "setpoint {setpoint} was {ms:.0} ms late; the machine decelerated along its path \
+                 and waited"
+            );
+        }
+        session.well_ended(end)
+    }
+}
+
+/// Messages of the faults of a job.
+fn describe_faults<L: Line>(session: &Session<L>, end: &JobEnd) -> Vec<String> {
+    let stop = (end.status.state == State::EmergencyStop).then(|| EMERGENCY_STOP.to_string());
+    end.faults
+        .iter()
+        .map(|fault| session.sentence(fault))
+        .chain(stop)
+        .collect()
+}
+
+/// Refuses to move a machine with a latched fault. The user who has seen the fault clears it.
+pub(in crate::commands) fn refuse_latched_fault<L: Line>(
+    session: &mut Session<L>,
+) -> Result<Telemetry, CliError> {
+    let status = session.status()?;
+    match (status.state, &status.fault) {
+        (State::Fault, Some(fault)) => {
+            let fault = session.sentence(fault);
+            let what =
+                format!("a fault is latched: {fault}; remove the cause, then `haptimill reset`");
+            Err(CliError::new(Exit::Fault, what))
+        }
+        (State::EmergencyStop, _) => Err(CliError::new(Exit::Fault, EMERGENCY_STOP)),
+        _ => Ok(status),
+    }
+}

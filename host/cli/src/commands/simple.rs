@@ -1,0 +1,281 @@
+//! `haptimill home`, `status`, `enable`, `disable`, `stop`, `reset`: one command to a running
+//! controller.
+
+use super::args::{BoardArg, ConnectArgs, check_baud};
+use super::{CliError, Exit};
+use crate::commands::interrupt;
+use clap::Args;
+use haptimill_client::board::{Chosen, Need};
+use haptimill_client::client::Options;
+use haptimill_client::port::{self, DEFAULT_BAUD};
+use haptimill_client::session::{self, PortLine, Session};
+use haptimill_machine_file::MachineFile;
+use haptimill_protocol::message::{AxisValues, Command, State};
+
+/// Arguments of the simple commands.
+#[derive(Debug, Clone, Args)]
+pub struct SimpleArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub connect: ConnectArgs,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: BoardArg,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `haptimill stop`.
+#[derive(Debug, Clone, Args)]
+pub struct StopArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub connect: ConnectArgs,
+    /// Switch the drives off at once instead of decelerating along the path; latched until
+    /// `haptimill reset`
+    #[arg(long)]
+    pub emergency: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A simple command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SimpleCommand {
+    /// Print the status.
+    Status,
+    /// Switch the drives on.
+    Enable,
+    /// Switch the drives off.
+    Disable,
+    /// Clear a latched fault.
+    Reset,
+}
+
+/// Runs a simple command.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn run(command: SimpleCommand, args: SimpleArgs) -> Result<(), CliError> {
+    let chosen = args.machine.load()?;
+    let mut session = open(&args.connect, &chosen.file)?;
+    let need = match command {
+        SimpleCommand::Enable => Need::Configuration,
+        _ => Need::Nothing,
+    };
+    chosen.agree(&mut session, need)?;
+    match command {
+        SimpleCommand::Status => {}
+        SimpleCommand::Enable => session.enable()?,
+        SimpleCommand::Disable => session.ask(Command::Disable)?,
+        SimpleCommand::Reset => session.ask(Command::Reset)?,
+    }
+    print_status(&mut session, args.json)
+}
+
+/// Arguments of `haptimill home`.
+#[derive(Debug, Clone, Args)]
+pub struct HomeArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub simple: SimpleArgs,
+    /// The joints were moved to their presets by hand, drives off: take these as their positions
+    /// (after the position was lost)
+    #[arg(long)]
+    pub at_preset: bool,
+    /// Home again although the machine is homed
+    #[arg(long)]
+    pub again: bool,
+}
+
+/// Homes the machine.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn home(args: HomeArgs) -> Result<(), CliError> {
+    let chosen = args.simple.machine.load()?;
+    if chosen.named {
+        session::has_tool(&chosen.file)?;
+    }
+    let mut session = open(&args.simple.connect, &chosen.file)?;
+    let machine = chosen.file_of(&mut session)?;
+    session::has_tool(&machine)?;
+    if args.at_preset {
+        // Checked before the position is set: afterwards the preset would be set without homing.
+        let obstacle = match session.status()?.state {
+            State::Disabled => None,
+            State::Fault | State::EmergencyStop => Some("a fault is latched; `haptimill reset`"),
+            _ => Some("the drives are on; `haptimill disable`"),
+        };
+        if let Some(obstacle) = obstacle {
+            let what = format!(
+                "home --at-preset: {obstacle}, move the joints to their presets by hand, then try \
+                 again"
+            );
+            return Err(CliError::new(Exit::Command, what));
+        }
+        session.configure_at_preset(&machine)?;
+    }
+    session.enable()?;
+    if args.again || !session.status()?.homed {
+        let home = session::home_of(&machine, session.model())?;
+        session.go_home(&machine, &home)?;
+    } else if !args.simple.json {
+        print_line!("the machine is homed already; --again homes it again");
+    }
+    print_status(&mut session, args.simple.json)
+}
+
+/// Stops the machine.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn stop(args: StopArgs) -> Result<(), CliError> {
+    let machine = MachineFile::built_in()?;
+    let mut session = match open(&args.connect, &machine) {
+        Err(error) if error.exit == Exit::Port => return stop_out_of_band(&args, &error),
+        session => session?,
+    };
+    if args.emergency {
+        session.ask(Command::EmergencyStop)?;
+    } else {
+        session.client_mut().urgent_stop();
+        session.ask(Command::Stop)?;
+        // A machine at standstill reports no change of state, so its status is requested.
+        while session.client_mut().urgent().0 {
+            session.status()?;
+        }
+    }
+    Chosen::unnamed(machine).agree(&mut session, Need::Nothing)?;
+    print_status(&mut session, args.json)
+}
+
+/// Sends the out-of-band stop, which needs no session: another host has the port, or the connection
+/// is lost.
+fn stop_out_of_band(args: &StopArgs, why: &CliError) -> Result<(), CliError> {
+    port::stop_past_lock(&args.connect.port)?;
+    if args.emergency {
+        // The drives can only be switched off in a session.
+        let what = format!(
+            "{why}\nan emergency stop needs the port; the stop that decelerates along the path was \
+             sent instead"
+        );
+        return Err(CliError::new(Exit::Port, what));
+    }
+    if args.json {
+        print_line!(
+            "{:#}",
+            serde_json::json!({ "sent": "stop", "heard": false, "why": why.message })
+        );
+    } else {
+        print_line!(
+            "out-of-band stop sent past the host that has the port; the machine decelerates along \
+             its path ({why})"
+        );
+    }
+    Ok(())
+}
+
+/// Opens a session with the controller of a port.
+///
+/// # Errors
+/// The port cannot be opened, or the controller refuses the session.
+pub(super) fn open(
+    connect: &ConnectArgs,
+    machine: &MachineFile,
+) -> Result<Session<PortLine>, CliError> {
+    check_baud(&connect.port, connect.baud)?;
+    let baud = connect.baud.unwrap_or(DEFAULT_BAUD);
+    let line = PortLine::new(port::open(&connect.port, baud)?);
+    let options = Options {
+        connect_us: (connect.timeout * 1e6) as u64,
+        ..Options::default()
+    };
+    let mut session = Session::new(line, machine, options, interrupt::flag());
+    session.connect(session::fresh_number())?;
+    Ok(session)
+}
+
+/// Prints the status of the machine.
+pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
+    let status = session.status()?;
+    let machine = session.machine_name();
+    let configuration = session.configuration_crc();
+    let model = session.model();
+    let fault = status.fault.map(|fault| session.sentence(&fault));
+    let pose = |values: &AxisValues| -> Vec<(String, f64)> {
+        let units = model.to_engineering_units(values);
+        model
+            .pose_names()
+            .iter()
+            .zip(units)
+            .take(values.len())
+            .map(|(name, value)| ((*name).to_string(), value))
+            .collect()
+    };
+    let joints = |values: &AxisValues| -> Vec<(String, f64)> {
+        model
+            .joint_names()
+            .iter()
+            .map(ToString::to_string)
+            .zip(model.joints_to_engineering_units(values))
+            .collect()
+    };
+    if json {
+        let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
+        let value = serde_json::json!({
+            "machine": machine,
+            "configuration_crc": format!("{configuration:08x}"),
+            "state": format!("{:?}", status.state),
+            "homed": status.homed,
+            "position_kept": status.position_kept,
+            "fault": fault,
+            "period": status.period,
+            "setpoint": status.setpoint,
+            "path_rate": f64::from(status.path_rate) / 65_535.0,
+            "commanded": map(pose(&status.commanded)),
+            "measured": map(pose(&status.measured)),
+            "joints": map(joints(&status.joints)),
+            "following_error": map(joints(&status.following_error)),
+            "bad_frames": status.bad_frames,
+            "lost_bytes": status.lost_bytes,
+        });
+        print_line!("{value:#}");
+        return Ok(());
+    }
+    let line = |values: Vec<(String, f64)>| -> String {
+        values
+            .iter()
+            .map(|(name, value)| format!("  {name} {value:.4}"))
+            .collect()
+    };
+    let yes_no = |flag: bool| if flag { "yes" } else { "no" };
+    let name = if machine.is_empty() {
+        "no configuration".to_string()
+    } else {
+        machine
+    };
+    print_line!(
+        "{name}: {:?}, homed: {}, position kept: {}",
+        status.state,
+        yes_no(status.homed),
+        yes_no(status.position_kept)
+    );
+    if let Some(fault) = fault {
+        print_line!("fault      {fault}");
+    }
+    if status.lost_bytes > 0 {
+        print_line!(
+            "line       the controller lost {} bytes because its receive buffer was full",
+            status.lost_bytes
+        );
+    }
+    if !status.measured.is_empty() {
+        print_line!("measured {}", line(pose(&status.measured)));
+        print_line!("commanded{}", line(pose(&status.commanded)));
+        print_line!("joints   {}", line(joints(&status.joints)));
+    }
+    Ok(())
+}

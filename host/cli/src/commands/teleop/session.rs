@@ -1,0 +1,268 @@
+//! A teleoperation session on a connected machine.
+
+use super::args::{TeleopArgs, line_rate};
+use super::display::{Display, describe};
+use super::master::MasterSpec;
+use super::orders;
+use crate::commands::run::bytes_per_s;
+use crate::commands::run::job::refuse_latched_fault;
+use crate::commands::run::results::{self, ResultFolder};
+use crate::commands::{CliError, Exit, interrupt};
+use haptimill_client::board::Chosen;
+use haptimill_client::client::Options;
+use haptimill_client::port::{self, PortSpec};
+use haptimill_client::session::{self, JobLine, JobRecording, PortLine, Session, SimLine};
+use haptimill_hil_sim::process::CuttingConfig;
+use haptimill_machine_file::MachineFile;
+use haptimill_protocol::message::Command;
+use haptimill_teleop::{Ended, Outcome, Row, Source, Teleop, TeleopOptions};
+use haptimill_trace::{Header, Recorded, Recorder, Recording, RecordingError, export_csv};
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+/// The table of reports.
+const TABLE_FILE: &str = "hand.csv";
+
+/// A teleoperation session.
+pub(super) struct TeleopSession<'a> {
+    pub(super) args: &'a TeleopArgs,
+    pub(super) machine: &'a MachineFile,
+    /// The machine file that the board is compared with.
+    pub(super) chosen: &'a Chosen,
+    pub(super) stock: Option<&'a CuttingConfig>,
+    pub(super) options: &'a TeleopOptions,
+    /// Folder for the results.
+    pub(super) dir: &'a Path,
+}
+
+impl TeleopSession<'_> {
+    fn output_error(&self, error: &dyn std::fmt::Display) -> CliError {
+        CliError::new(Exit::Output, format!("{}: {error}", self.dir.display()))
+    }
+
+    /// Creates a recording in the result folder.
+    pub(super) fn create_recording(
+        &self,
+        machine: &MachineFile,
+        file: &str,
+    ) -> Result<JobRecording, CliError> {
+        let header =
+            Header::of(machine, "teleop").map_err(|error| CliError::new(Exit::Internal, error))?;
+        let recorder = Recorder::create(&self.dir.join(file), &header)
+            .map_err(|error| self.output_error(&error))?;
+        Ok(JobRecording::unplanned(recorder, machine))
+    }
+
+    /// Completes a recording.
+    pub(super) fn finish_recording(
+        &self,
+        recorder: Option<Recorder>,
+    ) -> Result<Recorded, CliError> {
+        recorder
+            .ok_or_else(|| CliError::new(Exit::Internal, "the recording was lost"))?
+            .finish()
+            .map_err(|error| results::recording_error(self.dir, &error))
+    }
+
+    /// Runs a session with a master that has no recording of its own.
+    ///
+    /// # Errors
+    /// See [`Exit`].
+    pub(super) fn run<S: Source>(&self, source: &mut S) -> Result<(), CliError> {
+        let folder = ResultFolder::open(self.dir)?;
+        let outcome = self.run_with(source, &folder, |_| Ok(()))?;
+        self.report(outcome, None)
+    }
+
+    /// Runs a session. When the machine is ready, clears the folder and calls `on_ready`.
+    ///
+    /// # Errors
+    /// See [`Exit`].
+    pub(super) fn run_with<S: Source>(
+        &self,
+        source: &mut S,
+        folder: &ResultFolder,
+        on_ready: impl FnOnce(&mut S) -> Result<(), CliError>,
+    ) -> Result<(Outcome, Recorded), CliError> {
+        let (args, machine) = (self.args, self.machine);
+        if let (Some(seconds), PortSpec::Simulator) = (self.options.duration_s, &args.port.port) {
+            results::check_space(self.dir, seconds * bytes_per_s(machine))?;
+        }
+        source.prepare()?;
+        let interrupted = interrupt::flag();
+        match &args.port.port {
+            PortSpec::Simulator => {
+                let faults = args.simulator.fault.clone();
+                let rig = session::rig(machine, args.simulator.seed, args.port.baud, faults)?;
+                let line = SimLine::new(rig);
+                let session = Session::new(line, machine, Options::default(), interrupted);
+                // A constant session number makes every run of a script bit-identical.
+                self.run_session(session, 1, source, folder, on_ready)
+            }
+            spec => {
+                let line = PortLine::new(port::open(spec, args.port.baud_or_default())?);
+                let mut options = Options::default();
+                options.timing.line_rate = line_rate(spec, args.port.baud);
+                let session = Session::new(line, machine, options, interrupted);
+                self.run_session(session, session::fresh_number(), source, folder, on_ready)
+            }
+        }
+    }
+
+    fn run_session<L: JobLine, S: Source>(
+        &self,
+        mut session: Session<L>,
+        number: u32,
+        source: &mut S,
+        folder: &ResultFolder,
+        on_ready: impl FnOnce(&mut S) -> Result<(), CliError>,
+    ) -> Result<(Outcome, Recorded), CliError> {
+        session.connect(number)?;
+        self.prepare_machine(&mut session)?;
+        folder.clear()?;
+        on_ready(source)?;
+        let recording = self.create_recording(self.machine, haptimill_report::RECORDING_FILE)?;
+        session.line_mut().begin_recording(recording);
+        let file = std::fs::File::create(self.dir.join(TABLE_FILE))
+            .map_err(|error| self.output_error(&error))?;
+        let mut table = BufWriter::new(file);
+        let mut written = table.write_all(Row::HEAD.as_bytes());
+        let mut display = Display::new(self.args);
+        let reads_orders = !matches!(
+            self.args.master,
+            MasterSpec::Keyboard | MasterSpec::Script(_)
+        );
+        let lines = reads_orders.then(orders::listen);
+        self.args.print_message("teleoperation started");
+        let teleop = Teleop::new(&mut session, source, self.options).hearing(lines);
+        let outcome = teleop.run(&mut |row, event| {
+            if let Some(row) = row {
+                if written.is_ok() {
+                    written = table.write_all(row.line().as_bytes());
+                }
+                display.show_row(row);
+            }
+            if let Some(event) = event {
+                display.show_event(event);
+            }
+        });
+        display.finish();
+        // The recording is kept after an error, too.
+        let recorded = self.finish_recording(session.line_mut().end_recording());
+        written
+            .and_then(|()| table.flush())
+            .map_err(|error| self.output_error(&error))?;
+        let (outcome, recorded) = (outcome?, recorded?);
+        let trace = || -> Result<(), RecordingError> {
+            let recording = Recording::open(&self.dir.join(haptimill_report::RECORDING_FILE))?;
+            let path = self.dir.join(haptimill_report::TRACE_FILE);
+            let file = std::fs::File::create(&path)
+                .map_err(|error| RecordingError::Io(path.clone(), error))?;
+            let mut file = BufWriter::new(file);
+            export_csv(&recording, &mut file, self.args.trace_every)?;
+            file.flush()
+                .map_err(|error| RecordingError::Io(path, error))
+        };
+        trace().map_err(|error| self.output_error(&error))?;
+        Ok((outcome, recorded))
+    }
+
+    /// Prepares the machine: configuration, homing, stock, zero of the force sensor.
+    fn prepare_machine<L: JobLine>(&self, session: &mut Session<L>) -> Result<(), CliError> {
+        let (args, machine) = (self.args, self.machine);
+        let controller = session.client_mut().controller();
+        if let Some(arm) = controller.filter(|found| found.config_crc != 0 && found.axes == 0) {
+            let what = format!(
+                "\"{}\" is a haptic arm, not a machine; use --master for the arm, --port for the \
+                 machine",
+                arm.machine
+            );
+            return Err(CliError::new(Exit::Command, what));
+        }
+        let status = refuse_latched_fault(session)?;
+        if args.port.port == PortSpec::Simulator {
+            session.configure(machine)?;
+        } else {
+            refuse_own_arm(&self.chosen.file_of(session)?)?;
+        }
+        session.enable()?;
+        if !status.homed || !status.position_kept {
+            args.print_message("homing");
+            let home = session::home_of(machine, session.model())?;
+            session.go_home(machine, &home)?;
+        }
+        if let Some(stock) = self.stock {
+            session.line_mut().clamp(stock)?;
+        }
+        if machine.config.force.is_some() {
+            session.set_force_mask(&[])?;
+            session.tare()?;
+        }
+        Ok(session.ask(Command::Override { percent: 100 })?)
+    }
+
+    /// Writes and prints the summary.
+    ///
+    /// # Errors
+    /// The session ended by a stop, a fault or a lost connection.
+    pub(super) fn report(
+        &self,
+        (outcome, recorded): (Outcome, Recorded),
+        master: Option<Recorded>,
+    ) -> Result<(), CliError> {
+        let value = serde_json::json!({
+            "machine": self.machine.config.name.as_str(),
+            "session": outcome,
+            "periods": recorded.records,
+            "trace_sha256": recorded.sha256,
+            "hand_trace_sha256": master.map(|master| master.sha256),
+        });
+        let text = format!("{value:#}\n");
+        std::fs::write(self.dir.join(haptimill_report::SUMMARY_FILE), &text)
+            .map_err(|error| self.output_error(&error))?;
+        if self.args.json {
+            print_line!("{value:#}");
+        } else {
+            print_line!("{}", describe(&outcome).trim_end());
+            print_line!("results in {}", self.dir.display());
+        }
+        if recorded.disk_full {
+            return Err(results::disk_full(self.dir).reported());
+        }
+        let (exit, why) = match outcome.ended {
+            Ended::Done => return Ok(()),
+            Ended::Stopped => (Exit::Stopped, "stopped by the operator".to_string()),
+            Ended::Fault => (
+                Exit::Fault,
+                format!("machine fault: {}", outcome.faults.join("; ")),
+            ),
+            Ended::MasterLost => (
+                Exit::Port,
+                "the connection to the master is lost".to_string(),
+            ),
+            Ended::HapticFault => (
+                Exit::Fault,
+                "the motors of the haptic arm are off".to_string(),
+            ),
+        };
+        let error = CliError::new(exit, outcome.because.unwrap_or(why));
+        Err(if self.args.json {
+            error.reported()
+        } else {
+            error
+        })
+    }
+}
+
+/// Refuses a machine with a haptic arm on its own board, which takes no remote master.
+pub(super) fn refuse_own_arm(machine: &MachineFile) -> Result<(), CliError> {
+    if machine.config.haptic.is_none() {
+        return Ok(());
+    }
+    let what = format!(
+        "{}: this machine has a haptic arm on its own board, which is its master; it ignores a \
+         remote master; use `haptimill console`, or remove [haptic]",
+        machine.file
+    );
+    Err(CliError::new(Exit::BadInput, what))
+}

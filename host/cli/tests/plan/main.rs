@@ -1,7 +1,0 @@
-//! The planner against independent mathematics: the cubics of its integer setpoints, differentiated here; programs of known geometry.
-
-mod examples;
-mod h4;
-mod properties;
-mod refusals;
-mod spans;

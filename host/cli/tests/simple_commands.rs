@@ -1,0 +1,169 @@
+//! Single commands on a served simulator in real time: enable, jog, force.
+#![cfg(unix)]
+
+mod scene;
+
+use scene::{SimServer, TestFolder, start};
+use std::time::Duration;
+
+#[test]
+fn enable_reports_what_prevents_it() {
+    for (spoilt, named) in [
+        (
+            "switch-stuck axis=l2 switch=limit-low active=yes",
+            "l2 is on its limit switch",
+        ),
+        ("drive-tripped axis=l4", "the drive of l4 is not ready"),
+        ("emergency-stop", "remove the cause, then reset"),
+    ] {
+        let served = SimServer::on_tcp(&["--fault", spoilt]);
+        let refused = served.run(&["enable"]).expect_code(8);
+        assert!(refused.err.contains(named), "{spoilt}: {}", refused.err);
+    }
+    let served = SimServer::on_tcp(&["--fault", "emergency-stop"]);
+    let refused = served.run(&["reset"]).expect_code(8);
+    assert!(refused.err.contains("is pressed"), "{}", refused.err);
+}
+
+/// Starts a jog on a homed machine.
+fn start_jog(served: &SimServer) -> scene::Running {
+    served.run_ok(&["home"]);
+    let mut jog = start(&["jog", "x=2", "--for", "60", "--port", &served.port]);
+    jog.wait_for_output("jogging");
+    jog
+}
+
+#[test]
+fn ctrl_c_stops_a_jog() {
+    let served = SimServer::on_tcp(&[]);
+    let jog = start_jog(&served);
+    std::thread::sleep(Duration::from_millis(500));
+    jog.interrupt();
+    let ended = jog.end().expect_code(7);
+    assert!(ended.err.contains("stopped by the user"), "{}", ended.err);
+    // The machine is at standstill before the command ends.
+    let status = served.status();
+    assert_eq!(status["state"], "Idle", "{status:#}");
+    assert!(scene::number(&status["commanded"], "x") > 0.0, "{status:#}");
+}
+
+#[test]
+fn emergency_stop_ends_a_jog_with_the_fault_code() {
+    let served = SimServer::on_tcp(&["--fault", "emergency-stop at=12s"]);
+    let ended = start_jog(&served).end().expect_code(6);
+    assert!(ended.err.contains("emergency stop"), "{}", ended.err);
+}
+
+#[test]
+fn force_settings_are_read_set_and_range_checked() {
+    let served = SimServer::on_tcp(&["--unconfigured"]);
+    let nothing = served.run(&["force", "show"]).expect_code(8);
+    assert!(nothing.err.contains("haptimill home"), "{}", nothing.err);
+    served.run_ok(&["home", "--machine", "machines/h4.toml"]);
+    let shown = served.run_ok(&["force", "show", "--json"]).json();
+    assert_eq!(shown["under_control"], serde_json::json!([]), "{shown:#}");
+    assert_eq!(shown["tared"], false);
+    let set = [
+        "force",
+        "set",
+        "z,x",
+        "--force-setpoint",
+        "6",
+        "--virtual-mass",
+        "1.5",
+        "--virtual-damping",
+        "4",
+        "--gate",
+        "any",
+        "--json",
+    ];
+    let set = served.run_ok(&set).json();
+    assert_eq!(
+        set["under_control"],
+        serde_json::json!(["x", "z"]),
+        "{set:#}"
+    );
+    for (option, value, bound) in [
+        ("--force-setpoint", "0", "0.500 N or more"),
+        ("--force-setpoint", "-5", "0.500 N or more"),
+        ("--force-setpoint", "90", "71.246 N or less"),
+        ("--virtual-damping", "0.1", "0.406 N s/mm or more"),
+        ("--virtual-mass", "0.0001", "N s^2/mm or more"),
+        ("--rate", "0", "must be above 0"),
+    ] {
+        let refused = served
+            .run(&["force", "set", "x", option, value])
+            .expect_code(8);
+        assert!(refused.err.contains("force loop of x"), "{}", refused.err);
+        assert!(refused.err.contains(bound), "{}", refused.err);
+    }
+    served
+        .run(&["force", "set", "x", "--force-setpoint", "nan"])
+        .expect_code(2);
+    served.run(&["force", "set", "alpha"]).expect_code(2);
+    let none = served.run_ok(&["force", "set", "none", "--json"]).json();
+    assert_eq!(none["under_control"], serde_json::json!([]), "{none:#}");
+}
+
+#[test]
+fn force_control_needs_a_sensor() {
+    let folder = TestFolder::new();
+    let text = include_str!("../../../machines/h4.toml");
+    let begins = text.find("[force]").expect("there");
+    let ends = text.find("[plant]").expect("there");
+    let blind = folder.file(
+        "blind.toml",
+        format!("{}{}", &text[..begins], &text[ends..]),
+    );
+    let program = "examples/e7-slot.ngc";
+    let refused =
+        scene::haptimill(&["run", program, "--machine", &blind, "--force", "x"]).expect_code(3);
+    assert!(refused.err.contains("no force sensor"), "{}", refused.err);
+    let refused = scene::haptimill(&["run", program, "--force-setpoint", "5"]).expect_code(2);
+    assert!(refused.err.contains("--force"), "{}", refused.err);
+}
+
+/// The transcript of force commands, without the measured forces, which are noise.
+#[test]
+fn force_command_transcript() {
+    let served = SimServer::on("pty", &["--unconfigured"]);
+    let mut text = String::new();
+    for command in [
+        &["force", "show"][..],
+        &["force", "tare"],
+        &["force", "set", "x", "--force-setpoint", "4"],
+        &["home", "--machine", "machines/h4.toml"],
+        &["force", "show"],
+        &["force", "tare"],
+        &[
+            "force",
+            "set",
+            "x,z",
+            "--force-setpoint",
+            "4",
+            "--virtual-damping",
+            "8",
+            "--gate",
+            "any",
+        ],
+        &["force", "set", "z", "--limit", "3"],
+        &["force", "set", "x", "--force-setpoint", "0"],
+        &["force", "set", "x", "--force-setpoint", "90"],
+        &["force", "set", "x", "--virtual-damping", "0.1"],
+        &["force", "set", "x", "--virtual-mass", "0.001"],
+        &["force", "set", "x", "--limit", "100"],
+        &["force", "set", "none"],
+    ] {
+        let ran = served.run(command);
+        text.push_str(&format!("$ haptimill {}\n", command.join(" ")));
+        if command[0] == "force" {
+            let told = ran.out.lines();
+            for line in told.filter(|line| !line.starts_with("force, ")) {
+                text.push_str(&format!("{line}\n"));
+            }
+            text.push_str(&ran.err);
+        }
+        text.push_str(&format!("--- exit code {}\n", ran.code));
+    }
+    insta::assert_snapshot!(text);
+}

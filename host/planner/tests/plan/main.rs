@@ -1,0 +1,8 @@
+//! The planner against independent mathematics: the cubics of its integer setpoints, differentiated
+//! here, and programs of known geometry.
+
+mod examples;
+mod h4;
+mod properties;
+mod refusals;
+mod spans;
