@@ -257,9 +257,9 @@ impl JointMonitor {
     }
 
     /// An encoder with one stuck channel. The edges of the other channel count up and down in turn,
-    /// whatever is commanded.
+    /// whatever is commanded, and with the drive off as well.
     #[inline]
-    fn toggles(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
+    pub fn toggles(&mut self, axis: u8, config: &JointAxis, seen: &JointSample) -> Option<Fault> {
         let reversals = &mut self.reversals;
         if seen.moved != 0 {
             let sign = way(seen.moved);
