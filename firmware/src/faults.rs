@@ -95,21 +95,24 @@ fn check_devices(core: &mut Core) {
     }
 }
 
-/// Counters that changed by more than their joint can move, in every state.
+/// Counters that changed by more than their joint can move, in every state, and counters with a
+/// stuck channel while the drives are off.
 #[inline]
 fn check_counters(core: &mut Core) {
     let Some(machine) = &mut core.machine else {
         return;
     };
-    if let Some((axis, count)) = machine.jump() {
-        // The position is lost at once. While another fault is latched, the jump is raised after
+    if !core.safety.drives_on() {
+        machine.supervise_unpowered();
+    }
+    if let Some(fault) = machine.counter_fault() {
+        // The position is lost at once. While another fault is latched, this one is raised after
         // its reset.
         core.safety.lose_position();
         core.job.preset_valid = false;
-        core.safety.raise(Fault::EncoderIllegal { axis, count });
-        if matches!(core.safety.fault(), Some(Fault::EncoderIllegal { axis: of, .. }) if of == axis)
-        {
-            machine.acknowledge_jump();
+        core.safety.raise(fault);
+        if core.safety.fault() == Some(fault) {
+            machine.acknowledge_counter_fault();
         }
     }
 }

@@ -76,8 +76,8 @@ pub struct Machine {
     next_part: usize,
     /// Periods left in which the rotors of step motors may lock after enable.
     locking: Option<u32>,
-    /// Counter jump that was not reported yet: joint, and counts.
-    jumped: Option<(u8, u16)>,
+    /// Fault of a counter that was not reported yet.
+    counter_fault: Option<Fault>,
 }
 
 impl Machine {
@@ -115,22 +115,36 @@ impl Machine {
             if joint.jumped(periods) {
                 let counts = joint.measurement().moved.unsigned_abs();
                 let counts = counts.min(u32::from(u16::MAX)) as u16;
-                self.jumped.get_or_insert((index as u8, counts));
+                self.counter_fault.get_or_insert(Fault::EncoderIllegal {
+                    axis: index as u8,
+                    count: counts,
+                });
             }
         }
     }
 
-    /// A counter that jumped, with drives on or off, until it is
-    /// [acknowledged](Self::acknowledge_jump): joint, and counts.
-    #[must_use]
-    #[inline]
-    pub const fn jump(&self) -> Option<(u8, u16)> {
-        self.jumped
+    /// Finds encoders with a stuck channel while the drives are off. Keeps the first one for a
+    /// report.
+    #[inline(never)]
+    pub fn supervise_unpowered(&mut self) {
+        let joints = self.joints.iter_mut().zip(&self.config.joints);
+        for (index, (joint, axis)) in joints.enumerate() {
+            let fault = joint.supervise_unpowered(index as u8, axis, self.config.period_us);
+            self.counter_fault = self.counter_fault.or(fault);
+        }
     }
 
-    /// Clears the jump after its fault was reported.
-    pub const fn acknowledge_jump(&mut self) {
-        self.jumped = None;
+    /// A counter that jumped, with drives on or off, or that has a stuck channel, with drives off,
+    /// until it is [acknowledged](Self::acknowledge_counter_fault).
+    #[must_use]
+    #[inline]
+    pub const fn counter_fault(&self) -> Option<Fault> {
+        self.counter_fault
+    }
+
+    /// Clears the fault of a counter after it was reported.
+    pub const fn acknowledge_counter_fault(&mut self) {
+        self.counter_fault = None;
     }
 
     fn update_measured(&mut self) {

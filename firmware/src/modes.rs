@@ -9,7 +9,7 @@ use crate::machine::masters::Leading;
 use crate::motion::Mode;
 use crate::motion::interpolator::Progress;
 use crate::safety::homing::{Outcome, Searched};
-use haptimill_protocol::message::{Event, Fault, HomingProblem, Refusal, State};
+use haptimill_protocol::message::{Event, Fault, Refusal, State};
 
 /// One period of the present state.
 #[inline]
@@ -133,13 +133,6 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
     }
     if let Err(fault) = machine.check_index_pulses() {
         core.safety.raise(fault);
-        return;
-    }
-    if machine.measured_pose().is_none() {
-        core.safety.raise(Fault::Homing {
-            axis: 0,
-            problem: HomingProblem::Workspace,
-        });
         return;
     }
     let pose = machine.motion.commanded().pose;

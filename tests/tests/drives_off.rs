@@ -131,6 +131,60 @@ fn a_jump_during_an_emergency_stop_survives_a_new_configuration() {
     }
 }
 
+/// A dead channel makes the count alternate between two values while the joint moves.
+#[test]
+fn a_joint_that_is_moved_with_a_dead_channel_and_the_drives_off_leaves_no_position() {
+    let dead = |a, b| EncoderCondition {
+        stuck_a: a,
+        stuck_b: b,
+        ..EncoderCondition::default()
+    };
+    let channels = [dead(None, Some(true)), dead(Some(false), None)];
+    for how in [Off::Disabled, Off::Stopped, Off::Fault] {
+        for (condition, effort) in channels.iter().zip([-60.0, 300.0]) {
+            for joint in [0, 2] {
+                let case = format!("{how:?} {condition:?} {joint}");
+                let mut bench = switch_off(how);
+                let plant = bench.rig.plant_mut();
+                plant.set_encoder_condition(joint, *condition);
+                let start = plant.bodies().motor[joint];
+                plant.set_load(joint, effort);
+                bench.steps(500);
+                bench.rig.plant_mut().set_load(joint, 0.0);
+                bench.steps(3000);
+                bench
+                    .rig
+                    .plant_mut()
+                    .set_encoder_condition(joint, EncoderCondition::default());
+                let went = bench.rig.plant().bodies().motor[joint] - start;
+                assert!(went.abs() > 1.0, "{case}: {went} mm");
+                let status = bench.status();
+                assert!(
+                    !status.position_kept && !status.homed,
+                    "{case}: {went:.3} mm were not counted, and the position is said to be kept"
+                );
+                remove_cause(&mut bench);
+                if how != Off::Disabled {
+                    // The first fault is latched; this one is named after it.
+                    bench.ask(Command::Reset).expect("reset");
+                }
+                let axis = joint as u8;
+                assert_eq!(
+                    bench.status().fault,
+                    Some(Fault::EncoderStuck { axis }),
+                    "{case}"
+                );
+                bench.ask(Command::Reset).expect("reset");
+                bench.steps(100);
+                assert_eq!(bench.status().fault, None, "{case}: named once");
+                if bench.ask(Command::Enable).is_ok() {
+                    assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost), "{case}");
+                }
+            }
+        }
+    }
+}
+
 /// Motion by hand, fast and slow, in every state with the drives off, and during missed periods.
 #[test]
 fn a_joint_moved_by_hand_keeps_its_position() {

@@ -8,7 +8,7 @@ use haptimill_hil_sim::machines::h4::ArmGeometry;
 use haptimill_hil_sim::random::Random;
 use haptimill_protocol::message::{AxisValues, State};
 use haptimill_tests::Bench;
-use setup::{DEGREE, MM, ready, rest, state};
+use setup::{DEGREE, MM, jog, ready, rest, state};
 
 /// Returns the joints of a pose (mm and degrees) in f64 from the closed loops of the rods
 /// (docs/control.md), or `None` outside the reach.
@@ -180,7 +180,7 @@ fn home(bench: &mut Bench, pose: &[f64; 5]) {
     );
     bench.steps(500);
     let status = bench.status();
-    assert!(status.homed && status.position_kept);
+    assert!(status.homed && status.position_kept, "{pose:?}: {status:?}");
     let truth = bench.rig.truth().pose;
     for (axis, truth) in truth.iter().enumerate().take(5) {
         let unit = if axis < 3 { MM } else { DEGREE };
@@ -233,4 +233,35 @@ fn homing_succeeds_from_any_pose() {
     }
     println!("{reached} of {} poses", poses.len());
     assert!(reached * 4 > poses.len() * 3);
+}
+
+/// A load holds a slide some micrometres beyond the end of its stroke, while its commanded position
+/// is within.
+#[test]
+fn homing_works_from_the_end_of_a_stroke() {
+    let mut bench = ready();
+    let config = bench.machine.config.clone();
+    let rate = |axis: usize, part: f64| {
+        let unit = if axis < 3 { MM } else { DEGREE };
+        (axis, part * f64::from(config.pose[axis].rate.0) / unit)
+    };
+    let all = [rate(0, -0.4), rate(1, 0.39), rate(2, -0.43), rate(3, -0.4)];
+    for (rates, times) in [(&all[..], 340), (&[rate(4, -0.5)], 150)] {
+        for _ in 0..times {
+            bench.send(jog(1, 300, rates));
+            bench.steps(50);
+        }
+        assert!(bench.wait_for(State::Idle, 20_000));
+    }
+    bench.rig.plant_mut().set_load(0, -60.0);
+    bench.steps(2000);
+    let end = f64::from(config.joints[0].low.0) / MM;
+    let beyond = end - bench.rig.plant().bodies().motor[0];
+    println!("{beyond:.4} mm beyond the end of the stroke");
+    assert!((0.001..0.1).contains(&beyond), "{beyond}");
+    // Friction holds the slide there under a smaller load.
+    bench.rig.plant_mut().set_load(0, -45.0);
+    let again = end - bench.rig.plant().bodies().motor[0];
+    assert!(again > 0.0, "{again}");
+    home(&mut bench, &[0.0; 5]);
 }

@@ -547,6 +547,25 @@ impl JointDrive {
             .check(joint, axis, limits.illegal_transitions, &sample)
     }
 
+    /// Checks the encoder of a joint whose drive is off: a stuck channel, while somebody moves the
+    /// joint or it coasts. The distance is lost and may be any number of turns, so no index pulse
+    /// can confirm the position.
+    #[inline(never)]
+    pub fn supervise_unpowered(
+        &mut self,
+        joint: u8,
+        axis: &JointAxis,
+        period_us: u16,
+    ) -> Option<Fault> {
+        let seen = JointSample {
+            measured: self.measurement.coordinate,
+            moved: self.measurement.moved,
+            period_us,
+            ..JointSample::default()
+        };
+        self.monitor.toggles(joint, axis, &seen)
+    }
+
     /// Rate of the motor side, from the times between edges.
     #[must_use]
     pub fn rate(&self) -> Rate {

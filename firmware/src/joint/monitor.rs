@@ -261,9 +261,9 @@ impl JointMonitor {
     }
 
     /// An encoder with one stuck channel. The edges of the other channel count up and down in turn,
-    /// whatever is commanded.
+    /// whatever is commanded, and with the drive off as well.
     #[inline]
-    fn toggles(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    pub fn toggles(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
         let reversals = &mut self.reversals;
         if sample.moved != 0 {
             let sign = direction_of(sample.moved);

@@ -134,7 +134,7 @@ impl Machine {
             digests: [Digest::default(); PARTS],
             next_part: 0,
             locking: None,
-            jumped: None,
+            counter_fault: None,
             config,
             crc,
         }
