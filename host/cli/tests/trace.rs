@@ -100,7 +100,7 @@ fn a_slot_led_by_hand_replays_equal_and_a_count_of_the_haptic_arm_is_missed() {
     let recording = Recording::open(&traces[0]).unwrap();
     let changed = folder.path("changed.hmr");
     let mut recorder = Recorder::create(Path::new(&changed), recording.header()).unwrap();
-    recorder.take_up(IoLog::new());
+    recorder.start_io_log(IoLog::new());
     let mut engaged = 0_u32;
     let mut flipped = 0;
     for period in recording.read_periods().unwrap() {
@@ -159,7 +159,7 @@ fn one_bit_of_one_input_is_named_with_both_values() {
     let flipped = first + 20_000;
     let changed = folder.path("changed.hmr");
     let mut recorder = Recorder::create(Path::new(&changed), recording.header()).unwrap();
-    recorder.take_up(IoLog::new());
+    recorder.start_io_log(IoLog::new());
     for period in recording.read_periods().unwrap() {
         let mut period: Period = period.unwrap();
         if period.inputs.period == flipped {
@@ -529,7 +529,7 @@ fn a_job_through_a_port_cannot_be_replayed_and_says_so() {
     let trace = folder.path("out/recording.hmr");
     let ran = haptimill(&["replay", &trace]).ended_with(3);
     let said =
-        "has only what its controller reported, not what it sensed: it was recorded through a port";
+        "has the telemetry of its controller, but not its inputs: it was recorded through a port";
     assert!(ran.err.contains(said), "{}", ran.err);
     let info = haptimill(&["trace", "info", &trace, "--json"])
         .ended_with(0)

@@ -23,7 +23,7 @@ use haptimill_teleop::script::{self, BUILT_IN, Person};
 use haptimill_teleop::{
     Arm, Ended, Outcome, PersonLine, Row, Script, Source, Teleop, TeleopOptions,
 };
-use haptimill_trace::{Header, Recorded, Recorder, Recording, RecordingError, export_csv};
+use haptimill_trace::{Header, Recorded, Recorder, Recording, RecordingError, write_csv};
 use shown::{Shown, terminal};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -524,7 +524,7 @@ impl Run<'_> {
             let file = std::fs::File::create(&path)
                 .map_err(|error| RecordingError::Io(path.clone(), error))?;
             let mut file = BufWriter::new(file);
-            export_csv(&recording, &mut file, self.args.trace_every)?;
+            write_csv(&recording, &mut file, self.args.trace_every)?;
             file.flush()
                 .map_err(|error| RecordingError::Io(path, error))
         };

@@ -276,7 +276,10 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
     haptimill(&run).ended_with(0);
     let trace = format!("{out}/recording.hmr");
     let made = records(&trace);
-    let known = made.iter().filter(|record| record.hand_flags != 0).count();
+    let known = made
+        .iter()
+        .filter(|record| record.haptic_flags != 0)
+        .count();
     assert!(
         known > 3 && made.len() < 2 * known + 10,
         "{known} of {}",

@@ -88,12 +88,12 @@ fn within_limits(records: &[Record]) {
 fn without_a_bump(hand: &[Record]) {
     let step = hand
         .windows(2)
-        .flat_map(|pair| (0..3).map(|axis| pair[1].hand.force[axis] - pair[0].hand.force[axis]))
+        .flat_map(|pair| (0..3).map(|axis| pair[1].haptic.force[axis] - pair[0].haptic.force[axis]))
         .map(i32::abs)
         .max()
         .unwrap();
     // Half a newton was there to change.
-    let most = hand.iter().flat_map(|record| record.hand.force);
+    let most = hand.iter().flat_map(|record| record.haptic.force);
     assert!(most.map(i32::abs).max().unwrap() > 1 << 15);
     assert!(
         step <= 65_536 / 20 + 1,
@@ -404,7 +404,7 @@ fn an_arm_that_fails_leads_nothing_until_it_was_looked_after() {
         .iter()
         .filter(|record| (11_000..14_000).contains(&record.period));
     assert!(
-        off.clone().count() > 2000 && off.into_iter().all(|record| record.hand.force == [0; 3])
+        off.clone().count() > 2000 && off.into_iter().all(|record| record.haptic.force == [0; 3])
     );
 }
 

@@ -3,7 +3,7 @@
 use super::{CliError, WindowArgs, bad, chosen, failed, open, out, tell_cut};
 use clap::Args;
 use haptimill_report::plot::Plot;
-use haptimill_trace::{MCAP_RATE, McapWritten, RecordingError, export_table, write_mcap};
+use haptimill_trace::{MCAP_RATE, McapWritten, RecordingError, write_mcap, write_table};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -79,7 +79,7 @@ pub(super) fn csv(args: &CsvArgs) -> Result<(), CliError> {
         out::not_over(&args.trace, out, RECORDING)?;
     }
     tell_cut(&recording);
-    let write = |out: &mut dyn Write| match export_table(&recording, &columns, &thinning, out)? {
+    let write = |out: &mut dyn Write| match write_table(&recording, &columns, &thinning, out)? {
         0 => Err(nothing(&args.trace)),
         _ => Ok(()),
     };
