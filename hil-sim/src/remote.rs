@@ -138,19 +138,19 @@ impl<L: PlantLink> RemoteController<L> {
     }
 
     fn exchange(&mut self, inputs: &Inputs) -> io::Result<Done> {
-        let said = ToBoard::Period {
+        let request = ToBoard::Period {
             inputs: inputs.clone(),
             arrived: core::mem::take(&mut self.arrived),
         };
-        self.link.send(&said.encode())?;
-        let mut done = match self.hear()? {
+        self.link.send(&request.encode())?;
+        let mut done = match self.receive_frame()? {
             FromBoard::Done(done) => done,
-            _ => return Err(io::Error::other("the board said something else")),
+            _ => return Err(io::Error::other("the board sent an unexpected frame")),
         };
-        let (should, heard) = (Heard::of(inputs), done.heard);
-        if done.period != inputs.period || heard != should {
+        let (expected, heard) = (Heard::of(inputs), done.heard);
+        if done.period != inputs.period || heard != expected {
             return Err(io::Error::other(format!(
-                "period {}: the board heard {heard:?} in its period {}, and should have heard {should:?}",
+                "period {}: the board received {heard:?} in its period {}, expected {expected:?}",
                 inputs.period, done.period
             )));
         }
@@ -158,7 +158,7 @@ impl<L: PlantLink> RemoteController<L> {
         let mut bytes = [0; TRANSMIT_BYTES];
         let Some(bytes) = bytes.get_mut(..count) else {
             return Err(io::Error::other(
-                "the board said more than it may in a period",
+                "the board sent more bytes than a period allows",
             ));
         };
         self.link.take_serial(bytes)?;
@@ -167,7 +167,7 @@ impl<L: PlantLink> RemoteController<L> {
         Ok(done)
     }
 
-    fn hear(&mut self) -> io::Result<FromBoard> {
+    fn receive_frame(&mut self) -> io::Result<FromBoard> {
         let mut frame = [0; FROM_BOARD_BYTES];
         self.link.receive(&mut frame)?;
         FromBoard::decode(&frame).map_err(io::Error::other)
@@ -263,7 +263,7 @@ impl<L: PlantLink> Drop for RemoteController<L> {
         if let Ok(FromBoard::Ended {
             stack_bytes,
             ring_peak,
-        }) = self.hear()
+        }) = self.receive_frame()
         {
             let mut cost = self.cost.lock().unwrap_or_else(PoisonError::into_inner);
             cost.stack_bytes = stack_bytes;
