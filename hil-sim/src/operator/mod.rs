@@ -21,7 +21,8 @@
 //! of the edge's normal has a force instead of a position.
 //!
 //! One set of parameters serves all scenarios; docs/decisions states its origin. F_0 and T_r
-//! determine the compliance: of a speed of 20 mm/s, 12 mm/s remain against 2.8 N, 4 mm/s against 5.6 N.
+//! determine the compliance: of a speed of 20 mm/s, 12 mm/s remain against 2.8 N, 4 mm/s against
+//! 5.6 N.
 //!
 //! Units: mm, N, N mm, s, rad; positions of the tip from its home, axes of the master's base.
 //!

@@ -1,8 +1,8 @@
 //! Operator trajectory: a path, and the speed that the operator would keep without resistance.
 //!
 //! Positions are those of the tip, in mm from its home, in the axes of the master's base. Times are
-//! seconds since the trajectory was set. The path has no fixed timing: the perceived force reduces the
-//! speed ([`crate::operator`]).
+//! seconds since the trajectory was set. The path has no fixed timing: the perceived force reduces
+//! the speed ([`crate::operator`]).
 
 use crate::vector::{Vector, dot, length, minus, plus, times};
 use core::f64::consts::{PI, TAU};

@@ -29,8 +29,8 @@
 //! equal pass over a cut surface removes nothing.
 //!
 //! The body between the edges lies [`CutterConfig::relief_mm`] behind them. It touches nothing at
-//! normal spindle speed and feed. When the spindle does not turn, the tool acts as a blunt ball on an
-//! elastic bed: the force grows with the travel, and vanishes when the tool retracts.
+//! normal spindle speed and feed. When the spindle does not turn, the tool acts as a blunt ball on
+//! an elastic bed: the force grows with the travel, and vanishes when the tool retracts.
 //!
 //! # Limits
 //!
@@ -156,8 +156,8 @@ impl Cutting {
     }
 
     /// Removes all material that the tool has passed from the map, including the passes that the
-    /// tooth path still holds. Used before the surface is measured. If the cut continues afterwards,
-    /// the first few teeth cut slightly less than they should.
+    /// tooth path still holds. Used before the surface is measured. If the cut continues
+    /// afterwards, the first few teeth cut slightly less than they should.
     pub fn settle(&mut self) {
         for passed in self.path.remembered() {
             self.removal

@@ -7,8 +7,8 @@ use super::problem::{Place, Problems};
 use super::{Options, RADIUS_TOLERANCE_MM};
 use std::f64::consts::TAU;
 
-/// Returns the letters of a plane's axes, in the order in which G3 is a positive angle, their centre
-/// words (0 for I), and the G word of the plane.
+/// Returns the letters of a plane's axes, in the order in which G3 is a positive angle, their
+/// centre words (0 for I), and the G word of the plane.
 fn letters(plane: Plane) -> ([char; 2], [usize; 2], &'static str) {
     match plane {
         Plane::Xy => (['X', 'Y'], [0, 1], "G17"),
@@ -17,8 +17,8 @@ fn letters(plane: Plane) -> ([char; 2], [usize; 2], &'static str) {
     }
 }
 
-/// Reads the arc of a block from `from` to `to`; `scale` is mm per unit of the program. `None` after a
-/// problem.
+/// Reads the arc of a block from `from` to `to`; `scale` is mm per unit of the program. `None`
+/// after a problem.
 pub(crate) fn read_arc(
     block: &Block,
     (place, motion): (Place, Motion),

@@ -1,7 +1,7 @@
 //! Lexer: from bytes to words (a letter and a number) with their places.
 //!
-//! The lexer accepts any bytes. Everything but words, comments, blanks and `%` is a problem with its
-//! place; nothing is skipped. The reason for an own lexer is in
+//! The lexer accepts any bytes. Everything but words, comments, blanks and `%` is a problem with
+//! its place; nothing is skipped. The reason for an own lexer is in
 //! docs/decisions/0003-part-program-lexer.md.
 
 use super::problem::{Place, Problems};

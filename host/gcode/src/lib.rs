@@ -1,7 +1,8 @@
-//! Reader of part programs: from the text of a file to moves, dwells and spindle commands, each with
-//! its place in the file.
+//! Reader of part programs: from the text of a file to moves, dwells and spindle commands, each
+//! with its place in the file.
 //!
-//! Coordinates are workpiece coordinates: millimetres, and degrees for rotary words. Supported words:
+//! Coordinates are workpiece coordinates: millimetres, and degrees for rotary words. Supported
+//! words:
 //!
 //! | words | meaning |
 //! | --- | --- |
@@ -21,13 +22,13 @@
 //! | M3 S, M4 S, M5 | spindle clockwise, counter-clockwise at S rev/min, off |
 //! | N, O, %, ( ), ; | block number, program number (alone in the first block), tape marks, comments |
 //!
-//! A block has at most one word of each modal group and each letter once, G and M excepted. The order
-//! within a block is: modes, F, S, spindle, dwell or motion, then pause or end. Everything else is
-//! refused with `file:line:column`, problem and remedy; nothing is skipped. All problems of a file are
-//! reported together (up to [`LISTED_PROBLEMS`]).
+//! A block has at most one word of each modal group and each letter once, G and M excepted. The
+//! order within a block is: modes, F, S, spindle, dwell or motion, then pause or end. Everything
+//! else is refused with `file:line:column`, problem and remedy; nothing is skipped. All problems of
+//! a file are reported together (up to [`LISTED_PROBLEMS`]).
 //!
-//! The radii at both ends of an arc may differ by up to [`RADIUS_TOLERANCE_MM`]. The radius then changes
-//! linearly along the arc, and both ends are as programmed. A larger difference is refused.
+//! The radii at both ends of an arc may differ by up to [`RADIUS_TOLERANCE_MM`]. The radius then
+//! changes linearly along the arc, and both ends are as programmed. A larger difference is refused.
 //!
 //! The reader does not check the workspace of the machine; the planner does.
 
@@ -73,7 +74,8 @@ pub struct Options {
 }
 
 impl Options {
-    /// Returns the axes of the H-4 arm with its table: X, Y, Z, B (tool tilt theta), A (table alpha).
+    /// Returns the axes of the H-4 arm with its table: X, Y, Z, B (tool tilt theta), A (table
+    /// alpha).
     pub fn h4(start: Coordinates) -> Options {
         let axis = |letter, kind| ProgramAxis { letter, kind };
         Options {

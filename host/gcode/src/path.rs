@@ -171,7 +171,8 @@ impl Path {
             s = (angle + turns * std::f64::consts::TAU - arc.angle) / arc.sweep * self.length;
             s = s.clamp(0.0, self.length);
         }
-        // Newton's method on the squared distance: one step on a line or flat arc, a few on a helix.
+        // Newton's method on the squared distance: one step on a line or flat arc, a few on a
+        // helix.
         for _ in 0..4 {
             let (here, tangent, curvature) = (self.at(s), self.tangent(s), self.curvature(s));
             let (mut slope, mut second) = (0.0, 0.0);

@@ -27,7 +27,8 @@ pub struct Problem {
 
 /// A refused part program with its problems. No part of it may be run.
 ///
-/// `Display` writes `file:line:column: what; remedy`, one line per problem, in the order of the file.
+/// `Display` writes `file:line:column: what; remedy`, one line per problem, in the order of the
+/// file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refused {
     /// Name of the file, as given.

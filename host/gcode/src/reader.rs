@@ -13,8 +13,8 @@ const INCH_MM: f64 = 25.4;
 ///
 /// # Errors
 ///
-/// Returns every problem of the file, with line, column and remedy. A program with a problem is refused
-/// as a whole.
+/// Returns every problem of the file, with line, column and remedy. A program with a problem is
+/// refused as a whole.
 pub fn read(file: &str, text: &[u8], options: &Options) -> Result<Program, Refused> {
     let mut reader = Reader::new(options);
     let mut comments = Vec::new();
@@ -262,7 +262,8 @@ impl<'a> Reader<'a> {
         } else {
             Path::line(&self.kinds, from, to)
         };
-        // A block that ends at its start is no move, but the position becomes exactly the programmed one.
+        // A block that ends at its start is no move, but the position becomes exactly the
+        // programmed one.
         let Some(path) = path else { return };
         let feed = match (self.motion, self.feed) {
             (Motion::Rapid, _) => Feed::Rapid,

@@ -119,7 +119,8 @@ fn spindle_dwell_pause_and_end() {
 
 #[test]
 fn arcs_in_three_planes_turn_the_right_way() {
-    // A quarter turn counter-clockwise, seen from the plane's normal, from the first axis to the second.
+    // A quarter turn counter-clockwise, seen from the plane's normal, from the first axis to the
+    // second.
     for (text, middle) in [
         (
             "G17 G0 X10\nG3 X0 Y10 I-10 F100",
@@ -303,8 +304,8 @@ fn all_problems_are_reported_in_order() {
 
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
-    /// An arc by centre equals the same arc by radius. Its points are on the circle, its ends are exact,
-    /// and its tangent is the derivative.
+    /// An arc by centre equals the same arc by radius. Its points are on the circle, its ends are
+    /// exact, and its tangent is the derivative.
     #[test]
     fn arcs_are_circles(
         x in -50.0..50.0f64, y in -50.0..50.0f64, radius in 0.5..80.0f64,
@@ -323,7 +324,8 @@ proptest! {
             let s = path.length * f64::from(i) / 16.0;
             let here = path.at(s);
             prop_assert!(((here[0] - x).hypot(here[1] - y) - radius).abs() < 1e-9);
-            // Near a half circle the centre by radius is ill-conditioned: a length error e moves it by sqrt(e).
+            // Near a half circle the centre by radius is ill-conditioned: a length error e moves it
+            // by sqrt(e).
             let there = by_radius[1].path.at(by_radius[1].path.length * f64::from(i) / 16.0);
             prop_assert!((here[0] - there[0]).hypot(here[1] - there[1]) < 1e-4);
             let h = 1e-6;

@@ -11,8 +11,8 @@ pub(super) const JERK_SHARE: f64 = 0.9;
 /// On an arc, shares of the acceleration in the plane: across and along the path (together 0.99).
 const CENTRIPETAL_SHARE: f64 = 0.5;
 const TANGENTIAL_SHARE: f64 = 0.85;
-/// On an arc, shares of the jerk in the plane: v^3 / r^2 and the ramp along the path, 3 v a / r across
-/// (together 0.9).
+/// On an arc, shares of the jerk in the plane: v^3 / r^2 and the ramp along the path, 3 v a / r
+/// across (together 0.9).
 const ARC_SPEED_JERK: f64 = 0.25;
 const ARC_RAMP_JERK: f64 = 0.5;
 const ARC_ACROSS_JERK: f64 = 0.5;
@@ -34,7 +34,8 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    /// Returns a bound of the fourth time derivative of the motion, for the error of a cubic; 0 on a line.
+    /// Returns a bound of the fourth time derivative of the motion, for the error of a cubic; 0 on
+    /// a line.
     pub(crate) fn fourth_derivative(&self, speed: f64, acceleration: f64, jerk: f64) -> f64 {
         let Some(arc) = &self.path.arc else {
             return 0.0;
@@ -145,8 +146,8 @@ pub(super) fn prepare(
     })
 }
 
-/// Returns the number of samples of a path: at most 1 mm, 1 degree of a rotary axis and 10 degrees of
-/// arc apart.
+/// Returns the number of samples of a path: at most 1 mm, 1 degree of a rotary axis and 10 degrees
+/// of arc apart.
 fn intervals(path: &Path, kinds: &[AxisKind]) -> usize {
     let mut count = path.tip_length().max(1.0);
     for (k, kind) in kinds.iter().enumerate() {
@@ -163,8 +164,8 @@ fn intervals(path: &Path, kinds: &[AxisKind]) -> usize {
 /// Search for the limits of a move over its samples.
 struct Search<'a> {
     settings: &'a Settings,
-    /// Largest speed that the rates of pose and joints allow, and the axis that limits it: name, unit,
-    /// limit, rate per speed, and pose.
+    /// Largest speed that the rates of pose and joints allow, and the axis that limits it: name,
+    /// unit, limit, rate per speed, and pose.
     rate_speed: f64,
     slowest: (String, &'static str, f64, f64, Coordinates),
     /// Largest speed that the curvature of the joints' paths allows.

@@ -1,22 +1,24 @@
 //! Junction of two blocks: its largest speed and its rounding.
 //!
-//! The motion through a corner is the motion along the two exact paths plus a *bump*, which cancels the
-//! jump of velocity. The speed v is constant for the time h around the corner. With dv = v (u2 - u1) the
-//! acceleration of the bump is a triangle from 0 over 2 dv / h to 0: jerk 4 dv / h^2, two cubics,
-//! largest deviation dv h / 12 at the corner (a sixth of |u2 - u1| times the half-length d = v h / 2).
+//! The motion through a corner is the motion along the two exact paths plus a *bump*, which cancels
+//! the jump of velocity. The speed v is constant for the time h around the corner. With dv = v (u2
+//! - u1) the acceleration of the bump is a triangle from 0 over 2 dv / h to 0: jerk 4 dv / h^2, two
+//! cubics, largest deviation dv h / 12 at the corner (a sixth of |u2 - u1| times the half-length d
+//! = v h / 2).
 
 use super::block::{ACCELERATION_SHARE, Block, JERK_SHARE, JOINT_RAMP_SHARE};
 use super::limits::Settings;
 use haptimill_gcode::{AxisKind, Coordinates};
 
-/// Largest half-length of a rounding, as a fraction of the shorter block. The rest is for acceleration
-/// and deceleration.
+/// Largest half-length of a rounding, as a fraction of the shorter block. The rest is for
+/// acceleration and deceleration.
 const REACH_SHARE: f64 = 0.35;
 /// Cosine of the largest corner without a stop: 120 degrees.
 const SHARPEST_COSINE: f64 = -0.5;
 /// Share of the limits for a rounding next to an arc; the centripetal acceleration takes the rest.
 const ARC_SHARE: f64 = 0.45;
-/// Directions that differ by less are equal: at 100 mm/s this is a tenth of the resolution of rates.
+/// Directions that differ by less are equal: at 100 mm/s this is a tenth of the resolution of
+/// rates.
 const SAME_DIRECTION: f64 = 1e-7;
 
 /// A junction of two blocks.
@@ -151,7 +153,8 @@ impl Corner {
         if least <= 0.0 {
             return 0.0;
         }
-        // At the largest speed a rounding error may leave `least` slightly above the largest duration.
+        // At the largest speed a rounding error may leave `least` slightly above the largest
+        // duration.
         least.max(self.preferred.min(self.largest / speed))
     }
 }

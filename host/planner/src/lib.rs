@@ -1,28 +1,28 @@
 //! Planner: from a part program to a trajectory, and to its setpoints.
 //!
 //! A [`Plan`] is complete before anything moves. Every block and every setpoint is checked against
-//! soft limits and the machine's geometry. The trajectory is cubic in time between setpoints, as the
-//! controller interpolates it.
+//! soft limits and the machine's geometry. The trajectory is cubic in time between setpoints, as
+//! the controller interpolates it.
 //!
-//! - Along a block: seven phases of constant jerk, no acceleration at the block's ends. A setpoint is
-//!   at every change of jerk.
+//! - Along a block: seven phases of constant jerk, no acceleration at the block's ends. A setpoint
+//!   is at every change of jerk.
 //! - On an arc, setpoints are so close that the cubic stays within 0.1 um of the circle.
 //! - A corner of up to 120 degrees is passed at constant speed and rounded within
-//!   [`Settings::tolerance_mm`]. The motion stops at sharper corners, with G61, and between moves of
-//!   the tip and moves of rotary axes alone. Between a line and an arc, the speed keeps the step of
-//!   centripetal acceleration below [`Settings::curvature_step`] of the limit.
+//!   [`Settings::tolerance_mm`]. The motion stops at sharper corners, with G61, and between moves
+//!   of the tip and moves of rotary axes alone. Between a line and an arc, the speed keeps the step
+//!   of centripetal acceleration below [`Settings::curvature_step`] of the limit.
 //! - Limits of rate, acceleration and jerk hold for every pose coordinate, of rate and acceleration
-//!   for every joint. A rapid move is limited to them. A feed that exceeds a rate is refused, with the
-//!   largest possible feed. Acceleration and look-ahead may keep a move below its feed.
+//!   for every joint. A rapid move is limited to them. A feed that exceeds a rate is refused, with
+//!   the largest possible feed. Acceleration and look-ahead may keep a move below its feed.
 //!
-//! Setpoints are on whole control periods, phases are not: the trajectory is evaluated at the period
-//! nearest to each change of jerk. Only standstills begin and end on whole periods.
+//! Setpoints are on whole control periods, phases are not: the trajectory is evaluated at the
+//! period nearest to each change of jerk. Only standstills begin and end on whole periods.
 //!
 //! All computations are f64 with the transcendental functions of the crate libm, so a plan has the
 //! same bits on every host.
 //!
-//! A path is checked at the setpoints and at samples of the blocks (at most 1 mm, 1 degree apart), not
-//! between them. A pause (M0) takes no time in the plan.
+//! A path is checked at the setpoints and at samples of the blocks (at most 1 mm, 1 degree apart),
+//! not between them. A pause (M0) takes no time in the plan.
 
 mod block;
 mod contour;
@@ -89,7 +89,8 @@ impl Plan {
     ///
     /// # Errors
     ///
-    /// Returns every problem with the place of its block: reach, stroke, singularity, soft limits, feed.
+    /// Returns every problem with the place of its block: reach, stroke, singularity, soft limits,
+    /// feed.
     pub fn new(
         program: &Program,
         settings: &Settings,
@@ -115,19 +116,20 @@ impl Plan {
         builder.finish()
     }
 
-    /// Returns the programmed pose at a time, on the exact lines and arcs, mm and degrees. For calls in
-    /// sequence; see [`Cursor`].
+    /// Returns the programmed pose at a time, on the exact lines and arcs, mm and degrees. For
+    /// calls in sequence; see [`Cursor`].
     pub fn programmed(&self, cursor: &mut Cursor, time_s: f64) -> Coordinates {
         self.trajectory.programmed(cursor, time_s)
     }
 
-    /// Returns pose and rates of the trajectory, with its corners rounded: mm, degrees, and per second.
+    /// Returns pose and rates of the trajectory, with its corners rounded: mm, degrees, and per
+    /// second.
     pub fn intended(&self, cursor: &mut Cursor, time_s: f64) -> (Coordinates, Coordinates) {
         self.trajectory.intended(cursor, time_s)
     }
 
-    /// Returns the contour error: the distance of the tip from the programmed path, mm, searched within
-    /// 2 mm of path around the programmed pose at this time.
+    /// Returns the contour error: the distance of the tip from the programmed path, mm, searched
+    /// within 2 mm of path around the programmed pose at this time.
     pub fn contour_error(&self, cursor: &mut Cursor, time_s: f64, pose: &Coordinates) -> f64 {
         contour::error(&self.trajectory, cursor, time_s, pose)
     }
@@ -319,8 +321,8 @@ impl<'a, M: MachineModel> Builder<'a, M> {
                 .pieces
                 .last()
                 .is_some_and(|piece| piece.jerk == 0.0);
-            // A rounding begins in the last phase of its block, has its middle between the blocks, and
-            // ends in the first phase of the next block.
+            // A rounding begins in the last phase of its block, has its middle between the blocks,
+            // and ends in the first phase of the next block.
             let rounding = (rounded[0] && number <= 1) || (rounded[1] && number == last);
             let knot = if number == 0 && bends {
                 Knot::Step

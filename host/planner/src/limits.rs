@@ -48,19 +48,19 @@ pub struct Settings {
     pub tolerance_mm: f64,
     /// The same for the rotary coordinates, degrees.
     pub tolerance_deg: f64,
-    /// Largest step of the centripetal acceleration where the curvature changes (line into arc), as a
-    /// fraction of the acceleration limit. The jerk limit does not hold at that instant.
+    /// Largest step of the centripetal acceleration where the curvature changes (line into arc), as
+    /// a fraction of the acceleration limit. The jerk limit does not hold at that instant.
     pub curvature_step: f64,
     /// Longest segment duration during motion, seconds.
     pub longest_span_s: f64,
-    /// Shortest segment duration, seconds, except before a standstill. With a duration T, half a unit of
-    /// rounding is a jerk of 6 units / T^3: at 5 ms 46 mm/s^3, 1 % of the default.
+    /// Shortest segment duration, seconds, except before a standstill. With a duration T, half a
+    /// unit of rounding is a jerk of 6 units / T^3: at 5 ms 46 mm/s^3, 1 % of the default.
     pub shortest_span_s: f64,
 }
 
 impl Settings {
-    /// Returns settings with default dynamics: 200 mm/s^2 and 5000 mm/s^3 at the tip, 100 deg/s^2 and
-    /// 2500 deg/s^3, corners within 0.005 mm.
+    /// Returns settings with default dynamics: 200 mm/s^2 and 5000 mm/s^3 at the tip, 100 deg/s^2
+    /// and 2500 deg/s^3, corners within 0.005 mm.
     pub fn new(pose: Vec<PoseLimits>, joints: Vec<JointLimits>, period_us: u16) -> Settings {
         Settings {
             pose,
@@ -96,10 +96,11 @@ pub trait MachineModel {
     ///
     /// # Errors
     ///
-    /// Returns an error if the pose cannot be reached, leaves a stroke, or is too near a singularity.
+    /// Returns an error if the pose cannot be reached, leaves a stroke, or is too near a
+    /// singularity.
     fn joints(&self, pose: &Coordinates) -> Result<[f64; 6], PoseProblem>;
 
-    /// Returns the joint rates for `rates` of the pose, in which they are linear. Callers must pass a
-    /// pose for which [`MachineModel::joints`] succeeds.
+    /// Returns the joint rates for `rates` of the pose, in which they are linear. Callers must pass
+    /// a pose for which [`MachineModel::joints`] succeeds.
     fn joint_rates(&self, pose: &Coordinates, rates: &Coordinates) -> [f64; 6];
 }

@@ -1,5 +1,5 @@
-//! Look-ahead: the largest speeds at the junctions of a run of blocks that corners and block lengths
-//! allow.
+//! Look-ahead: the largest speeds at the junctions of a run of blocks that corners and block
+//! lengths allow.
 
 use super::block::Block;
 use super::corner::Corner;
@@ -24,9 +24,9 @@ impl Junctions {
         corners.push(Corner::stop());
         let speeds = corners.iter().map(|corner| corner.speed).collect();
         let mut junctions = Junctions { corners, speeds };
-        // Backward pass: the entry speed of a block allows its deceleration. Forward pass: the exit speed
-        // allows its acceleration. Lowering a speed in the forward pass keeps the result of the backward
-        // pass: a smaller change of speed needs less length.
+        // Backward pass: the entry speed of a block allows its deceleration. Forward pass: the exit
+        // speed allows its acceleration. Lowering a speed in the forward pass keeps the result of
+        // the backward pass: a smaller change of speed needs less length.
         for (index, block) in blocks.iter().enumerate().rev() {
             junctions.lower(block, index, index + 1);
         }
@@ -36,8 +36,8 @@ impl Junctions {
         junctions
     }
 
-    /// Lowers the speed at junction `fast` to the largest one that the block can reach from the speed at
-    /// its other end, `fixed`.
+    /// Lowers the speed at junction `fast` to the largest one that the block can reach from the
+    /// speed at its other end, `fixed`.
     fn lower(&mut self, block: &Block, fast: usize, fixed: usize) {
         let slow = self.speeds[fixed];
         let speed = self.speeds[fast];

@@ -24,7 +24,8 @@ pub(crate) struct Phase {
 impl Along {
     /// Returns the duration of a change of speed, without acceleration before and after.
     pub(crate) fn ramp_time(&self, from: f64, to: f64) -> f64 {
-        // Grows with the change of speed: below the acceleration limit, at its edge, and at the limit.
+        // Grows with the change of speed: below the acceleration limit, at its edge, and at the
+        // limit.
         let change = (to - from).abs();
         let rise = self.acceleration / self.jerk;
         if change <= NO_CHANGE {
@@ -78,8 +79,9 @@ impl Along {
         });
     }
 
-    /// Adds the phases over a length between two speeds and returns the largest speed. Callers must pass
-    /// a length that suffices for the change of speed (to rounding), and a speed or length above zero.
+    /// Adds the phases over a length between two speeds and returns the largest speed. Callers must
+    /// pass a length that suffices for the change of speed (to rounding), and a speed or length
+    /// above zero.
     pub(crate) fn phases(&self, length: f64, from: f64, to: f64, phases: &mut Vec<Phase>) -> f64 {
         let used = |peak: f64| self.ramp_length(from, peak) + self.ramp_length(peak, to);
         let lowest = from.max(to);

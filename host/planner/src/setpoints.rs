@@ -125,8 +125,8 @@ impl<'a> Emitter<'a> {
         let pieces = &trajectory.pieces[first_piece..];
         let first_path = pieces.first().map_or(0, |piece| piece.path);
 
-        // A setpoint is at every knot, at least the shortest duration apart; a step of acceleration has
-        // priority over a change of jerk.
+        // A setpoint is at every knot, at least the shortest duration apart; a step of acceleration
+        // has priority over a change of jerk.
         let mut knots: Vec<(u64, Knot)> = vec![(begin, Knot::Step)];
         for piece in pieces
             .iter()
@@ -188,8 +188,8 @@ impl<'a> Emitter<'a> {
         }
     }
 
-    /// Adds one segment, or two halves if its cubic deviates from the trajectory because of an omitted
-    /// knot.
+    /// Adds one segment, or two halves if its cubic deviates from the trajectory because of an
+    /// omitted knot.
     fn join(
         &mut self,
         trajectory: &Trajectory,
@@ -207,7 +207,8 @@ impl<'a> Emitter<'a> {
         }
         let time = to as f64 * self.period;
         let (mut pose, mut rates) = trajectory.intended(&mut self.cursor, time);
-        // Place of the motion towards the setpoint; a setpoint at a corner may be up to a period late.
+        // Place of the motion towards the setpoint; a setpoint at a corner may be up to a period
+        // late.
         let piece = trajectory.seek(&mut self.cursor, time - self.period);
         let (place, path) = &trajectory.paths[piece.map_or(0, |piece| piece.path as usize)];
         let place = *place;

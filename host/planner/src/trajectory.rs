@@ -54,7 +54,8 @@ pub(crate) struct Trajectory {
     pub bumps: Vec<Bump>,
 }
 
-/// Position in a plan for evaluations in sequence: a step forward is cheap, other times need a search.
+/// Position in a plan for evaluations in sequence: a step forward is cheap, other times need a
+/// search.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Cursor {
     piece: usize,

@@ -74,8 +74,8 @@ impl Column {
         }
     }
 
-    /// Returns the value of a record; `None` if the record does not have it. `time_s` counts from the
-    /// first record.
+    /// Returns the value of a record; `None` if the record does not have it. `time_s` counts from
+    /// the first record.
     #[must_use]
     pub fn value(&self, record: &Record, time_s: f64) -> Option<Value> {
         let tool = flag::TOOL_TRUE | flag::TOOL_MEASURED;
@@ -240,8 +240,8 @@ fn component_columns(
     })
 }
 
-/// Selection of columns by name, such as `x_*_mm,l?_drive_n`: a star matches any letters, a question
-/// mark one letter.
+/// Selection of columns by name, such as `x_*_mm,l?_drive_n`: a star matches any letters, a
+/// question mark one letter.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Selection(Vec<String>);
 

@@ -1,20 +1,21 @@
-//! Recording of a job: binary, with checks and a hash. Trace (CSV), summary and report are made from it.
+//! Recording of a job: binary, with checks and a hash. Trace (CSV), summary and report are made
+//! from it.
 //!
 //! A recording has two parts. The *records* are the states of the job: one per control period of a
-//! controller in this process or on an emulated board, one per telemetry frame of a controller behind
-//! a port. The *periods* are the I/O log: inputs and outputs of the controller since its power-on,
-//! homing included. `haptimill replay` gives the inputs to a new controller and compares the outputs
-//! bit by bit. A controller behind a port was started earlier and sends only telemetry: its recording
-//! has no periods.
+//! controller in this process or on an emulated board, one per telemetry frame of a controller
+//! behind a port. The *periods* are the I/O log: inputs and outputs of the controller since its
+//! power-on, homing included. `haptimill replay` gives the inputs to a new controller and compares
+//! the outputs bit by bit. A controller behind a port was started earlier and sends only telemetry:
+//! its recording has no periods.
 //!
 //! ## Format, versions 3 and 4
 //!
 //! Version 4 has a longer record, for a controller with a haptic arm. A recording of a controller
 //! without one is of version 3.
 //!
-//! All numbers are little-endian. The file is a header and then blocks, each with a check. A truncated
-//! recording is readable up to its last complete block, a damaged one up to the damage. The file
-//! contains no clock time: the same job gives the same bytes.
+//! All numbers are little-endian. The file is a header and then blocks, each with a check. A
+//! truncated recording is readable up to its last complete block, a damaged one up to the damage.
+//! The file contains no clock time: the same job gives the same bytes.
 //!
 //! | header | |
 //! | --- | --- |
@@ -164,8 +165,8 @@ pub mod flag {
     pub const FAULT: u8 = 32;
     /// The machine has a force sensor.
     pub const FORCE: u8 = 64;
-    /// Flag of the haptic arm: its values are valid. A controller behind a port reports them only on
-    /// request.
+    /// Flag of the haptic arm: its values are valid. A controller behind a port reports them only
+    /// on request.
     pub const HAPTIC_KNOWN: u32 = 1;
     /// Flag of the haptic arm: the button on the handle is pressed.
     pub const CLUTCH_CLOSED: u32 = 2;

@@ -1,10 +1,10 @@
 //! Export of a recording as MCAP, for Foxglove and PlotJuggler.
 //!
 //! Each group of columns is a channel: `/state`, `/pose/commanded`, `/joints/error`, `/drives`,
-//! `/force/high`, for a haptic arm `/hand`. A sample is a JSON message with a JSON schema, which both
-//! programs read without a plug-in. Events are on `/events` as `foxglove.Log`. Times count from the
-//! power-on of the controller. Machine file, part program and configuration are attachments; versions
-//! and hash are metadata.
+//! `/force/high`, for a haptic arm `/hand`. A sample is a JSON message with a JSON schema, which
+//! both programs read without a plug-in. Events are on `/events` as `foxglove.Log`. Times count
+//! from the power-on of the controller. Machine file, part program and configuration are
+//! attachments; versions and hash are metadata.
 //!
 //! Chunks have checks and are not compressed: zstd and lz4 would need a C compiler to build this
 //! program.
@@ -360,7 +360,8 @@ impl<W: Write + Seek> Export<W> {
     }
 }
 
-/// Removes zeros from the end of a decimal fraction that begins after `from`: a third of all digits.
+/// Removes zeros from the end of a decimal fraction that begins after `from`: a third of all
+/// digits.
 fn shorten(text: &mut String, from: usize) {
     if text[from..].contains('.') {
         let kept = text.trim_end_matches('0').trim_end_matches('.').len();

@@ -77,8 +77,8 @@ impl fmt::Display for RecordingError {
 impl std::error::Error for RecordingError {}
 
 impl Recording {
-    /// Opens a recording, reads its header and finds its blocks. The content of a block is checked when
-    /// it is read.
+    /// Opens a recording, reads its header and finds its blocks. The content of a block is checked
+    /// when it is read.
     ///
     /// # Errors
     ///
@@ -227,8 +227,8 @@ impl Recording {
         axes.map(|axis| per_axis_unit(axis.kind)).collect()
     }
 
-    /// Returns scale and unit of each joint's drive command: newtons or newton metres per DAC code, or
-    /// 1 per step.
+    /// Returns scale and unit of each joint's drive command: newtons or newton metres per DAC code,
+    /// or 1 per step.
     pub fn drive_units(&self) -> Vec<(f64, &'static str)> {
         let unit = |kind| match kind {
             AxisKind::Linear => "n",

@@ -1,11 +1,11 @@
-//! Replay of a recording: a new controller gets the recorded inputs, and its outputs are compared with
-//! the recorded outputs, bit by bit.
+//! Replay of a recording: a new controller gets the recorded inputs, and its outputs are compared
+//! with the recorded outputs, bit by bit.
 //!
 //! A recording is complete in itself: configuration and commands came over the serial line, whose
-//! bytes are in the periods. Each period compares the drive commands, the spindle and the bytes sent
-//! to the host; during the job also the snapshot of the controller (state, commanded and measured
-//! values, following errors, forces). A controller on another target that gives the same bits computes
-//! the same.
+//! bytes are in the periods. Each period compares the drive commands, the spindle and the bytes
+//! sent to the host; during the job also the snapshot of the controller (state, commanded and
+//! measured values, following errors, forces). A controller on another target that gives the same
+//! bits computes the same.
 //!
 //! A match shows that both controllers behave alike on these inputs. It does not show that they are
 //! correct.

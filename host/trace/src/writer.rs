@@ -239,8 +239,8 @@ impl Recorder {
         });
     }
 
-    /// Sends the records so far to the writing thread, without waiting if its queue is full. They are
-    /// on disk even if the process is killed later.
+    /// Sends the records so far to the writing thread, without waiting if its queue is full. They
+    /// are on disk even if the process is killed later.
     pub fn spill(&mut self) {
         let Some(full) = &self.full else {
             return;
