@@ -397,12 +397,12 @@ impl Plant {
             } else {
                 0.0
             };
-            self.work(rpm);
+            self.apply_process(rpm);
         }
     }
 
     /// Advances the cutting process by one period. Its force loads the joints in the next period.
-    fn work(&mut self, rpm: f64) {
+    fn apply_process(&mut self, rpm: f64) {
         if !self.truth.pose_valid {
             self.truth.force = [0.0; 3];
             self.process_load = [0.0; MAX_AXES];

@@ -145,14 +145,14 @@ impl<L: PlantLink> RemoteController<L> {
             arrived: core::mem::take(&mut self.arrived),
         };
         self.link.send(&transmitted.encode())?;
-        let mut done = match self.hear()? {
+        let mut done = match self.receive_frame()? {
             FromBoard::Done(done) => done,
-            _ => return Err(io::Error::other("the board said something else")),
+            _ => return Err(io::Error::other("the board sent an unexpected frame")),
         };
         let (should, line_inputs) = (LineInputs::of(inputs), done.line_inputs);
         if done.period != inputs.period || line_inputs != should {
             return Err(io::Error::other(format!(
-                "period {}: the board heard {line_inputs:?} in its period {}, and should have heard {should:?}",
+                "period {}: the board heard {line_inputs:?} in its period {}, and expected {should:?}",
                 inputs.period, done.period
             )));
         }
@@ -160,7 +160,7 @@ impl<L: PlantLink> RemoteController<L> {
         let mut bytes = [0; TRANSMIT_BYTES];
         let Some(bytes) = bytes.get_mut(..count) else {
             return Err(io::Error::other(
-                "the board said more than it may in a period",
+                "the board sent more bytes than a period allows",
             ));
         };
         self.link.take_serial(bytes)?;
@@ -169,7 +169,7 @@ impl<L: PlantLink> RemoteController<L> {
         Ok(done)
     }
 
-    fn hear(&mut self) -> io::Result<FromBoard> {
+    fn receive_frame(&mut self) -> io::Result<FromBoard> {
         let mut frame = [0; FROM_BOARD_BYTES];
         self.link.receive(&mut frame)?;
         FromBoard::decode(&frame).map_err(io::Error::other)
@@ -265,7 +265,7 @@ impl<L: PlantLink> Drop for RemoteController<L> {
         if let Ok(FromBoard::Ended {
             stack_bytes,
             ring_peak,
-        }) = self.hear()
+        }) = self.receive_frame()
         {
             let mut cost = self.cost.lock().unwrap_or_else(PoisonError::into_inner);
             cost.stack_bytes = stack_bytes;

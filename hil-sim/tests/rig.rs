@@ -403,13 +403,13 @@ fn line_errors_have_the_configured_rates() {
 fn invalid_faults_are_refused_with_a_message() {
     for (line, part) in [
         ("", "empty"),
-        ("slide-jamed axis=l2", "no fault is called `slide-jamed`"),
+        ("slide-jamed axis=l2", "unknown fault `slide-jamed`"),
         ("slide-jammed", "`axis=` is missing"),
         ("slide-jammed axis=", "`axis=` is empty"),
         ("slide-jammed axis=l2 effort=much", "not a number"),
         ("slide-jammed axis=l2 at=3", "must be a time"),
-        ("slide-jammed axis=l2 axis=l3", "twice"),
-        ("slide-jammed axis=l2 gain=2", "means nothing"),
+        ("slide-jammed axis=l2 axis=l3", "is a duplicate"),
+        ("slide-jammed axis=l2 gain=2", "is not a key"),
         (
             "encoder-stuck axis=l2 channel=c level=low",
             "must be a or b",

@@ -18,7 +18,7 @@ use storm::storm;
 const HELP: &str = "\
 Developer tasks of the project.
 
-  cargo xtask test                 run all checks: format, lints, tests, documentation, boards, emulated runs
+  cargo xtask test                 run all checks: format, line lengths, lints, tests, documentation, boards, emulated runs
   cargo xtask test --native-only   the same without boards and emulated runs; lists what it skipped
   cargo xtask lint                 list comments and prose longer than 100 columns
   cargo xtask board NAME           build the image of a board (mps2), print its size, check it against the budget
@@ -48,6 +48,12 @@ const TEST: &[Step] = &[
         arguments: &["fmt", "--all", "--check"],
         environment: &[],
         component: Some(("fmt", "rustup component add rustfmt")),
+    },
+    Step {
+        name: "line lengths",
+        arguments: &["xtask", "lint"],
+        environment: &[],
+        component: None,
     },
     Step {
         name: "lints",

@@ -16,11 +16,12 @@
 //! fault begins at the start; without `for` it stays. Two faults of one device add up; where they
 //! contradict each other, the later one in the list applies.
 
-mod hand;
+mod catalogue;
+mod haptic;
 mod text;
 
-pub use hand::{HapticEncoder, HapticFault, HapticSensor};
-pub use text::catalogue;
+pub use catalogue::catalogue;
+pub use haptic::{HapticEncoder, HapticFault, HapticSensor};
 
 use core::fmt;
 use haptimill_firmware::io::LEGS;
@@ -78,17 +79,17 @@ pub enum FaultKind {
         /// Name of the joint.
         axis: String,
     },
-    /// The drive gives no effort and reports no fault.
+    /// The drive has no output and reports no fault.
     DriveDead {
         /// Name of the joint.
         axis: String,
     },
-    /// The drive gives no effort and reports a fault.
+    /// The drive has no output and reports a fault.
     DriveTripped {
         /// Name of the joint.
         axis: String,
     },
-    /// The drive gives less or more effort than commanded.
+    /// The drive's output is smaller or larger than commanded.
     DriveWeak {
         /// Name of the joint.
         axis: String,
@@ -156,7 +157,7 @@ pub enum FaultKind {
     },
     /// A fault of the haptic arm.
     HapticArm(HapticFault),
-    /// The spindle stands still whatever its command is.
+    /// The spindle does not turn, whatever its command is.
     SpindleStalled,
     /// The emergency stop circuit is open.
     EmergencyStop,
@@ -350,7 +351,9 @@ impl Fault {
         if let Some((key, value, low, high)) = self.what.bounded()
             && !(low..=high).contains(&value)
         {
-            return refuse(format!("`{key}={value}`: must be {low} to {high}"));
+            return refuse(format!(
+                "`{key}={value}` is out of range, allowed is {low} to {high}"
+            ));
         }
         if let FaultKind::HapticArm(fault) = &self.what
             && let Some(HapticEncoder { leg, .. }) = fault.encoder()
@@ -362,13 +365,16 @@ impl Fault {
         }
         let span = 0.0..=1e6;
         if !span.contains(&self.at_s) {
-            return refuse(format!("`at={}s`: must be 0 to 1e6 seconds", self.at_s));
+            return refuse(format!(
+                "`at={}s` is out of range, allowed is 0 to 1e6 seconds",
+                self.at_s
+            ));
         }
         if let Some(time) = self.for_s
             && !(span.contains(&time) && time > 0.0)
         {
             return refuse(format!(
-                "`for={time}s`: must be up to 1e6 seconds, and more than 0"
+                "`for={time}s` is out of range, allowed is above 0 to 1e6 seconds"
             ));
         }
         Ok(place)

@@ -1,6 +1,7 @@
 //! Faults as one line of text: `name key=value ... at=1.5s for=200ms`. Blanks or commas separate
 //! the keys, which may be in any order.
 
+use super::catalogue::CATALOGUE;
 use super::{Along, Channel, Direction, Fault, FaultError, FaultKind, HapticFault, Level, Switch};
 use core::fmt;
 use core::str::FromStr;
@@ -131,7 +132,7 @@ fn parse(text: &str) -> Result<Fault, String> {
     let entry = entry.ok_or_else(|| {
         let names: Vec<_> = CATALOGUE.iter().map(|entry| entry.name).collect();
         format!(
-            "no fault is called `{name}`; there are {}",
+            "unknown fault `{name}`; the faults are {}",
             names.join(", ")
         )
     })?;
@@ -142,7 +143,7 @@ fn parse(text: &str) -> Result<Fault, String> {
             .split_once('=')
             .ok_or_else(|| takes(format!("`{word}`: must be key=value")))?;
         if pairs.iter().any(|(known, _)| *known == key) {
-            return Err(format!("`{key}=` is there twice"));
+            return Err(format!("`{key}=` is a duplicate; remove one"));
         }
         pairs.push((key, value));
     }
@@ -151,7 +152,7 @@ fn parse(text: &str) -> Result<Fault, String> {
     let for_s = keys.seconds("for")?;
     let what = kind(name, &mut keys).map_err(takes)?;
     match keys.0.first() {
-        Some((key, _)) => Err(takes(format!("`{key}=` means nothing here"))),
+        Some((key, _)) => Err(takes(format!("`{key}=` is not a key of this fault"))),
         None => Ok(Fault { at_s, for_s, what }),
     }
 }
@@ -247,184 +248,6 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
             None => return Err(format!("{name} is in the catalogue only")),
         },
     })
-}
-
-/// Catalogue entry of a fault.
-struct Entry {
-    name: &'static str,
-    /// Keys of the fault, optional ones in brackets.
-    keys: &'static str,
-    /// Description of the fault.
-    what: &'static str,
-}
-
-impl Entry {
-    /// Usage line.
-    fn usage(&self) -> String {
-        let blank = if self.keys.is_empty() { "" } else { " " };
-        format!(
-            "write {}{blank}{} [at=TIME] [for=TIME]",
-            self.name, self.keys
-        )
-    }
-}
-
-const fn entry(name: &'static str, keys: &'static str, what: &'static str) -> Entry {
-    Entry { name, keys, what }
-}
-
-/// All faults.
-const CATALOGUE: [Entry; 31] = [
-    entry(
-        "encoder-stuck",
-        "axis=NAME channel=a|b level=low|high",
-        "a channel of an encoder stands still",
-    ),
-    entry(
-        "encoder-swapped",
-        "axis=NAME",
-        "the channels of an encoder are swapped: it counts backwards",
-    ),
-    entry(
-        "encoder-slip",
-        "axis=NAME counts=N",
-        "a counter slips, once",
-    ),
-    entry(
-        "encoder-noise",
-        "axis=NAME per-second=N",
-        "noise pulses on the channels of an encoder",
-    ),
-    entry("index-missing", "axis=NAME", "the index line is dead"),
-    entry(
-        "drive-dead",
-        "axis=NAME",
-        "the drive gives nothing and says that it is well",
-    ),
-    entry(
-        "drive-tripped",
-        "axis=NAME",
-        "the drive gives nothing and says so",
-    ),
-    entry(
-        "drive-weak",
-        "axis=NAME gain=X",
-        "the drive gives X times what it is asked for",
-    ),
-    entry(
-        "drive-reversed",
-        "axis=NAME",
-        "the drive pulls the wrong way",
-    ),
-    entry(
-        "slide-jammed",
-        "axis=NAME [effort=X]",
-        "X N (or N m) of friction more; without X it is held fast",
-    ),
-    entry(
-        "push",
-        "axis=NAME effort=X",
-        "something pushes with X N (or N m)",
-    ),
-    entry(
-        "switch-stuck",
-        "axis=NAME switch=home|limit-low|limit-high active=yes|no",
-        "a switch stands still",
-    ),
-    entry(
-        "sensor-stuck",
-        "along=x|y|z",
-        "the force sensor's codes stand still",
-    ),
-    entry(
-        "sensor-dropped",
-        "along=x|y|z",
-        "the force sensor's signal is lost: codes of 0",
-    ),
-    entry(
-        "sensor-reversed",
-        "along=x|y|z",
-        "the force sensor is wired the wrong way round",
-    ),
-    entry(
-        "sensor-drift",
-        "along=x|y|z rate=X",
-        "the force sensor drifts by X N/s",
-    ),
-    entry(
-        "sensor-saturated",
-        "along=x|y|z level=low|high",
-        "the force sensor stands at an end of its range",
-    ),
-    entry(
-        "hand-encoder-stuck",
-        "leg=N sensor=slide|turn|hinge channel=a|b level=low|high",
-        "a channel of an encoder of the haptic arm stands still",
-    ),
-    entry(
-        "hand-encoder-swapped",
-        "leg=N sensor=slide|turn|hinge",
-        "the channels of an encoder of the haptic arm are swapped",
-    ),
-    entry(
-        "hand-encoder-slip",
-        "leg=N sensor=slide|turn|hinge counts=N",
-        "a counter of the haptic arm jumps, once",
-    ),
-    entry(
-        "hand-encoder-dropped",
-        "leg=N sensor=slide|turn|hinge",
-        "the plug of an encoder of the haptic arm is out",
-    ),
-    entry(
-        "hand-encoder-noise",
-        "leg=N sensor=slide|turn|hinge per-second=N",
-        "noise pulses on the channels of an encoder of the haptic arm",
-    ),
-    entry(
-        "hand-amplifiers-tripped",
-        "",
-        "the amplifiers of the haptic arm give nothing and say so",
-    ),
-    entry("spindle-stalled", "", "the spindle stands"),
-    entry("emergency-stop", "", "the emergency stop circuit is open"),
-    entry(
-        "missed-periods",
-        "count=N",
-        "the controller is not called for N periods, once",
-    ),
-    entry(
-        "link-errors",
-        "rate=X [direction=both|to-machine|to-host]",
-        "bits are flipped, each with probability X",
-    ),
-    entry(
-        "link-drop",
-        "rate=X [direction=...]",
-        "bytes are lost, each with probability X",
-    ),
-    entry(
-        "link-duplicate",
-        "rate=X [direction=...]",
-        "bytes come twice, each with probability X",
-    ),
-    entry(
-        "link-delay",
-        "ms=X [direction=...]",
-        "bytes come X milliseconds later",
-    ),
-    entry("link-cut", "[direction=...]", "nothing gets through"),
-];
-
-/// Help text of all faults: a usage line for each, and an indented line that explains it.
-pub fn catalogue() -> String {
-    CATALOGUE
-        .iter()
-        .map(|entry| {
-            let keys = format!("{} {}", entry.name, entry.keys);
-            format!("  {}\n      {}\n", keys.trim_end(), entry.what)
-        })
-        .collect()
 }
 
 impl fmt::Display for Fault {
@@ -527,12 +350,13 @@ impl fmt::Display for Fault {
 
 #[cfg(test)]
 mod tests {
+    use super::super::catalogue::catalogue;
     use super::*;
 
     /// Every entry of the catalogue, with example values, parses and formats back; each of its keys
     /// is known or required.
     #[test]
-    fn the_catalogue_is_what_can_be_read() {
+    fn every_catalogue_entry_can_be_read() {
         for entry in &CATALOGUE {
             let mut line = entry.name.to_owned();
             for key in entry.keys.split(' ').filter(|key| !key.is_empty()) {

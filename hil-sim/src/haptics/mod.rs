@@ -1,4 +1,4 @@
-//! Haptic arm: the master that an operator leads, with three motor-driven legs (docs/control.md 2.2
+//! Haptic arm: the master that an operator moves, with three motor-driven legs (docs/control.md 2.2
 //! to 2.4).
 //!
 //! [`HapticArm::advance`] applies the [`HapticOutputs`] of one control period in the substeps of
@@ -368,7 +368,7 @@ impl HapticArm {
         let handle = self.handle();
         let period_s = self.period_s();
         if let Some(hand) = &mut self.around.hand {
-            hand.think(&handle, period_s);
+            hand.update(&handle, period_s);
         }
         for step in 0..self.steps {
             self.step(step as f64 * self.step_s);
@@ -378,8 +378,8 @@ impl HapticArm {
         self.time_ns += self.period_ns;
         self.update_ground_truth();
         let holds = |hand: &Operator| matches!(hand.trajectory(), Trajectory::Hold);
-        let content = self.around.hand.as_ref().is_none_or(holds);
-        let rests = content && self.motion.twist.iter().all(|rate| rate.abs() < RESTS);
+        let is_holding = self.around.hand.as_ref().is_none_or(holds);
+        let rests = is_holding && self.motion.twist.iter().all(|rate| rate.abs() < RESTS);
         self.idle = if rests {
             self.idle.saturating_add(1)
         } else {
@@ -402,7 +402,7 @@ impl HapticArm {
         let pose = self.motion.pose();
         match self.geometry.legs(&pose) {
             Ok(legs) => self.legs = legs,
-            Err(_) => return self.stand(before),
+            Err(_) => return self.jam(before),
         }
         let acting = self.acting(&pose.frame, later + half);
         self.motion.twist = self.dynamics.kick(
@@ -416,7 +416,7 @@ impl HapticArm {
     }
 
     /// Keeps the handle at its last pose, because no leg holds it at the new one.
-    fn stand(&mut self, before: Motion) {
+    fn jam(&mut self, before: Motion) {
         self.motion = before;
         self.motion.twist = [0.0; 6];
         self.truth.jammed += 1;
@@ -438,7 +438,7 @@ impl HapticArm {
             acting.turn(core::array::from_fn(|i| {
                 -rail.turn_stiffness * turned[i] - rail.turn_damping * spin[i]
             }));
-            acting.rub(rail.way(), [0.0; 3], rail.coulomb);
+            acting.rub(rail.unit_direction(), [0.0; 3], rail.coulomb);
         }
         if let Some(part) = &self.around.part {
             let tip = self.geometry.tip();
@@ -455,7 +455,7 @@ impl HapticArm {
             let grip = hand.config().grip_mm;
             let lever = turned(frame, grip);
             let place = minus(plus(centre, lever), grip);
-            let (force, moment) = hand.act(
+            let (force, moment) = hand.force_on(
                 (place, motion.of_point(lever)),
                 (motion.turned(), motion.spin()),
                 later,

@@ -73,9 +73,9 @@ impl Motors {
         let alive = powered && outputs.enabled && !self.tripped;
         for (index, commanded) in self.commanded.iter_mut().enumerate() {
             let kind = index % 2;
-            let asked = f64::from(outputs.currents[index / 2][kind]) * self.per_code[kind];
+            let force = f64::from(outputs.currents[index / 2][kind]) * self.per_code[kind];
             *commanded = if alive {
-                asked.clamp(-self.limit[kind], self.limit[kind])
+                force.clamp(-self.limit[kind], self.limit[kind])
             } else {
                 0.0
             };

@@ -233,8 +233,13 @@ impl JointConfig {
             let problem = format!("{low} is not below limit_high = {high}; lower it");
             check.refuse(format!("{at}: limit_low"), problem);
         }
-        let room = (self.preset - self.low).min(self.high - self.preset);
-        check.within(format!("{at}: start_spread"), self.start_spread, 0.0, room);
+        let distance = (self.preset - self.low).min(self.high - self.preset);
+        check.within(
+            format!("{at}: start_spread"),
+            self.start_spread,
+            0.0,
+            distance,
+        );
         let slide = self.inertia * (1.0 - self.motor_share);
         let stiffest = 0.09 / (substep * substep) * slide / self.kind.acceleration_unit();
         check.within(

@@ -122,7 +122,7 @@ pub struct LoopClosureError;
 
 impl fmt::Display for LoopClosureError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("the rods do not close: the slides stand where the platform cannot be, or at a singularity")
+        f.write_str("the rods do not close: no platform pose fits the slide positions, or the pose is singular")
     }
 }
 

@@ -83,21 +83,22 @@ impl Rail {
     }
 
     /// Unit vector of the free direction.
-    pub fn way(&self) -> Vector {
+    pub fn unit_direction(&self) -> Vector {
         let square = dot(self.direction, self.direction);
         times(self.direction, 1.0 / libm::sqrt(square))
     }
 
     /// Force on the handle, N, at a position from home (mm) with a velocity (mm/s).
     pub fn force(&self, place: Vector, velocity: Vector) -> Vector {
-        let way = self.way();
-        let across = |vector: Vector| minus(vector, times(way, dot(vector, way)));
+        let unit_direction = self.unit_direction();
+        let across =
+            |vector: Vector| minus(vector, times(unit_direction, dot(vector, unit_direction)));
         let (off, rate) = (across(place), across(velocity));
         core::array::from_fn(|i| -self.stiffness * off[i] - self.damping * rate[i])
     }
 }
 
-/// A round reference part with its axis along z; the operator leads the ball at the tip along its
+/// A round reference part with its axis along z; the operator moves the ball at the tip along its
 /// edge. Positions from the tip's home, mm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -1,16 +1,17 @@
-//! Operator model at the handle of the haptic arm: intended motion and compliance of the hand.
+//! Operator model at the handle of the haptic arm: intended motion and compliance of the operator's
+//! hand.
 //!
 //! The model has four parts with different time scales, one line each:
 //!
 //! ```text
-//! felt     F_r' = (F(t - T_r) . s - F_r) / T_s
-//! pace     v = v_0 (1 - F_r / F_0), within 0 and v_0
-//! effort   T_e E' = G K e(t - T_r) - E
-//! force    F = K (x_d - x) + B (v - x') + E, at most F_max
+//! perceived force  F_r' = (F(t - T_r) . s - F_r) / T_s
+//! pace             v = v_0 (1 - F_r / F_0), within 0 and v_0
+//! effort           T_e E' = G K e(t - T_r) - E
+//! force            F = K (x_d - x) + B (v - x') + E, at most F_max
 //! ```
 //!
-//! * *felt*: the force that the hand feels along its path s, after the reaction time.
-//! * *pace*: the operator slows down against resistance, and stops at F_0.
+//! * *perceived force*: the force on the hand along its path s, after the reaction time.
+//! * *pace*: the operator decelerates against resistance, and stops at F_0.
 //! * *effort*: the operator sees the position error e of the tip, and pushes harder.
 //! * *force*: spring and damper of the arm itself, without delay.
 //!
@@ -20,12 +21,12 @@
 //! of the edge's normal has a force instead of a position.
 //!
 //! One set of parameters serves all scenarios; docs/decisions states its origin. F_0 and T_r
-//! determine how a hand yields: of a speed of 20 mm/s, 12 mm/s remain against 2.8 N, 4 mm/s against
+//! determine the compliance: of a speed of 20 mm/s, 12 mm/s remain against 2.8 N, 4 mm/s against
 //! 5.6 N.
 //!
 //! Units: mm, N, N mm, s, rad; positions of the tip from its home, axes of the master's base.
 //!
-//! This model cannot show whether a controller is safe with *any* hand. Callers must sweep
+//! This model cannot show whether a controller is safe with *every* operator. Callers must sweep
 //! stiffness and mass for that, and let the operator hold the handle without a trajectory.
 
 pub mod contact;
@@ -80,16 +81,16 @@ pub struct OperatorConfig {
     pub force_limit_n: f64,
     /// Largest moment of the hand, N mm.
     pub moment_limit_n_mm: f64,
-    /// Reaction time T_r from feeling or seeing to action, s.
+    /// Reaction time T_r from perception to action, s.
     pub reaction_s: f64,
-    /// Time constant T_s of the felt force, s.
+    /// Time constant T_s of the perceived force, s.
     pub smoothing_s: f64,
     /// Final gain G of the visual position correction, in multiples of the stiffness; 0 switches it
     /// off.
     pub effort_gain: f64,
     /// Time constant T_e of the visual position correction, s.
     pub effort_s: f64,
-    /// Force F_0 against the motion that stops the hand, N; infinity switches the slowing off.
+    /// Force F_0 against the motion that stops the hand, N; infinity switches the deceleration off.
     pub stop_force_n: f64,
 }
 
@@ -169,7 +170,7 @@ pub struct Operator {
     carried: Carried,
     desired: DesiredMotion,
     past: VecDeque<Observation>,
-    /// Felt force along the path, N.
+    /// Perceived force along the path, N.
     applied: f64,
     /// Force and moment of the visual correction.
     effort: Vector,
@@ -218,7 +219,7 @@ impl Operator {
         &self.config
     }
 
-    /// Sets a new trajectory, which starts where the last one has led. The present force continues.
+    /// Sets a new trajectory, which starts at the end of the last one. The present force continues.
     pub fn set_trajectory(&mut self, trajectory: Trajectory) {
         self.carried = Carried::new(trajectory, self.desired.place);
     }
@@ -249,7 +250,7 @@ impl Operator {
     }
 
     /// Advances perception and trajectory by one period.
-    pub fn think(&mut self, handle: &Handle, dt: f64) {
+    pub fn update(&mut self, handle: &Handle, dt: f64) {
         let off = minus(self.desired.place, handle.tip);
         let now = Observation {
             resistance: dot(self.force, self.desired.along),
@@ -280,7 +281,7 @@ impl Operator {
     /// Force (N, at the grip) and moment (N mm) on the handle, `later` seconds after the period
     /// began. `place` is the grip's position from its home, and `turned` the rotation, each with
     /// its rate.
-    pub fn act(
+    pub fn force_on(
         &mut self,
         (place, velocity): (Vector, Vector),
         (turned, spin): (Vector, Vector),

@@ -1,8 +1,8 @@
 //! Operator trajectory: a path, and the speed that the operator would keep without resistance.
 //!
 //! Positions are those of the tip, in mm from its home, in the axes of the master's base. Times are
-//! seconds since the trajectory was set. The path has no fixed timing: the felt force reduces the
-//! speed ([`crate::operator`]).
+//! seconds since the trajectory was set. The path has no fixed timing: the perceived force reduces
+//! the speed ([`crate::operator`]).
 
 use crate::vector::{Vector, dot, length, minus, plus, times};
 use core::f64::consts::{PI, TAU};
@@ -17,7 +17,7 @@ pub enum Trajectory {
     Hold,
     /// Move it along straight lines, one after the other.
     Strokes(Vec<Stroke>),
-    /// Lead the ball along the edge of a reference part.
+    /// Move the ball along the edge of a reference part.
     Trace(Trace),
     /// Follow a target that is set externally in every period.
     Live(Live),
@@ -135,8 +135,8 @@ impl Carried {
 
     /// Sets the target of a live trajectory; no effect on others.
     pub const fn live(&mut self, live: Live) {
-        if let Trajectory::Live(said) = &mut self.trajectory {
-            *said = live;
+        if let Trajectory::Live(target) = &mut self.trajectory {
+            *target = live;
         }
     }
 
@@ -176,8 +176,8 @@ impl Carried {
                 if self.time < stroke.at_s {
                     return still;
                 }
-                let way = minus(stroke.to_mm, self.place);
-                let remaining = length(way);
+                let unit_direction = minus(stroke.to_mm, self.place);
+                let remaining = length(unit_direction);
                 if remaining < 1e-6 {
                     self.place = stroke.to_mm;
                     self.speed = 0.0;
@@ -187,7 +187,7 @@ impl Carried {
                 let acceleration = stroke.pace_mm_s / stroke.ramp_s.max(1e-3);
                 let limit = stroke.pace_mm_s * pace;
                 self.speed = paced(self.speed, limit, remaining, acceleration, dt);
-                let along = times(way, 1.0 / remaining);
+                let along = times(unit_direction, 1.0 / remaining);
                 let step = (self.speed * dt).min(remaining).max(remaining.min(1e-9));
                 self.place = plus(self.place, times(along, step));
                 DesiredMotion {

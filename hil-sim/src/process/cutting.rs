@@ -29,8 +29,8 @@
 //! equal pass over a cut surface removes nothing.
 //!
 //! The body between the edges lies [`CutterConfig::relief_mm`] behind them. It touches nothing at
-//! normal spindle speed and feed. When the spindle stands still, the tool acts as a blunt ball on a
-//! yielding elastic bed: the force grows with the travel, and vanishes when the tool retracts.
+//! normal spindle speed and feed. When the spindle does not turn, the tool acts as a blunt ball on
+//! an elastic bed: the force grows with the travel, and vanishes when the tool retracts.
 //!
 //! # Limits
 //!
@@ -119,7 +119,7 @@ pub struct Cutting {
     cutter: Cutter,
     workpiece: Workpiece,
     path: ToothPath,
-    carver: MaterialRemoval,
+    removal: MaterialRemoval,
     centre: Vector,
     /// Spindle angle, turns, 0 to 1: angle of the first tooth's tip from y_w, clockwise.
     angle: f64,
@@ -139,7 +139,7 @@ impl Cutting {
             cutter: Cutter::new(&config.cutter, config.workpiece.cell_mm),
             workpiece: Workpiece::new(&config.workpiece),
             path: ToothPath::new(centre),
-            carver: MaterialRemoval::new(radius, centre),
+            removal: MaterialRemoval::new(radius, centre),
             centre,
             angle: 0.0,
             chips_mm3: 0.0,
@@ -152,20 +152,20 @@ impl Cutting {
         self.settle();
         self.centre = pose.centre(self.config.radius_mm);
         self.path = ToothPath::new(self.centre);
-        self.carver = MaterialRemoval::new(self.config.radius_mm, self.centre);
+        self.removal = MaterialRemoval::new(self.config.radius_mm, self.centre);
     }
 
     /// Removes all material that the tool has passed from the map, including the passes that the
-    /// tooth path still holds. Meant for measuring the surface. If the cut continues afterwards,
-    /// the first few teeth cut slightly less than they should.
+    /// tooth path still holds. Used before the surface is measured. If the cut continues
+    /// afterwards, the first few teeth cut slightly less than they should.
     pub fn settle(&mut self) {
         for passed in self.path.remembered() {
-            self.carver
+            self.removal
                 .follow(&mut self.workpiece, passed, passed.centre);
         }
-        self.carver.finish(&mut self.workpiece);
+        self.removal.finish(&mut self.workpiece);
         self.path = ToothPath::new(self.centre);
-        self.carver = MaterialRemoval::new(self.config.radius_mm, self.centre);
+        self.removal = MaterialRemoval::new(self.config.radius_mm, self.centre);
     }
 
     /// The workpiece. It does not yet include the last few tooth periods; see [`Cutting::settle`].
@@ -195,10 +195,10 @@ impl Cutting {
         let from = self.centre;
         let to = pose.centre(self.config.radius_mm);
         self.centre = to;
-        let (carver, workpiece) = (&mut self.carver, &mut self.workpiece);
+        let (removal, workpiece) = (&mut self.removal, &mut self.workpiece);
         let pitches = turns * self.config.teeth as f64;
         self.path.advance(pitches, from, to, |passed| {
-            carver.follow(workpiece, passed, to)
+            removal.follow(workpiece, passed, to)
         });
         let angle = self.angle + turns;
         self.angle = angle - angle.floor();
@@ -245,7 +245,7 @@ impl Cutting {
             passes[count] = frame.to_tool(by);
             count += 1;
         }
-        let behind = minus(self.centre, self.carver.cut());
+        let behind = minus(self.centre, self.removal.cut());
         View {
             workpiece: &self.workpiece,
             frame,
@@ -263,11 +263,11 @@ impl Cutting {
         let nodes = self.cutter.nodes();
         let upright = view.frame.z[2];
         let lean = (1.0 - upright * upright).max(0.0).sqrt();
-        let room = view.workpiece.highest() - view.centre[2];
+        let clearance = view.workpiece.highest() - view.centre[2];
         // The lowest point of a circle rises with the node from the one where kappa equals the
         // tilt.
         let above = nodes.iter().position(|node| {
-            node.height * upright - node.radius * lean > room && node.sin_kappa >= lean
+            node.height * upright - node.radius * lean > clearance && node.sin_kappa >= lean
         });
         &nodes[..above.map_or(nodes.len(), |first| first + 1)]
     }

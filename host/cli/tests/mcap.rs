@@ -40,7 +40,7 @@ mod built {
             let period = message.log_time / 200_000;
             let record = records.find(|record| record.period == period).unwrap();
             let value: Value = serde_json::from_slice(&message.data).unwrap();
-            let tip = f64::from(record.hand.tip[2]) / f64::from(1 << 20);
+            let tip = f64::from(record.haptic.tip[2]) / f64::from(1 << 20);
             assert!(
                 (value["z_mm"].as_f64().unwrap() - tip).abs() < 1e-6,
                 "{value}"

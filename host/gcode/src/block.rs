@@ -1,10 +1,10 @@
-//! From the words of a line to a block: every word known, none twice, one of a modal group.
+//! Blocks: assigns the words of a line to their meanings, at most one word per modal group.
 
 use super::lexer::{Line, Word};
 use super::problem::{Place, Problems};
 use super::{LONGEST_DWELL_S, Options};
 
-/// G0 to G3, and none.
+/// G0 to G3, or none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Motion {
     Rapid,
@@ -30,10 +30,10 @@ pub(crate) enum Stop {
     End,
 }
 
-/// What the spindle does.
+/// Direction of the spindle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Turn {
-    /// It stands (M5).
+    /// Off (M5).
     #[default]
     Off,
     /// M3.
@@ -42,7 +42,7 @@ pub enum Turn {
     CounterClockwise,
 }
 
-/// The words of a block, sorted out.
+/// Words of a block by meaning.
 #[derive(Debug, Default)]
 pub(crate) struct Block {
     pub motion: Option<(Place, Motion)>,
@@ -61,58 +61,66 @@ pub(crate) struct Block {
     pub centre: [Option<Word>; 3],
     /// Words of the pose coordinates, in the machine's order.
     pub axes: [Option<Word>; 6],
-    /// Something was refused: the block's motion is not trusted.
-    pub broken: bool,
+    /// Whether a problem was found; the motion of the block is then not used.
+    pub has_problem: bool,
 }
 
 impl Block {
-    /// The first of the axis words.
+    /// Returns the first axis word.
     pub(crate) fn first_axis(&self) -> Option<&Word> {
         self.axes.iter().flatten().min_by_key(|word| word.place)
     }
 }
 
-/// One word of each modal group in a block.
+/// Modal groups of a block; each may have one word.
 #[derive(Default)]
-struct Groups {
-    seen: Vec<(&'static str, String)>,
+struct ModalGroups {
+    words: Vec<(&'static str, String)>,
 }
 
-impl Groups {
+impl ModalGroups {
     fn enter(&mut self, group: &'static str, word: &Word, problems: &mut Problems) -> bool {
-        if let Some((_, first)) = self.seen.iter().find(|(seen, _)| *seen == group) {
-            let what = format!("{} and {first} in one block: both say {group}", word.text);
-            problems.add(word.place, what, "keep the one that is meant");
+        if let Some((_, first)) = self.words.iter().find(|(known, _)| *known == group) {
+            let what = format!(
+                "{} and {first} in one block: both are of modal group {group}",
+                word.text
+            );
+            problems.add(word.place, what, "keep one");
             return false;
         }
-        self.seen.push((group, word.text.clone()));
+        self.words.push((group, word.text.clone()));
         true
     }
 }
 
-/// Sorts out the words of a line. `first_block` allows an O word.
-pub fn sort(line: &Line, options: &Options, first_block: bool, problems: &mut Problems) -> Block {
+/// Reads the words of a line as a block. `first_block` allows an O word.
+pub fn read_block(
+    line: &Line,
+    options: &Options,
+    first_block: bool,
+    problems: &mut Problems,
+) -> Block {
     let before = problems.count();
     let mut block = Block::default();
-    let mut groups = Groups::default();
+    let mut groups = ModalGroups::default();
     let mut letters: Vec<char> = Vec::new();
     for (index, word) in line.words.iter().enumerate() {
         let letter = word.letter;
         if letter != 'G' && letter != 'M' {
             if letters.contains(&letter) {
-                let what = format!("the letter {letter} stands twice in one block");
-                problems.add(word.place, what, "keep the one that is meant");
+                let what = format!("the letter {letter} occurs twice in one block");
+                problems.add(word.place, what, "keep one");
                 continue;
             }
             letters.push(letter);
         }
         let slot = match letter {
             'G' => {
-                general(word, &mut block, &mut groups, problems);
+                read_g(word, &mut block, &mut groups, problems);
                 continue;
             }
             'M' => {
-                miscellaneous(word, &mut block, &mut groups, problems);
+                read_m(word, &mut block, &mut groups, problems);
                 continue;
             }
             'N' => {
@@ -126,7 +134,7 @@ pub fn sort(line: &Line, options: &Options, first_block: bool, problems: &mut Pr
                     problems.add(
                         word.place,
                         format!("{} is not a block number", word.text),
-                        "number blocks by whole numbers, or not",
+                        "write a whole number from 0, or remove it",
                     );
                 }
                 continue;
@@ -156,42 +164,44 @@ pub fn sort(line: &Line, options: &Options, first_block: bool, problems: &mut Pr
         *slot = Some(word.clone());
     }
     check_companions(&block, problems);
-    block.broken = line.broken || problems.count() > before;
+    block.has_problem = line.has_problem || problems.count() > before;
     block
 }
 
+/// Returns problem and remedy of a letter that is not supported.
 fn unknown_letter(word: &Word) -> (String, &'static str) {
     let text = &word.text;
     match word.letter {
         'T' => (
             format!("tool change {text} is not possible: this machine has one tool"),
-            "take out the T word, one program for each tool",
+            "remove the T word; write one program per tool",
         ),
         'X' | 'Y' | 'Z' | 'A' | 'B' | 'C' | 'U' | 'V' | 'W' => (
             format!("{text}: this machine has no axis {}", word.letter),
             "write the program for the axes of the machine file",
         ),
         'D' | 'H' => (
-            format!("{text}: tool offsets are not known"),
-            "let the program that wrote this file put in the tool",
+            format!("{text}: tool offsets are not supported"),
+            "let the CAM program apply the tool offset",
         ),
         'E' => (
-            format!("{text}: exponents are not known"),
-            "write the number out",
+            format!("{text}: exponents are not supported"),
+            "write all digits of the number",
         ),
         'O' => (
             format!("program number {text} is not alone in the first block"),
-            "take it out; subprograms are not known",
+            "remove it; subprograms are not supported",
         ),
         _ => (
-            format!("{text} is not known"),
-            "take it out, or put it in a comment ( )",
+            format!("{text} is not supported"),
+            "remove it, or put it in a comment ( )",
         ),
     }
 }
 
-fn general(word: &Word, block: &mut Block, groups: &mut Groups, problems: &mut Problems) {
-    // Tenths tell G61 from G61.1.
+/// Reads a G word.
+fn read_g(word: &Word, block: &mut Block, groups: &mut ModalGroups, problems: &mut Problems) {
+    // Tenths, for words such as G61.1.
     let tenths = word.value * 10.0;
     let code = if tenths.fract() == 0.0 {
         tenths as i64
@@ -207,36 +217,38 @@ fn general(word: &Word, block: &mut Block, groups: &mut Groups, problems: &mut P
         _ => None,
     };
     if let Some(motion) = motion {
-        if groups.enter("how to move", word, problems) {
+        if groups.enter("motion", word, problems) {
             block.motion = Some((word.place, motion));
         }
         return;
     }
     let group = match code {
-        40 => "what to do once",
-        170 | 180 | 190 => "the plane",
-        200 | 210 | 700 | 710 => "the unit",
+        40 => "dwell",
+        170 | 180 | 190 => "plane",
+        200 | 210 | 700 | 710 => "unit",
         400 => "cutter compensation",
         490 => "tool length",
-        610 | 640 => "what to do at corners",
-        900 | 910 => "absolute or incremental",
-        940 => "the unit of feed",
+        610 | 640 => "path control",
+        900 | 910 => "distance",
+        940 => "feed mode",
         _ => {
             let remedy = match code {
-                410 | 420 => {
-                    "cutter compensation is not known: let the program that wrote this file do it"
-                }
-                430..=439 => "tool lengths are part of the machine file here: take it out",
+                410 | 420 => "cutter compensation is not supported: let the CAM program apply it",
+                430..=439 => "the tool length is in the machine file: remove it",
                 530..=599 => {
-                    "there is one work coordinate system, that of the machine file: take it out"
+                    "there is one work coordinate system, that of the machine file: remove it"
                 }
                 280..=309 => "write the move as G0 with its coordinates",
-                730 | 810..=899 => "drilling cycles are not known: write the moves out",
+                730 | 810..=899 => "drilling cycles are not supported: write their moves",
                 930 | 950 => "write feeds per minute (G94)",
                 901 => "centres are from the start of the arc (G91.1)",
-                _ => "take it out if the part can do without it",
+                _ => "remove it if the part does not need it",
             };
-            problems.add(word.place, format!("{} is not known", word.text), remedy);
+            problems.add(
+                word.place,
+                format!("{} is not supported", word.text),
+                remedy,
+            );
             return;
         }
     };
@@ -254,12 +266,13 @@ fn general(word: &Word, block: &mut Block, groups: &mut Groups, problems: &mut P
         640 => block.exact_stop = Some(false),
         900 => block.incremental = Some(false),
         910 => block.incremental = Some(true),
-        // G40, G49, G94: as it always is.
+        // G40, G49, G94 change nothing.
         _ => {}
     }
 }
 
-fn miscellaneous(word: &Word, block: &mut Block, groups: &mut Groups, problems: &mut Problems) {
+/// Reads an M word.
+fn read_m(word: &Word, block: &mut Block, groups: &mut ModalGroups, problems: &mut Problems) {
     let code = if word.value.fract() == 0.0 {
         word.value as i64
     } else {
@@ -267,7 +280,7 @@ fn miscellaneous(word: &Word, block: &mut Block, groups: &mut Groups, problems: 
     };
     match code {
         0..=2 | 30 => {
-            if groups.enter("whether to stop", word, problems) {
+            if groups.enter("stop", word, problems) {
                 let stop = match code {
                     0 => Stop::Pause,
                     1 => Stop::OptionalPause,
@@ -277,7 +290,7 @@ fn miscellaneous(word: &Word, block: &mut Block, groups: &mut Groups, problems: 
             }
         }
         3..=5 => {
-            if groups.enter("what the spindle does", word, problems) {
+            if groups.enter("spindle", word, problems) {
                 let turn = match code {
                     3 => Turn::Clockwise,
                     4 => Turn::CounterClockwise,
@@ -288,17 +301,21 @@ fn miscellaneous(word: &Word, block: &mut Block, groups: &mut Groups, problems: 
         }
         _ => {
             let remedy = match code {
-                6 => "this machine has one tool: take it out, one program for each tool",
-                7..=9 => "this machine has no coolant: take it out",
-                98 | 99 => "subprograms are not known: write the moves out",
-                _ => "take it out if the part can do without it",
+                6 => "this machine has one tool: remove it, one program for each tool",
+                7..=9 => "this machine has no coolant: remove it",
+                98 | 99 => "subprograms are not supported: write their moves",
+                _ => "remove it if the part does not need it",
             };
-            problems.add(word.place, format!("{} is not known", word.text), remedy);
+            problems.add(
+                word.place,
+                format!("{} is not supported", word.text),
+                remedy,
+            );
         }
     }
 }
 
-/// Words that need another one, and ranges.
+/// Checks ranges, and words that need another word.
 fn check_companions(block: &Block, problems: &mut Problems) {
     if let Some(word) = &block.feed
         && word.value <= 0.0
@@ -328,7 +345,7 @@ fn check_companions(block: &Block, problems: &mut Problems) {
         (Some(_), Some(word)) if !(0.0..=LONGEST_DWELL_S).contains(&word.value) => {
             problems.add(
                 word.place,
-                format!("{} is not a time to wait", word.text),
+                format!("{} is not a dwell time", word.text),
                 "write 0 to 3600 seconds",
             );
         }
@@ -336,7 +353,7 @@ fn check_companions(block: &Block, problems: &mut Problems) {
             problems.add(
                 word.place,
                 format!("{} belongs to no word of its block", word.text),
-                "P is the time of G4: write G4, or take it out",
+                "P is the time of G4: write G4, or remove it",
             );
         }
         _ => {}

@@ -1,4 +1,4 @@
-//! From an arc's words to its geometry.
+//! Geometry of an arc from its words.
 
 use super::block::{Block, Motion, Plane};
 use super::lexer::Word;
@@ -7,7 +7,8 @@ use super::problem::{Place, Problems};
 use super::{Options, RADIUS_TOLERANCE_MM};
 use std::f64::consts::TAU;
 
-/// The letters of a plane's axes, in the order that makes G3 a positive angle, and the centre words (0 = I) that belong to them.
+/// Returns the letters of a plane's axes, in the order in which G3 is a positive angle, their
+/// centre words (0 for I), and the G word of the plane.
 fn letters(plane: Plane) -> ([char; 2], [usize; 2], &'static str) {
     match plane {
         Plane::Xy => (['X', 'Y'], [0, 1], "G17"),
@@ -16,8 +17,9 @@ fn letters(plane: Plane) -> ([char; 2], [usize; 2], &'static str) {
     }
 }
 
-/// The arc of a block from `from` to `to`; `scale` is mm per unit of the program. Notes what is wrong and gives none.
-pub(crate) fn arc(
+/// Reads the arc of a block from `from` to `to`; `scale` is mm per unit of the program. `None`
+/// after a problem.
+pub(crate) fn read_arc(
     block: &Block,
     (place, motion): (Place, Motion),
     plane: Plane,
@@ -39,7 +41,7 @@ pub(crate) fn arc(
             "the machine has no plane {} {} ({plane_name})",
             names[0], names[1]
         );
-        problems.add(place, what, "choose a plane of axes that the machine has");
+        problems.add(place, what, "choose a plane of the machine's axes");
         return None;
     };
     let stray = (0..3)
@@ -50,7 +52,7 @@ pub(crate) fn arc(
         problems.add(
             word.place,
             what,
-            "choose the plane with G17, G18 or G19, or the centre word that belongs to it",
+            "choose the plane with G17, G18 or G19, or the centre word of this plane",
         );
         return None;
     }
@@ -131,7 +133,7 @@ fn by_centre(
         );
         return None;
     }
-    // The second bound keeps a tiny arc from being mostly mismatch.
+    // The second bound is for small arcs, whose radii would differ by a large part.
     if difference > RADIUS_TOLERANCE_MM.min(0.1 * smaller) {
         let what = format!(
             "the arc's end is {:.6} mm from its centre and its start {:.6} mm: {difference:.6} mm apart",
@@ -194,7 +196,7 @@ fn by_radius(
         problems.add(word.place, what, "check end point and radius");
         return None;
     }
-    // A radius too short by less than the tolerance is a half circle over the chord.
+    // A radius that is too short by less than the tolerance gives a half circle over the chord.
     let height = if short >= 0.0 {
         0.0
     } else {

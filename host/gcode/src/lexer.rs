@@ -1,30 +1,31 @@
-//! From bytes to words: a letter and a number, with the place of each.
+//! Lexer: from bytes to words (a letter and a number) with their places.
 //!
-//! Takes any bytes. What is neither word, comment, blank nor `%` is a problem at its place; nothing is skipped in silence. Why this is not a
-//! library: docs/decisions/0003-part-program-lexer.md.
+//! The lexer accepts any bytes. Everything but words, comments, blanks and `%` is a problem with
+//! its place; nothing is skipped. The reason for an own lexer is in
+//! docs/decisions/0003-part-program-lexer.md.
 
 use super::problem::{Place, Problems};
 
-/// The largest magnitude of a number; also keeps every later computation finite.
+/// Largest magnitude of a number. It keeps all later computations finite.
 pub(crate) const LARGEST_NUMBER: f64 = 1e7;
 
 /// A word: a letter and its number.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Word {
-    /// Where its letter stands.
+    /// Place of the letter.
     pub place: Place,
     /// The letter, in upper case.
     pub letter: char,
     /// The number.
     pub value: f64,
-    /// As it is written, for messages.
+    /// Text of the word, for messages.
     pub text: String,
 }
 
 /// A comment, as written between its marks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Comment {
-    /// Where its opening mark stands.
+    /// Place of the opening mark.
     pub place: Place,
     /// The text, without marks and surrounding blanks; bytes that are not UTF-8 are replaced.
     pub text: String,
@@ -35,13 +36,14 @@ pub struct Comment {
 pub(crate) struct Line {
     /// Its words, in order.
     pub words: Vec<Word>,
-    /// Its `%` signs.
+    /// Place of the last `%`.
     pub percent: Option<Place>,
-    /// A part of it could not be read: what is left of it must not be understood as a motion.
-    pub broken: bool,
+    /// Whether a part of the line has a problem; the rest must not be used as a motion.
+    pub has_problem: bool,
 }
 
-/// The lines of a file, with their numbers from 1. A line ends with LF, CR LF or CR. A byte order mark at the start is passed over.
+/// Returns the lines of a file with their numbers from 1. A line ends with LF, CR LF or CR. A byte
+/// order mark at the start is skipped.
 pub(crate) fn lines(bytes: &[u8]) -> impl Iterator<Item = (u32, &[u8])> {
     let mut rest = Some(bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes));
     let mut number = 0u32;
@@ -110,7 +112,7 @@ pub(crate) fn read_line(
                             "a comment is opened inside a comment",
                             "use ( ) without another ( inside, or ; to the end of the line",
                         );
-                        line.broken = true;
+                        line.has_problem = true;
                         break;
                     }
                     None => {
@@ -119,18 +121,18 @@ pub(crate) fn read_line(
                             "the comment is not closed",
                             "close it with ) on the same line, or open it with ;",
                         );
-                        line.broken = true;
+                        line.has_problem = true;
                         break;
                     }
                 }
             }
             _ if byte.is_ascii_alphabetic() => match scan.word(problems) {
                 Some(word) => line.words.push(word),
-                None => line.broken = true,
+                None => line.has_problem = true,
             },
             _ => {
                 scan.refuse_symbol(problems);
-                line.broken = true;
+                line.has_problem = true;
             }
         }
     }
@@ -161,7 +163,7 @@ impl Scan<'_> {
         }
     }
 
-    /// One byte on. A column is a character: bytes that continue one do not count.
+    /// Advances one byte. A column is a character: continuation bytes do not count.
     fn step(&mut self) {
         self.at += 1;
         if self.peek().is_none_or(|byte| byte & 0xC0 != 0x80) {
@@ -181,7 +183,7 @@ impl Scan<'_> {
         }
     }
 
-    /// A letter and its number; blanks may stand between them.
+    /// Reads a letter and its number; blanks between them are allowed.
     fn word(&mut self, problems: &mut Problems) -> Option<Word> {
         let place = self.place();
         let start = self.at;
@@ -197,7 +199,7 @@ impl Scan<'_> {
             self.step();
             self.step_while(|byte| byte.is_ascii_digit());
         }
-        // Only letters, blanks, signs, digits and points were passed: the slices are ASCII.
+        // The slices have only letters, blanks, signs, digits and points: they are ASCII.
         let text = text_of(&self.bytes[start..self.at]);
         let digits = &self.bytes[number..self.at];
         if !digits.iter().any(u8::is_ascii_digit) {
@@ -208,7 +210,7 @@ impl Scan<'_> {
                 problems.add(
                     place,
                     what,
-                    "write the number behind the letter, or put a remark in ( )",
+                    "write a number after the letter, or put a remark in ( )",
                 );
             }
             return None;
@@ -218,7 +220,7 @@ impl Scan<'_> {
             problems.add(
                 place,
                 format!("the number of {text} is too large"),
-                "no word may be beyond 10,000,000",
+                "write at most 10,000,000",
             );
             return None;
         }
@@ -230,38 +232,38 @@ impl Scan<'_> {
         })
     }
 
-    /// Refuses what stands here; a run of alike bytes is one problem.
+    /// Reports the symbol at the position; a run of similar bytes is one problem.
     fn refuse_symbol(&mut self, problems: &mut Problems) {
         let place = self.place();
         let Some(byte) = self.peek() else { return };
         let (what, remedy) = match byte {
             b'/' => (
-                "block delete (/) is not honoured".into(),
-                "take out the slash, or the whole line",
+                "block delete (/) is not supported".into(),
+                "remove the slash, or the line",
             ),
             b'#' | b'[' | b']' | b'=' => (
-                "variables and expressions are not known".into(),
-                "let the program that wrote this file put in the numbers",
+                "variables and expressions are not supported".into(),
+                "let the CAM program write the numbers",
             ),
             b'*' => (
-                "checksums are not known".into(),
-                "take out the * and the number behind it",
+                "checksums are not supported".into(),
+                "remove the * and the number after it",
             ),
             b')' => (
                 "a comment is closed that was not opened".into(),
                 "open it with ( on the same line",
             ),
             b'0'..=b'9' | b'.' | b'+' | b'-' => (
-                "a number stands without a letter".into(),
+                "a number without a letter".into(),
                 "write the letter of the word in front of the number",
             ),
             b',' => (
-                "a comma is not known".into(),
+                "a comma is not supported".into(),
                 "write decimals with a point: X10.5",
             ),
             0x20..=0x7E => (
-                format!("'{}' is not known", char::from(byte)),
-                "take it out, or put it in a comment ( )",
+                format!("'{}' is not supported", char::from(byte)),
+                "remove it, or put it in a comment ( )",
             ),
             _ => (
                 format!("byte 0x{byte:02X} is not part of a word"),
@@ -276,7 +278,7 @@ impl Scan<'_> {
             0x20..=0x7E => self.step_to(self.at + 1),
             _ => self.step_while(|byte| !(0x20..=0x7E).contains(&byte) && byte != b'\t'),
         }
-        // The rest of an expression is not worth a problem for each of its parts.
+        // The rest of an expression is the same problem.
         if matches!(byte, b'#' | b'[' | b'=' | b'*') {
             self.step_while(|byte| byte != b'(' && byte != b';');
         }

@@ -1,6 +1,6 @@
-//! The geometry of a move: a line or an arc in pose space, by the length of way done.
+//! Geometry of a move: a line or an arc in pose space, parametrised by length.
 
-/// One value for each pose coordinate of a machine, in its order; unused ones are 0. Millimetres or degrees.
+/// Pose in millimetres and degrees, in the machine's order of coordinates; unused ones are 0.
 pub type Coordinates = [f64; 6];
 
 /// Linear or rotary.
@@ -12,23 +12,23 @@ pub enum AxisKind {
     Rotary,
 }
 
-/// What the length of a path counts.
+/// Measure of the length of a path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Measure {
-    /// Millimetres of the tool tip in the work.
+    /// Millimetres of the tool tip in the workpiece.
     Tip,
-    /// Degrees of the rotary axis that turns farthest: the tip stands still in the work.
+    /// Degrees of the rotary axis that turns farthest; the tip does not move in the workpiece.
     Turn,
 }
 
-/// An arc in the plane of two pose coordinates. The others go along in proportion to the angle (helix).
+/// An arc in the plane of two pose coordinates. The others move in proportion to the angle (helix).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arc {
     /// The plane's coordinates, in the order that makes a positive sweep counter-clockwise (G3).
     pub plane: [usize; 2],
     /// Centre in the plane.
     pub centre: [f64; 2],
-    /// Radius at start and end; they differ by no more than the reader tolerates, and the path goes evenly from one to the other.
+    /// Radius at start and end; in between it changes linearly.
     pub radius: [f64; 2],
     /// Angle of the start, radians.
     pub angle: f64,
@@ -43,22 +43,22 @@ pub struct Path {
     pub from: Coordinates,
     /// End.
     pub to: Coordinates,
-    /// The arc, if it is one.
+    /// The arc; `None` for a line.
     pub arc: Option<Arc>,
     /// Length in the unit of `measure`; positive.
     pub length: f64,
-    /// What the length counts.
+    /// Measure of the length.
     pub measure: Measure,
 }
 
 impl Path {
-    /// A straight move; none if nothing moves.
+    /// Creates a line; `None` if nothing moves.
     pub fn line(kinds: &[AxisKind], from: Coordinates, to: Coordinates) -> Option<Path> {
         let (tip, turn) = extent(kinds, &from, &to, &[]);
         Self::with_length(from, to, None, tip.sqrt(), turn)
     }
 
-    /// An arc.
+    /// Creates an arc; `None` if nothing moves.
     pub fn arc(kinds: &[AxisKind], from: Coordinates, to: Coordinates, arc: Arc) -> Option<Path> {
         let (rest, turn) = extent(kinds, &from, &to, &arc.plane);
         let in_plane = 0.5 * (arc.radius[0] + arc.radius[1]) * arc.sweep;
@@ -78,7 +78,7 @@ impl Path {
         tip: f64,
         turn: f64,
     ) -> Option<Path> {
-        // Below the resolution of the setpoints (1 nm, 0.08 udeg) there is no move.
+        // A path below the resolution of the setpoints (1 nm, 0.08 udeg) is no move.
         let (length, measure) = match (tip > 1e-7, turn > 1e-8) {
             (true, _) => (tip, Measure::Tip),
             (false, true) => (turn, Measure::Turn),
@@ -93,7 +93,7 @@ impl Path {
         })
     }
 
-    /// The length that belongs to the tool tip, mm.
+    /// Returns the length of the path of the tool tip, mm.
     pub fn tip_length(&self) -> f64 {
         match self.measure {
             Measure::Tip => self.length,
@@ -101,7 +101,7 @@ impl Path {
         }
     }
 
-    /// The point at length `s`; the ends are exact, beyond them nothing moves.
+    /// Returns the point at length `s`. The ends are exact; `s` is limited to them.
     pub fn at(&self, s: f64) -> Coordinates {
         if s <= 0.0 {
             return self.from;
@@ -123,7 +123,7 @@ impl Path {
         point
     }
 
-    /// The derivative of the point by length, at `s`.
+    /// Returns the derivative of the point by length, at `s`.
     pub fn tangent(&self, s: f64) -> Coordinates {
         let mut tangent = [0.0; 6];
         for (value, (from, to)) in tangent.iter_mut().zip(self.from.iter().zip(&self.to)) {
@@ -140,7 +140,7 @@ impl Path {
         tangent
     }
 
-    /// The second derivative of the point by length, at `s`.
+    /// Returns the second derivative of the point by length, at `s`.
     pub fn curvature(&self, s: f64) -> Coordinates {
         let mut curvature = [0.0; 6];
         if let Some(arc) = &self.arc {
@@ -156,39 +156,42 @@ impl Path {
         curvature
     }
 
-    /// The length at which the path is nearest to `point` in its first three coordinates, looked for from `near` on.
+    /// Returns the length at which the path is nearest to `point` in its first three coordinates,
+    /// searched from `near`.
     pub fn nearest(&self, point: &Coordinates, near: f64) -> f64 {
         let mut s = near;
         if let Some(arc) = &self.arc {
-            // The angle seen from the centre, on the turn that is nearest to where the search starts.
-            let seen = libm::atan2(
+            // Angle about the centre, on the turn nearest to the start of the search.
+            let angle = libm::atan2(
                 point[arc.plane[1]] - arc.centre[1],
                 point[arc.plane[0]] - arc.centre[0],
             );
             let expected = arc.angle + arc.sweep * near / self.length;
-            let turns = libm::round((expected - seen) / std::f64::consts::TAU);
-            s = (seen + turns * std::f64::consts::TAU - arc.angle) / arc.sweep * self.length;
+            let turns = libm::round((expected - angle) / std::f64::consts::TAU);
+            s = (angle + turns * std::f64::consts::TAU - arc.angle) / arc.sweep * self.length;
             s = s.clamp(0.0, self.length);
         }
-        // Newton on the squared distance: exact at once on a line and a flat arc, a few steps on a helix.
+        // Newton's method on the squared distance: one step on a line or flat arc, a few on a
+        // helix.
         for _ in 0..4 {
             let (here, tangent, curvature) = (self.at(s), self.tangent(s), self.curvature(s));
-            let (mut slope, mut bend) = (0.0, 0.0);
+            let (mut slope, mut second) = (0.0, 0.0);
             for k in 0..3 {
                 let off = here[k] - point[k];
                 slope += off * tangent[k];
-                bend += tangent[k] * tangent[k] + off * curvature[k];
+                second += tangent[k] * tangent[k] + off * curvature[k];
             }
-            if bend <= 0.0 {
+            if second <= 0.0 {
                 break;
             }
-            s = (s - slope / bend).clamp(0.0, self.length);
+            s = (s - slope / second).clamp(0.0, self.length);
         }
         s
     }
 }
 
-/// Squared length over the linear coordinates outside `skip`, and the largest turn of a rotary one.
+/// Returns the squared length over the linear coordinates outside `skip`, and the largest turn of a
+/// rotary coordinate.
 fn extent(kinds: &[AxisKind], from: &Coordinates, to: &Coordinates, skip: &[usize]) -> (f64, f64) {
     let (mut squared, mut turn) = (0.0, 0.0f64);
     for (k, kind) in kinds.iter().enumerate().take(6) {

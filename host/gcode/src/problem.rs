@@ -1,8 +1,8 @@
-//! What is wrong with a part program, where, and what to do about it.
+//! Problems of a part program, with place and remedy.
 
 use std::fmt;
 
-/// The most problems that are listed; the rest is counted.
+/// Largest number of listed problems; the others are counted.
 pub const LISTED_PROBLEMS: usize = 50;
 
 /// A place in a part program.
@@ -14,27 +14,28 @@ pub struct Place {
     pub column: u32,
 }
 
-/// One thing that is wrong.
+/// A problem.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
-    /// Where.
+    /// Its place.
     pub place: Place,
-    /// What.
+    /// The problem.
     pub what: String,
-    /// What to do about it.
+    /// The remedy.
     pub remedy: String,
 }
 
-/// A part program that was refused, with every reason that was found. Nothing of it may be run.
+/// A refused part program with its problems. No part of it may be run.
 ///
-/// Shown as `file:line:column: what; remedy`, one line a problem, in the order of the file.
+/// `Display` writes `file:line:column: what; remedy`, one line per problem, in the order of the
+/// file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refused {
-    /// Name of the file, as it was given.
+    /// Name of the file, as given.
     pub file: String,
     /// The problems, at least one, at most [`LISTED_PROBLEMS`].
     pub problems: Vec<Problem>,
-    /// How many more there are.
+    /// Number of the others.
     pub more: usize,
 }
 
@@ -68,7 +69,7 @@ pub(crate) struct Problems {
 }
 
 impl Problems {
-    /// Notes a problem.
+    /// Adds a problem.
     pub(crate) fn add(&mut self, place: Place, what: impl Into<String>, remedy: impl Into<String>) {
         if self.found.len() < LISTED_PROBLEMS {
             self.found.push(Problem {
@@ -81,13 +82,13 @@ impl Problems {
         }
     }
 
-    /// How many there are.
+    /// Returns the number of problems.
     pub(crate) fn count(&self) -> usize {
         self.found.len() + self.more
     }
 
-    /// The value, if nothing was wrong.
-    pub(crate) fn or<T>(mut self, file: &str, value: T) -> Result<T, Refused> {
+    /// Returns the value if there is no problem.
+    pub(crate) fn into_result<T>(mut self, file: &str, value: T) -> Result<T, Refused> {
         if self.found.is_empty() {
             return Ok(value);
         }

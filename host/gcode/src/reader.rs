@@ -1,18 +1,20 @@
-//! Block after block: modal state, position, steps.
+//! Reader: modal state and position from block to block, and the steps of the program.
 
-use super::block::{Block, Motion, Plane, Stop, Turn, sort};
+use super::block::{Block, Motion, Plane, Stop, Turn, read_block};
 use super::lexer::{Word, lines, read_line};
 use super::path::{AxisKind, Coordinates, Path};
 use super::problem::{Place, Problems, Refused};
 use super::{Feed, Move, Options, Program, Step, geometry};
 
-/// Millimetres in an inch.
+/// Millimetres per inch.
 const INCH_MM: f64 = 25.4;
 
-/// Reads a part program. Any bytes are taken; `file` is the name that problems are reported under.
+/// Reads a part program from any bytes. `file` is its name in messages.
 ///
 /// # Errors
-/// Every problem of the file, each with line, column and remedy. A program with a problem is refused as a whole.
+///
+/// Returns every problem of the file, with line, column and remedy. A program with a problem is
+/// refused as a whole.
 pub fn read(file: &str, text: &[u8], options: &Options) -> Result<Program, Refused> {
     let mut reader = Reader::new(options);
     let mut comments = Vec::new();
@@ -28,17 +30,17 @@ pub fn read(file: &str, text: &[u8], options: &Options) -> Result<Program, Refus
         }
         if let Some(ended) = reader.ended {
             let what = format!(
-                "this stands after the end of the program in line {}",
+                "this block is after the end of the program in line {}",
                 ended.line
             );
             reader.problems.add(
                 line.words[0].place,
                 what,
-                "take it out, or the M2, M30 or % before it",
+                "remove it, or the M2, M30 or % before it",
             );
             break;
         }
-        let block = sort(&line, options, !reader.any_block, &mut reader.problems);
+        let block = read_block(&line, options, !reader.any_block, &mut reader.problems);
         reader.any_block = true;
         reader.execute(&block);
     }
@@ -49,7 +51,7 @@ pub fn read(file: &str, text: &[u8], options: &Options) -> Result<Program, Refus
         comments,
         lines: count,
     };
-    reader.problems.or(file, program)
+    reader.problems.into_result(file, program)
 }
 
 struct Reader<'a> {
@@ -63,7 +65,7 @@ struct Reader<'a> {
     inch: bool,
     incremental: bool,
     exact_stop: bool,
-    /// mm/min or deg/min as written; a rotary feed is not scaled by the unit.
+    /// Programmed feed in mm/min, inch/min or deg/min.
     feed: Option<f64>,
     speed: Option<i16>,
     turn: Turn,
@@ -114,7 +116,7 @@ impl<'a> Reader<'a> {
         self.set_spindle(block);
         if let (Some(place), Some(word)) = (block.dwell, &block.seconds)
             && word.value > 0.0
-            && !block.broken
+            && !block.has_problem
         {
             self.steps.push(Step::Dwell {
                 place,
@@ -147,7 +149,7 @@ impl<'a> Reader<'a> {
             && inch != self.inch
         {
             self.inch = inch;
-            // The old number was in the old unit: a feed has to be said anew.
+            // The old feed is in the old unit: the program must give a new one.
             self.feed = None;
         }
         if let Some(word) = &block.feed {
@@ -158,7 +160,7 @@ impl<'a> Reader<'a> {
     fn set_spindle(&mut self, block: &Block) {
         let mut place = None;
         if let Some(word) = &block.speed {
-            // Out of range was refused; the conversion saturates.
+            // A value out of range was reported; the conversion saturates.
             let speed = Some(word.value as i16);
             if self.turn != Turn::Off && speed != self.speed {
                 place = Some(word.place);
@@ -231,21 +233,21 @@ impl<'a> Reader<'a> {
                 return self.problems.add(
                     word.place,
                     what,
-                    "centre and radius belong to G2 and G3: write one, or take it out",
+                    "centre and radius belong to G2 and G3: write one, or remove it",
                 );
             }
             (Some(word), _) | (None, Some(word)) => word,
         };
         let to = self.target(block);
         let from = std::mem::replace(&mut self.at, to);
-        if block.broken {
+        if block.has_problem {
             return;
         }
         let path = if is_arc {
             let place = block.motion.map_or(first.place, |(place, _)| place);
             let scale = self.scale(AxisKind::Linear);
             let ends = (&from, &to);
-            match geometry::arc(
+            match geometry::read_arc(
                 block,
                 (place, self.motion),
                 self.plane,
@@ -260,7 +262,8 @@ impl<'a> Reader<'a> {
         } else {
             Path::line(&self.kinds, from, to)
         };
-        // A block that ends where it starts is no move; the position still becomes exactly what was written.
+        // A block that ends at its start is no move, but the position becomes exactly the
+        // programmed one.
         let Some(path) = path else { return };
         let feed = match (self.motion, self.feed) {
             (Motion::Rapid, _) => Feed::Rapid,
@@ -298,7 +301,7 @@ impl<'a> Reader<'a> {
         }));
     }
 
-    /// The end point that a block's axis words ask for.
+    /// Returns the end point of a block.
     fn target(&self, block: &Block) -> Coordinates {
         let mut to = self.at;
         for (k, (word, kind)) in block.axes.iter().zip(&self.kinds).enumerate() {

@@ -1,4 +1,4 @@
-//! The reader against the geometry that its words mean, and its refusals word by word.
+//! Tests of the reader: words against their geometry, and the messages of refused words.
 
 use super::*;
 use proptest::prelude::*;
@@ -28,8 +28,8 @@ fn refusal(text: &str) -> String {
 }
 
 #[test]
-fn blocks_of_the_specification_are_read() {
-    // Spec nc-program 1.3 and 1.5: leading zeros, blanks between letter and number, several G words.
+fn blocks_are_read() {
+    // Leading zeros, blanks between letter and number, several G words in a block.
     let moves = moves("%\nO0001\nN01 G90 G17\nN15 G01 X2.0 Y1.5 F7.5\nG1 X 42.522 y-.5\n%\n");
     assert_eq!(moves.len(), 2);
     assert_eq!(moves[0].path.to, [2.0, 1.5, 0.0, 0.0, 0.0, 0.0]);
@@ -60,7 +60,7 @@ fn units_and_distances() {
     assert_eq!(inch[0].feed, Feed::PerMinute(50.8));
     assert_eq!(inch[2].feed, Feed::PerMinute(50.0));
     assert_eq!(inch[3].feed, Feed::Rapid);
-    // Degrees a minute are not inches.
+    // A feed in degrees per minute is not scaled.
     assert_eq!(moves("G20 G1 B5 F90")[0].feed, Feed::PerMinute(90.0));
     assert_eq!(moves("G20 G1 B5 A8 F90")[0].path.length, 8.0);
 }
@@ -82,7 +82,7 @@ fn comments_are_kept_with_their_places() {
 }
 
 #[test]
-fn switches_waits_and_ends() {
+fn spindle_dwell_pause_and_end() {
     let program = read(
         "t.ngc",
         b"S3000\nM3\nS4000\nG4 P0.5\nM0\nM1\nM5\nM4\nM30\n%\n",
@@ -119,7 +119,8 @@ fn switches_waits_and_ends() {
 
 #[test]
 fn arcs_in_three_planes_turn_the_right_way() {
-    // A quarter turn counter-clockwise seen from the plane's normal: from the first axis to the second (spec nc-program 4, item 8).
+    // A quarter turn counter-clockwise, seen from the plane's normal, from the first axis to the
+    // second.
     for (text, middle) in [
         (
             "G17 G0 X10\nG3 X0 Y10 I-10 F100",
@@ -139,7 +140,7 @@ fn arcs_in_three_planes_turn_the_right_way() {
         for k in 0..3 {
             assert!((point[k] - middle[k]).abs() < 1e-6, "{text}: {point:?}");
         }
-        // The other way round is three quarters of a turn.
+        // Clockwise it is three quarters of a turn.
         let clockwise = &moves(&text.replace("G3", "G2"))[1].path;
         assert!((clockwise.length - 3.0 * path.length).abs() < 1e-9);
     }
@@ -149,7 +150,7 @@ fn arcs_in_three_planes_turn_the_right_way() {
 fn full_circles_and_helices() {
     let circle = &moves("G2 I-15 F240")[0].path;
     assert!((circle.length - 30.0 * std::f64::consts::PI).abs() < 1e-9);
-    // Spec E11: clockwise, so first towards -Y.
+    // Clockwise: the path starts towards -Y.
     assert!(circle.tangent(0.0)[1] < -0.999);
     let helix = &moves("G3 X0 Y0 Z4 I3 F240")[0].path;
     assert!((helix.length - (6.0 * std::f64::consts::PI).hypot(4.0)).abs() < 1e-9);
@@ -160,22 +161,22 @@ fn full_circles_and_helices() {
 #[test]
 fn refusals_name_place_and_remedy() {
     for (text, start) in [
-        ("G1 X1 Q3 F100", "t.ngc:1:7: Q3 is not known; take it out"),
+        ("G1 X1 Q3 F100", "t.ngc:1:7: Q3 is not supported; remove it"),
         (
             "\nG28 X0",
-            "t.ngc:2:1: G28 is not known; write the move as G0",
+            "t.ngc:2:1: G28 is not supported; write the move as G0",
         ),
-        ("G1.5 X1", "t.ngc:1:1: G1.5 is not known"),
+        ("G1.5 X1", "t.ngc:1:1: G1.5 is not supported"),
         (
             "G1 G2 X1 F1",
-            "t.ngc:1:4: G2 and G1 in one block: both say how to move; keep",
+            "t.ngc:1:4: G2 and G1 in one block: both are of modal group motion; keep",
         ),
         (
             "G90 G91",
-            "t.ngc:1:5: G91 and G90 in one block: both say absolute or incremental",
+            "t.ngc:1:5: G91 and G90 in one block: both are of modal group distance",
         ),
         ("M3 M5 S100", "t.ngc:1:4: M5 and M3 in one block"),
-        ("G0 X1 X2", "t.ngc:1:7: the letter X stands twice"),
+        ("G0 X1 X2", "t.ngc:1:7: the letter X occurs twice"),
         (
             "X1",
             "t.ngc:1:1: X1 without a motion; write G0, G1, G2 or G3",
@@ -189,19 +190,22 @@ fn refusals_name_place_and_remedy() {
             "t.ngc:2:5: a move at feed without a feed; write F with the feed in inch/min",
         ),
         ("G0 X", "t.ngc:1:4: the letter X has no number"),
-        ("G0 X1.2.3", "t.ngc:1:8: a number stands without a letter"),
+        ("G0 X1.2.3", "t.ngc:1:8: a number without a letter"),
         ("G0 X--1", "t.ngc:1:4: the letter X has no number"),
-        ("G0 X1e3", "t.ngc:1:6: e3: exponents are not known"),
+        ("G0 X1e3", "t.ngc:1:6: e3: exponents are not supported"),
         (
             "G0 X99999999",
             "t.ngc:1:4: the number of X99999999 is too large",
         ),
         (
             "G0 X[1+2]",
-            "t.ngc:1:5: variables and expressions are not known",
+            "t.ngc:1:5: variables and expressions are not supported",
         ),
-        ("#1=3", "t.ngc:1:1: variables and expressions are not known"),
-        ("/G0 X1", "t.ngc:1:1: block delete (/) is not honoured"),
+        (
+            "#1=3",
+            "t.ngc:1:1: variables and expressions are not supported",
+        ),
+        ("/G0 X1", "t.ngc:1:1: block delete (/) is not supported"),
         ("G0 X1 (open", "t.ngc:1:7: the comment is not closed"),
         (
             "G0 X1 (a (b) c)",
@@ -219,7 +223,7 @@ fn refusals_name_place_and_remedy() {
         ),
         ("S70000", "t.ngc:1:1: S70000 is not a spindle speed"),
         ("G4", "t.ngc:1:1: G4 without its time; write P"),
-        ("G4 P-1", "t.ngc:1:4: P-1 is not a time to wait"),
+        ("G4 P-1", "t.ngc:1:4: P-1 is not a dwell time"),
         ("G4 P1 X2", "t.ngc:1:7: an axis word in the block of G4"),
         ("G4 X2", "t.ngc:1:1: G4 without its time"),
         ("P1", "t.ngc:1:1: P1 belongs to no word of its block"),
@@ -253,7 +257,7 @@ fn refusals_name_place_and_remedy() {
         ("G0 N5 X1", "t.ngc:1:4: a block number inside a block"),
         (
             "M30\nG0 X1",
-            "t.ngc:2:1: this stands after the end of the program in line 1",
+            "t.ngc:2:1: this block is after the end of the program in line 1",
         ),
         (
             "G0 X1\nO2",
@@ -287,7 +291,7 @@ fn all_problems_are_reported_in_order() {
         .iter()
         .map(|p| (p.place.line, p.place.column))
         .collect();
-    // The missing feed is said once.
+    // A missing feed is reported once.
     assert_eq!(places, [(1, 7), (2, 1), (3, 4), (5, 1)]);
     let many = "Q1\n".repeat(80);
     let refused = read("t.ngc", many.as_bytes(), &options()).unwrap_err();
@@ -300,7 +304,8 @@ fn all_problems_are_reported_in_order() {
 
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
-    /// An arc by centre and the same arc by radius are one; its points are on the circle, its ends exact, its tangent the derivative.
+    /// An arc by centre equals the same arc by radius. Its points are on the circle, its ends are
+    /// exact, and its tangent is the derivative.
     #[test]
     fn arcs_are_circles(
         x in -50.0..50.0f64, y in -50.0..50.0f64, radius in 0.5..80.0f64,
@@ -319,7 +324,8 @@ proptest! {
             let s = path.length * f64::from(i) / 16.0;
             let here = path.at(s);
             prop_assert!(((here[0] - x).hypot(here[1] - y) - radius).abs() < 1e-9);
-            // Near a half circle the centre by radius is ill-conditioned: a length error e moves it by sqrt(e).
+            // Near a half circle the centre by radius is ill-conditioned: a length error e moves it
+            // by sqrt(e).
             let there = by_radius[1].path.at(by_radius[1].path.length * f64::from(i) / 16.0);
             prop_assert!((here[0] - there[0]).hypot(here[1] - there[1]) < 1e-4);
             let h = 1e-6;
@@ -336,7 +342,7 @@ proptest! {
         prop_assert!((last[0] - x1).abs() < 1e-11 && (last[1] - y1).abs() < 1e-11);
     }
 
-    /// The point of a path that is found nearest is no farther than any sampled one.
+    /// The nearest point of a path is no farther than any sampled point.
     #[test]
     fn nearest_is_nearest(px in -20.0..20.0f64, py in -20.0..20.0f64, pz in -3.0..3.0f64, z in -5.0..5.0f64) {
         prop_assume!(px.hypot(py - 10.0) > 1.0);
@@ -346,12 +352,12 @@ proptest! {
             ((at[0] - px).powi(2) + (at[1] - py).powi(2) + (at[2] - pz).powi(2)).sqrt()
         };
         let sampled = (0..=400).map(|i| path.length * f64::from(i) / 400.0).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap();
-        // It searches from a place near by, as a contour error does.
+        // The search starts nearby, as it does for a contour error.
         let found = path.nearest(&[px, py, pz, 0.0, 0.0, 0.0], sampled);
         prop_assert!(off(found) <= off(sampled) + 1e-9, "{} at {found}, {} at {sampled}", off(found), off(sampled));
     }
 
-    /// Anything that is made of the alphabet of part programs is read or refused, the same way twice.
+    /// Any text in the alphabet of part programs is read or refused, twice with the same result.
     #[test]
     fn any_words_are_read_or_refused(text in "([GMXYZABIJKRFSPN%();/ .0-9+-]{0,40}\n){0,20}") {
         let first = read("t.ngc", text.as_bytes(), &options());

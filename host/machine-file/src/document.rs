@@ -1,8 +1,9 @@
-//! A machine file as a tree of sections. A section records the requested keys, to find unknown ones.
+//! A machine file as a tree of sections. A section records the requested keys, to find unknown
+//! ones.
 //!
-//! Reading does not stop at the first problem. A number that is missing or wrong is reported once and
-//! read as NaN; later comparisons with NaN are false and report nothing. Callers must not use any
-//! value unless [`Document::finish`] returns `Ok`.
+//! Reading does not stop at the first problem. A number that is missing or wrong is reported once
+//! and read as NaN; later comparisons with NaN are false and report nothing. Callers must not use
+//! any value unless [`Document::finish`] returns `Ok`.
 
 use super::problem::{LISTED_PROBLEMS, Problem, Problems};
 use std::cell::{Cell, RefCell};

@@ -1,5 +1,5 @@
-//! The `[force]` section of a machine file: the force sensor and the force loops of x, y and z of the
-//! workpiece (docs/control.md 1.3, 3.3, 7.1 items 20 to 26).
+//! The `[force]` section of a machine file: the force sensor and the force loops of x, y and z of
+//! the workpiece (docs/control.md 1.3, 3.3, 7.1 items 20 to 26).
 
 use super::document::{Section, real, whole};
 use super::scale::{PER_EFFORT, PER_MM, to_i32, to_u16, to_u32};

@@ -1,9 +1,9 @@
 //! Machine files: all data of a machine, for the controller, the planner and the simulated plant.
 //!
-//! A machine file is TOML in engineering units; the unit is part of the key (`rate_mm_s`, `low_deg`,
-//! `heartbeat_ms`). One multiplication and one rounding per value give the controller's integers
-//! ([`Config`], see `scale.rs`). Every problem of a file is reported with its line, its value, the
-//! allowed range and the remedy.
+//! A machine file is TOML in engineering units; the unit is part of the key (`rate_mm_s`,
+//! `low_deg`, `heartbeat_ms`). One multiplication and one rounding per value give the controller's
+//! integers ([`Config`], see `scale.rs`). Every problem of a file is reported with its line, its
+//! value, the allowed range and the remedy.
 //!
 //! A machine file without a problem is consistent. The check cannot know whether the file describes
 //! the real machine.
@@ -102,8 +102,8 @@ impl MachineFile {
         Self::parse(BUILT_IN_NAME, BUILT_IN)
     }
 
-    /// Returns the machine with a haptic arm and the operator model ([`HAPTIC_ARM`]), or the machine
-    /// itself if it has a haptic arm.
+    /// Returns the machine with a haptic arm and the operator model ([`HAPTIC_ARM`]), or the
+    /// machine itself if it has a haptic arm.
     ///
     /// # Errors
     ///
@@ -390,8 +390,8 @@ fn read_name(root: &Section<'_, '_>) -> heapless::String<24> {
     })
 }
 
-/// Reads the sections of a list of axes, each with the name and kind that the model has at its place;
-/// reports a wrong count and duplicate names.
+/// Reads the sections of a list of axes, each with the name and kind that the model has at its
+/// place; reports a wrong count and duplicate names.
 fn read_axes<'d, 'i>(
     root: &Section<'d, 'i>,
     key: &'static str,

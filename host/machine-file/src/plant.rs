@@ -62,9 +62,9 @@ fn inside<'d, 'i>(
     }
 }
 
-/// Returns the place of a field of the simulator, and its key in the notation of the other sections:
-/// `joint 0 (l1): drive: limit` is `plant.joint[1].drive.limit`. A part that the file does not have
-/// is at the place of its section.
+/// Returns the place of a field of the simulator, and its key in the notation of the other
+/// sections: `joint 0 (l1): drive: limit` is `plant.joint[1].drive.limit`. A part that the file
+/// does not have is at the place of its section.
 fn place_in_plant(root: &DeTable<'_>, field: &str) -> (usize, String) {
     let mut key = String::from("plant");
     let mut value = root.get("plant");

@@ -2,8 +2,8 @@
 //!
 //! The inertia cancels out of the servo law (docs/control.md (3.36)-(3.37)), so an axis is a double
 //! integrator. Its acceleration is held for a period and takes effect one period after its
-//! computation. The rate of the error is a difference through a first-order filter, the integrator a
-//! sum. Friction only damps and is left out. The loop is stable if every eigenvalue of one period
+//! computation. The rate of the error is a difference through a first-order filter, the integrator
+//! a sum. Friction only damps and is left out. The loop is stable if every eigenvalue of one period
 //! lies inside the unit circle.
 
 /// Gains of a position loop.
@@ -25,7 +25,8 @@ type Matrix = [[f64; STATES]; STATES];
 
 /// Returns the largest eigenvalue magnitude of one control period; the loop is stable below 1.
 ///
-/// Gelfand's formula: the 2^40th root of the norm of the 2^40th power, with an error of about 1e-11.
+/// Gelfand's formula: the 2^40th root of the norm of the 2^40th power, with an error of about
+/// 1e-11.
 pub fn spectral_radius(gains: Gains, period: f64) -> f64 {
     let Gains { kp, kd, ki, .. } = gains;
     let keep = if gains.rate_filter > 0.0 {

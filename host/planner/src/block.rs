@@ -1,25 +1,26 @@
-//! One move against the machine: is all of it in reach, and how fast may it go.
+//! Check of a move: every pose must be reachable, and the limits give its largest speed.
 
 use super::limits::{MachineModel, Settings};
 use super::profile::Along;
 use haptimill_gcode::{AxisKind, Coordinates, Feed, Measure, Move, Path, Place, Problem};
 
-/// Of the limits of acceleration and jerk so much is planned; the rest is for rounding to periods and units.
+/// Planned share of the acceleration limit; the rest is for rounding to periods and units.
 pub(super) const ACCELERATION_SHARE: f64 = 0.95;
 /// See [`ACCELERATION_SHARE`].
 pub(super) const JERK_SHARE: f64 = 0.9;
-/// On an arc, shares of the plane's acceleration: across the path, and along it (together 0.99 of the limit).
+/// On an arc, shares of the acceleration in the plane: across and along the path (together 0.99).
 const CENTRIPETAL_SHARE: f64 = 0.5;
 const TANGENTIAL_SHARE: f64 = 0.85;
-/// On an arc, shares of the plane's jerk: v^3 / r^2 and the ramp along the path, 3 v a / r across (together 0.9 of the limit).
+/// On an arc, shares of the jerk in the plane: v^3 / r^2 and the ramp along the path, 3 v a / r
+/// across (together 0.9).
 const ARC_SPEED_JERK: f64 = 0.25;
 const ARC_RAMP_JERK: f64 = 0.5;
 const ARC_ACROSS_JERK: f64 = 0.5;
-/// Shares of a joint's acceleration: for the bend of the machine's geometry, and for speeding up or a corner.
-const JOINT_BEND_SHARE: f64 = 0.4;
+/// Shares of a joint's acceleration: for the curvature of its path, and for the ramp or a corner.
+const JOINT_CURVATURE_SHARE: f64 = 0.4;
 pub(super) const JOINT_RAMP_SHARE: f64 = 0.5;
 
-/// A move that was checked.
+/// A checked move.
 #[derive(Debug, Clone)]
 pub(crate) struct Block {
     pub place: Place,
@@ -33,14 +34,15 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    /// Bound of the fourth derivative of the motion by time, for the error of a cubic; 0 on a line.
+    /// Returns a bound of the fourth time derivative of the motion, for the error of a cubic; 0 on
+    /// a line.
     pub(crate) fn fourth_derivative(&self, speed: f64, acceleration: f64, jerk: f64) -> f64 {
         let Some(arc) = &self.path.arc else {
             return 0.0;
         };
         let radius = arc.radius[0].max(arc.radius[1]);
         let w = (arc.sweep / self.path.length).abs();
-        // d^4/dt^4 of r e^(i phi), phi' = w v, with a tenth for a radius that changes.
+        // d^4/dt^4 of r e^(i phi), phi' = w v, plus a tenth for a changing radius.
         1.1 * radius
             * (w.powi(4) * speed.powi(4)
                 + 6.0 * w.powi(3) * speed * speed * acceleration
@@ -48,7 +50,7 @@ impl Block {
     }
 }
 
-/// Checks a pose against soft limits, the range of the numbers on the wire, and the machine.
+/// Checks a pose against soft limits, the number range of the protocol, and the machine.
 pub(super) fn check_pose(
     pose: &Coordinates,
     settings: &Settings,
@@ -65,7 +67,7 @@ pub(super) fn check_pose(
                 "{}{value:.4} is outside the soft limits of {} ({low} to {high} {unit}) at {}",
                 axis.letter,
                 axis.letter,
-                show(pose, settings)
+                format_pose(pose, settings)
             );
             return Err((
                 what,
@@ -74,21 +76,24 @@ pub(super) fn check_pose(
         }
     }
     model.joints(pose).map_err(|problem| {
-        // A model may say what to do by itself.
+        // The message of the model may have a remedy.
         let problem = problem.to_string();
         let (what, remedy) = problem.rsplit_once("; ").unwrap_or((
             &problem,
-            "move the work, or keep the tool nearer to the middle of the workspace",
+            "move the workpiece, or keep the tool nearer to the middle of the workspace",
         ));
         (
-            format!("the machine cannot take {}: {what}", show(pose, settings)),
+            format!(
+                "the machine cannot reach {}: {what}",
+                format_pose(pose, settings)
+            ),
             remedy.to_owned(),
         )
     })
 }
 
-/// A pose as a program would write it.
-pub(super) fn show(pose: &Coordinates, settings: &Settings) -> String {
+/// Formats a pose as program words.
+pub(super) fn format_pose(pose: &Coordinates, settings: &Settings) -> String {
     let words: Vec<String> = pose
         .iter()
         .zip(&settings.pose)
@@ -97,7 +102,7 @@ pub(super) fn show(pose: &Coordinates, settings: &Settings) -> String {
     words.join(" ")
 }
 
-/// Checks a move, and finds its limits.
+/// Checks a move and finds its limits.
 pub(super) fn prepare(
     step: &Move,
     settings: &Settings,
@@ -141,7 +146,8 @@ pub(super) fn prepare(
     })
 }
 
-/// How many pieces a path is looked at in: at most 1 mm, 1 degree of a rotary axis and 10 degrees of arc each.
+/// Returns the number of samples of a path: at most 1 mm, 1 degree of a rotary axis and 10 degrees
+/// of arc apart.
 fn intervals(path: &Path, kinds: &[AxisKind]) -> usize {
     let mut count = path.tip_length().max(1.0);
     for (k, kind) in kinds.iter().enumerate() {
@@ -155,14 +161,15 @@ fn intervals(path: &Path, kinds: &[AxisKind]) -> usize {
     count.ceil() as usize
 }
 
-/// The search for the limits of a move over its samples.
+/// Search for the limits of a move over its samples.
 struct Search<'a> {
     settings: &'a Settings,
-    /// Largest speed that the rates of pose and joints allow, and what sets it: its name, unit, limit, and share of the speed.
+    /// Largest speed that the rates of pose and joints allow, and the axis that limits it: name,
+    /// unit, limit, rate per speed, and pose.
     rate_speed: f64,
     slowest: (String, &'static str, f64, f64, Coordinates),
-    /// Largest speed that the bend of the joints' paths allows.
-    bend_speed: f64,
+    /// Largest speed that the curvature of the joints' paths allows.
+    curvature_speed: f64,
     acceleration: f64,
     jerk: f64,
     speed: f64,
@@ -176,7 +183,7 @@ impl<'a> Search<'a> {
             settings,
             rate_speed: infinite,
             slowest: (String::new(), "", 0.0, 0.0, [0.0; 6]),
-            bend_speed: infinite,
+            curvature_speed: infinite,
             acceleration: infinite,
             jerk: infinite,
             speed: infinite,
@@ -222,21 +229,25 @@ impl<'a> Search<'a> {
                     .min(JOINT_RAMP_SHARE * axis.acceleration / part);
             }
             if let Some((at, rates)) = &self.before {
-                let bend = ((joints[k] - rates[k]) / (s - at)).abs();
-                if bend > 1e-12 {
-                    self.bend_speed = self
-                        .bend_speed
-                        .min((JOINT_BEND_SHARE * axis.acceleration / bend).sqrt());
+                let curvature = ((joints[k] - rates[k]) / (s - at)).abs();
+                if curvature > 1e-12 {
+                    self.curvature_speed = self
+                        .curvature_speed
+                        .min((JOINT_CURVATURE_SHARE * axis.acceleration / curvature).sqrt());
                 }
             }
         }
         self.before = Some((s, *joints));
     }
 
-    /// Takes the programmed feed, per minute, or says what it asks too much of.
+    /// Applies the programmed feed, per minute.
+    ///
+    /// # Errors
+    ///
+    /// Returns problem and remedy if the feed exceeds a rate.
     fn feed(&mut self, feed: f64, measure: Measure) -> Result<(), (String, String)> {
-        let wanted = feed / 60.0;
-        if wanted > self.rate_speed {
+        let speed = feed / 60.0;
+        if speed > self.rate_speed {
             let (name, unit, limit, part, pose) = &self.slowest;
             let feed_unit = if measure == Measure::Tip {
                 "mm/min"
@@ -246,20 +257,20 @@ impl<'a> Search<'a> {
             let largest = (self.rate_speed * 60.0 * 10.0).floor() / 10.0;
             return Err((
                 format!(
-                    "a feed of {feed} {feed_unit} asks {name} for {:.3} {unit}/s at {}, it has {limit:.3} {unit}/s",
-                    wanted * part,
-                    show(pose, self.settings)
+                    "a feed of {feed} {feed_unit} needs {:.3} {unit}/s of {name} at {}, its limit is {limit:.3} {unit}/s",
+                    speed * part,
+                    format_pose(pose, self.settings)
                 ),
-                format!("the largest feed that passes in this block is {largest} {feed_unit}"),
+                format!("the largest feed for this block is {largest} {feed_unit}"),
             ));
         }
-        self.speed = wanted;
+        self.speed = speed;
         Ok(())
     }
 
-    /// The limits along the path.
+    /// Returns the limits along the path.
     fn along(&self, path: &Path) -> Along {
-        let mut speed = self.speed.min(self.rate_speed).min(self.bend_speed);
+        let mut speed = self.speed.min(self.rate_speed).min(self.curvature_speed);
         let (mut acceleration, mut jerk) = (self.acceleration, self.jerk);
         if let Some(arc) = &path.arc {
             let axes = arc.plane.map(|k| &self.settings.pose[k]);
@@ -268,16 +279,16 @@ impl<'a> Search<'a> {
             let plane_jerk = JERK_SHARE * axes[0].jerk.min(axes[1].jerk);
             let turn = (arc.sweep / path.length).abs();
             let share = turn * arc.radius[0].max(arc.radius[1]);
-            let bend = share * turn;
+            let curvature = share * turn;
             speed = speed
-                .min((CENTRIPETAL_SHARE * plane_acceleration / bend).sqrt())
-                .min(libm::cbrt(ARC_SPEED_JERK * plane_jerk / (bend * turn)));
+                .min((CENTRIPETAL_SHARE * plane_acceleration / curvature).sqrt())
+                .min(libm::cbrt(ARC_SPEED_JERK * plane_jerk / (curvature * turn)));
             acceleration = acceleration
                 .min(TANGENTIAL_SHARE * plane_acceleration / share)
-                .min(ARC_ACROSS_JERK * plane_jerk / (3.0 * speed * bend));
+                .min(ARC_ACROSS_JERK * plane_jerk / (3.0 * speed * curvature));
             jerk = jerk.min(ARC_RAMP_JERK * plane_jerk / share);
         }
-        // A period more, for rounding.
+        // One more period, for rounding.
         let hold = self.settings.shortest_span_s + f64::from(self.settings.period_us) * 1e-6;
         Along {
             speed,

@@ -1,11 +1,11 @@
-//! How far a point is from the programmed path.
+//! Contour error: the distance of a point from the programmed path.
 
 use super::trajectory::{Cursor, Trajectory};
 use haptimill_gcode::{Coordinates, Path};
 
-/// Way before and after the place at the time that is searched, mm.
+/// Length of path that is searched before and after the programmed pose, mm.
 const WINDOW_MM: f64 = 2.0;
-/// And no more paths than this to either side.
+/// Largest number of paths that are searched on either side.
 const WINDOW_PATHS: usize = 64;
 
 /// See [`super::Plan::contour_error`].
@@ -41,7 +41,7 @@ pub(super) fn error(
     least
 }
 
-/// Distance in the first three coordinates, which are the tip's.
+/// Returns the distance of the tip: in the first three coordinates.
 fn distance(path: &Path, pose: &Coordinates, near: f64) -> f64 {
     let point = path.at(path.nearest(pose, near));
     let squared: f64 = (0..3)

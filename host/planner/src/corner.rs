@@ -1,20 +1,24 @@
-//! The junction of two blocks: how fast it may be taken, and how it is rounded.
+//! Junction of two blocks: its largest speed and its rounding.
 //!
-//! The motion through a corner is the motion along the two exact paths plus a *bump* that makes up for the jump of velocity. With the speed
-//! v constant over the time h around the corner and dv = v (u2 - u1), the bump's acceleration is a triangle from 0 over 2 dv / h back to 0:
-//! jerk 4 dv / h^2, two cubics, greatest deviation dv h / 12 at the corner (a sixth of |u2 - u1| times the half-length d = v h / 2).
+//! The motion through a corner is the motion along the two exact paths plus a *bump*, which cancels
+//! the jump of velocity. The speed v is constant for the time h around the corner. With dv = v (u2
+//! - u1) the acceleration of the bump is a triangle from 0 over 2 dv / h to 0: jerk 4 dv / h^2, two
+//! cubics, largest deviation dv h / 12 at the corner (a sixth of |u2 - u1| times the half-length d
+//! = v h / 2).
 
 use super::block::{ACCELERATION_SHARE, Block, JERK_SHARE, JOINT_RAMP_SHARE};
 use super::limits::Settings;
 use haptimill_gcode::{AxisKind, Coordinates};
 
-/// Half-length of a rounding, at most this part of the shorter block: the rest is for speeding up and slowing down.
+/// Largest half-length of a rounding, as a fraction of the shorter block. The rest is for
+/// acceleration and deceleration.
 const REACH_SHARE: f64 = 0.35;
-/// Where the direction turns by more than 120 degrees, the motion stops.
+/// Cosine of the largest corner without a stop: 120 degrees.
 const SHARPEST_COSINE: f64 = -0.5;
-/// Next to an arc the centripetal acceleration has its share of the limits.
+/// Share of the limits for a rounding next to an arc; the centripetal acceleration takes the rest.
 const ARC_SHARE: f64 = 0.45;
-/// Directions that differ by less are one direction: at 100 mm/s a tenth of the resolution of rates.
+/// Directions that differ by less are equal: at 100 mm/s this is a tenth of the resolution of
+/// rates.
 const SAME_DIRECTION: f64 = 1e-7;
 
 /// A junction of two blocks.
@@ -22,19 +26,19 @@ const SAME_DIRECTION: f64 = 1e-7;
 pub(crate) struct Corner {
     /// Largest speed.
     pub speed: f64,
-    /// u2 - u1: change of velocity per speed.
+    /// u2 - u1: change of velocity per unit of speed.
     pub change: Coordinates,
-    /// The time of a rounding at speed v is at least v * `per_speed` and at least sqrt(v) * `per_root`.
+    /// The duration of a rounding at speed v is at least v * `per_speed` and sqrt(v) * `per_root`.
     per_speed: f64,
     per_root: f64,
     /// Largest v * h: from the tolerance and the lengths of the blocks.
     largest: f64,
-    /// A rounding lasts this long if it may.
+    /// Preferred duration of a rounding.
     preferred: f64,
 }
 
 impl Corner {
-    /// A full stop.
+    /// Returns a junction with a stop.
     pub(crate) fn stop() -> Corner {
         Corner {
             speed: 0.0,
@@ -46,7 +50,7 @@ impl Corner {
         }
     }
 
-    /// The junction from one block to the next.
+    /// Returns the junction between two blocks.
     pub(crate) fn between(before: &Block, after: &Block, settings: &Settings) -> Corner {
         if before.exact_stop || before.path.measure != after.path.measure {
             return Corner::stop();
@@ -67,7 +71,7 @@ impl Corner {
         let mut squared = [0.0; 2];
         for (k, axis) in settings.pose.iter().enumerate() {
             let rotary = usize::from(axis.kind == AxisKind::Rotary);
-            // The direction is that of the tip, or of the turn where only rotary axes move.
+            // Direction of the tip, or of the rotary axes if only they move.
             if rotary == usize::from(before.path.tip_length() == 0.0) {
                 dot += u1[k] * u2[k];
                 norm1 += u1[k] * u1[k];
@@ -117,7 +121,7 @@ impl Corner {
     }
 
     fn need(&mut self, change: f64, acceleration: f64, jerk: f64) {
-        // Half a rounding is no shorter than a span when it reaches the limit of acceleration.
+        // At the acceleration limit half a rounding is at least one segment long.
         let jerk = jerk.min(2.0 * acceleration / self.preferred);
         self.per_speed = self.per_speed.max(2.0 * change / acceleration);
         self.per_root = self.per_root.max((4.0 * change / jerk).sqrt());
@@ -138,18 +142,19 @@ impl Corner {
         }
     }
 
-    /// Half-length of the rounding at a speed; grows with the speed.
+    /// Returns the half-length of the rounding at a speed; it grows with the speed.
     pub(crate) fn reach(&self, speed: f64) -> f64 {
         0.5 * speed * self.time(speed)
     }
 
-    /// Time of the rounding at a speed, 0 where there is nothing to round.
+    /// Returns the duration of the rounding at a speed, 0 without rounding.
     fn time(&self, speed: f64) -> f64 {
         let least = (self.per_speed * speed).max(self.per_root * speed.sqrt());
         if least <= 0.0 {
             return 0.0;
         }
-        // At the largest speed rounding may leave `least` a hair above what fits: still that.
+        // At the largest speed a rounding error may leave `least` slightly above the largest
+        // duration.
         least.max(self.preferred.min(self.largest / speed))
     }
 }

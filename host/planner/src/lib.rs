@@ -1,24 +1,28 @@
-//! The planner: from a part program to a motion over time, and to the setpoints that carry it.
+//! Planner: from a part program to a trajectory, and to its setpoints.
 //!
-//! A [`Plan`] is made as a whole, before anything moves; every block and every setpoint of it has been checked against soft limits and the
-//! machine's geometry. The motion is cubic in time between setpoints: what the controller joins is what was planned.
+//! A [`Plan`] is complete before anything moves. Every block and every setpoint is checked against
+//! soft limits and the machine's geometry. The trajectory is cubic in time between setpoints, as
+//! the controller interpolates it.
 //!
-//! - Along a block: seven phases of constant jerk, no acceleration at the block's ends. A setpoint at every change of jerk.
-//! - On an arc, setpoints as near to each other as the cubic needs to stay within 0.1 um of the circle.
-//! - At a corner within 120 degrees the motion goes through at constant speed, rounded within [`Settings::tolerance_mm`]; sharper corners,
-//!   G61, and a change between moves of the tip and moves of rotary axes alone stop. Where a line meets an arc, the speed keeps the step of
-//!   centripetal acceleration below [`Settings::curvature_step`] of the limit.
-//! - Limits of rate, acceleration and jerk hold for every pose coordinate, of rate and acceleration for every joint. A rapid move is slowed down
-//!   to them; a feed that asks a joint or a coordinate for more than its rate is refused, with the largest that passes. Acceleration and
-//!   look-ahead may keep a move below its feed.
+//! - Along a block: seven phases of constant jerk, no acceleration at the block's ends. A setpoint
+//!   is at every change of jerk.
+//! - On an arc, setpoints are so close that the cubic stays within 0.1 um of the circle.
+//! - A corner of up to 120 degrees is passed at constant speed and rounded within
+//!   [`Settings::tolerance_mm`]. The motion stops at sharper corners, with G61, and between moves
+//!   of the tip and moves of rotary axes alone. Between a line and an arc, the speed keeps the step
+//!   of centripetal acceleration below [`Settings::curvature_step`] of the limit.
+//! - Limits of rate, acceleration and jerk hold for every pose coordinate, of rate and acceleration
+//!   for every joint. A rapid move is limited to them. A feed that exceeds a rate is refused, with
+//!   the largest possible feed. Acceleration and look-ahead may keep a move below its feed.
 //!
-//! Time is a number of control periods: phases are not stretched to whole periods; the motion is evaluated at the period nearest to each
-//! change of jerk. Only rests begin and end on whole periods.
+//! Setpoints are on whole control periods, phases are not: the trajectory is evaluated at the
+//! period nearest to each change of jerk. Only standstills begin and end on whole periods.
 //!
-//! Every computation is f64 with the transcendental functions of the crate libm, so a plan has the same bits on every host.
+//! All computations are f64 with the transcendental functions of the crate libm, so a plan has the
+//! same bits on every host.
 //!
-//! Misuse: the path between setpoints is checked where the setpoints and the samples of the blocks are (at most 1 mm, 1 degree apart), not
-//! between them. A pause (M0) takes no time in the plan.
+//! A path is checked at the setpoints and at samples of the blocks (at most 1 mm, 1 degree apart),
+//! not between them. A pause (M0) takes no time in the plan.
 
 mod block;
 mod contour;
@@ -43,22 +47,23 @@ use profile::Phase;
 use setpoints::Emitter;
 use trajectory::{Bump, Knot, Piece, Trajectory};
 
-/// Changes of rate below the resolution of the setpoints (2^-12 mm/s, 2^-24 turn/s) need no rounding.
+/// Largest change of rate without rounding: the resolution of the setpoints (2^-12 mm/s, 2^-24
+/// turn/s).
 const NO_CORNER: f64 = 2e-5;
 
-/// The longest plan, seconds: a hundred hours.
+/// Longest plan, seconds: a hundred hours.
 const LONGEST_PLAN_S: f64 = 360_000.0;
 
-/// A checked motion over time.
+/// A checked trajectory.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The pose at which it begins, axis units.
+    /// Start pose, axis units.
     pub start: AxisValues,
-    /// The setpoints; the last one is at rest.
+    /// Setpoints; the last one is at standstill.
     pub setpoints: Vec<Setpoint>,
-    /// Length of the control period, seconds.
+    /// Control period, seconds.
     pub period_s: f64,
-    /// Figures of the whole.
+    /// Figures of the plan.
     pub figures: Figures,
     places: Vec<Place>,
     trajectory: Trajectory,
@@ -69,13 +74,13 @@ pub struct Plan {
 pub struct Figures {
     /// Duration, seconds, without pauses.
     pub duration_s: f64,
-    /// Length of the programmed path of the tool tip in the work, mm, rapid moves included.
+    /// Length of the programmed path of the tool tip in the workpiece, mm, rapid moves included.
     pub path_length_mm: f64,
-    /// Moves.
+    /// Number of moves.
     pub blocks: usize,
-    /// Largest speed along the path among the moves of the tip, mm/s.
+    /// Largest path speed of the tip, mm/s.
     pub peak_tip_mm_s: f64,
-    /// Largest rate of each joint among the setpoints, mm/s or deg/s.
+    /// Largest rate of each joint at the setpoints, mm/s or deg/s.
     pub peak_joint_rates: [f64; 6],
 }
 
@@ -83,7 +88,9 @@ impl Plan {
     /// Plans a program.
     ///
     /// # Errors
-    /// What the machine cannot do, each with the place of its block: reach, stroke, singularity, soft limits, feed.
+    ///
+    /// Returns every problem with the place of its block: reach, stroke, singularity, soft limits,
+    /// feed.
     pub fn new(
         program: &Program,
         settings: &Settings,
@@ -109,22 +116,26 @@ impl Plan {
         builder.finish()
     }
 
-    /// Where the program is at a time, on its exact lines and arcs, mm and degrees. For calls in sequence; see [`Cursor`].
+    /// Returns the programmed pose at a time, on the exact lines and arcs, mm and degrees. For
+    /// calls in sequence; see [`Cursor`].
     pub fn programmed(&self, cursor: &mut Cursor, time_s: f64) -> Coordinates {
         self.trajectory.programmed(cursor, time_s)
     }
 
-    /// Pose and rates of the motion that the setpoints carry, with its corners rounded: mm, degrees, and per second.
+    /// Returns pose and rates of the trajectory, with its corners rounded: mm, degrees, and per
+    /// second.
     pub fn intended(&self, cursor: &mut Cursor, time_s: f64) -> (Coordinates, Coordinates) {
         self.trajectory.intended(cursor, time_s)
     }
 
-    /// Distance of the tip from the programmed path, mm, looked for within 2 mm of way around where the program is at this time.
+    /// Returns the contour error: the distance of the tip from the programmed path, mm, searched
+    /// within 2 mm of path around the programmed pose at this time.
     pub fn contour_error(&self, cursor: &mut Cursor, time_s: f64, pose: &Coordinates) -> f64 {
         contour::error(&self.trajectory, cursor, time_s, pose)
     }
 
-    /// The place in the program to which the motion towards a setpoint belongs; the last one for a number beyond the end.
+    /// Returns the place in the program of the motion towards a setpoint; the last one for a number
+    /// beyond the end.
     pub fn place_of(&self, setpoint: usize) -> Place {
         self.places
             .get(setpoint)
@@ -133,7 +144,7 @@ impl Plan {
             .unwrap_or_default()
     }
 
-    /// The line of that.
+    /// Returns the line of the program of the motion towards a setpoint.
     pub fn line_of(&self, setpoint: usize) -> u32 {
         self.place_of(setpoint).line
     }
@@ -154,7 +165,7 @@ struct Builder<'a, M: MachineModel> {
 impl<'a, M: MachineModel> Builder<'a, M> {
     fn new(program: &'a Program, settings: &'a Settings, model: &'a M) -> Self {
         let start = program.start;
-        // Path 0 is the start itself, so that every time has a path.
+        // Path 0 is the start pose, so that every time has a path.
         let standing = Path {
             from: start,
             to: start,
@@ -190,7 +201,7 @@ impl<'a, M: MachineModel> Builder<'a, M> {
 
     fn check_start(&mut self) {
         if let Err((what, _)) = block::check_pose(&self.program.start, self.settings, self.model) {
-            let what = format!("the program would start where the machine cannot be: {what}");
+            let what = format!("the machine cannot be at the start of the program: {what}");
             self.note(Problem {
                 place: Place { line: 1, column: 1 },
                 what,
@@ -207,7 +218,7 @@ impl<'a, M: MachineModel> Builder<'a, M> {
         }
     }
 
-    /// Moves without a wait between them.
+    /// Plans moves without a standstill between them.
     fn run(&mut self, moves: &[&Move]) {
         let Some(last) = moves.last() else { return };
         self.at = last.path.to;
@@ -227,7 +238,7 @@ impl<'a, M: MachineModel> Builder<'a, M> {
         for (index, block) in blocks.iter().enumerate() {
             time = self.lay(block, index, &junctions, time);
             if time > LONGEST_PLAN_S {
-                let what = "at its feeds the program would take more than 100 hours up to here";
+                let what = "at its feeds the program takes more than 100 hours up to here";
                 let remedy = "write higher feeds, or divide the program";
                 return self.note(Problem {
                     place: block.place,
@@ -246,7 +257,7 @@ impl<'a, M: MachineModel> Builder<'a, M> {
         }
     }
 
-    /// Adds the pieces of a block and the bump at its end; gives the time at its end.
+    /// Adds the pieces of a block and the rounding at its end; returns the time of its end.
     fn lay(&mut self, block: &Block, index: usize, junctions: &Junctions, mut time: f64) -> f64 {
         let (into, out) = (junctions.speeds[index], junctions.speeds[index + 1]);
         let reach = [
@@ -310,7 +321,8 @@ impl<'a, M: MachineModel> Builder<'a, M> {
                 .pieces
                 .last()
                 .is_some_and(|piece| piece.jerk == 0.0);
-            // A rounding begins after its block's last phase but one, has its middle between the blocks, and ends after the next one's first.
+            // A rounding begins in the last phase of its block, has its middle between the blocks,
+            // and ends in the first phase of the next block.
             let rounding = (rounded[0] && number <= 1) || (rounded[1] && number == last);
             let knot = if number == 0 && bends {
                 Knot::Step
@@ -392,7 +404,7 @@ impl Plan {
     }
 }
 
-/// The piece of a rest at the end of a path.
+/// Returns the piece of a standstill at the end of a path.
 fn resting(time: f64, path: u32, s: f64) -> Piece {
     Piece {
         time,

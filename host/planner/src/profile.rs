@@ -1,6 +1,6 @@
-//! The law of motion along a block: jerk-limited in seven phases, without acceleration at both ends.
+//! Speed profile of a block: jerk-limited in seven phases, without acceleration at both ends.
 
-/// A change of speed that needs no ramp: far below the resolution of setpoints.
+/// Largest change of speed without a ramp: far below the resolution of setpoints.
 const NO_CHANGE: f64 = 1e-6;
 
 /// Limits along a block, in its unit of length.
@@ -9,7 +9,7 @@ pub(crate) struct Along {
     pub speed: f64,
     pub acceleration: f64,
     pub jerk: f64,
-    /// The shortest phase, seconds, so that both ends of it can have setpoints.
+    /// Shortest phase, seconds, so that both its ends can have setpoints.
     pub hold: f64,
 }
 
@@ -22,9 +22,10 @@ pub(crate) struct Phase {
 }
 
 impl Along {
-    /// Time to go from one speed to another, without acceleration before and after.
+    /// Returns the duration of a change of speed, without acceleration before and after.
     pub(crate) fn ramp_time(&self, from: f64, to: f64) -> f64 {
-        // Grows with the change of speed: without reaching the limit of acceleration, just below it, and at it.
+        // Grows with the change of speed: below the acceleration limit, at its edge, and at the
+        // limit.
         let change = (to - from).abs();
         let rise = self.acceleration / self.jerk;
         if change <= NO_CHANGE {
@@ -38,19 +39,19 @@ impl Along {
         }
     }
 
-    /// Length of that.
+    /// Returns the length of a change of speed.
     pub(crate) fn ramp_length(&self, from: f64, to: f64) -> f64 {
         0.5 * (from + to) * self.ramp_time(from, to)
     }
 
-    /// The ramp's phases: two, or three when the acceleration limit is reached.
+    /// Adds the phases of a change of speed: two, or three at the acceleration limit.
     fn ramp(&self, from: f64, to: f64, phases: &mut Vec<Phase>) {
         let change = to - from;
         let time = self.ramp_time(from, to);
         if time <= 0.0 {
             return;
         }
-        // A symmetric triangle or trapezium of acceleration; change = peak (time - rise).
+        // A symmetric triangle or trapezoid of acceleration; change = peak (time - rise).
         let full = self.acceleration / self.jerk;
         let rise = if change.abs() <= self.acceleration * full {
             0.5 * time
@@ -78,12 +79,13 @@ impl Along {
         });
     }
 
-    /// The phases over a length, from a speed to a speed, and the largest speed between. The length must suffice for the ramp from one to the
-    /// other (to rounding); at least one speed, or the length, must be above zero.
+    /// Adds the phases over a length between two speeds and returns the largest speed. Callers must
+    /// pass a length that suffices for the change of speed (to rounding), and a speed or length
+    /// above zero.
     pub(crate) fn phases(&self, length: f64, from: f64, to: f64, phases: &mut Vec<Phase>) -> f64 {
         let used = |peak: f64| self.ramp_length(from, peak) + self.ramp_length(peak, to);
         let lowest = from.max(to);
-        // A steady phase is as long as any phase, or there is none.
+        // A phase of constant speed has at least the shortest duration, or is left out.
         let fits = |peak: f64| used(peak) + self.hold * peak <= length;
         let highest = |fits: &dyn Fn(f64) -> bool| {
             let (mut low, mut high) = (lowest, self.speed.max(lowest));
@@ -124,7 +126,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
-        /// Integrating the phases ends at the length and the speed that were asked for, within the limits.
+        /// The integral of the phases ends at the given length and speed, within the limits.
         #[test]
         fn phases_integrate_to_length_and_speed(
             length in 1e-3..200.0f64, from in 0.0..50.0f64, to in 0.0..50.0f64,

@@ -1,4 +1,4 @@
-//! From the motion over time to setpoints on whole control periods, in the units of the wire.
+//! Setpoints: samples of the trajectory on whole control periods, in protocol units.
 
 use super::block::{Block, check_pose};
 use super::limits::{MachineModel, Settings};
@@ -7,12 +7,12 @@ use haptimill_gcode::{AxisKind, Coordinates, Place, Problem};
 use haptimill_protocol::message::{Action, AxisValues, RATE_SHIFT};
 use haptimill_protocol::setpoint::Setpoint;
 
-/// Between setpoints the cubic stays this near to the motion: mm, degrees.
+/// Largest deviation of the cubic between setpoints from the trajectory: mm, degrees.
 const CUBIC_ERROR_MM: f64 = 1e-4;
-/// The longest rest in one setpoint, periods.
+/// Longest standstill in one setpoint, periods.
 const LONGEST_REST: u64 = 60_000;
 
-/// Axis units per mm or degree.
+/// Returns the axis units per mm or degree.
 fn units(kind: AxisKind) -> f64 {
     match kind {
         AxisKind::Linear => 1_048_576.0,
@@ -20,9 +20,9 @@ fn units(kind: AxisKind) -> f64 {
     }
 }
 
-/// A pose in axis units, to the nearest.
+/// Rounds a pose to axis units.
 pub(crate) fn quantise_pose(pose: &Coordinates, settings: &Settings) -> AxisValues {
-    // Checked poses are within the range of i32; half a turn would wrap around, as the units do.
+    // Checked poses are within the range of i32; half a turn wraps around.
     settings
         .pose
         .iter()
@@ -41,7 +41,7 @@ fn quantise_rates(rates: &Coordinates, settings: &Settings) -> AxisValues {
         .collect()
 }
 
-/// Makes the setpoints while the trajectory grows.
+/// Makes setpoints while the trajectory grows.
 pub(crate) struct Emitter<'a> {
     settings: &'a Settings,
     period: f64,
@@ -49,9 +49,9 @@ pub(crate) struct Emitter<'a> {
     /// Period of the last setpoint.
     last: u64,
     pub setpoints: Vec<Setpoint>,
-    /// Place in the program of each setpoint.
+    /// Place of each setpoint in the program.
     pub places: Vec<Place>,
-    /// What was found wrong with setpoints.
+    /// Problems of setpoints.
     pub problems: Vec<Problem>,
 }
 
@@ -68,14 +68,14 @@ impl<'a> Emitter<'a> {
         }
     }
 
-    /// Time of the last setpoint, seconds.
+    /// Returns the time of the last setpoint, seconds.
     pub(crate) fn time(&self) -> f64 {
         self.last as f64 * self.period
     }
 
     fn push(&mut self, at: u64, pose: &Coordinates, rates: &Coordinates, place: Place) {
         let setpoint = Setpoint {
-            // Spans are at most the longest rest.
+            // Durations are at most the longest standstill.
             periods: (at - self.last) as u16,
             pose: quantise_pose(pose, self.settings),
             rates: quantise_rates(rates, self.settings),
@@ -86,7 +86,7 @@ impl<'a> Emitter<'a> {
         self.last = at;
     }
 
-    /// A rest of at least one period.
+    /// Adds a standstill of at least one period.
     pub(crate) fn rest(&mut self, pose: &Coordinates, seconds: f64, place: Place) {
         let mut left = ((seconds / self.period).round() as u64).max(1);
         while left > 0 {
@@ -96,7 +96,7 @@ impl<'a> Emitter<'a> {
         }
     }
 
-    /// Something to be done at rest: with the setpoint before, if that has nothing to do yet, or with one of its own.
+    /// Adds an action at standstill: to the last setpoint if it has none, otherwise to a new one.
     pub(crate) fn act(&mut self, pose: &Coordinates, action: Action, place: Place) {
         if self
             .setpoints
@@ -110,7 +110,7 @@ impl<'a> Emitter<'a> {
         }
     }
 
-    /// The setpoints of a run of motion from the last setpoint to `end`, where it is at rest.
+    /// Adds the setpoints of a run of motion from the last setpoint to the standstill at `end`.
     pub(crate) fn run(
         &mut self,
         trajectory: &Trajectory,
@@ -125,7 +125,8 @@ impl<'a> Emitter<'a> {
         let pieces = &trajectory.pieces[first_piece..];
         let first_path = pieces.first().map_or(0, |piece| piece.path);
 
-        // A setpoint at every knot, none nearer than the shortest span to another; a step of acceleration goes before a change of jerk.
+        // A setpoint is at every knot, at least the shortest duration apart; a step of acceleration
+        // has priority over a change of jerk.
         let mut knots: Vec<(u64, Knot)> = vec![(begin, Knot::Step)];
         for piece in pieces
             .iter()
@@ -151,7 +152,7 @@ impl<'a> Emitter<'a> {
         let mut index = 0;
         for pair in knots.windows(2) {
             let (from, to) = (pair[0].0, pair[1].0);
-            // The shortest of the spans that the pieces on the way allow.
+            // The shortest of the durations that the pieces allow.
             let mut span = self.settings.longest_span_s;
             while let Some(piece) = pieces.get(index) {
                 let block = &blocks[(piece.path - first_path) as usize];
@@ -187,7 +188,8 @@ impl<'a> Emitter<'a> {
         }
     }
 
-    /// One span, or two halves of it where its cubic would leave the motion: knots that were too near to another are the reason.
+    /// Adds one segment, or two halves if its cubic deviates from the trajectory because of an
+    /// omitted knot.
     fn join(
         &mut self,
         trajectory: &Trajectory,
@@ -205,12 +207,13 @@ impl<'a> Emitter<'a> {
         }
         let time = to as f64 * self.period;
         let (mut pose, mut rates) = trajectory.intended(&mut self.cursor, time);
-        // What the motion towards it belongs to: a setpoint at a corner may be a part of a period late.
+        // Place of the motion towards the setpoint; a setpoint at a corner may be up to a period
+        // late.
         let piece = trajectory.seek(&mut self.cursor, time - self.period);
         let (place, path) = &trajectory.paths[piece.map_or(0, |piece| piece.path as usize)];
         let place = *place;
         if at_rest {
-            // Exactly, whatever the sums of the phases were rounded to.
+            // The exact end, without the rounding errors of the phases.
             (pose, rates) = (path.to, [0.0; 6]);
         }
         if let Err((what, remedy)) = check_pose(&pose, self.settings, model) {
@@ -223,7 +226,7 @@ impl<'a> Emitter<'a> {
         self.push(to, &pose, &rates, place);
     }
 
-    /// Whether the cubic from one period to another is the motion, looked at in seven places.
+    /// Whether the cubic between two periods is near the trajectory, at seven samples.
     fn is_near(&mut self, trajectory: &Trajectory, from: u64, to: u64) -> bool {
         let (start, t) = (from as f64 * self.period, (to - from) as f64 * self.period);
         let (p0, v0) = trajectory.intended(&mut self.cursor, start);
@@ -243,7 +246,7 @@ impl<'a> Emitter<'a> {
     }
 }
 
-/// The longest span between setpoints on a piece for which the cubic stays near enough to its arc.
+/// Returns the longest segment duration on a piece for which the cubic stays near its arc.
 fn longest_on(piece: &Piece, duration: f64, block: &Block) -> f64 {
     let fastest = piece
         .speed
@@ -252,10 +255,10 @@ fn longest_on(piece: &Piece, duration: f64, block: &Block) -> f64 {
         .acceleration
         .abs()
         .max((piece.acceleration + duration * piece.jerk).abs());
-    let bend = block.fourth_derivative(fastest, acceleration, piece.jerk.abs());
-    // The error of a cubic through both ends with their rates: T^4 / 384 of the fourth derivative.
-    if bend > 0.0 {
-        libm::sqrt(libm::sqrt(384.0 * CUBIC_ERROR_MM / bend))
+    let curvature = block.fourth_derivative(fastest, acceleration, piece.jerk.abs());
+    // Error of a cubic Hermite segment: T^4 / 384 times the fourth derivative.
+    if curvature > 0.0 {
+        libm::sqrt(libm::sqrt(384.0 * CUBIC_ERROR_MM / curvature))
     } else {
         f64::INFINITY
     }

@@ -1,11 +1,11 @@
-//! The motion over time: the law along the exact paths, and the bumps that round the corners.
+//! Trajectory: the speed profile along the exact paths, and the roundings of the corners.
 
 use haptimill_gcode::{Coordinates, Path, Place};
 
-/// Whether a setpoint belongs at the beginning of a piece.
+/// Reason for a setpoint at the beginning of a piece.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Knot {
-    /// The motion goes on as it was.
+    /// None: the motion continues.
     None,
     /// The jerk changes.
     Jerk,
@@ -13,24 +13,24 @@ pub(crate) enum Knot {
     Step,
 }
 
-/// A span of constant jerk along one path.
+/// Part of the trajectory with constant jerk along one path.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Piece {
-    /// When it begins, seconds.
+    /// Start time, seconds.
     pub time: f64,
-    /// Where, how fast and with what acceleration it begins, along the path.
+    /// Length, speed and acceleration at the start, along the path.
     pub s: f64,
     pub speed: f64,
     pub acceleration: f64,
     pub jerk: f64,
     /// Index of the path.
     pub path: u32,
-    /// What happens at its beginning.
+    /// Reason for a setpoint at its start.
     pub knot: Knot,
 }
 
 impl Piece {
-    /// Length done and speed, `t` seconds after its beginning.
+    /// Returns length and speed `t` seconds after its start.
     pub(crate) fn along(&self, t: f64) -> (f64, f64) {
         let s = self.s + t * (self.speed + t * (0.5 * self.acceleration + t * self.jerk / 6.0));
         let speed = self.speed + t * (self.acceleration + 0.5 * t * self.jerk);
@@ -46,7 +46,7 @@ pub(crate) struct Bump {
     pub change: Coordinates,
 }
 
-/// The exact paths and the law of time along them.
+/// The exact paths and the speed profile along them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Trajectory {
     pub paths: Vec<(Place, Path)>,
@@ -54,7 +54,8 @@ pub(crate) struct Trajectory {
     pub bumps: Vec<Bump>,
 }
 
-/// A place in a plan's time, for evaluations in sequence: going forward costs a step, going elsewhere a search.
+/// Position in a plan for evaluations in sequence: a step forward is cheap, other times need a
+/// search.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Cursor {
     piece: usize,
@@ -62,7 +63,7 @@ pub struct Cursor {
 }
 
 impl Trajectory {
-    /// The piece of a time.
+    /// Returns the piece at a time.
     pub(crate) fn seek(&self, cursor: &mut Cursor, time: f64) -> Option<&Piece> {
         let after = |index: usize| {
             self.pieces
@@ -83,7 +84,7 @@ impl Trajectory {
         self.pieces.get(cursor.piece)
     }
 
-    /// Where the law of time is on the exact paths.
+    /// Returns the programmed pose on the exact paths.
     pub(crate) fn programmed(&self, cursor: &mut Cursor, time: f64) -> Coordinates {
         let Some(piece) = self.seek(cursor, time) else {
             return [0.0; 6];
@@ -92,7 +93,7 @@ impl Trajectory {
         self.paths[piece.path as usize].1.at(s)
     }
 
-    /// Pose and rates of the motion, corners rounded.
+    /// Returns pose and rates of the trajectory, with corners rounded.
     pub(crate) fn intended(&self, cursor: &mut Cursor, time: f64) -> (Coordinates, Coordinates) {
         let Some(piece) = self.seek(cursor, time) else {
             return ([0.0; 6], [0.0; 6]);
@@ -101,7 +102,7 @@ impl Trajectory {
         let path = &self.paths[piece.path as usize].1;
         let mut pose = path.at(s);
         let mut rates = path.tangent(s).map(|part| part * speed);
-        // Bumps do not overlap: the one that has not ended is the only one.
+        // Roundings do not overlap: only the one that has not ended matters.
         let ended = |bump: &Bump| bump.time + bump.half <= time;
         let passed = cursor.bump;
         if passed > 0 && !ended(&self.bumps[passed - 1])

@@ -20,7 +20,7 @@ pub use html::write_html;
 pub use statistics::{Extent, Spread, Statistics};
 
 use haptimill_protocol::message::State;
-use haptimill_trace::{Recorded, Recording, RecordingError, export_csv};
+use haptimill_trace::{Recorded, Recording, RecordingError, write_csv};
 use serde::Serialize;
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -245,7 +245,7 @@ pub fn write_all(
         let file = File::create(&path).map_err(|error| RecordingError::Io(path, error))?;
         Ok(BufWriter::new(file))
     };
-    export_csv(&recording, &mut create(TRACE_FILE)?, trace_every)?;
+    write_csv(&recording, &mut create(TRACE_FILE)?, trace_every)?;
     let (summary, statistics) = Summary::of(&recording, recorded, outcome)?;
     let mut file = create(SUMMARY_FILE)?;
     let io = |error| RecordingError::Io(dir.join(SUMMARY_FILE), error);

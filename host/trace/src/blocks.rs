@@ -1,11 +1,11 @@
-//! The blocks of a recording: what they have, how long they are, and a check that finds what was damaged.
+//! Blocks of a recording: kind, length and check.
 
 use super::CRC;
 
-/// Size of what stands before the contents of a block.
+/// Size of the head of a block.
 pub(super) const HEAD_BYTES: usize = 20;
 
-/// What a block has.
+/// Content of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Records,
@@ -21,15 +21,15 @@ const TAGS: [(Kind, &[u8; 4]); 4] = [
     (Kind::End, b"DONE"),
 ];
 
-/// What stands before the contents of a block.
+/// Head of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Head {
     pub(super) kind: Kind,
-    /// Bytes of its contents.
+    /// Bytes of the content.
     pub(super) bytes: u32,
-    /// Records, periods or events in it.
+    /// Number of records, periods or events.
     pub(super) count: u32,
-    /// Check of the contents.
+    /// CRC-32 of the content.
     pub(super) crc: u32,
 }
 
@@ -57,7 +57,7 @@ impl Head {
         bytes
     }
 
-    /// `None` when its check fails, or it says what cannot be of records of so many bytes.
+    /// Decodes a head; `None` if its check fails or its count does not fit the size of a record.
     pub(super) fn decode(bytes: &[u8; HEAD_BYTES], record_bytes: usize) -> Option<Self> {
         let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
         let (kind, _) = TAGS.iter().find(|(_, tag)| bytes[..4] == tag[..])?;
@@ -72,7 +72,7 @@ impl Head {
                 Kind::Records => {
                     u64::from(head.bytes) == u64::from(head.count) * record_bytes as u64
                 }
-                // Each takes a byte at least.
+                // Each has at least one byte.
                 Kind::Periods | Kind::Events => head.count <= head.bytes,
                 Kind::End => head.bytes == 0,
             };

@@ -1,10 +1,10 @@
-//! What stands in a record, by name: the columns of a trace, the lines of a plot, the fields of an MCAP message.
+//! Columns: the named values of a record, for the trace, plots and MCAP messages.
 
 use super::{Axes, Record, Recording, flag};
 use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::io::COMPONENTS;
 
-/// Axis units of a millimetre.
+/// Axis units per millimetre.
 const MM: f64 = (1 << 20) as f64;
 
 /// A column.
@@ -12,14 +12,14 @@ const MM: f64 = (1 << 20) as f64;
 pub struct Column {
     /// Name, with its unit: `x_commanded_mm`.
     pub name: String,
-    /// What it is a part of: `commanded`, `joint_error`, `state`.
+    /// Group of columns: `commanded`, `joint_error`, `state`.
     pub group: &'static str,
     /// Unit: `mm`, `deg`, `n`, `n_m`, `s`, `rpm`, `steps`; empty for a plain number.
     pub unit: &'static str,
     field: Field,
 }
 
-/// Where a row of a record is.
+/// Accessor of a row of a record.
 type Row = fn(&Record) -> &Axes;
 type Forces = fn(&Record) -> &[i32; COMPONENTS];
 
@@ -33,26 +33,26 @@ enum Field {
     PathRate,
     Spindle,
     Flag(u8),
-    Held,
+    Clutch,
     Axis(Row, usize, f64),
     Force(Forces, usize, f64),
 }
 
-/// What stands in a column.
+/// Value of a column.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Value {
-    /// A measure, and the decimals that it is written with.
+    /// A measured value and its number of decimals.
     Real(f64, usize),
-    /// A count or a number.
+    /// A whole number.
     Whole(i64),
-    /// Yes or no.
+    /// True or false.
     Flag(bool),
     /// The state of the controller.
     State(haptimill_protocol::message::State),
 }
 
 impl Value {
-    /// As a number, for pictures.
+    /// Returns the value as a number, for plots.
     #[must_use]
     pub fn number(self) -> f64 {
         match self {
@@ -74,22 +74,23 @@ impl Column {
         }
     }
 
-    /// What stands in it; `None` where the record has no such thing. `time_s` is since the first record.
+    /// Returns the value of a record; `None` if the record does not have it. `time_s` counts from
+    /// the first record.
     #[must_use]
     pub fn value(&self, record: &Record, time_s: f64) -> Option<Value> {
         let tool = flag::TOOL_TRUE | flag::TOOL_MEASURED;
-        let there = match self.group {
+        let is_present = match self.group {
             "programmed" => record.has(flag::PROGRAMMED),
             "tool" => record.has(tool),
             "force_high" | "force_low" | "yielded" => record.has(flag::FORCE),
             "force_true" => record.has(flag::FORCE) && record.has(flag::TOOL_TRUE),
             "hand" | "hand_force" | "hand_reflected" | "hand_wall" => {
-                record.hand_flags & flag::HAND_KNOWN != 0
+                record.haptic_flags & flag::HAPTIC_KNOWN != 0
             }
             _ => true,
         };
         let scaled = |raw: i32, scale: f64| Value::Real(f64::from(raw) * scale, 6);
-        there.then(|| match self.field {
+        is_present.then(|| match self.field {
             Field::Time => Value::Real(time_s, 6),
             Field::Period => Value::Whole(record.period as i64),
             Field::State => Value::State(record.state),
@@ -98,15 +99,15 @@ impl Column {
             Field::PathRate => Value::Real(f64::from(record.path_rate) / 65_535.0, 5),
             Field::Spindle => Value::Whole(i64::from(record.spindle_rpm)),
             Field::Flag(flag) => Value::Flag(record.has(flag)),
-            Field::Held => Value::Flag(record.hand_flags & flag::HAND_HELD != 0),
+            Field::Clutch => Value::Flag(record.haptic_flags & flag::CLUTCH_CLOSED != 0),
             Field::Axis(row, axis, scale) => scaled(row(record)[axis], scale),
             Field::Force(row, axis, scale) => scaled(row(record)[axis], scale),
         })
     }
 
-    /// Whether the column is there in every record.
+    /// Whether every record has a value of this column.
     #[must_use]
-    pub fn is_always_there(&self) -> bool {
+    pub fn is_always_present(&self) -> bool {
         !matches!(
             self.group,
             "programmed"
@@ -123,7 +124,7 @@ impl Column {
     }
 }
 
-/// All columns of a recording, in the order of the trace.
+/// Returns all columns of a recording, in the order of the trace.
 #[must_use]
 pub fn columns(recording: &Recording) -> Vec<Column> {
     let (header, config) = (recording.header(), recording.config());
@@ -156,12 +157,12 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
     let kinds: Vec<AxisKind> = config.pose.iter().map(|axis| axis.kind).collect();
     let scales = recording.pose_units();
     for (group, row) in pose {
-        all.extend(axes(group, row, &header.pose, &kinds, &scales));
+        all.extend(axis_columns(group, row, &header.pose, &kinds, &scales));
     }
     let kinds: Vec<AxisKind> = config.joints.iter().map(|axis| axis.kind).collect();
     let scales = recording.joint_units();
     for (group, row) in joints {
-        all.extend(axes(group, row, &header.joints, &kinds, &scales));
+        all.extend(axis_columns(group, row, &header.joints, &kinds, &scales));
     }
     for (axis, (name, (scale, unit))) in header
         .joints
@@ -185,25 +186,30 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         ("force_true", "n", |record| &record.true_force, NEWTON),
     ];
     for (group, unit, row, scale) in forces {
-        all.extend(three(group, unit, row, scale));
+        all.extend(component_columns(group, unit, row, scale));
     }
-    if header.hand {
-        all.extend(three("hand", "mm", |record| &record.hand.tip, 1.0 / MM));
-        all.push(Column::plain("hand_held", "hand", "", Field::Held));
+    if header.has_haptic_arm {
+        all.extend(component_columns(
+            "hand",
+            "mm",
+            |record| &record.haptic.tip,
+            1.0 / MM,
+        ));
+        all.push(Column::plain("hand_held", "hand", "", Field::Clutch));
         let masters: [(&'static str, Forces); 3] = [
-            ("hand_force", |record| &record.hand.force),
-            ("hand_reflected", |record| &record.hand.reflected),
-            ("hand_wall", |record| &record.hand.wall),
+            ("hand_force", |record| &record.haptic.force),
+            ("hand_reflected", |record| &record.haptic.reflected),
+            ("hand_wall", |record| &record.haptic.wall),
         ];
         for (group, row) in masters {
-            all.extend(three(group, "n", row, NEWTON));
+            all.extend(component_columns(group, "n", row, NEWTON));
         }
     }
     all
 }
 
-/// The columns of all axes.
-fn axes(
+/// Returns the columns of all axes.
+fn axis_columns(
     group: &'static str,
     row: Row,
     names: &[String],
@@ -221,8 +227,8 @@ fn axes(
     })
 }
 
-/// The columns of x, y and z.
-fn three(
+/// Returns the columns of x, y and z.
+fn component_columns(
     group: &'static str,
     unit: &'static str,
     row: Forces,
@@ -234,7 +240,8 @@ fn three(
     })
 }
 
-/// Columns by name, as `x_*_mm,l?_drive_n`: a star stands for any letters, a question mark for one.
+/// Selection of columns by name, such as `x_*_mm,l?_drive_n`: a star matches any letters, a
+/// question mark one letter.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Selection(Vec<String>);
 
@@ -249,10 +256,11 @@ impl Selection {
         Self(names.map(str::to_string).collect())
     }
 
-    /// Those of the columns that are named, each once, in the order of the names.
+    /// Returns the selected columns, each once, in the order of the names.
     ///
     /// # Errors
-    /// A name that no column has, in words.
+    ///
+    /// Returns a message if a name matches no column.
     pub fn of(&self, columns: &[Column]) -> Result<Vec<Column>, String> {
         let mut chosen: Vec<Column> = Vec::new();
         for pattern in &self.0 {
@@ -269,7 +277,7 @@ impl Selection {
             }
             if !found {
                 return Err(format!(
-                    "there is no column \"{}\"; `haptimill trace info FILE` lists them, a star stands for any letters",
+                    "no column matches \"{}\"; `haptimill trace info FILE` lists them, a star matches any letters",
                     String::from_utf8_lossy(pattern)
                 ));
             }
@@ -281,9 +289,9 @@ impl Selection {
     }
 }
 
-/// Whether a name is of a pattern.
+/// Whether a name matches a pattern.
 fn matches(pattern: &[u8], name: &[u8]) -> bool {
-    // Where the last star was, and how much of the name it has taken.
+    // Position of the last star, and the end of the part of the name that it matches.
     let (mut p, mut n, mut star) = (0, 0, None);
     while n < name.len() {
         match pattern.get(p) {
@@ -296,9 +304,9 @@ fn matches(pattern: &[u8], name: &[u8]) -> bool {
                 n += 1;
             }
             _ => match star {
-                Some((at, taken)) => {
-                    star = Some((at, taken + 1));
-                    (p, n) = (at + 1, taken + 1);
+                Some((at, matched)) => {
+                    star = Some((at, matched + 1));
+                    (p, n) = (at + 1, matched + 1);
                 }
                 None => return false,
             },
@@ -313,7 +321,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn patterns_are_what_they_seem() {
+    fn stars_and_question_marks_match() {
         for (pattern, name, fits) in [
             ("x_*_mm", "x_commanded_mm", true),
             ("x_*_mm", "x_commanded_deg", false),
@@ -335,7 +343,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(5), failure_persistence: None, ..ProptestConfig::default() })]
         #[test]
-        fn a_name_with_letters_starred_out_still_matches(name in "[a-c]{0,9}", from in 0usize..9, to in 0usize..9) {
+        fn star_matches_any_part_of_a_name(name in "[a-c]{0,9}", from in 0usize..9, to in 0usize..9) {
             let (from, to) = (from.min(name.len()), to.min(name.len()));
             let (from, to) = (from.min(to), from.max(to));
             let pattern = format!("{}*{}", &name[..from], &name[to..]);

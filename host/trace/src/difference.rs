@@ -1,4 +1,4 @@
-//! Where two recordings differ first: the same job on two targets must leave the same bits.
+//! Comparison of two recordings. The same job on two targets must give the same bits.
 
 use super::{Axes, Record, Recording, RecordingError};
 use std::fmt;
@@ -28,10 +28,11 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Compares what was recorded, headers apart; `None` when nothing differs.
+/// Returns the first difference of the records of two recordings. Headers are not compared.
 ///
 /// # Errors
-/// One of them cannot be read.
+///
+/// Returns an error if a recording cannot be read.
 pub fn difference(
     first: &Recording,
     second: &Recording,
@@ -39,7 +40,7 @@ pub fn difference(
     for (number, (one, other)) in first.iter()?.zip(second.iter()?).enumerate() {
         let (one, other) = (one?, other?);
         if one != other {
-            let Some((field, first, second)) = unequal(&one, &other, first) else {
+            let Some((field, first, second)) = first_unequal_field(&one, &other, first) else {
                 continue;
             };
             return Ok(Some(Difference {
@@ -61,9 +62,9 @@ pub fn difference(
     }))
 }
 
-/// The first field in which two records differ, and its value in each.
+/// Returns the first field in which two records differ, with both values.
 #[must_use]
-pub fn unequal(
+pub fn first_unequal_field(
     one: &Record,
     other: &Record,
     recording: &Recording,
@@ -81,9 +82,9 @@ pub fn unequal(
             format!("{:#010b}", other.flags),
         ),
         (
-            "flags of the hand",
-            one.hand_flags.to_string(),
-            other.hand_flags.to_string(),
+            "flags of the haptic arm",
+            one.haptic_flags.to_string(),
+            other.haptic_flags.to_string(),
         ),
         (
             "setpoint",
@@ -150,12 +151,28 @@ pub fn unequal(
     let forces = [
         ("peak force", &one.force.high, &other.force.high),
         ("low force", &one.force.low, &other.force.low),
-        ("yielding", &one.force.yielded, &other.force.yielded),
+        (
+            "compliant displacement",
+            &one.force.yielded,
+            &other.force.yielded,
+        ),
         ("true force", &one.true_force, &other.true_force),
-        ("tip of the handle", &one.hand.tip, &other.hand.tip),
-        ("force at the hand", &one.hand.force, &other.hand.force),
-        ("reflection", &one.hand.reflected, &other.hand.reflected),
-        ("push of the walls", &one.hand.wall, &other.hand.wall),
+        ("tip of the handle", &one.haptic.tip, &other.haptic.tip),
+        (
+            "force on the operator",
+            &one.haptic.force,
+            &other.haptic.force,
+        ),
+        (
+            "force feedback",
+            &one.haptic.reflected,
+            &other.haptic.reflected,
+        ),
+        (
+            "virtual fixture force",
+            &one.haptic.wall,
+            &other.haptic.wall,
+        ),
     ];
     for (name, first, second) in forces {
         for (axis, (first, second)) in ["x", "y", "z"].iter().zip(first.iter().zip(second)) {

@@ -1,23 +1,24 @@
-//! The trace: a recording as CSV, in mm, degrees and newtons.
+//! Export of a recording as CSV (the trace), in mm, degrees and newtons.
 
 use super::column::Value;
 use super::{Column, Record, Recording, RecordingError, columns};
 use std::fmt::Write as _;
 use std::io::Write;
 
-/// Which records are taken.
+/// Selection of records.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Thinning {
-    /// One every so many control periods; where a recording has fewer records than that (telemetry), each.
+    /// Number of control periods between two selected records; a recording with fewer records
+    /// (telemetry) keeps them all.
     pub every: u32,
-    /// From here on, seconds since the first record.
+    /// Start, seconds since the first record.
     pub from_s: f64,
-    /// Up to here.
+    /// End, seconds since the first record.
     pub to_s: f64,
 }
 
 impl Default for Thinning {
-    /// All of them.
+    /// Selects all records.
     fn default() -> Self {
         Self {
             every: 1,
@@ -28,10 +29,12 @@ impl Default for Thinning {
 }
 
 impl Thinning {
-    /// Calls `take` with each record that is taken and its time in seconds since the first one; the last record of all is always taken.
+    /// Calls `take` with each selected record and its time in seconds since the first record. The
+    /// last record of a recording is always selected.
     ///
     /// # Errors
-    /// The recording cannot be read, or `take` fails.
+    ///
+    /// Returns an error if the recording cannot be read or `take` fails.
     pub fn apply(
         &self,
         recording: &Recording,
@@ -51,7 +54,7 @@ impl Thinning {
             if record.period < next && index != last || time_s < self.from_s {
                 continue;
             }
-            // Rows stay on the grid that the first one began, as far as there are records.
+            // Rows stay on the grid of the first record.
             next = begin + (record.period.saturating_sub(begin) / every + 1) * every;
             take(&record, time_s)?;
         }
@@ -59,12 +62,13 @@ impl Thinning {
     }
 }
 
-/// Writes all columns, a row every `every` control periods and one for the last record. Units stand in the names of the columns; a cell is
-/// empty where the recording has no value.
+/// Writes all columns, a row every `every` control periods and one for the last record. The unit is
+/// part of a column's name; a cell is empty where the recording has no value.
 ///
 /// # Errors
-/// The recording cannot be read, or the trace not written.
-pub fn export_csv(
+///
+/// Returns an error if the recording cannot be read or the trace cannot be written.
+pub fn write_csv(
     recording: &Recording,
     out: &mut dyn Write,
     every: u32,
@@ -74,8 +78,8 @@ pub fn export_csv(
         ..Thinning::default()
     };
     let columns = columns(recording);
-    if export_table(recording, &columns, &thinning, out)? == 0 {
-        let header = names(&columns);
+    if write_table(recording, &columns, &thinning, out)? == 0 {
+        let header = name_row(&columns);
         out.write_all(header.as_bytes())
             .and_then(|()| out.flush())
             .map_err(RecordingError::Write)?;
@@ -83,24 +87,26 @@ pub fn export_csv(
     Ok(())
 }
 
-/// The first row.
-fn names(columns: &[Column]) -> String {
+/// Returns the first row.
+fn name_row(columns: &[Column]) -> String {
     let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
     names.join(",") + "\n"
 }
 
-/// Writes chosen columns of chosen records, and says how many rows that were below their names; with none the names are not written either.
+/// Writes selected columns of selected records and returns the number of rows. The row of names is
+/// written only before a first row.
 ///
 /// # Errors
-/// The recording cannot be read, or the table not written.
-pub fn export_table(
+///
+/// Returns an error if the recording cannot be read or the table cannot be written.
+pub fn write_table(
     recording: &Recording,
     columns: &[Column],
     thinning: &Thinning,
     out: &mut dyn Write,
 ) -> Result<u64, RecordingError> {
     let mut rows = 0;
-    let mut row = names(columns);
+    let mut row = name_row(columns);
     thinning.apply(recording, |record, time_s| {
         if rows == 0 {
             out.write_all(row.as_bytes())

@@ -1,16 +1,17 @@
-//! What stands at the beginning of a recording.
+//! Header of a recording.
 
-use super::{CRC, HAND_BYTES, HAND_VERSION, MAGIC, RECORD_BYTES, VERSION};
+use super::{CRC, HAPTIC_BYTES, HAPTIC_VERSION, MAGIC, RECORD_BYTES, VERSION};
 use haptimill_protocol::message::MAX_AXES;
 use haptimill_protocol::schema::SCHEMA_HASH;
 
-/// Bytes up to and with the size of the header.
+/// Size of the start of the header, up to and including the field with the header size.
 pub(super) const START_BYTES: usize = 16;
 
-/// What a recording says of itself.
+/// Header of a recording.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Header {
-    /// The controller's configuration, postcard; it has the control period, the kinds of the axes and the scale of the drives.
+    /// The controller's configuration, postcard: control period, kinds of the axes, scale of the
+    /// drives.
     pub config: Vec<u8>,
     /// CRC-32 (ISO-HDLC) of the configuration.
     pub config_crc: u32,
@@ -22,23 +23,24 @@ pub struct Header {
     pub pose: Vec<String>,
     /// Names of the joints.
     pub joints: Vec<String>,
-    /// Version of the program that recorded.
+    /// Version of the recording program.
     pub software: String,
-    /// Schema of the messages of that program.
+    /// Schema hash of the messages of that program.
     pub schema: u64,
     /// Text of the machine file.
     pub machine_text: String,
-    /// Text of the part program; empty when the recorder was not given it.
+    /// Text of the part program, or empty.
     pub program_text: Vec<u8>,
-    /// The controller has a haptic arm: every record has its hand.
-    pub hand: bool,
+    /// Whether the controller has a haptic arm; every record then has its values.
+    pub has_haptic_arm: bool,
 }
 
 impl Header {
-    /// The header of a job.
+    /// Creates the header of a job.
     ///
     /// # Errors
-    /// The configuration cannot be encoded.
+    ///
+    /// Returns an error if the configuration cannot be encoded.
     pub fn of(
         machine: &haptimill_machine_file::MachineFile,
         program: &str,
@@ -58,38 +60,42 @@ impl Header {
             schema: SCHEMA_HASH,
             machine_text: machine.text.clone(),
             program_text: Vec::new(),
-            hand: machine.config.haptic.is_some(),
+            has_haptic_arm: machine.config.haptic.is_some(),
         })
     }
 
-    /// Size of a record.
+    /// Returns the size of a record.
     #[must_use]
     pub const fn record_bytes(&self) -> usize {
-        if self.hand {
-            RECORD_BYTES + HAND_BYTES
+        if self.has_haptic_arm {
+            RECORD_BYTES + HAPTIC_BYTES
         } else {
             RECORD_BYTES
         }
     }
 
-    /// The same with the text of the part program.
+    /// Adds the text of the part program.
     #[must_use]
     pub fn with_program(mut self, text: &[u8]) -> Self {
         self.program_text = text.to_vec();
         self
     }
 
-    /// The header as bytes. Names are cut at what their length can say.
+    /// Encodes the header. Names are truncated to the range of their length field.
     pub(super) fn encode(&self) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
-        let version = if self.hand { HAND_VERSION } else { VERSION };
+        let version = if self.has_haptic_arm {
+            HAPTIC_VERSION
+        } else {
+            VERSION
+        };
         bytes.extend_from_slice(&version.to_le_bytes());
         bytes.extend_from_slice(&(self.record_bytes() as u16).to_le_bytes());
         bytes.extend_from_slice(&[0; 4]);
         bytes.extend_from_slice(&self.config_crc.to_le_bytes());
-        long(&mut bytes, &self.config);
-        short(&mut bytes, &self.machine);
-        short(&mut bytes, &self.program);
+        put_long(&mut bytes, &self.config);
+        put_short(&mut bytes, &self.machine);
+        put_short(&mut bytes, &self.program);
         for names in [&self.pose, &self.joints] {
             bytes.push(names.len().min(MAX_AXES) as u8);
             for name in names.iter().take(MAX_AXES) {
@@ -98,34 +104,34 @@ impl Header {
                 bytes.extend_from_slice(name);
             }
         }
-        short(&mut bytes, &self.software);
+        put_short(&mut bytes, &self.software);
         bytes.extend_from_slice(&self.schema.to_le_bytes());
-        long(&mut bytes, self.machine_text.as_bytes());
-        long(&mut bytes, &self.program_text);
+        put_long(&mut bytes, self.machine_text.as_bytes());
+        put_long(&mut bytes, &self.program_text);
         let whole = (bytes.len() + 4) as u32;
         bytes[START_BYTES - 4..START_BYTES].copy_from_slice(&whole.to_le_bytes());
         bytes.extend_from_slice(&CRC.checksum(&bytes).to_le_bytes());
         bytes
     }
 
-    /// The header of what stands between its start and its check; `None` when that ends too soon.
+    /// Decodes the bytes between start and check of a header; `None` if they end too early.
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
         Cursor(bytes).header()
     }
 }
 
-fn short(bytes: &mut Vec<u8>, text: &str) {
+fn put_short(bytes: &mut Vec<u8>, text: &str) {
     let text = &text.as_bytes()[..text.len().min(usize::from(u16::MAX))];
     bytes.extend_from_slice(&(text.len() as u16).to_le_bytes());
     bytes.extend_from_slice(text);
 }
 
-fn long(bytes: &mut Vec<u8>, content: &[u8]) {
+fn put_long(bytes: &mut Vec<u8>, content: &[u8]) {
     bytes.extend_from_slice(&(content.len() as u32).to_le_bytes());
     bytes.extend_from_slice(content);
 }
 
-/// Takes bytes apart; `None` where they end too soon.
+/// Decodes bytes in order; `None` where they end too early.
 pub(super) struct Cursor<'a>(pub(super) &'a [u8]);
 
 impl<'a> Cursor<'a> {
@@ -167,7 +173,7 @@ impl<'a> Cursor<'a> {
             schema: self.number(8)?,
             machine_text: self.text(4)?,
             program_text: self.content(4)?.to_vec(),
-            hand: false,
+            has_haptic_arm: false,
         })
     }
 }

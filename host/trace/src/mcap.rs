@@ -1,10 +1,13 @@
-//! A recording as MCAP, for Foxglove, PlotJuggler and whatever else reads that.
+//! Export of a recording as MCAP, for Foxglove and PlotJuggler.
 //!
-//! A channel a group of columns: `/state`, `/pose/commanded`, `/joints/error`, `/drives`, `/force/high`, of a haptic arm `/hand` and so on, one JSON message a sample, with its JSON schema: both
-//! programs read that without any plug-in. What happened is on `/events` as `foxglove.Log`. Times are those of the machine, from the power-on of its controller. The
-//! machine file, the part program and the configuration are attached; versions and hash are metadata.
+//! Each group of columns is a channel: `/state`, `/pose/commanded`, `/joints/error`, `/drives`,
+//! `/force/high`, for a haptic arm `/hand`. A sample is a JSON message with a JSON schema, which
+//! both programs read without a plug-in. Events are on `/events` as `foxglove.Log`. Times count
+//! from the power-on of the controller. Machine file, part program and configuration are
+//! attachments; versions and hash are metadata.
 //!
-//! Chunks have their checks and are not compressed: zstd and lz4 would need a C compiler to build this program.
+//! Chunks have checks and are not compressed: zstd and lz4 would need a C compiler to build this
+//! program.
 
 use super::{Column, McapWritten, Recording, RecordingError, Thinning, Value, columns};
 use haptimill_protocol::message::State;
@@ -16,17 +19,17 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::{self, Seek, SeekFrom, Write};
 
-/// Topic of what happened.
+/// Topic of the events.
 const EVENTS: &str = "/events";
 
-/// A channel under way.
+/// An open channel.
 struct Topic {
     id: u16,
     sequence: u32,
     columns: Vec<(String, Column)>,
 }
 
-/// The topic of a group of columns.
+/// Returns the topic of a group of columns.
 fn topic(group: &str) -> String {
     match group {
         "commanded" | "programmed" | "tool" => format!("/pose/{group}"),
@@ -44,7 +47,7 @@ fn topic(group: &str) -> String {
     }
 }
 
-/// What Foxglove's log panel takes.
+/// Returns the schema of Foxglove's log panel.
 fn log_schema() -> serde_json::Value {
     json!({
         "title": "foxglove.Log",
@@ -73,7 +76,7 @@ fn log_schema() -> serde_json::Value {
     })
 }
 
-/// The JSON schema of a channel.
+/// Returns the JSON schema of a channel.
 fn schema(title: &str, fields: &[(String, Column)]) -> serde_json::Value {
     let mut properties = Map::new();
     for (name, column) in fields {
@@ -97,13 +100,15 @@ fn schema(title: &str, fields: &[(String, Column)]) -> serde_json::Value {
     json!({"title": title, "type": "object", "properties": properties})
 }
 
-/// The state as a number, for plots.
+/// Field with the state as a number, for plots.
 const STATE_NUMBER: &str = "state_number";
 
-/// Writes a recording, `rate` samples a second (as near as whole control periods come to it). What is said ends up in `out` when that is flushed.
+/// Writes a recording with `rate` samples per second, rounded to whole control periods. The caller
+/// must flush `out`.
 ///
 /// # Errors
-/// The recording cannot be read, or `out` not written.
+///
+/// Returns an error if the recording cannot be read or `out` cannot be written.
 pub fn write_mcap(
     recording: &Recording,
     out: &mut (impl Write + Seek),
@@ -201,11 +206,11 @@ impl<W: Write + Seek> Export<W> {
                 self.event(log, sequence, &event)?;
             }
             for topic in &mut topics {
-                let there = topic
+                let is_used = topic
                     .columns
                     .first()
                     .is_some_and(|(_, column)| column.value(record, time_s).is_some());
-                if there {
+                if is_used {
                     self.sample(topic, record, time_s)?;
                 }
             }
@@ -218,7 +223,7 @@ impl<W: Write + Seek> Export<W> {
         Ok(topics.len() + 1)
     }
 
-    /// Metadata and attachments.
+    /// Writes metadata and attachments.
     fn describe(
         &mut self,
         recording: &Recording,
@@ -295,7 +300,7 @@ impl<W: Write + Seek> Export<W> {
                 self.text.push(',');
             }
             let text = &mut self.text;
-            // Writing to a string cannot fail; no name has a letter that JSON would quote otherwise.
+            // Writing to a string cannot fail; no name has a character that JSON escapes.
             let _ = match column.value(record, time_s) {
                 Some(Value::Real(value, decimals)) => {
                     let from = text.len();
@@ -325,7 +330,7 @@ impl<W: Write + Seek> Export<W> {
         &mut self,
         log: u16,
         sequence: u32,
-        event: &super::Happening,
+        event: &super::RecordedEvent,
     ) -> Result<(), RecordingError> {
         let time = event.period * self.period_ns;
         self.text = json!({
@@ -355,7 +360,8 @@ impl<W: Write + Seek> Export<W> {
     }
 }
 
-/// Takes zeros from the end of a decimal fraction that begins behind `from`: a third of all digits.
+/// Removes zeros from the end of a decimal fraction that begins after `from`: a third of all
+/// digits.
 fn shorten(text: &mut String, from: usize) {
     if text[from..].contains('.') {
         let kept = text.trim_end_matches('0').trim_end_matches('.').len();
@@ -363,7 +369,7 @@ fn shorten(text: &mut String, from: usize) {
     }
 }
 
-/// A name in quotes.
+/// Returns a name in quotes.
 fn quoted(name: &str) -> String {
     json!(name).to_string()
 }

@@ -2,7 +2,7 @@
 
 use super::blocks::{HEAD_BYTES, Head, Kind};
 use super::header::{Cursor, START_BYTES};
-use super::{CRC, HAND_BYTES, HAND_VERSION, Header, MAGIC, RECORD_BYTES, Record, VERSION};
+use super::{CRC, HAPTIC_BYTES, HAPTIC_VERSION, Header, MAGIC, RECORD_BYTES, Record, VERSION};
 use haptimill_firmware::config::{AxisKind, Config, Drive};
 use haptimill_hil_sim::io_log::{IoLogDecoder, Period};
 use sha2::{Digest, Sha256};
@@ -12,8 +12,8 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Longest header that is read: machine file and part program are in it.
-const MOST_HEADER_BYTES: u64 = 1 << 30;
+/// Longest header that is read; it contains machine file and part program.
+const MAX_HEADER_BYTES: u64 = 1 << 30;
 
 /// A recording on disk.
 #[derive(Debug, Clone)]
@@ -21,7 +21,7 @@ pub struct Recording {
     path: PathBuf,
     header: Header,
     config: Config,
-    blocks: Vec<Place>,
+    blocks: Vec<BlockPlace>,
     records: u64,
     periods: u64,
     bytes: u64,
@@ -29,35 +29,35 @@ pub struct Recording {
     whole: bool,
 }
 
-/// A block in its file.
+/// Place of a block in its file.
 #[derive(Debug, Clone, Copy)]
-struct Place {
+struct BlockPlace {
     head: Head,
-    /// Where its contents begin.
+    /// Offset of its content.
     offset: u64,
 }
 
-/// What happened, in words.
+/// Recorded event.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Happening {
+pub struct RecordedEvent {
     /// Control period.
     pub period: u64,
-    /// 0 for news, 1 for a warning, 2 for an error.
+    /// 0 for information, 1 for a warning, 2 for an error.
     pub level: u8,
     /// A sentence.
     pub text: String,
 }
 
-/// Why a recording cannot be read.
+/// Error of reading or exporting a recording.
 #[derive(Debug)]
 pub enum RecordingError {
-    /// The disk says no.
+    /// The file cannot be read.
     Io(PathBuf, io::Error),
-    /// It is no recording, or not one of this version.
+    /// The file is not a recording of this version, or is damaged.
     Format(PathBuf, String),
-    /// What is made of it cannot be written.
+    /// The output cannot be written.
     Write(io::Error),
-    /// This build writes no MCAP.
+    /// This build does not write MCAP.
     NoMcap,
 }
 
@@ -77,14 +77,16 @@ impl fmt::Display for RecordingError {
 impl std::error::Error for RecordingError {}
 
 impl Recording {
-    /// Opens a recording, reads its header and finds its blocks; their contents are checked when they are read.
+    /// Opens a recording, reads its header and finds its blocks. The content of a block is checked
+    /// when it is read.
     ///
     /// # Errors
-    /// It cannot be read, or is none.
+    ///
+    /// Returns an error if the file cannot be read or is not a recording.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let io = |error| RecordingError::Io(path.to_path_buf(), error);
         let format = |what: String| RecordingError::Format(path.to_path_buf(), what);
-        // To open a pipe may take for ever, and a device has no size.
+        // Opening a pipe may block for ever, and a device has no size.
         let kind = path.metadata().map_err(io)?;
         if !kind.is_file() && !kind.is_dir() {
             return Err(format(
@@ -99,7 +101,7 @@ impl Recording {
         let config: Option<Config> = postcard::from_bytes(&header.config).ok();
         let config = config.filter(|_| crc == header.config_crc).ok_or_else(|| {
             format(format!(
-                "has a configuration that this program cannot read; it was recorded by haptimill {}, use that version",
+                "has a configuration that this program cannot read; use haptimill {}, which recorded it",
                 header.software
             ))
         })?;
@@ -153,7 +155,7 @@ impl Recording {
                 }
             }
             let offset = at + HEAD_BYTES as u64;
-            self.blocks.push(Place { head, offset });
+            self.blocks.push(BlockPlace { head, offset });
             file.seek_relative(i64::from(head.bytes)).map_err(io)?;
             at += whole;
         }
@@ -161,70 +163,72 @@ impl Recording {
         Ok(())
     }
 
-    /// Where it is.
+    /// Returns the path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What the recording says of itself.
+    /// Returns the header.
     pub fn header(&self) -> &Header {
         &self.header
     }
 
-    /// The configuration of the controller that was recorded.
+    /// Returns the configuration of the recorded controller.
     pub fn config(&self) -> &Config {
         &self.config
     }
 
-    /// Records.
+    /// Returns the number of records.
     pub fn records(&self) -> u64 {
         self.records
     }
 
-    /// Periods since the power-on of the controller; 0 when it was seen through its telemetry only.
+    /// Returns the number of periods since the power-on of the controller; 0 for a recording of
+    /// telemetry.
     pub fn periods(&self) -> u64 {
         self.periods
     }
 
-    /// Size of the file.
+    /// Returns the size of the file.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Bytes of the periods in the file.
+    /// Returns the bytes of the periods in the file.
     pub fn period_bytes(&self) -> u64 {
         let all = self.of(Kind::Periods);
         all.iter().map(|place| u64::from(place.head.bytes)).sum()
     }
 
-    /// Whether the recorder came to its end; otherwise the recording was cut off.
+    /// Whether the recording is complete; otherwise it is truncated.
     pub fn is_whole(&self) -> bool {
         self.whole
     }
 
-    /// Bytes behind the last whole block.
+    /// Returns the number of bytes after the last complete block.
     pub fn cut_bytes(&self) -> u64 {
         self.cut_bytes
     }
 
-    /// Length of a control period in seconds.
+    /// Returns the control period in seconds.
     pub fn period_s(&self) -> f64 {
         f64::from(self.config.period_us) / 1e6
     }
 
-    /// Millimetres or degrees per axis unit, for each pose coordinate.
+    /// Returns millimetres or degrees per axis unit for each pose coordinate.
     pub fn pose_units(&self) -> Vec<f64> {
         let axes = self.config.pose.iter();
         axes.map(|axis| per_axis_unit(axis.kind)).collect()
     }
 
-    /// Millimetres or degrees per axis unit, for each joint.
+    /// Returns millimetres or degrees per axis unit for each joint.
     pub fn joint_units(&self) -> Vec<f64> {
         let axes = self.config.joints.iter();
         axes.map(|axis| per_axis_unit(axis.kind)).collect()
     }
 
-    /// Scale and unit of each joint's drive command: newtons or newton metres per DAC code, or 1 per step.
+    /// Returns scale and unit of each joint's drive command: newtons or newton metres per DAC code,
+    /// or 1 per step.
     pub fn drive_units(&self) -> Vec<(f64, &'static str)> {
         let unit = |kind| match kind {
             AxisKind::Linear => "n",
@@ -242,40 +246,43 @@ impl Recording {
             .collect()
     }
 
-    /// The records, from the first.
+    /// Returns the records in order.
     ///
     /// # Errors
-    /// The file cannot be opened again.
+    ///
+    /// Returns an error if the file cannot be opened again.
     pub fn iter(&self) -> Result<Records, RecordingError> {
         Ok(Records {
             blocks: self.contents(Kind::Records)?,
-            hand: self.header.hand,
+            has_haptic_arm: self.header.has_haptic_arm,
             block: Vec::new(),
             at: 0,
         })
     }
 
-    /// The last record; none in a recording without records.
+    /// Returns the last record, if there is one.
     ///
     /// # Errors
-    /// The last block of records is damaged.
+    ///
+    /// Returns an error if the last block of records is damaged.
     pub fn last(&self) -> Result<Option<Record>, RecordingError> {
         let mut blocks = self.contents(Kind::Records)?;
         let last = blocks.left.len().saturating_sub(1);
         blocks.left.drain(..last);
         let records = Records {
             blocks,
-            hand: self.header.hand,
+            has_haptic_arm: self.header.has_haptic_arm,
             block: Vec::new(),
             at: 0,
         };
         records.last().transpose()
     }
 
-    /// The periods, from the power-on of the controller.
+    /// Returns the periods since the power-on of the controller.
     ///
     /// # Errors
-    /// The file cannot be opened again.
+    ///
+    /// Returns an error if the file cannot be opened again.
     pub fn read_periods(&self) -> Result<Periods, RecordingError> {
         Ok(Periods {
             blocks: self.contents(Kind::Periods)?,
@@ -283,11 +290,12 @@ impl Recording {
         })
     }
 
-    /// What happened.
+    /// Returns the recorded events.
     ///
     /// # Errors
-    /// A block is damaged.
-    pub fn events(&self) -> Result<Vec<Happening>, RecordingError> {
+    ///
+    /// Returns an error if a block is damaged.
+    pub fn events(&self) -> Result<Vec<RecordedEvent>, RecordingError> {
         let mut events = Vec::new();
         let mut blocks = self.contents(Kind::Events)?;
         while let Some(block) = blocks.next() {
@@ -295,23 +303,24 @@ impl Recording {
             let mut cursor = Cursor(&contents);
             for _ in 0..place.head.count {
                 let mut event = || {
-                    Some(Happening {
+                    Some(RecordedEvent {
                         period: cursor.number(8)?,
                         level: cursor.number(1)? as u8,
                         text: cursor.text(2)?,
                     })
                 };
-                let what = "an event makes no sense";
+                let what = "an event cannot be decoded";
                 events.push(event().ok_or_else(|| damaged(&self.path, place.offset, what))?);
             }
         }
         Ok(events)
     }
 
-    /// SHA-256 of the file, hexadecimal: `trace_sha256` in the summary of the job.
+    /// Returns the SHA-256 of the file, hexadecimal: `trace_sha256` in the summary of the job.
     ///
     /// # Errors
-    /// The file cannot be read.
+    ///
+    /// Returns an error if the file cannot be read.
     pub fn sha256(&self) -> Result<String, RecordingError> {
         let io = |error| RecordingError::Io(self.path.clone(), error);
         let mut hash = Sha256::new();
@@ -331,10 +340,11 @@ impl Recording {
         Ok(text)
     }
 
-    /// Reads the contents of all blocks and checks them.
+    /// Reads and checks the content of all blocks.
     ///
     /// # Errors
-    /// The first block that is damaged, or cannot be read.
+    ///
+    /// Returns the first block that is damaged or cannot be read.
     pub fn verify(&self) -> Result<(), RecordingError> {
         let mut blocks = self.read(self.blocks.iter().copied().collect())?;
         while let Some(block) = blocks.next() {
@@ -343,7 +353,7 @@ impl Recording {
         Ok(())
     }
 
-    fn of(&self, kind: Kind) -> VecDeque<Place> {
+    fn of(&self, kind: Kind) -> VecDeque<BlockPlace> {
         let all = self.blocks.iter().copied();
         all.filter(|place| place.head.kind == kind).collect()
     }
@@ -352,7 +362,7 @@ impl Recording {
         self.read(self.of(kind))
     }
 
-    fn read(&self, left: VecDeque<Place>) -> Result<Blocks, RecordingError> {
+    fn read(&self, left: VecDeque<BlockPlace>) -> Result<Blocks, RecordingError> {
         let io = |error| RecordingError::Io(self.path.clone(), error);
         Ok(Blocks {
             path: self.path.clone(),
@@ -362,7 +372,7 @@ impl Recording {
     }
 }
 
-/// The header, and how long it is.
+/// Reads the header; returns it and its size.
 fn read_header(
     file: &mut BufReader<File>,
     bytes: u64,
@@ -371,22 +381,22 @@ fn read_header(
 ) -> Result<(Header, u64), RecordingError> {
     let mut start = [0; START_BYTES];
     if bytes < START_BYTES as u64 {
-        return Err(format("is no recording: it is too short".into()));
+        return Err(format("is not a recording: it is too short".into()));
     }
     file.read_exact(&mut start).map_err(io)?;
     if &start[..8] != MAGIC {
         return Err(format(
-            "is no recording of haptimill (those of a run are called recording.hmr)".into(),
+            "is not a recording of haptimill; the recording of a run is recording.hmr in its folder".into(),
         ));
     }
     let version = u16::from_le_bytes([start[8], start[9]]);
     let record_bytes = u16::from_le_bytes([start[10], start[11]]);
     let hand = match (version, usize::from(record_bytes)) {
         (VERSION, RECORD_BYTES) => false,
-        (HAND_VERSION, bytes) if bytes == RECORD_BYTES + HAND_BYTES => true,
+        (HAPTIC_VERSION, bytes) if bytes == RECORD_BYTES + HAPTIC_BYTES => true,
         _ => {
             return Err(format(format!(
-                "is a recording of version {version}, this program reads versions {VERSION} and {HAND_VERSION}; use the version of haptimill that recorded it"
+                "is a recording of version {version}, this program reads versions {VERSION} and {HAPTIC_VERSION}; use the version of haptimill that recorded it"
             )));
         }
     };
@@ -394,12 +404,12 @@ fn read_header(
         start[12], start[13], start[14], start[15],
     ]));
     let damage = || format("is damaged in its header (before byte 16); take it from a copy".into());
-    if header_bytes < START_BYTES as u64 + 4 || header_bytes > MOST_HEADER_BYTES {
+    if header_bytes < START_BYTES as u64 + 4 || header_bytes > MAX_HEADER_BYTES {
         return Err(damage());
     }
     if header_bytes > bytes {
         return Err(format(format!(
-            "is cut off in its header, at byte {bytes} of {header_bytes}; nothing was recorded in it"
+            "is truncated in its header, at byte {bytes} of {header_bytes}; it has no records"
         )));
     }
     let mut header = start.to_vec();
@@ -412,11 +422,11 @@ fn read_header(
         )));
     }
     let mut header = Header::decode(&content[START_BYTES..]).ok_or_else(damage)?;
-    header.hand = hand;
+    header.has_haptic_arm = hand;
     Ok((header, header_bytes))
 }
 
-/// What is said of damage, and what can be done.
+/// Returns the error of a damaged file, with the remedy.
 fn damaged(path: &Path, at: u64, what: &str) -> RecordingError {
     RecordingError::Format(
         path.to_path_buf(),
@@ -426,7 +436,7 @@ fn damaged(path: &Path, at: u64, what: &str) -> RecordingError {
     )
 }
 
-/// Millimetres or degrees of one axis unit.
+/// Returns millimetres or degrees per axis unit.
 pub(crate) fn per_axis_unit(kind: AxisKind) -> f64 {
     match kind {
         AxisKind::Linear => 1.0 / f64::from(1 << 20),
@@ -434,15 +444,15 @@ pub(crate) fn per_axis_unit(kind: AxisKind) -> f64 {
     }
 }
 
-/// The contents of blocks of one kind, checked.
+/// Reads and checks the content of blocks of one kind.
 struct Blocks {
     path: PathBuf,
     file: File,
-    left: VecDeque<Place>,
+    left: VecDeque<BlockPlace>,
 }
 
 impl Blocks {
-    fn next(&mut self) -> Option<Result<(Place, Vec<u8>), RecordingError>> {
+    fn next(&mut self) -> Option<Result<(BlockPlace, Vec<u8>), RecordingError>> {
         let place = self.left.pop_front()?;
         let read = self.read(place);
         if read.is_err() {
@@ -451,7 +461,7 @@ impl Blocks {
         Some(read.map(|contents| (place, contents)))
     }
 
-    fn read(&mut self, place: Place) -> Result<Vec<u8>, RecordingError> {
+    fn read(&mut self, place: BlockPlace) -> Result<Vec<u8>, RecordingError> {
         let io = |error| RecordingError::Io(self.path.clone(), error);
         let mut contents = vec![0; place.head.bytes as usize];
         self.file.seek(SeekFrom::Start(place.offset)).map_err(io)?;
@@ -471,7 +481,7 @@ impl Blocks {
 /// The records of a recording.
 pub struct Records {
     blocks: Blocks,
-    hand: bool,
+    has_haptic_arm: bool,
     block: Vec<u8>,
     at: usize,
 }
@@ -485,18 +495,18 @@ impl Iterator for Records {
             if let Some((bytes, _)) = rest.split_first_chunk::<RECORD_BYTES>() {
                 self.at += RECORD_BYTES;
                 let mut record = Record::decode(bytes);
-                if let (true, Some(record), Some((hand, _))) = (
-                    self.hand,
+                if let (true, Some(record), Some((haptic, _))) = (
+                    self.has_haptic_arm,
                     &mut record,
-                    rest[RECORD_BYTES..].split_first_chunk::<HAND_BYTES>(),
+                    rest[RECORD_BYTES..].split_first_chunk::<HAPTIC_BYTES>(),
                 ) {
-                    record.decode_hand(hand);
-                    self.at += HAND_BYTES;
+                    record.decode_haptic(haptic);
+                    self.at += HAPTIC_BYTES;
                 }
                 let foreign = || {
                     RecordingError::Format(
                         self.blocks.path.clone(),
-                        "has a record of a state that does not exist".into(),
+                        "has a record with an unknown state".into(),
                     )
                 };
                 return Some(record.ok_or_else(foreign));
@@ -509,7 +519,7 @@ impl Iterator for Records {
     }
 }
 
-/// The periods of a recording.
+/// Periods of a recording, in order.
 pub struct Periods {
     blocks: Blocks,
     decoder: Option<IoLogDecoder>,
@@ -527,7 +537,7 @@ impl Iterator for Periods {
                     RecordingError::Format(
                         self.blocks.path.clone(),
                         format!(
-                            "has periods that this version of haptimill cannot read (byte {at} of a block); use the one that recorded it"
+                            "has periods that this version of haptimill cannot read (byte {at} of a block); use the version that recorded it"
                         ),
                     )
                 }));

@@ -1,61 +1,64 @@
-//! Replaying a recording: a new controller is given what the recorded one sensed, and must say what that one said, bit by bit.
+//! Replay of a recording: a new controller gets the recorded inputs, and its outputs are compared
+//! with the recorded outputs, bit by bit.
 //!
-//! The recording needs nothing beside it. What the recorded controller had as configuration came over its serial line, and the line is in the periods; so is
-//! every command. What is compared in each period: the command to each drive, the spindle, the bytes said to the host, and, once the job is recorded, what the
-//! controller knew of itself (state, wanted and measured, following errors, forces). A controller on another target that leaves the same bits
-//! is thereby shown to be this one.
+//! A recording is complete in itself: configuration and commands came over the serial line, whose
+//! bytes are in the periods. Each period compares the drive commands, the spindle and the bytes
+//! sent to the host; during the job also the snapshot of the controller (state, commanded and
+//! measured values, following errors, forces). A controller on another target that gives the same
+//! bits computes the same.
 //!
-//! Misuse: equal says that this program and the one that recorded behave alike on these inputs, not that either of them is right.
+//! A match shows that both controllers behave alike on these inputs. It does not show that they are
+//! correct.
 
-use crate::{Header, Period, Record, Recording, RecordingError, Records, unequal};
+use crate::{Header, Period, Record, Recording, RecordingError, Records, first_unequal_field};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::Outputs;
 use serde::Serialize;
 use std::fmt::{self, Write as _};
 use std::iter::Peekable;
 
-/// A controller that said the same.
+/// Result of a replay without a difference.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Equal {
-    /// Periods that were replayed.
+pub struct Match {
+    /// Number of replayed periods.
     pub periods: u64,
-    /// Records that were compared with what the controller knew of itself.
+    /// Number of records that were compared with snapshots of the controller.
     pub records: u64,
 }
 
-/// Where a controller said something else first.
+/// First difference of a replay.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Unequal {
+pub struct Mismatch {
     /// Control period of the controller.
     pub period: u64,
     /// Seconds since the first period.
     pub time_s: f64,
-    /// What differs.
+    /// Name of the value that differs.
     pub field: String,
-    /// As it was recorded.
+    /// Recorded value.
     pub recorded: String,
-    /// As it is now.
+    /// Replayed value.
     pub replayed: String,
 }
 
-impl fmt::Display for Unequal {
+impl fmt::Display for Mismatch {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             out,
-            "control period {} ({:.4} s): {} was {}, the replay says {}",
+            "control period {} ({:.4} s): {} was {}, in the replay {}",
             self.period, self.time_s, self.field, self.recorded, self.replayed
         )
     }
 }
 
-/// Why a recording cannot be replayed.
+/// Reason why a recording cannot be replayed.
 #[derive(Debug)]
 pub enum ReplayError {
-    /// It cannot be read.
+    /// The recording cannot be read.
     Recording(RecordingError),
-    /// It has no periods.
+    /// The recording has no periods.
     NoPeriods(String),
-    /// It does not begin at the power-on of its controller.
+    /// The recording does not begin at the power-on of its controller.
     NoBeginning(String, u64),
 }
 
@@ -66,7 +69,7 @@ impl fmt::Display for ReplayError {
             Self::NoPeriods(why) => write!(out, "{why}"),
             Self::NoBeginning(file, period) => write!(
                 out,
-                "{file}: begins at control period {period} of its controller; what came before is not in it, so it cannot be replayed"
+                "{file}: begins at control period {period} of its controller; it cannot be replayed without the periods before it"
             ),
         }
     }
@@ -80,35 +83,36 @@ impl From<RecordingError> for ReplayError {
     }
 }
 
-/// Why a recording has no periods, in words; `None` when it has some.
+/// Returns why a recording cannot be replayed; `None` if it has periods.
 #[must_use]
-pub fn not_replayable(recording: &Recording) -> Option<String> {
+pub fn why_not_replayable(recording: &Recording) -> Option<String> {
     if recording.periods() > 0 {
         return None;
     }
     let file = recording.path().display();
     Some(if recording.records() == 0 {
-        format!("{file}: nothing was recorded in it")
+        format!("{file}: has no records")
     } else {
         format!(
-            "{file}: has only what its controller reported, not what it sensed: it was recorded through a port, or of a controller that had run for long; \
+            "{file}: has the telemetry of its controller, but not its inputs: it was recorded through a port, or of a controller that had run for long; \
              it cannot be replayed. Recordings of `haptimill run` without --port or with pil: can"
         )
     })
 }
 
-/// Replays a recording as far as it goes.
+/// Replays a recording up to its end.
 ///
 /// # Errors
-/// It cannot be read, or has not what a replay needs.
-pub fn replay(recording: &Recording) -> Result<Result<Equal, Unequal>, ReplayError> {
-    if let Some(why) = not_replayable(recording) {
+///
+/// Returns an error if the recording cannot be read or does not have all periods.
+pub fn replay(recording: &Recording) -> Result<Result<Match, Mismatch>, ReplayError> {
+    if let Some(why) = why_not_replayable(recording) {
         return Err(ReplayError::NoPeriods(why));
     }
     let mut controller = Controller::new(recording.config().period_us);
     let mut outputs = Outputs::default();
     let mut records = recording.iter()?.peekable();
-    let mut equal = Equal {
+    let mut equal = Match {
         periods: 0,
         records: 0,
     };
@@ -116,28 +120,28 @@ pub fn replay(recording: &Recording) -> Result<Result<Equal, Unequal>, ReplayErr
     for period in recording.read_periods()? {
         let period = period?;
         let number = period.inputs.period;
-        // The first one is numbered 0, or by those that were missed before it.
+        // The first period has number 0, or the number of periods missed before it.
         if first.is_none() && number != u64::from(period.inputs.missed) {
             let file = recording.path().display().to_string();
             return Err(ReplayError::NoBeginning(file, number));
         }
-        let begun = *first.get_or_insert(number);
-        // As on every board: bytes of before are gone, the rest stays until it is said anew.
+        let first_period = *first.get_or_insert(number);
+        // As on every board: sent bytes are removed, other outputs stay until they change.
         outputs.transmit.clear();
         controller.tick(&period.inputs, &mut outputs, &mut ());
-        let at = |(field, recorded, replayed)| Unequal {
+        let at = |(field, recorded, replayed)| Mismatch {
             period: number,
-            time_s: number.wrapping_sub(begun) as f64 * recording.period_s(),
+            time_s: number.wrapping_sub(first_period) as f64 * recording.period_s(),
             field,
             recorded,
             replayed,
         };
-        if let Some(difference) = said(&period.outputs, &outputs, recording.header()) {
+        if let Some(difference) = compare_outputs(&period.outputs, &outputs, recording.header()) {
             return Ok(Err(at(difference)));
         }
         equal.periods += 1;
         if let Some(record) = record_of(&mut records, number)? {
-            if let Some(difference) = known(&controller, &period, &record, recording) {
+            if let Some(difference) = compare_snapshots(&controller, &period, &record, recording) {
                 return Ok(Err(at(difference)));
             }
             equal.records += 1;
@@ -146,7 +150,7 @@ pub fn replay(recording: &Recording) -> Result<Result<Equal, Unequal>, ReplayErr
     Ok(Ok(equal))
 }
 
-/// The record of a period, if there is one.
+/// Returns the record of a period, if there is one.
 fn record_of(
     records: &mut Peekable<Records>,
     period: u64,
@@ -163,8 +167,8 @@ fn record_of(
     Ok(None)
 }
 
-/// The first thing that was said otherwise.
-fn said(
+/// Returns the first output that differs.
+fn compare_outputs(
     recorded: &Outputs,
     replayed: &Outputs,
     header: &Header,
@@ -195,8 +199,8 @@ fn said(
     if one.enabled != other.enabled {
         return Some((
             "the motors of the haptic arm".to_string(),
-            on(one.enabled).to_string(),
-            on(other.enabled).to_string(),
+            on_off(one.enabled).to_string(),
+            on_off(other.enabled).to_string(),
         ));
     }
     for (leg, (one, other)) in one.currents.iter().zip(&other.currents).enumerate() {
@@ -212,7 +216,7 @@ fn said(
     }
     if recorded.transmit != replayed.transmit {
         return Some((
-            "what was said to the host".to_string(),
+            "the bytes sent to the host".to_string(),
             hexadecimal(&recorded.transmit),
             hexadecimal(&replayed.transmit),
         ));
@@ -224,7 +228,7 @@ fn said(
     ))
 }
 
-const fn on(enabled: bool) -> &'static str {
+const fn on_off(enabled: bool) -> &'static str {
     if enabled { "on" } else { "off" }
 }
 
@@ -240,24 +244,24 @@ fn hexadecimal(bytes: &[u8]) -> String {
     text
 }
 
-/// The first thing that the controller knew otherwise of itself.
-fn known(
+/// Returns the first value of the controller's snapshot that differs.
+fn compare_snapshots(
     controller: &Controller,
     period: &Period,
     record: &Record,
     recording: &Recording,
 ) -> Option<(String, String, String)> {
-    let Some(reading) = controller.snapshot(&period.inputs) else {
+    let Some(snapshot) = controller.snapshot(&period.inputs) else {
         let field = "the configuration".to_string();
         return Some((field, "active".to_string(), "none".to_string()));
     };
     let mut now = *record;
-    now.set_reading(period.inputs.period, &reading);
-    if !recording.header().hand {
-        // Recorded before there were hands in records; what the arm's motors were told is compared all the same.
-        (now.hand, now.hand_flags) = (record.hand, record.hand_flags);
+    now.set_snapshot(period.inputs.period, &snapshot);
+    if !recording.header().has_haptic_arm {
+        // Records of version 3 have no haptic arm; its motor commands are compared in the outputs.
+        (now.haptic, now.haptic_flags) = (record.haptic, record.haptic_flags);
     }
-    unequal(record, &now, recording)
+    first_unequal_field(record, &now, recording)
 }
 
 #[cfg(test)]

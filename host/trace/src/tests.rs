@@ -6,7 +6,7 @@ use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// A file in the system's folder for temporary ones, removed at the end.
+/// Temporary file; dropping it removes the file.
 pub struct TemporaryFile(pub(crate) PathBuf);
 
 impl TemporaryFile {
@@ -82,47 +82,47 @@ fn any_record() -> impl Strategy<Value = Record> {
 proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
-    fn a_record_comes_back_as_it_was(record in any_record()) {
+    fn record_decodes_to_itself(record in any_record()) {
         prop_assert_eq!(Record::decode(&record.encode()), Some(record));
     }
 
     #[test]
-    fn the_hand_of_a_machine_with_an_arm_comes_back_and_that_of_another_is_left_out(
+    fn haptic_values_are_recorded_only_with_a_haptic_arm(
         records in prop::collection::vec((any_record(), any::<[[i32; 3]; 4]>()), 1..5),
     ) {
-        for hand in [false, true] {
-            let file = TemporaryFile::new("hand.hmr");
-            let header = Header { hand, ..header() };
+        for has_haptic_arm in [false, true] {
+            let file = TemporaryFile::new("haptic.hmr");
+            let header = Header { has_haptic_arm, ..header() };
             let mut recorder = Recorder::create(&file.0, &header).unwrap();
-            let mut commanded = Vec::new();
+            let mut expected = Vec::new();
             for (record, [tip, force, reflected, wall]) in &records {
-                let with = Record { hand_flags: 3, hand: HapticSnapshot { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
+                let with = Record { haptic_flags: 3, haptic: HapticSnapshot { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
                 recorder.record(&with);
-                commanded.push(if hand { with } else { *record });
+                expected.push(if has_haptic_arm { with } else { *record });
             }
             recorder.finish().unwrap();
             let recording = Recording::open(&file.0).unwrap();
             prop_assert_eq!(recording.header(), &header);
             let version = std::fs::read(&file.0).unwrap()[8];
-            prop_assert_eq!(version, if hand { 4 } else { 3 });
+            prop_assert_eq!(version, if has_haptic_arm { 4 } else { 3 });
             let read: Vec<Record> = recording.iter().unwrap().map(|record| record.unwrap()).collect();
-            prop_assert_eq!(&read, &commanded);
-            prop_assert_eq!(recording.last().unwrap(), commanded.last().copied());
+            prop_assert_eq!(&read, &expected);
+            prop_assert_eq!(recording.last().unwrap(), expected.last().copied());
             let named = columns(&recording).iter().any(|column| column.name == "z_hand_reflected_n");
-            prop_assert_eq!(named, hand);
+            prop_assert_eq!(named, has_haptic_arm);
         }
     }
 
     #[test]
-    fn periods_come_back_as_they_were(periods in prop::collection::vec(any_period(), 0..40), steady in 0usize..9) {
+    fn periods_decode_to_themselves(periods in prop::collection::vec(any_period(), 0..40), steady in 0usize..9) {
         let file = TemporaryFile::new("periods.hmr");
         let mut recorder = Recorder::create(&file.0, &header()).unwrap();
         let mut io_log = IoLog::new();
         let (before, after) = periods.split_at(periods.len() / 2);
         before.iter().for_each(|period| io_log.add(&period.inputs, &period.outputs));
-        recorder.take_up(io_log);
+        recorder.start_io_log(io_log);
         after.iter().for_each(|period| recorder.period(&period.inputs, &period.outputs));
-        // Counters that run evenly, as most do.
+        // Counters at a constant rate, as most are.
         let mut last = periods.last().cloned().unwrap_or_default();
         let mut all = periods;
         for _ in 0..steady {
@@ -139,14 +139,14 @@ proptest! {
     }
 
     #[test]
-    fn a_damaged_recording_is_an_error_not_a_panic(
+    fn damaged_recording_is_an_error_not_a_panic(
         at in any::<prop::sample::Index>(),
         flip in 1u8..=255,
         cut in any::<prop::sample::Index>(),
         how in 0..3,
     ) {
         let file = TemporaryFile::new("damaged.hmr");
-        let whole = small();
+        let whole = small_recording();
         let mut content = whole.clone();
         if how != 1 {
             content[at.index(whole.len())] ^= flip;
@@ -160,28 +160,28 @@ proptest! {
                 prop_assert!(content == whole && records == 50 && periods == 70);
                 return Ok(());
             }
-            // Cut off: what is there is as it was.
+            // Truncated: the complete blocks are unchanged.
             Ok((records, periods, false)) => {
                 prop_assert!(content.len() < whole.len() && records <= 50 && periods <= 70);
                 return Ok(());
             }
             Err(error) => error.to_string(),
         };
-        // A sentence that names the file, and where.
+        // The message names the file and the place.
         prop_assert!(said.contains("damaged.hmr: "), "{}", said);
         let place = said.contains(" at byte ") || said.contains("before byte ") || said.contains("too short");
-        let foreign = said.contains("no recording of haptimill") || said.contains("of version");
+        let foreign = said.contains("not a recording of haptimill") || said.contains("of version");
         prop_assert!(place || foreign, "{}", said);
     }
 }
 
 /// A recording of 70 periods and 50 records, with an event.
-fn small() -> Vec<u8> {
+fn small_recording() -> Vec<u8> {
     static SMALL: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
     let make = || {
         let file = TemporaryFile::new("small.hmr");
         let mut recorder = Recorder::create(&file.0, &header()).unwrap();
-        recorder.take_up(IoLog::new());
+        recorder.start_io_log(IoLog::new());
         recorder.event(3, 1, "the slide is warm");
         for number in 0..70_u64 {
             let mut period = Period::default();
@@ -201,7 +201,7 @@ fn small() -> Vec<u8> {
     SMALL.get_or_init(make).clone()
 }
 
-/// Records, periods, and whether it is whole.
+/// Returns records, periods, and whether the recording is complete.
 fn read_all(path: &std::path::Path) -> Result<(u64, u64, bool), RecordingError> {
     let recording = Recording::open(path)?;
     let (mut records, mut periods) = (0, 0);
@@ -228,7 +228,7 @@ fn read_all(path: &std::path::Path) -> Result<(u64, u64, bool), RecordingError> 
 
 fn any_period() -> impl Strategy<Value = Period> {
     use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs, StepSegment};
-    // Small and large differences, and halves of words.
+    // Small and large differences, and half words.
     let word = || {
         prop_oneof![
             -3..3_i32,
@@ -308,14 +308,14 @@ fn any_period() -> impl Strategy<Value = Period> {
 }
 
 #[test]
-fn what_is_foreign_or_of_another_version_is_told_apart() {
+fn foreign_files_and_other_versions_are_named() {
     let file = TemporaryFile::new("foreign.hmr");
     let said = |content: &[u8]| {
         std::fs::write(&file.0, content).unwrap();
         let error = Recording::open(&file.0).unwrap_err().to_string();
         error.split_once(": ").unwrap().1.to_string()
     };
-    let whole = small();
+    let whole = small_recording();
     let mut old = whole.clone();
     old[8..10].copy_from_slice(&2_u16.to_le_bytes());
     let mut damaged = whole.clone();
@@ -333,10 +333,10 @@ fn what_is_foreign_or_of_another_version_is_told_apart() {
 }
 
 #[test]
-fn a_clock_and_a_counter_that_run_evenly_cost_nothing() {
+fn constant_rates_of_clock_and_counters_compress_to_one_byte() {
     let file = TemporaryFile::new("even.hmr");
     let mut recorder = Recorder::create(&file.0, &header()).unwrap();
-    recorder.take_up(IoLog::new());
+    recorder.start_io_log(IoLog::new());
     let mut period = Period::default();
     for number in 0..20_000_u64 {
         period.inputs.period = number;
@@ -351,7 +351,7 @@ fn a_clock_and_a_counter_that_run_evenly_cost_nothing() {
 }
 
 #[test]
-fn what_was_spilled_is_on_disk_while_the_recorder_lives() {
+fn spilled_records_are_on_disk_before_the_end() {
     let file = TemporaryFile::new("spilled.hmr");
     let mut recorder = Recorder::create(&file.0, &header()).unwrap();
     recorder.spill();
@@ -364,7 +364,7 @@ fn what_was_spilled_is_on_disk_while_the_recorder_lives() {
             recorder.spill();
         }
     }
-    // The writing thread takes its time; nothing else is waited for.
+    // Waits only for the writing thread.
     let whole = (header().encode().len() + 2 * (blocks::HEAD_BYTES + 12 * RECORD_BYTES)) as u64;
     while std::fs::metadata(&file.0).unwrap().len() < whole {
         std::thread::yield_now();
@@ -372,7 +372,7 @@ fn what_was_spilled_is_on_disk_while_the_recorder_lives() {
     let recording = Recording::open(&file.0).unwrap();
     assert_eq!((recording.records(), recording.cut_bytes()), (24, 0));
     assert!(!recording.is_whole());
-    // A recorder that spills is hashed like any other.
+    // Spilled records are hashed, too.
     let recorded = recorder.finish().unwrap();
     assert_eq!(recorded.records, 30);
     let digest = Sha256::digest(std::fs::read(&file.0).unwrap());
@@ -381,11 +381,11 @@ fn what_was_spilled_is_on_disk_while_the_recorder_lives() {
 }
 
 #[test]
-fn a_recording_comes_back_whole_hashed_and_cut() {
+fn recording_is_complete_hashed_and_readable_if_truncated() {
     let file = TemporaryFile::new("whole.hmr");
     let header = header();
     let mut recorder = Recorder::create(&file.0, &header).unwrap();
-    // More than one block, and not a whole number of them.
+    // More than one block, the last one not full.
     let count = 10_000_u64;
     let make = |period: u64| Record {
         period,
@@ -417,7 +417,7 @@ fn a_recording_comes_back_whole_hashed_and_cut() {
     }
     assert_eq!(seen, count);
 
-    // Cut off in the middle of its last block of records, which is 1808 long: what is before is there.
+    // Truncated within its last block of 1808 records: the blocks before it are readable.
     let end = bytes.len() - blocks::HEAD_BYTES;
     std::fs::write(&file.0, &bytes[..end - 100]).unwrap();
     let recording = Recording::open(&file.0).unwrap();
@@ -429,7 +429,7 @@ fn a_recording_comes_back_whole_hashed_and_cut() {
 }
 
 #[test]
-fn a_recorder_that_is_dropped_leaves_what_it_had() {
+fn dropped_recorder_leaves_a_readable_recording() {
     let file = TemporaryFile::new("dropped.hmr");
     let mut recorder = Recorder::create(&file.0, &header()).unwrap();
     recorder.record(&Record::default());
@@ -438,7 +438,7 @@ fn a_recorder_that_is_dropped_leaves_what_it_had() {
 }
 
 #[test]
-fn the_trace_has_units_and_every_nth_row() {
+fn trace_has_units_and_every_nth_row() {
     let file = TemporaryFile::new("trace.hmr");
     let mut recorder = Recorder::create(&file.0, &header()).unwrap();
     for period in 0..101 {
@@ -454,7 +454,7 @@ fn the_trace_has_units_and_every_nth_row() {
     recorder.finish().unwrap();
     let recording = Recording::open(&file.0).unwrap();
     let mut csv = Vec::new();
-    export_csv(&recording, &mut csv, 25).unwrap();
+    write_csv(&recording, &mut csv, 25).unwrap();
     let mut reader = csv::Reader::from_reader(csv.as_slice());
     let heading: Vec<String> = reader
         .headers()
@@ -480,7 +480,7 @@ fn the_trace_has_units_and_every_nth_row() {
     assert_eq!(cell(4, "state"), "Run");
 }
 
-/// Not a benchmark, a fence.
+/// An upper bound, not a benchmark.
 #[test]
 fn recording_is_cheap_for_the_caller() {
     let file = TemporaryFile::new("speed.hmr");
@@ -498,11 +498,11 @@ fn recording_is_cheap_for_the_caller() {
     assert!(each.as_micros() < 5, "{each:?} a record");
 }
 
-/// The disk fills while a job is recorded: the recording ends in time, is whole, and leaves room for what is made from it.
+/// The disk fills during a job: the recording ends early, is complete, and leaves the reserve free.
 #[test]
-fn a_recording_ends_before_the_disk_is_full() {
+fn recording_ends_before_the_disk_is_full() {
     use super::writer::RESERVE_BYTES;
-    // Three looks find space, the fourth one does not; each look is a megabyte of recording.
+    // Three checks find space, the fourth one does not; a check follows each megabyte.
     fn space(file: &std::fs::File) -> Option<u64> {
         let written = file.metadata().unwrap().len();
         Some((RESERVE_BYTES + (3 << 20)).saturating_sub(written))
@@ -511,19 +511,19 @@ fn a_recording_ends_before_the_disk_is_full() {
     let header = Header::of(&machine, "long").unwrap();
     let path = std::env::temp_dir().join(format!("haptimill-full-{}.hmr", std::process::id()));
     let mut recorder = Recorder::create_with(&path, &header, space).unwrap();
-    let mut told_at = None;
+    let mut ended_at = None;
     for period in 0..200_000 {
         recorder.record(&Record {
             period,
             ..Record::default()
         });
-        if recorder.is_broken() && told_at.is_none() {
-            told_at = Some(period);
+        if recorder.is_broken() && ended_at.is_none() {
+            ended_at = Some(period);
         }
     }
     let recorded = recorder.finish().unwrap();
     assert!(recorded.disk_full);
-    assert!(told_at.is_some_and(|at| at < 200_000), "{told_at:?}");
+    assert!(ended_at.is_some_and(|at| at < 200_000), "{ended_at:?}");
     assert!(recorded.bytes < 3 * RESERVE_BYTES / 2, "{recorded:?}");
     assert!(recorded.bytes >= 3 << 20, "{recorded:?}");
     let recording = Recording::open(&path).unwrap();

@@ -1,7 +1,8 @@
-//! Writing a recording: the caller fills blocks of memory, a second thread codes, checks, hashes and writes them to disk.
+//! Writer of recordings. The caller fills blocks in memory; a writing thread encodes, hashes and
+//! writes them to disk.
 //!
-//! A block is handed over when it is full, and the memory of one comes back when it is on disk, so a disk that is too slow for a while costs memory of a
-//! few blocks and then time, never a record.
+//! A full block is sent to the thread, and its memory returns when it is on disk. A slow disk costs
+//! the memory of a few blocks, then time of the caller, but no record.
 
 use super::blocks::{Head, Kind};
 use super::{Header, IoLog, Period, Record};
@@ -19,39 +20,40 @@ use std::thread::JoinHandle;
 /// Records in a block: 492 kB.
 const BLOCK_RECORDS: usize = 2048;
 
-/// Periods that are handed over at once: 160 kB.
+/// Periods in a batch: 160 kB.
 const BATCH_PERIODS: usize = 256;
 
-/// Blocks and batches under way.
+/// Largest number of blocks and batches in the queue.
 const BLOCKS: usize = 24;
 
-/// What the second thread is given.
+/// Task of the writing thread.
 enum Task {
-    /// A block as it stands on disk.
+    /// Writes a block.
     Block {
         kind: Kind,
         count: u32,
         contents: Vec<u8>,
     },
-    /// A tape to be written, and to go on with.
+    /// Writes an I/O log and continues it.
     IoLog(Box<IoLog>),
-    /// The next periods of the tape.
+    /// Appends periods to the I/O log.
     Periods(Vec<Period>),
 }
 
-/// Memory that the second thread gives back.
+/// Memory that the writing thread returns.
 struct Memory {
     blocks: SyncSender<Vec<u8>>,
     batches: SyncSender<Vec<Period>>,
 }
 
-/// Writes a recording. Dropped without [`Recorder::finish`], it leaves what was recorded so far readable.
+/// Writer of a recording. Dropped without [`Recorder::finish`], it leaves a readable, truncated
+/// recording.
 pub struct Recorder {
     block: Vec<u8>,
-    /// Records have the hand of a haptic arm.
-    hand: bool,
+    /// Whether records have the values of a haptic arm.
+    has_haptic_arm: bool,
     record_bytes: usize,
-    /// Periods that are not handed over yet, if a tape was taken up.
+    /// Periods that are not sent yet, if there is an I/O log.
     periods: Option<Vec<Period>>,
     full: Option<SyncSender<Task>>,
     empty: Receiver<Vec<u8>>,
@@ -59,11 +61,11 @@ pub struct Recorder {
     writer: Option<JoinHandle<io::Result<Written>>>,
     records: u64,
     disk: Arc<Disk>,
-    /// Nothing is recorded any more, for want of space.
+    /// Recording has ended because the disk is nearly full.
     ended: bool,
 }
 
-/// What the second thread found out about the disk.
+/// State of the disk, from the writing thread.
 #[derive(Debug, Default)]
 struct Disk {
     /// Less than [`RESERVE_BYTES`] are free.
@@ -72,13 +74,13 @@ struct Disk {
     failed: AtomicBool,
 }
 
-/// Space on the disk that a recording leaves free: for its blocks under way, and for what is made from it.
+/// Space on the disk that a recording leaves free, for its queued blocks and for the report.
 pub const RESERVE_BYTES: u64 = 64 << 20;
 
-/// Bytes between two looks at the free space.
-const LOOK_BYTES: u64 = 1 << 20;
+/// Bytes between two checks of the free space.
+const SPACE_CHECK_BYTES: u64 = 1 << 20;
 
-/// Bytes that are free on the disk of a file; none where the system does not say.
+/// Returns the free bytes of the disk of a file, if the system reports them.
 type FreeSpace = fn(&File) -> Option<u64>;
 
 #[cfg(unix)]
@@ -92,19 +94,19 @@ fn free_space(_: &File) -> Option<u64> {
     None
 }
 
-/// Bytes that are free on the disk of a folder; none where the system does not say.
+/// Returns the free bytes of the disk of a folder, if the system reports them.
 #[must_use]
 pub fn free_bytes(folder: &Path) -> Option<u64> {
     File::open(folder).ok().and_then(|file| free_space(&file))
 }
 
-/// What the second thread did.
+/// Result of the writing thread.
 struct Written {
     bytes: u64,
     sha256: [u8; 32],
 }
 
-/// A recording that is whole and on disk.
+/// Result of a complete recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recorded {
     /// Records written.
@@ -113,7 +115,7 @@ pub struct Recorded {
     pub bytes: u64,
     /// SHA-256 of the file, hexadecimal.
     pub sha256: String,
-    /// It ends before the job does, because the disk was nearly full.
+    /// Whether the recording ends before the job because the disk was nearly full.
     pub disk_full: bool,
 }
 
@@ -121,29 +123,36 @@ impl Recorder {
     /// Creates (or overwrites) a file and writes its header.
     ///
     /// # Errors
-    /// The file cannot be created.
+    ///
+    /// Returns an error if the file cannot be created.
     pub fn create(path: &Path, header: &Header) -> io::Result<Self> {
         Self::create_with(path, header, free_space)
     }
 
-    pub(super) fn create_with(path: &Path, header: &Header, space: FreeSpace) -> io::Result<Self> {
+    pub(super) fn create_with(
+        path: &Path,
+        header: &Header,
+        free_space: FreeSpace,
+    ) -> io::Result<Self> {
         let file = File::create(path)?;
-        let (hand, record_bytes) = (header.hand, header.record_bytes());
+        let (has_haptic_arm, record_bytes) = (header.has_haptic_arm, header.record_bytes());
         let header = header.encode();
         let (full, tasks) = sync_channel(BLOCKS);
         let (blocks, empty) = sync_channel(BLOCKS + 1);
         let (batches, empty_batches) = sync_channel(BLOCKS + 1);
         let memory = Memory { blocks, batches };
         let disk = Arc::<Disk>::default();
-        let seen = Arc::clone(&disk);
+        let thread_disk = Arc::clone(&disk);
         let writer = std::thread::spawn(move || {
-            let written = write(file, &header, &tasks, &memory, &seen, space);
-            seen.failed.store(written.is_err(), Ordering::Relaxed);
+            let written = write(file, &header, &tasks, &memory, &thread_disk, free_space);
+            thread_disk
+                .failed
+                .store(written.is_err(), Ordering::Relaxed);
             written
         });
         Ok(Self {
             block: Vec::with_capacity(BLOCK_RECORDS * record_bytes),
-            hand,
+            has_haptic_arm,
             record_bytes,
             periods: None,
             full: Some(full),
@@ -156,15 +165,16 @@ impl Recorder {
         })
     }
 
-    /// Goes on with a tape that has all periods of the controller up to now; [`Recorder::period`] must be told each that follows.
-    pub fn take_up(&mut self, io_log: IoLog) {
+    /// Writes an I/O log with all periods of the controller up to now. Callers must pass each later
+    /// period to [`Recorder::period`].
+    pub fn start_io_log(&mut self, io_log: IoLog) {
         if io_log.is_whole() {
             self.send(Task::IoLog(Box::new(io_log)));
             self.periods = Some(Vec::with_capacity(BATCH_PERIODS));
         }
     }
 
-    /// Takes down a period of the tape that was taken up; without one, nothing.
+    /// Records a period of the I/O log, if there is one.
     #[inline]
     pub fn period(&mut self, inputs: &Inputs, outputs: &Outputs) {
         if self.has_ended() {
@@ -185,24 +195,24 @@ impl Recorder {
         }
     }
 
-    /// Records a period. A failure of the disk is said by [`Recorder::finish`].
+    /// Appends a record. [`Recorder::finish`] returns an error of the disk.
     #[inline]
     pub fn record(&mut self, record: &Record) {
-        // Of a tape its period was asked first: both end together.
+        // With an I/O log, `period` has checked the disk already: both end together.
         if self.ended || (self.periods.is_none() && self.has_ended()) {
             return;
         }
         self.block.extend_from_slice(&record.encode());
-        if self.hand {
-            self.block.extend_from_slice(&record.encode_hand());
+        if self.has_haptic_arm {
+            self.block.extend_from_slice(&record.encode_haptic());
         }
         self.records += 1;
         if self.block.len() == BLOCK_RECORDS * self.record_bytes {
-            self.hand_over();
+            self.send_block();
         }
     }
 
-    /// Whether the recording has ended before the job, for want of space or by an error of the disk.
+    /// Whether the recording has ended before the job, because the disk is nearly full or failed.
     #[inline]
     #[must_use]
     pub fn is_broken(&self) -> bool {
@@ -215,7 +225,7 @@ impl Recorder {
         self.ended
     }
 
-    /// Records what happened, in words; `level` is 0 for news, 1 for a warning, 2 for an error.
+    /// Records an event; `level` is 0 for information, 1 for a warning, 2 for an error.
     pub fn event(&mut self, period: u64, level: u8, text: &str) {
         let text = &text.as_bytes()[..text.len().min(usize::from(u16::MAX))];
         let mut contents = period.to_le_bytes().to_vec();
@@ -229,7 +239,8 @@ impl Recorder {
         });
     }
 
-    /// Hands the records so far to the disk, unless that is behind: this never waits. If the process dies later, what was spilled stays.
+    /// Sends the records so far to the writing thread, without waiting if its queue is full. They
+    /// are on disk even if the process is killed later.
     pub fn spill(&mut self) {
         let Some(full) = &self.full else {
             return;
@@ -237,14 +248,17 @@ impl Recorder {
         if self.block.is_empty() {
             return;
         }
-        match full.try_send(records(std::mem::take(&mut self.block), self.record_bytes)) {
+        match full.try_send(record_block(
+            std::mem::take(&mut self.block),
+            self.record_bytes,
+        )) {
             Err(TrySendError::Full(Task::Block { contents, .. })) => self.block = contents,
-            // Handed over; or the writer ended with an error, which `finish` tells.
+            // Sent; or the thread ended with an error, which `finish` returns.
             _ => self.block = self.fresh_block(),
         }
     }
 
-    /// Records so far.
+    /// Returns the number of records so far.
     pub fn records(&self) -> u64 {
         self.records
     }
@@ -255,25 +269,26 @@ impl Recorder {
     }
 
     #[cold]
-    fn hand_over(&mut self) {
+    fn send_block(&mut self) {
         let fresh = self.fresh_block();
         let block = std::mem::replace(&mut self.block, fresh);
-        self.send(records(block, self.record_bytes));
+        self.send(record_block(block, self.record_bytes));
     }
 
     fn send(&self, task: Task) {
         if let Some(full) = &self.full {
-            // Fails only when the writer ended with an error, which `finish` tells.
+            // Fails only if the thread ended with an error, which `finish` returns.
             let _ = full.send(task);
         }
     }
 
-    /// Writes the rest and waits until all is handed to the system.
+    /// Writes the remaining blocks and waits for the writing thread.
     ///
     /// # Errors
-    /// The disk is full, or the like; the file ends where it did.
+    ///
+    /// Returns an error of the disk; the file is truncated there.
     pub fn finish(mut self) -> io::Result<Recorded> {
-        self.rest();
+        self.send_rest();
         self.send(Task::Block {
             kind: Kind::End,
             count: self.records as u32,
@@ -293,13 +308,13 @@ impl Recorder {
         })
     }
 
-    /// Hands over blocks that are not full.
-    fn rest(&mut self) {
+    /// Sends blocks that are not full.
+    fn send_rest(&mut self) {
         if !self.block.is_empty() {
-            self.hand_over();
+            self.send_block();
         }
         if let Some(periods) = self.periods.take() {
-            // Ends the tape too.
+            // An empty I/O log ends the present one.
             self.send(Task::Periods(periods));
             self.send(Task::IoLog(Box::default()));
         }
@@ -318,13 +333,13 @@ impl Recorder {
 impl Drop for Recorder {
     fn drop(&mut self) {
         if self.writer.is_some() {
-            self.rest();
+            self.send_rest();
             let _ = self.close();
         }
     }
 }
 
-fn records(contents: Vec<u8>, record_bytes: usize) -> Task {
+fn record_block(contents: Vec<u8>, record_bytes: usize) -> Task {
     Task::Block {
         kind: Kind::Records,
         count: (contents.len() / record_bytes) as u32,
@@ -332,12 +347,12 @@ fn records(contents: Vec<u8>, record_bytes: usize) -> Task {
     }
 }
 
-/// The second thread.
+/// The writing thread.
 struct Writer<'a> {
     disk: &'a Disk,
-    space: FreeSpace,
-    /// Bytes at the next look at the free space.
-    look_at: u64,
+    free_space: FreeSpace,
+    /// Bytes at the next check of the free space.
+    check_at: u64,
     file: File,
     hash: Sha256,
     bytes: u64,
@@ -347,9 +362,9 @@ impl Writer<'_> {
     fn put(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.hash.update(bytes);
         self.bytes += bytes.len() as u64;
-        if self.bytes >= self.look_at {
-            self.look_at = self.bytes + LOOK_BYTES;
-            let low = (self.space)(&self.file).is_some_and(|free| free < RESERVE_BYTES);
+        if self.bytes >= self.check_at {
+            self.check_at = self.bytes + SPACE_CHECK_BYTES;
+            let low = (self.free_space)(&self.file).is_some_and(|free| free < RESERVE_BYTES);
             self.disk.full.fetch_or(low, Ordering::Relaxed);
         }
         self.file.write_all(bytes)
@@ -360,7 +375,7 @@ impl Writer<'_> {
         self.put(contents)
     }
 
-    /// Whole blocks of a tape.
+    /// Writes the complete blocks of an I/O log.
     fn io_log(&mut self, io_log: &mut IoLog) -> io::Result<()> {
         for block in io_log.take() {
             self.block(Kind::Periods, block.count, &block.bytes)?;
@@ -375,12 +390,12 @@ fn write(
     tasks: &Receiver<Task>,
     memory: &Memory,
     disk: &Disk,
-    space: FreeSpace,
+    free_space: FreeSpace,
 ) -> io::Result<Written> {
     let mut writer = Writer {
         disk,
-        space,
-        look_at: 0,
+        free_space,
+        check_at: 0,
         file,
         hash: Sha256::new(),
         bytes: 0,
@@ -397,7 +412,7 @@ fn write(
                 writer.block(kind, count, &contents)?;
                 if kind == Kind::Records {
                     contents.clear();
-                    // The recorder may be gone already; its memory is then of no use.
+                    // The recorder may have ended; its memory is not needed then.
                     let _ = memory.blocks.try_send(contents);
                 }
             }

@@ -185,7 +185,7 @@ fn failed_arm_is_disengaged_until_reset() {
         .iter()
         .filter(|record| (11_000..14_000).contains(&record.period));
     assert!(
-        off.clone().count() > 2000 && off.into_iter().all(|record| record.hand.force == [0; 3])
+        off.clone().count() > 2000 && off.into_iter().all(|record| record.haptic.force == [0; 3])
     );
 }
 

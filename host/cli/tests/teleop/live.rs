@@ -279,7 +279,10 @@ fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
     haptimill(&run).expect_code(0);
     let trace = format!("{out}/recording.hmr");
     let made = read_records(&trace);
-    let known = made.iter().filter(|record| record.hand_flags != 0).count();
+    let known = made
+        .iter()
+        .filter(|record| record.haptic_flags != 0)
+        .count();
     assert!(
         known > 3 && made.len() < 2 * known + 10,
         "{known} of {}",

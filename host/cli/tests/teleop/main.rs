@@ -96,12 +96,12 @@ fn expect_within_limits(read_records: &[Record]) {
 fn expect_no_force_step(hand: &[Record]) {
     let step = hand
         .windows(2)
-        .flat_map(|pair| (0..3).map(|axis| pair[1].hand.force[axis] - pair[0].hand.force[axis]))
+        .flat_map(|pair| (0..3).map(|axis| pair[1].haptic.force[axis] - pair[0].haptic.force[axis]))
         .map(i32::abs)
         .max()
         .unwrap();
     // The force reached at least 0.5 N.
-    let most = hand.iter().flat_map(|record| record.hand.force);
+    let most = hand.iter().flat_map(|record| record.haptic.force);
     assert!(most.map(i32::abs).max().unwrap() > 1 << 15);
     assert!(
         step <= 65_536 / 20 + 1,

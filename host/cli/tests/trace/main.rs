@@ -100,7 +100,7 @@ fn teleoperated_slot_replays_equal_and_a_changed_arm_count_is_detected() {
     let recording = Recording::open(&traces[0]).unwrap();
     let changed = folder.path("changed.hmr");
     let mut recorder = Recorder::create(Path::new(&changed), recording.header()).unwrap();
-    recorder.take_up(IoLog::new());
+    recorder.start_io_log(IoLog::new());
     let mut engaged = 0_u32;
     let mut flipped = 0;
     for period in recording.read_periods().unwrap() {
@@ -159,7 +159,7 @@ fn one_changed_input_bit_is_reported_with_both_values() {
     let flipped = first + 20_000;
     let changed = folder.path("changed.hmr");
     let mut recorder = Recorder::create(Path::new(&changed), recording.header()).unwrap();
-    recorder.take_up(IoLog::new());
+    recorder.start_io_log(IoLog::new());
     for period in recording.read_periods().unwrap() {
         let mut period: Period = period.unwrap();
         if period.inputs.period == flipped {

@@ -167,7 +167,7 @@ impl<C: Control> SimLine<C> {
 impl<C: Control> JobLine for SimLine<C> {
     fn begin_recording(&mut self, mut recording: JobRecording) {
         if let Some(io_log) = self.io_log.take() {
-            recording.recorder.take_up(io_log);
+            recording.recorder.start_io_log(io_log);
         }
         for (period, level, text) in self.happened.drain(..) {
             recording.recorder.event(period, level, &text);
@@ -319,15 +319,15 @@ impl JobRecording {
         };
         if let Some(hand) = self.hand.take() {
             let newtons = |force: [i16; COMPONENTS]| force.map(|part| i32::from(part) << 8);
-            record.hand = HapticSnapshot {
+            record.haptic = HapticSnapshot {
                 tip: hand.pose.tip,
                 force: newtons(hand.force),
                 reflected: newtons(hand.feedback),
                 wall: newtons(hand.fixture),
             };
-            record.hand_flags = flag::HAND_KNOWN;
+            record.haptic_flags = flag::HAPTIC_KNOWN;
             if hand.pose.engaged {
-                record.hand_flags |= flag::HAND_HELD;
+                record.haptic_flags |= flag::CLUTCH_CLOSED;
             }
         }
         copy(&mut record.commanded, &telemetry.commanded);
@@ -382,9 +382,9 @@ impl JobRecording {
                 .map(|newtons| (newtons * 65_536.0).round() as i32),
             ..Record::default()
         };
-        record.set_reading(rig.inputs().period, &snapshot);
+        record.set_snapshot(rig.inputs().period, &snapshot);
         if rig.inputs().haptic.engaged {
-            record.hand_flags |= flag::HAND_HELD;
+            record.haptic_flags |= flag::CLUTCH_CLOSED;
         }
         for (set, flag) in [
             (rig.plant().force_codes().is_some(), flag::FORCE),

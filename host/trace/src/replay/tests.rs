@@ -10,8 +10,8 @@ use proptest::prelude::*;
 use std::path::Path;
 use std::sync::OnceLock;
 
-/// Periods of a machine that is configured and enabled and stands, with a host that asks how things are.
-fn standing() -> &'static [Period] {
+/// Returns periods of a configured, enabled machine at standstill whose host requests its status.
+fn standstill_periods() -> &'static [Period] {
     static PERIODS: OnceLock<Vec<Period>> = OnceLock::new();
     PERIODS.get_or_init(|| {
         let machine = MachineFile::built_in().unwrap();
@@ -71,7 +71,7 @@ fn standing() -> &'static [Period] {
             link.receive(rig.time_ns() / 1000, &received);
             while link.poll_message().is_some() {}
         }
-        assert!(commands.peek().is_none(), "not all was said");
+        assert!(commands.peek().is_none(), "commands were not sent");
         let reading = rig.control().snapshot(rig.inputs()).unwrap();
         assert_eq!(reading.state, haptimill_protocol::message::State::Idle);
         periods
@@ -81,7 +81,7 @@ fn standing() -> &'static [Period] {
 /// Records periods.
 fn record(path: &Path, periods: &[Period]) -> Recording {
     let mut recorder = Recorder::create(path, &header()).unwrap();
-    recorder.take_up(IoLog::new());
+    recorder.start_io_log(IoLog::new());
     for period in periods {
         recorder.period(&period.inputs, &period.outputs);
     }
@@ -90,18 +90,18 @@ fn record(path: &Path, periods: &[Period]) -> Recording {
 }
 
 #[test]
-fn a_recording_replays_equal() {
+fn replay_of_a_recording_matches() {
     let file = TemporaryFile::new("replay-equal.hmr");
-    let recording = record(&file.0, standing());
+    let recording = record(&file.0, standstill_periods());
     let equal = replay(&recording).unwrap().unwrap();
     assert_eq!((equal.periods, equal.records), (4000, 0));
 }
 
 #[test]
-fn a_bit_of_what_was_sensed_is_a_difference_with_a_name() {
+fn changed_input_gives_a_named_difference() {
     let file = TemporaryFile::new("replay-counts.hmr");
     // Two counts of slide l3, once: 2.5 um.
-    let mut periods = standing().to_vec();
+    let mut periods = standstill_periods().to_vec();
     periods[3500].inputs.axes[2].counts ^= 2;
     let recording = record(&file.0, &periods);
     let difference = replay(&recording).unwrap().unwrap_err();
@@ -119,9 +119,9 @@ fn a_bit_of_what_was_sensed_is_a_difference_with_a_name() {
 }
 
 #[test]
-fn a_bit_of_what_was_heard_or_said_is_one_too() {
+fn changed_bytes_of_the_line_give_a_difference() {
     let file = TemporaryFile::new("replay-bytes.hmr");
-    let mut periods = standing().to_vec();
+    let mut periods = standstill_periods().to_vec();
     let said = periods
         .iter()
         .rposition(|period| !period.outputs.transmit.is_empty());
@@ -130,11 +130,11 @@ fn a_bit_of_what_was_heard_or_said_is_one_too() {
     let difference = replay(&record(&file.0, &periods)).unwrap().unwrap_err();
     assert_eq!(
         (difference.period, difference.field.as_str()),
-        (said as u64, "what was said to the host")
+        (said as u64, "the bytes sent to the host")
     );
 
     // A configuration that never came through: the drives stay off.
-    let mut periods = standing().to_vec();
+    let mut periods = standstill_periods().to_vec();
     let heard = periods
         .iter()
         .position(|period| period.inputs.received.len() == 64)
@@ -145,9 +145,9 @@ fn a_bit_of_what_was_heard_or_said_is_one_too() {
 }
 
 #[test]
-fn what_began_before_or_has_no_periods_is_refused() {
+fn recordings_without_the_first_or_any_periods_are_refused() {
     let file = TemporaryFile::new("replay-late.hmr");
-    let error = replay(&record(&file.0, &standing()[100..])).unwrap_err();
+    let error = replay(&record(&file.0, &standstill_periods()[100..])).unwrap_err();
     assert!(
         error
             .to_string()
@@ -155,10 +155,7 @@ fn what_began_before_or_has_no_periods_is_refused() {
         "{error}"
     );
     let error = replay(&record(&file.0, &[])).unwrap_err();
-    assert!(
-        error.to_string().ends_with("nothing was recorded in it"),
-        "{error}"
-    );
+    assert!(error.to_string().ends_with("has no records"), "{error}");
     let mut recorder = Recorder::create(&file.0, &header()).unwrap();
     recorder.record(&Record::default());
     recorder.finish().unwrap();
@@ -166,18 +163,18 @@ fn what_began_before_or_has_no_periods_is_refused() {
     assert!(
         error
             .to_string()
-            .contains("only what its controller reported"),
+            .contains("has the telemetry of its controller"),
         "{error}"
     );
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, rng_seed: proptest::test_runner::RngSeed::Fixed(6), failure_persistence: None, ..ProptestConfig::default() })]
-    /// Inputs that no machine has: the controller does what it does, twice the same, and nothing panics.
+    /// Impossible inputs never panic, and their replay matches.
     #[test]
-    fn absurd_inputs_replay_too(at in 600_usize..3900, axis in 0_usize..5, counts: i32, edge: u32, missed: u16, garbage in prop::collection::vec(any::<u8>(), 0..64)) {
+    fn impossible_inputs_replay(at in 600_usize..3900, axis in 0_usize..5, counts: i32, edge: u32, missed: u16, garbage in prop::collection::vec(any::<u8>(), 0..64)) {
         let file = TemporaryFile::new("replay-absurd.hmr");
-        let mut periods = standing().to_vec();
+        let mut periods = standstill_periods().to_vec();
         let inputs = &mut periods[at].inputs;
         inputs.axes[axis].counts = counts;
         inputs.axes[axis].edge_time_ns = edge;

@@ -16,7 +16,7 @@ use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Command;
 use haptimill_teleop::{Ended, Outcome, Row, Source, Teleop, TeleopOptions};
-use haptimill_trace::{Header, Recorded, Recorder, Recording, RecordingError, export_csv};
+use haptimill_trace::{Header, Recorded, Recorder, Recording, RecordingError, write_csv};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
@@ -159,7 +159,7 @@ impl TeleopSession<'_> {
             let file = std::fs::File::create(&path)
                 .map_err(|error| RecordingError::Io(path.clone(), error))?;
             let mut file = BufWriter::new(file);
-            export_csv(&recording, &mut file, self.args.trace_every)?;
+            write_csv(&recording, &mut file, self.args.trace_every)?;
             file.flush()
                 .map_err(|error| RecordingError::Io(path, error))
         };

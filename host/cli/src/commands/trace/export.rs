@@ -5,7 +5,7 @@ use super::{
 };
 use clap::Args;
 use haptimill_report::plot::Plot;
-use haptimill_trace::{MCAP_RATE, McapWritten, RecordingError, export_table, write_mcap};
+use haptimill_trace::{MCAP_RATE, McapWritten, RecordingError, write_mcap, write_table};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -77,7 +77,7 @@ pub(super) fn csv(args: &CsvArgs) -> Result<(), CliError> {
         output::refuse_overwrite(&args.trace, out, RECORDING)?;
     }
     report_truncation(&recording);
-    let write = |out: &mut dyn Write| match export_table(&recording, &columns, &thinning, out)? {
+    let write = |out: &mut dyn Write| match write_table(&recording, &columns, &thinning, out)? {
         0 => Err(no_data(&args.trace)),
         _ => Ok(()),
     };

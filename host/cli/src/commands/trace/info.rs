@@ -4,7 +4,7 @@ use super::{CliError, bad, open};
 use clap::Args;
 use haptimill_report::duration;
 use haptimill_trace::columns;
-use haptimill_trace::replay::not_replayable;
+use haptimill_trace::replay::why_not_replayable;
 use serde_json::json;
 use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -42,7 +42,7 @@ pub(super) fn run(args: &InfoArgs) -> Result<(), CliError> {
     let period_s = recording.period_s();
     let duration_s = ends.map_or(0.0, |(first, last)| (last + 1 - first) as f64 * period_s);
     let events = recording.events().map_err(bad)?;
-    let why_not = not_replayable(&recording);
+    let why_not = why_not_replayable(&recording);
     let written = std::fs::metadata(&args.trace).and_then(|file| file.modified());
     let written = written.map_or(String::new(), date);
     let columns = columns(&recording);
