@@ -19,6 +19,8 @@ pub struct Chosen {
     pub replace: bool,
     /// The file before the command completed it; a board that is configured as this machine takes the completed file.
     pub base: Option<MachineFile>,
+    /// The board is that of a haptic arm beside a machine: its options have names of their own.
+    pub beside: bool,
 }
 
 /// What is to be done about the configuration of a board.
@@ -86,6 +88,7 @@ impl Chosen {
             named: false,
             replace: false,
             base: None,
+            beside: false,
         }
     }
 
@@ -132,12 +135,18 @@ impl Chosen {
             }
         }
         let wanted = file.config.name.as_str();
+        let (machine_option, replace_option) = if self.beside {
+            ("--hand-machine", "--replace-hand-machine")
+        } else {
+            ("--machine", "--replace-machine")
+        };
         Ok(match (self.named, active) {
-            (false, 0) => Decision::Unknown(
-                "the board has no configuration; give the machine file of this machine with --machine FILE".to_string(),
-            ),
+            (false, 0) => Decision::Unknown(format!(
+                "the board has no configuration; give the machine file of this machine with {machine_option} FILE"
+            )),
             (false, _) => Decision::Unknown(format!(
-                "the board is configured as \"{name}\" (CRC {active:08x}), which is not a built-in machine; give its machine file with --machine FILE"
+                "the board is configured as \"{name}\" (CRC {active:08x}), which is not a built-in machine; \
+                 give its machine file with {machine_option} FILE"
             )),
             (true, 0) => Decision::Send(format!(
                 "the board had no configuration; it is configured as \"{wanted}\" of {}",
@@ -155,7 +164,7 @@ impl Chosen {
             (true, _) => {
                 let what = format!(
                     "the board is configured as \"{name}\" (CRC {active:08x}), and {} is \"{wanted}\"; give the machine file of \"{name}\", or, if this \
-                     board drives \"{wanted}\" now, --replace-machine",
+                     board drives \"{wanted}\" now, {replace_option}",
                     file.file
                 );
                 return Err(Error::new(ErrorKind::Command, what));

@@ -85,6 +85,7 @@ pub enum Ended {
     /// The machine latched a fault, or its emergency stop.
     Fault,
     /// The hand could lead no more, or the machine held for want of it and was not told to go on.
+    #[serde(rename = "hand_lost")]
     MasterLost,
     /// The arm of the hand is off by a fault.
     HapticFault,

@@ -11,13 +11,15 @@ use clap::Args;
 use haptimill_client::board::Chosen;
 use haptimill_client::client::Options;
 use haptimill_client::port::{self, DEFAULT_BAUD, PortSpec};
-use haptimill_client::session::{self, JobLine, JobRecording, PortLine, Session, SimLine};
+use haptimill_client::session::{
+    self, JobLine, JobRecording, PortLine, Reconnection, Session, SimLine,
+};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::{Fault, FaultKind};
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::{MachineFile, work};
 use haptimill_protocol::message::{Command, State};
-use haptimill_teleop::arm::{Pace, Reopen};
+use haptimill_teleop::arm::Pace;
 use haptimill_teleop::held::{self, Held, Joystick, Keys, SpaceMouse};
 use haptimill_teleop::script::{self, BUILT_IN, Person};
 use haptimill_teleop::{
@@ -267,6 +269,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         named: args.hand_machine.is_some(),
         replace: args.replace_hand_machine,
         base: None,
+        beside: true,
     };
     let arm_machine = arm_chosen.file.clone();
     Arm::<PersonLine>::check(&arm_machine)?;
@@ -315,7 +318,11 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
                 number += 1;
                 number
             });
-            let mut arm = Arm::new(line, &arm_machine, pace, numbers, None)?;
+            let reconnection = Reconnection {
+                numbers,
+                reopen: None,
+            };
+            let mut arm = Arm::new(line, &arm_machine, None, pace, reconnection)?;
             let outcome = run.with(&mut arm, &folder, |arm| {
                 let recording = run.recording(&arm_machine, HAND_RECORDING)?;
                 arm.line_mut().begin_recording(recording);
@@ -332,12 +339,13 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
                 line_rate: line_rate(spec, baud),
             };
             let again = spec.clone();
-            let reopen: Reopen<PortLine> = Box::new(move || {
-                port::open(&again, baud.unwrap_or(DEFAULT_BAUD)).map(PortLine::new)
-            });
-            let numbers = Box::new(session::fresh_number);
-            let mut arm =
-                Arm::new(line, &arm_machine, pace, numbers, Some(reopen))?.on_board(arm_chosen);
+            let reconnection = Reconnection {
+                numbers: Box::new(session::fresh_number),
+                reopen: Some(Box::new(move || {
+                    port::open(&again, baud.unwrap_or(DEFAULT_BAUD)).map(PortLine::new)
+                })),
+            };
+            let mut arm = Arm::new(line, &arm_machine, Some(arm_chosen), pace, reconnection)?;
             run.alone(&mut arm)
         }
         (HandSpec::Joystick(path), _) => {

@@ -1,7 +1,7 @@
 //! A job from its first setpoint to rest.
 
-use super::{Line, Session};
-use crate::client::JobEnding;
+use super::{Line, Procedure, Session, StatusQuery};
+use crate::client::{JobEnding, Ticket};
 use crate::{Error, ErrorKind};
 use haptimill_protocol::message::{AxisValues, Command, Event, Fault, State, Telemetry};
 use haptimill_protocol::setpoint::Setpoint;
@@ -87,124 +87,211 @@ const TELEMETRY_BYTES: u32 = 150;
 /// A controller that stands idle for so long, while its job has not ended here, has told the end and was not heard; microseconds.
 const IDLE_US: u64 = 10_000_000;
 
-impl<L: Line> Session<L> {
-    /// Runs a job from `start`, which must be the controller's wanted pose, and waits until the machine is at rest again.
-    ///
-    /// # Errors
-    /// The session broke. A job that ends early is no error here; see [`JobEnd`].
-    pub fn run_job(
-        &mut self,
+/// State of a [`JobRun`] after it was advanced.
+#[derive(Debug, Clone, PartialEq)]
+pub enum JobProgress {
+    /// The job runs, or waits for the end of a pause.
+    Running,
+    /// The pause is over; the job waits for [`JobRun::resume`].
+    PauseOver,
+    /// The job ended, and the machine is at standstill.
+    Ended(Box<JobEnd>),
+}
+
+#[derive(Debug)]
+enum JobPhase {
+    /// Telemetry was requested at the rate of a job.
+    Preparing(Ticket),
+    Running,
+    /// The job ended; the machine may still decelerate.
+    Settling(JobEnding, StatusQuery),
+    /// Telemetry was switched off.
+    Closing(Box<JobEnd>, Ticket),
+}
+
+/// Runs a job from its first setpoint to standstill.
+#[derive(Debug)]
+pub struct JobRun {
+    phase: JobPhase,
+    /// Number, start and setpoints, until the job begins.
+    job: Option<(u32, AxisValues, Vec<Setpoint>)>,
+    first_event: usize,
+    next_event: usize,
+    bytes_before: Sent,
+    bytes_sent: Sent,
+    is_stopped: bool,
+    pause: Pause,
+    idle_since_us: Option<u64>,
+    steps: u32,
+}
+
+fn count_bytes<L: Line>(session: &Session<L>) -> Sent {
+    let counters = session.client.link().counters();
+    Sent {
+        bytes: counters.bytes_sent,
+        message_bytes: counters.message_bytes,
+    }
+}
+
+impl JobRun {
+    /// Prepares a job that begins at `start`, which must be the commanded pose of the controller.
+    pub fn start<L: Line>(
+        session: &mut Session<L>,
         job: u32,
         start: AxisValues,
         setpoints: Vec<Setpoint>,
-        watcher: &mut dyn Watcher,
-    ) -> Result<JobEnd, Error> {
-        self.run_job_with(job, start, setpoints, watcher, &mut |_| Ok(()))
+    ) -> Self {
+        let every = session.telemetry_periods();
+        let first_event = session.events.len();
+        Self {
+            phase: JobPhase::Preparing(session.client.request(Command::Telemetry { every })),
+            job: Some((job, start, setpoints)),
+            first_event,
+            next_event: first_event,
+            bytes_before: Sent::default(),
+            bytes_sent: Sent::default(),
+            is_stopped: false,
+            pause: Pause::None,
+            idle_since_us: None,
+            steps: 0,
+        }
     }
 
-    /// As [`Session::run_job`]; what is to happen at the end of each pause, before the program goes on, is done by `at_pause`.
+    /// Resumes the program after [`JobProgress::PauseOver`].
+    pub fn resume<L: Line>(&mut self, session: &mut Session<L>) {
+        self.pause = Pause::None;
+        session.client.request(Command::Resume);
+    }
+
+    /// Does what is possible now, without waiting. Must be called after each step of the session.
     ///
     /// # Errors
-    /// As [`Session::run_job`], and what `at_pause` refuses.
-    pub fn run_job_with(
+    /// The session ended. A job that ends early is no error here; see [`JobEnd`].
+    pub fn advance<L: Line>(
         &mut self,
-        job: u32,
-        start: AxisValues,
-        setpoints: Vec<Setpoint>,
+        session: &mut Session<L>,
         watcher: &mut dyn Watcher,
-        at_pause: &mut dyn FnMut(&mut Self) -> Result<(), Error>,
-    ) -> Result<JobEnd, Error> {
-        let first = self.events.len();
-        let period_us = self
-            .client
-            .controller()
-            .map_or(200, |welcome| u32::from(welcome.period_us));
-        // On a slow line telemetry takes a quarter of it at most.
-        let quarter_ms = (4 * TELEMETRY_BYTES * 1000)
-            .checked_div(self.line_rate)
-            .unwrap_or(0);
-        let every_us = TELEMETRY_MS.max(quarter_ms) * 1000;
-        let every = (every_us / period_us.max(1)).clamp(1, u32::from(u16::MAX)) as u16;
-        self.ask(Command::Telemetry { every })?;
-        self.ending = None;
-        let before = self.client.link().counters();
-        self.client
-            .start_job(job, start, setpoints)
-            .map_err(|error| Error::new(ErrorKind::Port, error))?;
-        let mut stopped = false;
-        let mut pause = Pause::None;
-        let mut idle_since = None;
-        let mut seen = first;
-        let mut steps = 0_u32;
-        let ending = loop {
-            if let Some(ending) = self.ending.take() {
-                break ending;
+    ) -> Result<JobProgress, Error> {
+        match &mut self.phase {
+            JobPhase::Preparing(request) => {
+                if let Some(answer) = session.answer(*request) {
+                    answer?;
+                    self.begin(session)?;
+                }
+                Ok(JobProgress::Running)
             }
-            self.step()?;
-            if self.interrupted() && !stopped {
-                stopped = true;
-                self.client.urgent_stop();
+            JobPhase::Running => self.watch(session, watcher),
+            JobPhase::Settling(ending, query) => {
+                let Some(status) = query.advance(session)? else {
+                    return Ok(JobProgress::Running);
+                };
+                if session.is_settled(&status) {
+                    let ending = ending.clone();
+                    let end = Box::new(self.report(session, ending, status));
+                    let request = session.client.request(Command::Telemetry { every: 0 });
+                    self.phase = JobPhase::Closing(end, request);
+                } else {
+                    *query = StatusQuery::start(session);
+                }
+                Ok(JobProgress::Running)
             }
-            while let Some((_, event)) = self.events.get(seen) {
-                seen += 1;
-                match event {
-                    Event::Paused { setpoint } => {
-                        pause = Pause::Reached;
-                        watcher.paused(*setpoint);
-                    }
-                    Event::State {
-                        from: State::Run,
-                        to: State::Hold,
-                        ..
-                    } if pause == Pause::Reached => pause = Pause::Held,
-                    // Nobody here asked for it: another program on the port sent an urgent stop.
-                    Event::State {
-                        from: State::Run,
-                        to: State::Hold,
-                        ..
-                    } if pause == Pause::None && !stopped => {
-                        self.client.request(Command::Stop);
+            JobPhase::Closing(end, request) => match session.answer(*request) {
+                None => Ok(JobProgress::Running),
+                Some(answer) => answer.map(|()| JobProgress::Ended(end.clone())),
+            },
+        }
+    }
+
+    fn begin<L: Line>(&mut self, session: &mut Session<L>) -> Result<(), Error> {
+        session.ending = None;
+        self.bytes_before = count_bytes(session);
+        if let Some((job, start, setpoints)) = self.job.take() {
+            session
+                .client
+                .start_job(job, start, setpoints)
+                .map_err(|error| Error::new(ErrorKind::Port, error))?;
+        }
+        self.phase = JobPhase::Running;
+        Ok(())
+    }
+
+    fn watch<L: Line>(
+        &mut self,
+        session: &mut Session<L>,
+        watcher: &mut dyn Watcher,
+    ) -> Result<JobProgress, Error> {
+        if session.interrupted() && !self.is_stopped {
+            self.is_stopped = true;
+            session.client.urgent_stop();
+        }
+        while let Some((_, event)) = session.events.get(self.next_event) {
+            self.next_event += 1;
+            match event {
+                Event::Paused { setpoint } => {
+                    self.pause = Pause::Reached;
+                    watcher.paused(*setpoint);
+                }
+                Event::State {
+                    from: State::Run,
+                    to: State::Hold,
+                    ..
+                } => match self.pause {
+                    Pause::Reached => self.pause = Pause::Held,
+                    // An urgent stop of another program on the port.
+                    Pause::None if !self.is_stopped => {
+                        session.client.request(Command::Stop);
                     }
                     _ => {}
+                },
+                _ => {}
+            }
+        }
+        let is_over = self.pause == Pause::Held && watcher.goes_on();
+        self.steps = self.steps.wrapping_add(1);
+        if self.steps.is_multiple_of(LOOK_EVERY)
+            && let Some(telemetry) = session.client.telemetry()
+        {
+            watcher.progress(telemetry);
+            if matches!(telemetry.state, State::Idle | State::Disabled) {
+                let since = *self.idle_since_us.get_or_insert(session.now_us);
+                if session.now_us - since > IDLE_US {
+                    let what = "the controller is idle, and the end of the job was not received: \
+                        the line is too slow or too bad";
+                    return Err(Error::new(ErrorKind::Port, what));
                 }
+            } else {
+                self.idle_since_us = None;
             }
-            if pause == Pause::Held && watcher.goes_on() {
-                pause = Pause::None;
-                at_pause(self)?;
-                self.client.request(Command::Resume);
-            }
-            steps = steps.wrapping_add(1);
-            if steps.is_multiple_of(LOOK_EVERY)
-                && let Some(telemetry) = self.client.telemetry()
-            {
-                watcher.progress(telemetry);
-                if matches!(telemetry.state, State::Idle | State::Disabled) {
-                    let since = *idle_since.get_or_insert(self.now_us);
-                    if self.now_us - since > IDLE_US {
-                        let what = "the controller stands idle and the end of the job was not heard: the line is too slow or too bad";
-                        return Err(Error::new(ErrorKind::Port, what));
-                    }
-                } else {
-                    idle_since = None;
-                }
-            }
-        };
-        let after = self.client.link().counters();
-        let sent = Sent {
-            bytes: after.bytes_sent - before.bytes_sent,
-            message_bytes: after.message_bytes - before.message_bytes,
-        };
-        let status = self.settle()?;
+        }
+        if let Some(ending) = session.ending.take() {
+            let after = count_bytes(session);
+            self.bytes_sent = Sent {
+                bytes: after.bytes - self.bytes_before.bytes,
+                message_bytes: after.message_bytes - self.bytes_before.message_bytes,
+            };
+            self.phase = JobPhase::Settling(ending, StatusQuery::start(session));
+        } else if is_over {
+            return Ok(JobProgress::PauseOver);
+        }
+        Ok(JobProgress::Running)
+    }
+
+    fn report<L: Line>(
+        &self,
+        session: &Session<L>,
+        ending: JobEnding,
+        status: Telemetry,
+    ) -> JobEnd {
         let mut end = JobEnd {
             ending,
             setpoints: 0,
             underruns: Vec::new(),
             faults: Vec::new(),
-            stopped,
+            stopped: self.is_stopped,
             status,
-            sent,
+            sent: self.bytes_sent,
         };
-        for (_, event) in &self.events[first..] {
+        for (_, event) in &session.events[self.first_event..] {
             match event {
                 Event::Underrun {
                     setpoint,
@@ -217,8 +304,70 @@ impl<L: Line> Session<L> {
                 _ => {}
             }
         }
-        self.ask(Command::Telemetry { every: 0 })?;
-        Ok(end)
+        end
+    }
+}
+
+impl<L: Line> Session<L> {
+    /// Runs a job from `start`, which must be the commanded pose of the controller, and waits for standstill.
+    ///
+    /// # Errors
+    /// The session ended. A job that ends early is no error here; see [`JobEnd`].
+    pub fn run_job(
+        &mut self,
+        job: u32,
+        start: AxisValues,
+        setpoints: Vec<Setpoint>,
+        watcher: &mut dyn Watcher,
+    ) -> Result<JobEnd, Error> {
+        self.run_job_with(job, start, setpoints, watcher, &mut |_| Ok(()))
+    }
+
+    /// As [`Session::run_job`]; `at_pause` is called at the end of each pause, before the program resumes.
+    ///
+    /// # Errors
+    /// As [`Session::run_job`], and the errors of `at_pause`.
+    pub fn run_job_with(
+        &mut self,
+        job: u32,
+        start: AxisValues,
+        setpoints: Vec<Setpoint>,
+        watcher: &mut dyn Watcher,
+        at_pause: &mut dyn FnMut(&mut Self) -> Result<(), Error>,
+    ) -> Result<JobEnd, Error> {
+        let mut run = JobRun::start(self, job, start, setpoints);
+        loop {
+            match run.advance(self, watcher)? {
+                JobProgress::Running => {}
+                JobProgress::PauseOver => {
+                    at_pause(self)?;
+                    run.resume(self);
+                }
+                JobProgress::Ended(end) => return Ok(*end),
+            }
+            self.step()?;
+        }
+    }
+
+    /// Control periods between two telemetry frames during a job.
+    fn telemetry_periods(&self) -> u16 {
+        let period_us = self
+            .client
+            .controller()
+            .map_or(200, |welcome| u32::from(welcome.period_us));
+        // On a slow line telemetry takes a quarter of the bandwidth at most.
+        let quarter_ms = (4 * TELEMETRY_BYTES * 1000)
+            .checked_div(self.line_rate)
+            .unwrap_or(0);
+        let every_us = TELEMETRY_MS.max(quarter_ms) * 1000;
+        (every_us / period_us.max(1)).clamp(1, u32::from(u16::MAX)) as u16
+    }
+
+    /// Whether nothing moves, and no stop is on its way to the controller that would affect the next command.
+    fn is_settled(&self, status: &Telemetry) -> bool {
+        !self.client.urgent().0
+            && !matches!(status.state, State::Run | State::Homing | State::Jog)
+            && (status.state != State::Hold || status.path_rate == 0)
     }
 
     /// Whether a job came to its end.
@@ -246,19 +395,6 @@ impl<L: Line> Session<L> {
             )),
             JobEnding::Lost { error, .. } => Err(Error::new(ErrorKind::Port, error)),
             other => Err(Error::new(ErrorKind::Command, other)),
-        }
-    }
-
-    /// Waits until the controller reports a state in which nothing moves, and no stop is on its way to it that would meet what comes next.
-    fn settle(&mut self) -> Result<Telemetry, Error> {
-        loop {
-            let status = self.status()?;
-            if !self.client.urgent().0
-                && !matches!(status.state, State::Run | State::Homing | State::Jog)
-                && (status.state != State::Hold || status.path_rate == 0)
-            {
-                return Ok(status);
-            }
         }
     }
 }
