@@ -1,7 +1,7 @@
 //! Setpoints that follow each other more closely than the planner of this project puts them.
 
 use haptimill_client::client::Options;
-use haptimill_client::session::{Session, SimLine, Unwatched, rig};
+use haptimill_client::session::{NoObserver, Session, SimLine, rig};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::{Action, AxisValues, State};
@@ -60,7 +60,7 @@ fn setpoints_of_a_millisecond_come_in_time() {
             2 + job as u32,
             start.clone(),
             line(&start, speed, periods, count),
-            &mut Unwatched,
+            &mut NoObserver,
         );
         let end = job.expect("ended");
         assert_eq!(end.underruns, [], "{periods} periods a setpoint");

@@ -2,7 +2,7 @@
 
 use haptimill_client::client::Options;
 use haptimill_client::port::PortError;
-use haptimill_client::session::{Line, Session, SimLine, Unwatched, rig};
+use haptimill_client::session::{Line, NoObserver, Session, SimLine, rig};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::State;
@@ -56,7 +56,7 @@ fn a_job_stopped_in_any_period_is_summed_up_as_the_machine_stands() {
             2 + periods,
             start.clone(),
             line_in_x(&start, speed, 10),
-            &mut Unwatched,
+            &mut NoObserver,
         );
         let end = job.expect("ended");
         let last = session.events.len().saturating_sub(12);

@@ -48,7 +48,7 @@ fn an_address_that_others_reach_asks_for_a_token() {
             let ran = served.tries(&[command, more].concat());
             if command != ["stop"] {
                 assert_eq!(ran.code, 5, "{ran:?}");
-                assert!(ran.err.contains("asks for a token"), "{ran:?}");
+                assert!(ran.err.contains("requires a token"), "{ran:?}");
             }
         }
     }
@@ -90,7 +90,7 @@ fn a_token_comes_from_a_file_and_from_the_environment() {
             .tries(&["status"])
             .ended_with(5)
             .err
-            .contains("asks for a token")
+            .contains("requires a token")
     );
     let ran = std::process::Command::new(env!("CARGO_BIN_EXE_haptimill"))
         .args(["status", "--port", &served.port])

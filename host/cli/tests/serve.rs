@@ -254,7 +254,7 @@ fn a_second_program_on_a_pseudo_terminal_is_sent_away_and_its_stop_is_heard() {
     let run = under_way(&served, &folder, &long_program(&folder));
     let second = served.tries(&["status"]).ended_with(5);
     assert!(
-        second.err.contains("another program has it") && second.err.contains("fuser /dev/"),
+        second.err.contains("another program uses it") && second.err.contains("fuser /dev/"),
         "{}",
         second.err
     );
@@ -342,7 +342,7 @@ fn a_machine_that_dies_is_noticed_and_the_trace_is_kept() {
         "{:?}",
         died.elapsed()
     );
-    assert!(ran.err.contains("the other end has gone"), "{}", ran.err);
+    assert!(ran.err.contains("the other end is gone"), "{}", ran.err);
     let summary = folder.summary("out");
     assert_eq!(
         (&summary["final_state"], &summary["completed"]),
@@ -368,7 +368,7 @@ fn a_frozen_machine_is_given_up_after_a_second() {
         froze.elapsed()
     );
     assert!(
-        ran.err.contains("nothing was heard from the controller"),
+        ran.err.contains("nothing was received from the controller"),
         "{}",
         ran.err
     );

@@ -7,7 +7,7 @@ use haptimill_client::port::Board;
 #[cfg(unix)]
 use haptimill_client::session::pil;
 use haptimill_client::session::{
-    self, HandCourse, JobEnd, JobLine, JobRecording, Session, SimLine, Unwatched,
+    self, HapticTrace, JobEnd, JobLine, JobRecording, NoObserver, Session, SimLine,
 };
 use haptimill_client::{Error, ErrorKind};
 
@@ -44,7 +44,7 @@ pub struct Cut {
     /// The summary of the job.
     pub summary: Summary,
     /// What hand and tool did while a hand led.
-    pub hand: Option<HandCourse>,
+    pub hand: Option<HapticTrace>,
 }
 
 /// The most that a tool under force control may yield, mm: the machine file's 10 mm are enough for the thesis's gains (6 mm), and too little for (0.25, 0.5) at 4 mm/s, which yields 13 mm and would press with
@@ -127,7 +127,7 @@ fn on_board(
     let rig = session::rig_around(remote, machine, None, None, Vec::new())?;
     let line = SimLine::named(rig, &board.to_string());
     let cut = cut(line, machine, pass, dir, interrupted)?;
-    pil::Instructions::leave(&cost, dir)?;
+    pil::Instructions::write_to(&cost, dir)?;
     Ok(cut)
 }
 
@@ -155,7 +155,7 @@ fn cut<C: Controlled>(
         Error::new(ErrorKind::Output, format!("{}: {error}", dir.display()))
     };
     let model = Model::new(machine);
-    let home = session::home_of(machine, &model)?;
+    let home = session::find_home_pose(machine, &model)?;
     let plan = planned(machine, &model, &home, pass)?;
 
     let plant: PlantConfig = machine.plant()?;
@@ -200,8 +200,8 @@ fn cut<C: Controlled>(
             _ => Ok(()),
         }
     };
-    let end = session.run_job_with(2, home, setpoints, &mut Unwatched, &mut at_pause)?;
-    well_ended(&session, pass, &end)?;
+    let end = session.run_job_with(2, home, setpoints, &mut NoObserver, &mut at_pause)?;
+    check_completed(&session, pass, &end)?;
     let recorded = session
         .line_mut()
         .end_recording()
@@ -229,7 +229,7 @@ fn cut<C: Controlled>(
     let led = pass.led.as_ref().map_or(&[][..], |led| led.axes);
     let course = Course::of(&recording, led).map_err(|error| output(&error))?;
     if let Some(course) = &hand {
-        std::fs::write(dir.join(HAND_FILE), course.table(HAND_EVERY))
+        std::fs::write(dir.join(HAND_FILE), course.to_csv(HAND_EVERY))
             .map_err(|error| output(&error))?;
     }
     let mut line = session.into_line();
@@ -265,15 +265,15 @@ fn planned(
 }
 
 /// A job that did not reach its end leaves nothing to measure.
-fn well_ended<C: Controlled>(
+fn check_completed<C: Controlled>(
     session: &Session<SimLine<C>>,
     pass: &Pass,
     end: &JobEnd,
 ) -> Result<(), Error> {
     session
-        .well_ended(end)
+        .check_completed(end)
         .map_err(|error| of_pass(pass, error))?;
-    if session.interrupted() {
+    if session.is_interrupted() {
         return Err(Error::new(ErrorKind::Stopped, "stopped by the user"));
     }
     Ok(())

@@ -4,7 +4,7 @@
 
 use super::Cut;
 use super::stated::{Claim, Source, measured};
-use haptimill_client::session::{HandCourse, HandSample};
+use haptimill_client::session::{HapticTrace, HapticTraceSample};
 
 use Source::{Derived, Own, Stated};
 
@@ -14,36 +14,36 @@ const LEVEL: f64 = 0.2;
 /// What counts as arrived, mm.
 const NEAR: f64 = 0.3;
 
-static NOTHING: HandCourse = HandCourse {
+static NOTHING: HapticTrace = HapticTrace {
     samples: Vec::new(),
 };
 
-fn hand(cut: &Cut) -> &HandCourse {
+fn hand(cut: &Cut) -> &HapticTrace {
     cut.hand.as_ref().unwrap_or(&NOTHING)
 }
 
-fn most(samples: &[HandSample], value: impl Fn(&HandSample) -> f64) -> f64 {
+fn most(samples: &[HapticTraceSample], value: impl Fn(&HapticTraceSample) -> f64) -> f64 {
     samples.iter().map(value).fold(f64::NAN, f64::max)
 }
 
-fn mean(samples: &[HandSample], value: impl Fn(&HandSample) -> f64) -> f64 {
+fn mean(samples: &[HapticTraceSample], value: impl Fn(&HapticTraceSample) -> f64) -> f64 {
     samples.iter().map(value).sum::<f64>() / samples.len() as f64
 }
 
 /// Time of the first sample that a condition holds for.
-fn when(samples: &[HandSample], condition: impl Fn(&HandSample) -> bool) -> f64 {
+fn when(samples: &[HapticTraceSample], condition: impl Fn(&HapticTraceSample) -> bool) -> f64 {
     let first = samples.iter().find(|sample| condition(sample));
     first.map_or(f64::NAN, |sample| sample.time)
 }
 
 /// Time of the last sample that a condition holds for; 0 when there is none.
-fn last_when(samples: &[HandSample], condition: impl Fn(&HandSample) -> bool) -> f64 {
+fn last_when(samples: &[HapticTraceSample], condition: impl Fn(&HapticTraceSample) -> bool) -> f64 {
     let last = samples.iter().rev().find(|sample| condition(sample));
     last.map_or(0.0, |sample| sample.time)
 }
 
 /// How fast the hand went over a span, mm/s.
-fn speed(course: &HandCourse, from: f64, to: f64) -> f64 {
+fn speed(course: &HapticTrace, from: f64, to: f64) -> f64 {
     (course.at(to).hand[0] - course.at(from).hand[0]).abs() / (to - from)
 }
 
@@ -56,9 +56,9 @@ pub(super) fn moving_wall(cuts: &[Cut]) -> Vec<Claim> {
         return Vec::new();
     };
     let (swift, slow) = (hand(swift), hand(slow));
-    let force = |sample: &HandSample| sample.reflected[0];
+    let force = |sample: &HapticTraceSample| sample.reflected[0];
     let peak = most(&swift.samples, force);
-    let felt: Vec<HandSample> = swift
+    let felt: Vec<HapticTraceSample> = swift
         .between(0.0, 2.0)
         .iter()
         .filter(|sample| (2.0..4.0).contains(&force(sample)))
@@ -113,28 +113,29 @@ pub(super) fn moving_wall(cuts: &[Cut]) -> Vec<Claim> {
 }
 
 /// Tool against where it is wanted, less what it yields, largest over a span after the start, mm.
-fn following(samples: &[HandSample], axis: usize) -> f64 {
+fn following(samples: &[HapticTraceSample], axis: usize) -> f64 {
     most(samples, |sample| {
         (sample.tool[axis] - sample.desired[axis] - sample.yielded[axis]).abs()
     })
 }
 
 /// How long after the hand has stopped the tool is last farther than [`NEAR`] from where it is wanted, s.
-fn late(samples: &[HandSample], stop: f64) -> f64 {
-    let off = |sample: &HandSample| (sample.tool[0] - sample.desired[0]).abs() > NEAR;
+fn late(samples: &[HapticTraceSample], stop: f64) -> f64 {
+    let off = |sample: &HapticTraceSample| (sample.tool[0] - sample.desired[0]).abs() > NEAR;
     (last_when(samples, off) - stop).max(0.0)
 }
 
 /// What is reflected along an axis as a part of the force on the tool, mean in percent, where the limit is not reached and there is something to reflect.
-fn share(samples: &[HandSample], axis: usize, percent: f64, limit: f64) -> f64 {
-    let counts: Vec<&HandSample> = samples
+fn share(samples: &[HapticTraceSample], axis: usize, percent: f64, limit: f64) -> f64 {
+    let counts: Vec<&HapticTraceSample> = samples
         .iter()
         .filter(|sample| {
             let force = sample.high[axis].abs() * percent / 100.0;
             (0.5..limit * 0.9).contains(&force)
         })
         .collect();
-    let sum = |value: &dyn Fn(&HandSample) -> f64| counts.iter().map(|s| value(s)).sum::<f64>();
+    let sum =
+        |value: &dyn Fn(&HapticTraceSample) -> f64| counts.iter().map(|s| value(s)).sum::<f64>();
     100.0 * sum(&|s| s.reflected[axis]) / sum(&|s| s.high[axis])
 }
 
@@ -275,7 +276,7 @@ pub(super) fn pocket(cuts: &[Cut]) -> Vec<Claim> {
         course.between(9.6, second),
         course.between(19.6, third),
     );
-    let high = |samples: &[HandSample], axis: usize| mean(samples, |s| s.high[axis]);
+    let high = |samples: &[HapticTraceSample], axis: usize| mean(samples, |s| s.high[axis]);
     let later = [two, three].concat();
     let felt = |cut: &Cut| {
         let course = hand(cut);
@@ -347,13 +348,14 @@ pub(super) fn circle(cuts: &[Cut]) -> Vec<Claim> {
     let ends = when(course.between(2.0, f64::INFINITY), |sample| sample.done);
     let way = course.between(1.5, ends);
     let extreme = |axis: usize, sign: f64| {
-        let key = |sample: &HandSample| sign * sample.hand[axis];
+        let key = |sample: &HapticTraceSample| sign * sample.hand[axis];
         let best = way.iter().max_by(|a, b| key(a).total_cmp(&key(b)));
         best.map_or(f64::NAN, |sample| sample.time)
     };
     let radius = |place: &[f64; 3]| ((place[0] + 15.0).powi(2) + place[1].powi(2)).sqrt();
-    let off =
-        |place: &dyn Fn(&HandSample) -> [f64; 3]| most(way, |s| (radius(&place(s)) - 15.0).abs());
+    let off = |place: &dyn Fn(&HapticTraceSample) -> [f64; 3]| {
+        most(way, |s| (radius(&place(s)) - 15.0).abs())
+    };
     let ring = cut.work.ring(LEVEL, 360);
     let flips = when(course.between(0.35 * ends, ends), |sample| {
         sample.high[0] < 0.0

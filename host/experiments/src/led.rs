@@ -5,7 +5,7 @@
 //!
 //! One hand serves all of them, that of the machine file; what differs is what the person means to do, and the settings that the thesis states.
 
-use haptimill_client::session::{HandCourse, Session, SimLine};
+use haptimill_client::session::{HapticTrace, Session, SimLine};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_hil_sim::haptics::HapticArm;
 use haptimill_hil_sim::operator::{Rail, ReferencePart, Stroke, Trace, Trajectory};
@@ -177,7 +177,7 @@ impl Led {
                 }),
             })?;
         }
-        session.line_mut().begin_hand();
+        session.line_mut().begin_haptic_trace();
         let arm = arm(session)?;
         arm.set_engaged(true);
         arm.set_trajectory((self.trajectory)());
@@ -191,8 +191,8 @@ impl Led {
     pub fn end<C: Control>(
         &self,
         session: &mut Session<SimLine<C>>,
-    ) -> Result<Option<HandCourse>, Error> {
-        let course = session.line_mut().end_hand();
+    ) -> Result<Option<HapticTrace>, Error> {
+        let course = session.line_mut().end_haptic_trace();
         arm(session)?.set_engaged(false);
         if self.wall_mm_s.is_some() {
             for upper in [false, true] {

@@ -2,7 +2,7 @@
 
 use super::page::{card, over};
 use super::{Cut, Pass};
-use haptimill_client::session::HandSample;
+use haptimill_client::session::HapticTraceSample;
 use haptimill_report::chart::{COLOURS, Line, escape};
 use haptimill_report::series::Columns;
 
@@ -12,10 +12,10 @@ const SINCE: &str = "time since the hand took over, s";
 const WANTED: &str = "#b7c0ca";
 
 fn line(
-    samples: &[HandSample],
+    samples: &[HapticTraceSample],
     label: &str,
     (colour, width): (&'static str, f64),
-    value: impl Fn(&HandSample) -> f64,
+    value: impl Fn(&HapticTraceSample) -> f64,
 ) -> Line {
     let begin = samples.first().map_or(0.0, |sample| sample.time);
     let end = samples.last().map_or(1.0, |sample| sample.time);
@@ -85,7 +85,7 @@ pub(super) fn curves(page: &mut String, pass: &Pass, cut: &Cut) {
         "What the motors of the haptic arm push at the handle",
         &over(SINCE, "force, N", reflected, 250.0, true),
     );
-    let along = |axis: usize| move |s: &HandSample| s.push[axis];
+    let along = |axis: usize| move |s: &HapticTraceSample| s.push[axis];
     let push = axes
         .iter()
         .map(|axis| usize::from(*axis))

@@ -1,14 +1,16 @@
-//! A haptic arm on a controller of its own: a second controller, whose machine file has the role `master`.
+//! A haptic arm on a controller of its own: a second controller, whose machine file has the role
+//! `master`.
 //!
-//! The arm is a [`Session`] whose startup sends the machine file, enables the drives, and requests the telemetry of the
-//! master. It never waits: while the machine is operated, a lost link or port is opened again, and the arm is the master
-//! again once the operator has resumed the machine.
+//! The arm is a [`Session`] whose startup sends the machine file, enables the drives, and requests
+//! the telemetry of the master. It never waits: while the machine is operated, a lost link or port
+//! is opened again, and the arm is the master again once the operator has resumed the machine.
 //!
-//! Callers must call [`Source::advance`] regularly: without keep-alive frames the controller of the arm disables its motors.
+//! Callers must call [`MasterDevice::advance`] regularly: without keep-alive frames the controller
+//! of the arm disables its motors.
 
-use super::latency::What;
-use super::script::Person;
-use super::{Feeling, Felt, Source, Standing, Word};
+use super::latency::ForceValue;
+use super::script::ScriptedOperator;
+use super::{ForceSample, MasterDevice, MasterForce, MasterSample, MasterStatus};
 use haptimill_client::board::Chosen;
 use haptimill_client::client::Options;
 use haptimill_client::port::PortError;
@@ -24,23 +26,23 @@ use haptimill_trace::Recorder;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// A simulated arm with a person at it.
-pub struct PersonLine {
+/// A line to a simulated arm that an operator of a script moves.
+pub struct OperatorLine {
     line: SimLine,
-    person: Person,
+    operator: ScriptedOperator,
 }
 
-impl PersonLine {
-    /// A line to a simulated arm that a person leads.
+impl OperatorLine {
+    /// A line to a simulated arm.
     #[must_use]
-    pub const fn new(line: SimLine, person: Person) -> Self {
-        Self { line, person }
+    pub const fn new(line: SimLine, operator: ScriptedOperator) -> Self {
+        Self { line, operator }
     }
 }
 
-impl Line for PersonLine {
+impl Line for OperatorLine {
     fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
-        self.person.act(self.line.rig_mut());
+        self.operator.act(self.line.rig_mut());
         self.line.exchange(transmit, received)
     }
 
@@ -52,21 +54,21 @@ impl Line for PersonLine {
         self.line.snapshot()
     }
 
-    fn recording_is_broken(&self) -> bool {
-        self.line.recording_is_broken()
+    fn is_recording_broken(&self) -> bool {
+        self.line.is_recording_broken()
     }
 
-    fn told_force(&self) -> Option<[i16; COMPONENTS]> {
+    fn remote_force(&self) -> Option<[i16; COMPONENTS]> {
         let arm = self.line.rig().control().machine()?.masters.arm()?;
         Some(arm.remote_force())
     }
 
-    fn happened(&mut self, period: u64, level: u8, text: &str) {
-        self.line.happened(period, level, text);
+    fn record_event(&mut self, period: u64, level: u8, text: &str) {
+        self.line.record_event(period, level, text);
     }
 }
 
-impl JobLine for PersonLine {
+impl JobLine for OperatorLine {
     fn begin_recording(&mut self, recording: JobRecording) {
         self.line.begin_recording(recording);
     }
@@ -97,12 +99,12 @@ pub struct Pace {
 /// A haptic arm.
 pub struct Arm<L> {
     session: Session<L>,
-    reflection: Option<ForceFeedback>,
+    force_feedback: Option<ForceFeedback>,
     /// Times of the loop and of the line when the line was opened.
     origin_us: Option<(u64, u64)>,
     newest_period: Option<u64>,
     telemetry: Option<MasterTelemetry>,
-    felt: VecDeque<Felt>,
+    forces: VecDeque<ForceSample>,
     next_event: usize,
     messages: VecDeque<String>,
 }
@@ -120,7 +122,7 @@ impl<L: Line> Arm<L> {
     pub fn check(machine: &MachineFile) -> Result<(), Error> {
         if !machine.is_master() {
             let what = format!(
-                "{}: not a haptic arm alone; write role = \"master\", as machines/hand-master.toml has it",
+                "{}: not a haptic arm alone; write role = \"master\", as in machines/hand-master.toml",
                 machine.file
             );
             return Err(Error::new(ErrorKind::BadInput, what));
@@ -128,8 +130,8 @@ impl<L: Line> Arm<L> {
         Ok(())
     }
 
-    /// The arm of a machine file at a line. For an arm on a board, `board` chooses the configuration: the board keeps its
-    /// own unless the choice allows another one.
+    /// The arm of a machine file at a line. For an arm on a board, `board` chooses the
+    /// configuration: the board keeps its own unless the choice allows another one.
     ///
     /// # Errors
     /// The machine file does not describe a haptic arm alone.
@@ -155,11 +157,11 @@ impl<L: Line> Arm<L> {
         session.forget_axes();
         Ok(Self {
             session,
-            reflection: machine.config.haptic.as_ref().map(|arm| arm.reflection),
+            force_feedback: machine.config.haptic.as_ref().map(|arm| arm.reflection),
             origin_us: None,
             newest_period: None,
             telemetry: None,
-            felt: VecDeque::new(),
+            forces: VecDeque::new(),
             next_event: 0,
             messages: VecDeque::new(),
         })
@@ -191,48 +193,48 @@ impl<L: Line> Arm<L> {
     }
 
     /// A new report as a master sample.
-    fn take_sample(&mut self) -> Option<Word> {
+    fn take_sample(&mut self) -> Option<MasterSample> {
         if !self.is_ready() {
             return None;
         }
-        let telemetry = *self.session.client_mut().hand()?;
+        let telemetry = *self.session.client().master()?;
         if self.newest_period.replace(telemetry.period) == Some(telemetry.period) {
             return None;
         }
         self.telemetry = Some(telemetry);
-        Some(Word {
-            hand: telemetry.pose,
+        Some(MasterSample {
+            pose: telemetry.pose,
             age_us: u64::from(self.round_trip_us()) / 2,
         })
     }
 
     /// Keeps the force that the arm received or renders.
-    fn keep_force(&mut self, at_us: u64, sample: Option<&Word>) {
-        let felt = match (
-            self.session.line_mut().told_force(),
+    fn keep_force(&mut self, at_us: u64, sample: Option<&MasterSample>) {
+        let force = match (
+            self.session.line_mut().remote_force(),
             sample,
             &self.telemetry,
         ) {
-            (Some(force), ..) => Felt {
+            (Some(force), ..) => ForceSample {
                 at_us,
-                what: What::Told(force),
+                value: ForceValue::Received(force),
             },
-            (None, Some(sample), Some(telemetry)) => Felt {
+            (None, Some(sample), Some(telemetry)) => ForceSample {
                 at_us: at_us.saturating_sub(sample.age_us),
-                what: What::Reflected {
+                value: ForceValue::Reported {
                     force: newtons(telemetry.feedback),
-                    owes: telemetry.energy < 0,
+                    is_in_deficit: telemetry.energy < 0,
                 },
             },
             _ => return,
         };
-        if self.felt.len() < MAX_FORCES {
-            self.felt.push_back(felt);
+        if self.forces.len() < MAX_FORCES {
+            self.forces.push_back(force);
         }
     }
 }
 
-impl<L: Line> Source for Arm<L> {
+impl<L: Line> MasterDevice for Arm<L> {
     fn prepare(&mut self) -> Result<(), Error> {
         let startup = self.session.startup_mut();
         if startup.is_some_and(|startup| startup.has_board()) {
@@ -241,7 +243,7 @@ impl<L: Line> Source for Arm<L> {
         Ok(())
     }
 
-    fn advance(&mut self, now_us: u64) -> Result<Option<Word>, Error> {
+    fn advance(&mut self, now_us: u64) -> Result<Option<MasterSample>, Error> {
         if *self.session.phase() == Phase::Disconnected {
             if self.session.reopen(now_us) {
                 self.origin_us = None;
@@ -274,43 +276,43 @@ impl<L: Line> Source for Arm<L> {
         }
     }
 
-    fn standing(&self) -> Standing {
+    fn status(&self) -> MasterStatus {
         match (self.is_ready(), &self.telemetry) {
             (true, Some(telemetry)) => match telemetry.problem {
-                None => Standing::Ready,
+                None => MasterStatus::Ready,
                 Some(problem) => {
                     let problem = self.session.describe(&Event::Master(problem));
-                    Standing::Off(format!("the arm is off: {problem}"))
+                    MasterStatus::Disabled(format!("the arm is disabled: {problem}"))
                 }
             },
-            (true, None) => Standing::Waiting("no telemetry was received yet".to_string()),
-            _ => Standing::Waiting(match self.session.reason() {
+            (true, None) => MasterStatus::Waiting("no telemetry was received yet".to_string()),
+            _ => MasterStatus::Waiting(match self.session.reason() {
                 "" => "is being connected".to_string(),
                 reason => reason.to_string(),
             }),
         }
     }
 
-    fn feel(&mut self, force: [i16; COMPONENTS]) {
+    fn send_force(&mut self, force: [i16; COMPONENTS]) {
         if self.is_ready() {
             // Fails without a session only: the arm renders no force then.
-            let _ = self.session.client_mut().feel(force);
+            let _ = self.session.client_mut().send_remote_force(force);
         }
     }
 
-    fn feeling(&self) -> Option<Feeling> {
-        self.telemetry.as_ref().map(|telemetry| Feeling {
+    fn force(&self) -> Option<MasterForce> {
+        self.telemetry.as_ref().map(|telemetry| MasterForce {
             force: newtons(telemetry.force),
             reflected: newtons(telemetry.feedback),
         })
     }
 
-    fn felt(&mut self) -> Option<Felt> {
-        self.felt.pop_front()
+    fn next_force_sample(&mut self) -> Option<ForceSample> {
+        self.forces.pop_front()
     }
 
-    fn reflection(&self) -> Option<ForceFeedback> {
-        self.reflection
+    fn force_feedback(&self) -> Option<ForceFeedback> {
+        self.force_feedback
     }
 
     fn reset(&mut self) {
@@ -321,7 +323,7 @@ impl<L: Line> Source for Arm<L> {
         }
     }
 
-    fn happened(&mut self) -> Option<String> {
+    fn next_message(&mut self) -> Option<String> {
         self.messages.pop_front()
     }
 

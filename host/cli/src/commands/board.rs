@@ -29,7 +29,7 @@ impl BoardArg {
             named: self.machine.is_some(),
             replace: self.replace_machine,
             base: None,
-            beside: false,
+            is_second: false,
         })
     }
 }

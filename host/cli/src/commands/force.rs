@@ -4,7 +4,7 @@ use super::one_shot::{OneShotArgs, open};
 use super::{CliError, Exit};
 use clap::{Args, Subcommand};
 use haptimill_client::board::Need;
-use haptimill_client::session::{LoopChoice, PortLine, Session};
+use haptimill_client::session::{ForceLoopChanges, PortLine, Session};
 use haptimill_machine_file::GATES;
 use haptimill_protocol::force::{COMPONENTS, ForceLoop, ForceTelemetry, Gate};
 
@@ -75,12 +75,12 @@ pub struct LoopArgs {
 impl LoopArgs {
     /// What was said, and nothing else.
     #[must_use]
-    pub fn choice(&self) -> LoopChoice {
-        LoopChoice {
+    pub fn choice(&self) -> ForceLoopChanges {
+        ForceLoopChanges {
             desired_n: self.fd,
             mass: self.ka,
             damping: self.kv,
-            ..LoopChoice::default()
+            ..ForceLoopChanges::default()
         }
     }
 
@@ -145,7 +145,7 @@ pub fn run(command: ForceCommand) -> Result<(), CliError> {
         }
         ForceCommand::Set(args) => {
             let mut session = look(&args.force)?;
-            let choice = LoopChoice {
+            let choice = ForceLoopChanges {
                 limit_mm: args.limit,
                 rate_mm_s: args.rate,
                 gate: args.gate,

@@ -3,7 +3,7 @@
 use super::one_shot::{open, report};
 use super::{BoardArg, CliError, ConnectArgs, Exit, seconds};
 use clap::Args;
-use haptimill_client::session::{EMERGENCY_STOP, has_tool};
+use haptimill_client::session::{EMERGENCY_STOP, check_has_tool};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::LETTERS;
 use haptimill_machine_file::scale::per_unit;
@@ -102,7 +102,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
                 .map_err(lost)?;
         }
         session.step()?;
-        if session.now_us() >= end || session.interrupted() {
+        if session.now_us() >= end || session.is_interrupted() {
             break None;
         }
         if let Some(refusal) = session.refusal() {
@@ -110,7 +110,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
         }
     };
     let ticket = session.client_mut().cancel_jog();
-    session.wait_for_answer(ticket)?;
+    session.wait_for_acknowledgement(ticket)?;
     while session.status()?.state == State::Jog {}
     let mut limited = Vec::new();
     for (_, event) in &session.events[first..] {
@@ -137,7 +137,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
         return Err(CliError::new(Exit::Command, format!("jog: {refusal}")));
     }
     report(&mut session, args.json)?;
-    if session.interrupted() {
+    if session.is_interrupted() {
         return Err(CliError::new(Exit::Stopped, "stopped by the user").told());
     }
     Ok(())
@@ -147,7 +147,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
 fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
     let usage = |what: String| CliError::new(Exit::Usage, what);
-    has_tool(machine)?;
+    check_has_tool(machine)?;
     let mut given = vec![false; machine.pose.len()];
     for wanted in &args.axes {
         let letters = || LETTERS.map(|letter| letter.to_lowercase().to_string());

@@ -94,11 +94,11 @@ pub struct HomeArgs {
 pub fn home(args: HomeArgs) -> Result<(), CliError> {
     let chosen = args.one_shot.machine.load()?;
     if chosen.named {
-        session::has_tool(&chosen.file)?;
+        session::check_has_tool(&chosen.file)?;
     }
     let mut session = open(&args.one_shot.connect, &chosen.file)?;
     let machine = chosen.file_of(&mut session)?;
-    session::has_tool(&machine)?;
+    session::check_has_tool(&machine)?;
     if args.at_preset {
         // Said before the position is set: afterwards it would be, and the search refused.
         let first = match session.status()?.state {
@@ -117,7 +117,7 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     }
     session.enable()?;
     if args.again || !session.status()?.homed {
-        let home = session::home_of(&machine, session.model())?;
+        let home = session::find_home_pose(&machine, session.model())?;
         session.go_home(&machine, &home)?;
     } else if !args.one_shot.json {
         tell!("it was homed already; --again searches for the references once more");
@@ -201,7 +201,7 @@ pub(super) fn report(session: &mut Session<PortLine>, json: bool) -> Result<(), 
     let machine = session.machine_name();
     let configuration = session.configuration_crc();
     let model = session.model();
-    let fault = status.fault.map(|fault| session.sentence(&fault));
+    let fault = status.fault.map(|fault| session.describe(&fault));
     let pose = |values: &AxisValues| -> Vec<(String, f64)> {
         let people = model.to_people(values);
         model

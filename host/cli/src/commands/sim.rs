@@ -9,7 +9,7 @@ use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::input;
-use haptimill_teleop::script::{Person, Script};
+use haptimill_teleop::script::{Script, ScriptedOperator};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -86,7 +86,7 @@ impl FromStr for Listen {
 pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     let machine = args.machine.load()?;
     let person = person(args.person.as_deref(), &machine)?;
-    let mut person = person.as_ref().map(Person::new);
+    let mut person = person.as_ref().map(ScriptedOperator::new);
     // A port paces its bytes by itself; the simulated line in between adds nothing.
     let mut rig = session::rig(&machine, args.seed, None, args.fault.clone())?;
     if !args.unconfigured {

@@ -20,10 +20,10 @@ use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::{MachineFile, work};
 use haptimill_protocol::message::{Command, State};
 use haptimill_teleop::arm::Pace;
-use haptimill_teleop::held::{self, Held, Joystick, Keys, SpaceMouse};
-use haptimill_teleop::script::{self, BUILT_IN, Person};
+use haptimill_teleop::input::{self, Joystick, Keyboard, SpaceMouse, VirtualHandle};
+use haptimill_teleop::script::{self, BUILT_IN, ScriptedOperator};
 use haptimill_teleop::{
-    Arm, Ended, Outcome, PersonLine, Row, Script, Source, Teleop, TeleopOptions,
+    Arm, Ended, MasterDevice, OperatorLine, Outcome, Row, Script, Teleop, TeleopOptions,
 };
 use haptimill_trace::{Header, Recorded, Recorder, Recording, RecordingError, export_csv};
 use shown::{Shown, terminal};
@@ -269,10 +269,10 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         named: args.hand_machine.is_some(),
         replace: args.replace_hand_machine,
         base: None,
-        beside: true,
+        is_second: true,
     };
     let arm_machine = arm_chosen.file.clone();
-    Arm::<PersonLine>::check(&arm_machine)?;
+    Arm::<OperatorLine>::check(&arm_machine)?;
     let work = match &args.work {
         Some(path) => {
             let plant: PlantConfig = machine.plant()?;
@@ -307,7 +307,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
             let mut faults = args.hand_fault.clone();
             faults.extend(args.delay.map(delay));
             let rig = session::rig(&arm_machine, None, None, faults)?;
-            let line = PersonLine::new(SimLine::new(rig), Person::new(&script));
+            let line = OperatorLine::new(SimLine::new(rig), ScriptedOperator::new(&script));
             let folder = Folder::take(&args.out)?;
             let pace = Pace {
                 every_us: 1_000_000 / args.rate,
@@ -349,12 +349,12 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
             run.alone(&mut arm)
         }
         (HandSpec::Joystick(path), _) => {
-            let device = Joystick::new(held::open(path, "game controller", "js")?, args.speed);
-            run.alone(&mut Held::new(device, &path.display().to_string()))
+            let device = Joystick::new(input::open(path, "game controller", "js")?, args.speed);
+            run.alone(&mut VirtualHandle::new(device, &path.display().to_string()))
         }
         (HandSpec::Mouse3d(path), _) => {
-            let device = SpaceMouse::new(held::open(path, "3D mouse", "event")?, args.speed);
-            run.alone(&mut Held::new(device, &path.display().to_string()))
+            let device = SpaceMouse::new(input::open(path, "3D mouse", "event")?, args.speed);
+            run.alone(&mut VirtualHandle::new(device, &path.display().to_string()))
         }
         _ => keyboard(&run),
     }
@@ -362,12 +362,12 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
 
 #[cfg(unix)]
 fn keyboard(run: &Run<'_>) -> Result<(), CliError> {
-    let terminal = held::terminal::Terminal::take()?;
+    let terminal = input::terminal::Terminal::take()?;
     run.args.say(
         "arrows or wasd: x and y, r and f: z, + and -: the step; space holds, g goes on, q ends",
     );
-    let keys = Keys::new(terminal, run.args.speed);
-    run.alone(&mut Held::new(keys, "the keyboard"))
+    let keys = Keyboard::new(terminal, run.args.speed);
+    run.alone(&mut VirtualHandle::new(keys, "the keyboard"))
 }
 
 #[cfg(not(unix))]
@@ -448,14 +448,14 @@ impl Run<'_> {
     }
 
     /// With a source that leaves nothing of its own.
-    fn alone<S: Source>(&self, source: &mut S) -> Result<(), CliError> {
+    fn alone<S: MasterDevice>(&self, source: &mut S) -> Result<(), CliError> {
         let folder = Folder::take(self.dir)?;
         let outcome = self.with(source, &folder, |_| Ok(()))?;
         self.tell(outcome, None)
     }
 
     /// Leads; when the machine is ready the folder is emptied and `ready` is called.
-    fn with<S: Source>(
+    fn with<S: MasterDevice>(
         &self,
         source: &mut S,
         folder: &Folder,
@@ -485,7 +485,7 @@ impl Run<'_> {
         }
     }
 
-    fn lead<L: JobLine, S: Source>(
+    fn lead<L: JobLine, S: MasterDevice>(
         &self,
         mut session: Session<L>,
         number: u32,
@@ -507,11 +507,11 @@ impl Run<'_> {
         let keyboard = matches!(self.args.hand, HandSpec::Keyboard | HandSpec::Script(_));
         let lines = (!keyboard).then(orders::listen);
         self.args.say("the hand leads");
-        let teleop = Teleop::new(&mut session, source, self.options).hearing(lines);
+        let teleop = Teleop::new(&mut session, source, self.options).with_order_input(lines);
         let outcome = teleop.run(&mut |row, event| {
             if let Some(row) = row {
                 if written.is_ok() {
-                    written = table.write_all(row.line().as_bytes());
+                    written = table.write_all(row.to_csv().as_bytes());
                 }
                 shown.row(row);
             }
@@ -553,7 +553,7 @@ impl Run<'_> {
         }
         let status = session.status()?;
         if let (State::Fault | State::EmergencyStop, fault) = (status.state, status.fault) {
-            let what = fault.map_or("the emergency stop".to_string(), |f| session.sentence(&f));
+            let what = fault.map_or("the emergency stop".to_string(), |f| session.describe(&f));
             let what =
                 format!("a fault is latched: {what}; remove the cause, then `haptimill reset`");
             return Err(CliError::new(Exit::Fault, what));
@@ -566,7 +566,7 @@ impl Run<'_> {
         session.enable()?;
         if !status.homed || !status.position_kept {
             args.say("homing");
-            let home = session::home_of(machine, session.model())?;
+            let home = session::find_home_pose(machine, session.model())?;
             session.go_home(machine, &home)?;
         }
         if let Some(work) = self.work {

@@ -11,7 +11,7 @@ use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_hil_sim::rig::Rig;
 use haptimill_machine_file::MachineFile;
-use haptimill_teleop::script::{Person, Script};
+use haptimill_teleop::script::{Script, ScriptedOperator};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
@@ -25,7 +25,7 @@ const REST: Duration = Duration::from_micros(500);
 struct PacedSim {
     rig: Rig<Controller>,
     /// Who holds the handle of its haptic arm.
-    person: Option<Person>,
+    person: Option<ScriptedOperator>,
     pace: Pace,
     begun: Instant,
 }
@@ -105,7 +105,7 @@ impl Connection {
         let stage = match spec {
             PortSpec::Simulator => Stage::Simulated(Box::new(PacedSim {
                 rig: session::rig(machine, seed, None, faults)?,
-                person: person.map(Person::new),
+                person: person.map(ScriptedOperator::new),
                 pace: Pace::new(u64::from(machine.config.period_us) * 1000),
                 begun: Instant::now(),
             })),

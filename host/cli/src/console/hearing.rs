@@ -3,7 +3,7 @@
 use super::desk::{Desk, SCALES, Then};
 use super::shown::{Contact, Weight};
 use crate::commands::{CliError, Exit};
-use haptimill_client::client::{Notice, RequestError, Ticket};
+use haptimill_client::client::{Notification, RequestError, Ticket};
 use haptimill_protocol::force::{ForceLoop, ForceParameter};
 use haptimill_protocol::message::{Command, Event, Refusal, State, Telemetry};
 use std::time::{Duration, Instant};
@@ -18,24 +18,24 @@ const BUSY_US: u64 = 20_000;
 const HAND_MS: u32 = 100;
 
 impl Desk {
-    pub(super) fn hear(&mut self, notice: Notice) -> Result<(), CliError> {
+    pub(super) fn hear(&mut self, notice: Notification) -> Result<(), CliError> {
         match notice {
-            Notice::Connected(_) => self.begin()?,
-            Notice::Answered {
+            Notification::Connected(_) => self.begin()?,
+            Notification::Answered {
                 ticket,
                 command,
                 result,
             } => self.answered(ticket, command, result),
-            Notice::Event { period, event } => self.event(period, &event),
-            Notice::Telemetry(telemetry) => self.report(*telemetry),
-            Notice::Refused(refusal) => {
+            Notification::Event { period, event } => self.event(period, &event),
+            Notification::Telemetry(telemetry) => self.report(*telemetry),
+            Notification::Refused(refusal) => {
                 let why = self
                     .model
                     .with_axes(|axes| axes.describe(&refusal).to_string());
                 self.say(Weight::Warning, format!("jog: {why}"));
             }
-            Notice::Job(ending) => self.job_ended(&ending),
-            Notice::Lost(error) => {
+            Notification::Job(ending) => self.job_ended(&ending),
+            Notification::Lost(error) => {
                 if !self.connected_once {
                     let what = format!("{}: {error}", self.connection.name());
                     return Err(CliError::new(Exit::Port, what));

@@ -77,7 +77,7 @@ impl Desk {
     fn hand_shown(&self) -> Option<HandShown> {
         let hand = self.hand.as_ref()?;
         let arm = hand.arm.as_ref().map(|arm| {
-            let report = self.client.hand().copied();
+            let report = self.client.master().copied();
             let problem = report.and_then(|report| report.problem).map(|problem| {
                 self.model
                     .with_axes(|axes| axes.describe(&problem).to_string())

@@ -126,7 +126,7 @@ fn a_line_that_is_no_text_is_refused_and_stop_is_still_heard() {
 /// A hand that is no device, and one that goes while it leads nothing.
 #[cfg(unix)]
 #[test]
-fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
+fn an_invalid_device_is_refused_and_a_lost_one_is_reported() {
     let folder = Folder::new();
     let out = folder.path("out");
     let file = folder.file("file", "");
@@ -147,9 +147,9 @@ fn what_is_no_device_is_refused_and_one_that_goes_is_told() {
     );
     session.says("idle -> running");
     drop(stick);
-    session.says("the hand: ");
+    session.says("master: ");
     let ran = session.end().ended_with(5);
-    assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
+    assert!(ran.err.contains("the master is lost: "), "{}", ran.err);
     let said = folder.summary("out");
     assert_eq!(said["session"]["ended"], "hand_lost");
 }
@@ -295,7 +295,7 @@ fn a_hand_behind_a_port_is_recorded_as_it_is_reported() {
 
 /// Nothing was led when it went, so nothing held: it is told all the same.
 #[test]
-fn an_arm_that_goes_while_its_button_is_free_is_told() {
+fn an_arm_that_is_lost_while_its_switch_is_released_is_reported() {
     let folder = Folder::new();
     let machine = Served::on_tcp(&[]);
     let mut arm = Served::on_tcp(&["--machine", "machines/hand-master.toml"]);
@@ -317,9 +317,9 @@ fn an_arm_that_goes_while_its_button_is_free_is_told() {
     session.says("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(500));
     arm.process.kill();
-    session.says("the hand: ");
+    session.says("master: ");
     let ran = session.end().ended_with(5);
-    assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
+    assert!(ran.err.contains("the master is lost: "), "{}", ran.err);
     let said = folder.summary("out");
     assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 0);
 }
@@ -359,7 +359,7 @@ fn an_arm_that_goes_and_comes_back_leads_again_when_it_is_told_to() {
     arm.process.kill();
     session.says("running -> on hold");
     input.write_all(b"resume\n").unwrap();
-    session.says("not resumed: the hand: ");
+    session.says("not resumed: master: ");
     let again = Served::on(&arm.port, &more);
     std::thread::sleep(std::time::Duration::from_millis(2500));
     input.write_all(b"resume\n").unwrap();

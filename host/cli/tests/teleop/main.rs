@@ -262,7 +262,7 @@ what = \"resume\"
         refused[0]
             .as_str()
             .unwrap()
-            .starts_with("not resumed: the hand: ")
+            .starts_with("not resumed: master: ")
     );
     assert_eq!(session["ended"], "done");
 
@@ -348,7 +348,7 @@ fn a_link_that_stalls_holds_the_machine_and_nothing_late_sets_it_going() {
     let said = ending(5, &folder, "out", AWAY, &stall);
     assert_eq!(said["session"]["ended"], "hand_lost");
     let because = said["session"]["because"].as_str().unwrap();
-    assert!(because.contains("was not told to go on"), "{because}");
+    assert!(because.contains("was not resumed"), "{because}");
     let holds = said["session"]["holds"].as_array().unwrap();
     assert_eq!(holds.len(), 1, "{said:#}");
     assert_eq!(holds[0]["resumed_s"], Value::Null);
@@ -463,7 +463,7 @@ fn a_hand_that_is_always_too_late_is_not_passed_over() {
     let told = |note: &&Value| note.as_str().unwrap().contains("were too late");
     let note = notes.iter().find(told).unwrap().as_str().unwrap();
     assert!(
-        note.contains("the tool was not led") && note.contains("--stale"),
+        note.contains("the tool was not moved") && note.contains("--stale"),
         "{note}"
     );
 }

@@ -4,7 +4,8 @@ use std::time::Instant;
 
 const WAIT: Duration = Duration::from_millis(20);
 
-/// Reads from one end until `wanted` bytes came or two seconds went by; the other end is served meanwhile.
+/// Reads from one end until `wanted` bytes came or two seconds went by; the other end is served
+/// meanwhile.
 fn collect(from: &mut dyn Transport, other: &mut dyn Transport, wanted: usize) -> Vec<u8> {
     let end = Instant::now() + Duration::from_secs(2);
     let mut bytes = Vec::new();
@@ -157,7 +158,7 @@ fn a_pseudo_terminal_carries_bytes_and_is_locked() {
         .unwrap_err();
     assert!(matches!(second, PortError::Busy { .. }), "{second:?}");
     assert!(
-        second.to_string().contains("another program has it"),
+        second.to_string().contains("another program uses it"),
         "{second}"
     );
     drop(host);

@@ -1,4 +1,4 @@
-//! A job from its first setpoint to rest.
+//! A job from its first setpoint to standstill.
 
 use super::{Line, Procedure, Session, StatusQuery};
 use crate::client::{JobEnding, Ticket};
@@ -6,90 +6,91 @@ use crate::{Error, ErrorKind};
 use haptimill_protocol::message::{AxisValues, Command, Event, Fault, State, Telemetry};
 use haptimill_protocol::setpoint::Setpoint;
 
-/// The emergency stop, in words.
+/// Message of a latched emergency stop.
 pub const EMERGENCY_STOP: &str =
     "the emergency stop is latched, the drives are off; release it, then `haptimill reset`";
 
-/// How a job ended, and what happened on the way.
+/// The result of a job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobEnd {
-    /// How it ended, as the client saw it.
+    /// How it ended.
     pub ending: JobEnding,
     /// Setpoints that were reached.
     pub setpoints: u32,
-    /// Setpoints that were late, and by how many periods.
+    /// Setpoints that were late, with the delay in periods.
     pub underruns: Vec<(u32, u32)>,
     /// Faults that were latched.
     pub faults: Vec<Fault>,
     /// The user stopped it.
     pub stopped: bool,
-    /// How things stood when all was at rest.
+    /// Status at standstill.
     pub status: Telemetry,
-    /// What went to the controller during the job.
-    pub sent: Sent,
+    /// Bytes that were sent during the job.
+    pub sent: BytesSent,
 }
 
-/// Bytes that went from the host to the controller during a job; what was sent again counts again.
+/// Bytes that the host sent during a job; retransmissions count again.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Sent {
-    /// All bytes, signs of life and acknowledgements included.
+pub struct BytesSent {
+    /// All bytes, with keep-alive frames and acknowledgements.
     pub bytes: u32,
-    /// Bytes of the frames that carry messages, which are the setpoints but for a handful; framing included.
+    /// Bytes of the frames with messages, which are setpoints with few exceptions; with framing.
     pub message_bytes: u32,
 }
 
-/// Looks on while a job runs.
-pub trait Watcher {
-    /// Some milliseconds have passed; the newest telemetry.
+/// Observes a job that runs.
+pub trait JobObserver {
+    /// Called every few milliseconds with the newest telemetry.
     fn progress(&mut self, telemetry: &Telemetry);
 
     /// The program pauses (M0) at a setpoint.
     fn paused(&mut self, setpoint: u32);
 
-    /// Whether the pause is over; asked again and again while it lasts.
-    fn goes_on(&mut self) -> bool;
+    /// Whether the program may resume; called repeatedly during a pause.
+    fn may_resume(&mut self) -> bool;
 }
 
-/// Nobody looks on; no pause lasts.
+/// Observes nothing and resumes at once.
 #[derive(Debug, Clone, Copy)]
-pub struct Unwatched;
+pub struct NoObserver;
 
-/// How far a pause of the program has come.
+/// Progress of a program pause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Pause {
     /// There is none.
     None,
-    /// It was reached. That the machine holds because of it is yet to be heard, and is no stop from elsewhere.
+    /// It was reached. The next hold event belongs to it, and is no stop by another program.
     Reached,
     /// The machine holds.
     Held,
 }
 
-impl Watcher for Unwatched {
+impl JobObserver for NoObserver {
     fn progress(&mut self, _: &Telemetry) {}
 
     fn paused(&mut self, _: u32) {}
 
-    fn goes_on(&mut self) -> bool {
+    fn may_resume(&mut self) -> bool {
         true
     }
 }
 
-/// Steps between two looks at the telemetry.
-const LOOK_EVERY: u32 = 200;
+/// Steps between two checks of the telemetry.
+const CHECK_EVERY: u32 = 200;
 
-/// Control periods between two telemetry frames during a job, at most one every 20 ms.
+/// Time between two telemetry frames during a job, ms.
 const TELEMETRY_MS: u32 = 20;
 
-/// Bytes of a telemetry frame, about.
+/// Approximate length of a telemetry frame, bytes.
 const TELEMETRY_BYTES: u32 = 150;
 
-/// A controller that stands idle for so long, while its job has not ended here, has told the end and was not heard; microseconds.
+/// When the controller is idle for this time while the job has not ended here, the event of its end
+/// was lost; microseconds.
 const IDLE_US: u64 = 10_000_000;
 
 /// State of a [`JobRun`] after it was advanced.
 #[derive(Debug, Clone, PartialEq)]
-pub enum JobProgress {
+pub enum JobStatus {
     /// The job runs, or waits for the end of a pause.
     Running,
     /// The pause is over; the job waits for [`JobRun::resume`].
@@ -117,17 +118,17 @@ pub struct JobRun {
     job: Option<(u32, AxisValues, Vec<Setpoint>)>,
     first_event: usize,
     next_event: usize,
-    bytes_before: Sent,
-    bytes_sent: Sent,
+    bytes_before: BytesSent,
+    bytes_sent: BytesSent,
     is_stopped: bool,
     pause: Pause,
     idle_since_us: Option<u64>,
     steps: u32,
 }
 
-fn count_bytes<L: Line>(session: &Session<L>) -> Sent {
+fn count_bytes<L: Line>(session: &Session<L>) -> BytesSent {
     let counters = session.client.link().counters();
-    Sent {
+    BytesSent {
         bytes: counters.bytes_sent,
         message_bytes: counters.message_bytes,
     }
@@ -148,8 +149,8 @@ impl JobRun {
             job: Some((job, start, setpoints)),
             first_event,
             next_event: first_event,
-            bytes_before: Sent::default(),
-            bytes_sent: Sent::default(),
+            bytes_before: BytesSent::default(),
+            bytes_sent: BytesSent::default(),
             is_stopped: false,
             pause: Pause::None,
             idle_since_us: None,
@@ -157,7 +158,7 @@ impl JobRun {
         }
     }
 
-    /// Resumes the program after [`JobProgress::PauseOver`].
+    /// Resumes the program after [`JobStatus::PauseOver`].
     pub fn resume<L: Line>(&mut self, session: &mut Session<L>) {
         self.pause = Pause::None;
         session.client.request(Command::Resume);
@@ -170,20 +171,20 @@ impl JobRun {
     pub fn advance<L: Line>(
         &mut self,
         session: &mut Session<L>,
-        watcher: &mut dyn Watcher,
-    ) -> Result<JobProgress, Error> {
+        observer: &mut dyn JobObserver,
+    ) -> Result<JobStatus, Error> {
         match &mut self.phase {
             JobPhase::Preparing(request) => {
                 if let Some(answer) = session.answer(*request) {
                     answer?;
                     self.begin(session)?;
                 }
-                Ok(JobProgress::Running)
+                Ok(JobStatus::Running)
             }
-            JobPhase::Running => self.watch(session, watcher),
+            JobPhase::Running => self.watch(session, observer),
             JobPhase::Settling(ending, query) => {
                 let Some(status) = query.advance(session)? else {
-                    return Ok(JobProgress::Running);
+                    return Ok(JobStatus::Running);
                 };
                 if session.is_settled(&status) {
                     let ending = ending.clone();
@@ -193,11 +194,11 @@ impl JobRun {
                 } else {
                     *query = StatusQuery::start(session);
                 }
-                Ok(JobProgress::Running)
+                Ok(JobStatus::Running)
             }
             JobPhase::Closing(end, request) => match session.answer(*request) {
-                None => Ok(JobProgress::Running),
-                Some(answer) => answer.map(|()| JobProgress::Ended(end.clone())),
+                None => Ok(JobStatus::Running),
+                Some(answer) => answer.map(|()| JobStatus::Ended(end.clone())),
             },
         }
     }
@@ -218,9 +219,9 @@ impl JobRun {
     fn watch<L: Line>(
         &mut self,
         session: &mut Session<L>,
-        watcher: &mut dyn Watcher,
-    ) -> Result<JobProgress, Error> {
-        if session.interrupted() && !self.is_stopped {
+        observer: &mut dyn JobObserver,
+    ) -> Result<JobStatus, Error> {
+        if session.is_interrupted() && !self.is_stopped {
             self.is_stopped = true;
             session.client.urgent_stop();
         }
@@ -229,7 +230,7 @@ impl JobRun {
             match event {
                 Event::Paused { setpoint } => {
                     self.pause = Pause::Reached;
-                    watcher.paused(*setpoint);
+                    observer.paused(*setpoint);
                 }
                 Event::State {
                     from: State::Run,
@@ -246,12 +247,12 @@ impl JobRun {
                 _ => {}
             }
         }
-        let is_over = self.pause == Pause::Held && watcher.goes_on();
+        let is_over = self.pause == Pause::Held && observer.may_resume();
         self.steps = self.steps.wrapping_add(1);
-        if self.steps.is_multiple_of(LOOK_EVERY)
+        if self.steps.is_multiple_of(CHECK_EVERY)
             && let Some(telemetry) = session.client.telemetry()
         {
-            watcher.progress(telemetry);
+            observer.progress(telemetry);
             if matches!(telemetry.state, State::Idle | State::Disabled) {
                 let since = *self.idle_since_us.get_or_insert(session.now_us);
                 if session.now_us - since > IDLE_US {
@@ -265,15 +266,15 @@ impl JobRun {
         }
         if let Some(ending) = session.ending.take() {
             let after = count_bytes(session);
-            self.bytes_sent = Sent {
+            self.bytes_sent = BytesSent {
                 bytes: after.bytes - self.bytes_before.bytes,
                 message_bytes: after.message_bytes - self.bytes_before.message_bytes,
             };
             self.phase = JobPhase::Settling(ending, StatusQuery::start(session));
         } else if is_over {
-            return Ok(JobProgress::PauseOver);
+            return Ok(JobStatus::PauseOver);
         }
-        Ok(JobProgress::Running)
+        Ok(JobStatus::Running)
     }
 
     fn report<L: Line>(
@@ -309,7 +310,8 @@ impl JobRun {
 }
 
 impl<L: Line> Session<L> {
-    /// Runs a job from `start`, which must be the commanded pose of the controller, and waits for standstill.
+    /// Runs a job from `start`, which must be the commanded pose of the controller, and waits for
+    /// standstill.
     ///
     /// # Errors
     /// The session ended. A job that ends early is no error here; see [`JobEnd`].
@@ -318,12 +320,13 @@ impl<L: Line> Session<L> {
         job: u32,
         start: AxisValues,
         setpoints: Vec<Setpoint>,
-        watcher: &mut dyn Watcher,
+        observer: &mut dyn JobObserver,
     ) -> Result<JobEnd, Error> {
-        self.run_job_with(job, start, setpoints, watcher, &mut |_| Ok(()))
+        self.run_job_with(job, start, setpoints, observer, &mut |_| Ok(()))
     }
 
-    /// As [`Session::run_job`]; `at_pause` is called at the end of each pause, before the program resumes.
+    /// As [`Session::run_job`]; `at_pause` is called at the end of each pause, before the program
+    /// resumes.
     ///
     /// # Errors
     /// As [`Session::run_job`], and the errors of `at_pause`.
@@ -332,18 +335,18 @@ impl<L: Line> Session<L> {
         job: u32,
         start: AxisValues,
         setpoints: Vec<Setpoint>,
-        watcher: &mut dyn Watcher,
+        observer: &mut dyn JobObserver,
         at_pause: &mut dyn FnMut(&mut Self) -> Result<(), Error>,
     ) -> Result<JobEnd, Error> {
         let mut run = JobRun::start(self, job, start, setpoints);
         loop {
-            match run.advance(self, watcher)? {
-                JobProgress::Running => {}
-                JobProgress::PauseOver => {
+            match run.advance(self, observer)? {
+                JobStatus::Running => {}
+                JobStatus::PauseOver => {
                     at_pause(self)?;
                     run.resume(self);
                 }
-                JobProgress::Ended(end) => return Ok(*end),
+                JobStatus::Ended(end) => return Ok(*end),
             }
             self.step()?;
         }
@@ -363,18 +366,19 @@ impl<L: Line> Session<L> {
         (every_us / period_us.max(1)).clamp(1, u32::from(u16::MAX)) as u16
     }
 
-    /// Whether nothing moves, and no stop is on its way to the controller that would affect the next command.
+    /// Whether nothing moves, and no stop is on its way to the controller that would affect the
+    /// next command.
     fn is_settled(&self, status: &Telemetry) -> bool {
         !self.client.urgent().0
             && !matches!(status.state, State::Run | State::Homing | State::Jog)
             && (status.state != State::Hold || status.path_rate == 0)
     }
 
-    /// Whether a job came to its end.
+    /// Checks that a job was completed.
     ///
     /// # Errors
-    /// Why it did not.
-    pub fn well_ended(&self, end: &JobEnd) -> Result<(), Error> {
+    /// The reason why it was not.
+    pub fn check_completed(&self, end: &JobEnd) -> Result<(), Error> {
         if let Some(fault) = end.faults.first() {
             return Err(self.fault(fault));
         }

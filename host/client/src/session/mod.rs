@@ -1,17 +1,21 @@
-//! A session with one controller: connect, agree on the configuration, enable, home, run a job, stop in time.
+//! A session with one controller: connect, agree on the configuration, enable, home, run a job,
+//! stop in time.
 //!
-//! A [`Session`] owns a [`Line`] and a [`Client`]. It is a state machine that never waits: [`Session::step`] exchanges
-//! bytes once and sorts what was received into acknowledgements, events, and the end of a job. On a [`SimLine`] a step is
-//! one control period of the simulated machine in virtual time, on a [`PortLine`] at most a millisecond of real time.
+//! A [`Session`] owns a [`Line`] and a [`Client`]. It is a state machine that never waits:
+//! [`Session::step`] exchanges bytes once and sorts what was received into acknowledgements,
+//! events, and the end of a job. On a [`SimLine`] a step is one control period of the simulated
+//! machine in virtual time, on a [`PortLine`] at most a millisecond of real time.
 //!
-//! What takes several messages is a [`Procedure`] ([`StatusQuery`], [`Homing`], [`JobRun`]). Programs that wait for the
-//! result use [`Session::complete`], or the methods on it; programs that serve an operator meanwhile advance the procedure
-//! after each step. A [`Startup`] is sent each time the controller answers, and a [`Reconnection`] opens a lost session again.
+//! What takes several messages is a [`Procedure`] ([`StatusQuery`], [`Homing`], [`JobRun`]).
+//! Programs that wait for the result use [`Session::complete`], or the methods on it; programs that
+//! serve an operator meanwhile advance the procedure after each step. A [`Startup`] is sent each
+//! time the controller answers, and a [`Reconnection`] opens a lost session again.
 //!
-//! Callers must keep stepping: a session that is not stepped sends no keep-alive frames, and the controller stops the machine.
+//! Callers must keep stepping: a session that is not stepped sends no keep-alive frames, and the
+//! controller stops the machine.
 
 mod force;
-mod hand;
+mod haptic_trace;
 mod home;
 mod job;
 mod line;
@@ -21,19 +25,19 @@ mod procedure;
 mod sim;
 mod startup;
 
-pub use force::{LoopChoice, force_of};
-pub use hand::{HandCourse, HandSample};
+pub use force::{ForceLoopChanges, find_force_config};
+pub use haptic_trace::{HapticTrace, HapticTraceSample};
 
-pub use home::way;
-pub use home::{has_tool, home_of};
+pub use home::plan_straight_move;
+pub use home::{check_has_tool, find_home_pose};
 pub use job::EMERGENCY_STOP;
-pub use job::{JobEnd, JobProgress, JobRun, Sent, Unwatched, Watcher};
+pub use job::{BytesSent, JobEnd, JobObserver, JobRun, JobStatus, NoObserver};
 pub use line::{JobLine, Line, PortLine};
 pub use procedure::{Acknowledgement, Homing, Procedure, StatusQuery};
 pub use sim::{JobRecording, SimLine, commissioned, rig, rig_around};
 pub use startup::{Numbers, Phase, Reconnection, Reopen, Startup};
 
-use crate::client::{Client, JobEnding, Notice, Options, RequestError, Ticket};
+use crate::client::{Client, JobEnding, Notification, Options, RequestError, Ticket};
 use crate::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
@@ -43,7 +47,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// How much an event matters: 0 is news, 1 a warning, 2 an error.
+/// Severity of an event: 0 is information, 1 a warning, 2 an error.
 fn level(event: &Event) -> u8 {
     match event {
         Event::Fault(_)
@@ -60,15 +64,15 @@ fn level(event: &Event) -> u8 {
     }
 }
 
-/// A session number that was never used before, as far as chance can do it.
+/// A random session number: a repetition is very unlikely.
 #[must_use]
 pub fn fresh_number() -> u32 {
     use std::hash::{BuildHasher, Hasher, RandomState};
-    // The standard library's hasher is keyed by the system's randomness.
+    // The standard library keys its hasher with random numbers of the system.
     RandomState::new().build_hasher().finish() as u32
 }
 
-/// A controller at the other end, and what it said.
+/// A session with a controller, and what was received in it.
 pub struct Session<L> {
     line: L,
     client: Client,
@@ -78,8 +82,8 @@ pub struct Session<L> {
     now_us: u64,
     answers: VecDeque<(Ticket, &'static str, Result<(), RequestError>)>,
     ending: Option<JobEnding>,
-    /// Period of the newest report of a hand.
-    hand: Option<u64>,
+    /// Period of the newest telemetry of a master.
+    master: Option<u64>,
     /// Events since the session began, with their control periods.
     pub events: Vec<(u64, Event)>,
     startup: Option<Startup>,
@@ -92,15 +96,15 @@ pub struct Session<L> {
     /// Why the session ended for good.
     lost: Option<String>,
     refusal: Option<Refusal>,
-    /// Name and CRC of the configuration that this session made active.
+    /// Name and CRC of the configuration that this session activated.
     configured: Option<(String, u32)>,
     interrupted: Arc<AtomicBool>,
-    /// Bytes per second that the line carries; 0 for no bound.
+    /// Bandwidth of the line, bytes per second; 0 for no limit.
     line_rate: u32,
 }
 
 impl<L: Line> Session<L> {
-    /// A session over a line; `interrupted` is set when the user wants everything to stop.
+    /// A session over a line; `interrupted` is set when the user stops the program.
     pub fn new(
         line: L,
         machine: &MachineFile,
@@ -117,7 +121,7 @@ impl<L: Line> Session<L> {
             now_us: 0,
             answers: VecDeque::new(),
             ending: None,
-            hand: None,
+            master: None,
             events: Vec::new(),
             startup: None,
             reconnection: None,
@@ -136,7 +140,7 @@ impl<L: Line> Session<L> {
         &mut self.line
     }
 
-    /// The line, at the end.
+    /// Ends the session and returns the line.
     pub fn into_line(self) -> L {
         self.line
     }
@@ -151,17 +155,17 @@ impl<L: Line> Session<L> {
         &mut self.client
     }
 
-    /// The geometry, for conversions and sentences.
+    /// The geometry and the units of the machine.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// Goes by another machine file from now on.
-    pub fn use_machine(&mut self, machine: &MachineFile) {
+    /// Uses another machine file from now on.
+    pub fn set_machine(&mut self, machine: &MachineFile) {
         self.model = Model::new(machine);
     }
 
-    /// The machine file of the controller is not known: its axes have no names and no units.
+    /// Describes axes without names and units: the machine file of the controller is not known.
     pub fn forget_axes(&mut self) {
         self.model.forget_axes();
     }
@@ -171,15 +175,17 @@ impl<L: Line> Session<L> {
         self.now_us
     }
 
-    /// Whether everything is to stop: the user wants it, or the job cannot be recorded any more.
-    pub fn interrupted(&self) -> bool {
-        self.interrupted.load(Ordering::Relaxed) || self.line.recording_is_broken()
+    /// Whether the machine must stop: the user stopped the program, or the recording failed.
+    pub fn is_interrupted(&self) -> bool {
+        self.interrupted.load(Ordering::Relaxed) || self.line.is_recording_broken()
     }
 
-    /// Exchanges bytes once, and sorts what was received. Does nothing while the port is lost; see [`Session::reopen`].
+    /// Exchanges bytes once, and sorts what was received. Does nothing while the port is lost; see
+    /// [`Session::reopen`].
     ///
     /// # Errors
-    /// The port failed, the session with the controller ended, or the controller refuses the [`Startup`].
+    /// The port failed, the session with the controller ended, or the controller refuses the
+    /// [`Startup`].
     pub fn step(&mut self) -> Result<(), Error> {
         if self.phase == Phase::Disconnected {
             return Ok(());
@@ -192,13 +198,13 @@ impl<L: Line> Session<L> {
         self.transmit.clear();
         self.client
             .advance(self.now_us, &self.received, &mut self.transmit);
-        if let Some(hand) = self.client.hand()
-            && self.hand.replace(hand.period) != Some(hand.period)
+        if let Some(master) = self.client.master()
+            && self.master.replace(master.period) != Some(master.period)
         {
-            self.line.reported_hand(hand);
+            self.line.record_master(master);
         }
-        while let Some(notice) = self.client.poll() {
-            self.sort(notice)?;
+        while let Some(notification) = self.client.poll() {
+            self.sort(notification)?;
         }
         match &self.lost {
             Some(lost) => Err(Error::new(ErrorKind::Port, lost)),
@@ -206,10 +212,10 @@ impl<L: Line> Session<L> {
         }
     }
 
-    fn sort(&mut self, notice: Notice) -> Result<(), Error> {
-        match notice {
-            Notice::Connected(welcome) => self.start(&welcome)?,
-            Notice::Answered {
+    fn sort(&mut self, notification: Notification) -> Result<(), Error> {
+        match notification {
+            Notification::Connected(welcome) => self.start(&welcome)?,
+            Notification::Answered {
                 ticket,
                 command,
                 result,
@@ -218,15 +224,15 @@ impl<L: Line> Session<L> {
                     self.answers.push_back((ticket, command, result));
                 }
             }
-            Notice::Event { period, event } => {
+            Notification::Event { period, event } => {
                 let text = self.describe(&event);
-                self.line.happened(period, level(&event), &text);
+                self.line.record_event(period, level(&event), &text);
                 self.events.push((period, event));
             }
-            Notice::Job(ending) => self.ending = Some(ending),
-            Notice::Lost(error) => self.lose_session(&error)?,
-            Notice::Telemetry(telemetry) => self.line.reported(&telemetry),
-            Notice::Refused(refusal) => self.refusal = Some(refusal),
+            Notification::Job(ending) => self.ending = Some(ending),
+            Notification::Lost(error) => self.lose_session(&error)?,
+            Notification::Telemetry(telemetry) => self.line.record_telemetry(&telemetry),
+            Notification::Refused(refusal) => self.refusal = Some(refusal),
         }
         Ok(())
     }
@@ -237,10 +243,10 @@ impl<L: Line> Session<L> {
             .with_axes(|axes| axes.describe(value).to_string())
     }
 
-    /// The answer to a request, if it came; asked once.
+    /// Takes the acknowledgement of a request, if it was received.
     ///
     /// # Errors
-    /// A refusal, in words, or no answer.
+    /// The controller refused the request or did not answer.
     pub fn answer(&mut self, ticket: Ticket) -> Option<Result<(), Error>> {
         let mut answers = self.answers.iter();
         let index = answers.position(|(answered, _, _)| *answered == ticket)?;
@@ -282,7 +288,7 @@ impl<L: Line> Session<L> {
             return Ok(());
         }
         let ticket = self.client.configure(&bytes, at_preset);
-        self.wait_for_answer(ticket)?;
+        self.wait_for_acknowledgement(ticket)?;
         self.configured = Some((machine.config.name.to_string(), crc));
         Ok(())
     }
@@ -308,22 +314,17 @@ impl<L: Line> Session<L> {
         sent.or(welcomed).unwrap_or(0)
     }
 
-    /// A refusal of a command that asks for no answer (a jog), in words, once.
+    /// Takes the refusal of a command without acknowledgement (a jog).
     pub fn refusal(&mut self) -> Option<String> {
         let refusal = self.refusal.take()?;
         Some(self.describe(&refusal))
     }
 
-    /// A fault as an error of the command.
+    /// The error of a command that a fault ended.
     pub fn fault(&self, fault: &Fault) -> Error {
         Error::new(
             ErrorKind::Fault,
-            format!("machine fault: {}", self.sentence(fault)),
+            format!("machine fault: {}", self.describe(fault)),
         )
-    }
-
-    /// A fault in words.
-    pub fn sentence(&self, fault: &Fault) -> String {
-        self.describe(fault)
     }
 }

@@ -1,4 +1,5 @@
-//! Requests that take several messages, as procedures that never wait, and the loop that waits for them.
+//! Requests that take several messages, as procedures that never wait, and the loop that waits for
+//! them.
 
 use super::{EMERGENCY_STOP, Line, Session};
 use crate::client::Ticket;
@@ -38,18 +39,19 @@ pub struct StatusQuery {
     repeat_at_us: u64,
 }
 
-/// A telemetry frame may be lost on a bad line: the request is repeated after this time, microseconds.
+/// A telemetry frame may be lost on a bad line: the request is repeated after this time,
+/// microseconds.
 const REPEAT_STATUS_US: u64 = 2_000_000;
 
 impl StatusQuery {
     /// Sends the request.
     pub fn start<L: Line>(session: &mut Session<L>) -> Self {
         // Telemetry that was made before an event may arrive after it.
-        let reported = session.client.telemetry().map(|report| report.period);
+        let record_telemetry = session.client.telemetry().map(|report| report.period);
         let event = session.events.last().map(|(period, _)| *period);
         Self {
             request: Some(session.client.request(Command::Status)),
-            after: reported.max(event),
+            after: record_telemetry.max(event),
             repeat_at_us: 0,
         }
     }
@@ -109,7 +111,7 @@ impl<L: Line> Procedure<L> for Homing {
             }
             return Ok(None);
         }
-        if session.interrupted() && !self.is_stopping {
+        if session.is_interrupted() && !self.is_stopping {
             self.is_stopping = true;
             session.client.urgent_stop();
         }
@@ -161,14 +163,14 @@ impl<L: Line> Session<L> {
     /// The controller refuses the request or does not answer.
     pub fn ask(&mut self, command: Command) -> Result<(), Error> {
         let ticket = self.client.request(command);
-        self.wait_for_answer(ticket)
+        self.wait_for_acknowledgement(ticket)
     }
 
     /// Waits for the acknowledgement of a request.
     ///
     /// # Errors
     /// The controller refuses the request or does not answer.
-    pub fn wait_for_answer(&mut self, ticket: Ticket) -> Result<(), Error> {
+    pub fn wait_for_acknowledgement(&mut self, ticket: Ticket) -> Result<(), Error> {
         self.complete(Acknowledgement(ticket))
     }
 

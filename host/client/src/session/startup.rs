@@ -6,8 +6,8 @@
 //!              |-- Disconnected <-------|     the port is lost, until it can be opened again
 //! ```
 //!
-//! A session without a [`Startup`] sends nothing by itself: it is ready when the controller answers. A session without
-//! a [`Reconnection`] ends with its link: [`Session::step`] fails.
+//! A session without a [`Startup`] sends nothing by itself: it is ready when the controller
+//! answers. A session without a [`Reconnection`] ends with its link: [`Session::step`] fails.
 
 use super::{Line, Session};
 use crate::board::{Chosen, Decision};
@@ -48,7 +48,8 @@ pub struct Startup {
 }
 
 impl Startup {
-    /// The configuration of a machine file, then commands. An enable command may find the drives enabled.
+    /// The configuration of a machine file, then commands. An enable command may find the drives
+    /// enabled.
     ///
     /// # Errors
     /// The machine file cannot be encoded.
@@ -170,7 +171,7 @@ impl<L: Line> Session<L> {
         self.begin(number);
         while self.phase != Phase::Ready {
             self.step()?;
-            if self.interrupted() {
+            if self.is_interrupted() {
                 return Err(Error::new(
                     ErrorKind::Stopped,
                     "stopped before the controller answered",
@@ -217,8 +218,8 @@ impl<L: Line> Session<L> {
         Ok(())
     }
 
-    /// Tries to open a port that failed, if enough time has passed by the caller's clock: the line's clock begins anew.
-    /// True when a line is open.
+    /// Tries to open a port that failed, if enough time has passed by the caller's clock: the
+    /// line's clock begins anew. True when a line is open.
     pub fn reopen(&mut self, now_us: u64) -> bool {
         if self.phase != Phase::Disconnected {
             return true;

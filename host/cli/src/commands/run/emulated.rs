@@ -52,7 +52,7 @@ pub(super) fn emulated(
         folder,
     }
     .carry_out(session, planned)?;
-    let instructions = Instructions::leave(&cost, &args.out_dir())?;
+    let instructions = Instructions::write_to(&cost, &args.out_dir())?;
     say(
         args,
         &format!(

@@ -256,10 +256,10 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     let chosen = args.machine.load()?;
     let machine = chosen.file.clone();
     if args.force.is_some() {
-        session::force_of(&machine)?;
+        session::find_force_config(&machine)?;
     }
     let model = Model::new(&machine);
-    let home = session::home_of(&machine, &model)?;
+    let home = session::find_home_pose(&machine, &model)?;
     let job = PartProgram::load(&args.program, args.optional_stop)?;
     let planned = job.plan(&machine, &model, &home)?;
     let work = args.clamped(&machine)?;
@@ -326,7 +326,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             session.connect(session::fresh_number())?;
             // Without --machine it is the built-in one, whose geometry and limits the program was checked against, or the command ends here.
             let machine = chosen.file_of(&mut session)?;
-            let home = session::home_of(&machine, session.model())?;
+            let home = session::find_home_pose(&machine, session.model())?;
             Running {
                 args: &args,
                 machine: &machine,
@@ -423,7 +423,7 @@ impl Running<'_> {
         let status = session.status()?;
         match (status.state, status.fault) {
             (State::Fault, Some(fault)) => {
-                let what = session.sentence(&fault);
+                let what = session.describe(&fault);
                 Err(CliError::new(
                     Exit::Fault,
                     format!("a fault is latched: {what}; remove the cause, then `haptimill reset`"),
@@ -540,7 +540,7 @@ impl Running<'_> {
                 "setpoint {setpoint} was {ms:.0} ms late; the machine slowed down along its path and waited"
             );
         }
-        session.well_ended(end)
+        session.check_completed(end)
     }
 }
 
@@ -549,7 +549,7 @@ fn faults<L: Line>(session: &Session<L>, end: &JobEnd) -> Vec<String> {
     let stop = (end.status.state == State::EmergencyStop).then(|| EMERGENCY_STOP.to_string());
     end.faults
         .iter()
-        .map(|fault| session.sentence(fault))
+        .map(|fault| session.describe(fault))
         .chain(stop)
         .collect()
 }

@@ -2,7 +2,7 @@
 
 use super::RunArgs;
 use haptimill_client::port::PortSpec;
-use haptimill_client::session::Watcher;
+use haptimill_client::session::JobObserver;
 use haptimill_planner::Plan;
 use haptimill_protocol::message::Telemetry;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -66,7 +66,7 @@ impl Bar {
     }
 }
 
-impl Watcher for Bar {
+impl JobObserver for Bar {
     fn progress(&mut self, telemetry: &Telemetry) {
         let done = f64::from(telemetry.program_periods) * self.period_s;
         let total = self.bar.length().unwrap_or(0) as f64 / 1000.0;
@@ -123,11 +123,11 @@ impl Watcher for Bar {
         });
     }
 
-    fn goes_on(&mut self) -> bool {
-        let goes_on = self.passes_pauses || self.entered.swap(false, Ordering::Relaxed);
-        if goes_on {
+    fn may_resume(&mut self) -> bool {
+        let may_resume = self.passes_pauses || self.entered.swap(false, Ordering::Relaxed);
+        if may_resume {
             self.waits_at = None;
         }
-        goes_on
+        may_resume
     }
 }

@@ -1,25 +1,27 @@
 //! Orders from standard input.
 
-use haptimill_teleop::Heard;
+use haptimill_teleop::OrderInput;
 use std::io::BufRead;
 use std::sync::mpsc::{self, Receiver, Sender};
 
 /// Orders from lines of standard input; nothing comes any more at its end.
-pub(super) fn listen() -> Receiver<Heard> {
+pub(super) fn listen() -> Receiver<OrderInput> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || hear(std::io::stdin().lock(), &sender));
     receiver
 }
 
 /// Orders from lines. Bytes that are no text make a line that is no order, and the next line is heard all the same.
-fn hear(input: impl BufRead, sender: &Sender<Heard>) {
+fn hear(input: impl BufRead, sender: &Sender<OrderInput>) {
     for line in input.split(b'\n') {
         let heard = match &line {
             Ok(line) => match String::from_utf8_lossy(line) {
                 line if line.trim().is_empty() => continue,
-                line => line.parse().map_or_else(Heard::NoOrder, Heard::Order),
+                line => line
+                    .parse()
+                    .map_or_else(OrderInput::Invalid, OrderInput::Order),
             },
-            Err(error) => Heard::Lost(error.to_string()),
+            Err(error) => OrderInput::Lost(error.to_string()),
         };
         if sender.send(heard).is_err() || line.is_err() {
             return;
@@ -45,7 +47,7 @@ mod tests {
         }
     }
 
-    fn heard(input: impl Read) -> Vec<Heard> {
+    fn heard(input: impl Read) -> Vec<OrderInput> {
         let (sender, receiver) = mpsc::channel();
         hear(BufReader::new(input), &sender);
         drop(sender);
@@ -56,12 +58,17 @@ mod tests {
     fn a_line_that_is_no_text_is_no_order_and_the_next_is_heard() {
         let all = heard(&b"hold\r\n\n r\xe9sume\n\xff\nstop\nend"[..]);
         assert_eq!(all.len(), 5, "{all:?}");
-        assert_eq!(all[0], Heard::Order(Order::Hold));
-        assert!(matches!(&all[1], Heard::NoOrder(why) if why.contains("is no order; write hold")));
-        assert!(matches!(&all[2], Heard::NoOrder(_)));
+        assert_eq!(all[0], OrderInput::Order(Order::Hold));
+        assert!(
+            matches!(&all[1], OrderInput::Invalid(why) if why.contains("is no order; write hold"))
+        );
+        assert!(matches!(&all[2], OrderInput::Invalid(_)));
         assert_eq!(
             all[3..],
-            [Heard::Order(Order::Stop), Heard::Order(Order::End)]
+            [
+                OrderInput::Order(Order::Stop),
+                OrderInput::Order(Order::End)
+            ]
         );
     }
 
@@ -69,8 +76,11 @@ mod tests {
     fn an_input_that_breaks_is_told_and_one_that_ends_is_not() {
         assert_eq!(
             heard(Breaks(b"hold\n")),
-            [Heard::Order(Order::Hold), Heard::Lost("broken".to_string())]
+            [
+                OrderInput::Order(Order::Hold),
+                OrderInput::Lost("broken".to_string())
+            ]
         );
-        assert_eq!(heard(&b"hold\n"[..]), [Heard::Order(Order::Hold)]);
+        assert_eq!(heard(&b"hold\n"[..]), [OrderInput::Order(Order::Hold)]);
     }
 }

@@ -54,7 +54,7 @@ impl Desk {
 
     /// Takes in the newest report of the arm.
     pub(in crate::console) fn hear_hand(&mut self) {
-        if let Some(report) = self.client.hand()
+        if let Some(report) = self.client.master()
             && let Some(arm) = self.hand.as_mut().and_then(|hand| hand.arm.as_mut())
         {
             arm.hear(report);
@@ -254,7 +254,7 @@ impl Desk {
         if stands || !commanded {
             return self.ask_wall(axis, upper, None, false);
         }
-        let trouble = match self.client.hand().map(|report| report.problem) {
+        let trouble = match self.client.master().map(|report| report.problem) {
             None => Some("nothing was heard of the arm yet; wait for its report".to_string()),
             Some(Some(problem)) => Some(
                 self.model
@@ -298,7 +298,7 @@ impl Desk {
 
     /// What of the hand was asked for is done.
     pub(in crate::console) fn hand_set(&mut self, then: &Then) {
-        let tip = self.client.hand().map(|report| report.pose);
+        let tip = self.client.master().map(|report| report.pose);
         let Some(hand) = &mut self.hand else { return };
         let what = match (then, &mut hand.arm, &mut hand.scale) {
             (Then::ForceFeedback(settings), Some(arm), _) => {
