@@ -273,9 +273,9 @@ mod tests {
 
     #[test]
     fn mistakes_are_reported_with_their_lines() {
-        let said = |text: &str| Script::parse("s.toml", text).unwrap_err().message;
+        let problems_of = |text: &str| Script::parse("s.toml", text).unwrap_err().message;
         assert_eq!(
-            said(
+            problems_of(
                 "end_s = 4\n\n[[button]]\nat_s = 1\n\n[[stroke]]\nat_s = 1\nto_mm = [1.0, 2]\nramp_s = 1\n"
             ),
             "s.toml:3:1: button[1].held: is missing; add `held = true` or `held = false`\n\
@@ -283,26 +283,26 @@ mod tests {
              s.toml:8:9: stroke[1].to_mm: has 2 numbers; write 3"
         );
         assert_eq!(
-            said("\n[[button]]\nat_s = 4000\nheld = 2\n"),
+            problems_of("\n[[button]]\nat_s = 4000\nheld = 2\n"),
             "s.toml:3:8: button[1].at_s: 4000 is out of range, allowed is 0 to 3600 s; lower it\n\
              s.toml:4:8: button[1].held: is a number, not true or false; write true or false"
         );
         assert!(
-            said("[[order]]\nat_s = 1\nwhat = \"go\"\n")
+            problems_of("[[order]]\nat_s = 1\nwhat = \"go\"\n")
                 .starts_with("s.toml:3:8: order[1].what: \"go\" is no order; write hold,")
         );
-        let bound = said("[[order]]\nat_s = 1\nwhat = \"gp=3\"\n");
+        let bound = problems_of("[[order]]\nat_s = 1\nwhat = \"gp=3\"\n");
         assert!(
             bound.ends_with("G_P of 3 is out of its range: 0.1 to 2"),
             "{bound}"
         );
-        assert!(said("end_s = -1.0").contains("0 to 3600 s"));
+        assert!(problems_of("end_s = -1.0").contains("0 to 3600 s"));
         assert_eq!(
-            said("[[button]]\nat_s = 1\nheld = true\nend_s = 4\n"),
+            problems_of("[[button]]\nat_s = 1\nheld = true\nend_s = 4\n"),
             "s.toml:4:9: button[1].end_s: is the end of the session, not of a block; move it to the top of the file, above the first block, or take it out of [[button]]"
         );
-        assert!(said("[[strok]]\nat_s = 1\n").starts_with("s.toml:1:"));
-        assert!(said("[[button]\nat_s = 1\n").starts_with("s.toml:1:"));
+        assert!(problems_of("[[strok]]\nat_s = 1\n").starts_with("s.toml:1:"));
+        assert!(problems_of("[[button]\nat_s = 1\n").starts_with("s.toml:1:"));
         let script = Script::parse("built in", BUILT_IN).unwrap();
         assert!(script.end_s() > 1.0);
         assert!(scale(0.1).is_ok() && scale(2.0) == Ok(8192) && scale(f64::NAN).is_err());

@@ -5,7 +5,7 @@ use clap::{Args, FromArgMatches};
 use haptimill::commands::CliError;
 use haptimill::commands::run::{self, RunArgs};
 use haptimill_client::port::Board;
-use haptimill_client::session::pil::{self, Emulator, Setup};
+use haptimill_client::session::pil::{self, Emulator, EmulatorOptions};
 use haptimill_firmware::io::Outputs;
 use haptimill_firmware::snapshot::Snapshot;
 use haptimill_hil_sim::remote::RemoteController;
@@ -49,9 +49,9 @@ pub fn image(name: &'static str) -> PathBuf {
 
 /// The controller on a chip, begun.
 pub fn remote(board: Board, image: &Path, words: &[&str]) -> Remote {
-    let setup = Setup {
-        words: words.iter().map(ToString::to_string).collect(),
-        ..Setup::default()
+    let setup = EmulatorOptions {
+        arguments: words.iter().map(ToString::to_string).collect(),
+        ..EmulatorOptions::default()
     };
     let emulator = Emulator::start_with(board, image, &setup).expect("starts");
     let machine = MachineFile::built_in().expect("sound");

@@ -6,7 +6,7 @@
 //! drives a serial port, a socket, and the simulator in virtual time.
 //!
 //! ```
-//! use haptimill_client::client::{Client, Notice, Options};
+//! use haptimill_client::client::{Client, Notification, Options};
 //! use haptimill_protocol::message::Command;
 //! let mut client = Client::new(Options::default());
 //! client.connect(0x5eed_1234, 0); // a random number, new for each session
@@ -17,7 +17,7 @@
 //!     transmit.clear();
 //!     received.clear();
 //!     while let Some(notice) = client.poll() {
-//!         if let Notice::Connected(controller) = notice {
+//!         if let Notification::Connected(controller) = notice {
 //!             println!("{} at {} us", controller.machine, controller.period_us);
 //!             client.request(Command::Home);
 //!         }

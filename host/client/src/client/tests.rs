@@ -352,10 +352,10 @@ fn no_jog_moves_after_its_cancel_was_received() {
             }
             let cancel = world.client.cancel_jog();
             assert!(world.until(5_000_000, |world| world.answer(cancel).is_some()));
-            let heard = world.responder.jogs.len();
+            let received = world.responder.jogs.len();
             // Jogs that still arrive have no effect.
             world.until(50_000, |_| false);
-            assert_eq!(world.responder.jogs.len(), heard);
+            assert_eq!(world.responder.jogs.len(), received);
             assert_eq!(world.responder.jog_left, 0);
         }
         assert!(!world.responder.jogs.is_empty());

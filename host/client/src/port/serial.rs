@@ -41,14 +41,14 @@ impl SerialTransport {
 
     fn wait(&mut self, wait: Duration) -> Result<(), PortError> {
         if self.wait != wait {
-            let told = self.port.set_timeout(wait);
-            told.map_err(|error| self.gone(&error.to_string()))?;
+            let result = self.port.set_timeout(wait);
+            result.map_err(|error| self.lost(&error.to_string()))?;
             self.wait = wait;
         }
         Ok(())
     }
 
-    fn gone(&self, reason: &str) -> PortError {
+    fn lost(&self, reason: &str) -> PortError {
         PortError::Gone {
             name: self.name.clone(),
             reason: reason.to_string(),
@@ -61,7 +61,7 @@ fn open_error(path: &str, error: &serialport::Error) -> PortError {
     let text = error.to_string();
     // A lock by TIOCEXCL is EBUSY, one by flock is EWOULDBLOCK; their kinds depend on the platform.
     let locked = ["busy", "lock", "temporarily unavailable"];
-    if locked.iter().any(|word| text.to_lowercase().contains(word)) {
+    if locked.iter().any(|part| text.to_lowercase().contains(part)) {
         return PortError::Busy { name };
     }
     let remedy = match error.kind() {
@@ -85,10 +85,10 @@ impl Transport for SerialTransport {
         self.wait(wait)?;
         match self.port.read(buffer) {
             // The serial port of an unplugged board returns end of file.
-            Ok(0) if !buffer.is_empty() => Err(self.gone("end of file")),
+            Ok(0) if !buffer.is_empty() => Err(self.lost("end of file")),
             Ok(count) => Ok(count),
             Err(error) if is_quiet(&error) => Ok(0),
-            Err(error) => Err(self.gone(&error.to_string())),
+            Err(error) => Err(self.lost(&error.to_string())),
         }
     }
 
@@ -97,7 +97,7 @@ impl Transport for SerialTransport {
         match self.port.write(bytes) {
             Ok(count) => Ok(count),
             Err(error) if is_quiet(&error) => Ok(0),
-            Err(error) => Err(self.gone(&error.to_string())),
+            Err(error) => Err(self.lost(&error.to_string())),
         }
     }
 
@@ -118,9 +118,9 @@ pub fn list() -> Result<Vec<(String, String)>, PortError> {
     })?;
     let describe = |kind: SerialPortType| match kind {
         SerialPortType::UsbPort(usb) => {
-            let words = [usb.manufacturer, usb.product, usb.serial_number];
-            let words: Vec<String> = words.into_iter().flatten().collect();
-            format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, words.join(" "))
+            let parts = [usb.manufacturer, usb.product, usb.serial_number];
+            let parts: Vec<String> = parts.into_iter().flatten().collect();
+            format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, parts.join(" "))
         }
         SerialPortType::PciPort => "on board".to_string(),
         SerialPortType::BluetoothPort => "Bluetooth".to_string(),

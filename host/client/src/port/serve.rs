@@ -79,7 +79,7 @@ const SILENT: Duration = Duration::from_secs(2);
 const PROCESS_STALL: Duration = Duration::from_millis(500);
 
 /// A host that is silent for this time is closed in any case.
-const GONE: Duration = Duration::from_secs(30);
+const MAX_SILENCE: Duration = Duration::from_secs(30);
 
 impl TcpServer {
     /// Listens on `HOST:PORT`; port 0 takes a free one, see [`TcpServer::address`].
@@ -138,7 +138,7 @@ impl TcpServer {
             self.received_at = Instant::now();
         }
         self.accepted_at = Instant::now();
-        if self.host.is_some() && self.received_at.elapsed() > GONE {
+        if self.host.is_some() && self.received_at.elapsed() > MAX_SILENCE {
             self.drop_host();
         }
         for _ in 0..ACCEPTED {
@@ -381,7 +381,7 @@ mod pty {
             matches!(poll(&mut fds, Some(&wait)), Ok(1..))
         }
 
-        fn gone(&self, error: Errno) -> PortError {
+        fn lost(&self, error: Errno) -> PortError {
             PortError::Gone {
                 name: self.path.clone(),
                 reason: error.to_string(),
@@ -406,7 +406,7 @@ mod pty {
                     }
                     Ok(0)
                 }
-                Err(error) => Err(self.gone(error)),
+                Err(error) => Err(self.lost(error)),
             }
         }
 
@@ -417,7 +417,7 @@ mod pty {
             match rustix::io::write(&self.device, bytes) {
                 Ok(count) => Ok(count),
                 Err(Errno::AGAIN | Errno::INTR) => Ok(0),
-                Err(error) => Err(self.gone(error)),
+                Err(error) => Err(self.lost(error)),
             }
         }
 

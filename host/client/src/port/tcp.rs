@@ -72,7 +72,7 @@ impl TcpTransport {
         Ok(())
     }
 
-    fn gone(&self, reason: &str) -> PortError {
+    fn lost(&self, reason: &str) -> PortError {
         PortError::Gone {
             name: self.name.clone(),
             reason: reason.to_string(),
@@ -86,7 +86,7 @@ impl Transport for TcpTransport {
             return Ok(0);
         }
         match self.wait(wait).and_then(|()| self.stream.read(buffer)) {
-            Ok(0) => Err(self.gone("connection closed")),
+            Ok(0) => Err(self.lost("connection closed")),
             Ok(count) => {
                 let first = std::mem::take(&mut self.fresh);
                 // The messages have no zero byte, which begins and ends every frame.
@@ -102,12 +102,12 @@ impl Transport for TcpTransport {
                     return Err(PortError::Denied { name: name() });
                 }
                 if is(CLOSED) || first && is(SLOW) {
-                    return Err(self.gone("it closed the connection after a silence"));
+                    return Err(self.lost("it closed the connection after a silence"));
                 }
                 Ok(count)
             }
             Err(error) if is_quiet(&error) => Ok(0),
-            Err(error) => Err(self.gone(&error.to_string())),
+            Err(error) => Err(self.lost(&error.to_string())),
         }
     }
 
@@ -120,7 +120,7 @@ impl Transport for TcpTransport {
                 if self.fresh {
                     self.read(&mut [0; 128], Duration::from_millis(50))?;
                 }
-                Err(self.gone(&error.to_string()))
+                Err(self.lost(&error.to_string()))
             }
         }
     }

@@ -55,7 +55,7 @@ pub fn plan_straight_move(
 ) -> Result<Plan, Error> {
     let options = program_options(machine, model.to_people(from));
     // Ten decimals are far below an axis unit: the end pose is exact.
-    let words: String = options
+    let coordinates: String = options
         .axes
         .iter()
         .zip(model.to_people(to))
@@ -63,8 +63,8 @@ pub fn plan_straight_move(
         .collect();
     let name = "straight move";
     let block = match feed {
-        Some(feed) => format!("G1 F{feed:.6}{words}\n"),
-        None => format!("G0{words}\n"),
+        Some(feed) => format!("G1 F{feed:.6}{coordinates}\n"),
+        None => format!("G0{coordinates}\n"),
     };
     let program = haptimill_gcode::read(name, block.as_bytes(), &options)
         .map_err(|refused| Error::new(ErrorKind::Internal, refused))?;

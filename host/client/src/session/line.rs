@@ -79,7 +79,7 @@ const WRITE_WAIT: Duration = Duration::from_millis(20);
 /// A controller behind a port, in real time.
 pub struct PortLine {
     port: Box<dyn Transport>,
-    begun: Instant,
+    started_at: Instant,
     /// Bytes that the port has not accepted yet.
     waiting: Vec<u8>,
     recording: Option<JobRecording>,
@@ -91,7 +91,7 @@ impl PortLine {
     pub fn new(port: Box<dyn Transport>) -> Self {
         Self {
             port,
-            begun: Instant::now(),
+            started_at: Instant::now(),
             waiting: Vec::new(),
             recording: None,
         }
@@ -108,7 +108,7 @@ impl Line for PortLine {
         // The time before the read: bytes that arrived before it are then read before the link
         // checks for silence. With the time after the read, a delay of this process between the two
         // would count as silence of the controller.
-        let now_us = u64::try_from(self.begun.elapsed().as_micros()).unwrap_or(u64::MAX);
+        let now_us = u64::try_from(self.started_at.elapsed().as_micros()).unwrap_or(u64::MAX);
         let mut buffer = [0; 4096];
         let count = self.port.read(&mut buffer, WAIT)?;
         received.extend_from_slice(&buffer[..count]);
@@ -129,9 +129,9 @@ impl Line for PortLine {
         }
     }
 
-    fn record_master(&mut self, hand: &MasterTelemetry) {
+    fn record_master(&mut self, master: &MasterTelemetry) {
         if let Some(recording) = &mut self.recording {
-            recording.add_hand(hand);
+            recording.add_master(master);
         }
     }
 

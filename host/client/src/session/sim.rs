@@ -43,7 +43,7 @@ pub struct JobRecording {
     /// Axis units per millimetre or degree of the pose coordinates.
     units: [f64; MAX_AXES],
     /// The newest telemetry of the master, for a controller behind a port.
-    hand: Option<MasterTelemetry>,
+    master: Option<MasterTelemetry>,
 }
 
 /// Telemetry frames, 20 ms apart or more, after which the recording is written to disk.
@@ -265,7 +265,7 @@ impl JobRecording {
             plan: None,
             cursor: Cursor::default(),
             units,
-            hand: None,
+            master: None,
         }
     }
 
@@ -287,8 +287,8 @@ impl JobRecording {
     }
 
     /// Adds telemetry of the master behind a port; it is recorded with the next telemetry frame.
-    pub const fn add_hand(&mut self, hand: &MasterTelemetry) {
-        self.hand = Some(*hand);
+    pub const fn add_master(&mut self, master: &MasterTelemetry) {
+        self.master = Some(*master);
     }
 
     /// Adds a telemetry frame of a machine behind a port: the tool position is the measured one.
@@ -321,16 +321,16 @@ impl JobRecording {
         let copy = |to: &mut [i32; MAX_AXES], from: &AxisValues| {
             to.iter_mut().zip(from).for_each(|(to, from)| *to = *from)
         };
-        if let Some(hand) = self.hand.take() {
+        if let Some(master) = self.master.take() {
             let newtons = |force: [i16; COMPONENTS]| force.map(|part| i32::from(part) << 8);
             record.hand = HapticSnapshot {
-                tip: hand.pose.tip,
-                force: newtons(hand.force),
-                reflected: newtons(hand.feedback),
-                wall: newtons(hand.fixture),
+                tip: master.pose.tip,
+                force: newtons(master.force),
+                reflected: newtons(master.feedback),
+                wall: newtons(master.fixture),
             };
             record.hand_flags = flag::HAND_KNOWN;
-            if hand.pose.engaged {
+            if master.pose.engaged {
                 record.hand_flags |= flag::HAND_HELD;
             }
         }

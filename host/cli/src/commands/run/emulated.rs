@@ -22,8 +22,8 @@ pub(super) fn emulated(
 ) -> Result<(), CliError> {
     use haptimill_client::session::pil::{self, Instructions};
     use haptimill_hil_sim::remote::RemoteController;
-    let setup = pil::Setup {
-        words: args.image_word.clone(),
+    let setup = pil::EmulatorOptions {
+        arguments: args.image_word.clone(),
         log: args.log.clone(),
     };
     let image = match &args.image {

@@ -124,7 +124,7 @@ impl Responder {
 
     fn advance(&mut self) {
         if self.count == Some(self.done) {
-            self.tell(Event::JobDone {
+            self.push_event(Event::JobDone {
                 job: self.job,
                 setpoints: self.done,
             });
@@ -145,7 +145,7 @@ impl Responder {
     fn drop_job(&mut self) {
         if self.coder.take().is_some() && self.state != State::Idle {
             self.queue.clear();
-            self.tell(Event::JobDropped {
+            self.push_event(Event::JobDropped {
                 job: self.job,
                 setpoints: self.done,
             });
@@ -155,14 +155,14 @@ impl Responder {
 
     fn go(&mut self, to: State) {
         let from = std::mem::replace(&mut self.state, to);
-        self.tell(Event::State {
+        self.push_event(Event::State {
             from,
             to,
             position_kept: true,
         });
     }
 
-    fn tell(&mut self, event: Event) {
+    fn push_event(&mut self, event: Event) {
         self.link
             .send(&Report::Event {
                 period: self.period,

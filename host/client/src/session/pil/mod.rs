@@ -50,21 +50,21 @@ pub struct Emulator {
 
 /// Options of an emulator.
 #[derive(Debug, Clone, Default)]
-pub struct Setup {
+pub struct EmulatorOptions {
     /// Arguments of the image.
-    pub words: Vec<String>,
+    pub arguments: Vec<String>,
     /// File for the log line of the board; without it the log is dropped.
     pub log: Option<PathBuf>,
 }
 
-impl Setup {
+impl EmulatorOptions {
     /// The option that enables semihosting, with the command line of the image.
     fn semihosting(&self) -> String {
         let mut option = "enable=on,target=native,arg=image".to_string();
-        for word in &self.words {
+        for argument in &self.arguments {
             option += ",arg=";
             // A doubled comma is a literal one.
-            option += &word.replace(',', ",,");
+            option += &argument.replace(',', ",,");
         }
         option
     }
@@ -129,14 +129,14 @@ impl Emulator {
     /// # Errors
     /// The emulator is not installed, or the image does not start.
     pub fn start(board: Board, image: &Path) -> Result<Self, Error> {
-        Self::start_with(board, image, &Setup::default())
+        Self::start_with(board, image, &EmulatorOptions::default())
     }
 
     /// Starts the emulator with an image, with arguments or a log.
     ///
     /// # Errors
     /// As [`Emulator::start`]; the log cannot be written.
-    pub fn start_with(board: Board, image: &Path, setup: &Setup) -> Result<Self, Error> {
+    pub fn start_with(board: Board, image: &Path, setup: &EmulatorOptions) -> Result<Self, Error> {
         let failed = |error: io::Error| Error::new(ErrorKind::Port, format!("{board}: {error}"));
         let image = image.canonicalize().map_err(|error| {
             Error::new(
@@ -274,7 +274,7 @@ impl Starting {
         folder: &Folder,
         mut attempt: impl FnMut() -> io::Result<T>,
     ) -> io::Result<T> {
-        let begun = Instant::now();
+        let started_at = Instant::now();
         loop {
             let error = match attempt() {
                 Ok(done) => return Ok(done),
@@ -288,7 +288,7 @@ impl Starting {
                     console(&folder.0)
                 )));
             }
-            if begun.elapsed() > START {
+            if started_at.elapsed() > START {
                 return Err(io::Error::new(
                     io::ErrorKind::TimedOut,
                     format!("the image does not start: {error}"),
@@ -346,8 +346,8 @@ impl PlantLink for Emulator {
 
     fn last_words(&mut self) -> Option<String> {
         // Its pipes close shortly before its end.
-        let begun = Instant::now();
-        while begun.elapsed() < Duration::from_millis(300) {
+        let started_at = Instant::now();
+        while started_at.elapsed() < Duration::from_millis(300) {
             match self.child.try_wait() {
                 Ok(Some(status)) => {
                     return Some(format!(
