@@ -5,8 +5,8 @@
 //! the telemetry of the master. It never waits: while the machine is operated, a lost link or port
 //! is opened again, and the arm is the master again once the operator has resumed the machine.
 //!
-//! Callers must call [`MasterDevice::advance`] regularly: without keep-alive frames the controller
-//! of the arm disables its motors.
+//! Callers must call [`MasterDevice::advance`] regularly: without keep-alive frames the controller of
+//! the arm exerts no more force.
 
 use super::latency::ForceValue;
 use super::script::ScriptedOperator;
@@ -295,7 +295,7 @@ impl<L: Line> MasterDevice for Arm<L> {
 
     fn send_force(&mut self, force: [i16; COMPONENTS]) {
         if self.is_ready() {
-            // Fails without a session only: the arm renders no force then.
+            // Fails without a session only: the arm gets no force then.
             let _ = self.session.client_mut().send_remote_force(force);
         }
     }

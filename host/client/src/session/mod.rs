@@ -6,10 +6,11 @@
 //! events, and the end of a job. On a [`SimLine`] a step is one control period of the simulated
 //! machine in virtual time, on a [`PortLine`] at most a millisecond of real time.
 //!
-//! What takes several messages is a [`Procedure`] ([`StatusQuery`], [`Homing`], [`JobRun`]).
-//! Programs that wait for the result use [`Session::complete`], or the methods on it; programs that
-//! serve an operator meanwhile advance the procedure after each step. A [`Startup`] is sent each
-//! time the controller answers, and a [`Reconnection`] opens a lost session again.
+//! What takes several messages is a [`Procedure`] ([`Acknowledgement`], [`StatusQuery`],
+//! [`Homing`]) or a [`JobRun`]. Programs that wait for the result use [`Session::complete`] and the
+//! methods on it; programs that serve an operator meanwhile advance the procedure after each step. A
+//! [`Startup`] is sent each time the controller answers, and a [`Reconnection`] opens a lost session
+//! again.
 //!
 //! Callers must keep stepping: a session that is not stepped sends no keep-alive frames, and the
 //! controller stops the machine.
@@ -27,11 +28,8 @@ mod startup;
 
 pub use force::{ForceLoopChanges, find_force_config};
 pub use haptic_trace::{HapticTrace, HapticTraceSample};
-
-pub use home::plan_straight_move;
-pub use home::{check_has_tool, find_home_pose};
-pub use job::EMERGENCY_STOP;
-pub use job::{BytesSent, JobEnd, JobObserver, JobRun, JobStatus, NoObserver};
+pub use home::{check_has_tool, find_home_pose, plan_straight_move};
+pub use job::{BytesSent, EMERGENCY_STOP, JobEnd, JobObserver, JobRun, JobStatus, NoObserver};
 pub use line::{JobLine, Line, PortLine};
 pub use procedure::{Acknowledgement, Homing, Procedure, StatusQuery};
 pub use sim::{JobRecording, SimLine, commissioned, rig, rig_around};
@@ -328,3 +326,6 @@ impl<L: Line> Session<L> {
         )
     }
 }
+
+#[cfg(test)]
+mod tests;
