@@ -4,7 +4,7 @@
 //! With a workpiece, mill, structure and sensor are computed in every period. A second thread
 //! writes the recording; `taskset -c 0` puts both on one core.
 use haptimill_client::client::Options;
-use haptimill_client::session::{JobLine, JobRecording, Session, SimLine, Unwatched, rig};
+use haptimill_client::session::{JobLine, JobRecording, NoObserver, Session, SimLine, rig};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_machine_file::{MachineFile, stock};
@@ -61,7 +61,7 @@ fn main() {
         }
         let (before, begun) = (session.now_us(), Instant::now());
         session
-            .run_job(2, home.clone(), plan.setpoints.clone(), &mut Unwatched)
+            .run_job(2, home.clone(), plan.setpoints.clone(), &mut NoObserver)
             .expect("done");
         let wall = begun.elapsed().as_secs_f64();
         let simulated = (session.now_us() - before) as f64 / 1e6;

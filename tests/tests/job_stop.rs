@@ -2,7 +2,7 @@
 
 use haptimill_client::client::Options;
 use haptimill_client::port::PortError;
-use haptimill_client::session::{Line, Session, SimLine, Unwatched, rig};
+use haptimill_client::session::{Line, NoObserver, Session, SimLine, rig};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::State;
@@ -57,7 +57,7 @@ fn the_summary_of_a_stopped_job_has_the_final_state() {
             2 + periods,
             start.clone(),
             line_in_x(&start, speed, 10),
-            &mut Unwatched,
+            &mut NoObserver,
         );
         let end = job.expect("ended");
         let last = session.events.len().saturating_sub(12);

@@ -2,7 +2,7 @@
 //! replay. A new machine file needs no row here.
 
 use haptimill_client::client::Options;
-use haptimill_client::session::{self, JobLine, JobRecording, Session, SimLine, Unwatched};
+use haptimill_client::session::{self, JobLine, JobRecording, NoObserver, Session, SimLine};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_machine_file::MachineFile;
@@ -65,7 +65,7 @@ fn every_machine_file_homes_runs_and_replays() {
         let machine = MachineFile::load(&file).unwrap_or_else(|problems| panic!("{problems}"));
         let name = machine.config.name.to_string();
         let model = Model::new(&machine);
-        let home = session::home_of(&machine, &model).expect("a home pose");
+        let home = session::find_home_pose(&machine, &model).expect("a home pose");
         let start = model.to_engineering_units(&home);
         let text = program(&machine, &start);
         let options = program_options(&machine, start);
@@ -96,10 +96,10 @@ fn every_machine_file_homes_runs_and_replays() {
             .line_mut()
             .begin_recording(JobRecording::new(recorder, Arc::new(plan), &machine));
         let end = session
-            .run_job(2, home, setpoints, &mut Unwatched)
+            .run_job(2, home, setpoints, &mut NoObserver)
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         session
-            .well_ended(&end)
+            .check_completed(&end)
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         assert!(end.status.homed && end.status.position_kept, "{name}");
         let recorder = session.line_mut().end_recording().expect("recorded");

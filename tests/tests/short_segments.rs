@@ -2,7 +2,7 @@
 //! them.
 
 use haptimill_client::client::Options;
-use haptimill_client::session::{Session, SimLine, Unwatched, rig};
+use haptimill_client::session::{NoObserver, Session, SimLine, rig};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::{Action, AxisValues, State};
@@ -61,7 +61,7 @@ fn setpoints_at_one_millisecond_cause_no_underrun() {
             2 + job as u32,
             start.clone(),
             line(&start, speed, periods, count),
-            &mut Unwatched,
+            &mut NoObserver,
         );
         let end = job.expect("ended");
         assert_eq!(end.underruns, [], "{periods} periods a setpoint");

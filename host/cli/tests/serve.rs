@@ -255,7 +255,7 @@ fn second_host_on_a_pseudo_terminal_is_refused_and_its_stop_is_obeyed() {
     let run = start_job(&served, &folder, &long_program(&folder));
     let second = served.run(&["status"]).expect_code(5);
     assert!(
-        second.err.contains("another program has it") && second.err.contains("fuser /dev/"),
+        second.err.contains("another program uses it") && second.err.contains("fuser /dev/"),
         "{}",
         second.err
     );
@@ -343,7 +343,7 @@ fn dead_controller_is_detected_and_the_trace_is_kept() {
         "{:?}",
         died.elapsed()
     );
-    assert!(ran.err.contains("the other end has gone"), "{}", ran.err);
+    assert!(ran.err.contains("the other end is gone"), "{}", ran.err);
     let summary = folder.summary("out");
     assert_eq!(
         (&summary["final_state"], &summary["completed"]),
@@ -369,7 +369,7 @@ fn suspended_controller_times_out_after_one_second() {
         froze.elapsed()
     );
     assert!(
-        ran.err.contains("nothing was heard from the controller"),
+        ran.err.contains("nothing was received from the controller"),
         "{}",
         ran.err
     );

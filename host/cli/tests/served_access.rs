@@ -48,7 +48,7 @@ fn public_address_requires_a_token() {
             let ran = served.run(&[command, more].concat());
             if command != ["stop"] {
                 assert_eq!(ran.code, 5, "{ran:?}");
-                assert!(ran.err.contains("asks for a token"), "{ran:?}");
+                assert!(ran.err.contains("requires a token"), "{ran:?}");
             }
         }
     }
@@ -92,7 +92,7 @@ fn token_is_read_from_file_and_environment() {
             .run(&["status"])
             .expect_code(5)
             .err
-            .contains("asks for a token")
+            .contains("requires a token")
     );
     let ran = std::process::Command::new(env!("CARGO_BIN_EXE_haptimill"))
         .args(["status", "--port", &served.port])

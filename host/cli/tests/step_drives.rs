@@ -2,7 +2,7 @@
 
 use haptimill::commands::CliError;
 use haptimill_client::client::Options;
-use haptimill_client::session::{self, JobEnd, Session, SimLine, Unwatched};
+use haptimill_client::session::{self, JobEnd, NoObserver, Session, SimLine};
 use haptimill_firmware::io::DriveCommand;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::{Model, program_options, settings};
@@ -72,7 +72,7 @@ fn run(machine: &MachineFile) -> Result<(JobEnd, SimLine), CliError> {
     session.configure(machine)?;
     session.enable()?;
     session.go_home(machine, &home)?;
-    let end = session.run_job(2, home, plan.setpoints, &mut Unwatched)?;
+    let end = session.run_job(2, home, plan.setpoints, &mut NoObserver)?;
     Ok((end, session.into_line()))
 }
 

@@ -1,41 +1,44 @@
-//! Which machine file a command on a port goes by, and whether the board takes it.
+//! The machine file of a command on a port, and the agreement with the board on it.
 //!
-//! The drives obey the configuration that is active on the board. A command never replaces that configuration unasked: the wrong lengths, scales or
-//! limits move a machine into its own frame.
+//! The drives obey the configuration that is active on the board. A command replaces it on request
+//! only: with wrong lengths, scales or limits a machine collides with its own frame.
 
 use crate::session::{Line, Session};
 use crate::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Welcome;
 
-/// The machine file of a command before the board was asked.
+/// The machine file of a command, before the configuration of the board is known.
 #[derive(Debug, Clone)]
 pub struct Chosen {
-    /// The file that was named, or the built-in one.
+    /// The file that the user named, or the built-in one.
     pub file: MachineFile,
     /// The user named it.
     pub named: bool,
-    /// The user allows that another machine's configuration is replaced.
+    /// The user allows replacing the configuration of another machine.
     pub replace: bool,
-    /// The file before the command completed it; a board that is configured as this machine takes the completed file.
+    /// The file before the command completed it: a board with this configuration gets the completed
+    /// one.
     pub base: Option<MachineFile>,
+    /// The board is that of a haptic arm beside a machine: it has options of its own.
+    pub is_second: bool,
 }
 
-/// What is to be done about the configuration of a board.
+/// The decision about the configuration of a board.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Decision {
-    /// The active configuration is that of this file; nothing is sent.
+    /// The configuration of this file is active; nothing is sent.
     Active(Box<MachineFile>),
-    /// The file is sent; this is said before.
+    /// The file is sent, with this message.
     Send(String),
-    /// Nothing is sent, and what needs the file cannot be done.
+    /// No file is known, for this reason; nothing is sent.
     Unknown(String),
 }
 
-/// What a command needs to know of the machine.
+/// What a command needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Need {
-    /// Nothing: it asks, or switches off. It never changes the configuration.
+    /// Nothing: it queries or switches off. It never changes the configuration.
     Nothing,
     /// An active configuration.
     Configuration,
@@ -54,7 +57,8 @@ fn crc(file: &MachineFile) -> Result<u32, Error> {
 /// Times that `haptimill teleop --stale` can put into a configuration, ms.
 const STALE_MS: std::ops::RangeInclusive<u16> = 5..=1000;
 
-/// The file of an active configuration, if it is this one or this one as `haptimill teleop` completes it.
+/// The file of an active configuration, if that is this file, or this file as `haptimill teleop`
+/// completes it.
 fn same_machine(file: &MachineFile, active: u32) -> Result<Option<MachineFile>, Error> {
     if crc(file)? == active {
         return Ok(Some(file.clone()));
@@ -62,16 +66,16 @@ fn same_machine(file: &MachineFile, active: u32) -> Result<Option<MachineFile>, 
     if file.is_master() || file.config.haptic.is_some() {
         return Ok(None);
     }
-    let mut following = file.with_follow()?;
-    if crc(&following)? == active {
-        return Ok(Some(following));
+    let mut completed = file.with_follow()?;
+    if crc(&completed)? == active {
+        return Ok(Some(completed));
     }
     for stale_ms in STALE_MS {
-        if let Some(follow) = &mut following.config.follow {
+        if let Some(follow) = &mut completed.config.follow {
             follow.stale_ms = stale_ms;
         }
-        if crc(&following)? == active {
-            return Ok(Some(following));
+        if crc(&completed)? == active {
+            return Ok(Some(completed));
         }
     }
     Ok(None)
@@ -86,6 +90,7 @@ impl Chosen {
             named: false,
             replace: false,
             base: None,
+            is_second: false,
         }
     }
 
@@ -99,7 +104,7 @@ impl Chosen {
         }
     }
 
-    /// What is to be done on a board that welcomed a session like this.
+    /// Decides on the configuration of a board that answered like this.
     ///
     /// # Errors
     /// [`ErrorKind::Command`]: the board is configured as another machine.
@@ -114,7 +119,7 @@ impl Chosen {
                 }
                 if same_machine(base, active)?.is_some() {
                     return Ok(Decision::Send(format!(
-                        "the configuration of \"{name}\" on the board is completed: the machine can follow a hand"
+                        "the configuration of \"{name}\" on the board is completed for teleoperation"
                     )));
                 }
             } else {
@@ -131,31 +136,37 @@ impl Chosen {
                 return Ok(Decision::Active(Box::new(known)));
             }
         }
-        let wanted = file.config.name.as_str();
+        let expected = file.config.name.as_str();
+        let (machine_option, replace_option) = if self.is_second {
+            ("--master-machine", "--replace-master-machine")
+        } else {
+            ("--machine", "--replace-machine")
+        };
         Ok(match (self.named, active) {
-            (false, 0) => Decision::Unknown(
-                "the board has no configuration; give the machine file of this machine with --machine FILE".to_string(),
-            ),
+            (false, 0) => Decision::Unknown(format!(
+                "the board has no configuration; give the machine file of this machine with {machine_option} FILE"
+            )),
             (false, _) => Decision::Unknown(format!(
-                "the board is configured as \"{name}\" (CRC {active:08x}), which is not a built-in machine; give its machine file with --machine FILE"
+                "the board is configured as \"{name}\" (CRC {active:08x}), which is not a built-in machine; \
+                 give its machine file with {machine_option} FILE"
             )),
             (true, 0) => Decision::Send(format!(
-                "the board had no configuration; it is configured as \"{wanted}\" of {}",
+                "the board had no configuration; it is configured as \"{expected}\" of {}",
                 file.file
             )),
-            (true, _) if name == wanted => Decision::Send(format!(
+            (true, _) if name == expected => Decision::Send(format!(
                 "the configuration of \"{name}\" on the board (CRC {active:08x}) is replaced by {} (CRC {:08x})",
                 file.file,
                 crc(file)?
             )),
             (true, _) if self.replace => Decision::Send(format!(
-                "the configuration of \"{name}\" on the board (CRC {active:08x}) is replaced by \"{wanted}\" of {}",
+                "the configuration of \"{name}\" on the board (CRC {active:08x}) is replaced by \"{expected}\" of {}",
                 file.file
             )),
             (true, _) => {
                 let what = format!(
-                    "the board is configured as \"{name}\" (CRC {active:08x}), and {} is \"{wanted}\"; give the machine file of \"{name}\", or, if this \
-                     board drives \"{wanted}\" now, --replace-machine",
+                    "the board is configured as \"{name}\" (CRC {active:08x}), and {} is \"{expected}\"; give the machine file of \"{name}\", or, if this \
+                     board drives \"{expected}\" now, {replace_option}",
                     file.file
                 );
                 return Err(Error::new(ErrorKind::Command, what));
@@ -163,19 +174,20 @@ impl Chosen {
         })
     }
 
-    /// The machine file that the board and the command go by; see [`Chosen::agree`].
+    /// The machine file of board and command; see [`Chosen::agree`].
     ///
     /// # Errors
-    /// As there.
+    /// As [`Chosen::agree`].
     pub fn file_of<L: Line>(&self, session: &mut Session<L>) -> Result<MachineFile, Error> {
         let file = self.agree(session, Need::File)?;
         file.ok_or_else(|| Error::new(ErrorKind::Internal, "no machine file"))
     }
 
-    /// Sees to it that board and command go by the same machine file, and gives it. The session has been opened.
+    /// Makes board and command use the same machine file, and returns it. The session must be open.
     ///
     /// # Errors
-    /// [`ErrorKind::Command`]: the board is configured as another machine, or not at all, or it refuses the configuration.
+    /// [`ErrorKind::Command`]: the board is configured as another machine, or has no configuration,
+    /// or refuses the file.
     pub fn agree<L: Line>(
         &self,
         session: &mut Session<L>,
@@ -186,7 +198,7 @@ impl Chosen {
             return Err(Error::new(ErrorKind::Internal, "no session"));
         };
         let decision = match (self.decide(&welcome), need) {
-            // It changes nothing, so it does no harm that the file is another one.
+            // The command changes nothing: a different file is harmless.
             (Err(error), Need::Nothing) => Decision::Unknown(error.message),
             (Ok(Decision::Send(_)), Need::Nothing) => {
                 Decision::Unknown(format!("the board is not configured as {}", self.file.file))
@@ -195,12 +207,12 @@ impl Chosen {
         };
         match decision {
             Decision::Active(file) => {
-                session.use_machine(&file);
+                session.set_machine(&file);
                 Ok(Some(*file))
             }
             Decision::Send(what) => {
                 eprintln!("{what}");
-                session.use_machine(&self.file);
+                session.set_machine(&self.file);
                 let before = session.status()?;
                 session.configure(&self.file)?;
                 if before.position_kept {
@@ -226,6 +238,7 @@ impl Chosen {
     }
 }
 
-/// What becomes of a position when a configuration is replaced.
+/// Messages about the position after the configuration was replaced.
 const KEPT: &str = "the position is kept";
-const LOST: &str = "the position is lost; set the joints up at their presets by hand, then `haptimill home --at-preset`";
+const LOST: &str =
+    "the position is lost; place the joints at their presets, then `haptimill home --at-preset`";

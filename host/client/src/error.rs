@@ -1,7 +1,7 @@
 //! The error of ports, sessions and everything above them.
 //!
-//! An [`Error`] has a kind for programs and a sentence for people. Exit codes are a matter of the
-//! command line.
+//! An [`Error`] has a kind for programs and a message for the user. The command line assigns exit
+//! codes.
 
 use crate::port::PortError;
 use haptimill_gcode::Refused;
@@ -9,7 +9,7 @@ use haptimill_machine_file::Problems;
 use serde::Serialize;
 use std::fmt;
 
-/// What went wrong.
+/// Kind of an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ErrorKind {
     /// A defect of this program, reported rather than hidden.
@@ -20,7 +20,7 @@ pub enum ErrorKind {
     BadInput,
     /// The part program demands what the machine cannot do; nothing moved.
     Refused,
-    /// The port cannot be opened, is taken, or the link to the controller broke.
+    /// The port cannot be opened, is in use, or the link to the controller failed.
     Port,
     /// The machine latched a fault.
     Fault,
@@ -33,12 +33,12 @@ pub enum ErrorKind {
     Output,
 }
 
-/// Why something was not done.
+/// An error.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Error {
     /// The kind.
     pub kind: ErrorKind,
-    /// The sentence; it may have several lines, and ends without a line break.
+    /// The message; it may have several lines, and ends without a line break.
     pub message: String,
     /// The single mistakes of an input file, where they are the reason.
     pub problems: Vec<Located>,

@@ -16,7 +16,7 @@ use super::definition::{Experiment, Measurement, Pass};
 use super::run::PassData;
 use super::sampled_trace::Sample;
 use context::Context;
-use haptimill_client::session::HandSample;
+use haptimill_client::session::HapticTraceSample;
 use laws::{admittance_law_residual, feedback_ratio, mean_speed, opposed_fraction, time_after};
 use statistics::{first_time, largest, mean, slope, smallest, time_of_max, worst};
 
@@ -29,7 +29,7 @@ struct Quantity {
     /// It needs the key `axis`.
     has_axis: bool,
     programmed: Option<fn(&Sample, usize) -> f64>,
-    teleoperated: Option<fn(&HandSample, usize) -> f64>,
+    teleoperated: Option<fn(&HapticTraceSample, usize) -> f64>,
 }
 
 const fn programmed(
@@ -48,7 +48,7 @@ const fn programmed(
 const fn teleoperated(
     name: &'static str,
     has_axis: bool,
-    value: fn(&HandSample, usize) -> f64,
+    value: fn(&HapticTraceSample, usize) -> f64,
 ) -> Quantity {
     Quantity {
         name,
@@ -59,7 +59,7 @@ const fn teleoperated(
 }
 
 /// Deviation of the tool from commanded position plus compliant displacement.
-fn following_error(sample: &HandSample, axis: usize) -> f64 {
+fn following_error(sample: &HapticTraceSample, axis: usize) -> f64 {
     (sample.tool[axis] - sample.desired[axis] - sample.yielded[axis]).abs()
 }
 
@@ -93,16 +93,16 @@ const QUANTITIES: &[Quantity] = &[
     }),
     // Travels count towards the negative end.
     teleoperated("tool_travel", true, |sample, axis| -sample.tool[axis]),
-    teleoperated("master_travel", true, |sample, axis| -sample.hand[axis]),
-    teleoperated("master_position", true, |sample, axis| sample.hand[axis]),
+    teleoperated("master_travel", true, |sample, axis| -sample.master[axis]),
+    teleoperated("master_position", true, |sample, axis| sample.master[axis]),
     teleoperated("master_speed", true, |sample, axis| {
         sample.velocity[axis].abs()
     }),
     teleoperated("rail_deviation", false, |sample, _| {
-        sample.hand[1].abs().max(sample.hand[2].abs())
+        sample.master[1].abs().max(sample.master[2].abs())
     }),
     teleoperated("circle_deviation", false, |sample, _| {
-        let [x, y, _] = sample.hand;
+        let [x, y, _] = sample.master;
         (((x + CIRCLE_MM).powi(2) + y.powi(2)).sqrt() - CIRCLE_MM).abs()
     }),
     teleoperated("feedback_force", true, |sample, axis| {

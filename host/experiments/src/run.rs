@@ -8,7 +8,7 @@ use haptimill_client::port::Board;
 #[cfg(unix)]
 use haptimill_client::session::pil;
 use haptimill_client::session::{
-    self, HandCourse, JobEnd, JobLine, JobRecording, Session, SimLine, Unwatched,
+    self, HapticTrace, JobEnd, JobLine, JobRecording, NoObserver, Session, SimLine,
 };
 use haptimill_client::{Error, ErrorKind};
 
@@ -53,7 +53,7 @@ pub struct PassData {
     /// Summary of the job.
     pub summary: Summary,
     /// Record of master and tool of a teleoperated pass.
-    pub teleoperation: Option<HandCourse>,
+    pub teleoperation: Option<HapticTrace>,
 }
 
 /// The machine with the force control of a pass; none when the machine has no force control.
@@ -127,7 +127,7 @@ fn run_on_board(
     let rig = session::rig_around(remote, machine, None, None, Vec::new())?;
     let line = SimLine::named(rig, &board.to_string());
     let data = run_job(line, machine, pass, dir, interrupted)?;
-    pil::Instructions::leave(&cost, dir)?;
+    pil::Instructions::write_to(&cost, dir)?;
     Ok(data)
 }
 
@@ -155,7 +155,7 @@ fn run_job<C: Controlled>(
         Error::new(ErrorKind::Output, format!("{}: {error}", dir.display()))
     };
     let model = Model::new(machine);
-    let home = session::home_of(machine, &model)?;
+    let home = session::find_home_pose(machine, &model)?;
     let plan = plan(machine, &model, &home, pass)?;
 
     let plant: PlantConfig = machine.plant()?;
@@ -203,7 +203,7 @@ fn run_job<C: Controlled>(
             _ => Ok(()),
         }
     };
-    let end = session.run_job_with(2, home, setpoints, &mut Unwatched, &mut at_pause)?;
+    let end = session.run_job_with(2, home, setpoints, &mut NoObserver, &mut at_pause)?;
     check_end(&session, pass, &end)?;
     let recorded = session
         .line_mut()
@@ -234,7 +234,7 @@ fn run_job<C: Controlled>(
     let teleoperated: Vec<usize> = pass.teleoperation.as_ref().map(axes_of).unwrap_or_default();
     let trace = SampledTrace::new(&recording, &teleoperated).map_err(|error| output(&error))?;
     if let Some(record) = &record {
-        let table = record.table(TELEOPERATION_EVERY);
+        let table = record.to_csv(TELEOPERATION_EVERY);
         std::fs::write(dir.join(TELEOPERATION_FILE), table).map_err(|error| output(&error))?;
     }
     let mut line = session.into_line();
@@ -277,9 +277,9 @@ fn check_end<C: Controlled>(
     end: &JobEnd,
 ) -> Result<(), Error> {
     session
-        .well_ended(end)
+        .check_completed(end)
         .map_err(|error| with_program(pass, error))?;
-    if session.interrupted() {
+    if session.is_interrupted() {
         return Err(Error::new(ErrorKind::Stopped, "stopped by the user"));
     }
     Ok(())

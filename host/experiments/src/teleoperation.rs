@@ -9,7 +9,7 @@
 //! settings.
 
 use super::definition::Teleoperation;
-use haptimill_client::session::{HandCourse, Session, SimLine};
+use haptimill_client::session::{HapticTrace, Session, SimLine};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_hil_sim::haptics::HapticArm;
 use haptimill_hil_sim::operator::{Rail, ReferencePart};
@@ -87,7 +87,7 @@ pub fn begin<C: Control>(
             }),
         })?;
     }
-    session.line_mut().begin_hand();
+    session.line_mut().begin_haptic_trace();
     let arm = arm(session)?;
     arm.set_engaged(true);
     arm.set_trajectory(settings.operator.clone());
@@ -101,8 +101,8 @@ pub fn begin<C: Control>(
 pub fn end<C: Control>(
     settings: &Teleoperation,
     session: &mut Session<SimLine<C>>,
-) -> Result<Option<HandCourse>, Error> {
-    let record = session.line_mut().end_hand();
+) -> Result<Option<HapticTrace>, Error> {
+    let record = session.line_mut().end_haptic_trace();
     arm(session)?.set_engaged(false);
     if settings.fixture_mm_s.is_some() {
         for upper in [false, true] {

@@ -1,43 +1,48 @@
-//! A haptic arm on a controller of its own: a second controller, whose machine file has the role `master`.
+//! A haptic arm on a controller of its own: a second controller, whose machine file has the role
+//! `master`.
 //!
-//! The arm is connected, given its machine file, and switched on; its telemetry then says where the hand is. All of that is done while the machine is led, one step at a time: when the link is
-//! lost, or the port, it is looked for again, and the hand leads again once somebody has told the machine to go on.
+//! The arm is a [`Session`] whose startup sends the machine file, enables the drives, and requests
+//! the telemetry of the master. It never waits: while the machine is operated, a lost link or port
+//! is opened again, and the arm is the master again once the operator has resumed the machine.
 //!
-//! Misuse: an arm whose [`Source::advance`] is not called. Its controller hears nobody, and lets go of the hand.
+//! Callers must call [`MasterDevice::advance`] regularly: without keep-alive frames the controller of
+//! the arm exerts no more force.
 
-use super::latency::What;
-use super::script::Person;
-use super::{Feeling, Felt, Source, Standing, Word};
-use haptimill_client::board::{Chosen, Decision};
-use haptimill_client::client::{Client, ClientError, Notice, Options, RequestError, Ticket};
+use super::latency::ForceValue;
+use super::script::ScriptedOperator;
+use super::{ForceSample, MasterDevice, MasterForce, MasterSample, MasterStatus};
+use haptimill_client::board::Chosen;
+use haptimill_client::client::Options;
 use haptimill_client::port::PortError;
-use haptimill_client::session::{JobLine, JobRecording, Line, SimLine};
+use haptimill_client::session::{
+    JobLine, JobRecording, Line, Phase, Reconnection, Session, SimLine, Startup,
+};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_firmware::snapshot::Snapshot;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterTelemetry};
-use haptimill_protocol::message::{Command, Event, Refusal};
-use haptimill_protocol::text::{Axes, Describe};
+use haptimill_protocol::message::{Command, Event};
 use haptimill_trace::Recorder;
 use std::collections::VecDeque;
+use std::sync::Arc;
 
-/// A simulated arm with a person at it.
-pub struct PersonLine {
+/// A line to a simulated arm that an operator of a script moves.
+pub struct OperatorLine {
     line: SimLine,
-    person: Person,
+    operator: ScriptedOperator,
 }
 
-impl PersonLine {
-    /// A line to a simulated arm that a person leads.
+impl OperatorLine {
+    /// A line to a simulated arm.
     #[must_use]
-    pub const fn new(line: SimLine, person: Person) -> Self {
-        Self { line, person }
+    pub const fn new(line: SimLine, operator: ScriptedOperator) -> Self {
+        Self { line, operator }
     }
 }
 
-impl Line for PersonLine {
+impl Line for OperatorLine {
     fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
-        self.person.act(self.line.rig_mut());
+        self.operator.act(self.line.rig_mut());
         self.line.exchange(transmit, received)
     }
 
@@ -49,21 +54,21 @@ impl Line for PersonLine {
         self.line.snapshot()
     }
 
-    fn recording_is_broken(&self) -> bool {
-        self.line.recording_is_broken()
+    fn is_recording_broken(&self) -> bool {
+        self.line.is_recording_broken()
     }
 
-    fn told_force(&self) -> Option<[i16; COMPONENTS]> {
+    fn remote_force(&self) -> Option<[i16; COMPONENTS]> {
         let arm = self.line.rig().control().machine()?.masters.arm()?;
         Some(arm.remote_force())
     }
 
-    fn happened(&mut self, period: u64, level: u8, text: &str) {
-        self.line.happened(period, level, text);
+    fn record_event(&mut self, period: u64, level: u8, text: &str) {
+        self.line.record_event(period, level, text);
     }
 }
 
-impl JobLine for PersonLine {
+impl JobLine for OperatorLine {
     fn begin_recording(&mut self, recording: JobRecording) {
         self.line.begin_recording(recording);
     }
@@ -73,104 +78,51 @@ impl JobLine for PersonLine {
     }
 }
 
-/// How long the board of an arm may take to answer before anything moves, microseconds.
+/// Longest time in which the board of an arm must answer before anything moves, microseconds.
 const PREPARE_US: u64 = 5_000_000;
 
-/// How far it is.
-#[derive(Debug)]
-enum Phase {
-    /// Its board is asked for its configuration, before the machine is homed; nothing is sent to it.
-    Asking,
-    /// A session is being opened.
-    Connecting,
-    /// Configuration, drives and telemetry were asked for, in this order.
-    Preparing([Ticket; 3]),
-    /// It leads.
-    Ready,
-    /// The port is gone.
-    Gone,
-}
+/// Time in which the controller of an arm must answer, microseconds.
+const CONNECT_US: u64 = 1_000_000;
 
-/// Time between two attempts to open a port that is gone, microseconds.
-const REOPEN_US: u64 = 500_000;
+/// Forces that are kept at most: more than arrive between two steps of the loop.
+const MAX_FORCES: usize = 10_000;
 
-/// Periods between two reports, and what a line carries at most.
+/// Periods between two reports, and the bandwidth of the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Pace {
-    /// Time between two reports of the hand, microseconds.
+    /// Time between two reports of the master, microseconds.
     pub every_us: u32,
-    /// Bytes a second; 0 for no bound.
+    /// Bytes per second; 0 for no limit.
     pub line_rate: u32,
 }
 
-/// The way to a port that is gone.
-pub type Reopen<L> = Box<dyn FnMut() -> Result<L, PortError>>;
-
-/// Number of the next session.
-pub type Numbers = Box<dyn FnMut() -> u32>;
-
 /// A haptic arm.
 pub struct Arm<L> {
-    line: L,
-    client: Client,
-    machine: String,
-    config: Vec<u8>,
-    /// How the configuration of a board behind a port is chosen.
-    board: Option<Chosen>,
-    /// The board had this configuration, or took it: after a loss of power it takes it again.
-    agreed: bool,
-    reflection: Option<ForceFeedback>,
-    every: u16,
-    phase: Phase,
-    /// Why it does not lead.
-    why: String,
-    numbers: Numbers,
-    reopen: Option<Reopen<L>>,
-    reopen_at_us: u64,
-    received: Vec<u8>,
-    transmit: Vec<u8>,
-    /// Time of the line.
-    now_us: u64,
-    /// Times of loop and line at which they began.
-    origin: Option<(u64, u64)>,
-    /// The newest report that was looked at.
-    newest: Option<u64>,
-    standing: Option<MasterTelemetry>,
-    felt: VecDeque<Felt>,
-    /// What its controller said, in words.
-    happened: VecDeque<String>,
+    session: Session<L>,
+    force_feedback: Option<ForceFeedback>,
+    /// Times of the loop and of the line when the line was opened.
+    origin_us: Option<(u64, u64)>,
+    newest_period: Option<u64>,
+    telemetry: Option<MasterTelemetry>,
+    forces: VecDeque<ForceSample>,
+    next_event: usize,
+    messages: VecDeque<String>,
 }
 
-/// Newtons of a force in 2^-8 N.
+/// A force in newtons from units of 2^-8 N.
 fn newtons(force: [i16; COMPONENTS]) -> [f64; COMPONENTS] {
     force.map(|part| f64::from(part) / 256.0)
 }
 
-/// What its controller says, in words: it has no axes that could be named.
-fn said<T: Describe>(what: &T) -> String {
-    let (pose, joints) = (&[], &[]);
-    Axes { pose, joints }.describe(what).to_string()
-}
-
-fn encoded(machine: &MachineFile) -> Result<Vec<u8>, Error> {
-    let encoded = machine.encoded();
-    encoded
-        .map(|(bytes, _)| bytes)
-        .map_err(|error| Error::new(ErrorKind::Internal, error))
-}
-
-/// More moments than any two steps can leave.
-const MOST_FELT: usize = 10_000;
-
 impl<L: Line> Arm<L> {
-    /// Whether a machine file is one of a haptic arm alone.
+    /// Checks that a machine file describes a haptic arm without a machine.
     ///
     /// # Errors
-    /// It is not.
+    /// It does not.
     pub fn check(machine: &MachineFile) -> Result<(), Error> {
         if !machine.is_master() {
             let what = format!(
-                "{}: not a haptic arm alone; write role = \"master\", as machines/hand-master.toml has it",
+                "{}: not a haptic arm alone; write role = \"master\", as in machines/hand-master.toml",
                 machine.file
             );
             return Err(Error::new(ErrorKind::BadInput, what));
@@ -178,346 +130,204 @@ impl<L: Line> Arm<L> {
         Ok(())
     }
 
-    /// The arm of a machine file behind a line. Session numbers must never have been used on it before.
+    /// The arm of a machine file at a line. For an arm on a board, `board` chooses the
+    /// configuration: the board keeps its own unless the choice allows another one.
     ///
     /// # Errors
-    /// The machine file is not one of a haptic arm alone.
+    /// The machine file does not describe a haptic arm alone.
     pub fn new(
         line: L,
         machine: &MachineFile,
+        board: Option<Chosen>,
         pace: Pace,
-        numbers: Numbers,
-        reopen: Option<Reopen<L>>,
+        reconnection: Reconnection<L>,
     ) -> Result<Self, Error> {
         Self::check(machine)?;
-        let config = encoded(machine)?;
         let mut options = Options::default();
         options.timing.line_rate = pace.line_rate;
-        options.connect_us = 1_000_000;
+        options.connect_us = CONNECT_US;
         let period_us = u32::from(machine.config.period_us.max(1));
+        let every = (pace.every_us / period_us).clamp(1, u32::from(u16::MAX)) as u16;
+        let commands = vec![Command::Enable, Command::MasterTelemetry { every }];
+        let startup = Startup::new(machine, board, commands)?;
+        let mut session = Session::new(line, machine, options, Arc::default())
+            .with_startup(startup)
+            .with_reconnection(reconnection);
+        // The machine has axes of the same numbers.
+        session.forget_axes();
         Ok(Self {
-            line,
-            client: Client::new(options),
-            machine: machine.config.name.to_string(),
-            config,
-            board: None,
-            agreed: false,
-            reflection: machine.config.haptic.as_ref().map(|arm| arm.reflection),
-            every: (pace.every_us / period_us).clamp(1, u32::from(u16::MAX)) as u16,
-            phase: Phase::Connecting,
-            why: "is being connected".to_string(),
-            numbers,
-            reopen,
-            reopen_at_us: 0,
-            received: Vec::new(),
-            transmit: Vec::new(),
-            now_us: 0,
-            origin: None,
-            newest: None,
-            standing: None,
-            felt: VecDeque::new(),
-            happened: VecDeque::new(),
+            session,
+            force_feedback: machine.config.haptic.as_ref().map(|arm| arm.reflection),
+            origin_us: None,
+            newest_period: None,
+            telemetry: None,
+            forces: VecDeque::new(),
+            next_event: 0,
+            messages: VecDeque::new(),
         })
-    }
-
-    /// The arm's board is behind a port, and keeps its configuration unless this choice allows another one.
-    #[must_use]
-    pub fn on_board(self, chosen: Chosen) -> Self {
-        Self {
-            board: Some(chosen),
-            ..self
-        }
     }
 
     /// The line.
     pub const fn line_mut(&mut self) -> &mut L {
-        &mut self.line
+        self.session.line_mut()
     }
 
-    /// Connects anew.
-    fn connect(&mut self, why: String) {
-        self.why = why;
-        self.phase = Phase::Connecting;
-        self.standing = None;
-        let number = (self.numbers)();
-        self.client.connect(number, self.now_us);
+    fn is_ready(&self) -> bool {
+        *self.session.phase() == Phase::Ready
     }
 
-    fn step(&mut self) -> Result<(), Error> {
-        self.received.clear();
-        match self.line.exchange(&self.transmit, &mut self.received) {
-            Ok(now_us) => self.now_us = now_us,
-            Err(error) if self.reopen.is_some() => {
-                self.why = error.to_string();
-                self.phase = Phase::Gone;
-                self.standing = None;
-                self.reopen_at_us = 0;
-                return Ok(());
+    /// Steps the session; false when the port is lost.
+    fn step(&mut self) -> Result<bool, Error> {
+        self.session.step()?;
+        while let Some((_, event)) = self.session.events.get(self.next_event) {
+            self.next_event += 1;
+            if matches!(event, Event::Fault(_) | Event::Master(_)) {
+                let text = format!("the arm: {}", self.session.describe(event));
+                self.messages.push_back(text);
             }
-            Err(error) => return Err(error.into()),
         }
-        self.transmit.clear();
-        self.client
-            .advance(self.now_us, &self.received, &mut self.transmit);
-        while let Some(notice) = self.client.poll() {
-            self.hear(notice)?;
+        if !self.is_ready() {
+            self.telemetry = None;
         }
-        Ok(())
+        Ok(*self.session.phase() != Phase::Disconnected)
     }
 
-    fn hear(&mut self, notice: Notice) -> Result<(), Error> {
-        match notice {
-            Notice::Connected(welcome) => {
-                if welcome.axes > 0 {
-                    let what = format!(
-                        "{}: \"{}\" is a machine with {} axes, not a haptic arm; --master is for the arm, --port for the machine",
-                        self.line.name(),
-                        welcome.machine,
-                        welcome.axes
-                    );
-                    return Err(Error::new(ErrorKind::Command, what));
-                }
-                if let Some(board) = &self.board {
-                    let agreed = self.agreed && welcome.config_crc == 0;
-                    let decision = board.decide(&welcome).map_err(|error| {
-                        let what = error.message.replace("-machine", "-master-machine");
-                        Error::new(error.kind, format!("{}: {what}", self.line.name()))
-                    })?;
-                    match decision {
-                        _ if agreed => {}
-                        Decision::Active(file) => self.config = encoded(&file)?,
-                        Decision::Send(what) if !self.agreed => {
-                            eprintln!("{}: {what}", self.line.name());
-                        }
-                        Decision::Send(_) => {}
-                        Decision::Unknown(what) => {
-                            let what = what.replace("--machine", "--master-machine");
-                            let what = format!("{}: {what}", self.line.name());
-                            return Err(Error::new(ErrorKind::Command, what));
-                        }
-                    }
-                    self.agreed = true;
-                }
-                if let Phase::Asking = self.phase {
-                    return Ok(());
-                }
-                self.phase = Phase::Preparing([
-                    self.client.configure(&self.config, false),
-                    self.client.request(Command::Enable),
-                    self.client
-                        .request(Command::MasterTelemetry { every: self.every }),
-                ]);
-            }
-            Notice::Answered { ticket, result, .. } => self.answered(ticket, result)?,
-            // The session that was dropped for a new one.
-            Notice::Lost(ClientError::Closed) => {}
-            Notice::Lost(error) => {
-                let why = format!("{}: {error}", self.line.name());
-                if let Phase::Asking = self.phase {
-                    self.why = error.to_string();
-                    self.client.connect((self.numbers)(), self.now_us);
-                    return Ok(());
-                }
-                self.connect(why);
-            }
-            Notice::Event { period, event } => {
-                if matches!(event, Event::Fault(_) | Event::Master(_)) {
-                    let text = format!("the arm: {}", said(&event));
-                    self.line.happened(period, 2, &text);
-                    self.happened.push_back(text);
-                }
-            }
-            Notice::Telemetry(_) | Notice::Refused(_) | Notice::Job(_) => {}
-        }
-        Ok(())
-    }
-
-    fn answered(&mut self, ticket: Ticket, result: Result<(), RequestError>) -> Result<(), Error> {
-        let Phase::Preparing([configured, enabled, reports]) = &self.phase else {
-            return Ok(());
-        };
-        // An arm that is on already says that it is.
-        let on = matches!(result, Err(RequestError::Refused(Refusal::State(_))));
-        let last = ticket == *reports;
-        let refused = match result {
-            Err(RequestError::Refused(refusal)) if !(ticket == *enabled && on) => refusal,
-            _ => {
-                if last {
-                    self.phase = Phase::Ready;
-                }
-                return Ok(());
-            }
-        };
-        let name = self.line.name();
-        let what = if ticket == *configured {
-            format!(
-                "{name}: does not take the machine file of \"{}\": {refused:?}; is it switched off, and built for a hand?",
-                self.machine
-            )
-        } else {
-            format!("{name}: the haptic arm cannot lead: {}", said(&refused))
-        };
-        Err(Error::new(ErrorKind::Command, what))
-    }
-
-    /// A new report, as a word.
-    fn news(&mut self) -> Option<Word> {
-        let Phase::Ready = self.phase else {
-            return None;
-        };
-        let standing = *self.client.hand()?;
-        if self.newest.replace(standing.period) == Some(standing.period) {
+    /// A new report as a master sample.
+    fn take_sample(&mut self) -> Option<MasterSample> {
+        if !self.is_ready() {
             return None;
         }
-        self.standing = Some(standing);
-        Some(Word {
-            hand: standing.pose,
-            age_us: u64::from(self.client.link().round_trip_us()) / 2,
+        let telemetry = *self.session.client().master()?;
+        if self.newest_period.replace(telemetry.period) == Some(telemetry.period) {
+            return None;
+        }
+        self.telemetry = Some(telemetry);
+        Some(MasterSample {
+            pose: telemetry.pose,
+            age_us: u64::from(self.round_trip_us()) / 2,
         })
     }
 
-    /// Notes what has come of the force on the tool.
-    fn note(&mut self, at_us: u64, news: Option<&Word>) {
-        let felt = match (self.line.told_force(), news, &self.standing) {
-            (Some(force), ..) => Felt {
+    /// Keeps the force that the arm received or renders.
+    fn keep_force(&mut self, at_us: u64, sample: Option<&MasterSample>) {
+        let force = match (
+            self.session.line_mut().remote_force(),
+            sample,
+            &self.telemetry,
+        ) {
+            (Some(force), ..) => ForceSample {
                 at_us,
-                what: What::Told(force),
+                value: ForceValue::Received(force),
             },
-            (None, Some(word), Some(standing)) => Felt {
-                at_us: at_us.saturating_sub(word.age_us),
-                what: What::Reflected {
-                    force: newtons(standing.feedback),
-                    owes: standing.energy < 0,
+            (None, Some(sample), Some(telemetry)) => ForceSample {
+                at_us: at_us.saturating_sub(sample.age_us),
+                value: ForceValue::Reported {
+                    force: newtons(telemetry.feedback),
+                    is_in_deficit: telemetry.energy < 0,
                 },
             },
             _ => return,
         };
-        if self.felt.len() < MOST_FELT {
-            self.felt.push_back(felt);
-        }
-    }
-
-    fn open_again(&mut self, now_us: u64) {
-        if now_us < self.reopen_at_us {
-            return;
-        }
-        self.reopen_at_us = now_us + REOPEN_US;
-        if let Some(Ok(line)) = self.reopen.as_mut().map(|reopen| reopen()) {
-            self.line = line;
-            self.now_us = 0;
-            self.origin = None;
-            self.transmit.clear();
-            self.phase = Phase::Connecting;
+        if self.forces.len() < MAX_FORCES {
+            self.forces.push_back(force);
         }
     }
 }
 
-impl<L: Line> Source for Arm<L> {
+impl<L: Line> MasterDevice for Arm<L> {
     fn prepare(&mut self) -> Result<(), Error> {
-        if self.board.is_none() {
-            return Ok(());
+        let startup = self.session.startup_mut();
+        if startup.is_some_and(|startup| startup.has_board()) {
+            self.session.identify(PREPARE_US)?;
         }
-        self.step()?;
-        self.phase = Phase::Asking;
-        self.client.connect((self.numbers)(), self.now_us);
-        let begun_us = self.now_us;
-        while !self.agreed {
-            self.step()?;
-            if matches!(self.phase, Phase::Gone) || self.now_us - begun_us > PREPARE_US {
-                let what = format!(
-                    "{}: the haptic arm does not answer: {}",
-                    self.line.name(),
-                    self.why
-                );
-                return Err(Error::new(ErrorKind::Port, what));
-            }
-        }
-        self.phase = Phase::Connecting;
-        self.why = "is being connected".to_string();
         Ok(())
     }
 
-    fn advance(&mut self, now_us: u64) -> Result<Option<Word>, Error> {
-        if let Phase::Gone = self.phase {
-            self.open_again(now_us);
+    fn advance(&mut self, now_us: u64) -> Result<Option<MasterSample>, Error> {
+        if *self.session.phase() == Phase::Disconnected {
+            if self.session.reopen(now_us) {
+                self.origin_us = None;
+            }
             return Ok(None);
         }
-        let (loop_us, line_us) = match self.origin {
+        let (loop_us, line_us) = match self.origin_us {
             Some(origin) => origin,
-            // The line's clock may have run for long before anybody looked at it.
             None => {
-                self.step()?;
-                if let Phase::Gone = self.phase {
+                // The line may have been open for long: this step reads its clock.
+                if !self.step()? {
                     return Ok(None);
                 }
-                let why = std::mem::take(&mut self.why);
-                self.connect(why);
-                *self.origin.insert((now_us, self.now_us))
+                self.session.begin_next();
+                *self.origin_us.insert((now_us, self.session.now_us()))
             }
         };
         let mut newest = None;
         loop {
-            self.step()?;
-            if let Phase::Gone = self.phase {
+            if !self.step()? {
                 return Ok(None);
             }
-            let at_us = loop_us + self.now_us.saturating_sub(line_us);
-            let news = self.news();
-            self.note(at_us, news.as_ref());
-            newest = news.or(newest);
+            let at_us = loop_us + self.session.now_us().saturating_sub(line_us);
+            let sample = self.take_sample();
+            self.keep_force(at_us, sample.as_ref());
+            newest = sample.or(newest);
             if at_us >= now_us {
                 return Ok(newest);
             }
         }
     }
 
-    fn standing(&self) -> Standing {
-        match (&self.phase, &self.standing) {
-            (Phase::Ready, Some(standing)) => match standing.problem {
-                None => Standing::Ready,
+    fn status(&self) -> MasterStatus {
+        match (self.is_ready(), &self.telemetry) {
+            (true, Some(telemetry)) => match telemetry.problem {
+                None => MasterStatus::Ready,
                 Some(problem) => {
-                    Standing::Off(format!("the arm is off: {}", said(&Event::Master(problem))))
+                    let problem = self.session.describe(&Event::Master(problem));
+                    MasterStatus::Disabled(format!("the arm is disabled: {problem}"))
                 }
             },
-            (Phase::Ready, None) => Standing::Waiting("has said nothing yet".to_string()),
-            _ => Standing::Waiting(self.why.clone()),
+            (true, None) => MasterStatus::Waiting("no telemetry was received yet".to_string()),
+            _ => MasterStatus::Waiting(match self.session.reason() {
+                "" => "is being connected".to_string(),
+                reason => reason.to_string(),
+            }),
         }
     }
 
-    fn feel(&mut self, force: [i16; COMPONENTS]) {
-        if let Phase::Ready = self.phase {
-            // Without a session nobody would feel it.
-            let _ = self.client.feel(force);
+    fn send_force(&mut self, force: [i16; COMPONENTS]) {
+        if self.is_ready() {
+            // Fails without a session only: the arm gets no force then.
+            let _ = self.session.client_mut().send_remote_force(force);
         }
     }
 
-    fn feeling(&self) -> Option<Feeling> {
-        self.standing.as_ref().map(|standing| Feeling {
-            force: newtons(standing.force),
-            reflected: newtons(standing.feedback),
+    fn force(&self) -> Option<MasterForce> {
+        self.telemetry.as_ref().map(|telemetry| MasterForce {
+            force: newtons(telemetry.force),
+            reflected: newtons(telemetry.feedback),
         })
     }
 
-    fn felt(&mut self) -> Option<Felt> {
-        self.felt.pop_front()
+    fn next_force_sample(&mut self) -> Option<ForceSample> {
+        self.forces.pop_front()
     }
 
-    fn reflection(&self) -> Option<ForceFeedback> {
-        self.reflection
+    fn force_feedback(&self) -> Option<ForceFeedback> {
+        self.force_feedback
     }
 
     fn reset(&mut self) {
-        if let Phase::Ready = self.phase {
-            self.client.request(Command::Reset);
-            self.client.request(Command::Enable);
+        if self.is_ready() {
+            let client = self.session.client_mut();
+            client.request(Command::Reset);
+            client.request(Command::Enable);
         }
     }
 
-    fn happened(&mut self) -> Option<String> {
-        self.happened.pop_front()
+    fn next_message(&mut self) -> Option<String> {
+        self.messages.pop_front()
     }
 
     fn round_trip_us(&self) -> u32 {
-        self.client.link().round_trip_us()
+        self.session.client().link().round_trip_us()
     }
 }

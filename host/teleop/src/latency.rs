@@ -1,10 +1,15 @@
-//! From the force that the tool feels to the force at the hand: how long it takes.
+//! Latency from the force measured at the tool to the force at the master.
 //!
-//! Every force that is told to the arm is kept with the moment at which it was sensed. When the arm's controller has it, the way is over: from that period on the motors act by it.
+//! Every force that is sent to the arm is kept with the time of its measurement. The latency ends
+//! in the period in which the controller of the arm has it: from then on the motors act on it.
 //!
-//! Where both controllers can be looked into, both moments are exact, to the control period, and so is the force. Behind a port the first is that of the machine's report, half a round trip before it came; the wait
-//! for the next report is not in it then. The second is when the arm reports what the law of reflection makes of the force. Values are told apart by their size there, so a force that stays as it is, or that the law
-//! clamps to the same limit, measures nothing. Nor is anything measured while the hand owes energy: its arm then smooths what is reflected, and shows the law's values late or never.
+//! With both controllers in the simulator, both times are exact to the control period, and so is
+//! the force. Behind a port the first time is that of the machine's report, half a round trip
+//! before its arrival, without the wait for that report; the second is when the arm reports the
+//! output of the feedback law for that force. Forces are identified by their values there: a force
+//! that stays constant, or that the law clamps to the same limit, gives no measurement. Nor is
+//! there one while the passivity observer has an energy deficit: the arm then low-passes the
+//! fed-back force.
 //!
 //! Units: microseconds, N.
 
@@ -12,76 +17,76 @@ use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback};
 use serde::Serialize;
 use std::collections::VecDeque;
 
-/// What has come of the force on the tool at a moment.
+/// A force at the master.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Felt {
-    /// When the motors' currents have it, microseconds of the loop.
+pub struct ForceSample {
+    /// When it determines the motors' currents, microseconds of the loop.
     pub at_us: u64,
-    /// What it is.
-    pub what: What,
+    /// The force.
+    pub value: ForceValue,
 }
 
-/// What is known of a force at the hand.
+/// What is known of a force at the master.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum What {
-    /// What the arm's controller was told last, 2^-6 N: it can be looked into.
-    Told([i16; COMPONENTS]),
-    /// What it reports.
-    Reflected {
-        /// The law's force, N.
+pub enum ForceValue {
+    /// The force that a simulated controller received last, 2^-6 N.
+    Received([i16; COMPONENTS]),
+    /// A report of the controller.
+    Reported {
+        /// Output of the feedback law, N.
         force: [f64; COMPONENTS],
-        /// The hand owes energy.
-        owes: bool,
+        /// The passivity observer has an energy deficit.
+        is_in_deficit: bool,
     },
 }
 
-/// Two forces are the same when they differ by less, N: the coarsest step of what is told is 1/256.
+/// Forces that differ by less are equal, N: the coarsest resolution of a report is 1/256.
 const SAME: f64 = 0.006;
 
-/// Forces are only waited for when they differ from the one before by so much, N.
-const APART: f64 = 0.03;
+/// A force is followed when it differs from the one before by this much, N.
+const MIN_CHANGE: f64 = 0.03;
 
-/// And when it is no noise of the sensor, N.
-const CLEAR: f64 = 0.2;
+/// A force is followed when it is larger than the noise of the sensor, N.
+const MIN_FORCE: f64 = 0.2;
 
-/// A force that was not seen at the hand for so long never will be, microseconds.
-const PATIENCE_US: u64 = 500_000;
+/// A force that is not seen at the master within this time is dropped, microseconds.
+const TIMEOUT_US: u64 = 500_000;
 
-/// A force on its way.
+/// A force that was sent.
 #[derive(Debug, Clone, Copy)]
-struct Told {
-    sensed_us: u64,
+struct SentForce {
+    measured_us: u64,
     /// 2^-6 N.
     force: [i16; COMPONENTS],
-    /// What the law will make of it, N, where that can be told from what it made of the one before.
+    /// Output of the feedback law for it, N, where that differs enough from the one before.
     expected: Option<[f64; COMPONENTS]>,
 }
 
-/// Measures it.
+/// Measures the latency.
 #[derive(Debug, Clone, Default)]
 pub struct Latency {
     law: Option<ForceFeedback>,
-    /// The force now, 2^-6 N, and since when it is so.
-    sensed: ([i16; COMPONENTS], u64),
-    /// The force that was told last.
-    told: [i16; COMPONENTS],
-    /// What the law makes of the last one that it can be known by.
-    last: [f64; COMPONENTS],
-    under_way: VecDeque<Told>,
-    seen: Option<What>,
-    samples: Vec<u64>,
+    /// The force now, 2^-6 N, and the time of its first measurement.
+    measured: ([i16; COMPONENTS], u64),
+    /// The force that was sent last.
+    sent: [i16; COMPONENTS],
+    /// Output of the feedback law for the last force that can be identified.
+    last_expected: [f64; COMPONENTS],
+    in_flight: VecDeque<SentForce>,
+    newest: Option<ForceValue>,
+    latencies_us: Vec<u64>,
 }
 
-/// What was measured, milliseconds.
+/// Statistics of the latency, milliseconds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LatencyFigures {
-    /// Forces that were followed from tool to hand.
+    /// Forces that were followed from tool to master.
     pub count: usize,
-    /// Half of them took no longer.
+    /// Median.
     pub median_ms: f64,
-    /// 95 of 100 took no longer.
+    /// 95th percentile.
     pub p95_ms: f64,
-    /// None took longer.
+    /// Maximum.
     pub largest_ms: f64,
 }
 
@@ -90,7 +95,7 @@ fn differ(one: &[f64; COMPONENTS], other: &[f64; COMPONENTS], by: f64) -> bool {
 }
 
 impl Latency {
-    /// For a law of reflection; without one nothing is measured.
+    /// For a feedback law; without one nothing is measured.
     #[must_use]
     pub fn new(law: Option<ForceFeedback>) -> Self {
         Self {
@@ -99,15 +104,15 @@ impl Latency {
         }
     }
 
-    /// The tool feels this at a moment.
-    pub fn sensed(&mut self, at_us: u64, force: [i16; COMPONENTS]) {
-        if force != self.sensed.0 {
-            self.sensed = (force, at_us);
+    /// Records the force measured at the tool.
+    pub fn record_measured(&mut self, at_us: u64, force: [i16; COMPONENTS]) {
+        if force != self.measured.0 {
+            self.measured = (force, at_us);
         }
     }
 
-    /// This is told to the arm now.
-    pub fn told(&mut self, force: [i16; COMPONENTS]) {
+    /// Records the force that is sent to the arm now.
+    pub fn record_sent(&mut self, force: [i16; COMPONENTS]) {
         let Some(law) = &self.law else {
             return;
         };
@@ -116,53 +121,59 @@ impl Latency {
             let share = f64::from(force[axis]) / 64.0 * f64::from(law.axes[axis].percent) / 100.0;
             share.clamp(-most, most)
         });
-        // A force that was told later than it was sensed belongs to a report of before.
-        if force != self.sensed.0 || force == self.told {
+        // A force other than the newest one belongs to an earlier measurement.
+        if force != self.measured.0 || force == self.sent {
             return;
         }
-        self.told = force;
-        let clear = expected.iter().any(|part| part.abs() >= CLEAR);
-        let known = clear && differ(&expected, &self.last, APART);
-        if known {
-            self.last = expected;
+        self.sent = force;
+        let is_large = expected.iter().any(|part| part.abs() >= MIN_FORCE);
+        let is_known = is_large && differ(&expected, &self.last_expected, MIN_CHANGE);
+        if is_known {
+            self.last_expected = expected;
         }
-        self.under_way.push_back(Told {
-            sensed_us: self.sensed.1,
+        self.in_flight.push_back(SentForce {
+            measured_us: self.measured.1,
             force,
-            expected: known.then_some(expected),
+            expected: is_known.then_some(expected),
         });
     }
 
-    /// The arm's controller has this.
-    pub fn felt(&mut self, felt: &Felt) {
-        if self.seen == Some(felt.what) {
+    /// Records a force at the master.
+    pub fn record_at_master(&mut self, sample: &ForceSample) {
+        if self.newest == Some(sample.value) {
             return;
         }
-        self.seen = Some(felt.what);
-        self.under_way
-            .retain(|told| felt.at_us.saturating_sub(told.sensed_us) < PATIENCE_US);
-        let seen = match felt.what {
-            What::Told(force) => self.under_way.iter().position(|told| told.force == force),
-            What::Reflected { owes: true, .. } => {
-                self.under_way.clear();
+        self.newest = Some(sample.value);
+        self.in_flight
+            .retain(|sent| sample.at_us.saturating_sub(sent.measured_us) < TIMEOUT_US);
+        let index = match sample.value {
+            ForceValue::Received(force) => {
+                self.in_flight.iter().position(|sent| sent.force == force)
+            }
+            ForceValue::Reported {
+                is_in_deficit: true,
+                ..
+            } => {
+                self.in_flight.clear();
                 None
             }
-            What::Reflected { force, .. } => self.under_way.iter().position(|told| {
-                told.expected
+            ForceValue::Reported { force, .. } => self.in_flight.iter().position(|sent| {
+                sent.expected
                     .is_some_and(|expected| !differ(&expected, &force, SAME))
             }),
         };
-        if let Some(index) = seen {
-            let told = self.under_way[index];
-            self.under_way.drain(..=index);
-            self.samples.push(felt.at_us.saturating_sub(told.sensed_us));
+        if let Some(index) = index {
+            let sent = self.in_flight[index];
+            self.in_flight.drain(..=index);
+            self.latencies_us
+                .push(sample.at_us.saturating_sub(sent.measured_us));
         }
     }
 
-    /// What was measured; `None` when nothing was.
+    /// The statistics; `None` when nothing was measured.
     #[must_use]
     pub fn figures(&self) -> Option<LatencyFigures> {
-        let mut sorted = self.samples.clone();
+        let mut sorted = self.latencies_us.clone();
         sorted.sort_unstable();
         let at = |part: f64| {
             let index = (part * sorted.len() as f64).ceil() as usize;
@@ -183,7 +194,7 @@ mod tests {
     use super::*;
     use haptimill_protocol::haptic::ForceFeedbackAxis;
 
-    /// Half of it, at most 2 N, is reflected.
+    /// Half of the force, at most 2 N, is fed back.
     fn law() -> Option<ForceFeedback> {
         let axis = ForceFeedbackAxis {
             percent: 50,
@@ -195,36 +206,36 @@ mod tests {
         })
     }
 
-    /// A force that grows by 1 N every 5 ms, told 1 ms later, at the hand another 2 ms later.
-    fn growing(what: impl Fn(u64) -> What) -> LatencyFigures {
+    /// A force that grows by 1 N every 5 ms, and is at the master 3 ms after its measurement.
+    fn measure_ramp(value: impl Fn(u64) -> ForceValue) -> LatencyFigures {
         let mut latency = Latency::new(law());
         for step in 1..=10_u64 {
             let force = [0, 0, (step * 64) as i16];
             let now = step * 5000;
-            latency.sensed(now, force);
-            latency.sensed(now + 200, force);
-            latency.told(force);
+            latency.record_measured(now, force);
+            latency.record_measured(now + 200, force);
+            latency.record_sent(force);
             for at_us in [now + 3000, now + 3200] {
-                let what = what(step);
-                latency.felt(&Felt { at_us, what });
+                let value = value(step);
+                latency.record_at_master(&ForceSample { at_us, value });
             }
         }
         latency.figures().unwrap()
     }
 
     #[test]
-    fn each_force_is_followed_from_the_period_in_which_it_was_sensed() {
-        let figures = growing(|step| What::Told([0, 0, (step * 64) as i16]));
+    fn each_force_is_followed_from_the_period_of_its_measurement() {
+        let figures = measure_ramp(|step| ForceValue::Received([0, 0, (step * 64) as i16]));
         assert_eq!(figures.count, 10);
         assert_eq!((figures.median_ms, figures.largest_ms), (3.0, 3.0));
         assert_eq!(Latency::new(None).figures(), None);
     }
 
     #[test]
-    fn what_the_law_clamps_or_smooths_is_not_followed() {
-        let figures = growing(|step| What::Reflected {
+    fn a_force_that_is_clamped_or_filtered_is_not_followed() {
+        let figures = measure_ramp(|step| ForceValue::Reported {
             force: [0.0, 0.0, (step as f64 / 2.0).min(2.0)],
-            owes: step == 2,
+            is_in_deficit: step == 2,
         });
         // 0.5, not 1, 1.5 and 2 N.
         assert_eq!(figures.count, 3);
@@ -232,19 +243,19 @@ mod tests {
     }
 
     #[test]
-    fn a_force_that_was_overtaken_is_not_followed() {
+    fn a_force_that_a_newer_one_replaced_is_not_followed() {
         let mut latency = Latency::new(law());
         for (now, force) in [(0, [64, 0, 0]), (1000, [128, 0, 0])] {
-            latency.sensed(now, force);
-            latency.told(force);
+            latency.record_measured(now, force);
+            latency.record_sent(force);
         }
-        latency.felt(&Felt {
+        latency.record_at_master(&ForceSample {
             at_us: 4000,
-            what: What::Told([128, 0, 0]),
+            value: ForceValue::Received([128, 0, 0]),
         });
-        latency.felt(&Felt {
+        latency.record_at_master(&ForceSample {
             at_us: 5000,
-            what: What::Told([64, 0, 0]),
+            value: ForceValue::Received([64, 0, 0]),
         });
         let figures = latency.figures().unwrap();
         assert_eq!((figures.count, figures.median_ms), (1, 3.0));

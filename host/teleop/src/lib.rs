@@ -1,130 +1,137 @@
-//! A hand leads a machine from afar: the live loop between what a person moves and the controller that follows.
+//! Teleoperation: a master device moves the tool of a machine, and the force on the tool is fed
+//! back to the master.
 //!
-//! A [`Source`] says where the hand is: a haptic arm on a controller of its own ([`arm`]), or keys and sticks that move a handle that does not exist ([`held`]). The loop ([`Teleop`]) hands
-//! each new word of it to the controller of the machine as a latest value with its age, and brings what the tool feels back to the source. Nothing is queued: a hand has only a present.
+//! A [`MasterDevice`] reports the pose of a handle: a haptic arm on a controller of its own
+//! ([`arm`]), or keys and sticks that move a virtual handle ([`input`]). The loop ([`Teleop`])
+//! sends each new [`MasterSample`] with its age to the controller of the machine as a last-value
+//! message, and sends the force on the tool to the master. Nothing is queued.
 //!
 //! ```text
-//! master arm -> its controller -> MasterTelemetry -> host -> MasterPose { epoch, age } -> machine controller -> tool
-//! hand <- arm's controller <- Feel <- host <- Telemetry { force } <- machine's controller <- force sensor
+//! haptic arm -> its controller -> MasterTelemetry -> host -> MasterPose { epoch, age } -> machine controller -> tool
+//! haptic arm <- its controller <- RemoteForce <- host <- Telemetry { force } <- machine controller <- force sensor
 //! ```
 //!
-//! What keeps it safe is in the controllers: the machine holds when the newest word is older than `stale_ms`, and goes on only when told to; the arm lets go of the hand 100 ms after the last
-//! word of the force. The loop never goes on by itself after a hold.
+//! The controllers ensure safety: the machine holds when the newest sample is older than
+//! `stale_ms`, and resumes on command only; the arm exerts no more force 100 ms after the last force
+//! message. The loop never resumes by itself.
 //!
-//! With both controllers in the simulator the loop runs in virtual time and leaves the same bits every time. With a port on either side it runs in real time.
+//! With both controllers in the simulator the loop runs in virtual time and is deterministic to the
+//! bit. With a port on either side it runs in real time.
 //!
-//! Misuse: a source that says the same place again and again with age 0. It would look alive when it is not; say a word when there is news, and nothing otherwise.
+//! Implementations of [`MasterDevice`] must return a sample only when it is new: an old pose
+//! repeated with age 0 defeats the supervision of the machine.
 
 pub mod arm;
-pub mod held;
+pub mod input;
 pub mod latency;
 mod outcome;
 mod run;
 pub mod script;
 
-pub use arm::{Arm, PersonLine};
-pub use latency::{Felt, Latency, LatencyFigures};
-pub use outcome::{Ended, Outcome, Row, Stop};
+pub use arm::{Arm, OperatorLine};
+pub use latency::{ForceSample, Latency, LatencyFigures};
+pub use outcome::{Ended, HoldRecord, Outcome, Row};
 pub use run::{Teleop, TeleopOptions};
-pub use script::{Heard, Order, Script};
+pub use script::{Order, OrderInput, Script};
 
 use haptimill_client::Error;
 use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterPose};
 
-/// G_P, the scale from hand to tool, may be this.
+/// Range of G_P, the scale from master to tool.
 pub const SCALES: std::ops::RangeInclusive<f64> = 0.1..=2.0;
 
-/// Where a hand is, and how old that is.
+/// A pose of the master and its age.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Word {
-    /// The hand.
-    pub hand: MasterPose,
-    /// How long ago it was so, microseconds.
+pub struct MasterSample {
+    /// The pose.
+    pub pose: MasterPose,
+    /// Time since it was measured, microseconds.
     pub age_us: u64,
 }
 
-/// What a hand feels, N.
+/// Forces at the master, N.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Feeling {
-    /// What it is made to feel.
+pub struct MasterForce {
+    /// Force that the motors exert.
     pub force: [f64; COMPONENTS],
-    /// What the law of reflection alone makes of the force on the tool.
+    /// Force of the feedback law alone.
     pub reflected: [f64; COMPONENTS],
 }
 
-/// Whether a source can lead.
+/// Whether a master can move the tool.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Standing {
+pub enum MasterStatus {
     /// It can.
     Ready,
-    /// Not now, and why: it is not heard.
+    /// It sends no samples now, for this reason.
     Waiting(String),
-    /// Not until somebody has looked after it, and why: it is heard, and off by a fault.
-    Off(String),
+    /// It is disabled by a fault, which the operator must clear.
+    Disabled(String),
 }
 
-impl Standing {
-    /// Why it cannot, if it cannot.
+impl MasterStatus {
+    /// Why the master is not ready; `None` when it is.
     #[must_use]
-    pub fn why(&self) -> Option<&str> {
+    pub fn reason(&self) -> Option<&str> {
         match self {
             Self::Ready => None,
-            Self::Waiting(why) | Self::Off(why) => Some(why),
+            Self::Waiting(reason) | Self::Disabled(reason) => Some(reason),
         }
     }
 }
 
-/// Something that says where a hand is.
-pub trait Source {
-    /// Looks whether there is a source at all; called before anything moves.
+/// A device that an operator moves.
+pub trait MasterDevice {
+    /// Checks that the device is there; called before anything moves.
     ///
     /// # Errors
-    /// What is there is no source, or does not answer.
+    /// The device is of another kind or does not answer.
     fn prepare(&mut self) -> Result<(), Error> {
         Ok(())
     }
 
-    /// Goes on to a time of the loop, microseconds; gives the newest word, if there is a new one.
+    /// Advances to a time of the loop, microseconds, and returns the newest sample if there is a
+    /// new one.
     ///
     /// # Errors
-    /// It will never lead: what is there is no source. A link that is lost is no error, see [`Source::standing`].
-    fn advance(&mut self, now_us: u64) -> Result<Option<Word>, Error>;
+    /// The device is of another kind. A lost link is no error, see [`MasterDevice::status`].
+    fn advance(&mut self, now_us: u64) -> Result<Option<MasterSample>, Error>;
 
-    /// Whether it can lead now.
-    fn standing(&self) -> Standing;
+    /// Whether the master can move the tool now.
+    fn status(&self) -> MasterStatus;
 
-    /// What the tool feels now: forces on it along x, y, z, 2^-6 N.
-    fn feel(&mut self, _force: [i16; COMPONENTS]) {}
+    /// Sends the force on the tool to the device: x, y, z, in 2^-6 N.
+    fn send_force(&mut self, _force: [i16; COMPONENTS]) {}
 
-    /// What the hand is made to feel, if it is made to feel anything.
-    fn feeling(&self) -> Option<Feeling> {
+    /// Forces at the master; `None` for a device without motors.
+    fn force(&self) -> Option<MasterForce> {
         None
     }
 
-    /// What its controller made of the forces that it was told, one moment after the other.
-    fn felt(&mut self) -> Option<Felt> {
+    /// The next force that the controller of the device received or rendered.
+    fn next_force_sample(&mut self) -> Option<ForceSample> {
         None
     }
 
-    /// The law of reflection, where there is one.
-    fn reflection(&self) -> Option<ForceFeedback> {
+    /// The feedback law of the device, if it has one.
+    fn force_feedback(&self) -> Option<ForceFeedback> {
         None
     }
 
-    /// Its fault was looked after.
+    /// Clears the fault of the device.
     fn reset(&mut self) {}
 
-    /// What went wrong with it, in words.
-    fn happened(&mut self) -> Option<String> {
+    /// The next message about a fault of the device.
+    fn next_message(&mut self) -> Option<String> {
         None
     }
 
-    /// What the operator orders on it.
-    fn order(&mut self) -> Option<Order> {
+    /// The next order that the operator gave at the device.
+    fn next_order(&mut self) -> Option<Order> {
         None
     }
 
-    /// Time from here to its controller and back, microseconds; 0 where there is none.
+    /// Round-trip time to the controller of the device, microseconds; 0 where there is none.
     fn round_trip_us(&self) -> u32 {
         0
     }

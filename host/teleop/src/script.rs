@@ -1,6 +1,8 @@
-//! Scripts of a session: what a simulated person does at the haptic arm, and what the operator orders, in TOML.
+//! Scripts of a session in TOML: the motion of a simulated operator at the haptic arm, and orders.
 //!
-//! Times are seconds, of the person since the arm's motors came on, of orders since the hand may lead, which is the same to a few hundredths. Places are mm of the tip from its home.
+//! Times are seconds: of the motion since the motors of the arm were enabled, of orders since the
+//! session started, which is the same to a few hundredths. Positions are mm of the tip from its
+//! home.
 
 use super::SCALES;
 use haptimill_client::Error;
@@ -11,38 +13,39 @@ use haptimill_machine_file::read_text;
 use std::path::Path;
 use std::str::FromStr;
 
-/// The script that `--master sim` carries out.
+/// The script of `--master sim`.
 pub const BUILT_IN: &str = include_str!("../../../examples/teleop.toml");
 
-/// What the operator orders.
+/// An order of the operator.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Order {
-    /// Slow down and wait.
+    /// Feed hold.
     Hold,
-    /// Go on after a hold, from where hand and tool are then.
+    /// Resume after a hold, from the present positions of master and tool.
     Resume,
-    /// Slow down and drop the job.
+    /// Decelerate and drop the job.
     Stop,
-    /// The hand leads no more; the job comes to its end.
+    /// Complete the job.
     End,
-    /// The fault of the arm was looked after: it may have power again.
+    /// Clear the fault of the arm and enable its motors.
     ResetHand,
-    /// Another G_P.
+    /// Set G_P.
     Scale(f64),
 }
 
-/// What came from those who order.
+/// A message of an order input.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Heard {
+pub enum OrderInput {
     /// An order.
     Order(Order),
-    /// Something that is none, and what would be one.
-    NoOrder(String),
-    /// Nothing can be heard any more, and why: whoever orders `stop` now is not heard. The end of an input is no such thing.
+    /// Text that is no order, with the remedy.
+    Invalid(String),
+    /// The input failed, with the reason: a `stop` would not arrive any more. The end of an input
+    /// is no failure.
     Lost(String),
 }
 
-/// How orders are written.
+/// Syntax of the orders.
 pub const ORDERS: &str = "hold, resume, stop, end, reset-hand, or gp=SCALE (0.1 to 2)";
 
 impl FromStr for Order {
@@ -63,10 +66,10 @@ impl FromStr for Order {
     }
 }
 
-/// Checks G_P.
+/// Converts G_P to the units of the protocol.
 ///
 /// # Errors
-/// The bounds, in words.
+/// The value is out of range.
 pub fn scale(scale: f64) -> Result<u16, String> {
     if SCALES.contains(&scale) {
         Ok((scale * 4096.0).round() as u16)
@@ -81,13 +84,13 @@ pub fn scale(scale: f64) -> Result<u16, String> {
 /// A script.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Script {
-    /// What the hand means to do.
+    /// Motion of the operator.
     stroke: Vec<Stroke>,
-    /// When the button is pressed and let go.
+    /// Times at which the enabling switch is pressed and released.
     button: Vec<Button>,
-    /// What the operator orders.
+    /// Orders with their times.
     order: Vec<Ordered>,
-    /// When the session ends; 1 s after the last of all this begins when it is not given.
+    /// End of the session; 1 s after the start of the last entry when it is not given.
     end_s: Option<f64>,
 }
 
@@ -103,12 +106,12 @@ struct Ordered {
     order: Order,
 }
 
-/// Times may be this.
+/// Range of times.
 fn times() -> Allowed {
     real(0.0, 3600.0, "s")
 }
 
-/// The blocks of a kind, each with its time.
+/// Reads the blocks of a kind, each with its time.
 fn blocks<T>(
     root: &Section<'_, '_>,
     key: &'static str,
@@ -134,7 +137,7 @@ fn blocks<T>(
     root.list(key).into_iter().filter_map(block).collect()
 }
 
-/// The key of the end.
+/// Key of the end of the session.
 const END: &str = "end_s";
 
 fn stroke(at_s: f64, section: &Section<'_, '_>) -> Stroke {
@@ -165,7 +168,7 @@ impl Script {
     /// Reads a script from disk.
     ///
     /// # Errors
-    /// It cannot be read, or says what makes no sense, with the lines.
+    /// It cannot be read, or has mistakes, with their lines.
     pub fn load(path: &Path) -> Result<Self, Error> {
         let file = path.display().to_string();
         let text = read_text(path)?;
@@ -204,14 +207,14 @@ impl Script {
             .chain(self.order.iter().map(|order| order.at_s))
     }
 
-    /// When the session ends, s.
+    /// End of the session, s.
     #[must_use]
     pub fn end_s(&self) -> f64 {
         let last = || self.times().fold(0.0, f64::max) + 1.0;
         self.end_s.unwrap_or_else(last)
     }
 
-    /// What the operator orders, in the order of time.
+    /// The orders, sorted by time.
     #[must_use]
     pub fn orders(&self) -> Vec<(f64, Order)> {
         let order = |ordered: &Ordered| (ordered.at_s, ordered.order);
@@ -221,18 +224,18 @@ impl Script {
     }
 }
 
-/// The person of a script.
+/// The operator of a script.
 #[derive(Debug, Clone)]
-pub struct Person {
+pub struct ScriptedOperator {
     strokes: Option<Trajectory>,
-    /// Latest first.
+    /// The latest first.
     buttons: Vec<Button>,
-    /// When the motors came on, ns.
-    begun: Option<u64>,
+    /// When the motors were enabled, ns.
+    start_ns: Option<u64>,
 }
 
-impl Person {
-    /// The person of a script.
+impl ScriptedOperator {
+    /// The operator of a script.
     #[must_use]
     pub fn new(script: &Script) -> Self {
         let mut buttons = script.button.clone();
@@ -240,18 +243,18 @@ impl Person {
         Self {
             strokes: Some(Trajectory::Strokes(script.stroke.clone())),
             buttons,
-            begun: None,
+            start_ns: None,
         }
     }
 
-    /// Before each control period.
+    /// Moves the arm; called before each control period.
     pub fn act<C: Control>(&mut self, rig: &mut Rig<C>) {
         let now = rig.time_ns();
-        if self.begun.is_none() && !rig.outputs().haptic.enabled {
+        if self.start_ns.is_none() && !rig.outputs().haptic.enabled {
             return;
         }
-        let begun = *self.begun.get_or_insert(now);
-        let time_s = (now - begun) as f64 * 1e-9;
+        let start_ns = *self.start_ns.get_or_insert(now);
+        let time_s = (now - start_ns) as f64 * 1e-9;
         let Some(arm) = rig.plant_mut().haptic_mut() else {
             return;
         };
@@ -269,10 +272,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_makes_no_sense_is_told_with_its_place() {
-        let said = |text: &str| Script::parse("s.toml", text).unwrap_err().message;
+    fn mistakes_are_reported_with_their_lines() {
+        let problems_of = |text: &str| Script::parse("s.toml", text).unwrap_err().message;
         assert_eq!(
-            said(
+            problems_of(
                 "end_s = 4\n\n[[button]]\nat_s = 1\n\n[[stroke]]\nat_s = 1\nto_mm = [1.0, 2]\nramp_s = 1\n"
             ),
             "s.toml:3:1: button[1].held: is missing; add `held = true` or `held = false`\n\
@@ -280,26 +283,26 @@ mod tests {
              s.toml:8:9: stroke[1].to_mm: has 2 numbers; write 3"
         );
         assert_eq!(
-            said("\n[[button]]\nat_s = 4000\nheld = 2\n"),
+            problems_of("\n[[button]]\nat_s = 4000\nheld = 2\n"),
             "s.toml:3:8: button[1].at_s: 4000 is out of range, allowed is 0 to 3600 s; lower it\n\
              s.toml:4:8: button[1].held: is a number, not true or false; write true or false"
         );
         assert!(
-            said("[[order]]\nat_s = 1\nwhat = \"go\"\n")
+            problems_of("[[order]]\nat_s = 1\nwhat = \"go\"\n")
                 .starts_with("s.toml:3:8: order[1].what: \"go\" is no order; write hold,")
         );
-        let bound = said("[[order]]\nat_s = 1\nwhat = \"gp=3\"\n");
+        let bound = problems_of("[[order]]\nat_s = 1\nwhat = \"gp=3\"\n");
         assert!(
             bound.ends_with("G_P of 3 is out of its range: 0.1 to 2"),
             "{bound}"
         );
-        assert!(said("end_s = -1.0").contains("0 to 3600 s"));
+        assert!(problems_of("end_s = -1.0").contains("0 to 3600 s"));
         assert_eq!(
-            said("[[button]]\nat_s = 1\nheld = true\nend_s = 4\n"),
+            problems_of("[[button]]\nat_s = 1\nheld = true\nend_s = 4\n"),
             "s.toml:4:9: button[1].end_s: is the end of the session, not of a block; move it to the top of the file, above the first block, or take it out of [[button]]"
         );
-        assert!(said("[[strok]]\nat_s = 1\n").starts_with("s.toml:1:"));
-        assert!(said("[[button]\nat_s = 1\n").starts_with("s.toml:1:"));
+        assert!(problems_of("[[strok]]\nat_s = 1\n").starts_with("s.toml:1:"));
+        assert!(problems_of("[[button]\nat_s = 1\n").starts_with("s.toml:1:"));
         let script = Script::parse("built in", BUILT_IN).unwrap();
         assert!(script.end_s() > 1.0);
         assert!(scale(0.1).is_ok() && scale(2.0) == Ok(8192) && scale(f64::NAN).is_err());

@@ -6,7 +6,7 @@ use haptimill::commands::CliError;
 use haptimill::commands::run::{self, RunArgs};
 use haptimill::commands::scenario::{self, ScenarioCommand};
 use haptimill_client::port::Board;
-use haptimill_client::session::pil::{self, Emulator, Setup};
+use haptimill_client::session::pil::{self, Emulator, EmulatorOptions};
 use haptimill_firmware::io::Outputs;
 use haptimill_firmware::snapshot::Snapshot;
 use haptimill_hil_sim::remote::RemoteController;
@@ -75,9 +75,9 @@ pub fn image(name: &'static str) -> PathBuf {
 
 /// Starts the controller on a chip.
 pub fn remote(board: Board, image: &Path, words: &[&str]) -> Remote {
-    let setup = Setup {
-        words: words.iter().map(ToString::to_string).collect(),
-        ..Setup::default()
+    let setup = EmulatorOptions {
+        arguments: words.iter().map(ToString::to_string).collect(),
+        ..EmulatorOptions::default()
     };
     let emulator = Emulator::start_with(board, image, &setup).expect("starts");
     let machine = MachineFile::built_in().expect("sound");

@@ -53,6 +53,7 @@ impl BoardArg {
             named: self.machine.is_some(),
             replace: self.replace_machine,
             base: None,
+            is_second: false,
         })
     }
 }

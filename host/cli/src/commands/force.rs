@@ -4,7 +4,7 @@ use super::simple::{SimpleArgs, open};
 use super::{CliError, Exit};
 use clap::{Args, Subcommand};
 use haptimill_client::board::Need;
-use haptimill_client::session::{LoopChoice, PortLine, Session};
+use haptimill_client::session::{ForceLoopChanges, PortLine, Session};
 use haptimill_machine_file::GATES;
 use haptimill_protocol::force::{COMPONENTS, ForceLoop, ForceTelemetry, Gate};
 
@@ -77,12 +77,12 @@ pub struct ForceArgs {
 impl ForceArgs {
     /// The settings that were given.
     #[must_use]
-    pub fn choice(&self) -> LoopChoice {
-        LoopChoice {
+    pub fn choice(&self) -> ForceLoopChanges {
+        ForceLoopChanges {
             desired_n: self.force_setpoint,
             mass: self.virtual_mass,
             damping: self.virtual_damping,
-            ..LoopChoice::default()
+            ..ForceLoopChanges::default()
         }
     }
 
@@ -149,7 +149,7 @@ pub fn run(command: ForceCommand) -> Result<(), CliError> {
         }
         ForceCommand::Set(args) => {
             let mut session = connect(&args.simple)?;
-            let choice = LoopChoice {
+            let choice = ForceLoopChanges {
                 limit_mm: args.limit,
                 rate_mm_s: args.rate,
                 gate: args.gate,

@@ -4,7 +4,7 @@ use super::args::{BoardArg, ConnectArgs, seconds};
 use super::simple::{open, print_status};
 use super::{CliError, Exit};
 use clap::Args;
-use haptimill_client::session::{EMERGENCY_STOP, has_tool};
+use haptimill_client::session::{EMERGENCY_STOP, check_has_tool};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::scale::per_unit;
 use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
@@ -105,7 +105,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
                 .map_err(lost)?;
         }
         session.step()?;
-        if session.now_us() >= end || session.interrupted() {
+        if session.now_us() >= end || session.is_interrupted() {
             break None;
         }
         if let Some(refusal) = session.refusal() {
@@ -113,7 +113,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
         }
     };
     let ticket = session.client_mut().cancel_jog();
-    session.wait_for_answer(ticket)?;
+    session.wait_for_acknowledgement(ticket)?;
     while session.status()?.state == State::Jog {}
     let mut limited = Vec::new();
     for (_, event) in &session.events[first..] {
@@ -140,7 +140,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
         return Err(CliError::new(Exit::Command, format!("jog: {refusal}")));
     }
     print_status(&mut session, args.json)?;
-    if session.interrupted() {
+    if session.is_interrupted() {
         return Err(CliError::new(Exit::Stopped, "stopped by the user").reported());
     }
     Ok(())
@@ -150,7 +150,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
 fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
     let usage = |what: String| CliError::new(Exit::Usage, what);
-    has_tool(machine)?;
+    check_has_tool(machine)?;
     let mut given = vec![false; machine.pose.len()];
     for command in &args.axes {
         let described = machine.config.model.descriptor().pose;

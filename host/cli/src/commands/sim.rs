@@ -8,7 +8,7 @@ use clap::Args;
 use haptimill_client::port::{TcpServer, Token, Transport};
 use haptimill_client::session;
 use haptimill_machine_file::input;
-use haptimill_teleop::script::Person;
+use haptimill_teleop::script::ScriptedOperator;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -87,7 +87,7 @@ impl FromStr for Listen {
 pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     let machine = args.machine.load()?;
     let script = args.operator.load(&machine)?;
-    let mut operator = script.as_ref().map(Person::new);
+    let mut operator = script.as_ref().map(ScriptedOperator::new);
     // The port limits the byte rate, so the simulated line in between has no rate limit.
     let faults = args.simulator.fault.clone();
     let mut rig = session::rig(&machine, args.simulator.seed, None, faults)?;

@@ -97,11 +97,11 @@ pub struct HomeArgs {
 pub fn home(args: HomeArgs) -> Result<(), CliError> {
     let chosen = args.simple.machine.load()?;
     if chosen.named {
-        session::has_tool(&chosen.file)?;
+        session::check_has_tool(&chosen.file)?;
     }
     let mut session = open(&args.simple.connect, &chosen.file)?;
     let machine = chosen.file_of(&mut session)?;
-    session::has_tool(&machine)?;
+    session::check_has_tool(&machine)?;
     if args.at_preset {
         // Checked before the position is set: afterwards the preset would be set without homing.
         let obstacle = match session.status()?.state {
@@ -120,7 +120,7 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     }
     session.enable()?;
     if args.again || !session.status()?.homed {
-        let home = session::home_of(&machine, session.model())?;
+        let home = session::find_home_pose(&machine, session.model())?;
         session.go_home(&machine, &home)?;
     } else if !args.simple.json {
         print_line!("the machine is homed already; --again homes it again");
@@ -204,7 +204,7 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
     let machine = session.machine_name();
     let configuration = session.configuration_crc();
     let model = session.model();
-    let fault = status.fault.map(|fault| session.sentence(&fault));
+    let fault = status.fault.map(|fault| session.describe(&fault));
     let pose = |values: &AxisValues| -> Vec<(String, f64)> {
         let units = model.to_engineering_units(values);
         model

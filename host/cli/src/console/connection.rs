@@ -12,7 +12,7 @@ use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_hil_sim::rig::Rig;
 use haptimill_machine_file::MachineFile;
-use haptimill_teleop::script::{Person, Script};
+use haptimill_teleop::script::{Script, ScriptedOperator};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
@@ -26,7 +26,7 @@ const IDLE_SLEEP: Duration = Duration::from_micros(500);
 struct PacedSim {
     rig: Rig<Controller>,
     /// Operator model at its haptic arm.
-    operator: Option<Person>,
+    operator: Option<ScriptedOperator>,
     pace: Pace,
     started: Instant,
 }
@@ -106,7 +106,7 @@ impl Connection {
         let stage = match spec {
             PortSpec::Simulator => Stage::Simulated(Box::new(PacedSim {
                 rig: session::rig(machine, seed, None, faults)?,
-                operator: operator.map(Person::new),
+                operator: operator.map(ScriptedOperator::new),
                 pace: Pace::new(u64::from(machine.config.period_us) * 1000),
                 started: Instant::now(),
             })),

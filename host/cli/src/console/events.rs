@@ -3,7 +3,7 @@
 use super::app::{App, FORCE_SCALES, OnAck};
 use super::view_model::{LinkState, Severity};
 use crate::commands::{CliError, Exit};
-use haptimill_client::client::{Notice, RequestError, Ticket};
+use haptimill_client::client::{Notification, RequestError, Ticket};
 use haptimill_machine_file::scale::PER_EFFORT;
 use haptimill_protocol::force::{ForceLoop, ForceParameter};
 use haptimill_protocol::message::{Command, Event, Refusal, State, Telemetry};
@@ -19,24 +19,24 @@ const BUSY_US: u64 = 20_000;
 const MASTER_MS: u32 = 100;
 
 impl App {
-    pub(super) fn handle_notice(&mut self, notice: Notice) -> Result<(), CliError> {
+    pub(super) fn handle_notice(&mut self, notice: Notification) -> Result<(), CliError> {
         match notice {
-            Notice::Connected(_) => self.begin()?,
-            Notice::Answered {
+            Notification::Connected(_) => self.begin()?,
+            Notification::Answered {
                 ticket,
                 command,
                 result,
             } => self.handle_answer(ticket, command, result),
-            Notice::Event { period, event } => self.handle_event(period, &event),
-            Notice::Telemetry(telemetry) => self.update_telemetry(*telemetry),
-            Notice::Refused(refusal) => {
+            Notification::Event { period, event } => self.handle_event(period, &event),
+            Notification::Telemetry(telemetry) => self.update_telemetry(*telemetry),
+            Notification::Refused(refusal) => {
                 let reason = self
                     .model
                     .with_axes(|axes| axes.describe(&refusal).to_string());
                 self.notify(Severity::Warning, format!("jog: {reason}"));
             }
-            Notice::Job(ending) => self.job_ended(&ending),
-            Notice::Lost(error) => {
+            Notification::Job(ending) => self.job_ended(&ending),
+            Notification::Lost(error) => {
                 if !self.connected_once {
                     let message = format!("{}: {error}", self.connection.name());
                     return Err(CliError::new(Exit::Port, message));

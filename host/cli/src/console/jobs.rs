@@ -6,7 +6,7 @@ use super::view_model::{Confirm, Overlay, Severity};
 use crate::commands::CliError;
 use crate::commands::program::PartProgram;
 use haptimill_client::client::JobEnding;
-use haptimill_client::session::way;
+use haptimill_client::session::plan_straight_move;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_planner::Plan;
@@ -212,7 +212,7 @@ impl App {
         to[axis] += if up { step } else { -step };
         let to = self.model.to_axis_units(&to);
         let feed = self.jogging.rate_of(axis) * 60.0;
-        match way(&self.machine, &self.model, &from, &to, Some(feed)) {
+        match plan_straight_move(&self.machine, &self.model, &from, &to, Some(feed)) {
             Ok(plan) => {
                 self.start(Job::Step, &plan);
             }
@@ -305,7 +305,7 @@ impl App {
             let Some(to) = self.model.home(&self.machine) else {
                 return;
             };
-            match way(&self.machine, &self.model, &from, &to, None) {
+            match plan_straight_move(&self.machine, &self.model, &from, &to, None) {
                 Ok(plan) => {
                     self.start(Job::Home, &plan);
                 }

@@ -1,12 +1,12 @@
-//! What can go wrong between host and controller, in words.
+//! Errors between host and controller, with their messages.
 
 use haptimill_protocol::message::{HelloRefusal, PROTOCOL_VERSION, Refusal};
 use std::fmt;
 
-/// How the line did until something went wrong on it.
+/// Quality of the line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LineHealth {
-    /// Broken frames that were received.
+    /// Corrupt frames that were received.
     pub bad_frames: u32,
     /// Frames that were sent again.
     pub resent: u32,
@@ -26,9 +26,9 @@ pub enum ClientError {
     Closed,
     /// A job runs already.
     JobRuns,
-    /// Nothing answered the greeting.
+    /// No answer to the Hello.
     NoAnswer {
-        /// How long was waited, microseconds.
+        /// Time waited, microseconds.
         waited_us: u64,
     },
     /// The controller refuses the session.
@@ -38,16 +38,16 @@ pub enum ClientError {
         /// The protocol version it speaks.
         version: u16,
     },
-    /// The controller fell silent.
+    /// The controller sends nothing any more.
     Silent {
-        /// For how long, microseconds.
+        /// Duration of the silence, microseconds.
         silent_us: u64,
-        /// How the line did before.
+        /// Quality of the line before.
         line: LineHealth,
     },
-    /// The controller lives, and a message cannot be brought over.
+    /// The controller answers, but messages are not delivered.
     Stalled {
-        /// How the line did.
+        /// Quality of the line.
         line: LineHealth,
     },
 }
@@ -59,7 +59,8 @@ impl fmt::Display for ClientError {
             Self::JobRuns => f.write_str("a job runs already; stop it first"),
             Self::NoAnswer { waited_us } => write!(
                 f,
-                "no controller answered within {:.1} s; check the port, its speed and that the controller has power",
+                "no controller answered within {:.1} s; \
+                 check the port, its speed and the controller's power",
                 *waited_us as f64 * 1e-6
             ),
             Self::Refused {
@@ -67,7 +68,8 @@ impl fmt::Display for ClientError {
                 version,
             } => write!(
                 f,
-                "the controller speaks version {version} of the protocol, this host version {PROTOCOL_VERSION}; use the host and the firmware of one release"
+                "the controller uses version {version} of the protocol, this host version {PROTOCOL_VERSION}; \
+                 use host and firmware of one release"
             ),
             Self::Refused { why, .. } => write!(f, "the controller refuses the session: {why}"),
             Self::Silent { silent_us, line } => {
@@ -75,18 +77,21 @@ impl fmt::Display for ClientError {
                 if line.bad_frames == 0 {
                     write!(
                         f,
-                        "nothing was heard from the controller for {seconds:.1} s; check the cable and the controller's power"
+                        "nothing was received from the controller for {seconds:.1} s; \
+                         check the cable and the controller's power"
                     )
                 } else {
                     write!(
                         f,
-                        "no whole frame was heard from the controller for {seconds:.1} s, and the line was bad before ({line}); check cable, shield and speed, and the controller's power"
+                        "no intact frame was received from the controller for {seconds:.1} s, and the line was \
+                         bad before ({line}); check cable, shield and speed, and the controller's power"
                     )
                 }
             }
             Self::Stalled { line } => write!(
                 f,
-                "the line is too bad: the controller is there, but messages do not get through ({line}); check cable, shield and speed"
+                "the line is too bad: the controller answers, but messages are not delivered ({line}); \
+                 check cable, shield and speed"
             ),
         }
     }
@@ -94,23 +99,23 @@ impl fmt::Display for ClientError {
 
 impl std::error::Error for ClientError {}
 
-/// Why a request came to nothing.
+/// Why a request failed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum RequestError {
     /// The controller refused it.
     Refused(Refusal),
-    /// The controller took it and did not answer.
+    /// The controller did not acknowledge it.
     NoAnswer {
-        /// What it was called.
+        /// Name of its command.
         command: &'static str,
-        /// How long was waited, microseconds.
+        /// Time waited, microseconds.
         waited_us: u64,
-        /// How the line did.
+        /// Quality of the line.
         line: LineHealth,
     },
-    /// An urgent stop came before it was sent.
+    /// An urgent stop preceded its transmission.
     Withdrawn,
-    /// The session ended first.
+    /// The session ended.
     Lost(ClientError),
 }
 
@@ -136,7 +141,7 @@ impl fmt::Display for RequestError {
                 }
                 Ok(())
             }
-            Self::Withdrawn => f.write_str("withdrawn: an urgent stop came first"),
+            Self::Withdrawn => f.write_str("withdrawn because of an urgent stop"),
             Self::Lost(error) => error.fmt(f),
         }
     }

@@ -1,17 +1,17 @@
-//! Requests and their answers.
+//! Requests and their acknowledgements.
 
 use super::{LineHealth, RequestError, Ticket};
 use haptimill_protocol::link::HostLink;
 use haptimill_protocol::message::{Command, Refusal, Request};
 use std::collections::VecDeque;
 
-/// A request that came to its end.
+/// A request that is finished.
 pub(super) type Finished = (Ticket, &'static str, Result<(), RequestError>);
 
-/// Requests that wait to be sent, that wait to be answered, and that came to their end.
+/// Requests that are queued, that wait for their acknowledgement, and that are finished.
 #[derive(Debug, Default)]
 pub(super) struct Requests {
-    /// To be sent; without a ticket when a failure shows in the request that follows.
+    /// To be sent; without a ticket when a failure shows in the next request.
     queue: VecDeque<(Option<Ticket>, Command)>,
     asked: Vec<Asked>,
     done: VecDeque<Finished>,
@@ -19,7 +19,7 @@ pub(super) struct Requests {
     last_id: u8,
 }
 
-/// A request under way.
+/// A request that waits for its acknowledgement.
 #[derive(Debug)]
 struct Asked {
     id: u8,
@@ -29,8 +29,8 @@ struct Asked {
     by_us: u64,
 }
 
-/// Requests under way at most: fewer than there are numbers for them.
-const MOST: usize = 64;
+/// Requests that wait for an acknowledgement at most: fewer than there are request numbers.
+const MAX_PENDING: usize = 64;
 
 impl Requests {
     fn ticket(&mut self) -> Ticket {
@@ -38,20 +38,20 @@ impl Requests {
         Ticket(self.tickets)
     }
 
-    /// Queues a request that is to be answered.
+    /// Queues a request with an acknowledgement.
     pub(super) fn ask(&mut self, command: Command) -> Ticket {
         let ticket = self.ticket();
         self.queue.push_back((Some(ticket), command));
         ticket
     }
 
-    /// Queues a request whose failure shows in the one after it.
-    pub(super) fn tell(&mut self, command: Command) {
+    /// Queues a request without one: its failure shows in the request after it.
+    pub(super) fn send_unacknowledged(&mut self, command: Command) {
         self.queue.push_back((None, command));
     }
 
-    /// A request that came to its end without being sent.
-    pub(super) fn settled(
+    /// A request that is finished without being sent.
+    pub(super) fn acknowledged(
         &mut self,
         command: &'static str,
         result: Result<(), RequestError>,
@@ -61,14 +61,14 @@ impl Requests {
         ticket
     }
 
-    /// Nothing waits to be sent.
+    /// Whether the queue is empty.
     pub(super) fn is_idle(&self) -> bool {
         self.queue.is_empty()
     }
 
-    /// Hands requests to the link as long as it has room.
+    /// Passes requests to the link, as far as its window allows.
     pub(super) fn send(&mut self, link: &mut HostLink, now_us: u64, answer_us: u64) {
-        while self.asked.len() < MOST {
+        while self.asked.len() < MAX_PENDING {
             let Some((ticket, command)) = self.queue.pop_front() else {
                 break;
             };
@@ -92,7 +92,7 @@ impl Requests {
         }
     }
 
-    /// A number that no request under way has; 0 means that no answer is wanted.
+    /// A number that no pending request has; 0 stands for no acknowledgement.
     fn free_id(&self) -> u8 {
         (1..=u8::MAX)
             .map(|step| self.last_id.wrapping_add(step))
@@ -100,7 +100,7 @@ impl Requests {
             .unwrap_or(1)
     }
 
-    /// An answer came; says to what.
+    /// Takes an acknowledgement, and returns its request.
     pub(super) fn answered(
         &mut self,
         id: u8,
@@ -114,7 +114,7 @@ impl Requests {
         Some((asked.ticket, asked.command))
     }
 
-    /// Gives up the request that has waited too long, if there is one.
+    /// Fails the request whose acknowledgement is overdue, if there is one.
     pub(super) fn expire(
         &mut self,
         now_us: u64,
@@ -133,7 +133,7 @@ impl Requests {
         Some((asked.ticket, error))
     }
 
-    /// Everything fails.
+    /// Fails all requests.
     pub(super) fn fail_all(&mut self, error: &RequestError) {
         for asked in self.asked.drain(..) {
             self.done
@@ -142,7 +142,7 @@ impl Requests {
         self.fail_queue(error);
     }
 
-    /// Everything that was not sent yet fails.
+    /// Fails the requests that are not sent yet.
     pub(super) fn withdraw(&mut self) {
         self.fail_queue(&RequestError::Withdrawn);
     }
@@ -156,13 +156,13 @@ impl Requests {
         }
     }
 
-    /// The request was sent and waits for its answer.
-    pub(super) fn is_under_way(&self, ticket: Ticket) -> bool {
+    /// Whether a request is sent and waits for its acknowledgement.
+    pub(super) fn is_pending(&self, ticket: Ticket) -> bool {
         self.asked.iter().any(|asked| asked.ticket == ticket)
     }
 
-    /// What came to its end since the last call.
-    pub(super) fn finished(&mut self) -> impl Iterator<Item = Finished> + '_ {
+    /// The requests that were finished since the last call.
+    pub(super) fn take_finished(&mut self) -> impl Iterator<Item = Finished> + '_ {
         self.done.drain(..)
     }
 }

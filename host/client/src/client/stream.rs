@@ -1,4 +1,4 @@
-//! Streams the setpoints of a job: never more than the controller has room for.
+//! Streams the setpoints of a job, with credit-based flow control.
 
 use super::requests::Requests;
 use super::{ClientError, RequestError, Ticket};
@@ -10,34 +10,35 @@ use haptimill_protocol::setpoint::{Setpoint, SetpointCoder, SetpointError};
 use std::fmt;
 use std::iter::Peekable;
 
-/// Batches under way at most: half the link's window, so that a hold or a stop waits for a few frames and not for many.
+/// Unacknowledged batches at most: half the window of the link, so that a hold or a stop waits for
+/// a few frames only.
 const BATCHES: usize = 4;
 
 /// How a job ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum JobEnding {
-    /// The last setpoint was reached, at rest.
+    /// The last setpoint was reached, at standstill.
     Done {
         /// The job.
         job: u32,
         /// Setpoints reached.
         setpoints: u32,
     },
-    /// The controller dropped it, after a stop or a fault that it reports by itself.
+    /// The controller dropped the job, after a stop or a fault that it reports as an event.
     Dropped {
         /// The job.
         job: u32,
         /// Setpoints reached.
         setpoints: u32,
     },
-    /// The controller refused its start, a setpoint, or its end; the machine was told to stop.
+    /// The controller refused its start, a setpoint, or its end; the machine was stopped.
     Refused {
         /// The job.
         job: u32,
         /// Why.
         error: RequestError,
     },
-    /// A setpoint cannot be coded; the machine was told to stop.
+    /// A setpoint cannot be encoded; the machine was stopped.
     Setpoint {
         /// The job.
         job: u32,
@@ -69,16 +70,16 @@ impl fmt::Display for JobEnding {
     }
 }
 
-/// How far a job is.
+/// Progress of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct JobProgress {
+pub struct JobStatus {
     /// The job.
     pub job: u32,
-    /// Setpoints handed to the link.
+    /// Setpoints passed to the link.
     pub sent: u32,
-    /// Setpoints that the controller has room for, from the first of the job.
+    /// Setpoints that the controller accepts, counted from the start of the job.
     pub credit: u32,
-    /// The setpoint that the motion is heading for.
+    /// The target setpoint of the motion.
     pub reached: u32,
     /// All setpoints are sent.
     pub complete: bool,
@@ -87,18 +88,18 @@ pub struct JobProgress {
 /// Where the setpoints come from.
 type Source = Peekable<Box<dyn Iterator<Item = Setpoint> + Send>>;
 
-/// A job under way.
+/// A job that is being streamed.
 pub(super) struct Stream {
     job: u32,
     start: Ticket,
     phase: Phase,
-    /// The start was answered.
+    /// The start was acknowledged.
     started: bool,
-    /// Setpoints in a batch: never more than the whole queue takes.
+    /// Setpoints in a batch: at most the size of the controller's queue.
     batch: usize,
     setpoints: Source,
     coder: SetpointCoder,
-    /// A coded batch that the link had no room for.
+    /// An encoded batch that did not fit into the window of the link.
     ready: Option<SetpointBatch>,
     sent: u32,
     credit: u32,
@@ -108,11 +109,11 @@ pub(super) struct Stream {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
-    /// The start is asked for.
+    /// The start is requested.
     Starting,
-    /// Setpoints go.
+    /// Setpoints are sent.
     Streaming,
-    /// The end is asked for; the controller finishes the job.
+    /// The end is requested; the controller completes the job.
     Ending,
     /// Nothing more is sent: the job is being stopped.
     Abandoned,
@@ -152,8 +153,8 @@ impl Stream {
         }
     }
 
-    pub(super) fn progress(&self) -> JobProgress {
-        JobProgress {
+    pub(super) fn progress(&self) -> JobStatus {
+        JobStatus {
             job: self.job,
             sent: self.sent,
             credit: self.credit,
@@ -167,9 +168,9 @@ impl Stream {
         self.phase = Phase::Abandoned;
     }
 
-    /// The ending of an abandoned job whose start was never sent.
+    /// The end of an abandoned job whose start was never sent.
     pub(super) fn withdrawn(&self, requests: &Requests) -> Option<JobEnding> {
-        let never = !self.started && !requests.is_under_way(self.start);
+        let never = !self.started && !requests.is_pending(self.start);
         never.then_some(JobEnding::Refused {
             job: self.job,
             error: RequestError::Withdrawn,
@@ -183,7 +184,7 @@ impl Stream {
         }
     }
 
-    /// The start or the end of the job was answered.
+    /// The start or the end of the job was acknowledged.
     pub(super) fn answered(
         &mut self,
         ticket: Ticket,
@@ -212,7 +213,7 @@ impl Stream {
         })
     }
 
-    /// Something that asks for no answer was refused: a batch, if one was sent.
+    /// A message without acknowledgement was refused: a batch, if one was sent.
     pub(super) fn refused(&mut self, refusal: Refusal) -> Option<JobEnding> {
         let streaming = self.sent > 0 && self.phase != Phase::Abandoned;
         streaming.then_some(JobEnding::Refused {
@@ -234,14 +235,14 @@ impl Stream {
     }
 
     pub(super) fn telemetry(&mut self, telemetry: &Telemetry) {
-        // Before the start is answered, what is reported may belong to the job before.
+        // Before the start is acknowledged, a report may belong to the previous job.
         if matches!(self.phase, Phase::Streaming | Phase::Ending) {
             self.credit = self.credit.max(telemetry.credit);
             self.reached = telemetry.setpoint;
         }
     }
 
-    /// Hands batches to the link as long as the controller has room for them, then asks for the end.
+    /// Passes batches to the link as far as the credit allows, then ends the job.
     pub(super) fn send(
         &mut self,
         link: &mut HostLink,
@@ -272,14 +273,14 @@ impl Stream {
         Ok(())
     }
 
-    /// The next batch: as many setpoints as go into one, fewer only at the end of the job. An empty one says that all are sent; none,
-    /// that the controller has no room.
+    /// The next batch: a full one, or fewer setpoints at the end of the job. It is empty when all
+    /// are sent, and `None` when the credit is used up.
     fn next_batch(&mut self) -> Result<Option<SetpointBatch>, JobEnding> {
         if let Some(batch) = self.ready.take() {
             return Ok(Some(batch));
         }
-        let room = self.credit.saturating_sub(self.sent) as usize;
-        if room < self.batch && self.setpoints.peek().is_some() {
+        let free = self.credit.saturating_sub(self.sent) as usize;
+        if free < self.batch && self.setpoints.peek().is_some() {
             return Ok(None);
         }
         let mut batch = SetpointBatch {
@@ -295,7 +296,7 @@ impl Stream {
                     setpoint: self.sent + batch.items.len() as u32,
                     error,
                 })?;
-            // At most SETPOINT_BATCH: always room.
+            // At most SETPOINT_BATCH: the push cannot fail.
             let _ = batch.items.push(delta);
         }
         Ok(Some(batch))

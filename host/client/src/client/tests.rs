@@ -1,5 +1,5 @@
-//! The client against a controller end that is real in its link, its setpoint decoder and its stop, and simple in its motion: a setpoint is
-//! reached when its time has passed.
+//! The client against a controller side whose link, setpoint decoder and stop are real. Its motion
+//! is simplified: a setpoint is reached when its time has passed.
 
 #[path = "../../../../protocol/tests/line/mod.rs"]
 mod line;
@@ -8,6 +8,7 @@ mod responder;
 use super::*;
 use haptimill_protocol::link::{ControllerLink, HelloOutcome, Identity, SHORT_REPORT, Timing};
 use haptimill_protocol::message::{Action, HelloRefusal};
+use haptimill_protocol::message::{Event, Report, State};
 use haptimill_protocol::setpoint::SetpointCoder;
 use haptimill_protocol::urgent::UrgentDetector;
 use line::{Faults, Line, Random};
@@ -20,7 +21,7 @@ struct World {
     out: Line,
     back: Line,
     now_us: u64,
-    notices: Vec<Notice>,
+    notices: Vec<Notification>,
 }
 
 impl World {
@@ -39,7 +40,7 @@ impl World {
         }
     }
 
-    /// A world whose session is open.
+    /// The same with an open session.
     fn connected(seed: u64, faults: Faults) -> Self {
         let mut world = Self::new(seed, faults);
         world.until(3_000_000, |world| {
@@ -48,7 +49,7 @@ impl World {
         world
     }
 
-    /// Goes on until a condition holds; false if it never did.
+    /// Steps until a condition holds; false if it does not within the limit.
     fn until(&mut self, limit_us: u64, done: impl Fn(&Self) -> bool) -> bool {
         let end = self.now_us + limit_us;
         let mut buffer = [0; 64];
@@ -60,8 +61,8 @@ impl World {
                 let mut transmit = Vec::new();
                 self.client.advance(self.now_us, &received, &mut transmit);
                 self.out.send(self.now_us, &transmit);
-                while let Some(notice) = self.client.poll() {
-                    self.notices.push(notice);
+                while let Some(notification) = self.client.poll() {
+                    self.notices.push(notification);
                 }
             }
             let bytes = self.out.take(self.now_us, 64);
@@ -75,21 +76,26 @@ impl World {
     }
 
     fn answer(&self, ticket: Ticket) -> Option<&Result<(), RequestError>> {
-        self.notices.iter().find_map(|notice| match notice {
-            Notice::Answered {
-                ticket: answered,
-                result,
-                ..
-            } if *answered == ticket => Some(result),
-            _ => None,
-        })
+        self.notices
+            .iter()
+            .find_map(|notification| match notification {
+                Notification::Answered {
+                    ticket: answered,
+                    result,
+                    ..
+                } if *answered == ticket => Some(result),
+                _ => None,
+            })
     }
 
     fn ending(&self) -> Option<&JobEnding> {
-        self.notices.iter().rev().find_map(|notice| match notice {
-            Notice::Job(ending) => Some(ending),
-            _ => None,
-        })
+        self.notices
+            .iter()
+            .rev()
+            .find_map(|notification| match notification {
+                Notification::Job(ending) => Some(ending),
+                _ => None,
+            })
     }
 }
 
@@ -120,7 +126,7 @@ fn pose() -> AxisValues {
 }
 
 #[test]
-fn a_job_arrives_to_the_last_bit_over_any_line() {
+fn a_job_arrives_unchanged_over_any_line() {
     let lines = [
         Faults::default(),
         Faults {
@@ -166,17 +172,15 @@ fn a_job_arrives_to_the_last_bit_over_any_line() {
             );
             assert_eq!(world.responder.reached, path, "{faults:?}");
         }
-        assert!(
-            !world
-                .notices
-                .iter()
-                .any(|notice| matches!(notice, Notice::Refused(_) | Notice::Lost(_)))
-        );
+        assert!(!world.notices.iter().any(|notification| matches!(
+            notification,
+            Notification::Refused(_) | Notification::Lost(_)
+        )));
     }
 }
 
 #[test]
-fn the_queue_never_runs_short_on_a_good_line() {
+fn the_queue_never_underruns_on_a_good_line() {
     let mut world = World::connected(9, Faults::default());
     world.client.start_job(1, pose(), path(9, 500)).unwrap();
     assert!(
@@ -219,7 +223,7 @@ fn a_configuration_is_sent_once() {
 }
 
 #[test]
-fn requests_are_answered_refused_or_named_when_they_are_not() {
+fn requests_are_acknowledged_refused_or_time_out() {
     let mut world = World::connected(2, Faults::default());
     world.responder.mute = Some("enable");
     let tickets = [
@@ -246,7 +250,7 @@ fn requests_are_answered_refused_or_named_when_they_are_not() {
 }
 
 #[test]
-fn hundreds_of_requests_all_find_their_own_answer() {
+fn hundreds_of_requests_get_their_own_acknowledgements() {
     let mut world = World::connected(
         3,
         Faults {
@@ -277,7 +281,7 @@ fn hundreds_of_requests_all_find_their_own_answer() {
 }
 
 #[test]
-fn an_urgent_stop_overtakes_the_stream_and_is_repeated_until_the_machine_stands() {
+fn an_urgent_stop_precedes_the_stream_and_is_repeated_until_standstill() {
     for seed in 0..20 {
         let faults = Faults {
             bit_error: 1e-3,
@@ -289,7 +293,8 @@ fn an_urgent_stop_overtakes_the_stream_and_is_repeated_until_the_machine_stands(
         world.client.urgent_stop();
         let from = world.now_us;
         assert!(world.until(2_000_000, |world| world.responder.state != State::Run));
-        // Bytes before it on the line take 20 ms; every stop that is broken by the line costs 20 ms more.
+        // Bytes before it on the line take 20 ms; every stop that the line corrupts costs 20 ms
+        // more.
         assert!(
             world.now_us - from <= 24_000 + 20_000 * u64::from(world.client.urgent().1),
             "{} us",
@@ -329,7 +334,7 @@ fn an_urgent_stop_before_the_start_is_sent_withdraws_the_job() {
 }
 
 #[test]
-fn no_jog_moves_after_its_cancel_was_heard() {
+fn no_jog_moves_after_its_cancel_was_received() {
     for seed in 0..40 {
         let mut world = World::connected(
             seed,
@@ -347,10 +352,10 @@ fn no_jog_moves_after_its_cancel_was_heard() {
             }
             let cancel = world.client.cancel_jog();
             assert!(world.until(5_000_000, |world| world.answer(cancel).is_some()));
-            let heard = world.responder.jogs.len();
-            // Jogs that are still under way come to nothing.
+            let received = world.responder.jogs.len();
+            // Jogs that still arrive have no effect.
             world.until(50_000, |_| false);
-            assert_eq!(world.responder.jogs.len(), heard);
+            assert_eq!(world.responder.jogs.len(), received);
             assert_eq!(world.responder.jog_left, 0);
         }
         assert!(!world.responder.jogs.is_empty());
@@ -358,7 +363,7 @@ fn no_jog_moves_after_its_cancel_was_heard() {
 }
 
 #[test]
-fn a_controller_that_is_not_there_or_will_not_is_told_in_words() {
+fn a_missing_or_refusing_controller_is_reported() {
     let mut world = World::new(5, Faults::default());
     world.responder.dead = true;
     assert!(world.until(4_000_000, |world| matches!(
@@ -370,7 +375,7 @@ fn a_controller_that_is_not_there_or_will_not_is_told_in_words() {
     };
     assert_eq!(
         error.to_string(),
-        "no controller answered within 3.0 s; check the port, its speed and that the controller has power"
+        "no controller answered within 3.0 s; check the port, its speed and the controller's power"
     );
 
     let mut world = World::new(6, Faults::default());
@@ -386,7 +391,7 @@ fn a_controller_that_is_not_there_or_will_not_is_told_in_words() {
 }
 
 #[test]
-fn a_controller_that_dies_ends_the_job_and_every_request() {
+fn a_silent_controller_ends_the_job_and_every_request() {
     let mut world = World::connected(7, Faults::default());
     world.client.start_job(3, pose(), path(7, 1000)).unwrap();
     assert!(world.until(5_000_000, |world| world.responder.done > 10));
@@ -406,7 +411,7 @@ fn a_controller_that_dies_ends_the_job_and_every_request() {
     ));
     assert!(matches!(
         world.notices.last(),
-        Some(Notice::Lost(ClientError::Silent { .. }))
+        Some(Notification::Lost(ClientError::Silent { .. }))
     ));
     assert_eq!(
         world.client.start_job(4, pose(), path(8, 1)),
@@ -415,7 +420,7 @@ fn a_controller_that_dies_ends_the_job_and_every_request() {
 }
 
 #[test]
-fn a_setpoint_that_is_refused_ends_the_job_and_stops_the_machine() {
+fn a_refused_setpoint_ends_the_job_and_stops_the_machine() {
     let mut world = World::connected(8, Faults::default());
     let mut path = path(8, 100);
     path[40].periods = 0;
@@ -431,7 +436,7 @@ fn a_setpoint_that_is_refused_ends_the_job_and_stops_the_machine() {
         })
     );
     assert!(world.until(1_000_000, |world| world.responder.state == State::Idle));
-    // A job at a time when none can start.
+    // A job in a state in which none can start.
     world.responder.state = State::Fault;
     world
         .client
@@ -443,7 +448,7 @@ fn a_setpoint_that_is_refused_ends_the_job_and_stops_the_machine() {
 }
 
 #[test]
-fn a_job_goes_on_while_telemetry_is_switched_off() {
+fn a_job_continues_while_telemetry_is_switched_off() {
     let mut world = World::connected(10, Faults::default());
     world.responder.every = 0;
     let path = path(10, 300);
@@ -457,6 +462,6 @@ fn a_job_goes_on_while_telemetry_is_switched_off() {
         })
     );
     assert_eq!(world.responder.reached, path);
-    // 300 setpoints of 20 ms, and no waiting for credit.
+    // 300 setpoints of 20 ms, without waiting for credit.
     assert!(world.now_us < 7_000_000, "{} us", world.now_us);
 }

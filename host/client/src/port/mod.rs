@@ -1,8 +1,8 @@
-//! Byte transports: a serial port, a TCP connection, and the two ends that a served simulator listens on.
+//! Byte transports: serial ports, TCP connections, and the two kinds of port of a served simulator.
 //!
-//! A transport carries bytes and knows nothing of frames. Both directions wait at most as long as they are told, zero included, so
-//! one thread can serve a transport and everything else. Misuse: bytes that were taken by [`Transport::write`] are on their way, not
-//! delivered; only the link above knows what arrived.
+//! A transport carries bytes without framing. Both directions have a timeout, which may be zero, so
+//! one thread can serve a transport and everything else. Bytes that [`Transport::write`] accepted
+//! are not delivered yet: the link above acknowledges what arrived.
 
 mod serial;
 mod serve;
@@ -20,46 +20,46 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// What a served TCP port says to a second host before it closes the connection.
-pub const BUSY: &[u8] = b"haptimill: busy: another host is connected; try again when it has gone\n";
+/// Message of a served TCP port to a second host, before it closes the connection.
+pub const BUSY: &[u8] = b"haptimill: busy: another host is connected; try again when it is gone\n";
 
-/// What it says to a host without the token.
+/// Message to a host without the token.
 pub const DENIED: &[u8] =
-    b"haptimill: denied: this port asks for a token; give it with --token or HAPTIMILL_TOKEN\n";
+    b"haptimill: denied: this port requires a token; give it with --token or HAPTIMILL_TOKEN\n";
 
-/// What it says to a connection that opens no session.
+/// Message to a connection that opens no session.
 pub const SLOW: &[u8] = b"haptimill: closed: no session was opened within 2 s\n";
 
-/// What it says to a host that fell silent.
-pub const CLOSED: &[u8] = b"haptimill: closed: nothing was heard of this host for too long\n";
+/// Message to a host that sends nothing.
+pub const CLOSED: &[u8] = b"haptimill: closed: nothing was received from this host for too long\n";
 
 /// The baud rate of a serial port when none is given.
 pub const DEFAULT_BAUD: u32 = 115_200;
 
-/// Carries bytes both ways.
+/// A bidirectional byte channel.
 pub trait Transport: Send {
-    /// Reads what has arrived, waiting at most `wait` for the first byte. 0 means that nothing came.
+    /// Reads received bytes, waiting at most `wait` for the first one. Returns their number.
     ///
     /// # Errors
-    /// The transport is gone for good; open it again.
+    /// The transport failed for good; open it again.
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, PortError>;
 
-    /// Writes as much as is taken within `wait`, and says how much that was.
+    /// Writes as many bytes as are accepted within `wait`, and returns their number.
     ///
     /// # Errors
-    /// The transport is gone for good; open it again.
+    /// The transport failed for good; open it again.
     fn write(&mut self, bytes: &[u8], wait: Duration) -> Result<usize, PortError>;
 
-    /// What people call it: a path or an address.
+    /// Its name: a path or an address.
     fn name(&self) -> &str;
 }
 
-/// Where a controller is.
+/// The port of a controller.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PortSpec {
     /// The built-in simulator, in this process.
     Simulator,
-    /// The built-in simulator around a controller on an emulated board.
+    /// The built-in simulator with a controller on an emulated board.
     Emulated(Board),
     /// A TCP port, `HOST:PORT`.
     Tcp(String),
@@ -72,24 +72,24 @@ pub enum PortSpec {
 pub enum Board {
     /// The MPS2 with a Cortex-M4F.
     Mps2,
-    /// The MPS2 with a Cortex-M7; it runs the same image.
+    /// The MPS2 with a Cortex-M7, with the same image.
     Mps2M7,
 }
 
 impl Board {
-    /// What the chores call its image.
+    /// Name of its image in `cargo xtask`.
     #[must_use]
     pub const fn name(self) -> &'static str {
         "mps2"
     }
 
-    /// The sources of its image.
+    /// Folder of the sources of its image.
     #[must_use]
     pub const fn folder(self) -> &'static str {
         "firmware/boards/mps2"
     }
 
-    /// What the emulator calls it.
+    /// Its name in the emulator.
     #[must_use]
     pub const fn machine(self) -> &'static str {
         match self {
@@ -153,7 +153,7 @@ impl fmt::Display for PortSpec {
     }
 }
 
-/// Opens the port of a spec. The built-in simulator is no port: it runs in this process.
+/// Opens a port. The built-in simulator is no port: it runs in this process.
 ///
 /// # Errors
 /// See [`PortError`]; [`PortError::NoPort`] for [`PortSpec::Simulator`].
@@ -165,10 +165,11 @@ pub fn open(spec: &PortSpec, baud: u32) -> Result<Box<dyn Transport>, PortError>
     }
 }
 
-/// Sends the urgent stop to a port that another host has, some times over: its lock keeps commands out, not a stop.
+/// Sends the urgent stop several times to a port that another host has locked: the lock does not
+/// exclude a stop.
 ///
 /// # Errors
-/// The port cannot be written to at all.
+/// The port cannot be written.
 pub fn stop_past_lock(spec: &PortSpec) -> Result<(), PortError> {
     const TIMES: u32 = 5;
     const PAUSE: Duration = Duration::from_millis(20);
@@ -204,10 +205,10 @@ pub fn stop_past_lock(spec: &PortSpec) -> Result<(), PortError> {
     }
 }
 
-/// Why a port cannot be used (any more).
+/// Why a port cannot be used.
 #[derive(Debug)]
 pub enum PortError {
-    /// The built-in simulator was asked for where a running controller is needed.
+    /// The built-in simulator was given where a running controller is needed.
     NoPort,
     /// It cannot be opened.
     Open {
@@ -215,15 +216,15 @@ pub enum PortError {
         name: String,
         /// Why.
         reason: String,
-        /// What to do.
+        /// The remedy.
         remedy: &'static str,
     },
-    /// Another program has it.
+    /// Another program uses it.
     Busy {
         /// The port.
         name: String,
     },
-    /// It asks for a token.
+    /// It requires a token.
     Denied {
         /// The port.
         name: String,
@@ -232,14 +233,14 @@ pub enum PortError {
     Failed {
         /// The controller.
         name: String,
-        /// What it said of that.
+        /// Its message.
         reason: String,
     },
-    /// The other end has gone.
+    /// The other end is gone.
     Gone {
         /// The port.
         name: String,
-        /// How that was seen.
+        /// How that was detected.
         reason: String,
     },
 }
@@ -258,15 +259,17 @@ impl fmt::Display for PortError {
             } => write!(out, "{name}: cannot be opened: {reason}; {remedy}"),
             Self::Busy { name } if name.starts_with("tcp:") => write!(
                 out,
-                "{name}: another host is connected to it; end that one, then try again (`haptimill stop` is heard all the same)"
+                "{name}: another host is connected to it; end that one, then try again \
+                 (`haptimill stop` works meanwhile)"
             ),
             Self::Busy { name } => write!(
                 out,
-                "{name}: another program has it; close that program (`fuser {name}` names it), then try again (`haptimill stop` is heard all the same)"
+                "{name}: another program uses it; close that program (`fuser {name}` names it), then try again \
+                 (`haptimill stop` works meanwhile)"
             ),
             Self::Denied { name } => write!(
                 out,
-                "{name}: asks for a token; give that of `haptimill sim serve` with --token, or in {TOKEN_VARIABLE}"
+                "{name}: requires a token; give that of `haptimill sim serve` with --token, or in {TOKEN_VARIABLE}"
             ),
             Self::Failed { name, reason } => write!(
                 out,
@@ -274,7 +277,7 @@ impl fmt::Display for PortError {
             ),
             Self::Gone { name, reason } => write!(
                 out,
-                "{name}: the other end has gone ({reason}); check the cable and the power, then try again"
+                "{name}: the other end is gone ({reason}); check the cable and the power, then try again"
             ),
         }
     }
@@ -282,7 +285,7 @@ impl fmt::Display for PortError {
 
 impl std::error::Error for PortError {}
 
-/// Times out or would block: nothing happened, and nothing is wrong.
+/// Whether an error only means that nothing was transferred in time.
 fn is_quiet(error: &std::io::Error) -> bool {
     use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
     matches!(error.kind(), Interrupted | TimedOut | WouldBlock)

@@ -9,21 +9,23 @@ use std::time::Duration;
 pub struct SerialTransport {
     name: String,
     port: Box<dyn SerialPort>,
-    /// The wait that the port was told last; telling it again costs a call.
+    /// The timeout that is set on the port, to save system calls.
     wait: Duration,
 }
 
 impl SerialTransport {
-    /// Opens a port with 8 data bits, no parity, 1 stop bit, no flow control. A baud rate means nothing on a pseudo-terminal.
+    /// Opens a port with 8 data bits, no parity, 1 stop bit, no flow control. A pseudo-terminal
+    /// ignores the baud rate.
     ///
     /// # Errors
-    /// [`PortError::Busy`] when another program has it locked, else [`PortError::Open`] with what to do.
+    /// [`PortError::Busy`] when another program has locked it, else [`PortError::Open`] with the
+    /// remedy.
     pub fn open(path: &str, baud: u32) -> Result<Self, PortError> {
         let wait = Duration::from_millis(10);
         let builder = serialport::new(path, baud).timeout(wait);
         #[cfg(unix)]
         let port = builder.open_native().map(|mut port| {
-            // The lock on the file keeps other hosts out; the harder one of the terminal would keep out a stop as well.
+            // The lock on the file excludes other hosts; TIOCEXCL would exclude a stop as well.
             let _ = port.set_exclusive(false);
             Box::new(port) as Box<dyn SerialPort>
         });
@@ -39,14 +41,14 @@ impl SerialTransport {
 
     fn wait(&mut self, wait: Duration) -> Result<(), PortError> {
         if self.wait != wait {
-            let told = self.port.set_timeout(wait);
-            told.map_err(|error| self.gone(&error.to_string()))?;
+            let result = self.port.set_timeout(wait);
+            result.map_err(|error| self.lost(&error.to_string()))?;
             self.wait = wait;
         }
         Ok(())
     }
 
-    fn gone(&self, reason: &str) -> PortError {
+    fn lost(&self, reason: &str) -> PortError {
         PortError::Gone {
             name: self.name.clone(),
             reason: reason.to_string(),
@@ -59,15 +61,15 @@ fn open_error(path: &str, error: &serialport::Error) -> PortError {
     let text = error.to_string();
     // A lock by TIOCEXCL is EBUSY, one by flock is EWOULDBLOCK; their kinds depend on the platform.
     let locked = ["busy", "lock", "temporarily unavailable"];
-    if locked.iter().any(|word| text.to_lowercase().contains(word)) {
+    if locked.iter().any(|part| text.to_lowercase().contains(part)) {
         return PortError::Busy { name };
     }
     let remedy = match error.kind() {
         ErrorKind::Io(IoKind::PermissionDenied) => {
-            "you may not use it: join the group that owns it (`ls -l` shows it, often dialout), then log in again"
+            "permission denied: join the group that owns it (`ls -l` shows it, often dialout), then log in again"
         }
         ErrorKind::NoDevice | ErrorKind::Io(IoKind::NotFound) => {
-            "`haptimill ports` lists what there is"
+            "`haptimill ports` lists the ports"
         }
         _ => "check that it is a serial port or a pseudo-terminal",
     };
@@ -82,11 +84,11 @@ impl Transport for SerialTransport {
     fn read(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, PortError> {
         self.wait(wait)?;
         match self.port.read(buffer) {
-            // The serial port of a board that is unplugged ends like a file.
-            Ok(0) if !buffer.is_empty() => Err(self.gone("end of file")),
+            // The serial port of an unplugged board returns end of file.
+            Ok(0) if !buffer.is_empty() => Err(self.lost("end of file")),
             Ok(count) => Ok(count),
             Err(error) if is_quiet(&error) => Ok(0),
-            Err(error) => Err(self.gone(&error.to_string())),
+            Err(error) => Err(self.lost(&error.to_string())),
         }
     }
 
@@ -95,7 +97,7 @@ impl Transport for SerialTransport {
         match self.port.write(bytes) {
             Ok(count) => Ok(count),
             Err(error) if is_quiet(&error) => Ok(0),
-            Err(error) => Err(self.gone(&error.to_string())),
+            Err(error) => Err(self.lost(&error.to_string())),
         }
     }
 
@@ -104,10 +106,10 @@ impl Transport for SerialTransport {
     }
 }
 
-/// The serial ports of this computer, one line each: name, what it is.
+/// The serial ports of this computer, with their kinds.
 ///
 /// # Errors
-/// The system does not tell.
+/// The system does not list them.
 pub fn list() -> Result<Vec<(String, String)>, PortError> {
     let ports = serialport::available_ports().map_err(|error| PortError::Open {
         name: "serial ports".to_string(),
@@ -116,9 +118,9 @@ pub fn list() -> Result<Vec<(String, String)>, PortError> {
     })?;
     let describe = |kind: SerialPortType| match kind {
         SerialPortType::UsbPort(usb) => {
-            let words = [usb.manufacturer, usb.product, usb.serial_number];
-            let words: Vec<String> = words.into_iter().flatten().collect();
-            format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, words.join(" "))
+            let parts = [usb.manufacturer, usb.product, usb.serial_number];
+            let parts: Vec<String> = parts.into_iter().flatten().collect();
+            format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, parts.join(" "))
         }
         SerialPortType::PciPort => "on board".to_string(),
         SerialPortType::BluetoothPort => "Bluetooth".to_string(),

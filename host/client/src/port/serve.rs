@@ -1,10 +1,13 @@
-//! The device's end, for a simulator that is served in real time: a pseudo-terminal, or a TCP listener.
+//! The device side for a simulator that is served in real time: a pseudo-terminal or a TCP
+//! listener.
 //!
-//! A second host is sent away, but a stop that it sends is heard: whoever may use the port can stop the machine.
+//! A second host is rejected, but a stop that it sends is executed: every user of the port can stop
+//! the machine.
 //!
-//! Both outlive their hosts: while none is there, reading gives nothing and what is written is thrown away, as on a cable that is not plugged in.
+//! Both outlive their hosts. Without a host nothing is read, and written bytes are dropped, as with
+//! an unplugged cable.
 
-use super::token::{LONGEST_LINE, TOKEN_WORD, Token};
+use super::token::{LONGEST_LINE, TOKEN_PREFIX, Token};
 use super::{BUSY, CLOSED, DENIED, PortError, SLOW, TcpTransport, Transport, is_quiet};
 use haptimill_protocol::frame::FrameDecoder;
 use haptimill_protocol::urgent::{STOP, UrgentDetector};
@@ -17,65 +20,66 @@ use std::time::{Duration, Instant};
 #[cfg(unix)]
 pub use pty::PtyServer;
 
-/// Serves one host at a time on a TCP port; a second one is told that it is busy and closed.
+/// Serves one host at a time on a TCP port; a second one gets the message `busy` and is closed.
 ///
-/// A connection becomes the host only once it has sent a valid Hello, after its token where the port
-/// demands one: garbage takes no place. [`TcpServer::read`] does a bounded part of the work at a
-/// time, so neither many connections nor many bytes delay the host that is served.
+/// A connection becomes the host when it has sent a valid Hello, after its token where the port
+/// requires one. [`TcpServer::read`] handles a bounded number of connections and bytes per call, so
+/// other connections do not delay the host.
 pub struct TcpServer {
     name: String,
     listener: TcpListener,
-    /// SHA-256 of the token that a host has to give.
+    /// SHA-256 of the token that a host must send.
     token: Option<[u8; 32]>,
     host: Option<TcpTransport>,
-    /// When the host was heard last.
-    heard: Instant,
-    /// What the host said before it had the place.
+    /// Time of the newest bytes of the host.
+    received_at: Instant,
+    /// Bytes of the host from before it was accepted.
     early: VecDeque<u8>,
     /// Connections that are not the host, the oldest first.
-    guests: VecDeque<Guest>,
-    asked: Instant,
-    /// A host that was sent away asked for an urgent stop.
+    candidates: VecDeque<Candidate>,
+    accepted_at: Instant,
+    /// A rejected connection sent an urgent stop.
     stop: bool,
 }
 
-/// A connection that is not the host: it has said nothing yet, or is sent away.
-struct Guest {
+/// A connection that is not the host: it has not sent a Hello yet, or is rejected.
+struct Candidate {
     stream: TcpStream,
     peer: SocketAddr,
     since: Instant,
-    said: Vec<u8>,
-    /// It was told to go; what it says is looked through for a stop only.
-    away: bool,
+    received: Vec<u8>,
+    /// It is rejected; its bytes are searched for a stop only.
+    is_rejected: bool,
 }
 
-/// How often a listener looks for a new host while it has one.
+/// Time between two checks for new connections.
 const ACCEPT_EVERY: Duration = Duration::from_millis(10);
 
-/// Connections that are accepted in one look.
+/// Connections that are accepted per check.
 const ACCEPTED: usize = 8;
 
-/// Connections that may wait to become the host or to be closed; of more, the oldest is closed.
-const GUESTS: usize = 16;
+/// Connections that wait to become the host or to be closed at most; of more, the oldest is closed.
+const CANDIDATES: usize = 16;
 
-/// Bytes that are taken of a connection in one look, and in all while it is not the host.
-const GUEST_BYTES: usize = 512;
-const MOST_GUEST_BYTES: usize = 4096;
+/// Bytes that are read from a connection per check, and in total while it is not the host.
+const CANDIDATE_BYTES: usize = 512;
+const MOST_CANDIDATE_BYTES: usize = 4096;
 
-/// Longest time in which a new connection must give its token and say something.
-const FIRST_WORD: Duration = Duration::from_secs(2);
+/// Time in which a new connection must send its token and a Hello.
+const HELLO_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How long a connection that was sent away is still looked through for a stop.
-const LAST_WORD: Duration = Duration::from_millis(500);
+/// Time in which a rejected connection is still searched for a stop.
+const CLOSE_DELAY: Duration = Duration::from_millis(500);
 
-/// A host that was silent for so long has to make room for another one. Hosts speak every 100 ms.
+/// A host that is silent for this time is replaced by another one. Hosts send every 100 ms.
 const SILENT: Duration = Duration::from_secs(2);
 
-/// A pause between two looks after which the silence of a host proves nothing.
-const HELD_UP: Duration = Duration::from_millis(500);
+/// After a longer time between two checks the silence of a host is not counted: this process did
+/// not run.
+const PROCESS_STALL: Duration = Duration::from_millis(500);
 
-/// A host that was silent for so long is closed in any case.
-const GONE: Duration = Duration::from_secs(30);
+/// A host that is silent for this time is closed in any case.
+const MAX_SILENCE: Duration = Duration::from_secs(30);
 
 impl TcpServer {
     /// Listens on `HOST:PORT`; port 0 takes a free one, see [`TcpServer::address`].
@@ -99,15 +103,15 @@ impl TcpServer {
             listener,
             token: None,
             host: None,
-            heard: Instant::now(),
+            received_at: Instant::now(),
             early: VecDeque::new(),
-            guests: VecDeque::new(),
-            asked: Instant::now(),
+            candidates: VecDeque::new(),
+            accepted_at: Instant::now(),
             stop: false,
         })
     }
 
-    /// Serves only hosts that give this token first.
+    /// Serves only hosts that send this token first.
     #[must_use]
     pub fn with_token(self, token: &Token) -> Self {
         Self {
@@ -116,25 +120,25 @@ impl TcpServer {
         }
     }
 
-    /// Where it listens.
+    /// The address on which it listens.
     ///
     /// # Errors
-    /// The system does not tell.
+    /// The system does not return it.
     pub fn address(&self) -> std::io::Result<SocketAddr> {
         self.listener.local_addr()
     }
 
-    /// Looks at new connections and at those that wait.
+    /// Handles new connections and those that wait.
     fn accept(&mut self) {
-        if self.asked.elapsed() < ACCEPT_EVERY {
+        if self.accepted_at.elapsed() < ACCEPT_EVERY {
             return;
         }
-        if self.asked.elapsed() > HELD_UP {
-            // This process stood still, and may not have read what the host said.
-            self.heard = Instant::now();
+        if self.accepted_at.elapsed() > PROCESS_STALL {
+            // This process did not run, and may not have read the bytes of the host yet.
+            self.received_at = Instant::now();
         }
-        self.asked = Instant::now();
-        if self.host.is_some() && self.heard.elapsed() > GONE {
+        self.accepted_at = Instant::now();
+        if self.host.is_some() && self.received_at.elapsed() > MAX_SILENCE {
             self.drop_host();
         }
         for _ in 0..ACCEPTED {
@@ -144,95 +148,99 @@ impl TcpServer {
             if stream.set_nonblocking(true).is_err() {
                 continue;
             }
-            if self.guests.len() == GUESTS {
-                self.guests.pop_front();
+            if self.candidates.len() == CANDIDATES {
+                self.candidates.pop_front();
             }
-            self.guests.push_back(Guest {
+            self.candidates.push_back(Candidate {
                 stream,
                 peer,
                 since: Instant::now(),
-                said: Vec::new(),
-                away: false,
+                received: Vec::new(),
+                is_rejected: false,
             });
         }
-        for _ in 0..self.guests.len() {
-            if let Some(guest) = self.guests.pop_front()
-                && let Some(guest) = self.look_at(guest)
+        for _ in 0..self.candidates.len() {
+            if let Some(candidate) = self.candidates.pop_front()
+                && let Some(candidate) = self.handle(candidate)
             {
-                self.guests.push_back(guest);
+                self.candidates.push_back(candidate);
             }
         }
     }
 
-    /// Goes on with a connection that is not the host; none when it became the host or is closed.
-    fn look_at(&mut self, mut guest: Guest) -> Option<Guest> {
-        let mut buffer = [0; GUEST_BYTES];
-        let ended = match guest.stream.read(&mut buffer) {
+    /// Handles a connection that is not the host; `None` when it became the host or is closed.
+    fn handle(&mut self, mut candidate: Candidate) -> Option<Candidate> {
+        let mut buffer = [0; CANDIDATE_BYTES];
+        let ended = match candidate.stream.read(&mut buffer) {
             Ok(0) => true,
             Ok(count) => {
-                guest.said.extend_from_slice(&buffer[..count]);
+                candidate.received.extend_from_slice(&buffer[..count]);
                 false
             }
             Err(error) => !is_quiet(&error),
         };
-        let known = self.admit(&guest.said);
+        let known = self.check_token(&candidate.received);
         if let Ok(Some(from)) = known
-            && UrgentDetector::new().push_all(&guest.said[from..])
+            && UrgentDetector::new().push_all(&candidate.received[from..])
         {
             self.stop = true;
-            guest.said.truncate(from);
+            candidate.received.truncate(from);
         }
-        if ended || guest.said.len() > MOST_GUEST_BYTES {
+        if ended || candidate.received.len() > MOST_CANDIDATE_BYTES {
             return None;
         }
-        if guest.away {
-            return (guest.since.elapsed() < LAST_WORD).then_some(guest);
+        if candidate.is_rejected {
+            return (candidate.since.elapsed() < CLOSE_DELAY).then_some(candidate);
         }
         match known {
-            Err(()) => guest.send_away(DENIED),
-            _ if self.host.is_some() && self.heard.elapsed() < SILENT => guest.send_away(BUSY),
-            Ok(Some(from)) if opens_session(&guest.said[from..]) => {
+            Err(()) => candidate.reject(DENIED),
+            _ if self.host.is_some() && self.received_at.elapsed() < SILENT => {
+                candidate.reject(BUSY)
+            }
+            Ok(Some(from)) if has_hello(&candidate.received[from..]) => {
                 self.drop_host();
-                let said = guest.said.split_off(from);
-                if guest.stream.set_nonblocking(false).is_ok()
-                    && let Ok(host) = TcpTransport::new(guest.stream, format!("tcp:{}", guest.peer))
+                let received = candidate.received.split_off(from);
+                if candidate.stream.set_nonblocking(false).is_ok()
+                    && let Ok(host) =
+                        TcpTransport::new(candidate.stream, format!("tcp:{}", candidate.peer))
                 {
-                    self.early = said.into();
+                    self.early = received.into();
                     self.host = Some(host);
-                    self.heard = Instant::now();
+                    self.received_at = Instant::now();
                 }
                 None
             }
-            _ if guest.since.elapsed() > FIRST_WORD => {
-                guest.send_away(if self.token.is_some() { DENIED } else { SLOW })
+            _ if candidate.since.elapsed() > HELLO_TIMEOUT => {
+                candidate.reject(if self.token.is_some() { DENIED } else { SLOW })
             }
-            _ => Some(guest),
+            _ => Some(candidate),
         }
     }
 
-    /// Where the protocol begins in what a connection said first; none while its token is not complete.
+    /// The offset of the protocol in the first bytes of a connection; `None` while its token is not
+    /// complete.
     ///
     /// # Errors
-    /// It gave no token, or another one.
-    fn admit(&self, said: &[u8]) -> Result<Option<usize>, ()> {
+    /// The token is missing or wrong.
+    fn check_token(&self, received: &[u8]) -> Result<Option<usize>, ()> {
         let Some(token) = &self.token else {
             return Ok(Some(0));
         };
-        match said
+        match received
             .iter()
             .take(LONGEST_LINE)
             .position(|byte| *byte == b'\n')
         {
             Some(end) => {
-                let given = said[..end].strip_prefix(TOKEN_WORD).ok_or(())?;
+                let given = received[..end].strip_prefix(TOKEN_PREFIX).ok_or(())?;
                 let given: [u8; 32] = Sha256::digest(given).into();
-                // The digests are compared to their ends, whatever differs.
+                // In constant time.
                 let differ = given.iter().zip(token).fold(0, |all, (a, b)| all | (a ^ b));
                 (std::hint::black_box(differ) == 0)
                     .then_some(Some(end + 1))
                     .ok_or(())
             }
-            None if said.len() >= LONGEST_LINE => Err(()),
+            None if received.len() >= LONGEST_LINE => Err(()),
             None => Ok(None),
         }
     }
@@ -240,23 +248,24 @@ impl TcpServer {
     fn drop_host(&mut self) {
         self.early.clear();
         if let Some(mut host) = self.host.take() {
-            // It does not read either, or it would have spoken.
+            // A host that sends nothing does not read either.
             let _ = host.write(CLOSED, Duration::ZERO);
         }
     }
 }
 
 /// Whether these bytes contain a valid Hello.
-fn opens_session(mut said: &[u8]) -> bool {
-    FrameDecoder::new().take(&mut said).is_some()
+fn has_hello(mut received: &[u8]) -> bool {
+    FrameDecoder::new().take(&mut received).is_some()
 }
 
-impl Guest {
-    /// Says why. What it says meanwhile is still read: closing at once would reset the connection and lose the reason, so only the sending half is closed.
-    fn send_away(mut self, why: &[u8]) -> Option<Self> {
+impl Candidate {
+    /// Sends the reason and closes the sending half. Closing both at once would reset the
+    /// connection and lose the reason.
+    fn reject(mut self, why: &[u8]) -> Option<Self> {
         let _ = self.stream.write(why);
         let _ = self.stream.shutdown(Shutdown::Write);
-        self.away = true;
+        self.is_rejected = true;
         self.since = Instant::now();
         Some(self)
     }
@@ -279,7 +288,7 @@ impl Transport for TcpServer {
         match host.read(buffer, wait) {
             Ok(count) => {
                 if count > 0 {
-                    self.heard = Instant::now();
+                    self.received_at = Instant::now();
                 }
                 Ok(count)
             }
@@ -318,16 +327,16 @@ mod pty {
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
     use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 
-    /// A pseudo-terminal whose other end any serial program can open.
+    /// A pseudo-terminal that any serial program can open.
     pub struct PtyServer {
         path: String,
         device: OwnedFd,
-        /// Keeps the terminal's settings, and keeps reading from failing, while no host has it open.
+        /// Keeps the settings of the terminal, and prevents read errors, while no host has it open.
         host_side: OwnedFd,
-        heard: Instant,
+        received_at: Instant,
     }
 
-    /// A host that was killed leaves its exclusive lock behind; after this silence it is taken off.
+    /// A host that was killed leaves its exclusive lock; after this silence the lock is removed.
     const SILENCE: Duration = Duration::from_secs(2);
 
     impl PtyServer {
@@ -358,7 +367,7 @@ mod pty {
                 path: path.to_string_lossy().into_owned(),
                 device,
                 host_side,
-                heard: Instant::now(),
+                received_at: Instant::now(),
             })
         }
 
@@ -372,7 +381,7 @@ mod pty {
             matches!(poll(&mut fds, Some(&wait)), Ok(1..))
         }
 
-        fn gone(&self, error: Errno) -> PortError {
+        fn lost(&self, error: Errno) -> PortError {
             PortError::Gone {
                 name: self.path.clone(),
                 reason: error.to_string(),
@@ -387,17 +396,17 @@ mod pty {
             }
             match rustix::io::read(&self.device, buffer) {
                 Ok(count) => {
-                    self.heard = Instant::now();
+                    self.received_at = Instant::now();
                     Ok(count)
                 }
                 Err(Errno::AGAIN | Errno::INTR) => {
-                    if self.heard.elapsed() > SILENCE {
-                        self.heard = Instant::now();
+                    if self.received_at.elapsed() > SILENCE {
+                        self.received_at = Instant::now();
                         let _ = ioctl_tiocnxcl(&self.host_side);
                     }
                     Ok(0)
                 }
-                Err(error) => Err(self.gone(error)),
+                Err(error) => Err(self.lost(error)),
             }
         }
 
@@ -408,7 +417,7 @@ mod pty {
             match rustix::io::write(&self.device, bytes) {
                 Ok(count) => Ok(count),
                 Err(Errno::AGAIN | Errno::INTR) => Ok(0),
-                Err(error) => Err(self.gone(error)),
+                Err(error) => Err(self.lost(error)),
             }
         }
 

@@ -9,7 +9,7 @@ use std::time::Duration;
 pub struct TcpTransport {
     name: String,
     stream: TcpStream,
-    /// Nothing was received yet: the first bytes may say that the other end is busy.
+    /// Nothing was received yet: the first bytes may be the message that the other end is busy.
     fresh: bool,
 }
 
@@ -22,10 +22,11 @@ impl TcpTransport {
         Self::connect_with(address, token::token())
     }
 
-    /// Connects to `HOST:PORT` within 5 seconds, and gives a token first.
+    /// Connects to `HOST:PORT` within 5 seconds, and sends a token first.
     ///
     /// # Errors
-    /// [`PortError::Open`] with what to do. That another host is being served shows in the first [`Transport::read`].
+    /// [`PortError::Open`] with the remedy. The first [`Transport::read`] fails when another host
+    /// is being served.
     pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, PortError> {
         let refused = |reason: String| PortError::Open {
             name: format!("tcp:{address}"),
@@ -51,7 +52,7 @@ impl TcpTransport {
         Err(refused(reason))
     }
 
-    /// Takes a connection that is open already.
+    /// Uses a connection that is open already.
     pub(super) fn new(stream: TcpStream, name: String) -> std::io::Result<Self> {
         stream.set_nodelay(true)?;
         Ok(Self {
@@ -61,7 +62,7 @@ impl TcpTransport {
         })
     }
 
-    /// Makes the next call wait so long; zero is no wait, which the system calls something else.
+    /// Sets the timeout of the next call; zero is the non-blocking mode of the socket.
     fn wait(&self, wait: Duration) -> std::io::Result<()> {
         self.stream.set_nonblocking(wait.is_zero())?;
         if !wait.is_zero() {
@@ -71,7 +72,7 @@ impl TcpTransport {
         Ok(())
     }
 
-    fn gone(&self, reason: &str) -> PortError {
+    fn lost(&self, reason: &str) -> PortError {
         PortError::Gone {
             name: self.name.clone(),
             reason: reason.to_string(),
@@ -85,13 +86,13 @@ impl Transport for TcpTransport {
             return Ok(0);
         }
         match self.wait(wait).and_then(|()| self.stream.read(buffer)) {
-            Ok(0) => Err(self.gone("connection closed")),
+            Ok(0) => Err(self.lost("connection closed")),
             Ok(count) => {
                 let first = std::mem::take(&mut self.fresh);
-                // The zero that begins and ends every frame is not in that sentence.
-                let said = &buffer[..count];
-                let is = |sentence: &[u8]| {
-                    said.len() >= 15 && sentence.starts_with(&said[..count.min(sentence.len())])
+                // The messages have no zero byte, which begins and ends every frame.
+                let bytes = &buffer[..count];
+                let is = |message: &[u8]| {
+                    bytes.len() >= 15 && message.starts_with(&bytes[..count.min(message.len())])
                 };
                 let name = || self.name.clone();
                 if first && is(BUSY) {
@@ -101,12 +102,12 @@ impl Transport for TcpTransport {
                     return Err(PortError::Denied { name: name() });
                 }
                 if is(CLOSED) || first && is(SLOW) {
-                    return Err(self.gone("it closed the connection after a silence"));
+                    return Err(self.lost("it closed the connection after a silence"));
                 }
                 Ok(count)
             }
             Err(error) if is_quiet(&error) => Ok(0),
-            Err(error) => Err(self.gone(&error.to_string())),
+            Err(error) => Err(self.lost(&error.to_string())),
         }
     }
 
@@ -115,11 +116,11 @@ impl Transport for TcpTransport {
             Ok(count) => Ok(count),
             Err(error) if is_quiet(&error) => Ok(0),
             Err(error) => {
-                // A refusal that waits to be read says more than a broken pipe.
+                // A message that waits to be read explains more than a broken pipe.
                 if self.fresh {
                     self.read(&mut [0; 128], Duration::from_millis(50))?;
                 }
-                Err(self.gone(&error.to_string()))
+                Err(self.lost(&error.to_string()))
             }
         }
     }

@@ -4,11 +4,12 @@ use std::time::Instant;
 
 const WAIT: Duration = Duration::from_millis(20);
 
-/// Reads from one end until `wanted` bytes came or two seconds went by; the other end is served meanwhile.
-fn collect(from: &mut dyn Transport, other: &mut dyn Transport, wanted: usize) -> Vec<u8> {
+/// Reads from one end until `expected` bytes came or two seconds went by; the other end is served
+/// meanwhile.
+fn collect(from: &mut dyn Transport, other: &mut dyn Transport, expected: usize) -> Vec<u8> {
     let end = Instant::now() + Duration::from_secs(2);
     let mut bytes = Vec::new();
-    while bytes.len() < wanted && Instant::now() < end {
+    while bytes.len() < expected && Instant::now() < end {
         let mut buffer = [0; 64];
         let count = from.read(&mut buffer, WAIT).unwrap();
         bytes.extend_from_slice(&buffer[..count]);
@@ -17,19 +18,19 @@ fn collect(from: &mut dyn Transport, other: &mut dyn Transport, wanted: usize) -
     bytes
 }
 
-/// Every byte value goes through both ways, unchanged and in order.
+/// Every byte value is transferred both ways, unchanged and in order.
 fn is_clean(host: &mut dyn Transport, device: &mut dyn Transport) {
     let all: Vec<u8> = (0..=255).collect();
     device.read(&mut [0; 8], WAIT).unwrap();
     assert_eq!(host.write(&all, WAIT).unwrap(), 256);
-    let mut heard = Vec::new();
-    while heard.len() < 256 {
+    let mut received = Vec::new();
+    while received.len() < 256 {
         let mut buffer = [0; 64];
         let count = device.read(&mut buffer, Duration::from_secs(2)).unwrap();
-        assert!(count > 0, "{} of 256 bytes came", heard.len());
-        heard.extend_from_slice(&buffer[..count]);
+        assert!(count > 0, "{} of 256 bytes came", received.len());
+        received.extend_from_slice(&buffer[..count]);
     }
-    assert_eq!(heard, all);
+    assert_eq!(received, all);
     assert_eq!(device.write(&all, WAIT).unwrap(), 256);
     assert_eq!(collect(host, device, 256), all);
 }
@@ -50,7 +51,7 @@ fn open_session(host: &mut dyn Transport, device: &mut dyn Transport) {
     assert_eq!(collect(device, host, hello.len()), hello);
 }
 
-/// Reading nothing takes the time that it was told, and no more.
+/// Reading nothing takes the timeout, and no longer.
 fn is_punctual(host: &mut dyn Transport) {
     let before = Instant::now();
     for _ in 0..50 {
@@ -95,7 +96,7 @@ fn specs_are_read_and_written() {
 fn tcp_carries_bytes_and_sends_a_second_host_away() {
     let mut device = TcpServer::listen("127.0.0.1:0").unwrap();
     let address = device.address().unwrap().to_string();
-    // Without a host nothing comes and nothing stays.
+    // Without a host nothing is received and nothing is kept.
     assert_eq!(device.read(&mut [0; 8], Duration::ZERO).unwrap(), 0);
     assert_eq!(device.write(b"lost", WAIT).unwrap(), 4);
     let mut host = TcpTransport::connect(&address).unwrap();
@@ -113,7 +114,7 @@ fn tcp_carries_bytes_and_sends_a_second_host_away() {
         "{refused:?}"
     );
 
-    // The first goes, another one comes.
+    // The first disconnects, another one connects.
     drop(host);
     device.read(&mut [0; 8], WAIT).unwrap();
     let mut third = TcpTransport::connect(&address).unwrap();
@@ -157,7 +158,7 @@ fn a_pseudo_terminal_carries_bytes_and_is_locked() {
         .unwrap_err();
     assert!(matches!(second, PortError::Busy { .. }), "{second:?}");
     assert!(
-        second.to_string().contains("another program has it"),
+        second.to_string().contains("another program uses it"),
         "{second}"
     );
     drop(host);
@@ -173,7 +174,7 @@ fn what_is_not_there_says_what_to_do() {
     let missing = SerialTransport::open("/dev/there-is-no-such-port", 9600).map(|_| ());
     let text = missing.unwrap_err().to_string();
     assert!(text.contains("haptimill ports"), "{text}");
-    // A port of the system's own that nothing listens on: bound, then let go.
+    // A port of the system that nothing listens on: bound, then closed.
     let free = TcpServer::listen("127.0.0.1:0").unwrap().address().unwrap();
     let text = TcpTransport::connect(&free.to_string())
         .map(|_| ())

@@ -1,22 +1,23 @@
-//! Who may use a served port: a word that both ends know, said in the first line of a connection.
+//! The token of a served port: a shared secret in the first line of a connection.
 //!
-//! Misuse: the word goes over the network as it is, and so does all that follows. On a network that is not trusted, use a tunnel (ssh -L).
+//! Token and data are not encrypted: on a network that is not trusted, callers must use a tunnel
+//! (ssh -L).
 
 use sha2::{Digest, Sha256};
 use std::fmt;
 use std::str::FromStr;
 use std::sync::OnceLock;
 
-/// What the first line of a connection begins with where the port asks for a token.
-pub(super) const TOKEN_WORD: &[u8] = b"haptimill-token ";
+/// Start of the first line of a connection to a port that requires a token.
+pub(super) const TOKEN_PREFIX: &[u8] = b"haptimill-token ";
 
-/// Lengths of a token, characters.
+/// Length of a token, characters.
 const LENGTHS: std::ops::RangeInclusive<usize> = 16..=128;
 
-/// The longest first line, bytes.
-pub(super) const LONGEST_LINE: usize = TOKEN_WORD.len() + *LENGTHS.end() + 1;
+/// Length of the first line at most, bytes.
+pub(super) const LONGEST_LINE: usize = TOKEN_PREFIX.len() + *LENGTHS.end() + 1;
 
-/// The environment variable from which a client takes its token.
+/// Environment variable with the token of a client.
 pub const TOKEN_VARIABLE: &str = "HAPTIMILL_TOKEN";
 
 /// A token: 16 to 128 visible ASCII characters.
@@ -45,10 +46,10 @@ impl fmt::Debug for Token {
 }
 
 impl Token {
-    /// A new one, of 128 random bits.
+    /// A new token of 128 random bits.
     ///
     /// # Errors
-    /// The system has no randomness.
+    /// The system gives no random numbers.
     pub fn random() -> Result<Self, String> {
         let mut bytes = [0; 16];
         getrandom::fill(&mut bytes).map_err(|error| error.to_string())?;
@@ -57,7 +58,7 @@ impl Token {
         ))
     }
 
-    /// The word itself, to be handed to whoever may use the port.
+    /// The text of the token.
     #[must_use]
     pub fn reveal(&self) -> &str {
         &self.0
@@ -67,21 +68,23 @@ impl Token {
         Sha256::digest(self.0.as_bytes()).into()
     }
 
-    /// The first line of a connection. A port that asks for no token takes it for a damaged frame, which the zero ends.
+    /// The first line of a connection. A port that requires no token takes it for a corrupt frame,
+    /// which the zero ends.
     pub(super) fn line(&self) -> Vec<u8> {
-        [TOKEN_WORD, self.0.as_bytes(), b"\n\0"].concat()
+        [TOKEN_PREFIX, self.0.as_bytes(), b"\n\0"].concat()
     }
 }
 
-/// The token of this process for the ports that it opens.
+/// The token of this process.
 static TOKEN: OnceLock<Token> = OnceLock::new();
 
-/// Gives this token to every TCP port that is opened from now on; the first call counts.
+/// Sends this token to every TCP port that is opened from now on; only the first call has an
+/// effect.
 pub fn use_token(token: Token) {
     let _ = TOKEN.set(token);
 }
 
-/// The token for ports that are opened.
+/// The token of this process.
 pub(super) fn token() -> Option<&'static Token> {
     TOKEN.get()
 }

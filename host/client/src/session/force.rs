@@ -1,4 +1,4 @@
-//! Force control on a controller: other settings, axes under control, a new zero of the sensor.
+//! Force control: settings of the loops, axes under control, tare of the sensor.
 
 use super::{Line, Session};
 use crate::{Error, ErrorKind};
@@ -8,25 +8,25 @@ use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, to_i32, to_u32};
 use haptimill_protocol::force::{ForceLoop, Gate};
 use haptimill_protocol::message::{Command, Event};
 
-/// What is to be changed in the loop of an axis; what is not said stays as it is.
+/// Changes to the force loop of an axis; absent values stay as they are.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct LoopChoice {
+pub struct ForceLoopChanges {
     /// f_d, N.
     pub desired_n: Option<f64>,
     /// K_A, N s^2/mm.
     pub mass: Option<f64>,
     /// K_V, N s/mm.
     pub damping: Option<f64>,
-    /// The most that the tool yields, mm.
+    /// Largest compliant displacement, mm.
     pub limit_mm: Option<f64>,
-    /// The fastest that it yields, mm/s.
+    /// Largest compliant velocity, mm/s.
     pub rate_mm_s: Option<f64>,
-    /// When it yields.
+    /// Enable condition.
     pub gate: Option<Gate>,
 }
 
-impl LoopChoice {
-    /// The settings of one axis.
+impl ForceLoopChanges {
+    /// The settings with the changes applied.
     #[must_use]
     pub fn of(&self, default: &ForceLoop) -> ForceLoop {
         let force = |newtons: f64| to_i32(newtons * PER_EFFORT);
@@ -43,14 +43,14 @@ impl LoopChoice {
     }
 }
 
-/// The force control of a machine file.
+/// The force control section of a machine file.
 ///
 /// # Errors
-/// It has none.
-pub fn force_of(machine: &MachineFile) -> Result<&ForceConfig, Error> {
+/// The machine has no force sensor.
+pub fn find_force_config(machine: &MachineFile) -> Result<&ForceConfig, Error> {
     machine.config.force.as_ref().ok_or_else(|| {
         let what = format!(
-            "{}: the machine has no force sensor; add a section [force], as machines/h4.toml has it",
+            "{}: the machine has no force sensor; add a section [force], as in machines/h4.toml",
             machine.file
         );
         Error::new(ErrorKind::BadInput, what)
@@ -58,7 +58,7 @@ pub fn force_of(machine: &MachineFile) -> Result<&ForceConfig, Error> {
 }
 
 impl<L: Line> Session<L> {
-    /// Settings for some axes, as the machine file has them but for the choice.
+    /// Sets the loops of some axes to those of the machine file, with changes.
     ///
     /// # Errors
     /// The machine has no force sensor, or the controller refuses a value, with its bound.
@@ -66,9 +66,9 @@ impl<L: Line> Session<L> {
         &mut self,
         machine: &MachineFile,
         axes: &[u8],
-        choice: &LoopChoice,
+        choice: &ForceLoopChanges,
     ) -> Result<(), Error> {
-        let force = force_of(machine)?;
+        let force = find_force_config(machine)?;
         for axis in axes {
             let Some(default) = force.axes.get(usize::from(*axis)) else {
                 continue;
@@ -81,22 +81,26 @@ impl<L: Line> Session<L> {
         Ok(())
     }
 
-    /// Other settings for some axes, as the controller has them but for the choice; they are in force when this returns.
+    /// Changes the loops of some axes on the controller, and waits until the changes are active.
     ///
     /// # Errors
     /// The controller has no force sensor, or refuses a value, with its bound.
-    pub fn change_force_loops(&mut self, axes: &[u8], choice: &LoopChoice) -> Result<(), Error> {
+    pub fn change_force_loops(
+        &mut self,
+        axes: &[u8],
+        choice: &ForceLoopChanges,
+    ) -> Result<(), Error> {
         for axis in axes {
             let settings = choice.of(&self.force_loop(*axis)?);
             self.ask(Command::ForceLoop {
                 axis: *axis,
                 settings,
             })?;
-            // It works them out first, some periods long.
+            // The controller prepares the settings for some periods.
             let by = self.now_us + 1_000_000;
             while self.force_loop(*axis)? != settings {
                 if self.now_us > by {
-                    let what = "the controller took the settings of the force loop and does not use them; report this";
+                    let what = "the controller accepted the settings of the force loop and does not use them; report this";
                     return Err(Error::new(ErrorKind::Internal, what));
                 }
             }
@@ -104,7 +108,7 @@ impl<L: Line> Session<L> {
         Ok(())
     }
 
-    /// The settings of the loop of an axis that are in force on the controller.
+    /// The active settings of the loop of an axis.
     ///
     /// # Errors
     /// The controller has no force sensor.
@@ -113,37 +117,37 @@ impl<L: Line> Session<L> {
         self.ask(Command::ForceSettings { axis })?;
         let by = self.now_us + 5_000_000;
         loop {
-            // Told before the answer, but on a way of its own.
-            let told = self.events[first..]
+            // The event is sent before the acknowledgement, but may arrive after it.
+            let reported = self.events[first..]
                 .iter()
                 .find_map(|(_, event)| match event {
                     Event::ForceSettings { axis: of, settings } if *of == axis => Some(*settings),
                     _ => None,
                 });
-            if let Some(settings) = told {
+            if let Some(settings) = reported {
                 return Ok(settings);
             }
             if self.now_us > by {
-                let what = "force: the settings were asked for, and not heard of for 5 s";
+                let what = "force: the controller did not report the settings within 5 s";
                 return Err(Error::new(ErrorKind::Port, what));
             }
             self.step()?;
         }
     }
 
-    /// Which axes are under force control.
+    /// Sets the axes under force control.
     ///
     /// # Errors
-    /// A refusal.
+    /// The controller refuses.
     pub fn set_force_mask(&mut self, axes: &[u8]) -> Result<(), Error> {
         let mask = axes.iter().fold(0, |mask, axis| mask | 1 << axis);
         self.ask(Command::ForceMask { mask })
     }
 
-    /// Takes what the sensor shows as its zero, and waits until that is done.
+    /// Tares the force sensor, and waits until that is done.
     ///
     /// # Errors
-    /// A refusal, at once or at the end.
+    /// The controller refuses, at once or after the measurement.
     pub fn tare(&mut self) -> Result<(), Error> {
         let first = self.events.len();
         self.ask(Command::Tare)?;
@@ -163,7 +167,7 @@ impl<L: Line> Session<L> {
                 }
             }
             if self.now_us > by {
-                let what = "tare: nothing was heard of its end for 5 s";
+                let what = "tare: the controller did not report the end within 5 s";
                 return Err(Error::new(ErrorKind::Port, what));
             }
             self.step()?;

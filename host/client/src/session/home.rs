@@ -1,6 +1,6 @@
-//! From wherever the search for the references ends to the home pose.
+//! The move from the reference position to the home pose.
 
-use super::{Line, Session, Unwatched};
+use super::{Line, NoObserver, Session};
 use crate::{Error, ErrorKind};
 
 use haptimill_machine_file::MachineFile;
@@ -8,16 +8,17 @@ use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_planner::Plan;
 use haptimill_protocol::message::AxisValues;
 
-/// That the machine moves a tool.
+/// Checks that the machine has a tool.
 ///
 /// # Errors
-/// It is a haptic arm alone.
-pub fn has_tool(machine: &MachineFile) -> Result<(), Error> {
+/// The machine file describes a haptic arm alone.
+pub fn check_has_tool(machine: &MachineFile) -> Result<(), Error> {
     if !machine.is_master() {
         return Ok(());
     }
     let what = format!(
-        "{}: a haptic arm alone, which has no tool to move; name a machine with --machine, and the arm with --master of `haptimill teleop`",
+        "{}: a haptic arm alone has no tool to move; give a machine with --machine, \
+         and the arm with --master of `haptimill teleop`",
         machine.file
     );
     Err(Error::new(ErrorKind::BadInput, what))
@@ -26,9 +27,9 @@ pub fn has_tool(machine: &MachineFile) -> Result<(), Error> {
 /// The pose at the home preset.
 ///
 /// # Errors
-/// There is none: the machine has no tool, or no pose at its presets.
-pub fn home_of(machine: &MachineFile, model: &Model) -> Result<AxisValues, Error> {
-    has_tool(machine)?;
+/// The machine has no tool, or its presets are not reachable by any pose.
+pub fn find_home_pose(machine: &MachineFile, model: &Model) -> Result<AxisValues, Error> {
+    check_has_tool(machine)?;
     model.home(machine).ok_or_else(|| {
         let what = format!(
             "{}: no pose has the joints at their presets; correct the presets",
@@ -38,11 +39,14 @@ pub fn home_of(machine: &MachineFile, model: &Model) -> Result<AxisValues, Error
     })
 }
 
-/// The host's number of the job that goes to the home pose.
+/// The host's number of the job that moves to the home pose.
 const HOME_JOB: u32 = 1;
 
-/// A straight move between two poses, in axis units: at a feed, mm/min or deg/min, or rapid.
-pub fn way(
+/// Plans a straight move between two poses in axis units, at a feed, mm/min or deg/min, or rapid.
+///
+/// # Errors
+/// The machine cannot make the move.
+pub fn plan_straight_move(
     machine: &MachineFile,
     model: &Model,
     from: &AxisValues,
@@ -50,17 +54,17 @@ pub fn way(
     feed: Option<f64>,
 ) -> Result<Plan, Error> {
     let options = program_options(machine, model.to_engineering_units(from));
-    // Ten decimals: far below an axis unit, so the end is the wanted one to the last bit.
-    let words: String = options
+    // Ten decimals are far below an axis unit: the end pose is exact.
+    let coordinates: String = options
         .axes
         .iter()
         .zip(model.to_engineering_units(to))
         .map(|(axis, value)| format!(" {}{value:.10}", axis.letter))
         .collect();
-    let name = "the way";
+    let name = "straight move";
     let block = match feed {
-        Some(feed) => format!("G1 F{feed:.6}{words}\n"),
-        None => format!("G0{words}\n"),
+        Some(feed) => format!("G1 F{feed:.6}{coordinates}\n"),
+        None => format!("G0{coordinates}\n"),
     };
     let program = haptimill_gcode::read(name, block.as_bytes(), &options)
         .map_err(|refused| Error::new(ErrorKind::Internal, refused))?;
@@ -69,15 +73,15 @@ pub fn way(
 }
 
 impl<L: Line> Session<L> {
-    /// Finds the references, then goes to the home pose: the pose of the presets, of which every program can rely.
+    /// Homes the machine, then moves to the home pose, where every program starts.
     ///
     /// # Errors
-    /// As [`Session::home`], when the way is refused, and when its end is [not reached](Session::well_ended).
+    /// As [`Session::home`]; the move is refused, or [not completed](Session::check_completed).
     pub fn go_home(&mut self, machine: &MachineFile, home: &AxisValues) -> Result<(), Error> {
         self.home()?;
         let here = self.status()?.commanded;
-        let plan = way(machine, &self.model, &here, home, None)?;
-        let end = self.run_job(HOME_JOB, here, plan.setpoints, &mut Unwatched)?;
-        self.well_ended(&end)
+        let plan = plan_straight_move(machine, &self.model, &here, home, None)?;
+        let end = self.run_job(HOME_JOB, here, plan.setpoints, &mut NoObserver)?;
+        self.check_completed(&end)
     }
 }

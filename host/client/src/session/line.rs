@@ -1,4 +1,4 @@
-//! What a session talks over.
+//! The line between a session and its controller.
 
 use crate::port::{PortError, Transport};
 use std::time::{Duration, Instant};
@@ -11,73 +11,76 @@ use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
 use haptimill_protocol::message::Telemetry;
 use haptimill_trace::Recorder;
 
-/// Carries bytes to a controller and back, and has a clock.
+/// A byte channel to a controller, with a clock.
 pub trait Line {
-    /// Sends bytes, lets a little time pass, adds what has arrived to `received`, and gives the time in microseconds.
+    /// Sends bytes, waits for a short time, appends received bytes to `received`, and returns the
+    /// time, microseconds.
     ///
     /// # Errors
-    /// The port is gone.
+    /// The port failed.
     fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError>;
 
-    /// What people call it.
+    /// Its name in messages.
     fn name(&self) -> String;
 
-    /// What the controller knew of itself in the last period; `None` where it cannot be looked into.
+    /// Internal values of a simulated controller in the last period; `None` for others.
     fn snapshot(&self) -> Option<Snapshot> {
         None
     }
 
-    /// What the controller of a haptic arm was told last of the force on a tool afar, 2^-6 N; `None` where it cannot be looked into.
-    fn told_force(&self) -> Option<[i16; COMPONENTS]> {
+    /// The force on the remote tool that the controller of a simulated haptic arm received last,
+    /// 2^-6 N; `None` for others.
+    fn remote_force(&self) -> Option<[i16; COMPONENTS]> {
         None
     }
 
-    /// Whether the recording of a job has ended before the job, because of the disk.
-    fn recording_is_broken(&self) -> bool {
+    /// Whether the recording ended before the job, because the disk is full or failed.
+    fn is_recording_broken(&self) -> bool {
         false
     }
 
-    /// The controller reported how things stand.
-    fn reported(&mut self, _: &Telemetry) {}
+    /// Records telemetry.
+    fn record_telemetry(&mut self, _: &Telemetry) {}
 
-    /// The controller reported how a hand stands at its haptic arm.
-    fn reported_hand(&mut self, _: &MasterTelemetry) {}
+    /// Records telemetry of the master.
+    fn record_master(&mut self, _: &MasterTelemetry) {}
 
-    /// The controller said that something happened; `level` is 0 for news, 1 for a warning, 2 for an error.
-    fn happened(&mut self, _period: u64, _level: u8, _text: &str) {}
+    /// Records an event; `level` is 0 for information, 1 for a warning, 2 for an error.
+    fn record_event(&mut self, _period: u64, _level: u8, _text: &str) {}
 }
 
 /// A line on which a job can be recorded.
 pub trait JobLine: Line {
-    /// Records from now on: every control period where the line sees them all, every telemetry frame otherwise.
+    /// Starts a recording: of every control period of a simulated machine, otherwise of every
+    /// telemetry frame.
     fn begin_recording(&mut self, recording: JobRecording);
 
-    /// Clamps a work on the table, with the tool where it stands. A real machine has its operator for that.
+    /// Clamps stock on the table of a simulated machine, at the present position of the tool.
     ///
     /// # Errors
-    /// The line has no table in reach, or the work makes no sense.
+    /// The machine is not simulated, or the stock is invalid.
     fn clamp(&mut self, _: &CuttingConfig) -> Result<(), Error> {
         Err(Error::new(
             ErrorKind::Usage,
-            "--stock is for the simulated machine; clamp the work by hand",
+            "--stock is for the simulated machine; clamp the stock yourself",
         ))
     }
 
-    /// Ends the recording and hands it back.
+    /// Ends the recording and returns it.
     fn end_recording(&mut self) -> Option<Recorder>;
 }
 
 /// Longest wait for bytes in one exchange: a thousand steps a second.
 const WAIT: Duration = Duration::from_millis(1);
 
-/// Longest wait for a port to take bytes. A port that takes none for so long is not reading; the link notices the silence.
+/// Longest wait for a port to accept bytes. The link detects a port that accepts none for longer.
 const WRITE_WAIT: Duration = Duration::from_millis(20);
 
 /// A controller behind a port, in real time.
 pub struct PortLine {
     port: Box<dyn Transport>,
-    begun: Instant,
-    /// Bytes that the port has not taken yet.
+    started_at: Instant,
+    /// Bytes that the port has not accepted yet.
     waiting: Vec<u8>,
     recording: Option<JobRecording>,
 }
@@ -88,7 +91,7 @@ impl PortLine {
     pub fn new(port: Box<dyn Transport>) -> Self {
         Self {
             port,
-            begun: Instant::now(),
+            started_at: Instant::now(),
             waiting: Vec::new(),
             recording: None,
         }
@@ -102,9 +105,10 @@ impl Line for PortLine {
             let taken = self.port.write(&self.waiting, WRITE_WAIT)?;
             self.waiting.drain(..taken);
         }
-        // The time of before the read: if this process is held up at whatever point, what the controller said until then is read before its silence
-        // is judged. Taken afterwards, a delay between the two would count as silence of a controller that has not been listened to.
-        let now_us = u64::try_from(self.begun.elapsed().as_micros()).unwrap_or(u64::MAX);
+        // The time before the read: bytes that arrived before it are then read before the link
+        // checks for silence. With the time after the read, a delay of this process between the two
+        // would count as silence of the controller.
+        let now_us = u64::try_from(self.started_at.elapsed().as_micros()).unwrap_or(u64::MAX);
         let mut buffer = [0; 4096];
         let count = self.port.read(&mut buffer, WAIT)?;
         received.extend_from_slice(&buffer[..count]);
@@ -115,23 +119,23 @@ impl Line for PortLine {
         self.port.name().to_string()
     }
 
-    fn recording_is_broken(&self) -> bool {
+    fn is_recording_broken(&self) -> bool {
         self.recording.as_ref().is_some_and(JobRecording::is_broken)
     }
 
-    fn reported(&mut self, telemetry: &Telemetry) {
+    fn record_telemetry(&mut self, telemetry: &Telemetry) {
         if let Some(recording) = &mut self.recording {
             recording.add_telemetry(telemetry);
         }
     }
 
-    fn reported_hand(&mut self, hand: &MasterTelemetry) {
+    fn record_master(&mut self, master: &MasterTelemetry) {
         if let Some(recording) = &mut self.recording {
-            recording.add_hand(hand);
+            recording.add_master(master);
         }
     }
 
-    fn happened(&mut self, period: u64, level: u8, text: &str) {
+    fn record_event(&mut self, period: u64, level: u8, text: &str) {
         if let Some(recording) = &mut self.recording {
             recording.add_event(period, level, text);
         }

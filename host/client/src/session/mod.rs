@@ -1,40 +1,51 @@
-//! One person's dealings with one controller: connect, ask and wait, run a job to its end, stop in time.
+//! A session with one controller: connect, agree on the configuration, enable, home, run a job,
+//! stop in time.
 //!
-//! A [`Session`] owns a [`Line`] and a [`Client`] and moves both on, step by step. On a [`SimLine`] a step is one control period of the
-//! simulated machine in virtual time, on a [`PortLine`] it is at most a millisecond of real time; nothing else differs.
+//! A [`Session`] owns a [`Line`] and a [`Client`]. It is a state machine that never waits:
+//! [`Session::step`] exchanges bytes once and sorts what was received into acknowledgements,
+//! events, and the end of a job. On a [`SimLine`] a step is one control period of the simulated
+//! machine in virtual time, on a [`PortLine`] at most a millisecond of real time.
 //!
-//! Misuse: whoever waits for something must go on stepping; a session that is not stepped falls silent, and the controller stops the
-//! machine.
+//! What takes several messages is a [`Procedure`] ([`Acknowledgement`], [`StatusQuery`],
+//! [`Homing`]) or a [`JobRun`]. Programs that wait for the result use [`Session::complete`] and the
+//! methods on it; programs that serve an operator meanwhile advance the procedure after each step. A
+//! [`Startup`] is sent each time the controller answers, and a [`Reconnection`] opens a lost session
+//! again.
+//!
+//! Callers must keep stepping: a session that is not stepped sends no keep-alive frames, and the
+//! controller stops the machine.
 
 mod force;
-mod hand;
+mod haptic_trace;
 mod home;
 mod job;
 mod line;
 #[cfg(unix)]
 pub mod pil;
+mod procedure;
 mod sim;
+mod startup;
 
-pub use force::{LoopChoice, force_of};
-pub use hand::{HandCourse, HandSample};
-
-pub use home::way;
-pub use home::{has_tool, home_of};
-pub use job::EMERGENCY_STOP;
-pub use job::{JobEnd, Sent, Unwatched, Watcher};
+pub use force::{ForceLoopChanges, find_force_config};
+pub use haptic_trace::{HapticTrace, HapticTraceSample};
+pub use home::{check_has_tool, find_home_pose, plan_straight_move};
+pub use job::{BytesSent, EMERGENCY_STOP, JobEnd, JobObserver, JobRun, JobStatus, NoObserver};
 pub use line::{JobLine, Line, PortLine};
+pub use procedure::{Acknowledgement, Homing, Procedure, StatusQuery};
 pub use sim::{JobRecording, SimLine, commissioned, rig, rig_around};
+pub use startup::{Numbers, Phase, Reconnection, Reopen, Startup};
 
-use crate::client::{Client, ClientState, JobEnding, Notice, Options, RequestError, Ticket};
+use crate::client::{Client, JobEnding, Notification, Options, RequestError, Ticket};
 use crate::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
-use haptimill_protocol::message::{Command, Event, Fault, Refusal, State, Telemetry};
+use haptimill_protocol::message::{Event, Fault, Refusal, State};
+use haptimill_protocol::text::Describe;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// How much an event matters: 0 is news, 1 a warning, 2 an error.
+/// Severity of an event: 0 is information, 1 a warning, 2 an error.
 fn level(event: &Event) -> u8 {
     match event {
         Event::Fault(_)
@@ -51,15 +62,15 @@ fn level(event: &Event) -> u8 {
     }
 }
 
-/// A session number that was never used before, as far as chance can do it.
+/// A random session number: a repetition is very unlikely.
 #[must_use]
 pub fn fresh_number() -> u32 {
     use std::hash::{BuildHasher, Hasher, RandomState};
-    // The standard library's hasher is keyed by the system's randomness.
+    // The standard library keys its hasher with random numbers of the system.
     RandomState::new().build_hasher().finish() as u32
 }
 
-/// A controller at the other end, and what it said.
+/// A session with a controller, and what was received in it.
 pub struct Session<L> {
     line: L,
     client: Client,
@@ -69,21 +80,29 @@ pub struct Session<L> {
     now_us: u64,
     answers: VecDeque<(Ticket, &'static str, Result<(), RequestError>)>,
     ending: Option<JobEnding>,
-    /// Period of the newest report of a hand.
-    hand: Option<u64>,
+    /// Period of the newest telemetry of a master.
+    master: Option<u64>,
     /// Events since the session began, with their control periods.
     pub events: Vec<(u64, Event)>,
+    startup: Option<Startup>,
+    reconnection: Option<Reconnection<L>>,
+    phase: Phase,
+    /// Why the session is not ready.
+    reason: String,
+    /// Earliest time of the next attempt to open a port that failed, by the caller's clock.
+    reopen_at_us: u64,
+    /// Why the session ended for good.
     lost: Option<String>,
     refusal: Option<Refusal>,
-    /// Name and CRC of the configuration that this session made active.
+    /// Name and CRC of the configuration that this session activated.
     configured: Option<(String, u32)>,
     interrupted: Arc<AtomicBool>,
-    /// Bytes per second that the line carries; 0 for no bound.
+    /// Bandwidth of the line, bytes per second; 0 for no limit.
     line_rate: u32,
 }
 
 impl<L: Line> Session<L> {
-    /// A session over a line; `interrupted` is set when the user wants everything to stop.
+    /// A session over a line; `interrupted` is set when the user stops the program.
     pub fn new(
         line: L,
         machine: &MachineFile,
@@ -100,8 +119,13 @@ impl<L: Line> Session<L> {
             now_us: 0,
             answers: VecDeque::new(),
             ending: None,
-            hand: None,
+            master: None,
             events: Vec::new(),
+            startup: None,
+            reconnection: None,
+            phase: Phase::Closed,
+            reason: String::new(),
+            reopen_at_us: 0,
             lost: None,
             refusal: None,
             configured: None,
@@ -110,13 +134,18 @@ impl<L: Line> Session<L> {
     }
 
     /// The line.
-    pub fn line_mut(&mut self) -> &mut L {
+    pub const fn line_mut(&mut self) -> &mut L {
         &mut self.line
     }
 
-    /// The line, at the end.
+    /// Ends the session and returns the line.
     pub fn into_line(self) -> L {
         self.line
+    }
+
+    /// The client.
+    pub const fn client(&self) -> &Client {
+        &self.client
     }
 
     /// The client.
@@ -124,17 +153,17 @@ impl<L: Line> Session<L> {
         &mut self.client
     }
 
-    /// The geometry, for conversions and sentences.
+    /// The geometry and the units of the machine.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// Goes by another machine file from now on.
-    pub fn use_machine(&mut self, machine: &MachineFile) {
+    /// Uses another machine file from now on.
+    pub fn set_machine(&mut self, machine: &MachineFile) {
         self.model = Model::new(machine);
     }
 
-    /// The machine file of the controller is not known: its axes have no names and no units.
+    /// Describes axes without names and units: the machine file of the controller is not known.
     pub fn forget_axes(&mut self) {
         self.model.forget_axes();
     }
@@ -144,87 +173,78 @@ impl<L: Line> Session<L> {
         self.now_us
     }
 
-    /// Whether everything is to stop: the user wants it, or the job cannot be recorded any more.
-    pub fn interrupted(&self) -> bool {
-        self.interrupted.load(Ordering::Relaxed) || self.line.recording_is_broken()
+    /// Whether the machine must stop: the user stopped the program, or the recording failed.
+    pub fn is_interrupted(&self) -> bool {
+        self.interrupted.load(Ordering::Relaxed) || self.line.is_recording_broken()
     }
 
-    /// One step of line and client; what was said is sorted.
+    /// Exchanges bytes once, and sorts what was received. Does nothing while the port is lost; see
+    /// [`Session::reopen`].
     ///
     /// # Errors
-    /// The port broke, or the session with the controller ended.
+    /// The port failed, the session with the controller ended, or the controller refuses the
+    /// [`Startup`].
     pub fn step(&mut self) -> Result<(), Error> {
+        if self.phase == Phase::Disconnected {
+            return Ok(());
+        }
         self.received.clear();
-        self.now_us = self.line.exchange(&self.transmit, &mut self.received)?;
+        match self.line.exchange(&self.transmit, &mut self.received) {
+            Ok(now_us) => self.now_us = now_us,
+            Err(error) => return self.lose_port(error),
+        }
         self.transmit.clear();
         self.client
             .advance(self.now_us, &self.received, &mut self.transmit);
-        if let Some(hand) = self.client.hand()
-            && self.hand.replace(hand.period) != Some(hand.period)
+        if let Some(master) = self.client.master()
+            && self.master.replace(master.period) != Some(master.period)
         {
-            self.line.reported_hand(hand);
+            self.line.record_master(master);
         }
-        while let Some(notice) = self.client.poll() {
-            match notice {
-                Notice::Answered {
-                    ticket,
-                    command,
-                    result,
-                } => self.answers.push_back((ticket, command, result)),
-                Notice::Event { period, event } => {
-                    let text = self
-                        .model
-                        .with_axes(|axes| axes.describe(&event).to_string());
-                    self.line.happened(period, level(&event), &text);
-                    self.events.push((period, event));
-                }
-                Notice::Job(ending) => self.ending = Some(ending),
-                Notice::Lost(error) => self.lost = Some(error.to_string()),
-                Notice::Telemetry(telemetry) => self.line.reported(&telemetry),
-                Notice::Refused(refusal) => self.refusal = Some(refusal),
-                Notice::Connected(_) => {}
-            }
+        while let Some(notification) = self.client.poll() {
+            self.sort(notification)?;
         }
         match &self.lost {
-            Some(lost) => Err(Error::new(
-                ErrorKind::Port,
-                format!("{}: {lost}", self.line.name()),
-            )),
+            Some(lost) => Err(Error::new(ErrorKind::Port, lost)),
             None => Ok(()),
         }
     }
 
-    /// Opens the session.
-    ///
-    /// # Errors
-    /// No controller answers, it refuses, or the user gave up.
-    pub fn connect(&mut self, number: u32) -> Result<(), Error> {
-        self.client.connect(number, self.now_us);
-        while *self.client.state() != ClientState::Ready {
-            self.step()?;
-            if self.interrupted() {
-                return Err(Error::new(
-                    ErrorKind::Stopped,
-                    "stopped before the controller answered",
-                ));
+    fn sort(&mut self, notification: Notification) -> Result<(), Error> {
+        match notification {
+            Notification::Connected(welcome) => self.start(&welcome)?,
+            Notification::Answered {
+                ticket,
+                command,
+                result,
+            } => {
+                if !self.acknowledge_startup(ticket, &result)? {
+                    self.answers.push_back((ticket, command, result));
+                }
             }
+            Notification::Event { period, event } => {
+                let text = self.describe(&event);
+                self.line.record_event(period, level(&event), &text);
+                self.events.push((period, event));
+            }
+            Notification::Job(ending) => self.ending = Some(ending),
+            Notification::Lost(error) => self.lose_session(&error)?,
+            Notification::Telemetry(telemetry) => self.line.record_telemetry(&telemetry),
+            Notification::Refused(refusal) => self.refusal = Some(refusal),
         }
         Ok(())
     }
 
-    /// Asks, and waits for the answer.
-    ///
-    /// # Errors
-    /// A refusal, in words, or no answer.
-    pub fn ask(&mut self, command: Command) -> Result<(), Error> {
-        let ticket = self.client.request(command);
-        self.wait_for_answer(ticket)
+    /// Describes a value of the protocol with the names and units of the axes.
+    pub fn describe<T: Describe>(&self, value: &T) -> String {
+        self.model
+            .with_axes(|axes| axes.describe(value).to_string())
     }
 
-    /// The answer to a request, if it came; asked once.
+    /// Takes the acknowledgement of a request, if it was received.
     ///
     /// # Errors
-    /// A refusal, in words, or no answer.
+    /// The controller refused the request or did not answer.
     pub fn answer(&mut self, ticket: Ticket) -> Option<Result<(), Error>> {
         let mut answers = self.answers.iter();
         let index = answers.position(|(answered, _, _)| *answered == ticket)?;
@@ -232,68 +252,43 @@ impl<L: Line> Session<L> {
         Some(result.map_err(|error| self.refused(command, &error)))
     }
 
-    /// Waits for the answer to a request.
-    ///
-    /// # Errors
-    /// A refusal, in words, or no answer.
-    pub fn wait_for_answer(&mut self, ticket: Ticket) -> Result<(), Error> {
-        loop {
-            if let Some(index) = self
-                .answers
-                .iter()
-                .position(|(answered, _, _)| *answered == ticket)
-                && let Some((_, command, result)) = self.answers.remove(index)
-            {
-                return result.map_err(|error| self.refused(command, &error));
-            }
-            self.step()?;
-        }
-    }
-
     fn refused(&self, command: &str, error: &RequestError) -> Error {
         match error {
             RequestError::Refused(refusal) => {
-                let why = self
-                    .model
-                    .with_axes(|axes| axes.describe(refusal).to_string());
+                let why = self.describe(refusal);
                 Error::new(ErrorKind::Command, format!("{command}: {why}"))
             }
             other => Error::new(ErrorKind::Port, format!("{command}: {other}")),
         }
     }
 
-    /// Makes the machine file the controller's configuration, unless it is already.
+    /// Makes the machine file the active configuration of the controller, unless it is already.
     ///
     /// # Errors
-    /// A refusal: the controller and this program disagree, or the machine is not disabled.
+    /// The controller and this program disagree, or the machine is not disabled.
     pub fn configure(&mut self, machine: &MachineFile) -> Result<(), Error> {
-        let (bytes, crc) = machine
-            .encoded()
-            .map_err(|error| Error::new(ErrorKind::Internal, error))?;
-        if self.configuration_crc() == crc {
-            return Ok(());
-        }
-        self.send_configuration(&bytes, false)?;
-        self.configured = Some((machine.config.name.to_string(), crc));
-        Ok(())
+        self.send_configuration(machine, false)
     }
 
-    /// Sends the machine file in any case: the joints have been set up at their presets by hand.
+    /// Sends the machine file in any case: the operator has placed the joints at their presets.
     ///
     /// # Errors
     /// As [`Session::configure`].
     pub fn configure_at_preset(&mut self, machine: &MachineFile) -> Result<(), Error> {
+        self.send_configuration(machine, true)
+    }
+
+    fn send_configuration(&mut self, machine: &MachineFile, at_preset: bool) -> Result<(), Error> {
         let (bytes, crc) = machine
             .encoded()
             .map_err(|error| Error::new(ErrorKind::Internal, error))?;
-        self.send_configuration(&bytes, true)?;
+        if self.configuration_crc() == crc && !at_preset {
+            return Ok(());
+        }
+        let ticket = self.client.configure(&bytes, at_preset);
+        self.wait_for_acknowledgement(ticket)?;
         self.configured = Some((machine.config.name.to_string(), crc));
         Ok(())
-    }
-
-    fn send_configuration(&mut self, bytes: &[u8], at_preset: bool) -> Result<(), Error> {
-        let ticket = self.client.configure(bytes, at_preset);
-        self.wait_for_answer(ticket)
     }
 
     /// Name of the machine that the controller is configured as; empty when it is not.
@@ -317,103 +312,20 @@ impl<L: Line> Session<L> {
         sent.or(welcomed).unwrap_or(0)
     }
 
-    /// How things stand now.
-    ///
-    /// # Errors
-    /// No answer.
-    pub fn status(&mut self) -> Result<Telemetry, Error> {
-        // Telemetry made before an event may come after it: what is told must be newer than both.
-        let told = self.client.telemetry().map(|telemetry| telemetry.period);
-        let happened = self.events.last().map(|(period, _)| *period);
-        let before = told.max(happened);
-        self.ask(Command::Status)?;
-        let mut again = self.now_us + 2_000_000;
-        loop {
-            if let Some(telemetry) = self.client.telemetry()
-                && Some(telemetry.period) > before
-            {
-                return Ok(telemetry.clone());
-            }
-            if self.now_us > again {
-                // One telemetry frame may be lost on a bad line; asking again is cheap.
-                again = self.now_us + 2_000_000;
-                self.ask(Command::Status)?;
-            }
-            self.step()?;
-        }
-    }
-
-    /// Enables the drives if they are off.
-    ///
-    /// # Errors
-    /// A refusal: a latched fault or emergency stop, an input, a pose out of reach.
-    pub fn enable(&mut self) -> Result<(), Error> {
-        match self.status()?.state {
-            State::Disabled | State::Fault | State::EmergencyStop => self.ask(Command::Enable),
-            _ => Ok(()),
-        }
-    }
-
-    /// Homes, and waits until it is done.
-    ///
-    /// # Errors
-    /// A refusal, a fault or an emergency stop while homing, or the user stopped it.
-    pub fn home(&mut self) -> Result<(), Error> {
-        let first = self.events.len();
-        self.ask(Command::Home)?;
-        let mut stopping = false;
-        loop {
-            self.step()?;
-            if self.interrupted() && !stopping {
-                stopping = true;
-                self.client.urgent_stop();
-            }
-            for (_, event) in &self.events[first..] {
-                match event {
-                    Event::Homed => return Ok(()),
-                    Event::Fault(fault) => return Err(self.fault(fault)),
-                    Event::State {
-                        from: State::Homing,
-                        to: State::EmergencyStop,
-                        ..
-                    } => return Err(Error::new(ErrorKind::Fault, EMERGENCY_STOP)),
-                    Event::State {
-                        from: State::Homing,
-                        to,
-                        ..
-                    } if *to != State::Homing => {
-                        // The event of success comes before the change of state.
-                        return Err(Error::new(
-                            ErrorKind::Stopped,
-                            "homing was stopped; the reference is not found",
-                        ));
-                    }
-                    _ => {}
-                }
-            }
-        }
-    }
-
-    /// A refusal of a command that asks for no answer (a jog), in words, once.
+    /// Takes the refusal of a command without acknowledgement (a jog).
     pub fn refusal(&mut self) -> Option<String> {
         let refusal = self.refusal.take()?;
-        Some(
-            self.model
-                .with_axes(|axes| axes.describe(&refusal).to_string()),
-        )
+        Some(self.describe(&refusal))
     }
 
-    /// A fault as an error of the command.
+    /// The error of a command that a fault ended.
     pub fn fault(&self, fault: &Fault) -> Error {
         Error::new(
             ErrorKind::Fault,
-            format!("machine fault: {}", self.sentence(fault)),
+            format!("machine fault: {}", self.describe(fault)),
         )
     }
-
-    /// A fault in words.
-    pub fn sentence(&self, fault: &Fault) -> String {
-        self.model
-            .with_axes(|axes| axes.describe(fault).to_string())
-    }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,6 +1,6 @@
-//! The built-in simulator as a line: controller, machine and serial line in this process, in virtual time.
+//! The built-in simulator as a line: controller, machine and serial line, in virtual time.
 
-use super::hand::{HandCourse, HandRecorder};
+use super::haptic_trace::{HapticTrace, HapticTraceRecorder};
 use super::{JobLine, Line, Session, fresh_number};
 use crate::client::Options;
 use crate::port::PortError;
@@ -19,40 +19,40 @@ use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
 use haptimill_trace::{IoLog, Record, Recorder, flag};
 use std::sync::Arc;
 
-/// A machine that exists in this process only.
+/// A simulated machine in this process.
 pub struct SimLine<C = Controller> {
     rig: Rig<C>,
     name: String,
-    /// Periods since the power-on of the controller, until a recording takes them up.
+    /// I/O since the power-on of the controller, until a recording starts.
     io_log: Option<IoLog>,
-    /// What happened before there was a recording.
-    happened: Vec<(u64, u8, String)>,
+    /// Events before the recording.
+    record_event: Vec<(u64, u8, String)>,
     recording: Option<JobRecording>,
-    hand: Option<HandRecorder>,
+    haptic_trace: Option<HapticTraceRecorder>,
 }
 
-/// Events that are kept until there is a recording for them.
-const MOST_EVENTS: usize = 1000;
+/// Events before a recording that are kept.
+const MAX_EVENTS: usize = 1000;
 
-/// A recording of a job, with the truth of the simulated machine and the programmed geometry beside it.
+/// A recording of a job, with the ground truth of a simulated machine and the programmed geometry.
 pub struct JobRecording {
     recorder: Recorder,
-    /// None where a hand leads and nothing is programmed.
+    /// `None` in teleoperation, where nothing is programmed.
     plan: Option<Arc<Plan>>,
     cursor: Cursor,
     /// Axis units per millimetre or degree of the pose coordinates.
     units: [f64; MAX_AXES],
-    /// The newest report of a hand, for a controller behind a port.
-    hand: Option<MasterTelemetry>,
+    /// The newest telemetry of the master, for a controller behind a port.
+    master: Option<MasterTelemetry>,
 }
 
-/// Telemetry frames, 20 ms apart or more, after which the recording is handed to the disk.
+/// Telemetry frames, 20 ms apart or more, after which the recording is written to disk.
 const SPILL_EVERY: u64 = 12;
 
-/// Puts the simulated machine of a machine file together.
+/// Builds the simulated machine of a machine file.
 ///
 /// # Errors
-/// The file has no `[plant]` section, or a fault makes no sense on this machine.
+/// The file has no `[plant]` section, or the machine cannot have one of the faults.
 pub fn rig(
     machine: &MachineFile,
     seed: Option<u64>,
@@ -63,7 +63,7 @@ pub fn rig(
     rig_around(controller, machine, seed, baud, faults)
 }
 
-/// As [`rig`], around any controller.
+/// As [`rig`], with any controller.
 ///
 /// # Errors
 /// As [`rig`].
@@ -89,10 +89,11 @@ pub fn rig_around<C: Control>(
     })
 }
 
-/// Configures the controller of a simulated machine over its line, as the maker of a machine does before it is delivered.
+/// Configures the controller of a simulated machine over its line, as the manufacturer does before
+/// delivery.
 ///
 /// # Errors
-/// The reason, where a fault of the machine or of its line prevents it, and the machine without a configuration.
+/// A fault of the machine or of its line prevents it; with the machine, which has no configuration.
 #[allow(clippy::result_large_err)]
 pub fn commissioned(
     rig: Rig<Controller>,
@@ -109,7 +110,7 @@ pub fn commissioned(
         .connect(fresh_number())
         .and_then(|()| session.configure(machine));
     let mut rig = session.into_line().rig;
-    // The last words of this session are for no other host.
+    // The remaining bytes of this session must not reach the next host.
     rig.host_read(&mut Vec::new());
     match done {
         Ok(()) => Ok(rig),
@@ -117,7 +118,8 @@ pub fn commissioned(
     }
 }
 
-/// Longest wait for the controller of a simulated machine that is being configured, microseconds of its time.
+/// Timeout of the controller of a simulated machine that is being configured, microseconds of its
+/// time.
 const COMMISSION_US: u64 = 2_000_000;
 
 impl<C: Control> SimLine<C> {
@@ -127,37 +129,39 @@ impl<C: Control> SimLine<C> {
         Self::named(rig, "simulator")
     }
 
-    /// A line to a simulated machine whose controller people call something else.
+    /// A line to a simulated machine with this name.
     #[must_use]
     pub fn named(rig: Rig<C>, name: &str) -> Self {
-        // A controller that has run already cannot be followed from its beginning.
+        // The I/O log must begin at the power-on of the controller.
         let io_log = (rig.time_ns() == 0).then(IoLog::new);
         Self {
             rig,
             name: name.to_string(),
             io_log,
-            happened: Vec::new(),
+            record_event: Vec::new(),
             recording: None,
-            hand: None,
+            haptic_trace: None,
         }
     }
 
-    /// Looks at hand and tool from now on, a thousand times a second.
-    pub fn begin_hand(&mut self) {
-        self.hand = Some(HandRecorder::default());
+    /// Starts a haptic trace.
+    pub fn begin_haptic_trace(&mut self) {
+        self.haptic_trace = Some(HapticTraceRecorder::default());
     }
 
-    /// Stops looking, and tells what was seen.
-    pub fn end_hand(&mut self) -> Option<HandCourse> {
-        self.hand.take().map(HandRecorder::into_course)
+    /// Ends the haptic trace, and returns it.
+    pub fn end_haptic_trace(&mut self) -> Option<HapticTrace> {
+        self.haptic_trace
+            .take()
+            .map(HapticTraceRecorder::into_trace)
     }
 
-    /// The machine with its controller and its line, to be meddled with.
+    /// The machine with its controller and its line, for fault injection.
     pub const fn rig_mut(&mut self) -> &mut Rig<C> {
         &mut self.rig
     }
 
-    /// The machine with its controller and its line, for a look at what really was.
+    /// The machine with its controller and its line, with the ground truth.
     #[must_use]
     pub const fn rig(&self) -> &Rig<C> {
         &self.rig
@@ -169,14 +173,14 @@ impl<C: Control> JobLine for SimLine<C> {
         if let Some(io_log) = self.io_log.take() {
             recording.recorder.start_io_log(io_log);
         }
-        for (period, level, text) in self.happened.drain(..) {
+        for (period, level, text) in self.record_event.drain(..) {
             recording.recorder.event(period, level, &text);
         }
         self.recording = Some(recording);
     }
 
-    fn clamp(&mut self, work: &CuttingConfig) -> Result<(), Error> {
-        self.rig.plant_mut().clamp(work).map_err(|problems| {
+    fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), Error> {
+        self.rig.plant_mut().clamp(stock).map_err(|problems| {
             let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
             Error::new(ErrorKind::BadInput, problems.join("\n"))
         })
@@ -208,10 +212,10 @@ impl<C: Control> Line for SimLine<C> {
             }
         }
         if ticked
-            && let Some(hand) = &mut self.hand
+            && let Some(trace) = &mut self.haptic_trace
             && let Some(snapshot) = self.rig.control().snapshot(self.rig.inputs())
         {
-            hand.look(self.rig.plant(), &snapshot);
+            trace.sample(self.rig.plant(), &snapshot);
         }
         Ok(self.rig.time_ns() / 1000)
     }
@@ -220,7 +224,7 @@ impl<C: Control> Line for SimLine<C> {
         self.name.clone()
     }
 
-    fn recording_is_broken(&self) -> bool {
+    fn is_recording_broken(&self) -> bool {
         self.recording.as_ref().is_some_and(JobRecording::is_broken)
     }
 
@@ -228,11 +232,11 @@ impl<C: Control> Line for SimLine<C> {
         self.rig.control().snapshot(self.rig.inputs())
     }
 
-    fn happened(&mut self, period: u64, level: u8, text: &str) {
+    fn record_event(&mut self, period: u64, level: u8, text: &str) {
         match &mut self.recording {
             Some(recording) => recording.add_event(period, level, text),
-            None if self.happened.len() < MOST_EVENTS => {
-                self.happened.push((period, level, text.to_string()));
+            None if self.record_event.len() < MAX_EVENTS => {
+                self.record_event.push((period, level, text.to_string()));
             }
             None => {}
         }
@@ -240,7 +244,7 @@ impl<C: Control> Line for SimLine<C> {
 }
 
 impl JobRecording {
-    /// A recording of the job that `plan` is.
+    /// A recording of the job of a plan.
     #[must_use]
     pub fn new(recorder: Recorder, plan: Arc<Plan>, machine: &MachineFile) -> Self {
         Self {
@@ -249,7 +253,7 @@ impl JobRecording {
         }
     }
 
-    /// A recording of a job in which a hand leads, and nothing is programmed.
+    /// A recording of a job without a plan: teleoperation.
     #[must_use]
     pub fn unplanned(recorder: Recorder, machine: &MachineFile) -> Self {
         let mut units = [1.0; MAX_AXES];
@@ -261,33 +265,33 @@ impl JobRecording {
             plan: None,
             cursor: Cursor::default(),
             units,
-            hand: None,
+            master: None,
         }
     }
 
-    /// The recorder, to be finished.
+    /// The recorder.
     #[must_use]
     pub fn into_recorder(self) -> Recorder {
         self.recorder
     }
 
-    /// Whether it has ended before the job, because of the disk.
+    /// Whether it ended before the job, because the disk is full or failed.
     #[must_use]
     pub fn is_broken(&self) -> bool {
         self.recorder.is_broken()
     }
 
-    /// What happened, in words.
+    /// Adds an event.
     pub fn add_event(&mut self, period: u64, level: u8, text: &str) {
         self.recorder.event(period, level, text);
     }
 
-    /// A report of the hand of a machine of which nothing else is seen; it goes with the next telemetry frame.
-    pub const fn add_hand(&mut self, hand: &MasterTelemetry) {
-        self.hand = Some(*hand);
+    /// Adds telemetry of the master behind a port; it is recorded with the next telemetry frame.
+    pub const fn add_master(&mut self, master: &MasterTelemetry) {
+        self.master = Some(*master);
     }
 
-    /// A telemetry frame of a machine of which nothing else is seen: the tool is where the controller measures it.
+    /// Adds a telemetry frame of a machine behind a port: the tool position is the measured one.
     pub fn add_telemetry(&mut self, telemetry: &Telemetry) {
         let mut record = Record {
             period: telemetry.period,
@@ -317,16 +321,16 @@ impl JobRecording {
         let copy = |to: &mut [i32; MAX_AXES], from: &AxisValues| {
             to.iter_mut().zip(from).for_each(|(to, from)| *to = *from)
         };
-        if let Some(hand) = self.hand.take() {
+        if let Some(master) = self.master.take() {
             let newtons = |force: [i16; COMPONENTS]| force.map(|part| i32::from(part) << 8);
             record.haptic = HapticSnapshot {
-                tip: hand.pose.tip,
-                force: newtons(hand.force),
-                reflected: newtons(hand.feedback),
-                wall: newtons(hand.fixture),
+                tip: master.pose.tip,
+                force: newtons(master.force),
+                reflected: newtons(master.feedback),
+                wall: newtons(master.fixture),
             };
             record.haptic_flags = flag::HAPTIC_KNOWN;
-            if hand.pose.engaged {
+            if master.pose.engaged {
                 record.haptic_flags |= flag::CLUTCH_CLOSED;
             }
         }
@@ -344,13 +348,14 @@ impl JobRecording {
         }
         self.add_programmed(&mut record, f64::from(telemetry.program_periods));
         self.recorder.record(&record);
-        // A block takes long to fill at this pace: a quarter of a second is what a host that dies may lose.
+        // A block fills slowly at this rate. A host that crashes loses a quarter of a second at
+        // most.
         if self.recorder.records().is_multiple_of(SPILL_EVERY) {
             self.recorder.spill();
         }
     }
 
-    /// The programmed pose, if a job is under way, at a program time in periods.
+    /// Adds the programmed pose at a program time in periods, if a job is running.
     fn add_programmed(&mut self, record: &mut Record, periods: f64) {
         let Some(plan) = &self.plan else {
             return;

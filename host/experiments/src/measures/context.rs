@@ -5,7 +5,7 @@ use super::statistics::Point;
 use crate::definition::{Event, Experiment, Measurement, Pass, Window, WorkAxis};
 use crate::run::PassData;
 use crate::sampled_trace::Sample;
-use haptimill_client::session::{HandCourse, HandSample};
+use haptimill_client::session::{HapticTrace, HapticTraceSample};
 
 /// Time left out at both ends of a window for a settled value, s.
 const SETTLING_S: f64 = 0.3;
@@ -83,8 +83,8 @@ impl Context<'_> {
     }
 
     /// Record of a teleoperated pass.
-    pub fn teleoperation(&self) -> &HandCourse {
-        static EMPTY: HandCourse = HandCourse {
+    pub fn teleoperation(&self) -> &HapticTrace {
+        static EMPTY: HapticTrace = HapticTrace {
             samples: Vec::new(),
         };
         self.data.teleoperation.as_ref().unwrap_or(&EMPTY)
@@ -99,16 +99,16 @@ impl Context<'_> {
     }
 
     /// Samples of a teleoperated pass.
-    pub fn teleoperated_samples(&self) -> Vec<HandSample> {
+    pub fn teleoperated_samples(&self) -> Vec<HapticTraceSample> {
         let mut samples = Vec::new();
         for window in self.windows() {
             let (from, to) = self.bounds(&window);
             let found = self.teleoperation().between(from, to).iter();
-            let is_inside = |sample: &&HandSample| {
+            let is_inside = |sample: &&HapticTraceSample| {
                 let range = window.feedback_n;
                 range.is_none_or(|[low, high]| (low..high).contains(&sample.reflected[0]))
             };
-            let found: Vec<HandSample> = found.filter(is_inside).copied().collect();
+            let found: Vec<HapticTraceSample> = found.filter(is_inside).copied().collect();
             samples.extend_from_slice(if self.measurement.settled {
                 settled(&found, |sample| sample.time)
             } else {
@@ -191,8 +191,8 @@ impl Context<'_> {
             from_s.unwrap_or(f64::NEG_INFINITY),
             to_s.unwrap_or(f64::INFINITY),
         );
-        let has_occurred = |sample: &&HandSample| {
-            let is_near = |x: f64| (sample.hand[0] - x).abs() < REACHED_MM;
+        let has_occurred = |sample: &&HapticTraceSample| {
+            let is_near = |x: f64| (sample.master[0] - x).abs() < REACHED_MM;
             completed && sample.done || master_x_mm.is_some_and(is_near)
         };
         let mut samples = self.teleoperation().between(from, to).iter();

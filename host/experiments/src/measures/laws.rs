@@ -4,7 +4,7 @@ use super::CIRCLE_MM;
 use super::context::Context;
 use super::statistics::{Point, mean};
 use crate::sampled_trace::Sample;
-use haptimill_client::session::HandSample;
+use haptimill_client::session::HapticTraceSample;
 
 /// Samples on either side over which a rate is taken.
 const RATE_SAMPLES: usize = 5;
@@ -63,13 +63,13 @@ pub(super) fn feedback_ratio(context: &Context) -> f64 {
     };
     let feedback = teleoperation.feedback.axes()[axis];
     let (percent, limit) = (f64::from(feedback.percent), feedback.limit_n);
-    let counts = |sample: &HandSample| {
+    let counts = |sample: &HapticTraceSample| {
         let force = sample.high[axis].abs() * percent / 100.0;
         (0.5..limit * 0.9).contains(&force)
     };
     let mut samples = context.teleoperated_samples();
     samples.retain(counts);
-    let sum = |value: &dyn Fn(&HandSample) -> f64| samples.iter().map(value).sum::<f64>();
+    let sum = |value: &dyn Fn(&HapticTraceSample) -> f64| samples.iter().map(value).sum::<f64>();
     100.0 * sum(&|s| s.reflected[axis]) / sum(&|s| s.high[axis])
 }
 

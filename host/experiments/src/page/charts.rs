@@ -4,7 +4,7 @@ use crate::definition::{Experiment, Pass};
 use crate::run::PassData;
 use crate::sampled_trace::{ForceSource, Sample};
 use crate::surface_image;
-use haptimill_client::session::HandSample;
+use haptimill_client::session::HapticTraceSample;
 use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{card, escape, put};
 use haptimill_report::series::Columns;
@@ -58,7 +58,7 @@ fn of_trace(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Points {
     over_time(samples, |sample| sample.time, value)
 }
 
-fn of_master(samples: &[HandSample], value: impl Fn(&HandSample) -> f64) -> Points {
+fn of_master(samples: &[HapticTraceSample], value: impl Fn(&HapticTraceSample) -> f64) -> Points {
     over_time(samples, |sample| sample.time, value)
 }
 
@@ -186,7 +186,7 @@ pub(super) fn teleoperation(page: &mut String, pass: &Pass, data: &PassData) {
     let mut lines = Vec::new();
     for &axis in &axes {
         let name = AXES[axis];
-        let master = of_master(samples, |s| s.hand[axis]);
+        let master = of_master(samples, |s| s.master[axis]);
         lines.push(line(
             format!("{name} of the master"),
             REFERENCE,

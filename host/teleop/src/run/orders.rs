@@ -1,92 +1,90 @@
-//! Orders: carried out, or refused in words.
+//! Orders of the operator.
 
-use super::{FRESH_US, Teleop};
-use crate::outcome::{Ended, Row};
-use crate::script::{Heard, Order, scale};
+use super::{FRESH_US, Report, Teleop};
+use crate::outcome::Ended;
+use crate::script::{Order, OrderInput, scale};
 use haptimill_client::session::JobLine;
 use haptimill_protocol::message::{Command, State};
 
 impl<L: JobLine> Teleop<'_, L> {
-    pub(super) fn obey(&mut self, heard: Heard, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
-        match heard {
-            Heard::Order(order) => self.carry_out(order, look),
-            Heard::NoOrder(why) => self.refuse(why, look),
-            Heard::Lost(error) => {
+    pub(super) fn process_input(&mut self, input: OrderInput, report: &mut Report<'_>) {
+        match input {
+            OrderInput::Order(order) => self.execute(order, report),
+            OrderInput::Invalid(why) => self.refuse(why, report),
+            OrderInput::Lost(error) => {
                 let what = format!("orders cannot be read any more: {error}; the machine stops");
                 self.outcome.because = Some(what.clone());
-                self.note(what, look);
-                self.carry_out(Order::Stop, look);
+                self.note(what, report);
+                self.execute(Order::Stop, report);
             }
         }
     }
 
-    pub(super) fn note(&mut self, what: String, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
-        look(None, Some(&what));
+    pub(super) fn note(&mut self, what: String, report: &mut Report<'_>) {
+        report(None, Some(&what));
         self.outcome.notes.push(what);
     }
 
-    pub(super) fn carry_out(
-        &mut self,
-        order: Order,
-        look: &mut dyn FnMut(Option<&Row>, Option<&str>),
-    ) {
-        let ask = |command: Command, name: &str, this: &mut Self| {
-            let ticket = this.session.client_mut().request(command);
-            this.asked.push((ticket, name.to_string()));
-        };
+    fn request(&mut self, command: Command, name: &str) {
+        let ticket = self.session.client_mut().request(command);
+        self.pending.push((ticket, name.to_string()));
+    }
+
+    pub(super) fn execute(&mut self, order: Order, report: &mut Report<'_>) {
         match order {
-            Order::Hold => ask(Command::Hold, "hold", self),
-            Order::ResetHand => self.source.reset(),
+            Order::Hold => self.request(Command::Hold, "hold"),
+            Order::ResetHand => self.master.reset(),
             Order::Stop => {
-                self.ending = true;
+                self.is_ending = true;
                 self.outcome.ended = Ended::Stopped;
-                ask(Command::Stop, "stop", self);
+                self.request(Command::Stop, "stop");
             }
-            Order::End if self.ending => {}
+            Order::End if self.is_ending => {}
             Order::End => {
-                self.ending = true;
-                self.ended_by_order = true;
+                self.is_ending = true;
+                self.is_ended_by_order = true;
                 if self.state == State::Run {
                     let count = self.setpoints;
-                    ask(Command::JobEnd { count }, "end", self);
-                    // The last word: the hand has let go.
-                    self.tell();
+                    self.request(Command::JobEnd { count }, "end");
+                    // The last sample has the enabling switch released.
+                    self.send_sample();
                 } else {
-                    ask(Command::Stop, "end", self);
+                    self.request(Command::Stop, "end");
                 }
             }
             Order::Scale(commanded) => match scale(commanded) {
-                Ok(scale) => ask(Command::PositionScale { scale }, "gp", self),
-                Err(why) => self.refuse(why, look),
+                Ok(scale) => self.request(Command::PositionScale { scale }, "gp"),
+                Err(why) => self.refuse(why, report),
             },
             Order::Resume => {
                 let now_us = self.session.now_us();
-                let fresh = self
-                    .word_us
+                let is_fresh = self
+                    .sampled_us
                     .is_some_and(|at| now_us.saturating_sub(at) < FRESH_US);
-                let standing = self.source.standing();
-                if let Some(why) = standing.why() {
-                    self.refuse(format!("not resumed: the hand: {why}"), look);
-                } else if !fresh {
-                    self.refuse("not resumed: the hand is not heard".to_string(), look);
+                let status = self.master.status();
+                if let Some(reason) = status.reason() {
+                    self.refuse(format!("not resumed: master: {reason}"), report);
+                } else if !is_fresh {
+                    let what = "not resumed: no sample of the master is received";
+                    self.refuse(what.to_string(), report);
                 } else {
-                    // What is still under way of before is not heard any more.
-                    self.session.client_mut().lead_anew();
-                    ask(Command::Resume, "resume", self);
+                    // Samples of before the hold that still arrive are rejected.
+                    self.session.client_mut().begin_master_epoch();
+                    self.request(Command::Resume, "resume");
                 }
             }
         }
     }
 
-    fn refuse(&mut self, why: String, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
-        look(None, Some(&why));
+    fn refuse(&mut self, why: String, report: &mut Report<'_>) {
+        report(None, Some(&why));
         self.outcome.refused.push(why);
     }
 
-    pub(super) fn hear_answers(&mut self, look: &mut dyn FnMut(Option<&Row>, Option<&str>)) {
+    pub(super) fn process_acknowledgements(&mut self, report: &mut Report<'_>) {
         let mut refused = Vec::new();
         let session = &mut *self.session;
-        self.asked
+        self.pending
             .retain(|(ticket, name)| match session.answer(*ticket) {
                 None => true,
                 Some(Ok(())) => false,
@@ -95,16 +93,16 @@ impl<L: JobLine> Teleop<'_, L> {
                     false
                 }
             });
-        // A word that was under way when the machine began to hold is refused, as it should be.
+        // A sample that arrives after the machine began to hold is refused as intended.
         if let Some(why) = session.refusal()
             && self.state == State::Run
-            && !self.ending
+            && !self.is_ending
             && !self.outcome.notes.contains(&why)
         {
             self.outcome.notes.push(why);
         }
         for why in refused {
-            self.refuse(why, look);
+            self.refuse(why, report);
         }
     }
 }

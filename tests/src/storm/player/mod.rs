@@ -50,7 +50,7 @@ pub(super) struct Player {
     jog_sender: Option<JogSender>,
     master_sender: Option<MasterSender>,
     epoch: u16,
-    hand_epoch: u16,
+    master_epoch: u16,
     job: u32,
     pub counts: BTreeMap<&'static str, u64>,
     pub faults: BTreeMap<String, u64>,
@@ -72,7 +72,7 @@ impl Player {
             jog_sender: None,
             master_sender: None,
             epoch: 0,
-            hand_epoch: 0,
+            master_epoch: 0,
             job: 0,
             counts: BTreeMap::new(),
             faults: BTreeMap::new(),
@@ -243,7 +243,7 @@ impl Player {
             }
         };
         let pose = Command::MasterPose {
-            epoch: self.hand_epoch,
+            epoch: self.master_epoch,
             age_ms: sender.age_ms,
             pose: hand,
         };

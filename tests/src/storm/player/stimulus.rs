@@ -142,7 +142,7 @@ impl Player {
             }
             Stimulus::RemoteMaster(seed, age_ms) => {
                 self.checks.causes.push(Cause::MasterLeads);
-                self.hand_epoch = self.hand_epoch.wrapping_add(1);
+                self.master_epoch = self.master_epoch.wrapping_add(1);
                 self.master_sender = Some(MasterSender {
                     rng: Rng::new(*seed, 903),
                     age_ms: *age_ms,

@@ -13,8 +13,8 @@ pub(super) fn run(job: Job<'_>, planned: Planned, board: port::Board) -> Result<
     use haptimill_client::session::pil::{self, Instructions};
     use haptimill_hil_sim::remote::RemoteController;
     let (args, machine) = (job.args, job.machine);
-    let setup = pil::Setup {
-        words: args.image_word.clone(),
+    let setup = pil::EmulatorOptions {
+        arguments: args.image_word.clone(),
         log: args.log.clone(),
     };
     let image = match &args.image {
@@ -37,7 +37,7 @@ pub(super) fn run(job: Job<'_>, planned: Planned, board: port::Board) -> Result<
     session.connect(1)?;
     session.configure(machine)?;
     job.run(session, planned)?;
-    let instructions = Instructions::leave(&cost, &args.out_dir())?;
+    let instructions = Instructions::write_to(&cost, &args.out_dir())?;
     args.print_message(&format!(
         "{board}  {:.0} instructions per control period, at most {:.0}; {} bytes of stack; at most \
          {} bytes in the receive ring; {} to {} setpoints in the queue",

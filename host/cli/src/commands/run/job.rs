@@ -214,7 +214,7 @@ impl Job<'_> {
                  and waited"
             );
         }
-        session.well_ended(end)
+        session.check_completed(end)
     }
 }
 
@@ -223,7 +223,7 @@ fn describe_faults<L: Line>(session: &Session<L>, end: &JobEnd) -> Vec<String> {
     let stop = (end.status.state == State::EmergencyStop).then(|| EMERGENCY_STOP.to_string());
     end.faults
         .iter()
-        .map(|fault| session.sentence(fault))
+        .map(|fault| session.describe(fault))
         .chain(stop)
         .collect()
 }
@@ -235,7 +235,7 @@ pub(in crate::commands) fn refuse_latched_fault<L: Line>(
     let status = session.status()?;
     match (status.state, &status.fault) {
         (State::Fault, Some(fault)) => {
-            let fault = session.sentence(fault);
+            let fault = session.describe(fault);
             let what =
                 format!("a fault is latched: {fault}; remove the cause, then `haptimill reset`");
             Err(CliError::new(Exit::Fault, what))

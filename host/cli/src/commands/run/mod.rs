@@ -28,10 +28,10 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     let chosen = args.machine.load()?;
     let machine = chosen.file.clone();
     if args.force.is_some() {
-        session::force_of(&machine)?;
+        session::find_force_config(&machine)?;
     }
     let model = Model::new(&machine);
-    let home = session::home_of(&machine, &model)?;
+    let home = session::find_home_pose(&machine, &model)?;
     let program = PartProgram::load(&args.program, args.optional_stop)?;
     let planned = program.plan(&machine, &model, &home)?;
     let stock = args.stock.load(&machine)?;
@@ -80,7 +80,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             // The program was checked against the built-in machine where --machine is missing.
             // The command ends here if the board is configured as another machine.
             let machine = chosen.file_of(&mut session)?;
-            job.home = session::home_of(&machine, session.model())?;
+            job.home = session::find_home_pose(&machine, session.model())?;
             let job = Job {
                 machine: &machine,
                 ..job

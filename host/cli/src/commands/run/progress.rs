@@ -1,7 +1,7 @@
 //! Progress of a job on the terminal: bar, line, remaining time, pauses.
 
 use super::args::RunArgs;
-use haptimill_client::session::Watcher;
+use haptimill_client::session::JobObserver;
 use haptimill_planner::Plan;
 use haptimill_protocol::message::Telemetry;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -64,7 +64,7 @@ impl ProgressDisplay {
     }
 }
 
-impl Watcher for ProgressDisplay {
+impl JobObserver for ProgressDisplay {
     fn progress(&mut self, telemetry: &Telemetry) {
         let done = f64::from(telemetry.program_periods) * self.period_s;
         let total = self.bar.length().unwrap_or(0) as f64 / 1000.0;
@@ -123,7 +123,7 @@ impl Watcher for ProgressDisplay {
         });
     }
 
-    fn goes_on(&mut self) -> bool {
+    fn may_resume(&mut self) -> bool {
         let resumes = self.skips_pauses || self.enter_pressed.swap(false, Ordering::Relaxed);
         if resumes {
             self.paused_at = None;

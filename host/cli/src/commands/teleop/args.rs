@@ -197,6 +197,7 @@ impl TeleopArgs {
             named: self.master_machine.is_some(),
             replace: self.replace_master_machine,
             base: None,
+            is_second: true,
         })
     }
 

@@ -89,8 +89,8 @@ impl Display {
             row.state,
             if row.engaged { "engaged" } else { "free   " },
             three(&row.tool, 8, 3),
-            three(&row.force, 5, 1),
-            three(&row.felt, 5, 2)
+            three(&row.tool_force, 5, 1),
+            three(&row.master_force.force, 5, 2)
         );
     }
 

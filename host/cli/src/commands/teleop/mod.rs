@@ -10,12 +10,12 @@ use super::run::results::ResultFolder;
 use super::{CliError, Exit};
 use args::line_rate;
 use haptimill_client::port::{self, DEFAULT_BAUD, PortSpec};
-use haptimill_client::session::{JobLine as _, PortLine, SimLine, fresh_number, rig};
+use haptimill_client::session::{JobLine as _, PortLine, Reconnection, SimLine, fresh_number, rig};
 use haptimill_machine_file::MachineFile;
-use haptimill_teleop::arm::{Pace, Reopen};
-use haptimill_teleop::held::{self, Held, Joystick, Keys, SpaceMouse};
-use haptimill_teleop::script::{BUILT_IN, Person};
-use haptimill_teleop::{Arm, PersonLine, Script, TeleopOptions};
+use haptimill_teleop::arm::Pace;
+use haptimill_teleop::input::{self, Joystick, Keyboard, SpaceMouse, VirtualHandle};
+use haptimill_teleop::script::{BUILT_IN, ScriptedOperator};
+use haptimill_teleop::{Arm, OperatorLine, Script, TeleopOptions};
 use session::{TeleopSession, refuse_own_arm};
 
 pub use args::TeleopArgs;
@@ -45,7 +45,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
     };
     let master_chosen = args.load_master()?;
     let master_machine = master_chosen.file.clone();
-    Arm::<PersonLine>::check(&master_machine)?;
+    Arm::<OperatorLine>::check(&master_machine)?;
     let stock = args.stock.load(&machine)?;
     let port = &args.port;
     let options = TeleopOptions {
@@ -80,20 +80,28 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
                 line_rate: line_rate(spec, baud),
             };
             let again = spec.clone();
-            let reopen: Reopen<PortLine> = Box::new(move || {
-                port::open(&again, baud.unwrap_or(DEFAULT_BAUD)).map(PortLine::new)
-            });
-            let numbers = Box::new(fresh_number);
-            let arm = Arm::new(line, &master_machine, pace, numbers, Some(reopen))?;
-            session.run(&mut arm.on_board(master_chosen))
+            let reconnection = Reconnection {
+                numbers: Box::new(fresh_number),
+                reopen: Some(Box::new(move || {
+                    port::open(&again, baud.unwrap_or(DEFAULT_BAUD)).map(PortLine::new)
+                })),
+            };
+            let mut arm = Arm::new(
+                line,
+                &master_machine,
+                Some(master_chosen),
+                pace,
+                reconnection,
+            )?;
+            session.run(&mut arm)
         }
         (MasterSpec::Joystick(path), _) => {
-            let device = Joystick::new(held::open(path, "game controller", "js")?, args.speed);
-            session.run(&mut Held::new(device, &path.display().to_string()))
+            let device = Joystick::new(input::open(path, "game controller", "js")?, args.speed);
+            session.run(&mut VirtualHandle::new(device, &path.display().to_string()))
         }
         (MasterSpec::Mouse3d(path), _) => {
-            let device = SpaceMouse::new(held::open(path, "3D mouse", "event")?, args.speed);
-            session.run(&mut Held::new(device, &path.display().to_string()))
+            let device = SpaceMouse::new(input::open(path, "3D mouse", "event")?, args.speed);
+            session.run(&mut VirtualHandle::new(device, &path.display().to_string()))
         }
         _ => run_keyboard(&session),
     }
@@ -146,7 +154,7 @@ fn run_script(
 ) -> Result<(), CliError> {
     let args = session.args;
     let rig = rig(master_machine, None, None, args.master_faults())?;
-    let line = PersonLine::new(SimLine::new(rig), Person::new(script));
+    let line = OperatorLine::new(SimLine::new(rig), ScriptedOperator::new(script));
     let folder = ResultFolder::open(&args.out)?;
     let pace = Pace {
         every_us: 1_000_000 / args.rate,
@@ -157,7 +165,11 @@ fn run_script(
         number += 1;
         number
     });
-    let mut arm = Arm::new(line, master_machine, pace, numbers, None)?;
+    let reconnection = Reconnection {
+        numbers,
+        reopen: None,
+    };
+    let mut arm = Arm::new(line, master_machine, None, pace, reconnection)?;
     let outcome = session.run_with(&mut arm, &folder, |arm| {
         let recording = session.create_recording(master_machine, MASTER_RECORDING_FILE)?;
         arm.line_mut().begin_recording(recording);
@@ -169,12 +181,12 @@ fn run_script(
 
 #[cfg(unix)]
 fn run_keyboard(session: &TeleopSession<'_>) -> Result<(), CliError> {
-    let terminal = held::terminal::Terminal::take()?;
+    let terminal = input::terminal::Terminal::take()?;
     session.args.print_message(
         "arrows or wasd: x and y, r and f: z, + and -: the step; space holds, g resumes, q ends",
     );
-    let keys = Keys::new(terminal, session.args.speed);
-    session.run(&mut Held::new(keys, "the keyboard"))
+    let keys = Keyboard::new(terminal, session.args.speed);
+    session.run(&mut VirtualHandle::new(keys, "the keyboard"))
 }
 
 #[cfg(not(unix))]

@@ -1,11 +1,11 @@
 //! Operator commands from standard input.
 
-use haptimill_teleop::Heard;
+use haptimill_teleop::OrderInput;
 use std::io::BufRead;
 use std::sync::mpsc::{self, Receiver, Sender};
 
 /// Reads operator commands from standard input, one per line, until its end.
-pub(super) fn listen() -> Receiver<Heard> {
+pub(super) fn listen() -> Receiver<OrderInput> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || read_orders(std::io::stdin().lock(), &sender));
     receiver
@@ -13,14 +13,16 @@ pub(super) fn listen() -> Receiver<Heard> {
 
 /// Reads commands from lines. A line that is not UTF-8 text is reported as no command; reading
 /// continues with the next line.
-fn read_orders(input: impl BufRead, sender: &Sender<Heard>) {
+fn read_orders(input: impl BufRead, sender: &Sender<OrderInput>) {
     for line in input.split(b'\n') {
         let result = match &line {
             Ok(line) => match String::from_utf8_lossy(line) {
                 line if line.trim().is_empty() => continue,
-                line => line.parse().map_or_else(Heard::NoOrder, Heard::Order),
+                line => line
+                    .parse()
+                    .map_or_else(OrderInput::Invalid, OrderInput::Order),
             },
-            Err(error) => Heard::Lost(error.to_string()),
+            Err(error) => OrderInput::Lost(error.to_string()),
         };
         if sender.send(result).is_err() || line.is_err() {
             return;
@@ -46,7 +48,7 @@ mod tests {
         }
     }
 
-    fn read(input: impl Read) -> Vec<Heard> {
+    fn read(input: impl Read) -> Vec<OrderInput> {
         let (sender, receiver) = mpsc::channel();
         read_orders(BufReader::new(input), &sender);
         drop(sender);
@@ -57,12 +59,17 @@ mod tests {
     fn a_line_that_is_not_text_is_reported_and_the_next_line_is_read() {
         let all = read(&b"hold\r\n\n r\xe9sume\n\xff\nstop\nend"[..]);
         assert_eq!(all.len(), 5, "{all:?}");
-        assert_eq!(all[0], Heard::Order(Order::Hold));
-        assert!(matches!(&all[1], Heard::NoOrder(why) if why.contains("is no order; write hold")));
-        assert!(matches!(&all[2], Heard::NoOrder(_)));
+        assert_eq!(all[0], OrderInput::Order(Order::Hold));
+        assert!(
+            matches!(&all[1], OrderInput::Invalid(why) if why.contains("is no order; write hold"))
+        );
+        assert!(matches!(&all[2], OrderInput::Invalid(_)));
         assert_eq!(
             all[3..],
-            [Heard::Order(Order::Stop), Heard::Order(Order::End)]
+            [
+                OrderInput::Order(Order::Stop),
+                OrderInput::Order(Order::End)
+            ]
         );
     }
 
@@ -70,8 +77,11 @@ mod tests {
     fn a_failing_input_is_reported_and_the_end_of_input_is_not() {
         assert_eq!(
             read(Breaks(b"hold\n")),
-            [Heard::Order(Order::Hold), Heard::Lost("broken".to_string())]
+            [
+                OrderInput::Order(Order::Hold),
+                OrderInput::Lost("broken".to_string())
+            ]
         );
-        assert_eq!(read(&b"hold\n"[..]), [Heard::Order(Order::Hold)]);
+        assert_eq!(read(&b"hold\n"[..]), [OrderInput::Order(Order::Hold)]);
     }
 }

@@ -15,7 +15,7 @@ use haptimill_client::session::{self, JobLine, JobRecording, PortLine, Session, 
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Command;
-use haptimill_teleop::{Ended, Outcome, Row, Source, Teleop, TeleopOptions};
+use haptimill_teleop::{Ended, MasterDevice, Outcome, Row, Teleop, TeleopOptions};
 use haptimill_trace::{Header, Recorded, Recorder, Recording, RecordingError, write_csv};
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -68,7 +68,7 @@ impl TeleopSession<'_> {
     ///
     /// # Errors
     /// See [`Exit`].
-    pub(super) fn run<S: Source>(&self, source: &mut S) -> Result<(), CliError> {
+    pub(super) fn run<S: MasterDevice>(&self, source: &mut S) -> Result<(), CliError> {
         let folder = ResultFolder::open(self.dir)?;
         let outcome = self.run_with(source, &folder, |_| Ok(()))?;
         self.report(outcome, None)
@@ -78,7 +78,7 @@ impl TeleopSession<'_> {
     ///
     /// # Errors
     /// See [`Exit`].
-    pub(super) fn run_with<S: Source>(
+    pub(super) fn run_with<S: MasterDevice>(
         &self,
         source: &mut S,
         folder: &ResultFolder,
@@ -109,7 +109,7 @@ impl TeleopSession<'_> {
         }
     }
 
-    fn run_session<L: JobLine, S: Source>(
+    fn run_session<L: JobLine, S: MasterDevice>(
         &self,
         mut session: Session<L>,
         number: u32,
@@ -134,11 +134,11 @@ impl TeleopSession<'_> {
         );
         let lines = reads_orders.then(orders::listen);
         self.args.print_message("teleoperation started");
-        let teleop = Teleop::new(&mut session, source, self.options).hearing(lines);
+        let teleop = Teleop::new(&mut session, source, self.options).with_order_input(lines);
         let outcome = teleop.run(&mut |row, event| {
             if let Some(row) = row {
                 if written.is_ok() {
-                    written = table.write_all(row.line().as_bytes());
+                    written = table.write_all(row.to_csv().as_bytes());
                 }
                 display.show_row(row);
             }
@@ -188,7 +188,7 @@ impl TeleopSession<'_> {
         session.enable()?;
         if !status.homed || !status.position_kept {
             args.print_message("homing");
-            let home = session::home_of(machine, session.model())?;
+            let home = session::find_home_pose(machine, session.model())?;
             session.go_home(machine, &home)?;
         }
         if let Some(stock) = self.stock {

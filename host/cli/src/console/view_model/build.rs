@@ -80,7 +80,7 @@ impl App {
     fn master_view(&self) -> Option<MasterView> {
         let master = self.master.as_ref()?;
         let arm = master.arm.as_ref().map(|arm| {
-            let report = self.client.hand().copied();
+            let report = self.client.master().copied();
             let problem = report.and_then(|report| report.problem).map(|problem| {
                 self.model
                     .with_axes(|axes| axes.describe(&problem).to_string())

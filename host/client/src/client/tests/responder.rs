@@ -1,4 +1,5 @@
-//! A controller's end for the tests of the client: real in its link, its setpoint decoder and its stop, simple in its motion.
+//! The controller side for the tests of the client: link, setpoint decoder and stop are real, the
+//! motion is simplified.
 
 use super::*;
 
@@ -6,7 +7,7 @@ use super::*;
 pub(super) const QUEUE: u32 = 64;
 const PERIOD_US: u16 = 200;
 
-/// The controller's end.
+/// The controller side.
 pub(super) struct Responder {
     pub(super) link: ControllerLink,
     pub(super) urgent: UrgentDetector,
@@ -25,11 +26,11 @@ pub(super) struct Responder {
     pub(super) epoch: u16,
     pub(super) cancelled: u16,
     pub(super) jog_left: u64,
-    /// What it is not to do.
+    /// Functions that are disabled.
     pub(super) busy: bool,
     pub(super) mute: Option<&'static str>,
     pub(super) dead: bool,
-    /// What it did.
+    /// Record of its actions.
     pub(super) reached: Vec<Setpoint>,
     pub(super) jogs: Vec<(u64, u16)>,
     pub(super) urgent_heard: u32,
@@ -98,7 +99,7 @@ impl Responder {
         if self.link.welcome(now_us, &identity, self.busy) == HelloOutcome::Begun {
             (self.epoch, self.cancelled) = (0, 0);
         }
-        // Room for an answer and for the events that a command or this period may cause.
+        // Space for an acknowledgement and for the events of a command or of this period.
         if self.link.room(SHORT_REPORT) >= 4
             && let Some(Request { id, command }) = self.link.poll_message()
             && self.mute != Some(command.name())
@@ -123,7 +124,7 @@ impl Responder {
 
     fn advance(&mut self) {
         if self.count == Some(self.done) {
-            self.tell(Event::JobDone {
+            self.push_event(Event::JobDone {
                 job: self.job,
                 setpoints: self.done,
             });
@@ -144,7 +145,7 @@ impl Responder {
     fn drop_job(&mut self) {
         if self.coder.take().is_some() && self.state != State::Idle {
             self.queue.clear();
-            self.tell(Event::JobDropped {
+            self.push_event(Event::JobDropped {
                 job: self.job,
                 setpoints: self.done,
             });
@@ -154,14 +155,14 @@ impl Responder {
 
     fn go(&mut self, to: State) {
         let from = std::mem::replace(&mut self.state, to);
-        self.tell(Event::State {
+        self.push_event(Event::State {
             from,
             to,
             position_kept: true,
         });
     }
 
-    fn tell(&mut self, event: Event) {
+    fn push_event(&mut self, event: Event) {
         self.link
             .send(&Report::Event {
                 period: self.period,

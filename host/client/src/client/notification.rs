@@ -1,4 +1,4 @@
-//! What a client is told, and what it tells.
+//! Options of a client, and the notifications that it gives.
 
 use super::{ClientError, JobEnding, RequestError};
 use haptimill_protocol::link::Timing;
@@ -9,11 +9,11 @@ use haptimill_protocol::message::{Event, Refusal, Telemetry, Welcome};
 pub struct Options {
     /// The link's own times, and the rate of the line.
     pub timing: Timing,
-    /// How long a controller has to answer the greeting.
+    /// Timeout of the answer to the Hello.
     pub connect_us: u64,
-    /// How long a controller has to answer a request.
+    /// Timeout of the acknowledgement of a request.
     pub answer_us: u64,
-    /// Time between two urgent stops while no standstill is reported.
+    /// Repeat time of an urgent stop while no standstill is reported.
     pub urgent_repeat_us: u64,
 }
 
@@ -32,49 +32,49 @@ impl Default for Options {
     }
 }
 
-/// Names a request until it is answered.
+/// Identifies a request until it is acknowledged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub(super) u64);
 
-/// Something that happened.
+/// A notification of a client.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Notice {
-    /// The session is open; this is what the controller says of itself.
+pub enum Notification {
+    /// The session is open; the answer of the controller.
     Connected(Welcome),
-    /// A request is answered.
+    /// A request is acknowledged, refused, or failed.
     Answered {
-        /// Which.
+        /// The request.
         ticket: Ticket,
-        /// What it was called.
+        /// Name of its command.
         command: &'static str,
-        /// What came of it.
+        /// The result.
         result: Result<(), RequestError>,
     },
     /// The controller reports an event.
     Event {
-        /// The control period in which it happened.
+        /// Control period of the event.
         period: u64,
-        /// What.
+        /// The event.
         event: Event,
     },
-    /// The controller reports how things stand.
+    /// Telemetry of the controller.
     Telemetry(Box<Telemetry>),
-    /// A command that asks for no answer (a jog) was refused.
+    /// A command without acknowledgement (a jog) was refused.
     Refused(Refusal),
-    /// The job is over, one way or another.
+    /// The job ended.
     Job(JobEnding),
-    /// The session is over.
+    /// The session ended.
     Lost(ClientError),
 }
 
-/// How a client stands.
+/// State of the session of a client.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ClientState {
     /// No session.
     Closed,
-    /// Greets and waits for an answer.
+    /// The Hello is sent; the answer is awaited.
     Connecting,
-    /// Requests are answered.
+    /// The session is open.
     Ready,
     /// The session ended, or never began.
     Failed(ClientError),

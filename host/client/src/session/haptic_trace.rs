@@ -1,4 +1,5 @@
-//! What really happened at the haptic arm and at the tool while a hand led it, a thousand times a second: for scenarios on a simulated machine.
+//! A sampled trace of haptic arm and tool during teleoperation, at 1 kHz, from the ground truth of
+//! a simulated machine.
 
 use haptimill_hil_sim::Plant;
 use haptimill_hil_sim::haptics::HapticGroundTruth;
@@ -7,48 +8,48 @@ use haptimill_hil_sim::haptics::HapticGroundTruth;
 const NEWTON: f64 = 65_536.0;
 const MM: f64 = (1 << 20) as f64;
 
-/// One moment. Places in mm from where hand and tool were when it began, forces in N; x, y, z.
+/// One sample. Positions in mm from the start of handle and tool, forces in N; x, y, z.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct HandSample {
-    /// Seconds since the hand formed its intention.
+pub struct HapticTraceSample {
+    /// Seconds since the start of the trace.
     pub time: f64,
     /// Tip of the handle.
-    pub hand: [f64; 3],
+    pub master: [f64; 3],
     /// Its velocity, mm/s.
     pub velocity: [f64; 3],
-    /// Where the tool is wanted: what the hand, or a program, leads it to.
+    /// Commanded position of the tool.
     pub desired: [f64; 3],
-    /// Where the tool really is.
+    /// True position of the tool.
     pub tool: [f64; 3],
-    /// By how much the tool yields, p_c.
+    /// Compliant displacement of the tool, p_c.
     pub yielded: [f64; 3],
-    /// Force on the tool of largest magnitude in the last revolution, as the controller measures it.
+    /// Measured force on the tool of largest magnitude in the last revolution.
     pub high: [f64; 3],
-    /// The opposite end of what it was in that revolution.
+    /// Opposite extreme of that force in that revolution.
     pub low: [f64; 3],
-    /// Force of the haptic arm's motors at the handle.
+    /// Force of the motors at the handle.
     pub reflected: [f64; 3],
-    /// Force of the hand on the handle.
+    /// Force of the operator on the handle.
     pub push: [f64; 3],
     /// Force of the reference part on the ball.
     pub contact: [f64; 3],
-    /// Part of its pace that the hand keeps.
+    /// Speed of the operator as a fraction of the intended one.
     pub pace: f64,
-    /// The hand has done what it meant to do.
+    /// The trajectory of the operator is completed.
     pub done: bool,
 }
 
-/// What was seen.
+/// The trace.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct HandCourse {
-    /// The moments, in order.
-    pub samples: Vec<HandSample>,
+pub struct HapticTrace {
+    /// The samples, in order of time.
+    pub samples: Vec<HapticTraceSample>,
 }
 
-impl HandCourse {
-    /// The samples as a table (CSV), a row every so many: mm, N, s.
+impl HapticTrace {
+    /// The samples as CSV, one of every `every`: mm, N, s.
     #[must_use]
-    pub fn table(&self, every: usize) -> String {
+    pub fn to_csv(&self, every: usize) -> String {
         const VECTORS: [&str; 9] = [
             "hand_mm",
             "hand_mm_s",
@@ -71,7 +72,7 @@ impl HandCourse {
         for s in self.samples.iter().step_by(every.max(1)) {
             text.push_str(&format!("{:.3}", s.time));
             let rows = [
-                s.hand,
+                s.master,
                 s.velocity,
                 s.desired,
                 s.tool,
@@ -89,17 +90,17 @@ impl HandCourse {
         text
     }
 
-    /// The samples of a span of time.
+    /// The samples in an interval of time.
     #[must_use]
-    pub fn between(&self, from: f64, to: f64) -> &[HandSample] {
+    pub fn between(&self, from: f64, to: f64) -> &[HapticTraceSample] {
         let first = self.samples.partition_point(|sample| sample.time < from);
         let last = self.samples.partition_point(|sample| sample.time < to);
         &self.samples[first..last.max(first)]
     }
 
-    /// The sample at a time; the nearest there is.
+    /// The sample at a time, or the last one.
     #[must_use]
-    pub fn at(&self, time: f64) -> HandSample {
+    pub fn at(&self, time: f64) -> HapticTraceSample {
         let index = self.samples.partition_point(|sample| sample.time < time);
         let last = self.samples.len().saturating_sub(1);
         self.samples
@@ -111,18 +112,18 @@ impl HandCourse {
 
 /// Takes samples of a simulated machine.
 #[derive(Debug, Clone, Default)]
-pub struct HandRecorder {
-    course: HandCourse,
-    /// Time at which it began, ns, and where hand, desired place and tool were.
-    begun: Option<(u64, [[f64; 3]; 3])>,
+pub struct HapticTraceRecorder {
+    trace: HapticTrace,
+    /// Start time, ns, and the positions of handle, commanded tool and tool then.
+    start: Option<(u64, [[f64; 3]; 3])>,
 }
 
 /// Nanoseconds between samples.
 const EVERY_NS: u64 = 1_000_000;
 
-impl HandRecorder {
-    /// Looks at a machine at the end of a period; a machine without a haptic arm leaves no samples.
-    pub fn look(&mut self, plant: &Plant, snapshot: &haptimill_firmware::snapshot::Snapshot) {
+impl HapticTraceRecorder {
+    /// Samples a machine at the end of a period; one without a haptic arm gives no samples.
+    pub fn sample(&mut self, plant: &Plant, snapshot: &haptimill_firmware::snapshot::Snapshot) {
         let Some(arm) = plant.haptic() else {
             return;
         };
@@ -134,16 +135,16 @@ impl HandRecorder {
         let three = |raw: &[i32]| std::array::from_fn(|axis| f64::from(raw[axis]));
         let commanded: [f64; 3] = three(&snapshot.commanded).map(|raw: f64| raw / MM);
         let [x, y, z, ..] = plant.truth().pose;
-        let (begun, origins) = *self
-            .begun
+        let (start, origins) = *self
+            .start
             .get_or_insert((now, [truth.tip, commanded, [x, y, z]]));
-        let from = |place: [f64; 3], origin: [f64; 3]| -> [f64; 3] {
-            std::array::from_fn(|axis| place[axis] - origin[axis])
+        let from = |position: [f64; 3], origin: [f64; 3]| -> [f64; 3] {
+            std::array::from_fn(|axis| position[axis] - origin[axis])
         };
         let [fx, fy, fz, ..] = truth.reflected;
-        self.course.samples.push(HandSample {
-            time: (now - begun) as f64 * 1e-9,
-            hand: from(truth.tip, origins[0]),
+        self.trace.samples.push(HapticTraceSample {
+            time: (now - start) as f64 * 1e-9,
+            master: from(truth.tip, origins[0]),
             velocity: truth.tip_velocity,
             desired: from(commanded, origins[1]),
             tool: from([x, y, z], origins[2]),
@@ -158,9 +159,9 @@ impl HandRecorder {
         });
     }
 
-    /// What was seen.
+    /// The trace.
     #[must_use]
-    pub fn into_course(self) -> HandCourse {
-        self.course
+    pub fn into_trace(self) -> HapticTrace {
+        self.trace
     }
 }

@@ -1,20 +1,24 @@
-//! The controller on an emulated chip: starts the emulator, talks to the image in it, and leaves nothing behind.
+//! Processor in the loop: the controller on an emulated chip.
 //!
-//! The image reads and writes two named pipes in a folder of its own, and its serial line is a socket there. All three lose their names as soon as
-//! both ends have them, so that nothing is left on the disk however this process ends; and the image ends the emulator when it finds the
-//! other end of its pipes gone. The emulator has a process group of its own: Ctrl-C is for this process, which then stops the machine
-//! along its path.
+//! The image exchanges the I/O of the plant over two named pipes in a folder of its own, and its
+//! serial line is a socket there. All three are unlinked as soon as both ends are open, so no file
+//! remains however this process ends; the image ends the emulator when the other end of its pipes
+//! is closed. The emulator has a process group of its own: Ctrl-C is delivered to this process,
+//! which stops the machine along its path.
 //!
-//! An emulator that was killed is noticed at the next exchange, one that stands still after [`STALL`].
+//! An emulator that was killed is detected at the next exchange, one that stalls after [`STALL`].
+
+mod image;
+mod instructions;
+
+pub use image::{image, image_for, other_image};
+pub use instructions::{INSTRUCTIONS_FILE, INSTRUCTIONS_PER_COUNT, Instructions, budget, counts};
 
 use crate::port::Board;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::pil::{FROM_BOARD_BYTES, TO_BOARD_BYTES};
-use haptimill_firmware::profiler::Stage;
-use haptimill_hil_sim::remote::{Cost, PlantLink};
-use haptimill_machine_file::MachineFile;
+use haptimill_hil_sim::remote::PlantLink;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
@@ -23,10 +27,9 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The emulator.
+/// Program of the emulator.
 const EMULATOR: &str = "qemu-system-arm";
 
 /// Longest wait for the emulator to start.
@@ -35,109 +38,7 @@ const START: Duration = Duration::from_secs(10);
 /// Longest wait for an answer of the image.
 pub const STALL: Duration = Duration::from_millis(1500);
 
-/// Instructions a count of the board's timer stands for: 25 MHz, and 1024 ns an instruction.
-pub const INSTRUCTIONS_PER_COUNT: f64 = 40.0 / 1024.0;
-
-/// Instructions in a control period of so many microseconds, on a chip of 168 MHz at one cycle an instruction.
-#[must_use]
-pub const fn budget(period_us: u16) -> u32 {
-    period_us as u32 * 168
-}
-
-/// The counts of the board's timer that so many instructions take.
-#[must_use]
-pub fn counts(instructions: u32) -> u32 {
-    (f64::from(instructions) / INSTRUCTIONS_PER_COUNT) as u32
-}
-
-/// Builds the image of a board where its sources are, and says where it is.
-///
-/// The variable `HAPTIMILL_IMAGE` names one that is already there.
-///
-/// # Errors
-/// There are neither sources nor an image, or the build failed.
-pub fn image(board: Board) -> Result<PathBuf, Error> {
-    match std::env::var_os("HAPTIMILL_IMAGE") {
-        Some(image) => Ok(PathBuf::from(image)),
-        None => build(board, None),
-    }
-}
-
-/// The same for a machine: one with a haptic arm needs an image that can lead it.
-///
-/// # Errors
-/// There are neither sources nor an image, or the build failed.
-pub fn image_for(board: Board, machine: &MachineFile) -> Result<PathBuf, Error> {
-    match &machine.config.haptic {
-        Some(_) if std::env::var_os("HAPTIMILL_IMAGE").is_none() => build(board, Some("hand")),
-        _ => image(board),
-    }
-}
-
-/// Builds another image of a board than the product's, such as the one that checks itself.
-///
-/// # Errors
-/// There are no sources, or the build failed.
-pub fn other_image(board: Board, name: &str) -> Result<PathBuf, Error> {
-    build(board, Some(name))
-}
-
-/// Every image is built once in a process.
-fn build(board: Board, other: Option<&str>) -> Result<PathBuf, Error> {
-    static BUILT: Mutex<BTreeMap<(&str, String), PathBuf>> = Mutex::new(BTreeMap::new());
-    let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
-    let name = (board.name(), other.unwrap_or_default().to_string());
-    if let Some(image) = built.get(&name) {
-        return Ok(image.clone());
-    }
-    let image = build_anew(board, other)?;
-    built.insert(name, image.clone());
-    Ok(image)
-}
-
-fn build_anew(board: Board, other: Option<&str>) -> Result<PathBuf, Error> {
-    let folder = board.folder();
-    let here = std::env::current_dir().unwrap_or_default();
-    let root = here
-        .ancestors()
-        .chain(Path::new(env!("CARGO_MANIFEST_DIR")).ancestors())
-        .find(|root| root.join(folder).join("Cargo.toml").is_file());
-    let Some(root) = root else {
-        let what = format!(
-            "the sources of the board ({folder}) are not here; run this in the source tree, or name an image in HAPTIMILL_IMAGE"
-        );
-        return Err(Error::new(ErrorKind::BadInput, what));
-    };
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let built = Command::new(cargo)
-        .args(["xtask", "board", board.name(), "--image"])
-        .args(other)
-        .current_dir(root)
-        .stdin(Stdio::null())
-        .stderr(Stdio::inherit())
-        .output();
-    match built {
-        Ok(output) if output.status.success() => Ok(PathBuf::from(
-            String::from_utf8_lossy(&output.stdout)
-                .trim_end()
-                .to_string(),
-        )),
-        Ok(output) => Err(Error::new(
-            ErrorKind::BadInput,
-            format!(
-                "the image of {board} cannot be built ({}); `cargo xtask board {}` says more",
-                output.status,
-                board.name()
-            ),
-        )),
-        Err(error) => Err(Error::new(
-            ErrorKind::BadInput,
-            format!("cargo cannot be started: {error}"),
-        )),
-    }
-}
-
-/// A running emulator with an image in it.
+/// A running emulator with an image.
 #[derive(Debug)]
 pub struct Emulator {
     child: Child,
@@ -147,41 +48,41 @@ pub struct Emulator {
     serial: UnixStream,
 }
 
-/// What an emulator is started with, besides its image.
+/// Options of an emulator.
 #[derive(Debug, Clone, Default)]
-pub struct Setup {
-    /// Words for the image: its command line.
-    pub words: Vec<String>,
-    /// Where what comes over the board's log line goes; nowhere without it.
+pub struct EmulatorOptions {
+    /// Arguments of the image.
+    pub arguments: Vec<String>,
+    /// File for the log line of the board; without it the log is dropped.
     pub log: Option<PathBuf>,
 }
 
-impl Setup {
-    /// The option of the emulator: semihosting on, and the image's command line, which begins with a name.
+impl EmulatorOptions {
+    /// The option that enables semihosting, with the command line of the image.
     fn semihosting(&self) -> String {
         let mut option = "enable=on,target=native,arg=image".to_string();
-        for word in &self.words {
+        for argument in &self.arguments {
             option += ",arg=";
-            // A comma stands for itself when it is doubled.
-            option += &word.replace(',', ",,");
+            // A doubled comma is a literal one.
+            option += &argument.replace(',', ",,");
         }
         option
     }
 }
 
-/// Keeps this thread, and the emulator that it starts, on one processor: they take turns, and a hand-over there is four times faster than one
-/// to another processor.
+/// Pins this thread, and the emulator that it starts, to one processor: they alternate, and a
+/// switch on one processor is four times faster than a switch between two.
 fn share_processor() {
     #[cfg(target_os = "linux")]
     {
         let mut one = rustix::thread::CpuSet::new();
         one.set(rustix::thread::sched_getcpu());
-        // Where it is not allowed, it only takes longer.
+        // Without the permission the run only takes longer.
         let _ = rustix::thread::sched_setaffinity(None, &one);
     }
 }
 
-/// A folder that goes when it is dropped.
+/// A folder that is removed when it is dropped.
 #[derive(Debug)]
 struct Folder(PathBuf);
 
@@ -190,7 +91,7 @@ impl Folder {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let path = std::env::temp_dir().join(format!("haptimill-{}-{number}", std::process::id()));
-        // One of this name is of a process that is gone.
+        // A folder of this name belongs to a process that has ended.
         let _ = std::fs::remove_dir_all(&path);
         std::fs::create_dir(&path)?;
         Ok(Self(path))
@@ -199,12 +100,12 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // It may be gone already.
+        // It may be removed already.
         let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 
-/// Ends the emulator unless it is handed on.
+/// Ends the emulator unless it is taken out.
 struct Starting(Option<Child>);
 
 impl Drop for Starting {
@@ -215,9 +116,9 @@ impl Drop for Starting {
     }
 }
 
-/// Ends a process for good, and waits until it is gone.
+/// Kills a process and waits for its end.
 fn end(child: &mut Child) {
-    // Fails when it is gone already.
+    // Fails when it has ended already.
     let _ = child.kill();
     let _ = child.wait();
 }
@@ -228,14 +129,14 @@ impl Emulator {
     /// # Errors
     /// The emulator is not installed, or the image does not start.
     pub fn start(board: Board, image: &Path) -> Result<Self, Error> {
-        Self::start_with(board, image, &Setup::default())
+        Self::start_with(board, image, &EmulatorOptions::default())
     }
 
-    /// Starts the emulator with an image that is told something, or says something beside the links.
+    /// Starts the emulator with an image, with arguments or a log.
     ///
     /// # Errors
-    /// As [`Emulator::start`]; or the log cannot be written.
-    pub fn start_with(board: Board, image: &Path, setup: &Setup) -> Result<Self, Error> {
+    /// As [`Emulator::start`]; the log cannot be written.
+    pub fn start_with(board: Board, image: &Path, setup: &EmulatorOptions) -> Result<Self, Error> {
         let failed = |error: io::Error| Error::new(ErrorKind::Port, format!("{board}: {error}"));
         let image = image.canonicalize().map_err(|error| {
             Error::new(
@@ -254,7 +155,7 @@ impl Emulator {
         }
         let listener = UnixListener::bind(folder.0.join("serial")).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
-        // Open before the emulator is there: whoever opens its other end must not wait for this one.
+        // Open before the emulator starts: its open call must not wait for this end.
         let nonblocking = rustix::fs::OFlags::NONBLOCK.bits() as i32;
         let from_board = OpenOptions::new()
             .read(true)
@@ -340,7 +241,7 @@ impl Emulator {
         }
     }
 
-    /// The process of the emulator, for tests that end it.
+    /// The process number of the emulator, for tests that kill it.
     #[must_use]
     pub fn process(&self) -> u32 {
         self.child.id()
@@ -356,7 +257,7 @@ impl Emulator {
             Ok(0) => Err(io::Error::new(
                 io::ErrorKind::TimedOut,
                 format!(
-                    "the emulator has stood still for {:.1} s",
+                    "the emulator did not answer for {:.1} s",
                     STALL.as_secs_f64()
                 ),
             )),
@@ -367,13 +268,13 @@ impl Emulator {
 }
 
 impl Starting {
-    /// Tries until it works, the emulator has gone, or time is up.
+    /// Repeats an attempt until it succeeds, the emulator ends, or time is up.
     fn wait<T>(
         &mut self,
         folder: &Folder,
         mut attempt: impl FnMut() -> io::Result<T>,
     ) -> io::Result<T> {
-        let begun = Instant::now();
+        let started_at = Instant::now();
         loop {
             let error = match attempt() {
                 Ok(done) => return Ok(done),
@@ -387,7 +288,7 @@ impl Starting {
                     console(&folder.0)
                 )));
             }
-            if begun.elapsed() > START {
+            if started_at.elapsed() > START {
                 return Err(io::Error::new(
                     io::ErrorKind::TimedOut,
                     format!("the image does not start: {error}"),
@@ -398,7 +299,7 @@ impl Starting {
     }
 }
 
-/// What the emulator and the image in it said last.
+/// The last output of the emulator and its image.
 fn console(folder: &Path) -> String {
     let text = std::fs::read(folder.join("console")).unwrap_or_default();
     let text = String::from_utf8_lossy(&text);
@@ -418,7 +319,8 @@ impl PlantLink for Emulator {
     fn receive(&mut self, frame: &mut [u8; FROM_BOARD_BYTES]) -> io::Result<()> {
         let mut done = 0;
         while done < frame.len() {
-            // Nothing is there before the emulator had its turn, on the processor of this thread: so waiting comes first.
+            // The emulator runs on the processor of this thread: nothing can arrive before this
+            // waits.
             self.wait_readable()?;
             match self.from_board.read(&mut frame[done..]) {
                 Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
@@ -443,9 +345,9 @@ impl PlantLink for Emulator {
     }
 
     fn last_words(&mut self) -> Option<String> {
-        // Its pipes close a moment before it is gone.
-        let begun = Instant::now();
-        while begun.elapsed() < Duration::from_millis(300) {
+        // Its pipes close shortly before its end.
+        let started_at = Instant::now();
+        while started_at.elapsed() < Duration::from_millis(300) {
             match self.child.try_wait() {
                 Ok(Some(status)) => {
                     return Some(format!(
@@ -463,77 +365,8 @@ impl PlantLink for Emulator {
 
 impl Drop for Emulator {
     fn drop(&mut self) {
-        // The image ends by itself once it was told so; whatever has not ended a moment later is of no use.
+        // The image ends the emulator by itself; one that does not is killed.
         self.last_words();
         end(&mut self.child);
-    }
-}
-
-/// What a run cost, in its folder.
-pub const INSTRUCTIONS_FILE: &str = "instructions.json";
-
-/// What a run cost, in instructions, for people and for the table in the documentation.
-#[derive(Debug, Clone, serde::Serialize)]
-pub struct Instructions {
-    /// Control periods in which a program ran.
-    pub periods: u64,
-    /// Each stage: its name, mean and worst.
-    pub stages: Vec<(&'static str, f64, f64)>,
-    /// Mean of a whole period.
-    pub mean: f64,
-    /// Worst whole period in which a program ran.
-    pub worst: f64,
-    /// Worst whole period in any state.
-    pub worst_of_all: f64,
-    /// Bytes of stack used.
-    pub stack_bytes: u32,
-    /// Most bytes that waited in the receive ring.
-    pub ring_peak: u32,
-    /// Fewest setpoints that waited in the queue after it had been fullest, while more of them were to come; `None` if none were.
-    pub queue_low: Option<u16>,
-    /// Most setpoints that waited in the queue.
-    pub queue_high: u16,
-    /// Control periods that were missed because one before took more instructions than there are in a period.
-    pub missed: u64,
-}
-
-impl Instructions {
-    /// From the counts of the board.
-    #[must_use]
-    pub fn of(cost: &Cost) -> Self {
-        let periods = cost.periods.max(1) as f64;
-        let worst = |counts: u32| f64::from(counts) * INSTRUCTIONS_PER_COUNT;
-        let mean = |counts: u64| counts as f64 / periods * INSTRUCTIONS_PER_COUNT;
-        Self {
-            periods: cost.periods,
-            stages: Stage::ALL
-                .into_iter()
-                .zip(cost.sums.iter().zip(&cost.worst))
-                .map(|(stage, (sum, most))| (stage.name(), mean(*sum), worst(*most)))
-                .collect(),
-            mean: mean(cost.sums.iter().sum()),
-            worst: worst(cost.worst_period),
-            worst_of_all: worst(cost.worst_of_all),
-            stack_bytes: cost.stack_bytes,
-            ring_peak: cost.ring_peak,
-            queue_low: cost.queue_low,
-            queue_high: cost.queue_high,
-            missed: cost.missed,
-        }
-    }
-
-    /// What a run cost that is over, also written into its folder.
-    ///
-    /// # Errors
-    /// The file cannot be written.
-    pub fn leave(cost: &Mutex<Cost>, dir: &Path) -> Result<Self, Error> {
-        let path = dir.join(INSTRUCTIONS_FILE);
-        let instructions = Self::of(&cost.lock().unwrap_or_else(PoisonError::into_inner));
-        let json = serde_json::to_string_pretty(&instructions)
-            .map_err(|error| Error::new(ErrorKind::Internal, error))?;
-        std::fs::write(&path, json).map_err(|error| {
-            Error::new(ErrorKind::Output, format!("{}: {error}", path.display()))
-        })?;
-        Ok(instructions)
     }
 }
