@@ -47,6 +47,10 @@ pub mod bounds {
     /// The same after a second at rest. A slide that moved by less than its play has an unknown flank: half of both plays (18 um compensated, 10 um real) is 14 um. 8 N of friction that is not
     /// compensated are 5 um at 1600 N/mm.
     pub const REST: [f64; 2] = [0.019, 0.025];
+    /// The same for a slide whose last 0.05 s of motion, or more, were slower than [`KNEE`]: its 40 N of friction are not compensated and are 25 um (firmware/src/joint/friction.rs).
+    pub const REST_SLOW: f64 = 0.039;
+    /// Rate from which on the friction is compensated in full: five times `coulomb_rate_mm_s`, mm/s.
+    pub const KNEE: f64 = 0.1;
     /// Following error that must have been reported, as a part of the configured limit, for more than three periods.
     pub const REPORTED: f64 = 1.02;
     /// Commanded pose against the interpolation of the setpoints, axis units.
@@ -119,6 +123,10 @@ pub struct Watch {
     pulses: [u32; 6],
     /// The encoder slipped while the drives were off.
     slipped_off: [bool; 6],
+    /// The encoder slipped during this homing, maybe after its index pulse was used.
+    slipped_homing: [bool; 6],
+    /// Periods of motion since the joint was last faster than [`bounds::KNEE`].
+    crept: [u32; 6],
     wrong: [u32; 6],
     away: [u32; 6],
     unreported: [u32; 6],
@@ -260,6 +268,7 @@ impl Watch {
             ever: vec![],
             causes: vec![],
             suspect: [false; 6],
+            crept: [0; 6],
             wrong: [0; 6],
             away: [0; 6],
             unreported: [0; 6],
@@ -284,6 +293,7 @@ impl Watch {
             locked_at: [0.0; 6],
             pulses: [0; 6],
             slipped_off: [false; 6],
+            slipped_homing: [false; 6],
             largest: vec![],
         }
     }
@@ -313,6 +323,7 @@ impl Watch {
             self.pulses[joint] = 0;
             self.slipped_off[joint] |=
                 matches!(kind, FaultKind::EncoderSlip { .. }) && !self.before.on;
+            self.slipped_homing[joint] |= self.before.state == State::Homing;
         }
         self.ever.push(kind.clone());
     }
@@ -765,6 +776,13 @@ impl Watch {
                 violated!(world, "lost host", "{state:?} long after the host was lost");
             }
         }
+        // A session that was given up gets no answers; the controller may have accepted its jogs.
+        for request in &world.ghosts {
+            if let Command::Jog { deadline_ms, .. } = request.command {
+                let deadline = u64::from(deadline_ms.min(1000)) * 5;
+                self.jog_until = self.jog_until.max(world.period + deadline);
+            }
+        }
         if state == State::Jog
             && world.period > self.jog_until + 12_500
             && !world
@@ -1086,13 +1104,18 @@ impl Watch {
         }
     }
 
+    /// Faults of a joint since it was homed.
+    fn faults_of(&self, joint: usize) -> impl Iterator<Item = &FaultKind> {
+        let name = super::script::JOINTS[joint];
+        (self.ever.iter()).filter(move |kind| kind.axis() == Some(name))
+    }
+
     /// What may be wrong with the encoder of a joint.
     fn doubt(&self, joint: usize) -> Doubt {
         if !self.suspect[joint] {
             return Doubt::None;
         }
-        let of_joint = |kind: &&FaultKind| kind.axis() == Some(super::script::JOINTS[joint]);
-        let faults: Vec<&FaultKind> = self.ever.iter().filter(of_joint).collect();
+        let faults: Vec<&FaultKind> = self.faults_of(joint).collect();
         let stuck = |which| {
             faults.iter().any(
                 |kind| matches!(kind, FaultKind::EncoderStuck { channel, .. } if *channel == which),
@@ -1167,7 +1190,8 @@ impl Watch {
                     Doubt::Single => (bounds::FOUND, unseen, bounds::LASTING),
                     Doubt::Uncounted => {
                         let limits = &machine.config.joints[joint];
-                        let reach = way_of_a_jump(limits) / unit;
+                        // The jump adds to the error that the joint had before.
+                        let reach = way_of_a_jump(limits) / unit + bounds::MOTOR[class(joint)];
                         let from = if self.pulses[joint] > 2 {
                             bounds::INDEX_SLACK[class(joint)]
                         } else {
@@ -1175,7 +1199,15 @@ impl Watch {
                         };
                         (f64::INFINITY, from, bounds::PUSHED_LASTING)
                     }
-                    Doubt::Several => (bounds::PUSHED, unseen, bounds::PUSHED_LASTING),
+                    Doubt::Several => {
+                        // Each of them may stay below the bound of one; index pulses show the sum.
+                        let together = if self.pulses[joint] > 2 {
+                            unseen
+                        } else {
+                            unseen * self.faults_of(joint).count().max(1) as f64
+                        };
+                        (bounds::PUSHED, together, bounds::PUSHED_LASTING)
+                    }
                     Doubt::Dead => (bounds::TWO_TURNS, unseen, u32::MAX),
                 };
                 if doubt != Doubt::None {
@@ -1193,9 +1225,10 @@ impl Watch {
                     violated!(
                         world,
                         "position wrong",
-                        "joint {joint} is believed at {believed:.4} and is at {:.4}, {off:.4} off for {} periods in {:?}; broken were {:?}",
+                        "joint {joint} is believed at {believed:.4} and is at {:.4}, {off:.4} off for {} periods and {} index pulses in {:?}; broken were {:?}",
                         world.latched.motor[joint],
                         self.wrong[joint],
+                        self.pulses[joint],
                         safety.state(),
                         self.ever
                     );
@@ -1205,6 +1238,12 @@ impl Watch {
             }
             let limits = &machine.config.joints[joint];
             // The firmware compares what it measures now with what it commanded a period ago.
+            let rate = self.before.joint_rates[joint].abs() / unit;
+            if rate > bounds::KNEE {
+                self.crept[joint] = 0;
+            } else if rate > 0.0 {
+                self.crept[joint] = self.crept[joint].saturating_add(1);
+            }
             let error = f64::from(
                 reading
                     .measured
@@ -1269,7 +1308,13 @@ impl Watch {
                     if self.still > 5000 && self.steady {
                         let name = ["rest mm", "rest deg"][class(joint)];
                         self.note(name, far);
-                        if far > bounds::REST[class(joint)] {
+                        let slow = class(joint) == 0 && self.crept[joint] > bounds::LASTING;
+                        let most = if slow {
+                            bounds::REST_SLOW
+                        } else {
+                            bounds::REST[class(joint)]
+                        };
+                        if far > most {
                             violated!(
                                 world,
                                 "rest",
@@ -1506,16 +1551,23 @@ impl Watch {
         self.steady = before.on
             && (self.steady || (self.before.state == State::Homing && before.state == State::Idle));
         if before.homed && !self.before.homed && before.kept && world.broken.is_empty() {
-            // The references are new: what was wrong with the counters is over.
-            self.suspect = [false; 6];
+            // The references are new: what was wrong with the counters before the homing is over.
+            let during = self.slipped_homing;
+            self.suspect = during;
             self.slipped_off = [false; 6];
             self.fastest = [0.0; 6];
             self.ever.retain(|kind| {
-                !matches!(
-                    kind,
-                    FaultKind::EncoderSlip { .. } | FaultKind::EncoderNoise { .. }
-                )
+                let mut joints = super::script::JOINTS.iter();
+                let joint = joints.position(|joint| Some(*joint) == kind.axis());
+                joint.is_some_and(|joint| during[joint])
+                    || !matches!(
+                        kind,
+                        FaultKind::EncoderSlip { .. } | FaultKind::EncoderNoise { .. }
+                    )
             });
+        }
+        if before.state != State::Homing {
+            self.slipped_homing = [false; 6];
         }
         self.before = before;
     }
@@ -1548,6 +1600,13 @@ impl Watch {
                 "busy",
                 "missed",
                 "stale_commands",
+                // Inputs: counts before the first configuration, of slides that somebody moves.
+                "axes: [Counted {",
+                "Counted {",
+                "illegal_raw",
+                "travelled",
+                "illegal",
+                "widest",
             ];
             for field in all[at..].split(", ") {
                 if !changing.iter().any(|name| field.starts_with(name)) {
