@@ -1,6 +1,7 @@
 //! Time of one pose through the H-4 arm's kinematics, and of the functions it is made of.
 //!
-//! Each figure is the mean over an array of varied arguments, so neither a branch nor a table entry can be learnt by heart.
+//! Each figure is the mean over an array of varied arguments, so neither a branch nor a table entry
+//! can be learnt by heart.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use haptimill_kinematics::h4::H4;

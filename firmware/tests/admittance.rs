@@ -124,7 +124,8 @@ proptest! {
             path += step.abs();
             if away > 10.0 - 1.0 / MM && drive > 0.0 { away = 10.0; rate = rate.min(0.0); }
             if away < 1.0 / MM && rate <= 0.0 { away = 0.0; rate = 0.0; }
-            // Where the two leave 0, land or reach the limit one period apart, they differ by 2^-20 mm at most.
+            // Where the two leave 0, land or reach the limit one period apart, they differ by 2^-20
+            // mm at most.
             let bound = f64::from(k + 1) * f64::exp2(-37.0) + path * f64::exp2(-28.0) + 2.0 / MM;
             prop_assert!((millimetres(fixed.displacement) - side * away).abs() <= bound, "{k}: {} {}", millimetres(fixed.displacement), side * away);
             prop_assert!((f64::from(fixed.rate.0) / MM - side * rate).abs() <= 0.002 + 1e-6 * rate.abs(), "{k}: {} {}", f64::from(fixed.rate.0) / MM, rate);
@@ -199,7 +200,8 @@ proptest! {
         }
         compliance.adopt(make(after, limit));
         let now = compliance.advance(&push(force, 0.0));
-        // The largest acceleration is (F + f_d + K_V v) / K_A; the limit may end the rate, and the landing may.
+        // The largest acceleration is (F + f_d + K_V v) / K_A; the limit may end the rate, and the
+        // landing may.
         let (mass, damping, desired) = after;
         let speed = f64::from(last.rate.0) / MM;
         let most = (force + desired + damping * speed.abs()) / mass;
@@ -211,7 +213,8 @@ proptest! {
     }
 }
 
-/// The largest jump of the tool when the gains change from (1, 5) to (0.25, 0.5) and back at 1 mm/s, printed with `--nocapture`.
+/// The largest jump of the tool when the gains change from (1, 5) to (0.25, 0.5) and back at 1
+/// mm/s, printed with `--nocapture`.
 #[test]
 fn tool_jump_at_a_change_of_gains() {
     let law = |mass, damping| {
@@ -239,7 +242,8 @@ fn tool_jump_at_a_change_of_gains() {
     assert!(largest < 1e-6, "{largest} mm");
 }
 
-/// The integral of F - f_d is K_V times the displacement plus K_A times the rate, to 1e-6, and the thesis's slew of 1 mm/s at 5 N of excess is there.
+/// The integral of F - f_d is K_V times the displacement plus K_A times the rate, to 1e-6, and the
+/// thesis's slew of 1 mm/s at 5 N of excess is there.
 #[test]
 fn integral_of_force_error_matches_the_equation() {
     let mut compliance = AdmittanceAxis::new(
@@ -319,7 +323,8 @@ fn enable_condition_blocks_motion_along_and_standstill() {
     for _ in 0..20_000 {
         compliance.advance(&push(10.0, 0.0));
     }
-    // At rest and above f_d: what was left of the rate runs out (K_A / K_V times 1 mm/s), nothing more.
+    // At rest and above f_d: what was left of the rate runs out (K_A / K_V times 1 mm/s), nothing
+    // more.
     assert!((millimetres(compliance.displacement()) - yielded - 0.2).abs() < 0.01);
     for _ in 0..40_000 {
         compliance.advance(&push(0.0, 0.0));
@@ -327,7 +332,8 @@ fn enable_condition_blocks_motion_along_and_standstill() {
     assert_eq!(compliance.displacement(), Displacement(0));
 }
 
-/// A held tool stays within micrometres, and a reference that is refused for a second does not wind up.
+/// A held tool stays within micrometres, and a reference that is refused for a second does not wind
+/// up.
 #[test]
 fn held_and_withheld() {
     let mut compliance = AdmittanceAxis::new(

@@ -1,7 +1,8 @@
-//! Force loop against stiff contacts: stability limits without the monitor, against the analysis, and
-//! stability with it.
+//! Force loop against stiff contacts: stability limits without the monitor, against the analysis,
+//! and stability with it.
 //!
-//! `cargo test -p haptimill-firmware --test contact_stability -- --nocapture` prints the tables of docs/decisions/0010.
+//! `cargo test -p haptimill-firmware --test contact_stability -- --nocapture` prints the tables of
+//! docs/decisions/0010.
 
 mod contact;
 
@@ -23,7 +24,8 @@ fn bearable(stiffness: f64) -> f64 {
     (2.0 * COUNT * stiffness).max(0.2)
 }
 
-/// The stiffness at which K_A s^2 + K_V s + k e^(-s tau) has roots on the imaginary axis: (K_V / tau) y / sin y with y tan y = K_V tau / K_A.
+/// The stiffness at which K_A s^2 + K_V s + k e^(-s tau) has roots on the imaginary axis: (K_V /
+/// tau) y / sin y with y tan y = K_V tau / K_A.
 fn analytic_limit(mass: f64, damping: f64, delay: f64) -> f64 {
     let (mut low, mut high) = (0.0, std::f64::consts::FRAC_PI_2);
     for _ in 0..60 {
@@ -78,7 +80,8 @@ fn analytic_stability_limit_is_on_the_imaginary_axis() {
     assert!((analytic_limit(1.0, 5.0, 0.0132) - 383.0).abs() < 1.0);
 }
 
-/// A window of the peak follows a rising force at once and a falling one a revolution late: half of it counts as delay for an oscillation. The delay of the whole window gives the safe limit.
+/// A window of the peak follows a rising force at once and a falling one a revolution late: half of
+/// it counts as delay for an oscillation. The delay of the whole window gives the safe limit.
 #[test]
 fn limits_without_monitor_match_the_analysis() {
     let rigid = found_limit(Contact::new);
@@ -137,7 +140,8 @@ fn limits_without_monitor_match_the_analysis() {
     assert!(gentle > analytic_limit(0.25, 0.5, 0.0132));
 }
 
-/// With the guard, the default gains hold every contact up to 1000 N/mm: on any drive, with and without encoder counts, with and without friction.
+/// With the guard, the default gains hold every contact up to 1000 N/mm: on any drive, with and
+/// without encoder counts, with and without friction.
 #[test]
 fn monitor_stabilises_contacts_up_to_1000_n_mm() {
     for drive in [Drive::Rigid, Drive::Servo, Drive::Lag { omega: 200.0 }] {
@@ -262,7 +266,8 @@ fn other_gains_are_stable() {
         }
     }
 }
-/// A desired motion that goes on for 3 s into the contact: the force is f_d + K_V v, whatever the guard adds.
+/// A desired motion that goes on for 3 s into the contact: the force is f_d + K_V v, whatever the
+/// guard adds.
 #[test]
 fn steady_push_force_matches_the_equation() {
     for stiffness in [50.0, 200.0, 600.0, 1000.0] {
@@ -288,8 +293,10 @@ fn steady_push_force_matches_the_equation() {
         }
     }
 }
-/// The mean force over all stiffnesses. What the loop holds is the peak of a revolution. A tool that sits on whole counts alone goes to and fro between two of them (1.1 N apart at 879 N/mm), and the peak shows the
-/// higher one for a revolution longer than it is there: the mean of the peak is f_d, that of the force is below it. An arm behind a servo does not sit on counts.
+/// The mean force over all stiffnesses. What the loop holds is the peak of a revolution. A tool
+/// that sits on whole counts alone goes to and fro between two of them (1.1 N apart at 879 N/mm),
+/// and the peak shows the higher one for a revolution longer than it is there: the mean of the peak
+/// is f_d, that of the force is below it. An arm behind a servo does not sit on counts.
 #[test]
 fn mean_force_is_the_force_setpoint() {
     for (drive, count, most) in [

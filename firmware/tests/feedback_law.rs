@@ -53,7 +53,8 @@ proptest! {
         }
     }
 
-    /// Whatever the settings become, between two periods the law changes by little; the boost has no step either, neither in the force nor in the rate.
+    /// Whatever the settings become, between two periods the law changes by little; the boost has
+    /// no step either, neither in the force nor in the rate.
     #[test]
     fn nothing_steps(
         newtons in -20.0_f64..20.0, rate in -25.0_f64..25.0, percents in prop::array::uniform2(1_u8..=100), most in 0.5_f64..8.0, boosts in prop::array::uniform2(0.0_f64..0.12),
@@ -68,13 +69,15 @@ proptest! {
             prop_assert!((now - before).abs() <= force(0.05).0, "{now} {before}");
             before = now;
         }
-        // Settled: two forces that differ by a millinewton, with up to 0.12 N s/mm * 25 mm/s over 0.5 N of fade.
+        // Settled: two forces that differ by a millinewton, with up to 0.12 N s/mm * 25 mm/s over
+        // 0.5 N of fade.
         let slope = 1.0 + boosts[1] * rate.abs() / 0.5;
         let (low, high) = (at(&mut law, newtons, rate), at(&mut law, newtons + 0.001, rate));
         prop_assert!(f64::from((high - low).abs()) <= slope * 0.001 * NEWTON + 3.0);
     }
 
-    /// However often they change, on the way or after a rest: within a second from the last change the law is that of the last settings.
+    /// However often they change, on the way or after a rest: within a second from the last change
+    /// the law is that of the last settings.
     #[test]
     fn settings_arrive(
         changes in prop::collection::vec((prop::array::uniform3(0_u8..=100), prop::array::uniform3(0.0_f64..10.0), prop_oneof![Just(0.0), 0.0_f64..0.5], 0.5_f64..10.0, 1_usize..8000), 1..5),
@@ -115,7 +118,9 @@ proptest! {
         }
     }
 
-    /// Reflection and damping have one limit together, to the last bit; a wall pushes beyond it by itself and no more. The damping never adds along the motion, and where it does not fit the whole limit opposes the motion.
+    /// Reflection and damping have one limit together, to the last bit; a wall pushes beyond it by
+    /// itself and no more. The damping never adds along the motion, and where it does not fit the
+    /// whole limit opposes the motion.
     #[test]
     fn feedback_and_damping_share_one_limit(tool: [i32; 3], damping: i32, wall in -10.0_f64..10.0, most in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
         let mut law = FeedbackLaw::new(&settings([100; 3], most, 0.1), 200);
@@ -138,7 +143,8 @@ proptest! {
         }
     }
 
-    /// Without debt the shares pass as they are; with it they go the way of a first-order filter with a gain of 1, and never beyond the largest of them.
+    /// Without debt the shares pass as they are; with it they go the way of a first-order filter
+    /// with a gain of 1, and never beyond the largest of them.
     #[test]
     fn deficit_low_passes_the_feedback(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), deficit_of in 0_i32..4 * WHOLE, hold in 50_usize..4000) {
         let mut smoothing = FeedbackFilter::new(200);
@@ -158,7 +164,8 @@ proptest! {
         }
     }
 
-    /// Into a wall and out again: it gives back no more than was put in, and says at any time how much that is.
+    /// Into a wall and out again: it gives back no more than was put in, and says at any time how
+    /// much that is.
     #[test]
     fn virtual_wall_returns_no_more_energy_than_stored(stiffness in 0.05_f64..2.0, most in 0.5_f64..10.0, depth in 0.0_f64..40.0) {
         let config = WallConfig { stiffness: (stiffness * NEWTON) as u32, most: force(most) };
@@ -181,7 +188,8 @@ proptest! {
         }
     }
 
-    /// R_sd = (R_m R_mr^T) R_sr for any handle and any tool: the tool's axis, and no jump at the latch. Position with its scale.
+    /// R_sd = (R_m R_mr^T) R_sr for any handle and any tool: the tool's axis, and no jump at the
+    /// latch. Position with its scale.
     #[test]
     fn tool_orientation_follows_the_handle(seed in 1_u64..u64::MAX, theta in -0.5_f64..0.5, alpha in -0.6_f64..0.6, scale in 410_u16..8192) {
         let mut sequence = Sequence(seed);
@@ -285,7 +293,8 @@ fn only_active_behaviour_is_damped() {
         );
         assert_eq!(watch.damp(&rates)[0], Force(0));
     }
-    // The same way with 2 N along it: half a newton millimetre is free, after a millimetre and a half the damping is whole.
+    // The same way with 2 N along it: half a newton millimetre is free, after a millimetre and a
+    // half the damping is whole.
     let mut way = 0.0;
     while way < 0.25 {
         watch.observe(

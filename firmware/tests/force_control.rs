@@ -1,4 +1,5 @@
-//! Force control as a whole, from codes to displacements: cutting, a sensor with the wrong sign, leaving a stiff contact, changes at run time, spindle speeds.
+//! Force control as a whole, from codes to displacements: cutting, a sensor with the wrong sign,
+//! leaving a stiff contact, changes at run time, spindle speeds.
 
 use haptimill_checks::reference;
 use haptimill_firmware::force::sensor::{Channel, ForceProblem, ForceSample, Sensor};
@@ -133,7 +134,8 @@ impl Rig {
         f64::from(self.control.extremes()[0].peak().0) / NEWTON
     }
 
-    /// A cut towards -x: two teeth with 10 % of run-out, force with the speed into the work, the depth and the engagement.
+    /// A cut towards -x: two teeth with 10 % of run-out, force with the speed into the work, the
+    /// depth and the engagement.
     fn cut(&self, scale: f64) -> f64 {
         let angle = self.turned * 2.0 * std::f64::consts::PI;
         let teeth = libm::sin(angle).max(0.0) + 0.9 * libm::sin(-angle).max(0.0);
@@ -144,7 +146,8 @@ impl Rig {
     }
 }
 
-/// The 10-degree incline with force control on x: the guard never interferes, the loop is the equation within 1 %, and the tool comes back.
+/// The 10-degree incline with force control on x: the guard never interferes, the loop is the
+/// equation within 1 %, and the tool comes back.
 #[test]
 fn monitor_does_not_interfere_with_cutting() {
     for (mass, damping) in [(1.0, 5.0), (0.25, 5.0), (1.0, 20.0), (0.25, 0.5)] {
@@ -261,7 +264,8 @@ fn stiffness_estimate_decays_in_free_motion() {
     assert_eq!(rig.control.levels()[0], 0);
 }
 
-/// Settings change while the tool yields: the law takes over some periods later and the tool does not jump.
+/// Settings change while the tool yields: the law takes over some periods later and the tool does
+/// not jump.
 #[test]
 fn runtime_settings_change_without_a_jump() {
     let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
@@ -302,7 +306,8 @@ fn runtime_settings_change_without_a_jump() {
     );
 }
 
-/// Without a tare, or out of the mask, a force moves nothing; taken out of the mask the tool returns.
+/// Without a tare, or out of the mask, a force moves nothing; taken out of the mask the tool
+/// returns.
 #[test]
 fn only_tared_axes_in_the_mask_comply() {
     let config = config(1.0, &settings(1.0, 5.0, Gate::Any));

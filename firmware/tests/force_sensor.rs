@@ -213,7 +213,8 @@ fn saturation_and_amplifier_alarm_are_reported() {
     );
 }
 
-/// A channel that sticks is told in 0.1 s; one with noise of 0.58 codes is not told in a million samples; and the bound of the module's documentation is above what is seen.
+/// A channel that sticks is told in 0.1 s; one with noise of 0.58 codes is not told in a million
+/// samples; and the bound of the module's documentation is above what is seen.
 #[test]
 fn stuck_channel_is_reported_noise_is_not() {
     let mut bench = Bench::new(&sensor());
@@ -304,7 +305,8 @@ fn vise_weight_is_compensated() {
         ]
     };
     bench.conditioner.set_table(Angle::degrees(5));
-    // The zero of z is 4900 codes: beyond half of the range. A sensor that is reset at the tare shows changes only.
+    // The zero of z is 4900 codes: beyond half of the range. A sensor that is reset at the tare
+    // shows changes only.
     let reset = seen(5.0);
     let since = |degrees| {
         let now = seen(degrees);

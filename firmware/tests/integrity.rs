@@ -44,7 +44,8 @@ fn rounds_until_seen(change: impl FnOnce(&mut Machine)) -> Option<usize> {
 
 #[test]
 fn any_flipped_configuration_bit_is_detected() {
-    // Bit by bit through the encoding: whatever still decodes is a configuration that differs in one place.
+    // Bit by bit through the encoding: whatever still decodes is a configuration that differs in
+    // one place.
     let mut buffer = [0; 1024];
     let bytes = postcard::to_slice(&forced(), &mut buffer)
         .expect("encodes")

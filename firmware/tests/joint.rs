@@ -1,4 +1,5 @@
-//! Whole joints: torque with backlash on a simulated slide, steps with a simulated motor, enabling, references, bad configurations.
+//! Whole joints: torque with backlash on a simulated slide, steps with a simulated motor, enabling,
+//! references, bad configurations.
 
 use haptimill_firmware::config::{AxisKind, Drive, JointAxis, ServoConfig, ServoForm};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
@@ -76,7 +77,8 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
     }
 }
 
-/// Motor and slide with play between them: the motor's mass is a quarter, friction (40 N) is mostly on the slide; mm, s, N, kg.
+/// Motor and slide with play between them: the motor's mass is a quarter, friction (40 N) is mostly
+/// on the slide; mm, s, N, kg.
 struct Plant {
     motor: [f64; 2],
     slide: [f64; 2],
@@ -137,8 +139,9 @@ impl Plant {
     }
 }
 
-/// A slide on x = 15 sin(4/15 t) mm, the fastest axis of a 30 mm circle at 4 mm/s, compensated for a lost motion in mm; gives the largest error of
-/// the true slide and of its estimate after the start, mm.
+/// A slide on x = 15 sin(4/15 t) mm, the fastest axis of a 30 mm circle at 4 mm/s, compensated for
+/// a lost motion in mm; gives the largest error of the true slide and of its estimate after the
+/// start, mm.
 fn follow(lost_motion: f64) -> (f64, f64) {
     let mut joint = JointDrive::new(&axis(torque(), lost_motion), 200).unwrap();
     let mut plant = Plant::new(0.010);
@@ -181,14 +184,16 @@ fn follow(lost_motion: f64) -> (f64, f64) {
     (worst, blind)
 }
 
-/// 10 um of play, and 30 N of friction on the slide that wind the screw up by 4 um: a lost motion of 18 um.
+/// 10 um of play, and 30 N of friction on the slide that wind the screw up by 4 um: a lost motion
+/// of 18 um.
 #[test]
 fn lost_motion_is_compensated() {
     let [none, play, all] = [0.0, 0.010, 0.018].map(follow);
     println!(
         "largest error of slide and estimate, mm: none {none:?}, play {play:?}, play and wind-up {all:?}"
     );
-    // 8 N of friction that is not compensated are 5 um at 40 kg and 40,000 1/s^2; they are in all three.
+    // 8 N of friction that is not compensated are 5 um at 40 kg and 40,000 1/s^2; they are in all
+    // three.
     assert!(none.0 - play.0 > 0.0045, "{none:?} {play:?}");
     assert!(play.0 - all.0 > 0.003, "{play:?} {all:?}");
     assert!(all.0 < 0.0065 && all.1 < 0.0065, "{all:?}");

@@ -177,7 +177,8 @@ fn rate_decays_as_one_count_over_elapsed_time() {
             "{period}: {rate} counts/s {age} s after the edge"
         );
     }
-    // No edge for more than half the clock's range: at rest, and the clock's wrap-around does not bring the rate back.
+    // No edge for more than half the clock's range: at rest, and the clock's wrap-around does not
+    // bring the rate back.
     for time in (0..90u32).map(|k| 1_000_000_000u32.wrapping_add(k.wrapping_mul(100_000_000))) {
         encoder.read(&rig.inputs, time);
         let rate = encoder.rate().0;
@@ -251,7 +252,8 @@ fn illegal_transition_count_restarts_after_clear() {
     assert_eq!(encoder.illegal(), 0);
 }
 
-/// A board reads its clock, then its capture registers, and an edge may come in between: it is one of now.
+/// A board reads its clock, then its capture registers, and an edge may come in between: it is one
+/// of now.
 #[test]
 fn edge_captured_after_clock_read_counts_as_now() {
     for late in [false, true] {

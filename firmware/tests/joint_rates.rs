@@ -1,6 +1,7 @@
 //! A jog commands no joint rate above the configured maximum, from any pose and at any rates.
 //!
-//! The truth is the inverse kinematics of docs/control.md in f64, written here from the equations, applied to the commanded poses.
+//! The truth is the inverse kinematics of docs/control.md in f64, written here from the equations,
+//! applied to the commanded poses.
 
 mod reference;
 
@@ -15,7 +16,8 @@ use reference::{h4, mm};
 
 const PERIOD_S: f64 = 2e-4;
 const AXES: usize = 5;
-/// Commanded poses are rounded to 2^-20 mm and 2^-32 turn; differences are taken over this many periods.
+/// Commanded poses are rounded to 2^-20 mm and 2^-32 turn; differences are taken over this many
+/// periods.
 const SPAN: usize = 8;
 
 /// A generator of numbers with a seed (xorshift64*).
@@ -78,7 +80,8 @@ struct Trace<'a> {
     config: &'a Config,
     joints: Vec<[f64; AXES]>,
     before: Option<([f64; AXES], [f64; AXES])>,
-    /// The largest part of its maximum rate that a joint was commanded, by rates and by differences of positions.
+    /// The largest part of its maximum rate that a joint was commanded, by rates and by differences
+    /// of positions.
     by_rates: f64,
     by_differences: f64,
     /// The largest part of its maximum that an acceleration of a pose coordinate was.
@@ -181,7 +184,8 @@ impl Worst {
     }
 }
 
-/// A pose that the machine can take, within its soft limits. A third of them lie less than 15 mm from where it cannot.
+/// A pose that the machine can take, within its soft limits. A third of them lie less than 15 mm
+/// from where it cannot.
 fn start(config: &Config, machine: &BoundedKinematics, random: &mut Random) -> Pose {
     loop {
         let mut pose = Pose::default();
@@ -241,7 +245,8 @@ fn jog_keeps_joint_rate_limits() {
         let mut jog = Jog::new(&config);
         jog.begin(&pose, true);
         let mut trace = Trace::new(&config);
-        // Up to three commands one after the other, each while the one before still moves, or after it.
+        // Up to three commands one after the other, each while the one before still moves, or after
+        // it.
         for _ in 0..=random.below(3) {
             jog.set_rates(&asked(&config, &mut random), 1 + random.below(8000) as u32);
             for _ in 0..200 + random.below(8000) {
@@ -263,7 +268,8 @@ fn jog_keeps_joint_rate_limits() {
     worst.assert_within();
 }
 
-/// How far beyond a pose, along one axis, the machine still could go: to its soft limit, or to where it refuses; mm or degrees.
+/// How far beyond a pose, along one axis, the machine still could go: to its soft limit, or to
+/// where it refuses; mm or degrees.
 fn left(config: &Config, machine: &BoundedKinematics, from: &Pose, axis: usize, sign: i32) -> f64 {
     let step = unit(config, axis) as i32 / 100 * sign;
     let mut pose = *from;

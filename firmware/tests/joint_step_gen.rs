@@ -131,7 +131,8 @@ proptest! {
                 last_lag = planned.lag;
             }
         }
-        // Standing still, whatever is owed comes out, at the ceiling if need be, and the count is exact.
+        // Standing still, whatever is owed comes out, at the ceiling if need be, and the count is
+        // exact.
         for _ in 0..2 + (f64::from(last_lag).abs() / (ceiling - 2.0 - setup_us / pulse_us).max(1.0)) as u32 * 2 {
             let planned = planner.plan(Coordinate(start.wrapping_add(travel as i32)), Rate(0));
             checker.take(&planned, &timing);
@@ -141,7 +142,8 @@ proptest! {
         prop_assert_eq!(checker.count(), rounded(travel, per_step));
     }
 
-    /// At a constant rate the pulses are as evenly spaced as ticks allow, whatever the steps per period.
+    /// At a constant rate the pulses are as evenly spaced as ticks allow, whatever the steps per
+    /// period.
     #[test]
     fn constant_rate_is_evenly_spaced(per_period in prop_oneof![0.01f64..1.0, 1.0..30.0]) {
         let timing = timing(72, 2.0, 5.0, 5.0);
@@ -160,9 +162,11 @@ proptest! {
         // Targets are rounded to axis units, and so is the distance of a period.
         let rounding = 1.5 * f64::from(timing.period) / units;
         let strict = 1.0 + per_period.ceil() / 2.0 + rounding;
-        // In a period whose last crossing is too near its end, pulses are moved by up to their width, and the interval is rounded down.
+        // In a period whose last crossing is too near its end, pulses are moved by up to their
+        // width, and the interval is rounded down.
         let loose = 2.0 + per_period.ceil() + f64::from(timing.pulse) + rounding;
-        // In the first period the rate comes from rest, which is a bend; the first pulse waits for the direction.
+        // In the first period the rate comes from rest, which is a bend; the first pulse waits for
+        // the direction.
         for (k, &(time, _)) in checker.pulses.iter().enumerate() {
             let period = time / i64::from(timing.period);
             if period > 0 && k > 0 {
@@ -197,7 +201,8 @@ proptest! {
     }
 }
 
-/// Acceleration from rest to 40 steps a period and back to rest and beyond: pulses are where the parabola of the motion is.
+/// Acceleration from rest to 40 steps a period and back to rest and beyond: pulses are where the
+/// parabola of the motion is.
 #[test]
 fn ramp_pulses_follow_the_parabola() {
     let timing = timing(72, 2.0, 5.0, 5.0);
@@ -222,7 +227,8 @@ fn ramp_pulses_follow_the_parabola() {
         );
         checker.take(&planned, &timing);
     }
-    // The true position at each pulse is half-way between steps, within the stated bound turned into steps.
+    // The true position at each pulse is half-way between steps, within the stated bound turned
+    // into steps.
     let mut position = 0.0;
     let mut worst = 0.0f64;
     for &(time, direction) in &checker.pulses {

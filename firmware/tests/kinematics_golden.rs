@@ -1,5 +1,5 @@
-//! The H-4 arm against tables of docs/control.md: golden vectors of 2,000 poses each way, poses that no arm reaches, and the reference
-//! geometry's printed values. Within 0.1 um and 1 urad.
+//! The H-4 arm against tables of docs/control.md: golden vectors of 2,000 poses each way, poses
+//! that no arm reaches, and the reference geometry's printed values. Within 0.1 um and 1 urad.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
@@ -173,7 +173,8 @@ fn printed_poses_of_the_reference_geometry() {
 
 #[test]
 fn printed_slopes_at_home() {
-    // The table's rows are d l / d (x, y, z, theta) in mm/mm and mm/rad; at alpha = 0 table and base coordinates agree.
+    // The table's rows are d l / d (x, y, z, theta) in mm/mm and mm/rad; at alpha = 0 table and
+    // base coordinates agree.
     let want = [
         [1., 0.90909, 1.10461, 350.],
         [1., -0.90909, -1.10461, 350.],

@@ -1,4 +1,5 @@
-//! The haptic arm against the golden table of docs/control.md 7.2, against f64 geometry, and against virtual work; and how far a hand moves before a lying encoder is found.
+//! The haptic arm against the golden table of docs/control.md 7.2, against f64 geometry, and
+//! against virtual work; and how far a hand moves before a lying encoder is found.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
@@ -115,7 +116,8 @@ fn displaced(centre: V, turn: arm::M, velocity: V, spin: V, by: f64) -> Option<[
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// The work of the motors is the work at the handle, whichever way it moves: rates of the joints by differences of the inverse geometry.
+    /// The work of the motors is the work at the handle, whichever way it moves: rates of the
+    /// joints by differences of the inverse geometry.
     #[test]
     fn virtual_work_balances(
         seed in 1_u64..u64::MAX,
@@ -144,7 +146,8 @@ proptest! {
         prop_assert!((done - commanded).abs() <= 1e-4 * terms, "{done} {commanded} {terms}");
     }
 
-    /// No reading makes it panic, and what it calls a pose is one: joints 5 are where f64 puts them and the axes are orthonormal.
+    /// No reading makes it panic, and what it calls a pose is one: joints 5 are where f64 puts them
+    /// and the axes are orthonormal.
     #[test]
     fn any_reading_gives_a_pose_or_an_error(slides: [i32; 3], turns: [i32; 3], leans: [i32; 3]) {
         let arm = HapticArm::new(&arm::reference());
@@ -157,7 +160,8 @@ proptest! {
         }
     }
 
-    /// With errors of the readings within the tolerance of the sides: still a rotation, and one nobody would call another.
+    /// With errors of the readings within the tolerance of the sides: still a rotation, and one
+    /// nobody would call another.
     #[test]
     fn noisy_readings_give_a_rotation(seed in 1_u64..u64::MAX) {
         let mut sequence = Sequence(seed);
@@ -233,7 +237,8 @@ fn condition(b: &[[f64; 6]; 6]) -> f64 {
     values.max() / values.min().max(1e-300)
 }
 
-/// The guard refuses whatever has a condition above its limit, all the way to the singularity, and nothing in the workspace.
+/// The guard refuses whatever has a condition above its limit, all the way to the singularity, and
+/// nothing in the workspace.
 #[test]
 fn condition_number_limit_is_enforced() {
     let arm = HapticArm::new(&arm::reference());
@@ -262,7 +267,8 @@ fn condition_number_limit_is_enforced() {
         "workspace: condition to {worst:.2}, bound to {bound_worst:.1}, at most {ratio:.1} times too large"
     );
     assert!(worst < 4.7 && bound_worst < 60.0);
-    // On the way from one sign of the determinant to the other lies a singular pose: come at it by halves.
+    // On the way from one sign of the determinant to the other lies a singular pose: come at it by
+    // halves.
     let determinant = |(centre, axis, angle): (V, V, f64)| {
         let (b, legs) = (
             matrix(centre, rotation(axis, angle))?,
@@ -296,7 +302,8 @@ fn condition_number_limit_is_enforced() {
                 break;
             };
             let (condition, bound) = (condition(&b), bound(&pose));
-            // f32 near the singularity: the determinant has a relative error of some 1e-6 times the condition.
+            // f32 near the singularity: the determinant has a relative error of some 1e-6 times the
+            // condition.
             assert!(bound >= condition.min(1e4) * 0.98, "{bound} {condition}");
             if condition >= f64::from(LIMIT) * 1.02 {
                 let push = Wrench {
@@ -312,7 +319,8 @@ fn condition_number_limit_is_enforced() {
     println!("{refused} poses near the singularity refused");
 }
 
-/// A jump, a stuck and a reversed encoder, each of the nine: found by the sides of the platform, with the leg named. How far hand and joint moved until then.
+/// A jump, a stuck and a reversed encoder, each of the nine: found by the sides of the platform,
+/// with the leg named. How far hand and joint moved until then.
 #[test]
 fn wrong_arm_encoder_is_detected() {
     let geometry: HapticGeometry = arm::reference();

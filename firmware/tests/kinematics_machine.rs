@@ -1,4 +1,5 @@
-//! The H-4 arm beyond its poses: strokes, statics, distance from the singularity, and geometries that make no arm.
+//! The H-4 arm beyond its poses: strokes, statics, distance from the singularity, and geometries
+//! that make no arm.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
@@ -198,7 +199,8 @@ fn singularity_distance_matches_the_reference_arm() {
     let mut pose = arm.forward(&home()).unwrap();
     let distance = arm.singularity_distance(&pose).unwrap();
     assert!((distance.0 as f64 / MM as f64 - 303.768004).abs() < 1e-4);
-    // Lift the platform through the plane of the rails: the same distance on the wrong side is refused, with its sign.
+    // Lift the platform through the plane of the rails: the same distance on the wrong side is
+    // refused, with its sign.
     pose.0[2].0 += 2 * distance.0;
     let wrong = arm.singularity_distance(&pose).unwrap();
     assert!((wrong.0 + distance.0).abs() <= 2);
@@ -257,7 +259,8 @@ proptest! {
             ..ProptestConfig::default()
         })]
 
-    /// No geometry, pose, joints or rates make the arithmetic overflow, and what is answered comes back.
+    /// No geometry, pose, joints or rates make the arithmetic overflow, and what is answered comes
+    /// back.
     #[test]
     fn no_geometry_overflows(
         geometry in any_geometry(),
@@ -296,7 +299,8 @@ proptest! {
                 if let (Ok(back), Ok(_)) = (inverse, answer)
                     && pose.0 != values
                 {
-                    // A few units in the pose, slopes up to 10, and a long tool on a short platform magnifies the tilt's rounding.
+                    // A few units in the pose, slopes up to 10, and a long tool on a short platform
+                    // magnifies the tilt's rounding.
                     let spacing = geometry.half_spacing.0 as i64;
                     let bound = 400 + 100 * (geometry.tool.0 as i64 / spacing);
                     for i in 0..4 {
@@ -343,8 +347,9 @@ proptest! {
     }
 }
 
-/// A box that the machine can take by its corners stands for the boxes in it: what a hand does in some periods is looked at once. That is no theorem, for the strokes
-/// bend the reach inwards; with the room that a box is given, it holds.
+/// A box that the machine can take by its corners stands for the boxes in it: what a hand does in
+/// some periods is looked at once. That is no theorem, for the strokes bend the reach inwards; with
+/// the room that a box is given, it holds.
 #[test]
 fn box_inside_a_reachable_box_is_reachable() {
     let config = config();

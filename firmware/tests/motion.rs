@@ -16,7 +16,8 @@ use reference::{h4, mm};
 
 const PERIOD_S: f64 = 2e-4;
 
-/// A ramp that arrives may pass its target by twice the jerk of a period: 2 * 5000 mm/s^3 * (200 us)^2, in axis units per second.
+/// A ramp that arrives may pass its target by twice the jerk of a period: 2 * 5000 mm/s^3 * (200
+/// us)^2, in axis units per second.
 const OVERSHOOT: i32 = 420;
 const UNIT_MM: f64 = 1.0 / (1 << 20) as f64;
 
@@ -88,7 +89,8 @@ impl Path {
         }
     }
 
-    /// Largest acceleration and jerk in mm/s^2 and mm/s^3, from differences of the rate over 8 and 16 periods.
+    /// Largest acceleration and jerk in mm/s^2 and mm/s^3, from differences of the rate over 8 and
+    /// 16 periods.
     fn dynamics(&self, from: usize, to: usize) -> (f64, f64) {
         let slope = |values: &[f64], span: usize| -> Vec<f64> {
             values
@@ -314,8 +316,8 @@ proptest! {
         prop_assert_eq!(mm(*path.x.last().expect("moved")), points.last().expect("some").pose[0]);
     }
 
-    /// Prefetched parts of a segment give the same motion to the bit: with segments of any duration,
-    /// holds, late setpoints and retractions.
+    /// Prefetched parts of a segment give the same motion to the bit: with segments of any
+    /// duration, holds, late setpoints and retractions.
     #[test]
     fn prefetch_does_not_change_the_motion(
         spans in prop::collection::vec(1_u16..120, 30..60), free in prop::collection::vec(any::<bool>(), 1..9), every in 1_usize..60,
@@ -435,8 +437,8 @@ fn jog_rates(x: f64, y: f64, z: f64) -> [i64; MAX_AXES] {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Any jog stays within soft limits, reach, rate, acceleration and jerk, and is at standstill after
-    /// its deadline.
+    /// Any jog stays within soft limits, reach, rate, acceleration and jerk, and is at standstill
+    /// after its deadline.
     #[test]
     fn jog_keeps_all_limits(commands in prop::collection::vec((-60.0_f64..60.0, -60.0_f64..60.0, -60.0_f64..60.0, 1_u32..4000), 1..8)) {
         let config = h4();
@@ -464,7 +466,8 @@ proptest! {
             path.assert_consistent();
             let (acceleration, jerk) = path.dynamics(0, usize::MAX);
             prop_assert!(acceleration <= 200.1, "{acceleration}");
-            // A ramp that arrives may change its slope by twice the jerk in one of the 16 periods over which this is measured.
+            // A ramp that arrives may change its slope by twice the jerk in one of the 16 periods
+            // over which this is measured.
             prop_assert!(jerk <= 5001.0 + 5000.0 / 16.0, "{jerk}");
         }
     }

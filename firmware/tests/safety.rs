@@ -144,7 +144,8 @@ fn runaway_is_detected_a_driven_joint_is_not() {
             4,
         );
         assert_eq!(fault, Some(Fault::EncoderReversed { axis: 2 }));
-        // Three periods are not enough, nor is a push with the motion, a weak push, or a slow motion.
+        // Three periods are not enough, nor is a push with the motion, a weak push, or a slow
+        // motion.
         assert_eq!(
             look(
                 &mut JointMonitor::default(),
@@ -206,7 +207,8 @@ fn stuck_encoder_is_detected_a_static_load_is_not() {
         };
         assert_eq!(look(&mut watch, &axis, &seen, 1), None, "{period}");
     }
-    // From there on the encoder is dead, and the loop pushes as 40 kg and 40,000 1/s^2 say: 1.6 N a micrometre.
+    // From there on the encoder is dead, and the loop pushes as 40 kg and 40,000 1/s^2 say: 1.6 N a
+    // micrometre.
     let from = seen.commanded.0 + 19_999 * mm(2e-4);
     let fault = (0..2000).find_map(|period| {
         let off = f64::from(period) * 2e-4;
@@ -410,7 +412,8 @@ fn each_fault_latches_once_in_each_state() {
             assert_eq!(safety.homed(), keeps_position(&fault));
             assert_eq!(safety.take_latched(), Some(fault));
             assert_eq!(safety.take_latched(), None);
-            // The first one stays, but for one that takes the drives off that the first one let hold.
+            // The first one stays, but for one that takes the drives off that the first one let
+            // hold.
             let holding = safety.drives_on();
             for other in every_fault() {
                 let mut both = in_state(state);

@@ -155,7 +155,8 @@ proptest! {
     }
 }
 
-/// (3.38): from 1 mm off, at rest, the error is that of e'' + K_D e' + K_P e = 0, for three dampings.
+/// (3.38): from 1 mm off, at rest, the error is that of e'' + K_D e' + K_P e = 0, for three
+/// dampings.
 #[test]
 fn error_decays_with_the_designed_poles() {
     let period = 50u16;
@@ -182,13 +183,15 @@ fn error_decays_with_the_designed_poles() {
             let (effort, _) = law.effort(coordinate(-slide.position), Rate(0), Acceleration(0));
             slide.push(f64::from(effort.0) / NEWTON, step);
         }
-        // A period of hold and difference is a delay of one period: omega T / 2 of the error's size.
+        // A period of hold and difference is a delay of one period: omega T / 2 of the error's
+        // size.
         assert!(worst < omega * step, "{omega} {zeta}: {worst}");
         assert!(slide.position.abs() < 1e-4);
     }
 }
 
-/// The derivative is on the rate of the error: a ramp leaves no lag, where -K_D l' alone would trail by K_D / K_P of travel.
+/// The derivative is on the rate of the error: a ramp leaves no lag, where -K_D l' alone would
+/// trail by K_D / K_P of travel.
 #[test]
 fn ramp_has_no_steady_error() {
     for form in [ServoForm::Pd, ServoForm::ModelBased] {
@@ -212,7 +215,8 @@ fn ramp_has_no_steady_error() {
     }
 }
 
-/// The printed sign of (3.29) would push a slide that already moves; this one brakes it, and a kick dies away.
+/// The printed sign of (3.29) would push a slide that already moves; this one brakes it, and a kick
+/// dies away.
 #[test]
 fn derivative_term_damps() {
     let config = law(ServoForm::Pd, 3600.0, 120.0, 1500);
@@ -266,7 +270,8 @@ fn integrator_does_not_wind_up() {
         let (effort, saturated) = law.effort(coordinate(5.0), Rate(0), Acceleration(0));
         assert!(saturated && f64::from(effort.0) == limit * NEWTON);
     }
-    // With the error gone and its rate died away, what is left is the integrator: what it was before.
+    // With the error gone and its rate died away, what is left is the integrator: what it was
+    // before.
     let left = |mut law: ServoLaw| {
         (0..200)
             .map(|_| law.effort(Coordinate(0), Rate(0), Acceleration(0)).0.0)

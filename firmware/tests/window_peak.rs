@@ -1,4 +1,5 @@
-//! The peak of a revolution against a plain scan, and on milling forces at speeds whose revolution is no whole number of samples.
+//! The peak of a revolution against a plain scan, and on milling forces at speeds whose revolution
+//! is no whole number of samples.
 
 use haptimill_firmware::force::window_peak::{LEAVES, SlidingMinMax, Window};
 use haptimill_math::force::Force;
@@ -27,7 +28,8 @@ proptest! {
         }
     }
 
-    /// A long window is divided into groups: never shorter than requested, longer by less than a group.
+    /// A long window is divided into groups: never shorter than requested, longer by less than a
+    /// group.
     #[test]
     fn long_window_covers_the_requested_samples(samples in 1u32..=2048, forces in prop::collection::vec(any::<i32>(), 2100..4500)) {
         let window = Window::of(samples).expect("fits");
@@ -70,7 +72,8 @@ proptest! {
     }
 }
 
-/// 60 samples at 5000 rpm and 200 us, 12 at 1 ms (docs/control.md 7.1 item 17); other speeds are rounded up.
+/// 60 samples at 5000 rpm and 200 us, 12 at 1 ms (docs/control.md 7.1 item 17); other speeds are
+/// rounded up.
 #[test]
 fn window_is_rounded_up_to_a_revolution() {
     let samples = |rpm, period| Window::revolution(rpm, period).map(Window::samples);
@@ -94,7 +97,8 @@ fn window_is_rounded_up_to_a_revolution() {
     }
 }
 
-/// Two teeth with run-out at speeds between whole windows: the peak moves by no more than sampling a crest allows. One sample less than rounded up would lose the crest.
+/// Two teeth with run-out at speeds between whole windows: the peak moves by no more than sampling
+/// a crest allows. One sample less than rounded up would lose the crest.
 #[test]
 fn steady_cut_has_a_steady_peak() {
     for rpm in [

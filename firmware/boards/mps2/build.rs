@@ -15,7 +15,8 @@ fn main() {
     println!("cargo:rustc-link-search={}", here.display());
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
     if env::var_os("CARGO_FEATURE_DEFMT").is_some() {
-        // The texts of the log have a section of their own, which is in the image's file and not in the flash.
+        // The texts of the log have a section of their own, which is in the image's file and not in
+        // the flash.
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
     }
     println!("cargo:rerun-if-changed=memory");

@@ -1,8 +1,8 @@
 //! Kinematics of a machine whose joints move the tool along x, y and z directly.
 //!
-//! The pose is `[x, y, z]`, the joints are `[x, y, z]`, and each joint is the coordinate of the same
-//! name. Directions and leads are matters of the drives and encoders, offsets of the presets. Every
-//! pose has joints; the strokes are checked by [`crate::BoundedKinematics`].
+//! The pose is `[x, y, z]`, the joints are `[x, y, z]`, and each joint is the coordinate of the
+//! same name. Directions and leads are matters of the drives and encoders, offsets of the presets.
+//! Every pose has joints; the strokes are checked by [`crate::BoundedKinematics`].
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::machines::Machine;

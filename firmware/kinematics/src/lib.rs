@@ -59,8 +59,8 @@ pub struct Jacobian(pub [[i64; MAX_AXES]; MAX_AXES]);
 pub struct BoxBounds {
     /// The least and the greatest joints of the poses of the box.
     pub joints: [Joints; 2],
-    /// Upper bounds of the magnitudes of the joint rates, axis units per second, for each of at most
-    /// two entries of pose rates.
+    /// Upper bounds of the magnitudes of the joint rates, axis units per second, for each of at
+    /// most two entries of pose rates.
     pub rates: [[u32; MAX_AXES]; 2],
 }
 

@@ -31,9 +31,9 @@ pub(crate) fn enqueue_setpoint(core: &mut Core, server: &mut Server, number: u32
     }
 }
 
-/// Continues the validation of a setpoint. `validated` is the progress: 0 for none, 1 after the pose
-/// check, then 1 more for each coordinate and each piece. Returns the new progress, or `None` when
-/// the setpoint is in the queue.
+/// Continues the validation of a setpoint. `validated` is the progress: 0 for none, 1 after the
+/// pose check, then 1 more for each coordinate and each piece. Returns the new progress, or `None`
+/// when the setpoint is in the queue.
 fn validate_setpoint(
     core: &mut Core,
     server: &Server,

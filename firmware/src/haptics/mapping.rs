@@ -131,8 +131,8 @@ impl MasterMapping {
     }
 
     /// Computes the targets of a control period. The master leads the coordinates of `led` (one bit
-    /// each); `standstill_position` returns the position at which a coordinate comes to standstill if nothing
-    /// leads it.
+    /// each); `standstill_position` returns the position at which a coordinate comes to standstill
+    /// if nothing leads it.
     pub fn follow(
         &mut self,
         frame: &Frame,

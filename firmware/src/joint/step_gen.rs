@@ -333,7 +333,8 @@ const fn offset(segment: &StepSegment, k: i64) -> i64 {
     k * segment.interval as i64 + segment.ramp as i64 * (k * (k - 1) / 2)
 }
 
-/// 2^86 / `size`, for a size of at least 2^24. One bit at a time: 128-bit division takes 1 KiB of flash.
+/// 2^86 / `size`, for a size of at least 2^24. One bit at a time: 128-bit division takes 1 KiB of
+/// flash.
 const fn inverse(size: u64) -> i64 {
     let (mut quotient, mut rest) = ((size == 1 << 24) as i64, (1 << 24) % size);
     let mut bit = 0;

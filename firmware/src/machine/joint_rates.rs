@@ -15,8 +15,8 @@ use haptimill_math::{Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 
-/// Longest piece of a segment, periods: 51 ms at 200 us. With shorter pieces setpoints wait for longer
-/// than the link waits for an acknowledgement.
+/// Longest piece of a segment, periods: 51 ms at 200 us. With shorter pieces setpoints wait for
+/// longer than the link waits for an acknowledgement.
 pub const PIECE: u16 = 256;
 
 /// Joint positions and rates at a time on the path.

@@ -118,7 +118,8 @@ impl StoppingEnvelope {
         self.load(&[], machine).is_some()
     }
 
-    /// The largest part of its maximum rate that a joint reaches in the box, for each of `rates` ([`Kinematics::load`]); `None` if the machine cannot take a pose of it.
+    /// The largest part of its maximum rate that a joint reaches in the box, for each of `rates`
+    /// ([`Kinematics::load`]); `None` if the machine cannot take a pose of it.
     pub fn load(&self, rates: &[Rates], machine: &impl Kinematics) -> Option<[u32; 2]> {
         machine.load(&self.low, &self.high, rates).ok()
     }
@@ -133,7 +134,8 @@ pub type Excursion = [(i32, Rate); 3];
 /// Control periods between two attempts at a wider box after a failed one.
 const RETRY_PERIODS: u8 = 64;
 
-/// What is known of the reach around the machine: a box that is reachable, with room. A sweep in it needs no look of its own.
+/// What is known of the reach around the machine: a box that is reachable, with room. A sweep in it
+/// needs no look of its own.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ReachableBox {
     known: Option<(StoppingEnvelope, u32)>,

@@ -262,7 +262,8 @@ impl Interpolator {
     }
 
     /// Pose and rates `periods` control periods after the newest setpoint, on the path to the next
-    /// one. Callers must call [`Interpolator::allows`] for this setpoint in the same control period.
+    /// one. Callers must call [`Interpolator::allows`] for this setpoint in the same control
+    /// period.
     #[must_use]
     pub fn sample_to(&self, setpoint: &Setpoint, periods: u16) -> Option<PoseCommand> {
         let mut commanded = PoseCommand::default();

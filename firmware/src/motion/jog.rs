@@ -113,7 +113,8 @@ const fn periods_per_second(period_us: u16) -> i64 {
 /// `None` if they are inconsistent.
 #[must_use]
 pub fn rate_limits(acceleration: Acceleration, jerk: u32, period_us: u16) -> Option<RampLimits> {
-    // Long division in two steps: 128-bit division takes 1 KiB of flash. The cube is at most 10^18, so no shift leaves 64 bits.
+    // Long division in two steps: 128-bit division takes 1 KiB of flash. The cube is at most 10^18,
+    // so no shift leaves 64 bits.
     const BELOW: u32 = 4;
     let periods = periods_per_second(period_us);
     let cube = u64::try_from(periods.checked_pow(3)?).ok()?;

@@ -18,7 +18,8 @@ pub struct RampLimits {
     by_twice_jerk: Divisor,
 }
 
-/// A divisor below 2^33 and its inverse: a software division takes some 250 instructions, and a jog of five coordinates has eighty in a period.
+/// A divisor below 2^33 and its inverse: a software division takes some 250 instructions, and a jog
+/// of five coordinates has eighty in a period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Divisor {
     divisor: u64,
@@ -246,7 +247,8 @@ impl Ramp {
         if peak <= 0 {
             return Some(0);
         }
-        // Trapezoid of the slope: its duration is peak / slope + slope / jerk, its mean value is half the peak; four periods for the first half period and rounding.
+        // Trapezoid of the slope: its duration is peak / slope + slope / jerk, its mean value is
+        // half the peak; four periods for the first half period and rounding.
         let rising = if rising == 0 {
             0
         } else {

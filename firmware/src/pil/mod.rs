@@ -15,16 +15,16 @@
 //! The frames do not contain the bytes of the host: these go over the board's own serial line. A
 //! frame to the board counts the bytes put on that line before it (`arrived`), and the board waits
 //! until its receive interrupt has seen them all. A frame from the board counts the bytes that the
-//! board transmitted (`transmitted`), and the simulator waits for them. [`Done`] contains what the board
-//! received in the period, which the simulator compares with what it sent.
+//! board transmitted (`transmitted`), and the simulator waits for them. [`Done`] contains what the
+//! board received in the period, which the simulator compares with what it sent.
 //!
 //! A frame is an array of little-endian words: kind and version, contents, check. The check (FNV-1a
 //! over words) finds frames that are cut, shifted or of another version. It is no CRC, because the
 //! transport (a pipe, or memory) does not flip bits.
 //!
 //! The board works in place: on frames as words, and on its own inputs and outputs ([`read`],
-//! [`FromBoardRef`]). On an emulated chip, copying them took longer than the control period. The simulator
-//! uses values ([`ToBoard`], [`FromBoard`]) and bytes.
+//! [`FromBoardRef`]). On an emulated chip, copying them took longer than the control period. The
+//! simulator uses values ([`ToBoard`], [`FromBoard`]) and bytes.
 //!
 //! Callers must handle every frame. A frame describes one period, so an end that skips one stays
 //! out of step.

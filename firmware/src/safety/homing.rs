@@ -1,7 +1,7 @@
 //! Finding the reference: one transaction for all joints.
 //!
-//! The operator sets the joints to their presets before power-on, within [`JointAxis::search`]. Motion after that is known from the counters
-//! ([`crate::joint::power_on_counts`]).
+//! The operator sets the joints to their presets before power-on, within [`JointAxis::search`].
+//! Motion after that is known from the counters ([`crate::joint::power_on_counts`]).
 //!
 //! Joints of a parallel arm that home one by one can leave the workspace, so the *pose* moves. The
 //! machine names for each joint the coordinate that moves in its search, and the pose rates
@@ -123,7 +123,8 @@ impl Homing {
         None
     }
 
-    /// One period, with the machine wanted at `pose`; `limited` says that the jog was kept from going on. The first sets out.
+    /// One period, with the machine wanted at `pose`; `limited` says that the jog was kept from
+    /// going on. The first sets out.
     pub fn advance(
         &mut self,
         machine: &Searched<'_>,
@@ -180,7 +181,8 @@ fn search_rate(config: &Config, kind: AxisKind) -> i64 {
     })
 }
 
-/// Periods in which a joint must have seen its index: a turn and a fifth at the search rate, and half a second to get going.
+/// Periods in which a joint must have seen its index: a turn and a fifth at the search rate, and
+/// half a second to get going.
 fn search_periods(config: &Config, joint: &JointAxis) -> u32 {
     let rate = search_rate(config, joint.kind).max(1);
     let travel = i64::from(joint.index_pitch.0) * 6 / 5;

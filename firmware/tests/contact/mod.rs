@@ -1,4 +1,5 @@
-//! A tool against a spring, in f64: sensor noise, 14-bit codes, the peak window, a drive, encoder counts, friction.
+//! A tool against a spring, in f64: sensor noise, 14-bit codes, the peak window, a drive, encoder
+//! counts, friction.
 
 use haptimill_firmware::force::admittance::{AdmittanceAxis, AdmittanceLaw, DrivingForce};
 use haptimill_firmware::force::stability::{Sign, StabilityMonitor};
@@ -158,7 +159,8 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
             }
         }
         stuck = stuck.clamp(tool - contact.stiction, tool + contact.stiction);
-        // A drive that only steps has the tool at whole counts; behind the servo it is where it is, and only measured in counts.
+        // A drive that only steps has the tool at whole counts; behind the servo it is where it is,
+        // and only measured in counts.
         let measured = counted(stuck, contact.count);
         let place = if contact.drive == Drive::Servo {
             stuck

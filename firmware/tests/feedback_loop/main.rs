@@ -1,7 +1,10 @@
-//! The loop through the hand, all of it: the controller with its haptic arm, the watches over the energy, the way from hand to tool, the mover that follows, the force loop and the peak over a revolution are the
-//! firmware's own, driven period by period. In f64 are the hand, the motors' lag, the drives' lag, the contact and the line ([`rig`]).
+//! The loop through the hand, all of it: the controller with its haptic arm, the watches over the
+//! energy, the way from hand to tool, the mover that follows, the force loop and the peak over a
+//! revolution are the firmware's own, driven period by period. In f64 are the hand, the motors'
+//! lag, the drives' lag, the contact and the line ([`rig`]).
 //!
-//! `cargo test -p haptimill-firmware --test feedback_loop -- --nocapture` shows the sweep as a table; `--ignored` the whole one, with more hands, contacts and lines.
+//! `cargo test -p haptimill-firmware --test feedback_loop -- --nocapture` shows the sweep as a
+//! table; `--ignored` the whole one, with more hands, contacts and lines.
 
 #![allow(
     clippy::needless_range_loop,
@@ -77,7 +80,8 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f6
     for (case, out) in cases.iter().zip(&outcomes) {
         let place = format!("{case:?}\n{out:?}");
         assert!(out.runs, "the mill stopped: {place}");
-        // Swings get smaller, or are below what a finger feels as motion; or they are one that came back when its debt was forgiven, no larger than `relapse`.
+        // Swings get smaller, or are below what a finger feels as motion; or they are one that came
+        // back when its debt was forgiven, no larger than `relapse`.
         let most = (1.1 * out.early + 0.05).max(relapse);
         assert!(out.late <= most, "it grows: {place}");
         // A soft hand breathes by less than 2.5 mm, a firm one by less than one.
@@ -97,7 +101,8 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f6
     }
 }
 
-/// Nothing grows, the hand feels what the law says, never more than the limit, and the mill goes on.
+/// Nothing grows, the hand feels what the law says, never more than the limit, and the mill goes
+/// on.
 #[test]
 fn force_feedback_loop_is_stable() {
     check(
@@ -116,7 +121,10 @@ fn force_feedback_loop_is_stable_without_compliance() {
     check(&[0.3, 2.0], &[2.0, 20.0], &[0.0, 0.05], false, 27.0, 0.0);
 }
 
-/// The same with more of each, and means over 36 s where they are over 12 s above: a soft hand breathes in seconds, and a mean over some breaths is off by 5 %. Within 51 s seven of 330 cells swing up once more when their debt is forgiven, by 0.14 to 0.93 mm, until they owe again. Some minutes.
+/// The same with more of each, and means over 36 s where they are over 12 s above: a soft hand
+/// breathes in seconds, and a mean over some breaths is off by 5 %. Within 51 s seven of 330 cells
+/// swing up once more when their debt is forgiven, by 0.14 to 0.93 mm, until they owe again. Some
+/// minutes.
 #[test]
 #[ignore = "long: run by hand when the loop is changed"]
 fn the_whole_sweep() {

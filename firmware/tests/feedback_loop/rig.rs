@@ -1,8 +1,11 @@
 //! The hand, the contact and the line, around the controllers.
 //!
-//! With a line there are two controllers, one with the arm and one with the mill; a word each way every 10 ms, so late as the line makes it. Without, one has both.
+//! With a line there are two controllers, one with the arm and one with the mill; a word each way
+//! every 10 ms, so late as the line makes it. Without, one has both.
 //!
-//! The hand is a mass of 0.8 kg on spring and damper that follow an intention: 4 mm into the contact at 10 mm/s, and there it stays. There is no friction in hand, arm and mill, which is the worst case.
+//! The hand is a mass of 0.8 kg on spring and damper that follow an intention: 4 mm into the
+//! contact at 10 mm/s, and there it stays. There is no friction in hand, arm and mill, which is the
+//! worst case.
 
 use crate::bench::{Bench, HOME};
 use haptimill_checks::reference;
@@ -26,7 +29,8 @@ const RATIO: f64 = 0.35;
 const AMPLIFIER: f64 = 5e-4;
 /// Two poles of the drives, 1/s: 8 ms.
 const DRIVE: f64 = 250.0;
-/// Newtons of a code: a sensor of +-200 N, so that what a hit on 200 N/mm does to the loop is seen, too. (One of 100 N stops the mill there; see the largest force.)
+/// Newtons of a code: a sensor of +-200 N, so that what a hit on 200 N/mm does to the loop is seen,
+/// too. (One of 100 N stops the mill there; see the largest force.)
 const CODE: f64 = 200.0 / 8192.0;
 /// Periods between two words on the line.
 const WORD: usize = 50;

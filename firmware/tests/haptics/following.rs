@@ -1,5 +1,5 @@
-//! Following a master: clutch, scale, orientation, holds and stops, change of sources, the workspace
-//! boundary, and a remote master.
+//! Following a master: clutch, scale, orientation, holds and stops, change of sources, the
+//! workspace boundary, and a remote master.
 
 use crate::arm::{self, rotation, times};
 use crate::bench::Bench;
@@ -95,7 +95,8 @@ fn orientation_follows_the_handle() {
     bench.start_job();
     bench.inputs.haptic.engaged = true;
     bench.steps(10);
-    // By 8 degrees about y, then 5 about x: theta about Y by as much, alpha about X against it (docs/control.md (3.20)-(3.22)).
+    // By 8 degrees about y, then 5 about x: theta about Y by as much, alpha about X against it
+    // (docs/control.md (3.20)-(3.22)).
     let (t, a) = (8.0_f64.to_radians(), 5.0_f64.to_radians());
     for k in 1..=4000 {
         let part = f64::from(k) / 4000.0;

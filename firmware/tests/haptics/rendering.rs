@@ -145,7 +145,8 @@ fn virtual_walls_push_back_and_move() {
     // 20 mm in a second, the wall 4 mm behind: 16 mm ahead of it, 5.5 N at the most.
     assert!((bench.felt()[0] - 5.5).abs() < 0.15, "{}", bench.felt()[0]);
     bench.lead([-1.0, 0.0, 0.0], 5000);
-    // It comes after: 13 mm, and 0.4 mm less a tenth of a second later, when a hand at rest is not damped any more.
+    // It comes after: 13 mm, and 0.4 mm less a tenth of a second later, when a hand at rest is not
+    // damped any more.
     bench.steps(500);
     assert!(
         (bench.felt()[0] - 12.6 * 0.35).abs() < 0.02,

@@ -1,6 +1,8 @@
-//! The conformance suite of machine kinematics: what every machine must pass, and the rows of those that do.
+//! The conformance suite of machine kinematics: what every machine must pass, and the rows of those
+//! that do.
 //!
-//! A new machine is one subject in `haptimill_checks::kinematics` and one row below; the same checks run on a chip, with smaller counts.
+//! A new machine is one subject in `haptimill_checks::kinematics` and one row below; the same
+//! checks run on a chip, with smaller counts.
 
 use haptimill_checks::kinematics::{cartesian, h4, suite};
 

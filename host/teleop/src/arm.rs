@@ -5,8 +5,8 @@
 //! the telemetry of the master. It never waits: while the machine is operated, a lost link or port
 //! is opened again, and the arm is the master again once the operator has resumed the machine.
 //!
-//! Callers must call [`MasterDevice::advance`] regularly: without keep-alive frames the controller of
-//! the arm exerts no more force.
+//! Callers must call [`MasterDevice::advance`] regularly: without keep-alive frames the controller
+//! of the arm exerts no more force.
 
 use super::latency::ForceValue;
 use super::script::ScriptedOperator;

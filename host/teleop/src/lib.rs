@@ -12,8 +12,8 @@
 //! ```
 //!
 //! The controllers ensure safety: the machine holds when the newest sample is older than
-//! `stale_ms`, and resumes on command only; the arm exerts no more force 100 ms after the last force
-//! message. The loop never resumes by itself.
+//! `stale_ms`, and resumes on command only; the arm exerts no more force 100 ms after the last
+//! force message. The loop never resumes by itself.
 //!
 //! With both controllers in the simulator the loop runs in virtual time and is deterministic to the
 //! bit. With a port on either side it runs in real time.

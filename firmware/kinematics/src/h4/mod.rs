@@ -352,7 +352,8 @@ impl H4 {
         Ok(())
     }
 
-    /// [`H4::place`] out of line: its callers share it, because inlined in both it takes 900 bytes more flash.
+    /// [`H4::place`] out of line: its callers share it, because inlined in both it takes 900 bytes
+    /// more flash.
     #[inline(never)]
     pub(super) fn place_apart(&self, pose: &Pose) -> Result<(Placed, [Pair; 2]), PoseError> {
         self.place(pose)
@@ -424,7 +425,8 @@ impl H4 {
         self.least_square
     }
 
-    /// Whether the machine stays away from the parallel singularity if U is up to `by_u` and V up to `by_v` of its pair away from those of a pose.
+    /// Whether the machine stays away from the parallel singularity if U is up to `by_u` and V up
+    /// to `by_v` of its pair away from those of a pose.
     #[inline]
     pub(super) fn stays_regular(
         &self,

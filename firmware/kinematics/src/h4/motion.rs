@@ -42,7 +42,8 @@ pub(super) struct Slope {
 impl Slope {
     #[inline]
     pub(super) fn of(pair: &Pair) -> Self {
-        // S is 0.1 R to R, so both ratios are at most 10 and fit Q27. S >= 1.6 mm makes the shift 24 or more.
+        // S is 0.1 R to R, so both ratios are at most 10 and fit Q27. S >= 1.6 mm makes the shift
+        // 24 or more.
         let inverse = pair.root.reciprocal();
         // A mantissa of 2^31 counts as 2^31 - 1.
         let mantissa = inverse.mantissa.min(i32::MAX as u32) as i32;

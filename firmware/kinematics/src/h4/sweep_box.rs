@@ -1,8 +1,10 @@
 //! Bounds of the joints and of their rates over a box of poses.
 //!
-//! A centred form: the pose in the middle, and how far U, V and S may be from theirs, by the triangle inequality with terms of first and second order.
-//! The signs are left out, because coordinates that brake come to rest at different times: what cancels at full speed does not cancel all the way. One pose and these
-//! bounds take a tenth of the instructions that the corners of a box take, and hold between the corners as well.
+//! A centred form: the pose in the middle, and how far U, V and S may be from theirs, by the
+//! triangle inequality with terms of first and second order. The signs are left out, because
+//! coordinates that brake come to rest at different times: what cancels at full speed does not
+//! cancel all the way. One pose and these bounds take a tenth of the instructions that the corners
+//! of a box take, and hold between the corners as well.
 
 use super::motion::Slope;
 use super::{ALPHA, AXES, H4, Pair};
@@ -53,7 +55,8 @@ impl Turn {
         times(cosine, a, 30).saturating_add(times(sine, b, 30))
     }
 
-    /// How far one coordinate of a point goes when it is turned by up to half the range; `aside` is the other one.
+    /// How far one coordinate of a point goes when it is turned by up to half the range; `aside` is
+    /// the other one.
     fn swing(&self, along: u32, aside: u32) -> u32 {
         times(aside, self.by, 30).saturating_add(times(along, self.bend, 30))
     }

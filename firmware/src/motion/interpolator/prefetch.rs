@@ -2,8 +2,8 @@
 //!
 //! A whole segment takes half as much computation as the rest of a control period. The next segment
 //! is therefore prepared in parts while the present one is interpolated: first its end and
-//! duration, then one coordinate at a time ([`Interpolator::prefetch`]). Parts that are missing when the
-//! segment begins are prepared then, with the same result to the bit.
+//! duration, then one coordinate at a time ([`Interpolator::prefetch`]). Parts that are missing
+//! when the segment begins are prepared then, with the same result to the bit.
 
 use super::{Interpolator, Knot};
 use crate::motion::cubic::{Cubic, SegmentDuration};

@@ -18,8 +18,8 @@ const BACK_RATE: i64 = FULL_RATE / 4;
 
 impl Interpolator {
     /// Ends the job: once the path rate is zero, the machine retracts for `periods` control periods
-    /// of program time, as far as setpoints are stored. [`Interpolator::is_at_standstill`] tells when
-    /// the retraction is complete.
+    /// of program time, as far as setpoints are stored. [`Interpolator::is_at_standstill`] tells
+    /// when the retraction is complete.
     pub fn retract(&mut self, periods: u32) {
         self.retract_left = u64::from(periods) << 32;
     }

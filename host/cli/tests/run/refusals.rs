@@ -188,11 +188,7 @@ fn mistakes_are_reported_as_json() {
         let ran = haptimill(arguments).expect_code(code);
         let told = ran.json();
         assert_eq!(told["exit_code"], code, "{told:#}");
-        assert_eq!(
-            told["error"].as_str(),
-            Some(ran.err.trim_end()),
-            "{told:#}"
-        );
+        assert_eq!(told["error"].as_str(), Some(ran.err.trim_end()), "{told:#}");
         let problems = told["problems"].as_array().unwrap();
         for (line, column) in places {
             let found = problems

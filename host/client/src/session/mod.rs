@@ -8,9 +8,10 @@
 //!
 //! What takes several messages is a [`Procedure`] ([`Acknowledgement`], [`StatusQuery`],
 //! [`Homing`]) or a [`JobRun`]. Programs that wait for the result use [`Session::complete`] and the
-//! methods on it; programs that serve an operator meanwhile advance the procedure after each step. A
-//! [`Startup`] is sent each time the controller answers, and a [`Reconnection`] opens a lost session
-//! again.
+//! methods on it; programs that serve an operator meanwhile advance the procedure after each step.
+//! A
+//! [`Startup`] is sent each time the controller answers, and a [`Reconnection`] opens a lost
+//! session again.
 //!
 //! Callers must keep stepping: a session that is not stepped sends no keep-alive frames, and the
 //! controller stops the machine.
