@@ -78,7 +78,7 @@ fn the_kinematics_stay_within_their_instructions() -> String {
     let ceilings = [("inverse", [600, 1_175]), ("forward", [720, 720])];
     for (line, (name, most)) in console.lines().zip(ceilings) {
         let words: Vec<&str> = line.split(' ').collect();
-        assert!(coordinates.len() == 3 && words[0] == name, "{console}");
+        assert!(words.len() == 3 && words[0] == name, "{console}");
         let counts = [words[1], words[2]].map(|word| word.parse::<u32>().expect("a number"));
         assert!(counts[0] < most[0] && counts[1] < most[1], "{console}");
         table += &format!("| {name} | {} | {} |\n", counts[0], counts[1]);

@@ -81,6 +81,7 @@ macro_rules! geometries {
 
         /// A geometry of the list.
         #[derive(Debug, Clone)]
+        #[allow(clippy::large_enum_variant, reason = "a plant has one geometry")]
         pub(crate) enum AnyGeometry {
             $($name($machine),)*
         }

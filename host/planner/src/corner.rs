@@ -1,10 +1,10 @@
 //! Junction of two blocks: its largest speed and its rounding.
 //!
 //! The motion through a corner is the motion along the two exact paths plus a *bump*, which cancels
-//! the jump of velocity. The speed v is constant for the time h around the corner. With dv = v (u2
-//! - u1) the acceleration of the bump is a triangle from 0 over 2 dv / h to 0: jerk 4 dv / h^2, two
-//! cubics, largest deviation dv h / 12 at the corner (a sixth of |u2 - u1| times the half-length d
-//! = v h / 2).
+//! the jump of velocity. The speed v is constant for the time h around the corner. The jump is dv,
+//! which is v times u2 less u1. The acceleration of the bump is a triangle from 0 over 2 dv / h to
+//! 0: jerk 4 dv / h^2, two cubics, largest deviation dv h / 12 at the corner, which is a sixth of
+//! the magnitude of the difference of u2 and u1 times the half-length d, v h / 2.
 
 use super::block::{ACCELERATION_SHARE, Block, JERK_SHARE, JOINT_RAMP_SHARE};
 use super::limits::Settings;

@@ -7,8 +7,10 @@
 //! message, and sends the force on the tool to the master. Nothing is queued.
 //!
 //! ```text
-//! haptic arm -> its controller -> MasterTelemetry -> host -> MasterPose { epoch, age } -> machine controller -> tool
-//! haptic arm <- its controller <- RemoteForce <- host <- Telemetry { force } <- machine controller <- force sensor
+//! haptic arm -> its controller -> MasterTelemetry -> host
+//!            -> MasterPose { epoch, age } -> machine controller -> tool
+//! haptic arm <- its controller <- RemoteForce <- host
+//!            <- Telemetry { force } <- machine controller <- force sensor
 //! ```
 //!
 //! The controllers ensure safety: the machine holds when the newest sample is older than
