@@ -31,6 +31,15 @@ pub const FOLLOWING: [f64; 2] = [0.20, 0.12];
 /// A slide that moved by less than its play has an unknown flank. Half of both plays (18 um
 /// compensated, 10 um real) is 14 um. Uncompensated friction of 8 N is 5 um at 1600 N/mm.
 pub const REST: [f64; 2] = [0.019, 0.025];
+/// The same for a slide whose motion ended with more than [`LASTING`] periods below [`KNEE`].
+///
+/// Its friction of 40 N is not compensated and is 25 um (firmware/src/joint/friction.rs); half of
+/// both plays is 14 um.
+pub const REST_SLOW: f64 = 0.039;
+/// Rate of a slide above which its friction is compensated in full, in mm/s.
+///
+/// It is five times `coulomb_rate_mm_s` of machines/h4.toml.
+pub const KNEE: f64 = 0.1;
 /// Following error, as a part of its limit, that must be reported after three periods.
 pub const REPORTED: f64 = 1.02;
 /// Commanded pose against the interpolation of the setpoints, in axis units.

@@ -13,6 +13,8 @@ pub(super) struct FollowingRecord {
     pub homed_and_on: bool,
     /// Periods at standstill.
     pub standstill: u32,
+    /// Periods of motion since the joint was last faster than [`bounds::KNEE`].
+    slow_motion: [u32; 6],
     /// Periods with a following error above its limit, by joint.
     unreported: [u32; 6],
     /// Periods far from the target, by joint.
@@ -34,6 +36,17 @@ impl Checks {
         } else {
             0
         };
+    }
+
+    /// Counts the periods of motion in which friction is not compensated in full.
+    pub(super) fn count_slow_motion(&mut self, joint: usize) {
+        let rate = self.previous.joint_rates[joint].abs() / joint_unit(joint);
+        let slow = &mut self.following.slow_motion[joint];
+        if rate > bounds::KNEE {
+            *slow = 0;
+        } else if rate > 0.0 {
+            *slow = slow.saturating_add(1);
+        }
     }
 
     /// Checks that a following error above its limit has latched a fault.
@@ -124,7 +137,13 @@ impl Checks {
         }
         if self.following.standstill > 5000 && self.following.homed_and_on {
             self.record_largest(["rest mm", "rest deg"][class(joint)], far);
-            if far > bounds::REST[class(joint)] {
+            let slow = self.following.slow_motion[joint] > bounds::LASTING;
+            let most = if class(joint) == 0 && slow {
+                bounds::REST_SLOW
+            } else {
+                bounds::REST[class(joint)]
+            };
+            if far > most {
                 violated!(
                     bench,
                     "rest",

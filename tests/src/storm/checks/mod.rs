@@ -150,7 +150,7 @@ impl Checks {
 
     /// Records a fault that is injected into a device.
     pub fn record_fault(&mut self, kind: &FaultKind) {
-        self.position.record_fault(kind, self.previous.drives_on);
+        self.position.record_fault(kind, &self.previous);
         self.injected.push(kind.clone());
     }
 
@@ -195,6 +195,7 @@ impl Checks {
         self.count_standstill(bench);
         for (joint, reading) in machine.joints().enumerate() {
             let unit = joint_unit(joint);
+            self.count_slow_motion(joint);
             self.check_position(bench, joint, f64::from(reading.measured.0) / unit)?;
             self.check_reported_error(bench, joint, reading.measured.0)?;
             self.check_following(bench, joint, f64::from(reading.commanded.0) / unit)?;
@@ -236,15 +237,19 @@ impl Checks {
         let just_homed = self.previous.state == State::Homing && now.state == State::Idle;
         self.following.homed_and_on = now.drives_on && (self.following.homed_and_on || just_homed);
         if now.homed && !self.previous.homed && now.position_kept && bench.faults.is_empty() {
-            // Homing has ended every error of the counters.
+            // The references are new; errors of the counters from before the homing have ended.
             self.position.end_of_errors();
             self.faults.fastest_motion = [0.0; 6];
             self.injected.retain(|kind| {
-                !matches!(
-                    kind,
-                    FaultKind::EncoderSlip { .. } | FaultKind::EncoderNoise { .. }
-                )
+                self.position.has_homing_fault(kind)
+                    || !matches!(
+                        kind,
+                        FaultKind::EncoderSlip { .. } | FaultKind::EncoderNoise { .. }
+                    )
             });
+        }
+        if now.state != State::Homing {
+            self.position.end_of_homing();
         }
         self.previous = now;
     }

@@ -3,7 +3,7 @@
 use super::super::bench::StormBench;
 use super::super::episode::{JOINTS, joint_of};
 use super::super::units::{class, joint_unit};
-use super::{Cause, CheckResult, Checks, bounds, jump_threshold};
+use super::{Cause, CheckResult, Checks, PreviousPeriod, bounds, jump_threshold};
 use haptimill_firmware::config::Drive;
 use haptimill_hil_sim::fault::{Channel, FaultKind};
 use haptimill_protocol::message::State;
@@ -34,13 +34,15 @@ pub(super) struct EncoderRecord {
     index_pulses: [u32; 6],
     /// The encoder slipped while the drives were off.
     slipped_off: [bool; 6],
+    /// A fault was injected into the encoder during this homing, maybe after its index pulse.
+    homing_fault: [bool; 6],
     /// Periods with a position error above its lasting bound.
     wrong: [u32; 6],
 }
 
 impl EncoderRecord {
     /// Records a fault that is injected into an encoder.
-    pub(super) fn record_fault(&mut self, kind: &FaultKind, drives_on: bool) {
+    pub(super) fn record_fault(&mut self, kind: &FaultKind, previous: &PreviousPeriod) {
         let slip = matches!(kind, FaultKind::EncoderSlip { .. });
         let encoder = slip
             || matches!(
@@ -54,14 +56,27 @@ impl EncoderRecord {
         {
             self.suspect[joint] = true;
             self.index_pulses[joint] = 0;
-            self.slipped_off[joint] |= slip && !drives_on;
+            self.slipped_off[joint] |= slip && !previous.drives_on;
+            self.homing_fault[joint] |= previous.state == State::Homing;
         }
     }
 
-    /// Homing has ended every error of the counters.
+    /// Homing has ended the errors that the counters had before it.
     pub(super) const fn end_of_errors(&mut self) {
-        self.suspect = [false; 6];
+        self.suspect = self.homing_fault;
         self.slipped_off = [false; 6];
+    }
+
+    /// Returns whether a fault was injected into the encoder of this device during homing.
+    pub(super) fn has_homing_fault(&self, kind: &FaultKind) -> bool {
+        kind.axis()
+            .and_then(joint_of)
+            .is_some_and(|joint| self.homing_fault[joint])
+    }
+
+    /// Forgets the faults of the homing that has ended.
+    pub(super) const fn end_of_homing(&mut self) {
+        self.homing_fault = [false; 6];
     }
 }
 
@@ -84,12 +99,17 @@ pub(super) fn is_position_known(bench: &StormBench) -> bool {
 }
 
 impl Checks {
+    /// Returns the injected faults of a joint since it was homed.
+    fn faults_of(&self, joint: usize) -> impl Iterator<Item = &FaultKind> {
+        let of_joint = move |kind: &&FaultKind| kind.axis() == Some(JOINTS[joint]);
+        self.injected.iter().filter(of_joint)
+    }
+
     fn encoder_defect(&self, joint: usize) -> EncoderDefect {
         if !self.position.suspect[joint] {
             return EncoderDefect::None;
         }
-        let of_joint = |kind: &&FaultKind| kind.axis() == Some(JOINTS[joint]);
-        let faults: Vec<&FaultKind> = self.injected.iter().filter(of_joint).collect();
+        let faults: Vec<&FaultKind> = self.faults_of(joint).collect();
         let stuck = |which| {
             faults.iter().any(
                 |kind| matches!(kind, FaultKind::EncoderStuck { channel, .. } if *channel == which),
@@ -118,6 +138,7 @@ impl Checks {
             Drive::Torque { .. } => 0.0,
         };
         let unseen = unseen.max(bounds::OFF);
+        let found_by_index = self.position.index_pulses[joint] > 2;
         Some(match self.encoder_defect(joint) {
             EncoderDefect::None => ErrorBounds {
                 most: f64::INFINITY,
@@ -133,17 +154,23 @@ impl Checks {
             },
             EncoderDefect::Uncounted => ErrorBounds {
                 most: f64::INFINITY,
-                lasting: if self.position.index_pulses[joint] > 2 {
+                lasting: if found_by_index {
                     bounds::INDEX_SLACK[class(joint)]
                 } else {
-                    jump_threshold(limits) / unit
+                    // The jump adds to the error that the joint had before.
+                    jump_threshold(limits) / unit + bounds::MOTOR[class(joint)]
                 },
                 periods: bounds::PUSHED_LASTING,
                 name: "off, noise or drives off",
             },
             EncoderDefect::Several => ErrorBounds {
                 most: bounds::PUSHED,
-                lasting: unseen,
+                // Each fault may stay below the bound of one; index pulses reveal the sum.
+                lasting: if found_by_index {
+                    unseen
+                } else {
+                    unseen * self.faults_of(joint).count().max(1) as f64
+                },
                 periods: bounds::PUSHED_LASTING,
                 name: "off after several",
             },
@@ -184,7 +211,9 @@ impl Checks {
                 bench,
                 "position wrong",
                 "joint {joint} is measured at {measured:.4} and is at {actual:.4}, \
-                 {off:.4} off for {wrong} periods in {:?}; injected were {:?}",
+                 {off:.4} off for {wrong} periods and {} index pulses in {:?}; \
+                 injected were {:?}",
+                self.position.index_pulses[joint],
                 safety.state(),
                 self.injected
             );

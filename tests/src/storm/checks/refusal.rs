@@ -23,6 +23,12 @@ pub fn fingerprint(bench: &StormBench) -> String {
             "busy",
             "missed",
             "stale_commands",
+            // Inputs: the counts of joints that are moved by hand before the first configuration.
+            "axes: [Counted {",
+            "Counted {",
+            "illegal",
+            "travelled",
+            "widest",
         ];
         for field in all[at..].split(", ") {
             if !changing.iter().any(|name| field.starts_with(name)) {

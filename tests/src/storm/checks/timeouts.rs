@@ -4,7 +4,7 @@ use super::super::bench::{StormBench, name};
 use super::answers::JogEpoch;
 use super::{CheckResult, Checks};
 use haptimill_firmware::machine::Machine;
-use haptimill_protocol::message::{Fault, State};
+use haptimill_protocol::message::{Command, Fault, State};
 
 /// Counters and deadlines of the checks of this file.
 #[derive(Debug)]
@@ -93,7 +93,14 @@ impl Checks {
         Ok(())
     }
 
-    fn check_jog_deadline(&self, bench: &StormBench) -> CheckResult {
+    fn check_jog_deadline(&mut self, bench: &StormBench) -> CheckResult {
+        // The controller may have accepted jogs of an abandoned session without an answer.
+        for request in &bench.abandoned {
+            if let Command::Jog { deadline_ms, .. } = request.command {
+                let until = bench.period + u64::from(deadline_ms.min(1000)) * 5;
+                self.timeouts.jog_until = self.timeouts.jog_until.max(until);
+            }
+        }
         let state = bench.controller().safety().state();
         if state == State::Jog
             && bench.period > self.timeouts.jog_until + 12_500
