@@ -103,7 +103,9 @@ fn check_counters(core: &mut Core) {
         return;
     };
     if !core.safety.drives_on() {
-        machine.supervise_unpowered();
+        // The index pulses decide about an encoder that is suspected already.
+        let suspect = core.safety.fault().and_then(|fault| suspected(&fault));
+        machine.supervise_unpowered(suspect);
     }
     if let Some(fault) = machine.counter_fault() {
         // The position is lost at once. While another fault is latched, this one is raised after

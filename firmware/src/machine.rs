@@ -124,11 +124,14 @@ impl Machine {
     }
 
     /// Finds encoders with a stuck channel while the drives are off. Keeps the first one for a
-    /// report.
+    /// report. The encoder of `suspect` is not checked.
     #[inline(never)]
-    pub fn supervise_unpowered(&mut self) {
+    pub fn supervise_unpowered(&mut self, suspect: Option<u8>) {
         let joints = self.joints.iter_mut().zip(&self.config.joints);
         for (index, (joint, axis)) in joints.enumerate() {
+            if suspect == Some(index as u8) {
+                continue;
+            }
             let fault = joint.supervise_unpowered(index as u8, axis, self.config.period_us);
             self.counter_fault = self.counter_fault.or(fault);
         }

@@ -125,10 +125,10 @@ mod tests {
             "yielded",
             "NotTared",
             "age_ms",
-            "boost_below",
+            "damping_below",
             "Singular",
-            "WallTooNear",
-            "reflected",
+            "FixturesTooNear",
+            "feedback",
             "ForceSettings",
         ] {
             if part == "HomingProblem" {

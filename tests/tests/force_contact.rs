@@ -63,15 +63,19 @@ const LOOKED: f64 = 12.0;
 /// Seconds in which an oscillation is evaluated; the slowest observed one takes two.
 const SPAN: f64 = 4.0;
 
+/// Angles of the table, degrees; each puts the slides at another place within an encoder count.
+const TABLES_DEG: [f64; 5] = [3.0, 3.3, 3.6, 3.9, 4.2];
+
+/// A count of a slide's encoder, mm.
+const COUNT_MM: f64 = 10.0 / 8000.0;
+
 /// Presses the tool 2 mm into a wall of this stiffness, and holds it there.
 ///
 /// The sensor has noise and quantisation. Its drift is off: 0.01 N/s would exceed the bound of the
 /// mean.
-fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64) -> Held {
+fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64, table: f64) -> Held {
     let mut bench = machine(ideal);
-    // With friction the tool rests within a count of an encoder, which is 1.25 N at 1000 N/mm. The
-    // error depends on the place.
-    turn_table(&mut bench, 3.6);
+    turn_table(&mut bench, table);
     let process = ProcessConfig {
         sensor: Some(SensorConfig {
             drift_n_s: [0.0; 3],
@@ -131,8 +135,9 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64) -> Held {
 /// The desired motion presses on contacts of up to 1000 N/mm (wall, structure and servo in series),
 /// with and without friction and backlash.
 ///
-/// The force reaches its setpoint. With friction the drive leaves a reported error of at most 0.5
-/// N.
+/// The force reaches its setpoint. Result and swing depend on the place within an encoder count, so
+/// five places are tried: the first peak is the largest, error and swing are medians. With friction
+/// the tool rests within a count, so the error is at most 0.5 N, or the force of a count.
 #[test]
 fn the_force_setpoint_is_held_up_to_1000_n_per_mm() {
     for (wall, structure, speed) in [
@@ -150,10 +155,26 @@ fn the_force_setpoint_is_held_up_to_1000_n_per_mm() {
         let compliance = if structure { 1.0 / 500.0 } else { 0.0 };
         let stiffness = 1.0 / (1.0 / wall + compliance + 1.0 / SERVO);
         for ideal in [false, true] {
-            let held = press(ideal, wall, structure, speed);
+            let held = TABLES_DEG.map(|table| press(ideal, wall, structure, speed, table));
+            let median = |value: fn(&Held) -> f64| {
+                let mut values = held.each_ref().map(value);
+                values.sort_by(f64::total_cmp);
+                values[values.len() / 2]
+            };
+            let most = |value: fn(&Held) -> f64| held.iter().map(value).fold(0.0, f64::max);
+            let held = Held {
+                first: most(|held| held.first),
+                swing: median(|held| held.swing),
+                mean: 5.0 + median(|held| (held.mean - 5.0).abs()),
+                level: held[0].level,
+            };
             let first = 5.0 + 1.2 * (5.0 * speed + speed * stiffness.sqrt());
             let swing = f64::max(0.2, 0.0025 * stiffness);
-            let off = if ideal { 0.25 } else { 0.5 };
+            let off = if ideal {
+                0.25
+            } else {
+                f64::max(0.5, COUNT_MM * stiffness)
+            };
             println!(
                 "{}, {stiffness:.0} N/mm at {speed} mm/s: first peak {:.2} N (at most {first:.2}), swing {:.3} N (at most {swing:.3}), mean {:.3} N, level {}",
                 if ideal {

@@ -166,6 +166,12 @@ fn home(bench: &mut Bench, pose: &[f64; 5]) {
         .ask(haptimill_protocol::message::Command::Home)
         .expect("homing");
     let joints = bench.rig.truth().joints;
+    // Jogs that were sent before may still wait at the controller.
+    let begun = (0..500).any(|_| {
+        bench.step();
+        state(bench) == State::Homing
+    });
+    assert!(begun, "{pose:?}: homing has not begun");
     for _ in 0..80_000 {
         bench.step();
         if state(bench) != State::Homing {

@@ -90,6 +90,22 @@ pub struct LineCount {
     pub lost_bytes: u32,
 }
 
+/// Whether a command is executed in the slice that reads it: stops, and the values of a master,
+/// whose delay is a part of the force-feedback loop. They are short. Any other request has a slice
+/// of its own.
+const fn is_urgent(command: &Command) -> bool {
+    matches!(
+        command,
+        Command::EmergencyStop
+            | Command::Stop
+            | Command::Hold
+            | Command::Disable
+            | Command::JogCancel { .. }
+            | Command::MasterPose { .. }
+            | Command::RemoteForce { .. }
+    )
+}
+
 impl Server {
     /// Creates the endpoint for a control period in microseconds.
     #[must_use]
@@ -191,9 +207,10 @@ impl Server {
         };
         if self.batch.is_none() {
             if !BatchReader::fits(payload) {
-                // Executed in a slice of its own.
-                self.request_waits = self.link.poll_into(&mut self.request);
-                return None;
+                let read = self.link.poll_into(&mut self.request);
+                let urgent = is_urgent(&self.request.command);
+                self.request_waits = read && !urgent;
+                return (read && urgent).then_some(Incoming::Request);
             }
             self.batch = BatchReader::open(payload);
         }

@@ -63,19 +63,23 @@ fn invalid_options_are_refused_before_the_run() {
         (
             &["--fault", "drive-weak axis=l1 gain=1e99"],
             2,
-            "must be -100 to 100",
+            "allowed is -100 to 100",
         ),
         (
             &["--fault", "push axis=l1 effort=1e30"],
             2,
-            "must be -100000 to 100000",
+            "allowed is -100000 to 100000",
         ),
         (
             &["--fault", "missed-periods count=0"],
             2,
-            "must be 1 to 1000000",
+            "allowed is 1 to 1000000",
         ),
-        (&["--fault", "emergency-stop for=0s"], 2, "more than 0"),
+        (
+            &["--fault", "emergency-stop for=0s"],
+            2,
+            "allowed is above 0",
+        ),
     ] {
         let words = [&["run", short.as_str()][..], more].concat();
         let ran = haptimill(&words).expect_code(code);

@@ -85,7 +85,6 @@ pub enum Ended {
     /// The machine latched a fault, or its emergency stop.
     Fault,
     /// The master was lost, or the machine held because of that and was not resumed.
-    #[serde(rename = "hand_lost")]
     MasterLost,
     /// A fault disabled the haptic arm.
     HapticFault,

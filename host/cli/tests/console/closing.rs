@@ -202,7 +202,7 @@ fn faults_are_shown_with_their_remedy() {
         hold_down(&terminal, key, Duration::from_millis(300));
         assert!(started.elapsed() < terminal::TIMEOUT, "{}", terminal.text());
     }
-    terminal.expect_text("FAULT: l1 ");
+    terminal.expect_text("FAULT: the following error of l1");
     terminal.expect_text("Key: x resets");
     reset();
 }

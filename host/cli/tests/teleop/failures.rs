@@ -41,7 +41,7 @@ what = \"resume\"
         refused[0]
             .as_str()
             .unwrap()
-            .starts_with("not resumed: the hand: ")
+            .starts_with("not resumed: master: ")
     );
     assert_eq!(session["ended"], "done");
 
@@ -246,7 +246,7 @@ fn excessive_master_delay_is_refused_or_reported() {
     let told = |note: &&Value| note.as_str().unwrap().contains("were too late");
     let note = notes.iter().find(told).unwrap().as_str().unwrap();
     assert!(
-        note.contains("the tool was not led") && note.contains("--stale"),
+        note.contains("the tool was not moved") && note.contains("--stale"),
         "{note}"
     );
 }

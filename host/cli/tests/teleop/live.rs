@@ -149,9 +149,9 @@ fn wrong_device_is_refused_and_a_lost_one_is_reported() {
     );
     session.wait_for_output("idle -> running");
     drop(stick);
-    session.wait_for_output("the hand: ");
+    session.wait_for_output("unexpected end of file");
     let ran = session.end().expect_code(5);
-    assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
+    assert!(ran.err.contains("the master is lost: "), "{}", ran.err);
     let said = folder.summary("out");
     assert_eq!(said["session"]["ended"], "master_lost");
 }
@@ -323,9 +323,9 @@ fn lost_arm_with_open_clutch_is_reported() {
     session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(500));
     arm.process.kill();
-    session.wait_for_output("the hand: ");
+    session.wait_for_output("the other end is gone");
     let ran = session.end().expect_code(5);
-    assert!(ran.err.contains("the hand is lost: "), "{}", ran.err);
+    assert!(ran.err.contains("the master is lost: "), "{}", ran.err);
     let said = folder.summary("out");
     assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 0);
 }
@@ -365,7 +365,7 @@ fn reconnected_arm_continues_after_resume() {
     arm.process.kill();
     session.wait_for_output("running -> on hold");
     input.write_all(b"resume\n").unwrap();
-    session.wait_for_output("not resumed: the hand: ");
+    session.wait_for_output("not resumed: master: ");
     let again = SimServer::on(&arm.port, &more);
     std::thread::sleep(std::time::Duration::from_millis(2500));
     input.write_all(b"resume\n").unwrap();

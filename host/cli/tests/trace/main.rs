@@ -249,7 +249,7 @@ fn job_on_a_port_is_reported_as_not_replayable() {
     let trace = folder.path("out/recording.hmr");
     let ran = haptimill(&["replay", &trace]).expect_code(3);
     let said =
-        "has only what its controller reported, not what it sensed: it was recorded through a port";
+        "has the telemetry of its controller, but not its inputs: it was recorded through a port";
     assert!(ran.err.contains(said), "{}", ran.err);
     let info = haptimill(&["trace", "info", &trace, "--json"])
         .expect_code(0)
