@@ -128,7 +128,7 @@ fn stalled_link_holds_the_machine_and_late_samples_are_ignored() {
     let said = run_script_to_code(5, &folder, "out", AWAY, &stall);
     assert_eq!(said["session"]["ended"], "master_lost");
     let because = said["session"]["because"].as_str().unwrap();
-    assert!(because.contains("was not told to go on"), "{because}");
+    assert!(because.contains("was not resumed"), "{because}");
     let holds = said["session"]["holds"].as_array().unwrap();
     assert_eq!(holds.len(), 1, "{said:#}");
     assert_eq!(holds[0]["resumed_s"], Value::Null);
