@@ -96,7 +96,7 @@ fn a_period_stays_within_its_instructions() {
     let bare = || vec!["--machine".to_string(), path(machine_without_force())];
     let yielding = || {
         let block = path(root().join("examples/block.toml"));
-        let words = ["--force", "x,z", "--fd", "5", "--work", &block];
+        let words = ["--force", "x,z", "--force-setpoint", "5", "--stock", &block];
         words.map(String::from).to_vec()
     };
     let job = |title, name, program: &PathBuf, more, ceilings| Job {
