@@ -22,6 +22,17 @@ pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &Machi
             } else {
                 check_joint_names(document, root, &plant, machine);
             }
+            let model = machine.config.model.descriptor().code;
+            if !machine.is_master()
+                && let Some(geometry) = plant.geometry.as_ref().filter(|it| it.model() != model)
+            {
+                let (offset, key) = place_in_plant(root, "geometry");
+                let what = format!(
+                    "is \"{}\", the model of [kinematics] is \"{model}\"",
+                    geometry.model()
+                );
+                document.report(offset, key, what, format!("write [plant.geometry.{model}]"));
+            }
             for error in plant
                 .check(machine.config.period_us)
                 .err()

@@ -441,3 +441,21 @@ fn master_has_the_same_haptic_arm_and_reports_missing_sections() {
         "{bare}"
     );
 }
+
+#[test]
+fn simulated_geometry_of_another_model_is_reported() {
+    let text = include_str!("../../../machines/mill3-servo.toml");
+    let start = text.find("[plant.geometry.cartesian]").unwrap();
+    let end = start + text[start..].find("[plant.spindle]").unwrap();
+    let other = format!(
+        "{}[plant.geometry.joints]\n\n{}",
+        &text[..start],
+        &text[end..]
+    );
+    let problems = MachineFile::parse("mill", &other).unwrap_err().to_string();
+    assert!(
+        problems.contains("write [plant.geometry.cartesian]"),
+        "{problems}"
+    );
+    assert!(MachineFile::parse("mill", text).is_ok());
+}
