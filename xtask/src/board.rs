@@ -44,8 +44,8 @@ pub const BOARDS: &[Board] = &[Board {
         ("checks", "checks", &[]),
         ("logging", "defmt", &[]),
     ],
-    flash: 144 * 1024,
-    ram: 48 * 1024,
+    flash: 256 * 1024,
+    ram: 64 * 1024,
 }];
 
 /// Debian's toolchain, which includes the sources of the core library.
