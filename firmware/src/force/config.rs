@@ -1,0 +1,98 @@
+//! Force control in the configuration of a machine.
+
+use super::sensor::{COMPONENTS, Sensor};
+use super::window_peak::Window;
+use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
+use haptimill_math::{Length, Rate};
+use haptimill_protocol::force::{ForceLoop, Gate};
+use serde::{Deserialize, Serialize};
+
+/// Force control settings of one axis.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct LoopSettings {
+    /// f_d, a magnitude: it acts on the side of the contact.
+    pub desired: Force,
+    /// K_A.
+    pub mass: VirtualMass,
+    /// K_V.
+    pub damping: VirtualDamping,
+    /// Compliance limit.
+    pub limit: Length,
+    /// Largest rate of the compliant displacement, away and back.
+    pub rate: Rate,
+    /// Enable condition.
+    pub gate: Gate,
+}
+
+impl LoopSettings {
+    /// Smallest force setpoint: 0.5 N, 40 codes of a sensor of +-100 N.
+    ///
+    /// A force setpoint of 0 makes the tool follow noise and never return (its return rate is f_d /
+    /// K_V): callers must disable the axis instead. A negative one has no meaning, since the sign
+    /// is that of the contact. Below 40 codes, drift and noise move the tool.
+    pub const LEAST_DESIRED: Force = Force::millinewtons(500);
+}
+
+impl From<&ForceLoop> for LoopSettings {
+    fn from(settings: &ForceLoop) -> Self {
+        Self {
+            desired: Force(settings.desired),
+            mass: VirtualMass(settings.mass),
+            damping: VirtualDamping(settings.damping),
+            limit: Length(settings.limit),
+            rate: Rate(settings.rate),
+            gate: settings.gate,
+        }
+    }
+}
+
+impl From<&LoopSettings> for ForceLoop {
+    fn from(settings: &LoopSettings) -> Self {
+        Self {
+            desired: settings.desired.0,
+            mass: settings.mass.0,
+            damping: settings.damping.0,
+            limit: settings.limit.0,
+            rate: settings.rate.0,
+            gate: settings.gate,
+        }
+    }
+}
+
+/// Force control section of the configuration.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct ForceConfig {
+    /// The sensor.
+    pub sensor: Sensor,
+    /// Force control settings of x, y, z.
+    pub axes: [LoopSettings; COMPONENTS],
+    /// Axes under force control after a start: bit 0 for x.
+    pub mask: u8,
+    /// Lag of the tool behind its reference, microseconds.
+    pub drive_lag_us: u16,
+    /// Creep rate: the slowest rate that the drives follow in spite of friction and lost motion. On
+    /// a stiff contact the tool moves at this rate or faster, or is at standstill. 0 for drives
+    /// that follow any rate.
+    pub creep: Rate,
+    /// Slowest spindle speed at which force control works, rev/min. It sets the longest window of
+    /// the peak force.
+    pub slowest_rpm: u16,
+}
+
+impl ForceConfig {
+    /// Delay that the contact-stability monitor assumes from a motion of the tool to a change of
+    /// the peak force: one revolution, the drive lag, and one and a half control periods.
+    /// Microseconds.
+    #[must_use]
+    pub fn delay_us(&self, period_us: u16) -> u32 {
+        let revolution = 60_000_000 / u32::from(self.slowest_rpm.max(1));
+        revolution
+            .saturating_add(u32::from(self.drive_lag_us))
+            .saturating_add(u32::from(period_us) * 3 / 2)
+    }
+
+    pub(super) fn window(&self, period_us: u16) -> Option<Window> {
+        let rpm = i16::try_from(self.slowest_rpm).ok()?;
+        Window::revolution(rpm, period_us)
+    }
+}
