@@ -92,6 +92,9 @@ pub struct HapticOutputs {
     pub currents: [[i16; 2]; LEGS],
 }
 
+/// Analog inputs, and analog outputs, of a board.
+pub const ANALOG: usize = 4;
+
 /// All inputs, latched at the start of the period.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Inputs {
@@ -107,6 +110,11 @@ pub struct Inputs {
     pub force: ForceSample,
     /// The haptic arm; constant on a machine without one.
     pub haptic: HapticInputs,
+    /// Levels of the general digital inputs, channel `k` in bit `k`, not debounced. A board gives 0
+    /// for channels that it lacks. The switches of the joints are in [`AxisInputs`].
+    pub digital: u32,
+    /// Codes of the analog inputs, -32768 to 32767. A board gives 0 for channels that it lacks.
+    pub analog: [i16; ANALOG],
     /// Emergency stop circuit is open.
     pub emergency_stop: bool,
     /// Bytes from the host, oldest first.
@@ -163,15 +171,23 @@ pub struct Outputs {
     pub haptic: HapticOutputs,
     /// Spindle speed in rev/min: clockwise above 0, counter-clockwise below 0, off at 0.
     pub spindle_rpm: i16,
+    /// Levels of the general digital outputs, channel `k` in bit `k`. A board ignores the bits of
+    /// channels that it lacks.
+    pub digital: u32,
+    /// Codes of the analog outputs, -32768 to 32767. A board ignores channels that it lacks.
+    pub analog: [i16; ANALOG],
     /// Bytes to the host.
     pub transmit: Vec<u8, TRANSMIT_BYTES>,
 }
 
 impl Outputs {
-    /// Switches drives, haptic arm and spindle off. Bytes to the host are still transmitted.
+    /// Switches drives, haptic arm and spindle off, and sets the general outputs to the level and
+    /// code 0, as after a reset of the board. Bytes to the host are still transmitted.
     pub fn make_safe(&mut self) {
         self.axes = [DriveCommand::Off; MAX_AXES];
         self.haptic = HapticOutputs::default();
         self.spindle_rpm = 0;
+        self.digital = 0;
+        self.analog = [0; ANALOG];
     }
 }

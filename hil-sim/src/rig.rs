@@ -222,6 +222,8 @@ impl<C: Control> Rig<C> {
         self.effective.axes = self.outputs.axes;
         self.effective.spindle_rpm = self.outputs.spindle_rpm;
         self.effective.haptic = self.outputs.haptic;
+        self.effective.digital = self.outputs.digital;
+        self.effective.analog = self.outputs.analog;
         true
     }
 

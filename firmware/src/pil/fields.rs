@@ -3,10 +3,28 @@
 use super::words::{Reader, Writer};
 use super::{Done, DoneRef, FrameError, LineInputs};
 use crate::io::{
-    AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs, StepSegment,
+    ANALOG, AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs,
+    StepSegment,
 };
 use crate::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
 use haptimill_protocol::message::State;
+
+#[inline(always)]
+pub(super) fn put_analog(words: &mut Writer<'_>, codes: [i16; ANALOG]) {
+    let [a, b, c, d] = codes.map(|code| u32::from(code as u16));
+    words.put_all([a | b << 16, c | d << 16]);
+}
+
+#[inline(always)]
+pub(super) fn take_analog(words: &mut Reader<'_>) -> [i16; ANALOG] {
+    let [low, high] = words.take_all();
+    [
+        low as i16,
+        (low >> 16) as i16,
+        high as i16,
+        (high >> 16) as i16,
+    ]
+}
 
 pub(super) fn put_force(words: &mut Writer<'_>, force: &ForceSample) {
     let [x, y, z] = force.codes.map(|code| u32::from(code as u16));
@@ -122,6 +140,8 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
         u32::from(line_inputs.received) | u32::from(line_inputs.waiting) << 16,
         u32::from(line_inputs.lost_bytes) | u32::from(line_inputs.urgent) << 16,
     ]);
+    words.put(done.outputs.digital);
+    put_analog(words, done.outputs.analog);
     words.put_all(*done.stages);
     let Some(snapshot) = done.snapshot else {
         return;
@@ -182,6 +202,8 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
         lost_bytes: rest as u16,
         urgent: rest >> 16 & 1 != 0,
     };
+    done.outputs.digital = words.take();
+    done.outputs.analog = take_analog(words);
     done.stages = words.take_all();
     let head = words.take();
     if head & 1 == 0 {

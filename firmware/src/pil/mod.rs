@@ -36,15 +36,16 @@ use crate::io::{Inputs, Outputs};
 use crate::profiler::STAGES;
 use crate::snapshot::Snapshot;
 use fields::{
-    put_axis, put_done, put_force, put_hand, take_axis, take_done, take_force, take_hand,
+    put_analog, put_axis, put_done, put_force, put_hand, take_analog, take_axis, take_done,
+    take_force, take_hand,
 };
 pub use words::seal;
 use words::{Reader, Writer, check, from_bytes, to_bytes};
 
 /// Size of a frame to the board, in words.
-pub const TO_BOARD_WORDS: usize = 56;
+pub const TO_BOARD_WORDS: usize = 59;
 /// Size of a frame from the board, in words.
-pub const FROM_BOARD_WORDS: usize = 105;
+pub const FROM_BOARD_WORDS: usize = 108;
 /// Size of a frame to the board, in bytes.
 pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
 /// Size of a frame from the board, in bytes.
@@ -205,11 +206,13 @@ pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Order,
         }),
         2 => {
             inputs.period = words.take_long();
-            let [pair, time_ns, arrived, bits] = words.take_all();
+            let [pair, time_ns, arrived, bits, digital] = words.take_all();
             inputs.missed = pair as u16;
             inputs.transmit_room = (pair >> 16) as u16;
             inputs.time_ns = time_ns;
             inputs.emergency_stop = bits & 1 != 0;
+            inputs.digital = digital;
+            inputs.analog = take_analog(&mut words);
             inputs.force = take_force(&mut words);
             take_hand(&mut words, &mut inputs.haptic);
             for axis in &mut inputs.axes {
@@ -248,6 +251,8 @@ impl ToBoard {
                 words.put(inputs.time_ns);
                 words.put(*arrived);
                 words.put(u32::from(inputs.emergency_stop));
+                words.put(inputs.digital);
+                put_analog(&mut words, inputs.analog);
                 put_force(&mut words, &inputs.force);
                 put_hand(&mut words, &inputs.haptic);
                 for axis in &inputs.axes {

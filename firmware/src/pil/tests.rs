@@ -69,6 +69,7 @@ prop_compose! {
         period: u64,
         axes in prop::array::uniform6(command()),
         (spindle_rpm, transmitted) in any::<(i16, u16)>(),
+        (digital, analog) in any::<(u32, [i16; 4])>(),
         (received, waiting, lost_bytes, urgent) in any::<(u16, u16, u16, bool)>(),
         stages: [u32; STAGES],
         (enabled, currents) in any::<(bool, [[i16; 2]; 3])>(),
@@ -76,7 +77,7 @@ prop_compose! {
     ) -> Done {
         Done {
             period,
-            outputs: Outputs { axes, spindle_rpm, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
+            outputs: Outputs { axes, spindle_rpm, digital, analog, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
             transmitted,
             line_inputs: LineInputs { received, waiting, lost_bytes, urgent },
             stages,
@@ -92,10 +93,10 @@ proptest! {
     #[test]
     fn inputs_arrive(
         period: u64, missed: u16, time_ns: u32, transmit_room: u16, emergency_stop: bool, arrived: u32,
-        axes in prop::array::uniform6(axis()), period_us: u16, haptic in hand(), codes: [i16; 3], conversions: u8, overload: bool,
+        axes in prop::array::uniform6(axis()), period_us: u16, haptic in hand(), (codes, conversions, overload, digital, analog) in any::<([i16; 3], u8, bool, u32, [i16; 4])>(),
     ) {
         let force = ForceSample { codes, conversions, overload };
-        let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, axes, ..Inputs::default() };
+        let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, axes, digital, analog, ..Inputs::default() };
         for message in [ToBoard::Begin { period_us }, ToBoard::Period { inputs, arrived }, ToBoard::End] {
             prop_assert_eq!(ToBoard::decode(&message.encode()), Ok(message));
         }

@@ -4,7 +4,7 @@ use super::FrameError;
 use haptimill_protocol::message::MAX_AXES;
 
 /// Version of the frames; each change of a frame increments it.
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 /// FNV-1a over words.
 ///

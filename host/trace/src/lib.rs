@@ -8,10 +8,10 @@
 //! the outputs bit by bit. A controller behind a port was started earlier and sends only telemetry:
 //! its recording has no periods.
 //!
-//! ## Format, versions 3 and 4
+//! ## Format, versions 5 and 6
 //!
-//! Version 4 has a longer record, for a controller with a haptic arm. A recording of a controller
-//! without one is of version 3.
+//! Version 6 has a longer record, for a controller with a haptic arm. A recording of a controller
+//! without one is of version 5.
 //!
 //! All numbers are little-endian. The file is a header and then blocks, each with a check. A
 //! truncated recording is readable up to its last complete block, a damaged one up to the damage.
@@ -20,7 +20,7 @@
 //! | header | |
 //! | --- | --- |
 //! | 8 bytes | magic `HMRECORD` |
-//! | u16 | version: 3, or 4 with a haptic arm |
+//! | u16 | version: 5, or 6 with a haptic arm |
 //! | u16 | size of a record: [`RECORD_BYTES`], with a haptic arm [`HAPTIC_BYTES`] more |
 //! | u32 | size of the header in bytes, all of this table |
 //! | u32 | CRC-32 (ISO-HDLC, as all here) of the configuration |
@@ -68,7 +68,7 @@
 //! | 204 | 3 x i32 | opposite extreme of the same spindle revolution, 2^-16 N |
 //! | 216 | 3 x i32 | compliant displacement, 2^-20 mm |
 //! | 228 | 3 x i32 | true force on the tool, 2^-16 N, if [`flag::TOOL_TRUE`] is set |
-//! | 240 | u32 | version 4: flags of the haptic arm, see [`flag::HAPTIC_KNOWN`] |
+//! | 240 | u32 | version 6: flags of the haptic arm, see [`flag::HAPTIC_KNOWN`] |
 //! | 244 | 3 x i32 | tip of the handle in the frame of the arm's base, 2^-20 mm |
 //! | 256 | 3 x i32 | force of the arm on the operator, 2^-16 N |
 //! | 268 | 3 x i32 | force feedback alone, 2^-16 N |
@@ -142,8 +142,8 @@ pub const HAPTIC_BYTES: usize = 52;
 const MAGIC: &[u8; 8] = b"HMRECORD";
 
 /// Format versions without and with a haptic arm.
-const VERSION: u16 = 3;
-const HAPTIC_VERSION: u16 = 4;
+const VERSION: u16 = 5;
+const HAPTIC_VERSION: u16 = 6;
 
 /// Check of header and blocks.
 const CRC: crc::Crc<u32, crc::Table<16>> =

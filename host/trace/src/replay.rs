@@ -195,6 +195,20 @@ fn compare_outputs(
             replayed.spindle_rpm.to_string(),
         ));
     }
+    if recorded.digital != replayed.digital {
+        return Some((
+            "the digital outputs".to_string(),
+            format!("{:#010x}", recorded.digital),
+            format!("{:#010x}", replayed.digital),
+        ));
+    }
+    if recorded.analog != replayed.analog {
+        return Some((
+            "the analog outputs".to_string(),
+            format!("{:?}", recorded.analog),
+            format!("{:?}", replayed.analog),
+        ));
+    }
     let (one, other) = (&recorded.haptic, &replayed.haptic);
     if one.enabled != other.enabled {
         return Some((
@@ -258,7 +272,7 @@ fn compare_snapshots(
     let mut now = *record;
     now.set_snapshot(period.inputs.period, &snapshot);
     if !recording.header().has_haptic_arm {
-        // Records of version 3 have no haptic arm; its motor commands are compared in the outputs.
+        // Records of version 5 have no haptic arm; its motor commands are compared in the outputs.
         (now.haptic, now.haptic_flags) = (record.haptic, record.haptic_flags);
     }
     first_unequal_field(record, &now, recording)

@@ -104,7 +104,7 @@ proptest! {
             let recording = Recording::open(&file.0).unwrap();
             prop_assert_eq!(recording.header(), &header);
             let version = std::fs::read(&file.0).unwrap()[8];
-            prop_assert_eq!(version, if has_haptic_arm { 4 } else { 3 });
+            prop_assert_eq!(version, if has_haptic_arm { 6 } else { 5 });
             let read: Vec<Record> = recording.iter().unwrap().map(|record| record.unwrap()).collect();
             prop_assert_eq!(&read, &expected);
             prop_assert_eq!(recording.last().unwrap(), expected.last().copied());
@@ -293,6 +293,8 @@ fn any_period() -> impl Strategy<Value = Period> {
                     ..Inputs::default()
                 };
                 inputs.force.codes = codes;
+                inputs.digital = u32::from(line.0) << 9;
+                inputs.analog = [codes[0], 1, codes[1], -2];
                 let mut period = Period {
                     inputs,
                     ..Period::default()
@@ -301,6 +303,8 @@ fn any_period() -> impl Strategy<Value = Period> {
                 period.outputs.haptic.currents[2] = [codes[1], codes[2]];
                 period.outputs.axes = commands;
                 period.outputs.spindle_rpm = spindle_rpm;
+                period.outputs.digital = u32::from(line.1) << 3;
+                period.outputs.analog = [-1, codes[2], 2, codes[0]];
                 period.outputs.transmit = heapless::Vec::from_slice(&transmit).unwrap();
                 period
             },

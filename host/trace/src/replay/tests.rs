@@ -145,6 +145,22 @@ fn changed_bytes_of_the_line_give_a_difference() {
 }
 
 #[test]
+fn changed_general_outputs_give_a_named_difference() {
+    let file = TemporaryFile::new("replay-outputs.hmr");
+    let mut periods = standstill_periods().to_vec();
+    periods[3000].outputs.digital ^= 1 << 31;
+    let difference = replay(&record(&file.0, &periods)).unwrap().unwrap_err();
+    assert_eq!(difference.period, 3000);
+    assert_eq!(difference.field, "the digital outputs");
+    assert_eq!(difference.recorded, "0x80000000");
+    let mut periods = standstill_periods().to_vec();
+    periods[3000].outputs.analog[3] = -5;
+    let difference = replay(&record(&file.0, &periods)).unwrap().unwrap_err();
+    assert_eq!(difference.field, "the analog outputs");
+    assert_eq!(difference.recorded, "[0, 0, 0, -5]");
+}
+
+#[test]
 fn recordings_without_the_first_or_any_periods_are_refused() {
     let file = TemporaryFile::new("replay-late.hmr");
     let error = replay(&record(&file.0, &standstill_periods()[100..])).unwrap_err();
