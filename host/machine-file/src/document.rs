@@ -5,7 +5,9 @@
 //! and read as NaN; later comparisons with NaN are false and report nothing. Callers must not use
 //! any value unless [`Document::finish`] returns `Ok`.
 
+use super::likeness::nearest;
 use super::problem::{LISTED_PROBLEMS, Problem, Problems};
+use haptimill_machine_keys::{Default as KeyDefault, Key, Values, keys_of};
 use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
 use toml::Spanned;
@@ -15,8 +17,6 @@ use toml::de::{DeTable, DeValue};
 pub struct Document<'i> {
     file: &'i str,
     text: &'i str,
-    /// Name of a file that has all keys.
-    example: &'static str,
     problems: RefCell<Vec<(usize, Problem)>>,
     /// Number of problems beyond [`KEPT_PROBLEMS`].
     more: Cell<usize>,
@@ -31,17 +31,9 @@ impl<'i> Document<'i> {
         Self {
             file,
             text,
-            example: "machines/h4.toml",
             problems: RefCell::default(),
             more: Cell::default(),
         }
-    }
-
-    /// Names an example for another kind of file, in place of `machines/h4.toml`.
-    #[must_use]
-    pub const fn with_example(mut self, example: &'static str) -> Self {
-        self.example = example;
-        self
     }
 
     /// Parses the text; `None` after a report.
@@ -155,6 +147,27 @@ pub struct Allowed {
     pub whole: bool,
 }
 
+impl Allowed {
+    /// Allowed values of a key of the table; all numbers where it has no range.
+    fn of(key: Key) -> Self {
+        match key.values {
+            Values::Number {
+                low,
+                high,
+                unit,
+                whole,
+                ..
+            } => Self {
+                low,
+                high,
+                unit,
+                whole,
+            },
+            _ => real(f64::NEG_INFINITY, f64::INFINITY, ""),
+        }
+    }
+}
+
 /// Allows real numbers from `low` to `high`.
 pub fn real(low: f64, high: f64, unit: &'static str) -> Allowed {
     Allowed {
@@ -182,6 +195,8 @@ pub struct Section<'d, 'i> {
     table: &'d DeTable<'i>,
     offset: usize,
     requested: RefCell<Vec<&'static str>>,
+    /// The section and those below it belong to a rotary axis.
+    is_rotary: Cell<bool>,
 }
 
 impl<'d, 'i> Section<'d, 'i> {
@@ -193,6 +208,7 @@ impl<'d, 'i> Section<'d, 'i> {
             table,
             offset: 0,
             requested: RefCell::default(),
+            is_rotary: Cell::new(false),
         }
     }
 
@@ -215,6 +231,21 @@ impl<'d, 'i> Section<'d, 'i> {
             .report(offset, self.path_of(key), what, remedy);
     }
 
+    /// Makes this the section of an axis: keys have the names and ranges of its kind.
+    pub fn set_rotary(&self, is_rotary: bool) {
+        self.is_rotary.set(is_rotary);
+    }
+
+    /// Returns the key for the kind of the axis to which the section belongs.
+    pub fn key(&self, key: Key) -> Key {
+        key.of(self.is_rotary.get())
+    }
+
+    /// As [`Self::report`], for a key of the table.
+    pub fn refuse(&self, key: Key, what: impl Into<String>, remedy: impl Into<String>) {
+        self.report(self.key(key).name, what, remedy);
+    }
+
     fn get(&self, key: &'static str) -> Option<&'d Spanned<DeValue<'i>>> {
         self.requested.borrow_mut().push(key);
         self.table.get(key)
@@ -235,6 +266,32 @@ impl<'d, 'i> Section<'d, 'i> {
     fn wrong_type(&self, key: &str, value: &DeValue<'_>, expected: &str) {
         let what = format!("is {}, not {expected}", named_type(value));
         self.report(key, what, format!("write {expected}"));
+    }
+
+    /// Reads a number by its row in the table of keys, or returns its default; NaN after a report
+    /// and where the default is not a number.
+    pub fn value(&self, key: Key) -> f64 {
+        self.value_or(
+            key,
+            match key.default {
+                KeyDefault::Number(default) => Some(default),
+                KeyDefault::Required => None,
+                KeyDefault::Text(_) | KeyDefault::Absent => Some(f64::NAN),
+            },
+        )
+    }
+
+    /// As [`Self::value`], with a default that depends on other values; `None` requires the key.
+    pub fn value_or(&self, key: Key, default: Option<f64>) -> f64 {
+        let key = self.key(key);
+        if key.values == Values::Direction {
+            return self.direction(key.name, default.unwrap_or(1.0));
+        }
+        let allowed = Allowed::of(key);
+        match default {
+            Some(default) => self.number_or(key.name, default, allowed),
+            None => self.number(key.name, allowed),
+        }
     }
 
     /// Reads a number; NaN after a report.
@@ -314,9 +371,9 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
-    /// Reads a direction, 1 or -1; the default is 1.
-    pub fn direction(&self, key: &'static str) -> f64 {
-        let sign = self.number_or(key, 1.0, real(-1.0, 1.0, ""));
+    /// Reads 1 or -1.
+    fn direction(&self, key: &'static str, default: f64) -> f64 {
+        let sign = self.number_or(key, default, real(-1.0, 1.0, ""));
         if sign.is_nan() || sign.abs() == 1.0 {
             return sign;
         }
@@ -349,7 +406,9 @@ impl<'d, 'i> Section<'d, 'i> {
     }
 
     /// Reads one of several words; `None` after a report.
-    pub fn choice<T: Copy>(&self, key: &'static str, choices: &[(&str, T)]) -> Option<T> {
+    pub fn choice<T: Copy>(&self, key: Key, choices: &[(&str, T)]) -> Option<T> {
+        check_words(key, choices);
+        let key = key.name;
         let words: Vec<String> = choices.iter().map(|(w, _)| format!("\"{w}\"")).collect();
         let remedy = format!("write {}", words.join(" or "));
         let text = self.text(key, &remedy)?;
@@ -361,7 +420,9 @@ impl<'d, 'i> Section<'d, 'i> {
     }
 
     /// Reads an optional list of words, each at most once; without the words that were reported.
-    pub fn words<T: Copy + PartialEq>(&self, key: &'static str, choices: &[(&str, T)]) -> Vec<T> {
+    pub fn words<T: Copy + PartialEq>(&self, key: Key, choices: &[(&str, T)]) -> Vec<T> {
+        check_words(key, choices);
+        let key = key.name;
         let Some(value) = self.get(key) else {
             return Vec::new();
         };
@@ -401,6 +462,7 @@ impl<'d, 'i> Section<'d, 'i> {
                 table,
                 offset: value.span().start,
                 requested: RefCell::default(),
+                is_rotary: self.is_rotary.clone(),
             }),
             other => {
                 self.wrong_type(key, other, "a section");
@@ -428,6 +490,7 @@ impl<'d, 'i> Section<'d, 'i> {
                     table,
                     offset: item.span().start,
                     requested: RefCell::default(),
+                    is_rotary: self.is_rotary.clone(),
                 }),
                 other => {
                     let what = format!("is {}, not a section", named_type(other));
@@ -447,19 +510,28 @@ impl<'d, 'i> Section<'d, 'i> {
     /// Reports every key that was not requested.
     pub fn finish(&self) {
         let requested = self.requested.borrow();
+        let path = table_path(&self.path);
         for key in self.table.keys() {
             let name: &str = key.get_ref();
             if requested.contains(&name) {
                 continue;
             }
-            let absent = requested.iter().filter(|k| !self.table.contains_key(**k));
-            let nearest = absent.min_by_key(|k| dissimilarity(name, k));
-            let remedy = match nearest {
-                Some(near) if dissimilarity(name, near) <= 2 => format!("did you mean `{near}`?"),
-                _ => format!(
-                    "remove it, or see {} for the known keys",
-                    self.document.example
-                ),
+            let known = keys_of(&path).find(|known| {
+                known.name == name || known.rotary.is_some_and(|(rotary, _)| rotary == name)
+            });
+            let could_be = |key: &&&str| match self.table.get(**key).map(Spanned::get_ref) {
+                // A list may have more entries.
+                Some(value) => matches!(value, DeValue::Array(_)),
+                None => true,
+            };
+            let others: Vec<&str> = requested.iter().filter(could_be).copied().collect();
+            let remedy = match (nearest(name, &others), known.map(Key::applies)) {
+                (Some(near), _) => format!("did you mean `{near}`?"),
+                (_, Some(applies)) if !applies.is_empty() => {
+                    format!("remove it; it applies to {applies}")
+                }
+                _ if others.is_empty() => "remove it; the section has all its keys".to_string(),
+                _ => format!("remove it; other keys here are {}", others.join(", ")),
             };
             self.document.report(
                 key.span().start,
@@ -468,6 +540,20 @@ impl<'d, 'i> Section<'d, 'i> {
                 remedy,
             );
         }
+    }
+}
+
+/// Returns a path without list indices, as in the table of keys: `joint[2].law` is `joint.law`.
+fn table_path(path: &str) -> String {
+    let parts = path.split('.').map(|part| part.split('[').next());
+    parts.flatten().collect::<Vec<_>>().join(".")
+}
+
+/// Words of the reader and of the table are the same; a test that reads the key sees a difference.
+fn check_words<T>(key: Key, choices: &[(&str, T)]) {
+    if let Values::Word(words) | Values::Words(words) = key.values {
+        let read = choices.iter().map(|(word, _)| *word);
+        debug_assert!(read.eq(words.iter().copied()), "{}", key.name);
     }
 }
 
@@ -488,33 +574,4 @@ fn describe(allowed: Allowed) -> String {
     } = allowed;
     let space = if unit.is_empty() { "" } else { " " };
     format!("allowed is {low} to {high}{space}{unit}")
-}
-
-/// Returns the edit distance of two keys; 1 if they differ only in their unit (`rate_mm_s`,
-/// `rate_deg_s`).
-fn dissimilarity(left: &str, right: &str) -> usize {
-    let stem = |key: &str| {
-        let units = ["_mm", "_deg", "_n", "_kg", "_ms", "_us", "_hz"];
-        let cut = units.iter().filter_map(|unit| {
-            let at = key.find(unit)?;
-            let after = key.as_bytes().get(at + unit.len());
-            after.is_none_or(|b| *b == b'_').then_some(at)
-        });
-        key[..cut.min().unwrap_or(key.len())].to_string()
-    };
-    if left != right && stem(left) == stem(right) {
-        return 1;
-    }
-    let right: Vec<char> = right.chars().collect();
-    let mut row: Vec<usize> = (0..=right.len()).collect();
-    for (i, l) in left.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, r) in right.iter().enumerate() {
-            let change = diagonal + usize::from(l != *r);
-            diagonal = row[j + 1];
-            row[j + 1] = change.min(row[j] + 1).min(row[j + 1] + 1);
-        }
-    }
-    row[right.len()]
 }

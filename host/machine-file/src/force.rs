@@ -1,11 +1,12 @@
 //! The `[force]` section of a machine file: the force sensor and the force loops of x, y and z of
 //! the workpiece (docs/control.md 1.3, 3.3, 7.1 items 20 to 26).
 
-use super::document::{Section, real, whole};
+use super::document::Section;
 use super::scale::{PER_EFFORT, PER_MM, to_i32, to_u16, to_u32};
 use haptimill_firmware::force::admittance::AdmittanceLaw;
 use haptimill_firmware::force::sensor::{COMPONENTS, Channel, Sensor};
 use haptimill_firmware::force::{Design, ForceConfig, ForceParameter, Gate, LoopSettings};
+use haptimill_machine_keys::controller::{force as keys, force_axis, force_sensor};
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Length, Rate};
 
@@ -39,11 +40,11 @@ struct Axis<'d, 'i> {
 
 /// Reads force sensor and force control; `period_us` is NaN if it is not known.
 pub fn read_force(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
-    let slowest = section.number("slowest_rpm", whole(60, 30_000, "rev/min"));
-    let lag = section.number("drive_lag_ms", real(0.0, 60.0, "ms"));
-    let creep = section.number("creep_mm_s", real(0.0, 1.0, "mm/s"));
+    let slowest = section.value(keys::slowest_rpm);
+    let lag = section.value(keys::drive_lag_ms);
+    let creep = section.value(keys::creep_mm_s);
     let mask = section
-        .words("under_control", &AXES)
+        .words(keys::under_control, &AXES)
         .into_iter()
         .fold(0, |mask, axis| mask | 1 << axis);
     let sections = section.list("axis");
@@ -141,17 +142,17 @@ struct SensorSection {
 
 /// Reads the sensor.
 fn read_sensor(section: &Section<'_, '_>, period_us: f64) -> SensorSection {
-    let volts = section.number("converter_v", real(0.1, 100.0, "V"));
-    let saturation = section.number("saturation_part", real(0.1, 0.999, ""));
+    let volts = section.value(force_sensor::converter_v);
+    let saturation = section.value(force_sensor::saturation_part);
     // The caller raises a time of less than one period to one.
     let periods = |ms: f64| (ms * 1000.0 / period_us).round();
-    let silent = section.number("silent_ms", real(0.1, 1000.0, "ms"));
-    let stuck = section.number("stuck_ms", real(0.0, 3000.0, "ms"));
-    let tare = section.number("tare_ms", real(5.0, 1500.0, "ms"));
-    let drift = section.number("drift_n", real(0.01, 1000.0, "N"));
-    let limit = section.number("limit_n", real(0.1, 2048.0, "N"));
-    let spread = section.number("tare_spread_codes", whole(1, 8192, "codes"));
-    let weight = section.number("weight_n", real(0.0, 2048.0, "N"));
+    let silent = section.value(force_sensor::silent_ms);
+    let stuck = section.value(force_sensor::stuck_ms);
+    let tare = section.value(force_sensor::tare_ms);
+    let drift = section.value(force_sensor::drift_n);
+    let limit = section.value(force_sensor::limit_n);
+    let spread = section.value(force_sensor::tare_spread_codes);
+    let weight = section.value(force_sensor::weight_n);
     let samples = periods(tare);
     if !samples.is_nan() && !(16.0..=32_768.0).contains(&samples) {
         let what = format!("{tare} ms are {samples} control periods, allowed are 16 to 32768");
@@ -202,14 +203,14 @@ fn read_axis<'d, 'i>(
         let what = format!("\"{name}\" is not the axis at this place");
         section.report("name", what, format!("write \"{expected}\""));
     }
-    let newtons = section.number("newtons_per_volt", real(1e-3, 4000.0, "N/V"));
-    let sign = section.direction("sign");
-    let desired = section.number("desired_n", real(-2048.0, 2048.0, "N"));
-    let mass = section.number("mass_n_s2_per_mm", real(0.0, 65_535.0, "N s^2/mm"));
-    let damping = section.number("damping_n_s_per_mm", real(0.0, 65_535.0, "N s/mm"));
-    let limit = section.number("limit_mm", real(-64.0, 1000.0, "mm"));
-    let rate = section.number("rate_mm_s", real(-2000.0, 2000.0, "mm/s"));
-    let gate = section.choice("gate", &GATES);
+    let newtons = section.value(force_axis::newtons_per_volt);
+    let sign = section.value(force_axis::sign);
+    let desired = section.value(force_axis::desired_n);
+    let mass = section.value(force_axis::mass_n_s2_per_mm);
+    let damping = section.value(force_axis::damping_n_s_per_mm);
+    let limit = section.value(force_axis::limit_mm);
+    let rate = section.value(force_axis::rate_mm_s);
+    let gate = section.choice(force_axis::gate, &GATES);
     section.finish();
     let per_code = sign * newtons * volts / CODES;
     if per_code.abs() > 0.5 {

@@ -1,24 +1,32 @@
 //! The `[kinematics]` section of an H-4 arm with its rotary table (docs/control.md 2.5-2.6, 7.2).
 
-use super::document::{Section, real};
+use super::document::Section;
 use super::scale::{PER_MM, to_i32};
 use haptimill_kinematics::h4::H4Geometry;
+use haptimill_machine_keys::controller::kinematics as keys;
 use haptimill_math::Length;
 
 /// Reads the geometry. `singularity_margin`, in mm, is a value of `[supervision]`.
 pub fn read_geometry(section: Section<'_, '_>, singularity_margin: f64) -> H4Geometry {
-    let length = |key| section.number(key, real(-1000.0, 1000.0, "mm"));
-    let (a, b, e) = (length("a"), length("b"), length("e"));
-    let c = section.number("c", real(1.0, 500.0, "mm"));
-    let (d, w) = (length("d"), length("w"));
-    let r = section.number("r", real(16.0, 1000.0, "mm"));
-    let ge = length("ge");
-    let tl = section.number("tl", real(0.0, 1000.0, "mm"));
-    let (p, h) = (length("p"), length("h"));
-    // Offsets may be large: the home position is more than a metre from the arm's origin.
-    let offset = |key| section.number(key, real(-2000.0, 2000.0, "mm"));
-    let (x_off, y_off, z_off) = (offset("x_off"), offset("y_off"), offset("z_off"));
-    let below = section.choice("branch", &[("below", true), ("above", false)]);
+    let (a, b, e) = (
+        section.value(keys::a),
+        section.value(keys::b),
+        section.value(keys::e),
+    );
+    let (c, d, w) = (
+        section.value(keys::c),
+        section.value(keys::d),
+        section.value(keys::w),
+    );
+    let (r, ge, tl) = (
+        section.value(keys::r),
+        section.value(keys::ge),
+        section.value(keys::tl),
+    );
+    let (p, h) = (section.value(keys::p), section.value(keys::h));
+    let x_off = section.value(keys::x_off);
+    let (y_off, z_off) = (section.value(keys::y_off), section.value(keys::z_off));
+    let below = section.choice(keys::branch, &[("below", true), ("above", false)]);
 
     let lateral = a - b - e;
     if lateral <= 0.0 {

@@ -1,19 +1,18 @@
 //! The sections `[haptic]`, the haptic arm (docs/control.md 2.2, 3.4, 3.5), and `[follow]`, the
 //! motion of the tool by a master.
 
-use super::document::{Section, real, whole};
+use super::document::Section;
 use super::scale::{PER_COUNT, PER_DEG, PER_EFFORT, PER_MM, to_i32, to_i64, to_u16, to_u32};
 use haptimill_firmware::haptics::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
 use haptimill_firmware::haptics::passivity::PassivityConfig;
 use haptimill_firmware::haptics::walls::WallConfig;
 use haptimill_firmware::io::LEGS;
 use haptimill_kinematics::haptic_arm::HapticGeometry;
+use haptimill_machine_keys::Key;
+use haptimill_machine_keys::haptic as keys;
 use haptimill_math::force::Force;
 use haptimill_math::{Angle, Coordinate, Effort, Length};
 use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis};
-
-/// Components of a force, in order.
-const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Converts newtons.
 fn force(newtons: f64) -> Force {
@@ -26,9 +25,9 @@ fn length(millimetres: f64) -> Length {
 
 /// Reads `[follow]`.
 pub fn read_follow(section: &Section<'_, '_>) -> FollowConfig {
-    let scale = section.number("scale", real(0.1, 2.0, ""));
-    let gain = section.number("gain_per_s", whole(10, 500, "1/s"));
-    let stale = section.number("stale_ms", whole(5, 1000, "ms"));
+    let scale = section.value(keys::follow::scale);
+    let gain = section.value(keys::follow::gain_per_s);
+    let stale = section.value(keys::follow::stale_ms);
     section.finish();
     FollowConfig {
         scale: to_u16(scale * 4096.0),
@@ -39,11 +38,11 @@ pub fn read_follow(section: &Section<'_, '_>) -> FollowConfig {
 
 /// Reads `[haptic]`.
 pub fn read_haptic(section: &Section<'_, '_>) -> HapticConfig {
-    let illegal = section.number("illegal_transitions", whole(0, 1000, ""));
-    let condition = section.number("condition", whole(2, 1000, ""));
-    let filter = section.number("rate_filter_ms", real(0.5, 20.0, "ms"));
-    let ball = section.number("ball_mm", real(0.0, 50.0, "mm"));
-    let step = section.number("step_n", real(1e-4, 0.05, "N"));
+    let illegal = section.value(keys::haptic::illegal_transitions);
+    let condition = section.value(keys::haptic::condition);
+    let filter = section.value(keys::haptic::rate_filter_ms);
+    let ball = section.value(keys::haptic::ball_mm);
+    let step = section.value(keys::haptic::step_n);
     let geometry = section.section("geometry").map(read_geometry);
     let ranges = section.section("range").map(read_ranges);
     let legs: Vec<_> = section.list("leg").into_iter().map(read_leg).collect();
@@ -80,16 +79,19 @@ pub fn read_haptic(section: &Section<'_, '_>) -> HapticConfig {
 }
 
 fn read_geometry(section: Section<'_, '_>) -> HapticGeometry {
-    let radius = |key| section.number(key, real(10.0, 400.0, "mm"));
     let (base, platform, link) = (
-        radius("base_radius_mm"),
-        radius("platform_radius_mm"),
-        radius("link_mm"),
+        section.value(keys::geometry::base_radius_mm),
+        section.value(keys::geometry::platform_radius_mm),
+        section.value(keys::geometry::link_mm),
     );
-    let tilt = section.number("tilt_deg", real(-79.9, 79.9, "deg"));
-    let tip = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
-        .map(|key| section.number(key, real(-400.0, 400.0, "mm")));
-    let side = section.number("side_tolerance_mm", real(0.001, 50.0, "mm"));
+    let tilt = section.value(keys::geometry::tilt_deg);
+    let tip = [
+        keys::geometry::tip_x_mm,
+        keys::geometry::tip_y_mm,
+        keys::geometry::tip_z_mm,
+    ]
+    .map(|key| section.value(key));
+    let side = section.value(keys::geometry::side_tolerance_mm);
     if side * 8.0 >= platform {
         let what = format!("{side} mm is not below an eighth of platform_radius_mm = {platform}");
         section.report("side_tolerance_mm", what, "lower it");
@@ -107,35 +109,30 @@ fn read_geometry(section: Section<'_, '_>) -> HapticGeometry {
 
 /// Reads the ranges of d, theta3 and theta4.
 fn read_ranges(section: Section<'_, '_>) -> [(Coordinate, Coordinate); 3] {
-    let range = |low_key, high_key, (low, high, unit), scale: f64| {
-        let (first, last) = (
-            section.number(low_key, real(low, high, unit)),
-            section.number(high_key, real(low, high, unit)),
-        );
+    let range = |low: Key, high: Key, scale: f64| {
+        let (first, last) = (section.value(low), section.value(high));
         if first >= last {
-            let what = format!("{last} {unit} is not above {low_key} = {first}");
-            section.report(high_key, what, "exchange them");
+            let unit = high.values.unit();
+            let what = format!("{last} {unit} is not above {} = {first}", low.name);
+            section.report(high.name, what, "exchange them");
         }
         let coordinate = |value: f64| Coordinate(to_i32(value * scale));
         (coordinate(first), coordinate(last))
     };
     let ranges = [
         range(
-            "slide_low_mm",
-            "slide_high_mm",
-            (-800.0, 800.0, "mm"),
+            keys::range::slide_low_mm,
+            keys::range::slide_high_mm,
             PER_MM,
         ),
         range(
-            "turn_low_deg",
-            "turn_high_deg",
-            (-179.0, 179.0, "deg"),
+            keys::range::turn_low_deg,
+            keys::range::turn_high_deg,
             PER_DEG,
         ),
         range(
-            "lean_low_deg",
-            "lean_high_deg",
-            (-179.0, 179.0, "deg"),
+            keys::range::lean_low_deg,
+            keys::range::lean_high_deg,
             PER_DEG,
         ),
     ];
@@ -145,28 +142,18 @@ fn read_ranges(section: Section<'_, '_>) -> [(Coordinate, Coordinate); 3] {
 
 /// Reads encoders and amplifiers of a leg.
 fn read_leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
-    let encoder = |counts_key, home_key, is_rotary: bool| {
-        let (unit, most) = if is_rotary {
-            ("counts/turn", 1e8)
-        } else {
-            ("counts/mm", 1e6)
-        };
-        let counts = section.number(counts_key, real(-most, most, unit));
+    let encoder = |counts_key: Key, home_key: Key, is_rotary: bool| {
+        let unit = counts_key.values.unit();
+        let counts = section.value(counts_key);
         if counts == 0.0 {
             section.report(
-                counts_key,
+                counts_key.name,
                 "0 counts are not allowed",
                 "write the counts of the encoder",
             );
         }
-        let (home, scale) = if is_rotary {
-            (
-                section.number(home_key, real(-179.0, 179.0, "deg")),
-                PER_DEG,
-            )
-        } else {
-            (section.number(home_key, real(-800.0, 800.0, "mm")), PER_MM)
-        };
+        let home = section.value(home_key);
+        let scale = if is_rotary { PER_DEG } else { PER_MM };
         let per_unit = if is_rotary { 360.0 * PER_DEG } else { PER_MM };
         let per_count = per_unit / counts * PER_COUNT;
         if counts != 0.0 && !(4096.0..2f64.powi(40)).contains(&per_count.abs()) {
@@ -176,24 +163,25 @@ fn read_leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
             } else {
                 "raise it"
             };
-            section.report(counts_key, what, remedy);
+            section.report(counts_key.name, what, remedy);
         }
         Encoder {
             per_count: to_i64(per_count),
             preset: Coordinate(to_i32(home * scale)),
         }
     };
+    use keys::leg;
     let sensors = [
-        encoder("slide_counts_per_mm", "slide_home_mm", false),
-        encoder("turn_counts_per_turn", "turn_home_deg", true),
-        encoder("lean_counts_per_turn", "lean_home_deg", true),
+        encoder(leg::slide_counts_per_mm, leg::slide_home_mm, false),
+        encoder(leg::turn_counts_per_turn, leg::turn_home_deg, true),
+        encoder(leg::lean_counts_per_turn, leg::lean_home_deg, true),
     ];
-    let amplifier = |full_key, limit_key, unit, scale: f64| {
-        let full = section.number(full_key, real(-30_000.0, 30_000.0, unit));
-        let limit = section.number(limit_key, real(1e-3, 30_000.0, unit));
+    let amplifier = |full_key: Key, limit_key: Key, scale: f64| {
+        let (full, limit) = (section.value(full_key), section.value(limit_key));
         if limit > full.abs() {
-            let what = format!("{limit} {unit} is above {full_key} = {full}");
-            section.report(limit_key, what, "lower it");
+            let unit = limit_key.values.unit();
+            let what = format!("{limit} {unit} is above {} = {full}", full_key.name);
+            section.report(limit_key.name, what, "lower it");
         }
         Amplifier {
             full_scale: Effort(to_i32(full * scale)),
@@ -201,11 +189,10 @@ fn read_leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
         }
     };
     let drives = [
-        amplifier("slide_full_scale_n", "slide_limit_n", "N", PER_EFFORT),
+        amplifier(leg::slide_full_scale_n, leg::slide_limit_n, PER_EFFORT),
         amplifier(
-            "turn_full_scale_n_mm",
-            "turn_limit_n_mm",
-            "N mm",
+            leg::turn_full_scale_n_mm,
+            leg::turn_limit_n_mm,
             PER_EFFORT / 1000.0,
         ),
     ];
@@ -215,21 +202,21 @@ fn read_leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
 
 fn read_reflection(section: Section<'_, '_>) -> ForceFeedback {
     let mut axes = [ForceFeedbackAxis::default(); 3];
-    let keys = [
-        ("x_percent", "x_most_n"),
-        ("y_percent", "y_most_n"),
-        ("z_percent", "z_most_n"),
+    use keys::reflection as row;
+    let rows = [
+        (row::x_percent, row::x_most_n),
+        (row::y_percent, row::y_most_n),
+        (row::z_percent, row::z_most_n),
     ];
-    for ((axis, (percent, most)), _) in axes.iter_mut().zip(keys).zip(AXES) {
-        let percent = section.number(percent, whole(0, 100, "%"));
-        let most = section.number(most, real(0.0, 10.0, "N"));
+    for (axis, (percent, most)) in axes.iter_mut().zip(rows) {
+        let (percent, most) = (section.value(percent), section.value(most));
         *axis = ForceFeedbackAxis {
             percent: to_u16(percent).min(100) as u8,
             limit: force(most).0,
         };
     }
-    let boost = section.number("boost_n_s_per_mm", real(0.0, 0.99, "N s/mm"));
-    let below = section.number("boost_below_n", real(0.5, 10.0, "N"));
+    let boost = section.value(keys::reflection::boost_n_s_per_mm);
+    let below = section.value(keys::reflection::boost_below_n);
     section.finish();
     ForceFeedback {
         axes,
@@ -239,8 +226,8 @@ fn read_reflection(section: Section<'_, '_>) -> ForceFeedback {
 }
 
 fn read_wall(section: Section<'_, '_>) -> WallConfig {
-    let stiffness = section.number("stiffness_n_per_mm", real(0.05, 2.0, "N/mm"));
-    let most = section.number("most_n", real(0.5, 10.0, "N"));
+    let stiffness = section.value(keys::wall::stiffness_n_per_mm);
+    let most = section.value(keys::wall::most_n);
     section.finish();
     WallConfig {
         stiffness: to_u32(stiffness * PER_EFFORT),
@@ -249,9 +236,9 @@ fn read_wall(section: Section<'_, '_>) -> WallConfig {
 }
 
 fn read_passivity(section: Section<'_, '_>) -> PassivityConfig {
-    let credit = section.number("credit_n_mm", real(0.0, 100.0, "N mm"));
-    let debt = section.number("debt_n_mm", real(0.01, 100.0, "N mm"));
-    let damping = section.number("damping_n_s_per_mm", real(0.0, 0.5, "N s/mm"));
+    let credit = section.value(keys::passivity::credit_n_mm);
+    let debt = section.value(keys::passivity::debt_n_mm);
+    let damping = section.value(keys::passivity::damping_n_s_per_mm);
     section.finish();
     PassivityConfig {
         surplus: to_u32(credit * PER_EFFORT),

@@ -15,6 +15,7 @@ mod force;
 mod h4;
 mod haptic;
 pub mod input;
+mod likeness;
 pub mod model;
 mod models;
 mod plant;
@@ -29,12 +30,13 @@ pub use axes::AxisLimits;
 pub use force::GATES;
 pub use problem::{Problem, Problems};
 
-use document::{Document, Section, real, whole};
+use document::{Document, Section};
 use haptimill_firmware::config::{
     AxisKind, Config, Homing, JointAxis, PoseAxis, Stopping, Supervision,
 };
 use haptimill_kinematics::Model;
 use haptimill_kinematics::descriptor::Role;
+use haptimill_machine_keys::controller::{self as keys, root};
 use haptimill_math::{Coordinate, Rate};
 use models::ModelReader;
 use scale::{PER_DEG, PER_MM, to_i32, to_u16};
@@ -226,9 +228,9 @@ pub fn read_text(path: &Path) -> Result<String, Problems> {
 fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let root = Section::root(document, root.get_ref());
     let name = read_name(&root);
-    let period_us = root.number("period_us", whole(50, 1000, "us"));
+    let period_us = root.value(root::period_us);
     if root.has("role") {
-        let role = root.choice("role", &[("slave", false), ("master", true)]);
+        let role = root.choice(root::role, &[("slave", false), ("master", true)]);
         if role == Some(true) {
             return read_master(&root, name, period_us);
         }
@@ -325,8 +327,8 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
 /// Reads the machine file of a haptic arm alone, which has no axes and no planner.
 fn read_master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f64) -> MachineFile {
     let supervision = root.section("supervision").map(|section| {
-        let heartbeat = section.number("heartbeat_ms", whole(20, 5000, "ms"));
-        let missed = section.number("missed_periods", whole(1, 50, "periods"));
+        let heartbeat = section.value(keys::supervision::heartbeat_ms);
+        let missed = section.value(keys::supervision::missed_periods);
         section.finish();
         (to_u16(heartbeat), to_u16(missed))
     });
@@ -439,12 +441,15 @@ fn check_pose_against_joints(
 ) {
     let tilt = model.and_then(|model| model.descriptor.coordinate(Role::ToolTilt));
     for (index, (section, (_, limits))) in pose.iter().enumerate() {
-        let keys = axes::keys(limits.kind);
+        let ends = [
+            (keys::pose::low, limits.low),
+            (keys::pose::high, limits.high),
+        ];
         if tilt == Some(index) {
-            for (key, value) in [(keys.low, limits.low), (keys.high, limits.high)] {
+            for (key, value) in ends {
                 if value.abs() >= 90.0 {
                     let what = format!("{value} deg: the tilt must stay within +-90 deg");
-                    section.report(key, what, "narrow the soft limits");
+                    section.refuse(key, what, "narrow the soft limits");
                 }
             }
         }
@@ -452,24 +457,24 @@ fn check_pose_against_joints(
         let Some((_, joint)) = joints.iter().find(|(_, joint)| joint.name == limits.name) else {
             continue;
         };
-        let (low, high, unit) = (joint.low, joint.high, keys.unit);
-        for (key, value) in [(keys.low, limits.low), (keys.high, limits.high)] {
+        let (low, high, unit) = (joint.low, joint.high, axes::unit(limits.kind));
+        for (key, value) in ends {
             if value < low || value > high {
                 let what =
                     format!("{value} {unit} is outside the joint's stroke {low} to {high} {unit}");
-                section.report(key, what, "narrow the soft limits");
+                section.refuse(key, what, "narrow the soft limits");
             }
         }
         if limits.rate > joint.rate {
             let what = format!("{} is above the joint's rate {}", limits.rate, joint.rate);
-            section.report(keys.rate, what, "lower it");
+            section.refuse(keys::pose::rate, what, "lower it");
         }
     }
 }
 
 fn read_stopping(section: Section<'_, '_>) -> Stopping {
-    let time = section.number("time_ms", whole(5, 2000, "ms"));
-    let ramp = section.number("ramp_ms", whole(1, 1000, "ms"));
+    let time = section.value(keys::stopping::time_ms);
+    let ramp = section.value(keys::stopping::ramp_ms);
     if ramp > time / 2.0 {
         let what = format!("{ramp} ms is more than half of time_ms = {time}");
         section.report("ramp_ms", what, "lower it");
@@ -483,12 +488,12 @@ fn read_stopping(section: Section<'_, '_>) -> Stopping {
 
 fn read_supervision(section: Section<'_, '_>, singular: bool) -> (Supervision, f64) {
     let result = Supervision {
-        heartbeat_ms: to_u16(section.number("heartbeat_ms", whole(20, 5000, "ms"))),
-        missed_periods: to_u16(section.number("missed_periods", whole(1, 50, "periods"))),
-        illegal_transitions: to_u16(section.number("illegal_transitions", whole(1, 1000, ""))),
+        heartbeat_ms: to_u16(section.value(keys::supervision::heartbeat_ms)),
+        missed_periods: to_u16(section.value(keys::supervision::missed_periods)),
+        illegal_transitions: to_u16(section.value(keys::supervision::illegal_transitions)),
     };
     let margin = if singular {
-        section.number("singularity_margin_mm", real(1.0, 200.0, "mm"))
+        section.value(keys::supervision::singularity_margin_mm)
     } else {
         0.0
     };
@@ -497,9 +502,9 @@ fn read_supervision(section: Section<'_, '_>, singular: bool) -> (Supervision, f
 }
 
 fn read_homing(section: Section<'_, '_>, rotary: bool) -> Homing {
-    let rate = section.number("rate_mm_s", real(0.01, 200.0, "mm/s"));
+    let rate = section.value(keys::homing::rate_mm_s);
     let table_rate = if rotary {
-        section.number("table_rate_deg_s", real(0.01, 90.0, "deg/s"))
+        section.value(keys::homing::table_rate_deg_s)
     } else {
         0.0
     };
@@ -512,11 +517,11 @@ fn read_homing(section: Section<'_, '_>, rotary: bool) -> Homing {
 
 fn read_planner(section: Section<'_, '_>) -> Planner {
     let result = Planner {
-        corner_tolerance_mm: section.number("corner_tolerance_mm", real(0.0, 1.0, "mm")),
-        corner_tolerance_deg: section.number("corner_tolerance_deg", real(0.0, 1.0, "deg")),
-        curvature_step: section.number("curvature_step", real(0.0, 1.0, "")),
-        longest_span_ms: section.number("longest_span_ms", real(1.0, 1000.0, "ms")),
-        shortest_span_ms: section.number("shortest_span_ms", real(0.2, 1000.0, "ms")),
+        corner_tolerance_mm: section.value(keys::planner::corner_tolerance_mm),
+        corner_tolerance_deg: section.value(keys::planner::corner_tolerance_deg),
+        curvature_step: section.value(keys::planner::curvature_step),
+        longest_span_ms: section.value(keys::planner::longest_span_ms),
+        shortest_span_ms: section.value(keys::planner::shortest_span_ms),
     };
     if result.shortest_span_ms > result.longest_span_ms {
         let what = format!(

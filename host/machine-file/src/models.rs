@@ -6,6 +6,7 @@ use haptimill_kinematics::cartesian::{Cartesian, CartesianGeometry};
 use haptimill_kinematics::descriptor::{AxisKind, Descriptor};
 use haptimill_kinematics::h4::H4;
 use haptimill_kinematics::{Machine, Model};
+use haptimill_machine_keys::controller::kinematics::model;
 
 /// A model and the reader of its keys.
 #[derive(Debug, Clone, Copy)]
@@ -38,7 +39,7 @@ const MODELS: [ModelReader; 2] = [
 impl ModelReader {
     /// The model that the section names; `None` after a report.
     pub(super) fn of(section: &Section<'_, '_>) -> Option<Self> {
-        section.choice("model", &MODELS.map(|model| (model.descriptor.code, model)))
+        section.choice(model, &MODELS.map(|row| (row.descriptor.code, row)))
     }
 
     /// Names and kinds of the pose coordinates.

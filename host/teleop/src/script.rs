@@ -180,7 +180,7 @@ impl Script {
     /// # Errors
     /// As [`Script::load`].
     pub fn parse(file: &str, text: &str) -> Result<Self, Error> {
-        let document = Document::new(file, text).with_example("examples/teleop.toml");
+        let document = Document::new(file, text);
         let Some(table) = document.parse() else {
             return Err(document.into_problems().into());
         };

@@ -1,0 +1,237 @@
+//! Keys of the machine as controller and planner know it: root, kinematics, axes, planner, force.
+
+use crate::key::sections;
+
+sections! {
+
+root "" "The machine and its control period." {
+    name = text("1 to 24 bytes").is("name in reports and in the session");
+    period_us = whole(50, 1000, "us").is("control period").bounded("a divisor of 1,000,000");
+    role = word(&["slave", "master"])
+        .is("`master`: a haptic arm without axes; then only `name`, `period_us`, `role`, `[supervision]`, `[haptic]` and `[plant]` are read")
+        .or_text("\"slave\"");
+}
+
+kinematics "kinematics" "The model, and its lengths under the names of docs/control.md." {
+    model = named("a model of the table below")
+        .is("model of the machine: number, names, kinds and order of coordinates and joints");
+    a = real(-1000.0, 1000.0, "mm").is("lateral offset of the rails").only_if("model", "h4")
+        .bounded("E = a - b - e above 0 and below r");
+    b = real(-1000.0, 1000.0, "mm").is("lateral offset of the slides").only_if("model", "h4");
+    e = real(-1000.0, 1000.0, "mm").is("lateral offset of the platform").only_if("model", "h4");
+    c = real(1.0, 500.0, "mm")
+        .is("half the distance of the two platform joints along the tool axis")
+        .only_if("model", "h4");
+    d = real(-1000.0, 1000.0, "mm").is("half the height difference of the rail pairs")
+        .only_if("model", "h4");
+    w = real(-1000.0, 1000.0, "mm").is("offset of a slide's joint along x").only_if("model", "h4");
+    r = real(16.0, 1000.0, "mm").is("length of the rods").only_if("model", "h4")
+        .bounded("above sqrt(E^2 + (d - c)^2)");
+    ge = real(-1000.0, 1000.0, "mm").is("z offset of the rails").only_if("model", "h4");
+    tl = real(0.0, 1000.0, "mm").is("tool length, from the lower platform joint to the tip")
+        .only_if("model", "h4");
+    p = real(-1000.0, 1000.0, "mm").is("x offset of the table").only_if("model", "h4");
+    h = real(-1000.0, 1000.0, "mm").is("height of the arm's origin above the table axis")
+        .only_if("model", "h4");
+    x_off = real(-2000.0, 2000.0, "mm").is("x of the workpiece's origin").only_if("model", "h4")
+        .bounded("p + x_off within +-1000");
+    y_off = real(-2000.0, 2000.0, "mm").is("y of the workpiece's origin").only_if("model", "h4")
+        .bounded("within +-1000 for the controller");
+    z_off = real(-2000.0, 2000.0, "mm").is("z of the workpiece's origin").only_if("model", "h4")
+        .bounded("within +-1000 for the controller");
+    branch = word(&["below", "above"]).is("assembly branch: platform below or above the rails")
+        .only_if("model", "h4");
+}
+
+pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may ask for." {
+    name = text("the name that the model has at this place").is("name of the coordinate");
+    kind = word(&["linear", "rotary"]).is("kind that the model has at this place");
+    low = real(-2047.0, 2047.0, "mm").is("lower soft limit").named("low_mm")
+        .rotary("low_deg", real(-179.0, 179.0, "deg"))
+        .bounded("below the upper one; a tilt within +-90 deg; a coordinate that is a joint within its stroke");
+    high = real(-2047.0, 2047.0, "mm").is("upper soft limit").named("high_mm")
+        .rotary("high_deg", real(-179.0, 179.0, "deg"));
+    rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
+        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s"))
+        .bounded("at most the joint's where the coordinate is a joint");
+    acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")
+        .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
+    jerk = real(1.0, 1e8, "mm/s^3")
+        .is("largest jerk; the controller refuses one that is too low for the acceleration")
+        .named("jerk_mm_s3").rotary("jerk_deg_s3", real(1.0, 1e8, "deg/s^3"));
+}
+
+joint "joint" "A joint: stroke, rate, encoder and reference." {
+    name = text("the name that the model has at this place").is("name of the joint");
+    kind = word(&["linear", "rotary"]).is("kind that the model has at this place");
+    low = real(-2047.0, 2047.0, "mm").is("lower end of the stroke").named("low_mm")
+        .rotary("low_deg", real(-179.0, 179.0, "deg")).bounded("below the upper end");
+    high = real(-2047.0, 2047.0, "mm").is("upper end of the stroke").named("high_mm")
+        .rotary("high_deg", real(-179.0, 179.0, "deg"));
+    rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
+        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s"));
+    acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")
+        .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
+    travel = real(0.01, 200.0, "mm/turn").is("motion per motor turn").named("lead_mm")
+        .rotary("gear_ratio", real(0.1, 1_000.0, "motor turns per turn"));
+    counts_per_turn = whole(4, 10_000_000, "counts")
+        .is("encoder counts per motor turn, after x4 decoding");
+    direction = plus_minus().is("-1: the encoder counts backwards");
+    backlash = real(0.0, 100.0, "mm").is("lost motion that is compensated").named("backlash_mm")
+        .rotary("backlash_deg", real(0.0, 30.0, "deg")).or(0.0).bounded("below one motor turn");
+    following_error = real(0.0, 100.0, "mm").is("largest following error at standstill")
+        .named("following_error_mm").rotary("following_error_deg", real(0.0, 30.0, "deg"))
+        .bounded("above 0, at most one motor turn");
+    following_error_lag_ms = real(0.0, 1000.0, "ms")
+        .is("the limit of the following error grows by this time of travel");
+    still = real(0.0, 100.0, "mm").is("commanded motion without a count that is an encoder fault")
+        .named("still_mm").rotary("still_deg", real(0.0, 30.0, "deg"))
+        .bounded("at least 4 counts");
+    preset = real(-2047.0, 2047.0, "mm")
+        .is("joint position that the operator sets before power-on").named("preset_mm")
+        .rotary("preset_deg", real(-179.0, 179.0, "deg")).bounded("within the stroke");
+    index = real(-2047.0, 2047.0, "mm")
+        .is("index pulse nearest to the preset, measured once for each machine").named("index_mm")
+        .rotary("index_deg", real(-179.0, 179.0, "deg"))
+        .bounded("within the stroke, and within the search distance of the preset");
+    search = real(0.0, 100.0, "mm").is("how far an index pulse may be from its place")
+        .named("search_mm").rotary("search_deg", real(0.0, 30.0, "deg"))
+        .bounded("above 0, below half a motor turn");
+    index_slack_counts = whole(0, 65_535, "counts")
+        .is("counts by which an index pulse may be off; 0 switches the index monitor off")
+        .or_text("4, or less for a coarse encoder").bounded("below a quarter of a turn");
+}
+
+joint_drive "joint.drive" "The drive of a joint." {
+    kind = word(&["torque", "step"])
+        .is("kind of drive: current-mode amplifier, or step and direction");
+    direction = plus_minus().is("-1: the drive moves the joint backwards");
+    full_scale = real(0.01, 32_000.0, "N").is("effort of full scale of the 14-bit converter")
+        .named("full_scale_n").rotary("full_scale_n_m", real(0.01, 32_000.0, "N m"))
+        .only_if("kind", "torque");
+    limit = real(0.01, 32_000.0, "N").is("largest effort that is commanded").named("limit_n")
+        .rotary("limit_n_m", real(0.01, 32_000.0, "N m")).only_if("kind", "torque")
+        .bounded("at most the full scale");
+    steps_per_turn = whole(1, 10_000_000, "steps").is("steps per motor turn")
+        .only_if("kind", "step");
+    ticks_per_us = whole(1, 1000, "ticks/us").is("step clock of the board")
+        .only_if("kind", "step");
+    pulse_us = real(0.01, 1000.0, "us").is("width of a pulse, and least time between two")
+        .only_if("kind", "step")
+        .bounded("half a tick to 65535 ticks; the pulse rate reaches the joint's rate");
+    setup_us = real(0.0, 1000.0, "us").is("time of a direction level before the first pulse")
+        .only_if("kind", "step")
+        .bounded("two pulses, setup and hold together shorter than the control period");
+    hold_us = real(0.0, 1000.0, "us").is("time of a direction level after the last pulse")
+        .only_if("kind", "step");
+    lost = real(0.0, 100.0, "mm").is("disagreement of steps and encoder that means lost steps")
+        .named("lost_mm").rotary("lost_deg", real(0.0, 30.0, "deg")).only_if("kind", "step")
+        .bounded("at least 2 steps");
+}
+
+joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)." {
+    form = word(&["model", "pd"]).is("model-based or PD");
+    kp = real(1.0, 4e6, "1/s^2").is("K_P, position gain")
+        .bounded("stable at the control period, with a margin of two in the damping");
+    kd = real(0.0, 1e5, "1/s").is("K_D, rate gain")
+        .bounded("above 0, K_D times the period below 1");
+    ki = real(0.0, 1.6e7, "1/s^3").is("K_I, integral gain").or(0.0).bounded("below K_P K_D / 4");
+    rate_filter_ms = real(0.0, 60.0, "ms").is("filter of the rate of the error").or(0.0)
+        .bounded("to 50 for the controller");
+    inertia = real(0.001, 10_000.0, "kg").is("inertia of all that the joint moves")
+        .named("inertia_kg").rotary("inertia_kg_m2", real(0.001, 10_000.0, "kg m^2"))
+        .bounded("the drive reaches the acceleration with it");
+    viscous = real(0.0, 1_000.0, "N per mm/s").is("viscous friction").named("viscous_n_per_mm_s")
+        .rotary("viscous_n_m_per_deg_s", real(0.0, 1_000.0, "N m per deg/s")).or(0.0);
+    coulomb = real(0.0, 32_000.0, "N").is("Coulomb friction that is compensated")
+        .named("coulomb_n").rotary("coulomb_n_m", real(0.0, 32_000.0, "N m")).or(0.0);
+    coulomb_rate = real(0.001, 2000.0, "mm/s")
+        .is("rate from which the friction compensation is in full").named("coulomb_rate_mm_s")
+        .rotary("coulomb_rate_deg_s", real(0.001, 179.0, "deg/s"));
+}
+
+planner "planner" "How the planner joins the blocks of a program." {
+    corner_tolerance_mm = real(0.0, 1.0, "mm")
+        .is("largest distance of the path from a programmed corner; 0 stops at every corner");
+    corner_tolerance_deg = real(0.0, 1.0, "deg").is("the same for rotary coordinates");
+    curvature_step = real(0.0, 1.0, "")
+        .is("jump of the acceleration where a line meets an arc, as a fraction of its limit");
+    longest_span_ms = real(1.0, 1000.0, "ms").is("longest time between setpoints during motion");
+    shortest_span_ms = real(0.2, 1000.0, "ms").is("shortest time between setpoints")
+        .bounded("at most the longest");
+}
+
+stopping "stopping" "The controlled stop along the path." {
+    time_ms = whole(5, 2000, "ms").is("time of a controlled stop, whatever the rate")
+        .bounded("rate / (time_ms - ramp_ms) at most 4 times the acceleration of each axis");
+    ramp_ms = whole(1, 1000, "ms")
+        .is("part of that time in which the deceleration builds up, and in which it dies away")
+        .bounded("at most half of time_ms");
+}
+
+supervision "supervision" "Limits of the controller's monitors." {
+    heartbeat_ms = whole(20, 5000, "ms")
+        .is("longest silence of the host while the machine is active");
+    missed_periods = whole(1, 50, "periods")
+        .is("missed control periods in a row that are a fault");
+    illegal_transitions = whole(1, 1000, "")
+        .is("illegal transitions of an encoder since enable that are a fault")
+        .only("not with role = \"master\"");
+    singularity_margin_mm = real(1.0, 200.0, "mm")
+        .is("least distance from the parallel singularity").only("models with a singularity")
+        .bounded("to 100 for the controller");
+}
+
+homing "homing" "The search for the index pulses." {
+    rate_mm_s = real(0.01, 200.0, "mm/s").is("rate of the search of linear coordinates");
+    table_rate_deg_s = real(0.01, 90.0, "deg/s").is("rate of the search of the table")
+        .only("models with a rotary joint");
+}
+
+force "force" "Force sensor and force control; a machine without a force sensor has no such section." {
+    under_control = words(&["x", "y", "z"])
+        .is("axes under force control when the controller is configured; leave it empty")
+        .or_text("[]");
+    slowest_rpm = whole(60, 30_000, "rev/min")
+        .is("slowest spindle at which force control works; sets the window of the peak force")
+        .bounded("147 or more at 200 us");
+    drive_lag_ms = real(0.0, 60.0, "ms").is("lag of the tool behind its reference");
+    creep_mm_s = real(0.0, 1.0, "mm/s").is("creep rate; 0 for drives without friction")
+        .bounded("above coulomb_rate_mm_s, and above backlash_mm in a second");
+}
+
+force_sensor "force.sensor" "The force sensor." {
+    converter_v = real(0.1, 100.0, "V").is("range of the 14-bit converter, either way");
+    saturation_part = real(0.1, 0.999, "")
+        .is("fraction of the range beyond which a channel is saturated");
+    silent_ms = real(0.1, 1000.0, "ms").is("longest time without a new sample");
+    stuck_ms = real(0.0, 3000.0, "ms")
+        .is("time of one value after which a channel is stuck; 0 for a sensor without noise");
+    tare_ms = real(5.0, 1500.0, "ms").is("length of a tare")
+        .bounded("16 to 32768 control periods");
+    tare_spread_codes = whole(1, 8192, "codes").is("largest spread of codes during a tare");
+    drift_n = real(0.01, 1000.0, "N").is("largest mean force while nothing touches the tool");
+    limit_n = real(0.1, 2048.0, "N").is("force beyond which the machine stops");
+    weight_n = real(0.0, 2048.0, "N")
+        .is("weight of vise and workpiece, which turns with the table");
+}
+
+force_axis "force.axis" "The force loop of x, y or z." {
+    name = text("\"x\", \"y\", \"z\", in this order").is("axis");
+    newtons_per_volt = real(1e-3, 4000.0, "N/V").is("scale of the channel")
+        .bounded("at most 0.5 N per code");
+    sign = plus_minus().is("sign of the channel; the force on the tool counts");
+    desired_n = real(-2048.0, 2048.0, "N").is("force setpoint f_d")
+        .bounded("magnitude 0.5 to three quarters of the sensor range");
+    mass_n_s2_per_mm = real(0.0, 65_535.0, "N s^2/mm").is("virtual mass K_A")
+        .bounded("by damping, period and sensor range");
+    damping_n_s_per_mm = real(0.0, 65_535.0, "N s/mm").is("virtual damping K_V")
+        .bounded("by mass, period and lag, to 1024");
+    limit_mm = real(-64.0, 1000.0, "mm").is("compliance limit").bounded("above 0 to 64");
+    rate_mm_s = real(-2000.0, 2000.0, "mm/s").is("largest rate of the compliant displacement")
+        .bounded("above 0");
+    gate = word(&["against_motion", "any", "positive", "negative"])
+        .is("enable condition: when a force displaces the tool");
+}
+
+}
