@@ -412,8 +412,8 @@ impl Plant {
         let (Some(process), Some(geometry)) = (&mut self.process, &self.geometry) else {
             return;
         };
-        let rotation = geometry.workpiece_rotation(&self.truth.pose);
-        let applied = process.step(&pose, rotation, rpm);
+        let axes = geometry.workpiece_axes(&self.truth.pose);
+        let applied = process.step(&pose, &axes, rpm);
         let above = process.force_height();
         let rigid = self.truth.pose;
         self.truth.pose[..3].copy_from_slice(&applied.tip);

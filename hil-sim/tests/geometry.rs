@@ -1,6 +1,7 @@
 //! The arm's geometry against its closed loops and against the reference table of REF-G.
 
-use haptimill_hil_sim::machines::h4::{Arm, Tip};
+use haptimill_hil_sim::machines::Geometry;
+use haptimill_hil_sim::machines::h4::{Arm, H4, Tip};
 use haptimill_hil_sim::machines::h4::{ArmGeometry, Branch};
 use proptest::prelude::*;
 
@@ -292,10 +293,13 @@ proptest! {
     /// of positions.
     #[test]
     fn vectors_turn_like_positions(vector in prop::array::uniform3(-50.0..50.0_f64), alpha in -80.0..80.0_f64) {
-        let base = Arm::to_base(vector, alpha);
-        let again = Arm::to_work(base, alpha);
+        let [one, two, three, four] = HOME;
+        let machine = H4::new(&reference(), &[one, two, three, four, 0.0, 0.0]).expect("a machine");
+        let axes = machine.workpiece_axes(&[0.0, 0.0, 0.0, 0.0, alpha, 0.0]);
+        let base: [f64; 3] = std::array::from_fn(|k| (0..3).map(|i| axes[i][k] * vector[i]).sum());
         for i in 0..3 {
-            prop_assert!((again[i] - vector[i]).abs() < 1e-12);
+            let again: f64 = (0..3).map(|k| axes[i][k] * base[k]).sum();
+            prop_assert!((again - vector[i]).abs() < 1e-12);
         }
         let arm = Arm::new(&reference(), &HOME).expect("an arm");
         let origin = arm.in_work(&Tip::default(), alpha);

@@ -14,6 +14,7 @@ pub mod descriptor;
 pub mod h4;
 pub mod haptic_arm;
 mod machines;
+pub mod trunnion;
 
 pub use bounded::{BoundedKinematics, JointLimits};
 pub use machines::{DESCRIPTORS, Machine, Model};

@@ -6,6 +6,7 @@
 use crate::cartesian::{Cartesian, CartesianGeometry};
 use crate::descriptor::{Descriptor, NO_MACHINE};
 use crate::h4::{BasePose, H4, H4Geometry};
+use crate::trunnion::{Trunnion, TrunnionGeometry};
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };
@@ -225,4 +226,6 @@ machines! {
     H4(H4, H4Geometry);
     /// A machine whose joints move the tool along x, y and z.
     Cartesian(Cartesian, CartesianGeometry);
+    /// Slides x, y, z, and a table that turns about z on a trunnion that tilts about x.
+    Trunnion(Trunnion, TrunnionGeometry);
 }

@@ -4,7 +4,7 @@
 //! A new machine is one subject in `haptimill_checks::kinematics` and one row below; the same
 //! checks run on a chip, with smaller counts.
 
-use haptimill_checks::kinematics::{cartesian, h4, suite};
+use haptimill_checks::kinematics::{cartesian, h4, suite, trunnion};
 
 /// Poses and joints of the big checks.
 const COUNT: usize = 1_000_000;
@@ -44,3 +44,13 @@ macro_rules! row {
 row!(h4_reference, h4::Arm::new(h4::REFERENCE), COUNT);
 row!(h4_other, h4::Arm::new(h4::OTHER), COUNT / 5);
 row!(cartesian_slides, cartesian::Slides::default(), COUNT / 10);
+row!(
+    trunnion_apart,
+    trunnion::TrunnionMill::new(trunnion::APART),
+    COUNT / 2
+);
+row!(
+    trunnion_meeting,
+    trunnion::TrunnionMill::new(trunnion::MEETING),
+    COUNT / 10
+);

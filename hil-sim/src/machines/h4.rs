@@ -16,6 +16,7 @@ use crate::config::PlantConfig;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
 use crate::process::ToolPose;
+use crate::vector::Vector;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
@@ -353,23 +354,6 @@ impl Arm {
         ]
     }
 
-    /// Transforms a vector from the frame of the table, at `alpha` degrees, to the arm's base
-    /// frame.
-    #[inline]
-    pub fn to_base(vector: [f64; 3], alpha: f64) -> [f64; 3] {
-        let (sin, cos) = libm::sincos(alpha * (core::f64::consts::PI / 180.0));
-        let [x, y, z] = vector;
-        [x, y * cos - z * sin, y * sin + z * cos]
-    }
-
-    /// Transforms a vector from the arm's base frame to the frame of the table, at `alpha` degrees.
-    #[inline]
-    pub fn to_work(vector: [f64; 3], alpha: f64) -> [f64; 3] {
-        let (sin, cos) = libm::sincos(alpha * (core::f64::consts::PI / 180.0));
-        let [x, y, z] = vector;
-        [x, y * cos + z * sin, z * cos - y * sin]
-    }
-
     /// Joint loads of a force between tool and workpiece: N on each slide, N m on the table.
     ///
     /// `force` acts on the tool, and its opposite on the workpiece, in N along x_w, y_w, z_w. The
@@ -465,8 +449,9 @@ impl Geometry for H4 {
         ToolPose::leaning([x, y, z], theta, alpha)
     }
 
-    fn workpiece_rotation(&self, pose: &JointArray) -> f64 {
-        pose[ALPHA]
+    fn workpiece_axes(&self, pose: &JointArray) -> [Vector; 3] {
+        let (sin, cos) = libm::sincos(pose[ALPHA] * (core::f64::consts::PI / 180.0));
+        [[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]]
     }
 
     fn joint_loads(

@@ -6,12 +6,17 @@
 
 pub mod cartesian;
 pub mod h4;
+pub mod trunnion;
 
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
 use crate::process::ToolPose;
+use crate::vector::Vector;
 use serde::{Deserialize, Serialize};
+
+/// Axes of a workpiece that is not turned.
+pub const LEVEL: [Vector; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 /// Geometry of a simulated machine: it follows the joints with the pose of the tool.
 pub trait Geometry: Sized {
@@ -37,10 +42,10 @@ pub trait Geometry: Sized {
     /// Tool in the workpiece frame at a pose.
     fn tool_pose(&self, pose: &JointArray) -> ToolPose;
 
-    /// Angle by which a pose turns the workpiece out of the horizontal, about x, degrees.
-    fn workpiece_rotation(&self, pose: &JointArray) -> f64 {
+    /// Directions of x, y and z of the workpiece frame in the machine frame, at a pose.
+    fn workpiece_axes(&self, pose: &JointArray) -> [Vector; 3] {
         let _ = pose;
-        0.0
+        LEVEL
     }
 
     /// Loads of the joints by a force on the tool in the workpiece frame, N, which acts `above` mm
@@ -116,9 +121,9 @@ macro_rules! geometries {
                 }
             }
 
-            pub(crate) fn workpiece_rotation(&self, pose: &JointArray) -> f64 {
+            pub(crate) fn workpiece_axes(&self, pose: &JointArray) -> [Vector; 3] {
                 match self {
-                    $(Self::$name(machine) => machine.workpiece_rotation(pose),)*
+                    $(Self::$name(machine) => machine.workpiece_axes(pose),)*
                 }
             }
 
@@ -144,6 +149,8 @@ geometries! {
     H4("h4", h4::H4);
     /// Joints that move the tool along x, y and z.
     Cartesian("cartesian", cartesian::Cartesian);
+    /// Slides x, y, z, and a table that turns about z on a trunnion that tilts about x.
+    Trunnion("trunnion", trunnion::Trunnion);
     /// Joints that carry nothing: the pose is the joint positions.
     Joints("joints", cartesian::BareJoints);
 }

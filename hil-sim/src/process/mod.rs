@@ -29,12 +29,10 @@ pub use tooth_path::PASSES;
 pub use workpiece::Workpiece;
 
 use crate::check::PlantError;
-use crate::machines::h4::Arm;
 use crate::process::sensor::{Sensor, SensorConfig};
 use crate::process::structure::{Structure, StructureConfig};
 use crate::random::Random;
-use crate::vector::Vector;
-use crate::vector::plus;
+use crate::vector::{Vector, dot, plus, times};
 
 /// Configuration of the process at the tool.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -137,12 +135,12 @@ impl Process {
         })
     }
 
-    /// Advances by one period, with the tool pose from the slides, the table at `alpha` degrees and
-    /// the spindle command `rpm` (rev/min).
-    pub fn step(&mut self, pose: &ToolPose, alpha: f64, rpm: f64) -> ProcessResult {
+    /// Advances by one period, with the tool pose from the slides, the directions of the workpiece
+    /// frame in the machine frame and the spindle command `rpm` (rev/min).
+    pub fn step(&mut self, pose: &ToolPose, axes: &[Vector; 3], rpm: f64) -> ProcessResult {
         let mut pose = *pose;
         if let Some(structure) = &self.structure {
-            let deflection = Arm::to_work(structure.deflection(), alpha);
+            let deflection = axes.map(|axis| dot(axis, structure.deflection()));
             pose.tip = plus(pose.tip, deflection);
         }
         let velocity = core::array::from_fn(|i| (pose.tip[i] - self.tip[i]) / self.period_s);
@@ -158,10 +156,11 @@ impl Process {
             self.force = plus(self.force, push);
         }
         if let Some(structure) = &mut self.structure {
-            structure.advance(Arm::to_base(self.force, alpha));
+            let [x, y, z] = [0, 1, 2].map(|i| times(axes[i], self.force[i]));
+            structure.advance(plus(plus(x, y), z));
         }
         if let Some(sensor) = &mut self.sensor {
-            sensor.sample(self.force, alpha);
+            sensor.sample(self.force, axes.map(|axis| -axis[2]));
         }
         ProcessResult {
             tip: self.tip,

@@ -187,17 +187,11 @@ impl Sensor {
         self.charge = [0.0; 3];
     }
 
-    /// Takes the next sample, with the force on the tool in the frame of the table (N) and the
-    /// table at `alpha` degrees.
-    pub fn sample(&mut self, on_tool: [f64; 3], alpha: f64) {
+    /// Takes the next sample, with the force on the tool (N) and the direction downwards, both in
+    /// the frame of the table.
+    pub fn sample(&mut self, on_tool: [f64; 3], down: [f64; 3]) {
         let weight = self.config.vise_kg * GRAVITY;
-        let (sin, cos) = if weight > 0.0 {
-            libm::sincos(alpha * (core::f64::consts::PI / 180.0))
-        } else {
-            (0.0, 1.0)
-        };
-        // Direction -z of the base in the frame of the table.
-        let pull = [0.0, -weight * sin, -weight * cos];
+        let pull = down.map(|part| weight * part);
         if !self.started {
             // The amplifier is reset with the vise mounted.
             self.force = core::array::from_fn(|i| pull[i] - on_tool[i]);

@@ -25,6 +25,7 @@ mod stability;
 pub mod stock;
 #[cfg(test)]
 mod tests;
+mod trunnion;
 
 pub use axes::AxisLimits;
 pub use force::GATES;

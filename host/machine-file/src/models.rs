@@ -1,10 +1,11 @@
 //! Models of the section `[kinematics]`, one row each.
 
 use super::document::Section;
-use super::h4;
+use super::{h4, trunnion};
 use haptimill_kinematics::cartesian::{Cartesian, CartesianGeometry};
 use haptimill_kinematics::descriptor::{AxisKind, Descriptor};
 use haptimill_kinematics::h4::H4;
+use haptimill_kinematics::trunnion::Trunnion;
 use haptimill_kinematics::{Machine, Model};
 use haptimill_machine_keys::controller::kinematics::model;
 
@@ -20,7 +21,7 @@ pub(super) struct ModelReader {
 }
 
 /// All models.
-const MODELS: [ModelReader; 2] = [
+const MODELS: [ModelReader; 3] = [
     ModelReader {
         descriptor: &H4::DESCRIPTOR,
         has_singularity: true,
@@ -33,6 +34,11 @@ const MODELS: [ModelReader; 2] = [
             section.finish();
             Model::Cartesian(CartesianGeometry {})
         },
+    },
+    ModelReader {
+        descriptor: &Trunnion::DESCRIPTOR,
+        has_singularity: false,
+        read: |section, _| Model::Trunnion(trunnion::read_geometry(section)),
     },
 ];
 

@@ -28,19 +28,28 @@ kinematics "kinematics" "The model, and its lengths under the names of docs/cont
     r = real(16.0, 1000.0, "mm").is("length of the rods").only_if("model", "h4")
         .bounded("above sqrt(E^2 + (d - c)^2)");
     ge = real(-1000.0, 1000.0, "mm").is("z offset of the rails").only_if("model", "h4");
-    tl = real(0.0, 1000.0, "mm").is("tool length, from the lower platform joint to the tip")
-        .only_if("model", "h4");
+    tl = real(0.0, 1000.0, "mm")
+        .is("tool length: from the lower platform joint, or from the spindle nose, to the tip")
+        .only("models `h4` and `trunnion`");
     p = real(-1000.0, 1000.0, "mm").is("x offset of the table").only_if("model", "h4");
     h = real(-1000.0, 1000.0, "mm").is("height of the arm's origin above the table axis")
         .only_if("model", "h4");
-    x_off = real(-2000.0, 2000.0, "mm").is("x of the workpiece's origin").only_if("model", "h4")
-        .bounded("p + x_off within +-1000");
-    y_off = real(-2000.0, 2000.0, "mm").is("y of the workpiece's origin").only_if("model", "h4")
-        .bounded("within +-1000 for the controller");
-    z_off = real(-2000.0, 2000.0, "mm").is("z of the workpiece's origin").only_if("model", "h4")
-        .bounded("within +-1000 for the controller");
+    x_off = real(-2000.0, 2000.0, "mm").is("x of the workpiece's origin")
+        .only("models `h4` and `trunnion`").bounded("h4: p + x_off within +-1000");
+    y_off = real(-2000.0, 2000.0, "mm").is("y of the workpiece's origin")
+        .only("models `h4` and `trunnion`").bounded("h4: within +-1000 for the controller");
+    z_off = real(-2000.0, 2000.0, "mm").is("z of the workpiece's origin")
+        .only("models `h4` and `trunnion`").bounded("h4: within +-1000 for the controller");
     branch = word(&["below", "above"]).is("assembly branch: platform below or above the rails")
         .only_if("model", "h4");
+    tilt_y = real(-2000.0, 2000.0, "mm").is("y of the trunnion's axis")
+        .only_if("model", "trunnion");
+    tilt_z = real(-2000.0, 2000.0, "mm").is("z of the trunnion's axis")
+        .only_if("model", "trunnion");
+    table_x = real(-2000.0, 2000.0, "mm").is("x of the table's axis with the trunnion at 0")
+        .only_if("model", "trunnion");
+    table_y = real(-2000.0, 2000.0, "mm").is("y of the table's axis with the trunnion at 0")
+        .only_if("model", "trunnion");
 }
 
 pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may ask for." {

@@ -13,6 +13,7 @@ pub mod cartesian;
 pub mod h4;
 pub mod subject;
 pub mod suite;
+pub mod trunnion;
 
 use crate::Check;
 
@@ -62,5 +63,26 @@ pub const CHECKS: &[Check] = &[
     Check {
         name: "kinematics::cartesian::extremes",
         run: || suite::extremes(&cartesian::Slides::default(), COUNT / 4),
+    },
+    Check {
+        name: "kinematics::trunnion::inverse_is_the_closure_and_forward_turns_it_round",
+        run: || {
+            let mill = trunnion::TrunnionMill::new(trunnion::APART);
+            suite::inverse_against_closure(&mill, COUNT / 4);
+        },
+    },
+    Check {
+        name: "kinematics::trunnion::extremes",
+        run: || {
+            let mill = trunnion::TrunnionMill::new(trunnion::APART);
+            suite::extremes(&mill, COUNT / 4);
+        },
+    },
+    Check {
+        name: "kinematics::trunnion::derivatives",
+        run: || {
+            let mill = trunnion::TrunnionMill::new(trunnion::APART);
+            suite::derivatives_against_differences(&mill, COUNT / 50);
+        },
     },
 ];
