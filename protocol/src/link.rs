@@ -118,7 +118,6 @@ pub struct Link<E: Endpoint, const SEND: usize, const RECEIVE: usize> {
     /// The next last-value message, whether it waits, whether it is held back, and its number.
     latest: Payload,
     latest_waits: bool,
-    latest_held: bool,
     latest_sequence: u8,
     /// The outgoing frame, and whether it carries a reliable message.
     wire: OutgoingFrame,
@@ -151,7 +150,6 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
             outbox: Outbox::default(),
             latest: Payload::default(),
             latest_waits: false,
-            latest_held: false,
             latest_sequence: 0,
             wire: OutgoingFrame::default(),
             reliable: false,
@@ -405,11 +403,6 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
         self.latest_waits = false;
     }
 
-    /// Holds the last-value message back while `held`: [`Link::transmit`] does not frame it.
-    pub fn hold_latest(&mut self, held: bool) {
-        self.latest_held = held;
-    }
-
     /// Returns whether nothing is to be sent now. Then [`Link::transmit`] need not be called.
     #[inline]
     pub fn is_quiet(&self, now_us: u64) -> bool {
@@ -526,7 +519,7 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
                 };
                 self.reliable = true;
                 wire.begin(header, payload, *session, false)
-            } else if self.latest_waits && !self.latest_held {
+            } else if self.latest_waits {
                 self.latest_waits = false;
                 self.latest_sequence = self.latest_sequence.wrapping_add(1);
                 let header = Header::Latest {

@@ -4,7 +4,9 @@
 //! With a workpiece, mill, structure and sensor are computed in every period. A second thread
 //! writes the recording; `taskset -c 0` puts both on one core.
 use haptimill_client::client::Options;
-use haptimill_client::session::{JobLine, JobRecording, NoObserver, Session, SimLine, rig};
+use haptimill_client::session::{
+    JobLine, JobRecording, Line as _, NoObserver, Session, SimLine, rig,
+};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_machine_file::{MachineFile, stock};

@@ -2,7 +2,7 @@
 //! kinematics of the controller, misalignment, and a cut with the workpiece turned about both axes.
 
 use haptimill_client::client::Options;
-use haptimill_client::session::{self, JobLine, NoObserver, Session, SimLine};
+use haptimill_client::session::{self, Line as _, NoObserver, Session, SimLine};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::machines::trunnion::{Trunnion, TrunnionConfig};
 use haptimill_hil_sim::machines::{Geometry, GeometryConfig};

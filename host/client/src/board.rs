@@ -184,6 +184,7 @@ impl Chosen {
     }
 
     /// Makes board and command use the same machine file, and returns it. The session must be open.
+    /// A change of the configuration is a notice of the session.
     ///
     /// # Errors
     /// [`ErrorKind::Command`]: the board is configured as another machine, or has no configuration,
@@ -211,13 +212,13 @@ impl Chosen {
                 Ok(Some(*file))
             }
             Decision::Send(what) => {
-                eprintln!("{what}");
+                session.notify(what);
                 session.set_machine(&self.file);
                 let before = session.status()?;
                 session.configure(&self.file)?;
                 if before.position_kept {
                     let kept = session.status()?.position_kept;
-                    eprintln!("{}", if kept { KEPT } else { LOST });
+                    session.notify(if kept { KEPT } else { LOST });
                 }
                 Ok(Some(self.file.clone()))
             }
@@ -230,7 +231,7 @@ impl Chosen {
             Decision::Unknown(what) => {
                 session.forget_axes();
                 if welcome.config_crc != 0 {
-                    eprintln!("axes are not shown: {what}");
+                    session.notify(format!("axes are not shown: {what}"));
                 }
                 Ok(None)
             }

@@ -8,7 +8,7 @@ use haptimill_client::port::Board;
 #[cfg(unix)]
 use haptimill_client::session::pil;
 use haptimill_client::session::{
-    self, HapticTrace, JobEnd, JobLine, JobRecording, NoObserver, Session, SimLine,
+    self, HapticTrace, JobEnd, JobLine, JobRecording, Line as _, NoObserver, Session, SimLine,
 };
 use haptimill_client::{Error, ErrorKind};
 

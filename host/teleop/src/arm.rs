@@ -15,7 +15,7 @@ use haptimill_client::board::Chosen;
 use haptimill_client::client::Options;
 use haptimill_client::port::PortError;
 use haptimill_client::session::{
-    JobLine, JobRecording, Line, Phase, Reconnection, Session, SimLine, Startup,
+    JobLine, JobRecording, Line, Numbers, Phase, Session, SimLine, Startup,
 };
 use haptimill_client::{Error, ErrorKind};
 use haptimill_firmware::snapshot::Snapshot;
@@ -131,7 +131,8 @@ impl<L: Line> Arm<L> {
     }
 
     /// The arm of a machine file at a line. For an arm on a board, `board` chooses the
-    /// configuration: the board keeps its own unless the choice allows another one.
+    /// configuration: the board keeps its own unless the choice allows another one. `numbers` gives
+    /// the numbers of its sessions.
     ///
     /// # Errors
     /// The machine file does not describe a haptic arm alone.
@@ -140,7 +141,7 @@ impl<L: Line> Arm<L> {
         machine: &MachineFile,
         board: Option<Chosen>,
         pace: Pace,
-        reconnection: Reconnection<L>,
+        numbers: Numbers,
     ) -> Result<Self, Error> {
         Self::check(machine)?;
         let mut options = Options::default();
@@ -152,7 +153,7 @@ impl<L: Line> Arm<L> {
         let startup = Startup::new(machine, board, commands)?;
         let mut session = Session::new(line, machine, options, Arc::default())
             .with_startup(startup)
-            .with_reconnection(reconnection);
+            .with_reconnection(numbers);
         // The machine has axes of the same numbers.
         session.forget_axes();
         Ok(Self {
@@ -179,6 +180,9 @@ impl<L: Line> Arm<L> {
     /// Steps the session; false when the port is lost.
     fn step(&mut self) -> Result<bool, Error> {
         self.session.step()?;
+        while let Some(notice) = self.session.next_notice() {
+            self.messages.push_back(notice);
+        }
         while let Some((_, event)) = self.session.events.get(self.next_event) {
             self.next_event += 1;
             if matches!(event, Event::Fault(_) | Event::Master(_)) {
@@ -245,9 +249,7 @@ impl<L: Line> MasterDevice for Arm<L> {
 
     fn advance(&mut self, now_us: u64) -> Result<Option<MasterSample>, Error> {
         if *self.session.phase() == Phase::Disconnected {
-            if self.session.reopen(now_us) {
-                self.origin_us = None;
-            }
+            self.step()?;
             return Ok(None);
         }
         let (loop_us, line_us) = match self.origin_us {

@@ -1,5 +1,6 @@
 //! `haptimill force`: the force sensor and the force control of a running controller.
 
+use super::board::agree;
 use super::simple::{SimpleArgs, open};
 use super::{CliError, Exit};
 use clap::{Args, Subcommand};
@@ -167,7 +168,7 @@ pub fn run(command: ForceCommand) -> Result<(), CliError> {
 fn connect(args: &SimpleArgs) -> Result<Session<PortLine>, CliError> {
     let chosen = args.machine.load()?;
     let mut session = open(&args.connect, &chosen.file)?;
-    chosen.agree(&mut session, Need::Nothing)?;
+    agree(&chosen, &mut session, Need::Nothing)?;
     Ok(session)
 }
 

@@ -1,6 +1,7 @@
 //! `haptimill jog`: moves at a rate for a time, with a dead-man deadline.
 
 use super::args::{BoardArg, ConnectArgs, seconds};
+use super::board::file_of;
 use super::simple::{open, print_status};
 use super::{CliError, Exit};
 use clap::Args;
@@ -85,7 +86,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
         rates(&args, &chosen.file)?;
     }
     let mut session = open(&args.connect, &chosen.file)?;
-    let machine = chosen.file_of(&mut session)?;
+    let machine = file_of(&chosen, &mut session)?;
     let rates = rates(&args, &machine)?;
     let first = session.events.len();
     let begun = session.now_us();

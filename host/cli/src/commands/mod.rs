@@ -9,6 +9,7 @@ macro_rules! print_line {
 }
 
 pub mod args;
+mod board;
 pub mod console;
 mod exit;
 pub mod force;

@@ -2,6 +2,7 @@
 //! controller.
 
 use super::args::{BoardArg, ConnectArgs, check_baud};
+use super::board::{agree, file_of};
 use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::Args;
@@ -65,7 +66,7 @@ pub fn run(command: SimpleCommand, args: SimpleArgs) -> Result<(), CliError> {
         SimpleCommand::Enable => Need::Configuration,
         _ => Need::Nothing,
     };
-    chosen.agree(&mut session, need)?;
+    agree(&chosen, &mut session, need)?;
     match command {
         SimpleCommand::Status => {}
         SimpleCommand::Enable => session.enable()?,
@@ -100,7 +101,7 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
         session::check_has_tool(&chosen.file)?;
     }
     let mut session = open(&args.simple.connect, &chosen.file)?;
-    let machine = chosen.file_of(&mut session)?;
+    let machine = file_of(&chosen, &mut session)?;
     session::check_has_tool(&machine)?;
     if args.at_preset {
         // Checked before the position is set: afterwards the preset would be set without homing.
@@ -141,14 +142,14 @@ pub fn stop(args: StopArgs) -> Result<(), CliError> {
     if args.emergency {
         session.ask(Command::EmergencyStop)?;
     } else {
-        session.client_mut().urgent_stop();
+        session.stop();
         session.ask(Command::Stop)?;
         // A machine at standstill reports no change of state, so its status is requested.
-        while session.client_mut().urgent().0 {
+        while session.is_stopping() {
             session.status()?;
         }
     }
-    Chosen::unnamed(machine).agree(&mut session, Need::Nothing)?;
+    agree(&Chosen::unnamed(machine), &mut session, Need::Nothing)?;
     print_status(&mut session, args.json)
 }
 
@@ -188,7 +189,7 @@ pub(super) fn open(
 ) -> Result<Session<PortLine>, CliError> {
     check_baud(&connect.port, connect.baud)?;
     let baud = connect.baud.unwrap_or(DEFAULT_BAUD);
-    let line = PortLine::new(port::open(&connect.port, baud)?);
+    let line = PortLine::opened(&connect.port, baud)?;
     let options = Options {
         connect_us: (connect.timeout * 1e6) as u64,
         ..Options::default()

@@ -1,25 +1,22 @@
 //! Application state: everything between key input and controller. It never blocks.
 //!
-//! [`App::update`] is called at least every few milliseconds. It advances the line, the session and
-//! the jog, and waits at most one line timeout (1 ms). Key input arrives in between through
+//! [`App::update`] is called at least every few milliseconds. It advances the session and the jog,
+//! and waits at most one line timeout (1 ms). Key input arrives in between through
 //! [`App::handle_input`] (`input.rs`), messages of the controller are handled in `events.rs`, and
 //! the view model is built in `view_model/build.rs`.
 //!
-//! After a link loss the console reopens the port and a session, and does nothing else by itself:
-//! jogs, programs and homing end with their session. A stop requested meanwhile is sent first after
-//! reconnection.
+//! After a link loss the session opens itself again, and the console does nothing else by itself:
+//! jogs, programs and homing end with their session. A stop requested meanwhile is sent first.
 
-use super::connection::{Connection, Progress};
 use super::jobs::Jobs;
 use super::jogging::{JogCommand, Jogging};
 use super::master::Master;
 use super::recording::Recording;
 use super::view_model::{Axis, Confirm, LinkState, Log, Overlay, Severity, StaticInfo};
 use crate::commands::{CliError, Exit};
-use haptimill_client::board::{Chosen, Decision};
-use haptimill_client::client::{Client, ClientState, Options, Ticket};
-use haptimill_client::port::PortError;
-use haptimill_client::session::fresh_number;
+use haptimill_client::board::Chosen;
+use haptimill_client::client::{Options, Ticket};
+use haptimill_client::session::{Line, Phase, Session, Startup, fresh_number};
 use haptimill_firmware::config::Drive;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
@@ -34,11 +31,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Telemetry period, ms. On a slow line telemetry takes at most a quarter of the bandwidth.
-const TELEMETRY_MS: u32 = 20;
-
-/// Approximate size of a telemetry frame, bytes.
-const TELEMETRY_BYTES: u32 = 150;
+/// Sleep while no port is open.
+const CLOSED_SLEEP: Duration = Duration::from_millis(2);
 
 /// Longest wait for standstill when the console quits.
 const SHUTDOWN: Duration = Duration::from_millis(2000);
@@ -50,10 +44,6 @@ pub(super) const FORCE_SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
 #[derive(Debug, Clone)]
 pub(super) enum OnAck {
     Nothing,
-    /// The configuration was active before, so other hosts may have changed settings since.
-    Configured {
-        already_active: bool,
-    },
     Enabled,
     Override(u8),
     Source(u8, Source),
@@ -88,14 +78,6 @@ impl RequestedLoop {
     }
 }
 
-/// A stop that waits for a session.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum PendingStop {
-    None,
-    Stop,
-    Emergency,
-}
-
 /// Settings from the command line.
 pub(super) struct Settings {
     pub(super) dead_man_ms: u16,
@@ -104,9 +86,6 @@ pub(super) struct Settings {
     pub(super) program: Option<PathBuf>,
     /// Stock to clamp on the simulated table after homing.
     pub(super) stock: Option<CuttingConfig>,
-    pub(super) options: Options,
-    /// Choice of the configuration of a board behind a port.
-    pub(super) board: Option<Chosen>,
 }
 
 /// See the module documentation.
@@ -114,24 +93,15 @@ pub(super) struct App {
     pub(super) machine: Arc<MachineFile>,
     pub(super) model: Model,
     pub(super) settings: Settings,
-    pub(super) client: Client,
-    pub(super) connection: Connection,
+    pub(super) session: Session<Box<dyn Line>>,
     pub(super) static_info: Arc<StaticInfo>,
-    pub(super) transmit: Vec<u8>,
-    pub(super) received: Vec<u8>,
-    /// Time of the line at the last exchange, us.
-    pub(super) line_us: u64,
     pub(super) started: Instant,
-    pub(super) link_state: LinkState,
-    /// A session was open before: a port error now starts a retry instead of ending the program.
+    /// A session was open before: a lost one is opened again instead of ending the program.
     pub(super) connected_once: bool,
     pub(super) reconnects: u32,
-    /// The board had the configuration of this console, or accepted it.
-    configuration_checked: bool,
-    /// The controller has the configuration of the machine file.
-    pub(super) configured: bool,
+    /// The startup of the present session is done.
+    was_ready: bool,
     pub(super) requests: Vec<(Ticket, OnAck)>,
-    pub(super) pending_stop: PendingStop,
     pub(super) telemetry: Option<Telemetry>,
     pub(super) telemetry_at: Instant,
     /// Control period of the last change of state; older telemetry describes another state.
@@ -158,14 +128,22 @@ pub(super) struct App {
 }
 
 impl App {
+    /// The application with a line that is not open yet. `board` chooses the configuration of a
+    /// board behind a port.
+    ///
+    /// # Errors
+    /// The machine file cannot be encoded.
     pub(super) fn new(
         machine: Arc<MachineFile>,
-        connection: Connection,
+        line: Box<dyn Line>,
+        options: Options,
+        board: Option<Chosen>,
         settings: Settings,
-    ) -> Self {
+    ) -> Result<Self, CliError> {
+        let startup = Startup::new(&machine, board, Vec::new())?.allowing_refusal();
         let limits: Vec<f64> = machine.pose.iter().map(|axis| axis.rate).collect();
         let static_info = Arc::new(StaticInfo {
-            port: connection.name(),
+            port: line.name(),
             pose: Axis::all(&machine.pose),
             joints: Axis::all(&machine.joints),
             period_s: f64::from(machine.config.period_us) * 1e-6,
@@ -183,25 +161,22 @@ impl App {
                 .map(haptimill_protocol::force::ForceLoop::from)
         });
         let now = Instant::now();
-        Self {
+        let session = Session::new(line, &machine, options, Arc::default())
+            .with_startup(startup)
+            .with_reconnection(Box::new(fresh_number))
+            .with_closed_line();
+        Ok(Self {
             model: Model::new(&machine),
             jobs: Jobs::new(settings.program.clone()),
-            client: Client::new(settings.options),
             jogging: Jogging::new(&limits, settings.dead_man_ms),
             settings,
-            connection,
+            session,
             static_info,
-            transmit: Vec::new(),
-            received: Vec::new(),
-            line_us: 0,
             started: now,
-            link_state: LinkState::Opening,
             connected_once: false,
             reconnects: 0,
-            configuration_checked: false,
-            configured: false,
+            was_ready: false,
             requests: Vec::new(),
-            pending_stop: PendingStop::None,
             telemetry: None,
             telemetry_at: now,
             state_period: 0,
@@ -220,7 +195,7 @@ impl App {
             opened_us: 0,
             quitting: false,
             machine,
-        }
+        })
     }
 
     /// Time since the start of the console, us.
@@ -233,7 +208,18 @@ impl App {
     }
 
     pub(super) fn is_ready(&self) -> bool {
-        self.link_state == LinkState::Ready
+        *self.session.phase() == Phase::Ready
+    }
+
+    /// State of the link.
+    pub(super) fn link_state(&self) -> LinkState {
+        match self.session.phase() {
+            Phase::Ready => LinkState::Ready,
+            Phase::Starting(_) => LinkState::Configuring,
+            _ if self.connected_once => LinkState::Lost(self.session.reason().to_string()),
+            Phase::Disconnected => LinkState::Opening,
+            Phase::Closed | Phase::Identifying | Phase::Connecting => LinkState::Handshake,
+        }
     }
 
     /// The present state, if a session is open.
@@ -259,82 +245,50 @@ impl App {
 
     /// Sends a request and stores its on-acknowledge action.
     pub(super) fn request(&mut self, command: Command, on_ack: OnAck) {
-        let ticket = self.client.request(command);
+        let ticket = self.session.client_mut().request(command);
         self.requests.push((ticket, on_ack));
     }
 
-    /// Advances connection, session and commands by one exchange.
+    /// Advances session and commands by one exchange.
     ///
     /// # Errors
-    /// No session was ever open, and the port or the session fails.
+    /// No session was ever open, and the port or the session fails; or the board has another
+    /// configuration.
     pub(super) fn update(&mut self) -> Result<(), CliError> {
-        match self.connection.advance() {
-            Progress::Nothing => {}
-            Progress::Open => self.send_hello(),
-            Progress::Failed(error) => self.handle_port_error(&error)?,
-        }
-        if self.link_state == LinkState::Opening && self.connection.line().is_some() {
-            // The in-process simulator is connected from the start.
-            self.send_hello();
-        }
         self.send_jog();
         self.send_force_loops();
-        let Some(line) = self.connection.line() else {
-            std::thread::sleep(Duration::from_millis(2));
-            return Ok(());
-        };
-        // Queued commands are sent with this exchange, not with the next one.
-        self.client.advance(self.line_us, &[], &mut self.transmit);
-        self.received.clear();
-        match line.exchange(&self.transmit, &mut self.received) {
-            Ok(now_us) => {
-                self.transmit.clear();
-                self.line_us = now_us;
-                self.client
-                    .advance(now_us, &self.received, &mut self.transmit);
+        // Key input is sent with this exchange, not with the next one.
+        self.session.flush();
+        self.session.exchange()?;
+        if *self.session.phase() == Phase::Disconnected {
+            if !self.connected_once && !self.session.reason().is_empty() {
+                return Err(CliError::new(Exit::Port, self.session.reason()));
             }
-            Err(error) => return self.handle_port_error(&error),
+            std::thread::sleep(CLOSED_SLEEP);
         }
-        while let Some(notice) = self.client.poll() {
-            self.handle_notice(notice)?;
+        while let Some(notification) = self.session.poll()? {
+            self.handle_notification(notification)?;
+        }
+        while let Some(notice) = self.session.next_notice() {
+            self.notify(Severity::Warning, notice);
+        }
+        if self.is_ready() && !std::mem::replace(&mut self.was_ready, true) {
+            self.begin();
         }
         self.update_arm();
         self.advance_jobs();
         Ok(())
     }
 
-    /// Starts a session on a line that was just opened.
-    fn send_hello(&mut self) {
-        self.client = Client::new(self.settings.options);
-        self.transmit.clear();
-        self.requests.clear();
-        self.line_us = 0;
-        self.client.connect(fresh_number(), 0);
-        if self.pending_stop != PendingStop::None {
-            // The out-of-band stop needs no session: it is sent before the Hello.
-            self.client.urgent_stop();
-        }
-        self.link_state = LinkState::Handshake;
-    }
-
-    fn handle_port_error(&mut self, error: &PortError) -> Result<(), CliError> {
-        if !self.connected_once {
-            return Err(CliError::new(Exit::Port, error));
-        }
-        self.handle_link_loss(&error.to_string());
-        Ok(())
-    }
-
     /// Ends everything that belonged to the lost session.
-    pub(super) fn handle_link_loss(&mut self, reason: &str) {
-        if self.link_state == LinkState::Ready || self.link_state == LinkState::Configuring {
+    pub(super) fn handle_link_loss(&mut self) {
+        if std::mem::take(&mut self.was_ready) {
+            let reason = self.session.reason();
             let ms = self.machine.config.supervision.heartbeat_ms;
-            self.notify(
-                Severity::Alarm,
-                format!(
-                    "link lost: {reason}. A moving machine stops after {ms} ms without the host"
-                ),
+            let text = format!(
+                "link lost: {reason}. A moving machine stops after {ms} ms without the host"
             );
+            self.notify(Severity::Alarm, text);
         }
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
@@ -345,17 +299,12 @@ impl App {
         if let Some(master) = &mut self.master {
             master.handle_link_loss();
         }
-        self.configured = false;
         self.stopping = None;
-        self.link_state = LinkState::Lost(reason.to_string());
-        self.connection.drop_line();
+        self.requests.clear();
     }
 
-    /// Configures a session that was just opened.
-    ///
-    /// # Errors
-    /// The board has another configuration, or none.
-    pub(super) fn begin(&mut self) -> Result<(), CliError> {
+    /// The controller answered.
+    pub(super) fn handle_connection(&mut self) {
         if self.connected_once {
             self.reconnects += 1;
             self.notify(
@@ -364,86 +313,25 @@ impl App {
             );
         }
         self.connected_once = true;
-        self.connection.reset_backoff();
-        self.link_state = LinkState::Configuring;
-        match std::mem::replace(&mut self.pending_stop, PendingStop::None) {
-            PendingStop::None => {}
-            PendingStop::Stop => self.stopping = Some("stop"),
-            PendingStop::Emergency => {
-                self.request(Command::EmergencyStop, OnAck::Nothing);
-                self.stopping = Some("emergency stop");
-            }
+        if self.session.is_stopping() {
+            self.stopping.get_or_insert("stop");
         }
-        self.check_configuration()?;
-        let quarter_ms = (4 * TELEMETRY_BYTES * 1000)
-            .checked_div(self.settings.options.timing.line_rate)
-            .unwrap_or(0);
-        let period_us = self
-            .client
-            .controller()
-            .map_or(200, |welcome| u32::from(welcome.period_us))
-            .max(1);
-        let every = TELEMETRY_MS.max(quarter_ms) * 1000 / period_us;
-        let every = every.clamp(1, u32::from(u16::MAX)) as u16;
+    }
+
+    /// The startup is done: subscribes to telemetry, and queries the settings that another host may
+    /// have changed.
+    fn begin(&mut self) {
+        let every = self.session.telemetry_periods();
         self.request(Command::Telemetry { every }, OnAck::Nothing);
         self.request(Command::Status, OnAck::Nothing);
-        Ok(())
-    }
-
-    /// Makes sure that board and console use the same machine file.
-    fn check_configuration(&mut self) -> Result<(), CliError> {
-        if let (Some(board), Some(welcome)) = (&self.settings.board, self.client.controller()) {
-            match board.decide(welcome)? {
-                // After a power loss the board receives the configuration that it had in this
-                // console.
-                _ if self.configuration_checked && welcome.config_crc == 0 => {}
-                Decision::Active(file) => {
-                    // The built-in haptic arm is a known configuration too, but no machine for this
-                    // console.
-                    if self.machine.is_master() != file.is_master() {
-                        let message = format!(
-                            "{}: the board is configured as \"{}\"; \
-                             give its machine file with --machine FILE",
-                            self.connection.name(),
-                            welcome.machine
-                        );
-                        return Err(CliError::new(Exit::Command, message));
-                    }
-                    self.configuration_checked = true;
-                    self.request(
-                        Command::Ping,
-                        OnAck::Configured {
-                            already_active: true,
-                        },
-                    );
-                    return Ok(());
-                }
-                Decision::Send(message) => self.notify(Severity::Info, message),
-                Decision::Unknown(message) => {
-                    let message = format!("{}: {message}", self.connection.name());
-                    return Err(CliError::new(Exit::Command, message));
-                }
-            }
-            self.configuration_checked = true;
+        if !self.session.is_configured() {
+            return;
         }
-        self.send_configuration();
-        Ok(())
-    }
-
-    /// Makes the machine file the active configuration, unless it is active already.
-    pub(super) fn send_configuration(&mut self) {
-        match self.machine.encoded() {
-            Ok((bytes, crc)) => {
-                let already_active = self
-                    .client
-                    .controller()
-                    .is_some_and(|welcome| welcome.config_crc == crc);
-                let ticket = self.client.configure(&bytes, false);
-                self.requests
-                    .push((ticket, OnAck::Configured { already_active }));
-            }
-            Err(error) => self.notify(Severity::Alarm, format!("defect: {error}")),
+        let was_active = self.session.was_configured();
+        if let Some(master) = self.master.as_mut().filter(|_| !was_active) {
+            master.begin();
         }
+        self.query_settings();
     }
 
     /// Sends the command of the jog keys.
@@ -452,7 +340,7 @@ impl App {
         match self.jogging.command(now_us) {
             JogCommand::None => {}
             JogCommand::Cancel => {
-                self.client.cancel_jog();
+                self.session.client_mut().cancel_jog();
             }
             JogCommand::Move { rates, deadline_ms } if self.is_ready() => {
                 let rates = rates
@@ -463,7 +351,7 @@ impl App {
                     })
                     .collect();
                 // Without a session there is no motion to keep alive.
-                let _ = self.client.jog(rates, deadline_ms);
+                let _ = self.session.client_mut().jog(rates, deadline_ms);
             }
             JogCommand::Move { .. } => {}
         }
@@ -474,8 +362,8 @@ impl App {
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
         let until = Instant::now() + SHUTDOWN;
-        if self.is_moving() && *self.client.state() == ClientState::Ready {
-            self.client.urgent_stop();
+        if self.is_moving() && self.session.is_open() {
+            self.session.stop();
             self.stopping = Some("stop");
         }
         while self.stopping.is_some() && self.is_ready() && Instant::now() < until {

@@ -1,7 +1,7 @@
 //! Handling of the messages of the controller.
 
 use super::app::{App, FORCE_SCALES, OnAck};
-use super::view_model::{LinkState, Severity};
+use super::view_model::Severity;
 use crate::commands::{CliError, Exit};
 use haptimill_client::client::{Notification, RequestError, Ticket};
 use haptimill_machine_file::scale::PER_EFFORT;
@@ -19,9 +19,12 @@ const BUSY_US: u64 = 20_000;
 const MASTER_MS: u32 = 100;
 
 impl App {
-    pub(super) fn handle_notice(&mut self, notice: Notification) -> Result<(), CliError> {
-        match notice {
-            Notification::Connected(_) => self.begin()?,
+    pub(super) fn handle_notification(
+        &mut self,
+        notification: Notification,
+    ) -> Result<(), CliError> {
+        match notification {
+            Notification::Connected(_) => self.handle_connection(),
             Notification::Answered {
                 ticket,
                 command,
@@ -30,19 +33,14 @@ impl App {
             Notification::Event { period, event } => self.handle_event(period, &event),
             Notification::Telemetry(telemetry) => self.update_telemetry(*telemetry),
             Notification::Refused(refusal) => {
-                let reason = self
-                    .model
-                    .with_axes(|axes| axes.describe(&refusal).to_string());
+                let reason = self.session.describe(&refusal);
                 self.notify(Severity::Warning, format!("jog: {reason}"));
             }
             Notification::Job(ending) => self.job_ended(&ending),
-            Notification::Lost(error) => {
-                if !self.connected_once {
-                    let message = format!("{}: {error}", self.connection.name());
-                    return Err(CliError::new(Exit::Port, message));
-                }
-                self.handle_link_loss(&error.to_string());
+            Notification::Lost(_) if !self.connected_once => {
+                return Err(CliError::new(Exit::Port, self.session.reason()));
             }
+            Notification::Lost(_) => self.handle_link_loss(),
         }
         Ok(())
     }
@@ -53,17 +51,6 @@ impl App {
             .iter()
             .position(|(sent, _)| *sent == ticket)
             .map_or(OnAck::Nothing, |index| self.requests.swap_remove(index).1);
-        if let OnAck::Configured { already_active } = on_ack {
-            // A refused configuration leaves the session usable: stops need no configuration.
-            self.link_state = LinkState::Ready;
-            self.configured = result.is_ok();
-            if self.configured {
-                if let Some(master) = self.master.as_mut().filter(|_| !already_active) {
-                    master.begin();
-                }
-                self.query_settings();
-            }
-        }
         if let Err(error) = result {
             match on_ack {
                 OnAck::Override(_) => self.requested_override = self.feed_override,
@@ -73,9 +60,7 @@ impl App {
                 _ => {}
             }
             let reason = match &error {
-                RequestError::Refused(refusal) => self
-                    .model
-                    .with_axes(|axes| axes.describe(refusal).to_string()),
+                RequestError::Refused(refusal) => self.session.describe(refusal),
                 RequestError::Withdrawn | RequestError::Lost(_) => return,
                 other => other.to_string(),
             };
@@ -85,7 +70,7 @@ impl App {
             return;
         }
         match on_ack {
-            OnAck::Nothing | OnAck::Configured { .. } => {}
+            OnAck::Nothing => {}
             OnAck::Enabled => self.notify(Severity::Info, "drives on"),
             OnAck::Override(percent) => self.feed_override = percent,
             OnAck::Source(axis, source) => {
@@ -110,7 +95,7 @@ impl App {
 
     /// Queries the settings that another host may have changed, and subscribes to the master
     /// telemetry.
-    fn query_settings(&mut self) {
+    pub(super) fn query_settings(&mut self) {
         if self.loops.is_some() {
             for axis in 0..3 {
                 self.request(Command::ForceSettings { axis }, OnAck::Nothing);
@@ -215,9 +200,7 @@ impl App {
             } | Event::JobDone { .. }
         );
         if !routine {
-            let text = self
-                .model
-                .with_axes(|axes| axes.describe(event).to_string());
+            let text = self.session.describe(event);
             self.notify(severity, text);
         }
     }
@@ -225,7 +208,7 @@ impl App {
     /// A state at standstill completes a pending stop.
     fn clear_stop(&mut self, state: State) {
         if !matches!(state, State::Run | State::Jog | State::Homing | State::Hold)
-            && !self.client.urgent().0
+            && !self.session.is_stopping()
         {
             self.stopping = None;
         }

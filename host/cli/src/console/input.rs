@@ -1,6 +1,6 @@
 //! Key input to commands.
 
-use super::app::{App, OnAck, PendingStop};
+use super::app::{App, OnAck};
 use super::jogging::{KeyPhase, Mode};
 use super::keys::{Action, BINDINGS, Key};
 use super::recording::Recording;
@@ -107,8 +107,10 @@ impl App {
             Action::Jog { .. } => {}
             _ if !self.is_ready() => self.notify(Severity::Warning, "no link to the controller"),
             Action::Enable => {
-                if !self.configured {
-                    self.send_configuration();
+                if !self.session.is_configured()
+                    && let Err(error) = self.session.restart()
+                {
+                    self.notify(Severity::Warning, error.message);
                 }
                 self.request(Command::Enable, OnAck::Enabled);
             }
@@ -154,17 +156,15 @@ impl App {
 
     /// Decelerates; a program keeps its place.
     fn hold(&mut self) {
+        if !self.is_ready() || self.jobs.is_running_step() {
+            // A step has no place to keep, and only a stop needs no session.
+            self.stop();
+            return;
+        }
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
         self.jobs.cancel_pending();
-        if !self.is_ready() {
-            self.queue_stop(PendingStop::Stop);
-        } else if self.jobs.is_running_step() {
-            // A step has no place to keep.
-            self.stop();
-        } else {
-            self.request(Command::Hold, OnAck::Nothing);
-        }
+        self.request(Command::Hold, OnAck::Nothing);
     }
 
     fn resume(&mut self) {
@@ -177,40 +177,32 @@ impl App {
     }
 
     fn stop(&mut self) {
-        let now_us = self.now_us();
-        self.jogging.release_all(now_us);
-        self.jobs.cancel_pending();
-        self.client.urgent_stop();
-        if self.is_ready() {
-            self.stopping = Some("stop");
-        } else {
-            self.queue_stop(PendingStop::Stop);
-        }
+        self.prepare_stop("stop");
+        self.session.stop();
     }
 
     fn emergency_stop(&mut self) {
-        self.stop();
-        if self.is_ready() {
-            self.request(Command::EmergencyStop, OnAck::Nothing);
-            self.stopping = Some("emergency stop");
-        } else {
-            self.queue_stop(PendingStop::Emergency);
-        }
+        self.prepare_stop("emergency stop");
+        self.session.emergency_stop();
     }
 
-    /// Queues a stop for the next session.
-    fn queue_stop(&mut self, message: PendingStop) {
-        self.pending_stop = self.pending_stop.max(message);
-        self.notify(
-            Severity::Alarm,
-            "no link: the stop is pending until reconnection. \
-             Use the emergency stop of the machine",
-        );
+    fn prepare_stop(&mut self, name: &'static str) {
+        let now_us = self.now_us();
+        self.jogging.release_all(now_us);
+        self.jobs.cancel_pending();
+        self.stopping = Some(name);
+        if !self.is_ready() {
+            self.notify(
+                Severity::Alarm,
+                "no link: the stop is pending until reconnection. \
+                 Use the emergency stop of the machine",
+            );
+        }
     }
 
     fn quit(&mut self) {
         let ms = self.machine.config.supervision.heartbeat_ms;
-        let text = match (&self.link_state, self.state()) {
+        let text = match (self.link_state(), self.state()) {
             (LinkState::Ready, Some(State::Disabled | State::EmergencyStop)) => {
                 self.quitting = true;
                 return;
@@ -245,11 +237,11 @@ impl App {
             }
             _ => false,
         };
-        if !possible || !self.configured {
+        if !possible || !self.session.is_configured() {
             let state = self
                 .state()
                 .map_or_else(String::new, |state| state.to_string());
-            if self.configured {
+            if self.session.is_configured() {
                 self.notify(
                     Severity::Warning,
                     format!("jog: not possible while the machine is {state}"),

@@ -6,7 +6,7 @@ use super::view_model::{Confirm, Overlay, Severity};
 use crate::commands::CliError;
 use crate::commands::program::PartProgram;
 use haptimill_client::client::JobEnding;
-use haptimill_client::session::plan_straight_move;
+use haptimill_client::session::{Line as _, plan_straight_move};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_planner::Plan;
@@ -155,7 +155,10 @@ impl App {
             .telemetry
             .as_ref()
             .is_some_and(|now| now.homed && now.position_kept);
-        let Some(start) = self.standstill_pose().filter(|_| homed && self.configured) else {
+        let Some(start) = self
+            .standstill_pose()
+            .filter(|_| homed && self.session.is_configured())
+        else {
             let message = "a program is checked from the present pose: \
                            the machine must be enabled, homed and idle";
             self.notify(Severity::Warning, message);
@@ -223,12 +226,12 @@ impl App {
     /// Clamps the given stock once the machine is at its home pose.
     fn clamp_stock(&mut self) {
         if let Some(stock) = self.settings.stock.take() {
-            match self.connection.clamp(&stock) {
+            match self.session.line_mut().clamp(&stock) {
                 Ok(()) => self.notify(
                     Severity::Info,
                     "the stock is clamped on the simulated table",
                 ),
-                Err(reason) => self.notify(Severity::Warning, reason),
+                Err(error) => self.notify(Severity::Warning, error.message),
             }
         }
     }
@@ -236,9 +239,9 @@ impl App {
     fn start(&mut self, job: Job, plan: &Plan) -> bool {
         self.jobs.job_number += 1;
         let setpoints = plan.setpoints.clone();
-        let started = self
-            .client
-            .start_job(self.jobs.job_number, plan.start.clone(), setpoints);
+        let number = self.jobs.job_number;
+        let client = self.session.client_mut();
+        let started = client.start_job(number, plan.start.clone(), setpoints);
         match started {
             Ok(()) => {
                 self.jobs.running = Some(job);
@@ -356,9 +359,7 @@ impl App {
                     JobEnding::Refused {
                         error: haptimill_client::client::RequestError::Refused(refusal),
                         ..
-                    } => self
-                        .model
-                        .with_axes(|axes| axes.describe(refusal).to_string()),
+                    } => self.session.describe(refusal),
                     other => other.to_string(),
                 };
                 self.notify(Severity::Warning, format!("{name}: {other}"));

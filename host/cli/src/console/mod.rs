@@ -12,7 +12,7 @@
 //! | `input.rs` | key input to commands |
 //! | `jobs.rs` | part programs, steps, move to the home pose |
 //! | `master.rs`, `master/input.rs` | haptic arm: force feedback, virtual fixture, position scale |
-//! | `connection.rs` | port and reconnection; simulator in real time |
+//! | `simulator.rs` | simulator in real time |
 //! | `recording.rs` | telemetry to CSV |
 //! | `view_model.rs`, `view/` | displayed values and their drawing |
 //! | `terminal.rs` | set-up and restoration of the terminal |
@@ -21,7 +21,6 @@
 //! fail. Callers must provide an emergency stop of the machine itself.
 
 mod app;
-mod connection;
 mod events;
 mod input;
 mod jobs;
@@ -29,6 +28,7 @@ pub mod jogging;
 pub mod keys;
 mod master;
 mod recording;
+mod simulator;
 mod terminal;
 mod view;
 mod view_model;
@@ -36,10 +36,11 @@ mod view_model;
 use crate::commands::console::ConsoleArgs;
 use crate::commands::{CliError, Exit};
 use app::{App, Settings};
-use connection::Connection;
 use haptimill_client::client::Options;
 use haptimill_client::port::PortSpec;
+use haptimill_client::session::{Line, PortLine};
 use haptimill_machine_file::model::Model;
+use simulator::PacedSim;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, Receiver};
@@ -90,28 +91,27 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
     }
     let stock = args.stock.load(&machine)?;
     let operator = args.operator.load(&machine)?;
-    let connection = Connection::new(
-        &args.port.port,
-        baud,
-        &machine,
-        args.simulator.seed,
-        args.simulator.fault,
-        operator.as_ref(),
-    )?;
+    let is_simulated = args.port.port == PortSpec::Simulator;
+    let line: Box<dyn Line> = if is_simulated {
+        let faults = args.simulator.fault;
+        let seed = args.simulator.seed;
+        Box::new(PacedSim::new(&machine, seed, faults, operator.as_ref())?)
+    } else {
+        Box::new(PortLine::closed(&args.port.port, baud))
+    };
     let settings = Settings {
         dead_man_ms: args.dead_man,
         folder: args.out,
         program: args.program,
         stock,
-        options,
-        board: (args.port.port != PortSpec::Simulator).then_some(chosen),
     };
+    let board = (!is_simulated).then_some(chosen);
+    let mut app = App::new(machine, line, options, board, settings)?;
     let signals = count_signals();
     terminal::take_over(&|| signals.load(Ordering::SeqCst) > 0)?;
     let (sender, events) = mpsc::channel();
     terminal::spawn_reader(sender);
     let renderer = Renderer::spawn();
-    let mut app = App::new(machine, connection, settings);
     let outcome = operate(&mut app, &events, &renderer, &signals);
     // The machine stops before the terminal is restored.
     let at_standstill = app.shut_down();

@@ -223,7 +223,7 @@ impl JobRun {
     ) -> Result<JobStatus, Error> {
         if session.is_interrupted() && !self.is_stopped {
             self.is_stopped = true;
-            session.client.urgent_stop();
+            session.stop();
         }
         while let Some((_, event)) = session.events.get(self.next_event) {
             self.next_event += 1;
@@ -352,13 +352,13 @@ impl<L: Line> Session<L> {
         }
     }
 
-    /// Control periods between two telemetry frames during a job.
-    fn telemetry_periods(&self) -> u16 {
+    /// Control periods between two telemetry frames for an operator or during a job: 20 ms, and on
+    /// a slow line as many as take a quarter of the bandwidth.
+    pub fn telemetry_periods(&self) -> u16 {
         let period_us = self
             .client
             .controller()
             .map_or(200, |welcome| u32::from(welcome.period_us));
-        // On a slow line telemetry takes a quarter of the bandwidth at most.
         let quarter_ms = (4 * TELEMETRY_BYTES * 1000)
             .checked_div(self.line_rate)
             .unwrap_or(0);
@@ -369,7 +369,7 @@ impl<L: Line> Session<L> {
     /// Whether nothing moves, and no stop is on its way to the controller that would affect the
     /// next command.
     fn is_settled(&self, status: &Telemetry) -> bool {
-        !self.client.urgent().0
+        !self.is_stopping()
             && !matches!(status.state, State::Run | State::Homing | State::Jog)
             && (status.state != State::Hold || status.path_rate == 0)
     }

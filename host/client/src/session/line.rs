@@ -1,6 +1,7 @@
 //! The line between a session and its controller.
 
-use crate::port::{PortError, Transport};
+use crate::port::{self, PortError, PortSpec, Transport};
+use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
 use super::JobRecording;
@@ -22,6 +23,32 @@ pub trait Line {
 
     /// Its name in messages.
     fn name(&self) -> String;
+
+    /// Closes the port after a failure, so that [`Line::open`] can open it again. False for a line
+    /// without a port that can be opened.
+    fn close(&mut self) -> bool {
+        false
+    }
+
+    /// Advances the opening of a closed port without waiting. Returns the time of the line once the
+    /// port is open, microseconds; it does not restart.
+    ///
+    /// # Errors
+    /// An attempt failed; the next one follows after a delay.
+    fn open(&mut self) -> Result<Option<u64>, PortError> {
+        Ok(None)
+    }
+
+    /// Clamps stock on the table of a simulated machine, at the present position of the tool.
+    ///
+    /// # Errors
+    /// The machine is not simulated, or the stock is invalid.
+    fn clamp(&mut self, _: &CuttingConfig) -> Result<(), Error> {
+        Err(Error::new(
+            ErrorKind::Usage,
+            "--stock is for the simulated machine; clamp the stock yourself",
+        ))
+    }
 
     /// Internal values of a simulated controller in the last period; `None` for others.
     fn snapshot(&self) -> Option<Snapshot> {
@@ -49,22 +76,57 @@ pub trait Line {
     fn record_event(&mut self, _period: u64, _level: u8, _text: &str) {}
 }
 
+impl<L: Line + ?Sized> Line for Box<L> {
+    fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
+        (**self).exchange(transmit, received)
+    }
+
+    fn name(&self) -> String {
+        (**self).name()
+    }
+
+    fn close(&mut self) -> bool {
+        (**self).close()
+    }
+
+    fn open(&mut self) -> Result<Option<u64>, PortError> {
+        (**self).open()
+    }
+
+    fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), Error> {
+        (**self).clamp(stock)
+    }
+
+    fn snapshot(&self) -> Option<Snapshot> {
+        (**self).snapshot()
+    }
+
+    fn remote_force(&self) -> Option<[i16; COMPONENTS]> {
+        (**self).remote_force()
+    }
+
+    fn is_recording_broken(&self) -> bool {
+        (**self).is_recording_broken()
+    }
+
+    fn record_telemetry(&mut self, telemetry: &Telemetry) {
+        (**self).record_telemetry(telemetry);
+    }
+
+    fn record_master(&mut self, master: &MasterTelemetry) {
+        (**self).record_master(master);
+    }
+
+    fn record_event(&mut self, period: u64, level: u8, text: &str) {
+        (**self).record_event(period, level, text);
+    }
+}
+
 /// A line on which a job can be recorded.
 pub trait JobLine: Line {
     /// Starts a recording: of every control period of a simulated machine, otherwise of every
     /// telemetry frame.
     fn begin_recording(&mut self, recording: JobRecording);
-
-    /// Clamps stock on the table of a simulated machine, at the present position of the tool.
-    ///
-    /// # Errors
-    /// The machine is not simulated, or the stock is invalid.
-    fn clamp(&mut self, _: &CuttingConfig) -> Result<(), Error> {
-        Err(Error::new(
-            ErrorKind::Usage,
-            "--stock is for the simulated machine; clamp the stock yourself",
-        ))
-    }
 
     /// Ends the recording and returns it.
     fn end_recording(&mut self) -> Option<Recorder>;
@@ -76,9 +138,29 @@ const WAIT: Duration = Duration::from_millis(1);
 /// Longest wait for a port to accept bytes. The link detects a port that accepts none for longer.
 const WRITE_WAIT: Duration = Duration::from_millis(20);
 
+/// Delay before each attempt to open a port again.
+const RETRY: Duration = Duration::from_millis(300);
+
+/// Progress of a port.
+enum PortState {
+    Open(Box<dyn Transport>),
+    /// The next attempt to open it begins at this time.
+    Closed(Instant),
+    /// A thread opens it: that may take seconds, for a name to be resolved or for a machine that is
+    /// switched off.
+    Opening(Receiver<Result<Box<dyn Transport>, PortError>>),
+}
+
+/// Time since the line was made, microseconds.
+fn now_us(started_at: Instant) -> u64 {
+    u64::try_from(started_at.elapsed().as_micros()).unwrap_or(u64::MAX)
+}
+
 /// A controller behind a port, in real time.
 pub struct PortLine {
-    port: Box<dyn Transport>,
+    spec: PortSpec,
+    baud: u32,
+    port: PortState,
     started_at: Instant,
     /// Bytes that the port has not accepted yet.
     waiting: Vec<u8>,
@@ -86,10 +168,27 @@ pub struct PortLine {
 }
 
 impl PortLine {
-    /// A line over an open port.
+    /// A line over a port, which is opened now: that may take seconds.
+    ///
+    /// # Errors
+    /// See [`PortError`].
+    pub fn opened(spec: &PortSpec, baud: u32) -> Result<Self, PortError> {
+        let port = PortState::Open(port::open(spec, baud)?);
+        Ok(Self::new(spec, baud, port))
+    }
+
+    /// A line over a port that [`Line::open`] opens; for [`Session::with_closed_line`].
+    ///
+    /// [`Session::with_closed_line`]: super::Session::with_closed_line
     #[must_use]
-    pub fn new(port: Box<dyn Transport>) -> Self {
+    pub fn closed(spec: &PortSpec, baud: u32) -> Self {
+        Self::new(spec, baud, PortState::Closed(Instant::now()))
+    }
+
+    fn new(spec: &PortSpec, baud: u32, port: PortState) -> Self {
         Self {
+            spec: spec.clone(),
+            baud,
             port,
             started_at: Instant::now(),
             waiting: Vec::new(),
@@ -100,23 +199,69 @@ impl PortLine {
 
 impl Line for PortLine {
     fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
+        let PortState::Open(port) = &mut self.port else {
+            return Err(PortError::Gone {
+                name: self.spec.to_string(),
+                reason: "it is closed".to_string(),
+            });
+        };
         self.waiting.extend_from_slice(transmit);
         if !self.waiting.is_empty() {
-            let taken = self.port.write(&self.waiting, WRITE_WAIT)?;
+            let taken = port.write(&self.waiting, WRITE_WAIT)?;
             self.waiting.drain(..taken);
         }
         // The time before the read: bytes that arrived before it are then read before the link
         // checks for silence. With the time after the read, a delay of this process between the two
         // would count as silence of the controller.
-        let now_us = u64::try_from(self.started_at.elapsed().as_micros()).unwrap_or(u64::MAX);
+        let now_us = now_us(self.started_at);
         let mut buffer = [0; 4096];
-        let count = self.port.read(&mut buffer, WAIT)?;
+        let count = port.read(&mut buffer, WAIT)?;
         received.extend_from_slice(&buffer[..count]);
         Ok(now_us)
     }
 
     fn name(&self) -> String {
-        self.port.name().to_string()
+        match &self.port {
+            PortState::Open(port) => port.name().to_string(),
+            _ => self.spec.to_string(),
+        }
+    }
+
+    fn close(&mut self) -> bool {
+        self.port = PortState::Closed(Instant::now() + RETRY);
+        self.waiting.clear();
+        true
+    }
+
+    fn open(&mut self) -> Result<Option<u64>, PortError> {
+        match &self.port {
+            PortState::Open(_) => return Ok(Some(now_us(self.started_at))),
+            PortState::Closed(until) if Instant::now() < *until => {}
+            PortState::Closed(_) => {
+                let (sender, receiver) = mpsc::channel();
+                let (spec, baud) = (self.spec.clone(), self.baud);
+                std::thread::spawn(move || {
+                    // The receiver is gone if the session has ended meanwhile.
+                    let _ = sender.send(port::open(&spec, baud));
+                });
+                self.port = PortState::Opening(receiver);
+            }
+            PortState::Opening(receiver) => match receiver.try_recv() {
+                Ok(Ok(port)) => {
+                    self.port = PortState::Open(port);
+                    return Ok(Some(now_us(self.started_at)));
+                }
+                Ok(Err(error)) => {
+                    self.close();
+                    return Err(error);
+                }
+                Err(TryRecvError::Empty) => {}
+                Err(TryRecvError::Disconnected) => {
+                    self.close();
+                }
+            },
+        }
+        Ok(None)
     }
 
     fn is_recording_broken(&self) -> bool {

@@ -10,8 +10,11 @@
 //! [`Homing`]) or a [`JobRun`]. Programs that wait for the result use [`Session::complete`] and the
 //! methods on it; programs that serve an operator meanwhile advance the procedure after each step.
 //! A
-//! [`Startup`] is sent each time the controller answers, and a [`Reconnection`] opens a lost
-//! session again.
+//! [`Startup`] is sent each time the controller answers, and [`Session::with_reconnection`] opens a
+//! lost session again. Owners that handle each [`Notification`] in order use [`Session::exchange`]
+//! and [`Session::poll`] in place of [`Session::step`].
+//!
+//! The session prints nothing: what the user should read is in [`Session::next_notice`].
 //!
 //! Callers must keep stepping: a session that is not stepped sends no keep-alive frames, and the
 //! controller stops the machine.
@@ -33,14 +36,14 @@ pub use home::{check_has_tool, find_home_pose, plan_straight_move};
 pub use job::{BytesSent, EMERGENCY_STOP, JobEnd, JobObserver, JobRun, JobStatus, NoObserver};
 pub use line::{JobLine, Line, PortLine};
 pub use procedure::{Acknowledgement, Homing, Procedure, StatusQuery};
-pub use sim::{JobRecording, SimLine, commissioned, rig, rig_around};
-pub use startup::{Numbers, Phase, Reconnection, Reopen, Startup};
+pub use sim::{JobRecording, SimLine, clamp, commissioned, rig, rig_around};
+pub use startup::{Numbers, Phase, Startup};
 
-use crate::client::{Client, JobEnding, Notification, Options, RequestError, Ticket};
+use crate::client::{Client, ClientState, JobEnding, Notification, Options, RequestError, Ticket};
 use crate::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
-use haptimill_protocol::message::{Event, Fault, Refusal, State};
+use haptimill_protocol::message::{Command, Event, Fault, Refusal, State};
 use haptimill_protocol::text::Describe;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -86,12 +89,16 @@ pub struct Session<L> {
     /// Events since the session began, with their control periods.
     pub events: Vec<(u64, Event)>,
     startup: Option<Startup>,
-    reconnection: Option<Reconnection<L>>,
+    /// Numbers of the next sessions, if a lost one is opened again.
+    numbers: Option<Numbers>,
     phase: Phase,
     /// Why the session is not ready.
     reason: String,
-    /// Earliest time of the next attempt to open a port that failed, by the caller's clock.
-    reopen_at_us: u64,
+    /// The controller has the configuration of the startup.
+    is_configured: bool,
+    /// An emergency stop that waits for the answer of a controller.
+    is_emergency_pending: bool,
+    notices: VecDeque<String>,
     /// Why the session ended for good.
     lost: Option<String>,
     refusal: Option<Refusal>,
@@ -123,10 +130,12 @@ impl<L: Line> Session<L> {
             master: None,
             events: Vec::new(),
             startup: None,
-            reconnection: None,
+            numbers: None,
             phase: Phase::Closed,
             reason: String::new(),
-            reopen_at_us: 0,
+            is_configured: false,
+            is_emergency_pending: false,
+            notices: VecDeque::new(),
             lost: None,
             refusal: None,
             configured: None,
@@ -179,14 +188,41 @@ impl<L: Line> Session<L> {
         self.interrupted.load(Ordering::Relaxed) || self.line.is_recording_broken()
     }
 
-    /// Exchanges bytes once, and sorts what was received. Does nothing while the port is lost; see
-    /// [`Session::reopen`].
+    /// Exchanges bytes once, and sorts what was received.
     ///
     /// # Errors
     /// The port failed, the session with the controller ended, or the controller refuses the
     /// [`Startup`].
     pub fn step(&mut self) -> Result<(), Error> {
+        self.exchange()?;
+        while let Some(notification) = self.poll()? {
+            match notification {
+                Notification::Answered {
+                    ticket,
+                    command,
+                    result,
+                } => self.answers.push_back((ticket, command, result)),
+                Notification::Event { period, event } => self.events.push((period, event)),
+                Notification::Job(ending) => self.ending = Some(ending),
+                Notification::Refused(refusal) => self.refusal = Some(refusal),
+                Notification::Connected(_) | Notification::Telemetry(_) | Notification::Lost(_) => {
+                }
+            }
+        }
+        match &self.lost {
+            Some(lost) => Err(Error::new(ErrorKind::Port, lost)),
+            None => Ok(()),
+        }
+    }
+
+    /// Exchanges bytes once; while the port is lost, advances its opening instead. The caller must
+    /// then take every notification with [`Session::poll`].
+    ///
+    /// # Errors
+    /// The port failed and cannot be opened again.
+    pub fn exchange(&mut self) -> Result<(), Error> {
         if self.phase == Phase::Disconnected {
+            self.open_port();
             return Ok(());
         }
         self.received.clear();
@@ -202,38 +238,90 @@ impl<L: Line> Session<L> {
         {
             self.line.record_master(master);
         }
-        while let Some(notification) = self.client.poll() {
-            self.sort(notification)?;
-        }
-        match &self.lost {
-            Some(lost) => Err(Error::new(ErrorKind::Port, lost)),
-            None => Ok(()),
+        Ok(())
+    }
+
+    /// Encodes what was requested since the last exchange, so that the next exchange sends it. A
+    /// session without this call sends it one exchange later.
+    pub fn flush(&mut self) {
+        if self.phase != Phase::Disconnected {
+            self.client.advance(self.now_us, &[], &mut self.transmit);
         }
     }
 
-    fn sort(&mut self, notification: Notification) -> Result<(), Error> {
-        match notification {
-            Notification::Connected(welcome) => self.start(&welcome)?,
-            Notification::Answered {
-                ticket,
-                command,
-                result,
-            } => {
-                if !self.acknowledge_startup(ticket, &result)? {
-                    self.answers.push_back((ticket, command, result));
+    /// The next notification that is not about the startup.
+    ///
+    /// # Errors
+    /// The controller refuses the [`Startup`].
+    pub fn poll(&mut self) -> Result<Option<Notification>, Error> {
+        while let Some(notification) = self.client.poll() {
+            match &notification {
+                Notification::Connected(welcome) => self.start(welcome)?,
+                Notification::Answered { ticket, result, .. } => {
+                    if self.acknowledge_startup(*ticket, result)? {
+                        continue;
+                    }
                 }
+                Notification::Event { period, event } => {
+                    let text = self.describe(event);
+                    self.line.record_event(*period, level(event), &text);
+                }
+                Notification::Telemetry(telemetry) => self.line.record_telemetry(telemetry),
+                Notification::Lost(error) => {
+                    if !self.lose_session(error) {
+                        continue;
+                    }
+                }
+                Notification::Job(_) | Notification::Refused(_) => {}
             }
-            Notification::Event { period, event } => {
-                let text = self.describe(&event);
-                self.line.record_event(period, level(&event), &text);
-                self.events.push((period, event));
-            }
-            Notification::Job(ending) => self.ending = Some(ending),
-            Notification::Lost(error) => self.lose_session(&error)?,
-            Notification::Telemetry(telemetry) => self.line.record_telemetry(&telemetry),
-            Notification::Refused(refusal) => self.refusal = Some(refusal),
+            return Ok(Some(notification));
         }
-        Ok(())
+        Ok(None)
+    }
+
+    /// Stops the machine: the next exchange sends the out-of-band stop, which needs no session. It
+    /// is repeated, also in the next session, until the controller reports standstill.
+    pub fn stop(&mut self) {
+        self.client.urgent_stop();
+    }
+
+    /// As [`Session::stop`]; then switches the drives off, as the first request of the next session
+    /// if none is open.
+    pub fn emergency_stop(&mut self) {
+        self.stop();
+        self.is_emergency_pending = !self.send_emergency_stop();
+    }
+
+    /// Requests the emergency stop; false without a session.
+    fn send_emergency_stop(&mut self) -> bool {
+        if self.is_open() {
+            self.client.request(Command::EmergencyStop);
+        }
+        self.is_open()
+    }
+
+    /// Whether a stop is repeated until the controller reports standstill.
+    pub fn is_stopping(&self) -> bool {
+        self.client.urgent().0
+    }
+
+    /// Whether the controller has answered and the link works.
+    pub fn is_open(&self) -> bool {
+        *self.client.state() == ClientState::Ready
+    }
+
+    /// Whether an emergency stop waits for the next session.
+    pub const fn is_emergency_pending(&self) -> bool {
+        self.is_emergency_pending
+    }
+
+    /// The next message for the user.
+    pub fn next_notice(&mut self) -> Option<String> {
+        self.notices.pop_front()
+    }
+
+    pub(crate) fn notify(&mut self, text: impl Into<String>) {
+        self.notices.push_back(text.into());
     }
 
     /// Describes a value of the protocol with the names and units of the axes.

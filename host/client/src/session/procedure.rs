@@ -113,7 +113,7 @@ impl<L: Line> Procedure<L> for Homing {
         }
         if session.is_interrupted() && !self.is_stopping {
             self.is_stopping = true;
-            session.client.urgent_stop();
+            session.stop();
         }
         while let Some((_, event)) = session.events.get(self.next_event) {
             self.next_event += 1;

@@ -168,6 +168,17 @@ impl<C: Control> SimLine<C> {
     }
 }
 
+/// Clamps stock on the table of a simulated machine, at the present position of the tool.
+///
+/// # Errors
+/// The stock is invalid for the machine.
+pub fn clamp<C: Control>(rig: &mut Rig<C>, stock: &CuttingConfig) -> Result<(), Error> {
+    rig.plant_mut().clamp(stock).map_err(|problems| {
+        let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
+        Error::new(ErrorKind::BadInput, problems.join("\n"))
+    })
+}
+
 impl<C: Control> JobLine for SimLine<C> {
     fn begin_recording(&mut self, mut recording: JobRecording) {
         if let Some(io_log) = self.io_log.take() {
@@ -177,13 +188,6 @@ impl<C: Control> JobLine for SimLine<C> {
             recording.recorder.event(period, level, &text);
         }
         self.recording = Some(recording);
-    }
-
-    fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), Error> {
-        self.rig.plant_mut().clamp(stock).map_err(|problems| {
-            let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
-            Error::new(ErrorKind::BadInput, problems.join("\n"))
-        })
     }
 
     fn end_recording(&mut self) -> Option<Recorder> {
@@ -222,6 +226,10 @@ impl<C: Control> Line for SimLine<C> {
 
     fn name(&self) -> String {
         self.name.clone()
+    }
+
+    fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), Error> {
+        clamp(&mut self.rig, stock)
     }
 
     fn is_recording_broken(&self) -> bool {

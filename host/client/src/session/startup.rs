@@ -7,7 +7,9 @@
 //! ```
 //!
 //! A session without a [`Startup`] sends nothing by itself: it is ready when the controller
-//! answers. A session without a [`Reconnection`] ends with its link: [`Session::step`] fails.
+//! answers. A session without [`Session::with_reconnection`] ends with its link: [`Session::step`]
+//! fails. With it, a silent controller is asked again over the same port; a port that fails, or
+//! behind which no controller answers, is closed and opened again.
 
 use super::{Line, Session};
 use crate::board::{Chosen, Decision};
@@ -15,6 +17,7 @@ use crate::client::{ClientError, RequestError, Ticket};
 use crate::port::PortError;
 use crate::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
+use haptimill_protocol::frame::crc32;
 use haptimill_protocol::message::{Command, Refusal, Welcome};
 
 /// Progress of a session.
@@ -30,7 +33,7 @@ pub enum Phase {
     Starting(Vec<Ticket>),
     /// The session is open, and the requests of the startup are acknowledged.
     Ready,
-    /// The port failed; see [`Session::reopen`].
+    /// The port is closed; each exchange advances its opening.
     Disconnected,
 }
 
@@ -45,6 +48,8 @@ pub struct Startup {
     /// The board had this configuration or accepted it: after a loss of power it is sent again.
     has_agreed: bool,
     commands: Vec<Command>,
+    /// A refused request is a notice, and the session becomes ready all the same.
+    allows_refusal: bool,
 }
 
 impl Startup {
@@ -65,7 +70,16 @@ impl Startup {
             board,
             has_agreed: false,
             commands,
+            allows_refusal: false,
         })
+    }
+
+    /// Lets the session become ready when the controller refuses a request, for an operator who can
+    /// still stop the machine then. The refusal is a notice; see [`Session::is_configured`].
+    #[must_use]
+    pub fn allowing_refusal(mut self) -> Self {
+        self.allows_refusal = true;
+        self
     }
 
     /// Whether the configuration of a board behind a port has to be agreed upon.
@@ -74,32 +88,40 @@ impl Startup {
         self.board.is_some()
     }
 
-    /// Decides which configuration the controller gets.
-    fn agree(&mut self, line: &str, welcome: &Welcome) -> Result<(), Error> {
-        if self.is_master && welcome.axes > 0 {
+    /// Decides which configuration the controller gets, and returns a message about it.
+    fn agree(&mut self, line: &str, welcome: &Welcome) -> Result<Option<String>, Error> {
+        let named = |what: &str| format!("{line}: {what}");
+        let Some(board) = &self.board else {
+            return Ok(None);
+        };
+        if board.is_second && welcome.axes > 0 {
             let what = format!(
-                "{line}: \"{}\" is a machine with {} axes, not a haptic arm; \
+                "\"{}\" is a machine with {} axes, not a haptic arm; \
                  --master is for the arm, --port for the machine",
                 welcome.machine, welcome.axes
             );
-            return Err(Error::new(ErrorKind::Command, what));
+            return Err(Error::new(ErrorKind::Command, named(&what)));
         }
-        let Some(board) = &self.board else {
-            return Ok(());
-        };
-        let named = |what: &str| format!("{line}: {what}");
         let decision = board
             .decide(welcome)
             .map_err(|error| Error::new(error.kind, named(&error.message)))?;
+        let mut message = None;
         match decision {
             _ if self.has_agreed && welcome.config_crc == 0 => {}
+            // The built-in haptic arm is a known configuration, too.
+            Decision::Active(file) if file.is_master() != self.is_master => {
+                let what = format!(
+                    "the board is configured as \"{}\"; give its machine file with --machine FILE",
+                    welcome.machine
+                );
+                return Err(Error::new(ErrorKind::Command, named(&what)));
+            }
             Decision::Active(file) => self.config = encode(&file)?,
-            Decision::Send(what) if !self.has_agreed => eprintln!("{}", named(&what)),
-            Decision::Send(_) => {}
+            Decision::Send(what) => message = Some(named(&what)),
             Decision::Unknown(what) => return Err(Error::new(ErrorKind::Command, named(&what))),
         }
         self.has_agreed = true;
-        Ok(())
+        Ok(message)
     }
 }
 
@@ -110,22 +132,8 @@ fn encode(machine: &MachineFile) -> Result<Vec<u8>, Error> {
         .map_err(|error| Error::new(ErrorKind::Internal, error))
 }
 
-/// Opens a port that failed.
-pub type Reopen<L> = Box<dyn FnMut() -> Result<L, PortError>>;
-
-/// Gives the number of the next session.
+/// Gives the number of the next session, which was never used with this controller before.
 pub type Numbers = Box<dyn FnMut() -> u32>;
-
-/// A session that is opened again when it is lost.
-pub struct Reconnection<L> {
-    /// Numbers that were never used with this controller before.
-    pub numbers: Numbers,
-    /// Opens the port again; without it an error of the port ends the session.
-    pub reopen: Option<Reopen<L>>,
-}
-
-/// Time between two attempts to open a port that failed, microseconds.
-const REOPEN_US: u64 = 500_000;
 
 impl<L: Line> Session<L> {
     /// Sends a configuration and commands each time the controller answers.
@@ -135,10 +143,18 @@ impl<L: Line> Session<L> {
         self
     }
 
-    /// Opens the session again when it is lost.
+    /// Opens the session again when it is lost, and its port where [`Line::close`] allows it.
     #[must_use]
-    pub fn with_reconnection(mut self, reconnection: Reconnection<L>) -> Self {
-        self.reconnection = Some(reconnection);
+    pub fn with_reconnection(mut self, numbers: Numbers) -> Self {
+        self.numbers = Some(numbers);
+        self
+    }
+
+    /// Begins with a line that is not open: each exchange advances its opening, and the session
+    /// begins when it is open. Needs [`Session::with_reconnection`].
+    #[must_use]
+    pub fn with_closed_line(mut self) -> Self {
+        self.phase = Phase::Disconnected;
         self
     }
 
@@ -160,6 +176,7 @@ impl<L: Line> Session<L> {
     /// Begins to open a session. `number` must never have been used with this controller before.
     pub fn begin(&mut self, number: u32) {
         self.phase = Phase::Connecting;
+        self.is_configured = false;
         self.client.connect(number, self.now_us);
     }
 
@@ -181,11 +198,36 @@ impl<L: Line> Session<L> {
         Ok(())
     }
 
-    /// Opens the session with the next number of the [`Reconnection`]; does nothing without one.
+    /// Opens the session with the next number of [`Session::with_reconnection`]; does nothing
+    /// without it.
     pub fn begin_next(&mut self) {
-        if let Some(reconnection) = &mut self.reconnection {
-            let number = (reconnection.numbers)();
+        if let Some(numbers) = &mut self.numbers {
+            let number = numbers();
             self.begin(number);
+        }
+    }
+
+    /// Whether the controller has the configuration of the startup.
+    pub const fn is_configured(&self) -> bool {
+        self.is_configured
+    }
+
+    /// Whether the controller had that configuration before this session: other hosts may have
+    /// changed settings since.
+    pub fn was_configured(&self) -> bool {
+        let active = self.client.controller().map(|welcome| welcome.config_crc);
+        let startup = self.startup.as_ref();
+        startup.is_some_and(|startup| active == Some(crc32(&startup.config)))
+    }
+
+    /// Sends the startup again in an open session: the controller refused it before.
+    ///
+    /// # Errors
+    /// As [`Session::poll`].
+    pub fn restart(&mut self) -> Result<(), Error> {
+        match self.client.controller().cloned() {
+            Some(welcome) if self.phase == Phase::Ready => self.start(&welcome),
+            _ => Ok(()),
         }
     }
 
@@ -218,56 +260,45 @@ impl<L: Line> Session<L> {
         Ok(())
     }
 
-    /// Tries to open a port that failed, if enough time has passed by the caller's clock: the
-    /// line's clock begins anew. True when a line is open.
-    pub fn reopen(&mut self, now_us: u64) -> bool {
-        if self.phase != Phase::Disconnected {
-            return true;
+    /// Advances the opening of a closed port.
+    pub(super) fn open_port(&mut self) {
+        match self.line.open() {
+            Ok(None) => {}
+            Ok(Some(now_us)) => {
+                self.now_us = now_us;
+                self.transmit.clear();
+                self.begin_next();
+            }
+            Err(error) => self.reason = error.to_string(),
         }
-        if now_us < self.reopen_at_us {
-            return false;
-        }
-        self.reopen_at_us = now_us + REOPEN_US;
-        let reopen = self
-            .reconnection
-            .as_mut()
-            .and_then(|reconnection| reconnection.reopen.as_mut());
-        let Some(Ok(line)) = reopen.map(|reopen| reopen()) else {
-            return false;
-        };
-        self.line = line;
-        self.now_us = 0;
-        self.transmit.clear();
-        self.phase = Phase::Closed;
-        true
     }
 
     /// An error of the port: final, unless the port can be opened again.
     pub(super) fn lose_port(&mut self, error: PortError) -> Result<(), Error> {
-        let can_reopen = self
-            .reconnection
-            .as_ref()
-            .is_some_and(|reconnection| reconnection.reopen.is_some());
-        if !can_reopen {
+        if self.numbers.is_none() || !self.line.close() {
             return Err(error.into());
         }
         self.reason = error.to_string();
         self.phase = Phase::Disconnected;
-        self.reopen_at_us = 0;
+        self.is_configured = false;
+        self.client.close();
         Ok(())
     }
 
-    /// The session with the controller ended.
-    pub(super) fn lose_session(&mut self, error: &ClientError) -> Result<(), Error> {
+    /// The session with the controller ended. False if that was known before.
+    pub(super) fn lose_session(&mut self, error: &ClientError) -> bool {
+        if *error == ClientError::Closed && self.phase != Phase::Disconnected {
+            // The session was replaced by a new one.
+            return false;
+        }
+        if self.phase == Phase::Disconnected {
+            return true;
+        }
         let text = format!("{}: {error}", self.line.name());
-        if self.reconnection.is_none() {
+        if self.numbers.is_none() {
             self.phase = Phase::Closed;
             self.lost = Some(text);
-            return Ok(());
-        }
-        // The session that was replaced by a new one.
-        if *error == ClientError::Closed {
-            return Ok(());
+            return true;
         }
         let is_identifying = self.phase == Phase::Identifying;
         self.reason = if is_identifying {
@@ -275,20 +306,34 @@ impl<L: Line> Session<L> {
         } else {
             text
         };
+        let is_answering = matches!(
+            error,
+            ClientError::Silent { .. } | ClientError::Stalled { .. }
+        );
+        if !is_identifying && !is_answering && self.line.close() {
+            self.phase = Phase::Disconnected;
+            self.is_configured = false;
+            return true;
+        }
         self.begin_next();
         if is_identifying {
             self.phase = Phase::Identifying;
         }
-        Ok(())
+        true
     }
 
     /// The controller answered.
     pub(super) fn start(&mut self, welcome: &Welcome) -> Result<(), Error> {
+        if std::mem::take(&mut self.is_emergency_pending) {
+            self.send_emergency_stop();
+        }
+        let name = self.line.name();
         let Some(startup) = &mut self.startup else {
             self.phase = Phase::Ready;
             return Ok(());
         };
-        startup.agree(&self.line.name(), welcome)?;
+        let message = startup.agree(&name, welcome)?;
+        self.notices.extend(message);
         if self.phase == Phase::Identifying {
             return Ok(());
         }
@@ -312,8 +357,14 @@ impl<L: Line> Session<L> {
         let Some(index) = tickets.iter().position(|pending| *pending == ticket) else {
             return Ok(false);
         };
+        if matches!(result, Err(RequestError::Lost(_))) {
+            return Ok(true);
+        }
         let command = index.checked_sub(1).map(|index| &startup.commands[index]);
         let is_last = index + 1 == tickets.len();
+        if command.is_none() {
+            self.is_configured = result.is_ok();
+        }
         match (result, command) {
             // The drives are enabled already.
             (Err(RequestError::Refused(Refusal::State(_))), Some(Command::Enable)) => {}
@@ -328,7 +379,10 @@ impl<L: Line> Session<L> {
                     ),
                     Some(command) => format!("{name}: {}: {why}", command.name()),
                 };
-                return Err(Error::new(ErrorKind::Command, what));
+                if !startup.allows_refusal {
+                    return Err(Error::new(ErrorKind::Command, what));
+                }
+                self.notify(what);
             }
             _ => {}
         }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::port::PortError;
-use haptimill_protocol::message::Command;
+use haptimill_protocol::message::{Command, State};
 use std::cell::Cell;
 use std::rc::Rc;
 
@@ -10,6 +10,9 @@ use std::rc::Rc;
 struct FaultyLine {
     line: SimLine,
     fault: Rc<Cell<Fault>>,
+    is_closed: Cell<bool>,
+    /// The first bytes after the last opening.
+    first: Vec<u8>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -21,6 +24,10 @@ enum Fault {
 
 impl Line for FaultyLine {
     fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
+        assert!(!self.is_closed.get(), "bytes for a closed port");
+        if self.first.len() < 8 {
+            self.first.extend_from_slice(transmit);
+        }
         match self.fault.get() {
             Fault::None => self.line.exchange(transmit, received),
             Fault::Silent => self.line.exchange(&[], &mut Vec::new()),
@@ -34,6 +41,24 @@ impl Line for FaultyLine {
     fn name(&self) -> String {
         "faulty line".to_string()
     }
+
+    fn close(&mut self) -> bool {
+        self.is_closed.set(true);
+        true
+    }
+
+    fn open(&mut self) -> Result<Option<u64>, PortError> {
+        match self.fault.get() {
+            Fault::PortLost => Err(PortError::Gone {
+                name: self.name(),
+                reason: "still unplugged".to_string(),
+            }),
+            _ => {
+                self.is_closed.set(false);
+                Ok(Some(self.line.rig().time_ns() / 1000))
+            }
+        }
+    }
 }
 
 fn line(fault: &Rc<Cell<Fault>>) -> FaultyLine {
@@ -41,6 +66,8 @@ fn line(fault: &Rc<Cell<Fault>>) -> FaultyLine {
     FaultyLine {
         line: SimLine::new(rig(&machine, None, None, Vec::new()).unwrap()),
         fault: Rc::clone(fault),
+        is_closed: Cell::new(false),
+        first: Vec::new(),
     }
 }
 
@@ -54,14 +81,11 @@ fn session(fault: &Rc<Cell<Fault>>, reconnects: bool) -> Session<FaultyLine> {
     if !reconnects {
         return session;
     }
-    let (fault, mut number) = (Rc::clone(fault), 0);
-    session.with_reconnection(Reconnection {
-        numbers: Box::new(move || {
-            number += 1;
-            number
-        }),
-        reopen: Some(Box::new(move || Ok(line(&fault)))),
-    })
+    let mut number = 0;
+    session.with_reconnection(Box::new(move || {
+        number += 1;
+        number
+    }))
 }
 
 /// Steps until the session is ready, and returns the time that took, microseconds.
@@ -111,12 +135,8 @@ fn a_silent_controller_is_connected_again_and_gets_its_startup_again() {
     }
 }
 
-#[test]
-fn a_lost_port_is_opened_again_with_a_new_clock() {
-    let fault = Rc::new(Cell::new(Fault::None));
-    let mut session = session(&fault, true);
-    session.begin_next();
-    wait_ready(&mut session);
+/// Loses the port of a session that is ready, and keeps it lost for a time.
+fn lose_port(session: &mut Session<FaultyLine>, fault: &Rc<Cell<Fault>>) {
     fault.set(Fault::PortLost);
     session.step().unwrap();
     assert_eq!(*session.phase(), Phase::Disconnected);
@@ -125,20 +145,71 @@ fn a_lost_port_is_opened_again_with_a_new_clock() {
         "{}",
         session.reason()
     );
-    // A disconnected session does nothing until its owner opens the port.
+    // An attempt that fails is no error.
     session.step().unwrap();
     assert_eq!(*session.phase(), Phase::Disconnected);
-    fault.set(Fault::None);
-    assert!(session.reopen(7_000_000) && session.now_us() == 0);
-    session.step().unwrap();
-    session.begin_next();
-    wait_ready(&mut session);
-    assert!(is_enabled(&mut session));
-    assert!(session.client().controller().is_some());
+    assert!(session.reason().contains("still unplugged"));
+    session.line_mut().first.clear();
 }
 
 #[test]
-fn without_a_reconnection_a_lost_port_ends_the_session() {
+fn a_lost_port_is_opened_again_and_its_controller_gets_the_startup() {
+    let fault = Rc::new(Cell::new(Fault::None));
+    let mut session = session(&fault, true);
+    session.begin_next();
+    wait_ready(&mut session);
+    lose_port(&mut session, &fault);
+    // Requests of the lost session have failed, and the time of the line goes on.
+    let before_us = session.now_us();
+    for _ in 0..50_000 {
+        session.line_mut().line.rig_mut().step();
+    }
+    fault.set(Fault::None);
+    session.step().unwrap();
+    wait_ready(&mut session);
+    assert!(session.now_us() > before_us + 10_000_000);
+    assert!(is_enabled(&mut session) && session.is_configured());
+}
+
+#[test]
+fn a_port_without_an_answer_is_closed_and_opened_again() {
+    let fault = Rc::new(Cell::new(Fault::Silent));
+    let mut session = session(&fault, true);
+    session.begin_next();
+    while *session.phase() != Phase::Disconnected {
+        session.step().unwrap();
+        assert!(session.now_us() < 5_000_000);
+    }
+    assert!(
+        session.reason().contains("no controller answered"),
+        "{}",
+        session.reason()
+    );
+    fault.set(Fault::None);
+    wait_ready(&mut session);
+}
+
+#[test]
+fn a_stop_without_a_session_is_sent_first_and_an_emergency_stop_is_latched() {
+    let fault = Rc::new(Cell::new(Fault::None));
+    let mut session = session(&fault, true);
+    session.begin_next();
+    wait_ready(&mut session);
+    lose_port(&mut session, &fault);
+    session.emergency_stop();
+    assert!(session.is_emergency_pending());
+    fault.set(Fault::None);
+    session.step().unwrap();
+    // The startup of an arm enables its drives: the controller refuses that after the stop.
+    wait_ready(&mut session);
+    let snapshot = session.line_mut().line.snapshot().unwrap();
+    assert_eq!(snapshot.state, State::EmergencyStop);
+    assert!(!is_enabled(&mut session) && !session.is_emergency_pending());
+    assert_eq!(session.line_mut().first[..3], [0x00, 0x18, 0x00]);
+}
+
+#[test]
+fn without_reconnection_a_lost_port_ends_the_session() {
     let fault = Rc::new(Cell::new(Fault::None));
     let mut session = session(&fault, false);
     session.connect(1).unwrap();

@@ -175,7 +175,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             }
             if self.session.is_interrupted() && stopping_us.is_none() {
                 self.outcome.ended = Ended::Stopped;
-                self.session.client_mut().urgent_stop();
+                self.session.stop();
                 self.is_ending = true;
             }
             if self.is_ending {

@@ -1,11 +1,12 @@
 //! A run with the controller on an emulated board.
 
 use super::job::Job;
-use super::{CliError, Exit, Planned, port};
+use super::{CliError, Exit, Planned};
 #[cfg(unix)]
 use super::{Session, SimLine, paced_options, session};
 #[cfg(unix)]
 use crate::commands::interrupt;
+use haptimill_client::port;
 
 /// Runs a part program with the controller on an emulated board and the machine in the simulator.
 #[cfg(unix)]

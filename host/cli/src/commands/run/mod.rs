@@ -6,11 +6,12 @@ pub(super) mod job;
 mod progress;
 pub(super) mod results;
 
+use super::board::file_of;
 use super::program::{PartProgram, Planned};
 use super::{CliError, Exit};
 use crate::commands::interrupt;
 use haptimill_client::client::Options;
-use haptimill_client::port::{self, PortSpec};
+use haptimill_client::port::PortSpec;
 use haptimill_client::session::{self, PortLine, Session, SimLine};
 use haptimill_machine_file::model::Model;
 use job::Job;
@@ -72,14 +73,14 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         PortSpec::Emulated(board) => emulated::run(job, planned, *board),
         spec => {
             let baud = args.port.baud_or_default();
-            let line = PortLine::new(port::open(spec, baud)?);
+            let line = PortLine::opened(spec, baud)?;
             let serial = matches!(spec, PortSpec::Serial(_));
             let options = paced_options(serial.then_some(baud));
             let mut session = Session::new(line, &machine, options, interrupted);
             session.connect(session::fresh_number())?;
             // The program was checked against the built-in machine where --machine is missing.
             // The command ends here if the board is configured as another machine.
-            let machine = chosen.file_of(&mut session)?;
+            let machine = file_of(&chosen, &mut session)?;
             job.home = session::find_home_pose(&machine, session.model())?;
             let job = Job {
                 machine: &machine,

@@ -9,8 +9,8 @@ mod session;
 use super::run::results::ResultFolder;
 use super::{CliError, Exit};
 use args::line_rate;
-use haptimill_client::port::{self, DEFAULT_BAUD, PortSpec};
-use haptimill_client::session::{JobLine as _, PortLine, Reconnection, SimLine, fresh_number, rig};
+use haptimill_client::port::{DEFAULT_BAUD, PortSpec};
+use haptimill_client::session::{JobLine as _, PortLine, SimLine, fresh_number, rig};
 use haptimill_machine_file::MachineFile;
 use haptimill_teleop::arm::Pace;
 use haptimill_teleop::input::{self, Joystick, Keyboard, SpaceMouse, VirtualHandle};
@@ -74,25 +74,13 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         (MasterSpec::Script(_), Some(script)) => run_script(&session, &script, &master_machine),
         (MasterSpec::Port(spec), _) => {
             let baud = args.master_baud;
-            let line = PortLine::new(port::open(spec, baud.unwrap_or(DEFAULT_BAUD))?);
+            let line = PortLine::opened(spec, baud.unwrap_or(DEFAULT_BAUD))?;
             let pace = Pace {
                 every_us: args.report_interval_us(spec, baud, MASTER_REPORT_BYTES),
                 line_rate: line_rate(spec, baud),
             };
-            let again = spec.clone();
-            let reconnection = Reconnection {
-                numbers: Box::new(fresh_number),
-                reopen: Some(Box::new(move || {
-                    port::open(&again, baud.unwrap_or(DEFAULT_BAUD)).map(PortLine::new)
-                })),
-            };
-            let mut arm = Arm::new(
-                line,
-                &master_machine,
-                Some(master_chosen),
-                pace,
-                reconnection,
-            )?;
+            let numbers = Box::new(fresh_number);
+            let mut arm = Arm::new(line, &master_machine, Some(master_chosen), pace, numbers)?;
             session.run(&mut arm)
         }
         (MasterSpec::Joystick(path), _) => {
@@ -165,11 +153,7 @@ fn run_script(
         number += 1;
         number
     });
-    let reconnection = Reconnection {
-        numbers,
-        reopen: None,
-    };
-    let mut arm = Arm::new(line, master_machine, None, pace, reconnection)?;
+    let mut arm = Arm::new(line, master_machine, None, pace, numbers)?;
     let outcome = session.run_with(&mut arm, &folder, |arm| {
         let recording = session.create_recording(master_machine, MASTER_RECORDING_FILE)?;
         arm.line_mut().begin_recording(recording);

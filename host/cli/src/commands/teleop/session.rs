@@ -4,13 +4,14 @@ use super::args::{TeleopArgs, line_rate};
 use super::display::{Display, describe};
 use super::master::MasterSpec;
 use super::orders;
+use crate::commands::board::file_of;
 use crate::commands::run::bytes_per_s;
 use crate::commands::run::job::refuse_latched_fault;
 use crate::commands::run::results::{self, ResultFolder};
 use crate::commands::{CliError, Exit, interrupt};
 use haptimill_client::board::Chosen;
 use haptimill_client::client::Options;
-use haptimill_client::port::{self, PortSpec};
+use haptimill_client::port::PortSpec;
 use haptimill_client::session::{self, JobLine, JobRecording, PortLine, Session, SimLine};
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
@@ -100,7 +101,7 @@ impl TeleopSession<'_> {
                 self.run_session(session, 1, source, folder, on_ready)
             }
             spec => {
-                let line = PortLine::new(port::open(spec, args.port.baud_or_default())?);
+                let line = PortLine::opened(spec, args.port.baud_or_default())?;
                 let mut options = Options::default();
                 options.timing.line_rate = line_rate(spec, args.port.baud);
                 let session = Session::new(line, machine, options, interrupted);
@@ -183,7 +184,7 @@ impl TeleopSession<'_> {
         if args.port.port == PortSpec::Simulator {
             session.configure(machine)?;
         } else {
-            refuse_own_arm(&self.chosen.file_of(session)?)?;
+            refuse_own_arm(&file_of(self.chosen, session)?)?;
         }
         session.enable()?;
         if !status.homed || !status.position_kept {

@@ -55,7 +55,7 @@ impl App {
 
     /// Evaluates the newest report of the arm.
     pub(in crate::console) fn update_arm(&mut self) {
-        if let Some(report) = self.client.master()
+        if let Some(report) = self.session.client().master()
             && let Some(arm) = self.master.as_mut().and_then(|master| master.arm.as_mut())
         {
             arm.update(report);
@@ -283,7 +283,7 @@ impl App {
         if is_set || !place {
             return self.request_fixture(axis, upper, None, false);
         }
-        let problem = match self.client.master().map(|report| report.problem) {
+        let problem = match self.session.client().master().map(|report| report.problem) {
             None => Some("the arm has not reported yet; wait for its report".to_string()),
             Some(Some(problem)) => Some(
                 self.model
@@ -333,7 +333,7 @@ impl App {
 
     /// Handles the acknowledgement of a setting.
     pub(in crate::console) fn acknowledge_master(&mut self, on_ack: &OnAck) {
-        let tip = self.client.master().map(|report| report.pose);
+        let tip = self.session.client().master().map(|report| report.pose);
         let Some(master) = &mut self.master else {
             return;
         };

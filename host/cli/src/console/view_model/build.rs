@@ -1,6 +1,6 @@
 //! Construction of the view model and of the operator prompt.
 
-use crate::console::app::{App, FORCE_SCALES, PendingStop};
+use crate::console::app::{App, FORCE_SCALES};
 use crate::console::master::to_ratio;
 use crate::console::view_model::{
     ArmView, Counters, JogView, LinkState, MasterView, ProgramView, Severity, ViewModel,
@@ -13,15 +13,17 @@ impl App {
     fn prompt(&self) -> (Severity, String) {
         let alarm = |text: String| (Severity::Alarm, text);
         let note = |text: &str| (Severity::Info, text.to_string());
-        match &self.link_state {
+        match self.link_state() {
             LinkState::Opening => return note("opening the port"),
             LinkState::Handshake => return note("waiting for the controller's answer"),
             LinkState::Configuring => return note("sending the machine file to the controller"),
             LinkState::Lost(reason) => {
-                let pending_stop = match self.pending_stop {
-                    PendingStop::None => "",
-                    PendingStop::Stop => " STOP pending, sent first.",
-                    PendingStop::Emergency => " EMERGENCY STOP pending, sent first.",
+                let pending_stop = if self.session.is_emergency_pending() {
+                    " EMERGENCY STOP pending, sent first."
+                } else if self.session.is_stopping() {
+                    " STOP pending, sent first."
+                } else {
+                    ""
                 };
                 return alarm(format!("NO LINK, reconnecting.{pending_stop} ({reason})"));
             }
@@ -31,12 +33,10 @@ impl App {
             return note("waiting for telemetry");
         };
         if let (State::Fault, Some(fault)) = (telemetry.state, &self.fault) {
-            let message = self
-                .model
-                .with_axes(|axes| axes.describe(fault).to_string());
+            let message = self.session.describe(fault);
             return alarm(format!("FAULT: {message}. Key: x resets"));
         }
-        if !self.configured && telemetry.state != State::EmergencyStop {
+        if !self.session.is_configured() && telemetry.state != State::EmergencyStop {
             return (
                 Severity::Warning,
                 "the controller has a different configuration: axis names and values may be wrong. \
@@ -80,7 +80,7 @@ impl App {
     fn master_view(&self) -> Option<MasterView> {
         let master = self.master.as_ref()?;
         let arm = master.arm.as_ref().map(|arm| {
-            let report = self.client.master().copied();
+            let report = self.session.client().master().copied();
             let problem = report.and_then(|report| report.problem).map(|problem| {
                 self.model
                     .with_axes(|axes| axes.describe(&problem).to_string())
@@ -103,7 +103,7 @@ impl App {
     /// The present view model.
     pub(in crate::console) fn view_model(&self) -> ViewModel {
         let now_us = self.now_us();
-        let counters = self.client.link().counters();
+        let counters = self.session.client().link().counters();
         let program = self.jobs.checked.as_ref().map(|checked| ProgramView {
             name: checked.name.clone(),
             duration_s: checked.plan.figures.duration_s,
@@ -121,9 +121,9 @@ impl App {
             static_info: Arc::clone(&self.static_info),
             elapsed: self.started.elapsed(),
             machine: self.machine.config.name.to_string(),
-            link_state: self.link_state.clone(),
+            link_state: self.link_state(),
             counters: Counters {
-                round_trip_us: self.client.link().round_trip_us(),
+                round_trip_us: self.session.client().link().round_trip_us(),
                 bad_frames: counters.bad_frames,
                 resent: counters.resent,
                 reconnects: self.reconnects,
