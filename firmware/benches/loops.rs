@@ -27,6 +27,7 @@ fn axis(drive: Drive) -> JointAxis {
             coulomb: Effort(32 << 16),
             coulomb_rate: Rate(104_858),
             ki: Gain(0),
+            friction_adaptation_ms: 0,
         },
         following: Coordinate(1 << 18),
         following_lag: 0,

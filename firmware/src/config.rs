@@ -177,6 +177,9 @@ pub struct ServoConfig {
     /// K_I in 1/s^3, of an integrator with conditional anti-windup; 0 is no integrator. The thesis
     /// has none.
     pub ki: Gain,
+    /// Time constant in which the integrator of a moving joint drains into the estimate of its
+    /// friction, in milliseconds; 0 is no adaptation. It needs an integrator.
+    pub friction_adaptation_ms: u16,
 }
 
 /// Forms of the servo loop.

@@ -65,6 +65,7 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
             coulomb: Effort((32.0 * NEWTON) as i32),
             coulomb_rate: Rate((0.02 * MM) as i32),
             ki: Gain(0),
+            friction_adaptation_ms: 0,
         },
         following: Coordinate((0.2 * MM) as i32),
         following_lag: 0,

@@ -62,6 +62,7 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
             coulomb: Effort::ZERO,
             coulomb_rate: Rate(1),
             ki: Gain(0),
+            friction_adaptation_ms: 0,
         },
         following: Coordinate(MM),
         following_lag: 0,

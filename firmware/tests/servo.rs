@@ -26,6 +26,7 @@ fn law(form: ServoForm, kp: f64, kd: f64, filter_us: u16) -> ServoConfig {
         coulomb: Effort(0),
         coulomb_rate: Rate(0),
         ki: Gain(0),
+        friction_adaptation_ms: 0,
     }
 }
 
@@ -84,11 +85,11 @@ proptest! {
         let friction = Friction::new(Effort(coulomb), Rate(knee));
         for commanded in [commanded, (f64::from(knee) * fine) as i32] {
             let exact = f64::from(coulomb) * libm::tanh(f64::from(commanded) / f64::from(knee));
-            let given = friction.effort(Rate(commanded)).0;
+            let given = friction.effort(Rate(commanded), Effort(0)).0;
             prop_assert!((f64::from(given) - exact).abs() <= 4e-4 * f64::from(coulomb) + 1.0, "{given} {exact}");
-            prop_assert_eq!(given, -friction.effort(Rate(commanded.saturating_neg())).0);
+            prop_assert_eq!(given, -friction.effort(Rate(commanded.saturating_neg()), Effort(0)).0);
             if commanded < i32::MAX {
-                prop_assert!(friction.effort(Rate(commanded + 1)).0 >= given);
+                prop_assert!(friction.effort(Rate(commanded + 1), Effort(0)).0 >= given);
             }
         }
     }
@@ -107,7 +108,7 @@ proptest! {
         config.coulomb = Effort((coulomb * NEWTON) as i32);
         config.coulomb_rate = rate(knee);
         config.ki = Gain((ki * 256.0) as u32);
-        let mut fixed = ServoLaw::new(&config, Effort(i32::MAX), period);
+        let mut fixed = ServoLaw::new(&config, Effort(i32::MAX), period, Coordinate(0));
         fixed.reset(Coordinate(0));
         let step = f64::from(period) * 1e-6;
         let pole = if filter_us == 0 { 0.0 } else { libm::exp(-step / (f64::from(filter_us) * 1e-6)) };
@@ -141,12 +142,12 @@ proptest! {
 
     #[test]
     fn output_stays_within_its_limit(
-        kp: u32, kd: u32, ki: u32, rate_filter_us: u16, inertia: u32, viscous: u32, coulomb: i32, coulomb_rate: i32, limit: i32, period: u16,
+        kp: u32, kd: u32, ki: u32, rate_filter_us: u16, inertia: u32, viscous: u32, coulomb: i32, coulomb_rate: i32, limit: i32, period: u16, friction_adaptation_ms: u16, count: i32,
         frames in prop::collection::vec(any::<(i32, i32, i32)>(), 1..60),
     ) {
         for form in [ServoForm::Pd, ServoForm::ModelBased] {
-            let config = ServoConfig { form, kp: Gain(kp), kd: Gain(kd), rate_filter_us, inertia, viscous, coulomb: Effort(coulomb), coulomb_rate: Rate(coulomb_rate), ki: Gain(ki) };
-            let mut law = ServoLaw::new(&config, Effort(limit), period);
+            let config = ServoConfig { form, kp: Gain(kp), kd: Gain(kd), rate_filter_us, inertia, viscous, coulomb: Effort(coulomb), coulomb_rate: Rate(coulomb_rate), ki: Gain(ki), friction_adaptation_ms };
+            let mut law = ServoLaw::new(&config, Effort(limit), period, Coordinate(count));
             for &(error, rate, acceleration) in &frames {
                 let (effort, _) = law.effort(Coordinate(error), Rate(rate), Acceleration(acceleration));
                 prop_assert!(effort.0.unsigned_abs() <= limit.unsigned_abs());
@@ -163,7 +164,7 @@ fn error_decays_with_the_designed_poles() {
     let step = f64::from(period) * 1e-6;
     for (omega, zeta) in [(60.0, 1.0), (60.0, 0.5), (100.0, 0.7)] {
         let config = law(ServoForm::ModelBased, omega * omega, 2.0 * zeta * omega, 0);
-        let mut law = ServoLaw::new(&config, Effort(i32::MAX), period);
+        let mut law = ServoLaw::new(&config, Effort(i32::MAX), period, Coordinate(0));
         law.reset(coordinate(1.0));
         let mut slide = Slide {
             position: -1.0,
@@ -196,7 +197,7 @@ fn error_decays_with_the_designed_poles() {
 fn ramp_has_no_steady_error() {
     for form in [ServoForm::Pd, ServoForm::ModelBased] {
         let config = law(form, 40_000.0, 400.0, 1500);
-        let mut law = ServoLaw::new(&config, Effort(i32::MAX), 200);
+        let mut law = ServoLaw::new(&config, Effort(i32::MAX), 200, Coordinate(0));
         law.reset(Coordinate(0));
         let mut slide = Slide::default();
         let speed = 20.0;
@@ -220,7 +221,7 @@ fn ramp_has_no_steady_error() {
 #[test]
 fn derivative_term_damps() {
     let config = law(ServoForm::Pd, 3600.0, 120.0, 1500);
-    let mut law = ServoLaw::new(&config, Effort(i32::MAX), 200);
+    let mut law = ServoLaw::new(&config, Effort(i32::MAX), 200, Coordinate(0));
     law.reset(Coordinate(0));
     let mut slide = Slide {
         position: 0.0,
@@ -251,7 +252,7 @@ fn integrator_does_not_wind_up() {
     let mut config = law(ServoForm::Pd, 40_000.0, 400.0, 1500);
     config.ki = Gain(1_000_000 * 256);
     let limit = 400.0;
-    let mut law = ServoLaw::new(&config, Effort((limit * NEWTON) as i32), 200);
+    let mut law = ServoLaw::new(&config, Effort((limit * NEWTON) as i32), 200, Coordinate(0));
     law.reset(Coordinate(0));
     let mut slide = Slide::default();
     for _ in 0..10_000 {
@@ -288,6 +289,7 @@ fn reset_is_bumpless() {
         &law(ServoForm::ModelBased, 40_000.0, 400.0, 1500),
         Effort(i32::MAX),
         200,
+        Coordinate(0),
     );
     for k in 0..100 {
         law.effort(Coordinate(k * 100_000), Rate(0), Acceleration(0));
@@ -301,4 +303,68 @@ fn reset_is_bumpless() {
     law.reset(Coordinate(1 << 20));
     let (effort, _) = law.effort(Coordinate(1 << 20), Rate(0), Acceleration(0));
     assert!((f64::from(effort.0) / NEWTON - 40_000.0 * MASS * MILLI).abs() < 0.01);
+}
+
+/// A slide with Coulomb friction that follows a sine, and then rests. Returns the largest error in
+/// the second half of the sine in mm, and the reversals of its motion at rest.
+fn follow_sine(adaptation_ms: u16, count: f64) -> (f64, usize) {
+    const PERIOD: f64 = 200e-6;
+    let mut config = law(ServoForm::ModelBased, 40_000.0, 400.0, 1500);
+    config.ki = Gain(1_000_000 * 256);
+    config.coulomb = Effort((30.0 * NEWTON) as i32);
+    config.coulomb_rate = rate(0.02);
+    config.friction_adaptation_ms = adaptation_ms;
+    let limit = Effort((750.0 * NEWTON) as i32);
+    let mut law = ServoLaw::new(&config, limit, 200, coordinate(count));
+    law.reset(Coordinate(0));
+    // The true friction is a third larger than the configured one.
+    let friction = 40.0;
+    let (mut position, mut speed) = (0.0f64, 0.0f64);
+    let (amplitude, turn) = (15.0, 4.0 / 15.0);
+    let moving = 2.0 * core::f64::consts::TAU / turn;
+    let (mut largest, mut reversals, mut last) = (0.0f64, 0, (0i64, 0i64));
+    for k in 0..((moving + 20.0) / PERIOD) as u32 {
+        let time = f64::from(k) * PERIOD;
+        let angle = turn * time.min(moving);
+        let running = f64::from(u8::from(time < moving));
+        let target = amplitude * (1.0 - libm::cos(angle));
+        let target_rate = running * amplitude * turn * libm::sin(angle);
+        let target_acceleration = running * amplitude * turn * turn * libm::cos(angle);
+        let counted = (position / count).floor() as i64;
+        let (effort, _) = law.effort(
+            coordinate(target - counted as f64 * count),
+            rate(target_rate),
+            Acceleration((target_acceleration * 4096.0) as i32),
+        );
+        // Coulomb friction as an impulse that ends at rest.
+        let pushed = speed + f64::from(effort.0) / NEWTON / MASS / MILLI * PERIOD;
+        let most = friction / MASS / MILLI * PERIOD;
+        speed = pushed - pushed.clamp(-most, most);
+        position += speed * PERIOD;
+        if time > moving / 2.0 && time < moving {
+            largest = largest.max((target - position).abs());
+        }
+        if time > moving + 2.0 && counted != last.0 {
+            let direction = (counted - last.0).signum();
+            reversals += usize::from(direction == -last.1);
+            last.1 = direction;
+        }
+        last.0 = counted;
+    }
+    (largest, reversals)
+}
+
+/// The friction estimate removes the spike at a reversal that the integrator alone leaves, and the
+/// dead band keeps the slide at rest.
+#[test]
+fn friction_adaptation_removes_reversal_spikes() {
+    let count = 0.00125;
+    let (integrator_alone, _) = follow_sine(0, count);
+    let (adapted, reversals) = follow_sine(300, count);
+    assert!(
+        adapted < integrator_alone / 2.0,
+        "{adapted} mm, with the integrator alone {integrator_alone} mm"
+    );
+    assert!(adapted < 2.5 * count, "{adapted} mm");
+    assert_eq!(reversals, 0, "the slide hunts at rest");
 }

@@ -69,6 +69,7 @@ fn slide(preset: f64) -> JointAxis {
             coulomb: Effort(32 << 16),
             coulomb_rate: Rate(mm(0.2)),
             ki: Gain(0),
+            friction_adaptation_ms: 0,
         },
         following: Coordinate(mm(0.5)),
         following_lag: 1311,

@@ -248,7 +248,8 @@ impl Config {
 
 /// Whether the servo loop on a mass is damped with a margin of two, with a filter tau and a lag of
 /// 1.5 periods T. The filter leaves the damping K_D / (1 + K_P tau^2). It must be at least twice
-/// what the lag takes, 1.5 T K_P. K_I must stay below a quarter of K_P K_D.
+/// what the lag takes, 1.5 T K_P. K_I must stay below a quarter of K_P K_D. Friction adaptation needs
+/// an integrator.
 fn stable(law: &ServoConfig, period_us: u16) -> bool {
     let (kp, kd, ki) = (
         u128::from(law.kp.0),
@@ -259,7 +260,8 @@ fn stable(law: &ServoConfig, period_us: u16) -> bool {
     // Gains have 8 fraction bits; times are in microseconds.
     let damping = kd * 256 * 1_000_000_000_000 * 1_000_000;
     let lag = 3 * kp * period * (256 * 1_000_000_000_000 + kp * filter * filter);
-    damping >= lag && ki * 1024 < kp * kd
+    let adapts = law.friction_adaptation_ms == 0 || ki > 0;
+    damping >= lag && ki * 1024 < kp * kd && adapts
 }
 
 fn within(value: i32) -> bool {

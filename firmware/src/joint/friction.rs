@@ -47,15 +47,23 @@ impl Friction {
         }
     }
 
-    /// Effort that cancels the friction at a commanded rate, rounded; within +-`coulomb`.
+    /// Whether the compensation acts in full at a commanded rate: five knees or more.
     #[inline]
-    pub fn effort(&self, commanded: Rate) -> Effort {
-        if commanded.0.unsigned_abs() >= self.full {
+    pub const fn is_full(&self, commanded: Rate) -> bool {
+        commanded.0.unsigned_abs() >= self.full
+    }
+
+    /// Effort that cancels the friction at a commanded rate, rounded; within +-`coulomb`, which is
+    /// the configured friction plus the `adapted` one.
+    #[inline]
+    pub fn effort(&self, commanded: Rate, adapted: Effort) -> Effort {
+        let coulomb = self.coulomb.saturating_add(adapted);
+        if self.is_full(commanded) {
             // The usual case in motion.
             return if commanded.0 < 0 {
-                self.coulomb.saturating_neg()
+                coulomb.saturating_neg()
             } else {
-                self.coulomb
+                coulomb
             };
         }
         // In 1/16 of the knee, Q16. A rate of 2^31 over a knee of 1 is 2^31 * 2^20: no overflow
@@ -74,7 +82,7 @@ impl Friction {
         // Q31; never decreases.
         let tanh = total(low << 16, product(total(high, -low), part));
         // Below 2^31 * 2^31.
-        let effort = total(product(i64::from(self.coulomb.0), tanh), 1 << 30) >> 31;
+        let effort = total(product(i64::from(coulomb.0), tanh), 1 << 30) >> 31;
         let signed = if commanded.0 < 0 { -effort } else { effort };
         Effort(haptimill_math::reciprocal::saturate(signed))
     }

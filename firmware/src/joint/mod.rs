@@ -18,6 +18,7 @@
 //! [`JointDrive::enable`] returns.
 
 pub mod backlash;
+pub mod disturbance;
 pub mod edge_timer;
 pub mod encoder;
 pub mod friction;
@@ -193,6 +194,12 @@ fn reach(axis: &JointAxis, period_us: u16) -> u32 {
     counts.min(u64::from(u32::MAX)) as u32
 }
 
+/// Size of an encoder count.
+fn count(axis: &JointAxis) -> Coordinate {
+    let size = axis.per_count.unsigned_abs() >> 24;
+    Coordinate(size.min(i32::MAX as u64) as i32)
+}
+
 constants!(JointDrive { kind, reach } of { encoder, indexes, backlash, output } but { monitor, commanded, measurement, servo_output, measured_once, enabled });
 
 impl Constants for Output {
@@ -236,7 +243,7 @@ impl JointDrive {
                     return Err(DriveError::Torque);
                 }
                 Output::Torque {
-                    law: ServoLaw::new(&axis.law, limit, period_us),
+                    law: ServoLaw::new(&axis.law, limit, period_us, count(axis)),
                     output: TorqueOutput::new(full_scale),
                 }
             }

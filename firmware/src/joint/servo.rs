@@ -11,9 +11,9 @@
 //!
 //! e' is the rate of e through a first-order filter ([`RateFilter`]). Encoder counts are steps:
 //! differentiating one count within a period would command K_D / period times a count. Friction
-//! compensation uses the commanded rate ([`super::friction`]). The integrator is optional. It is
-//! frozen while the output is at its limit and the error would drive it further in, and it never
-//! holds more than the limit.
+//! compensation uses the commanded rate ([`super::friction`]). The integrator and the adaptation of
+//! the friction are optional ([`super::disturbance`]). The integrator is frozen while the output is
+//! at its limit and the error would drive it further in, and it never holds more than the limit.
 //!
 //! All gains are converted into effort factors when the configuration becomes active, so a term
 //! costs one 32-bit multiplication per period. A term saturates at no less than four times the
@@ -25,6 +25,7 @@
 //! Callers must not pass the error of a commanded position that jumps. They must call
 //! [`ServoLaw::reset`] before the first period after an enable.
 
+use super::disturbance::{Disturbance, DisturbanceLimits, FRACTION as INTEGRAL_FRACTION};
 use super::friction::Friction;
 use super::rate_filter::{CHANGE_FRACTION, RateFilter};
 use crate::config::digest::constants;
@@ -32,9 +33,6 @@ use crate::config::{ServoConfig, ServoForm};
 use haptimill_math::reciprocal::{Factor, Scale, mul_shift, saturate};
 use haptimill_math::scale::shift_right;
 use haptimill_math::{Acceleration, Coordinate, Effort, Rate};
-
-/// Fractional bits of the integrator.
-const INTEGRAL_FRACTION: u32 = 20;
 
 /// Position loop of one joint.
 ///
@@ -54,11 +52,7 @@ pub struct ServoLaw {
     friction: Friction,
     error_rate: RateFilter,
     inertia: u32,
-    /// K_I times the period, 1/s^2, Q20.
-    ki_period: u32,
-    /// au/s^2, Q20.
-    integral: i64,
-    integral_limit: i64,
+    disturbance: Disturbance,
     limit: i32,
     fraction: u32,
     /// Half a unit of effort.
@@ -70,12 +64,13 @@ pub struct ServoLaw {
 }
 
 constants!(ServoLaw {
-    form, proportional, derivative, coarse, acceleration, viscous, friction, inertia, ki_period, integral_limit, limit, fraction, rounding, lift, plain
-} of { error_rate } but { integral });
+    form, proportional, derivative, coarse, acceleration, viscous, friction, inertia, limit, fraction, rounding, lift, plain
+} of { error_rate, disturbance } but {});
 
 impl ServoLaw {
-    /// A loop with a period of `period_us` (50 to 1000) and an effort within +-`limit`.
-    pub const fn new(law: &ServoConfig, limit: Effort, period_us: u16) -> Self {
+    /// A loop with a period of `period_us` (50 to 1000), an effort within +-`limit`, and an encoder
+    /// with counts of the size `count`.
+    pub const fn new(law: &ServoConfig, limit: Effort, period_us: u16, count: Coordinate) -> Self {
         let limit = if limit.0 == i32::MIN {
             i32::MAX
         } else {
@@ -109,6 +104,20 @@ impl ServoLaw {
                 Factor::of(law.viscous as u64).shifted(bits - 24),
             ),
         };
+        // 28 bits of 256 au/s^2 and Q20 of inertia; the friction of the configuration is below the
+        // limit.
+        let known = ((law.coulomb.0 as i64).saturating_abs() << 28) / inertia;
+        let limits = DisturbanceLimits {
+            integral: most << INTEGRAL_FRACTION,
+            coulomb: (if known > most { most } else { known }) << INTEGRAL_FRACTION,
+        };
+        let ki = if ki > u32::MAX as u64 {
+            u32::MAX
+        } else {
+            ki as u32
+        };
+        let adaptation = law.friction_adaptation_ms;
+        let disturbance = Disturbance::new(ki, adaptation, period_us, count, limits);
         let coulomb = ((law.coulomb.0 as i64) << fraction) >> lift;
         let most_coulomb = 1 << 30;
         let coulomb = if coulomb > most_coulomb {
@@ -128,13 +137,7 @@ impl ServoLaw {
             friction: Friction::new(Effort(coulomb as i32), law.coulomb_rate),
             error_rate: RateFilter::new(period_us, law.rate_filter_us),
             inertia: law.inertia,
-            ki_period: if ki > u32::MAX as u64 {
-                u32::MAX
-            } else {
-                ki as u32
-            },
-            integral: 0,
-            integral_limit: most << INTEGRAL_FRACTION,
+            disturbance,
             limit,
             fraction,
             rounding: (1 << fraction) >> 1,
@@ -146,7 +149,7 @@ impl ServoLaw {
     /// Starts without a bump: the rate of `error` is zero, and the integrator is empty.
     pub const fn reset(&mut self, error: Coordinate) {
         self.error_rate.rest(error.0);
-        self.integral = 0;
+        self.disturbance.reset();
     }
 
     /// Returns the effort of a period and whether it was clamped at the limit.
@@ -162,14 +165,14 @@ impl ServoLaw {
             .proportional
             .apply(error.0)
             .saturating_add(self.derivative.apply(change))
-            .saturating_add(self.friction.effort(rate).0);
+            .saturating_add(self.friction.effort(rate, self.adapted()).0);
         if self.form == ServoForm::ModelBased {
             sum = sum
                 .saturating_add(self.acceleration.apply(acceleration.0))
                 .saturating_add(self.viscous.apply(rate.0));
         }
         if !self.plain {
-            return self.integrated(sum, error);
+            return self.integrated(sum, error, rate);
         }
         self.cut(
             sum.saturating_add(self.rounding)
@@ -177,22 +180,41 @@ impl ServoLaw {
         )
     }
 
+    /// Effort of an acceleration with [`INTEGRAL_FRACTION`] fractional bits.
+    #[inline]
+    fn force(&self, acceleration: i64) -> i32 {
+        // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^42 * 2^32 / 2^28 = 2^46, and the
+        // fraction 2^16.
+        let effort = mul_shift::<28>(acceleration >> INTEGRAL_FRACTION, self.inertia);
+        saturate((effort << self.fraction) >> self.lift)
+    }
+
+    /// Effort of the friction that the configuration does not know.
+    #[inline(always)]
+    fn adapted(&self) -> Effort {
+        let friction = self.disturbance.friction();
+        Effort(if friction == 0 {
+            0
+        } else {
+            self.force(friction)
+        })
+    }
+
     /// The effort of a period with an integrator, or of a drive of more than 2 kN.
     #[inline(never)]
-    fn integrated(&mut self, mut sum: i32, error: Coordinate) -> (Effort, bool) {
-        if self.ki_period != 0 {
-            // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^42 * 2^32 / 2^28 = 2^46, and the
-            // fraction 2^16.
-            let effort = mul_shift::<28>(self.integral >> INTEGRAL_FRACTION, self.inertia);
-            sum = sum.saturating_add(saturate((effort << self.fraction) >> self.lift));
+    fn integrated(&mut self, mut sum: i32, error: Coordinate, rate: Rate) -> (Effort, bool) {
+        if self.disturbance.is_active() {
+            sum = sum.saturating_add(self.force(self.disturbance.integral()));
         }
         let effort = sum
             .saturating_add(self.rounding)
             .wrapping_shr(self.fraction);
         let effort = saturate(i64::from(effort) << self.lift);
         let (allowed, cut) = self.cut(effort);
-        if self.ki_period != 0 {
-            self.integrate(error, cut && (effort < 0) == (error.0 < 0));
+        if self.disturbance.is_active() {
+            let deeper = cut && (effort < 0) == (error.0 < 0);
+            let full = self.friction.is_full(rate);
+            self.disturbance.update(error, rate, deeper, full);
         }
         (allowed, cut)
     }
@@ -203,18 +225,5 @@ impl ServoLaw {
         // The limit is above 0.
         let allowed = effort.max(self.limit.wrapping_neg()).min(self.limit);
         (Effort(allowed), allowed != effort)
-    }
-
-    /// Updates the integrator, unless that would drive the output `deeper` into its limit.
-    fn integrate(&mut self, error: Coordinate, deeper: bool) {
-        if !deeper {
-            // The integrator is within +-2^62 and a step below 2^63.
-            let step = i64::from(error.0) * i64::from(self.ki_period);
-            self.integral = self
-                .integral
-                .saturating_add(step)
-                .max(-self.integral_limit)
-                .min(self.integral_limit);
-        }
     }
 }

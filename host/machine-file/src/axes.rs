@@ -228,6 +228,7 @@ fn placeholder_law() -> ServoConfig {
         coulomb: Effort(0),
         coulomb_rate: Rate(0),
         ki: Gain(0),
+        friction_adaptation_ms: 0,
     }
 }
 
@@ -356,6 +357,12 @@ fn read_law(
     let viscous = section.value(joint_law::viscous);
     let coulomb = section.value(joint_law::coulomb);
     let coulomb_rate = section.value(joint_law::coulomb_rate);
+    let adaptation = section.value(joint_law::friction_adaptation_ms);
+    if adaptation > 0.0 && gains.ki == 0.0 {
+        let what = "needs the integrator, and ki is 0";
+        let remedy = "set ki, or remove the key";
+        section.refuse(joint_law::friction_adaptation_ms, what, remedy);
+    }
     // kg mm/s^2 is mN; kg m^2 deg/s^2 is pi/180 N m.
     let demand = inertia * acceleration * (newtons_per_inertia(kind)) + coulomb;
     if demand > limit {
@@ -380,6 +387,7 @@ fn read_law(
         coulomb: Effort(to_i32(coulomb * PER_EFFORT)),
         coulomb_rate: Rate(to_i32(coulomb_rate * per_unit(kind))),
         ki: Gain(to_u32(gains.ki * PER_GAIN)),
+        friction_adaptation_ms: to_u16(adaptation),
     };
     section.finish();
     law

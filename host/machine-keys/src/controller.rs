@@ -145,6 +145,9 @@ joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)."
     kd = real(0.0, 1e5, "1/s").is("K_D, rate gain")
         .bounded("above 0, K_D times the period below 1");
     ki = real(0.0, 1.6e7, "1/s^3").is("K_I, integral gain").or(0.0).bounded("below K_P K_D / 4");
+    friction_adaptation_ms = real(0.0, 60_000.0, "ms")
+        .is("time in which the integrator of a moving joint drains into its friction estimate; 0 is none")
+        .or(0.0).bounded("needs ki");
     rate_filter_ms = real(0.0, 60.0, "ms").is("filter of the rate of the error").or(0.0)
         .bounded("to 50 for the controller");
     inertia = real(0.001, 10_000.0, "kg").is("inertia of all that the joint moves")

@@ -1,0 +1,138 @@
+//! Disturbance of a joint: an integrator, and an adaptation of the friction compensation
+//! ((C33) in docs/control.md).
+//!
+//! The integrator removes the static error that a constant disturbance leaves: K_I times the
+//! integral of the error. While the joint moves, its value drains into an estimate of the friction
+//! that the configuration does not know. The estimate acts on the side of the commanded rate, so at
+//! a reversal it changes its sign with the friction; the integrator alone would need the time of its
+//! own dynamics and leave a spike at each reversal.
+//!
+//! The integrator does not hunt at rest: while the commanded rate is 0 it ignores errors within the
+//! dead band of one and a half encoder counts.
+//!
+//! Units: axis units per second squared, with [`FRACTION`] fractional bits. The friction estimate is
+//! between the negative configured Coulomb friction and half the drive's limit. No input can
+//! overflow.
+
+use crate::config::digest::constants;
+use crate::joint::rate_filter::approach;
+use haptimill_math::reciprocal::mul_shift;
+use haptimill_math::{Coordinate, Rate};
+
+/// Fractional bits.
+pub const FRACTION: u32 = 20;
+
+/// Constants of a [`Disturbance`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DisturbanceLimits {
+    /// Largest magnitude of the integrator.
+    pub integral: i64,
+    /// Configured Coulomb friction: the estimate does not make the compensation negative.
+    pub coulomb: i64,
+}
+
+/// Integrator and friction estimate of one joint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Disturbance {
+    /// K_I times the period, 1/s^2, Q20; 0 without an integrator.
+    ki_period: u32,
+    /// Part of the integrator that drains into the friction estimate in a period, Q32; 0 without
+    /// adaptation.
+    drain: u32,
+    dead_band: u32,
+    limit: i64,
+    least_friction: i64,
+    most_friction: i64,
+    integral: i64,
+    friction: i64,
+}
+
+constants!(Disturbance { ki_period, drain, dead_band, limit, least_friction, most_friction } of {}
+    but { integral, friction });
+
+impl Disturbance {
+    /// A disturbance with K_I times the period (1/s^2, Q20), the time constant of the adaptation
+    /// (0: none), and the size of an encoder count.
+    pub const fn new(
+        ki_period: u32,
+        adaptation_ms: u16,
+        period_us: u16,
+        count: Coordinate,
+        limits: DisturbanceLimits,
+    ) -> Self {
+        let count = count.magnitude();
+        let milliseconds = adaptation_ms as u32 * 1000;
+        // `approach` takes microseconds of 16 bits: a longer time is a smaller part.
+        let drain = match adaptation_ms {
+            0 => 0,
+            1..=65 => approach(period_us, (milliseconds) as u16),
+            _ => (((period_us as u64) << 32) / milliseconds as u64) as u32,
+        };
+        Self {
+            ki_period,
+            drain,
+            dead_band: count.saturating_add(count / 2),
+            limit: limits.integral,
+            least_friction: -limits.coulomb,
+            most_friction: limits.integral / 2,
+            integral: 0,
+            friction: 0,
+        }
+    }
+
+    /// Whether the joint has an integrator.
+    #[inline]
+    pub const fn is_active(&self) -> bool {
+        self.ki_period != 0
+    }
+
+    /// Empties integrator and friction estimate.
+    pub const fn reset(&mut self) {
+        self.integral = 0;
+        self.friction = 0;
+    }
+
+    /// The integrator.
+    #[inline]
+    pub const fn integral(&self) -> i64 {
+        self.integral
+    }
+
+    /// Friction beyond the configured one.
+    #[inline]
+    pub const fn friction(&self) -> i64 {
+        self.friction
+    }
+
+    /// Takes the error of a period at a commanded rate. `saturated`: the output is at its limit and
+    /// the error would drive it further in. `full`: the friction compensation acts in full at this
+    /// rate.
+    #[inline]
+    pub fn update(&mut self, error: Coordinate, rate: Rate, saturated: bool, full: bool) {
+        if saturated || (rate.0 == 0 && error.magnitude() <= self.dead_band) {
+            return;
+        }
+        // The integrator is within +-2^62 and a step below 2^63.
+        let step = i64::from(error.0) * i64::from(self.ki_period);
+        let integral = self.integral.saturating_add(step);
+        self.integral = integral.max(-self.limit).min(self.limit);
+        if full && self.drain != 0 {
+            self.adapt(rate);
+        }
+    }
+
+    /// Moves a part of the integrator into the friction estimate.
+    #[inline]
+    fn adapt(&mut self, rate: Rate) {
+        // Without the lowest bits, so that the product of any integrator fits.
+        let part = mul_shift::<32>(self.integral >> 8, self.drain) << 8;
+        let along = if rate.0 < 0 { -part } else { part };
+        let friction = self.friction.saturating_add(along);
+        let friction = friction.max(self.least_friction).min(self.most_friction);
+        let moved = friction.saturating_sub(self.friction);
+        self.friction = friction;
+        self.integral = self
+            .integral
+            .saturating_sub(if rate.0 < 0 { -moved } else { moved });
+    }
+}
