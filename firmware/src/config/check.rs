@@ -248,8 +248,8 @@ impl Config {
 
 /// Whether the servo loop on a mass is damped with a margin of two, with a filter tau and a lag of
 /// 1.5 periods T. The filter leaves the damping K_D / (1 + K_P tau^2). It must be at least twice
-/// what the lag takes, 1.5 T K_P. K_I must stay below a quarter of K_P K_D. Friction adaptation needs
-/// an integrator.
+/// what the lag takes, 1.5 T K_P. K_I must stay below a quarter of K_P K_D. Friction adaptation
+/// needs an integrator.
 fn stable(law: &ServoConfig, period_us: u16) -> bool {
     let (kp, kd, ki) = (
         u128::from(law.kp.0),

@@ -3,15 +3,14 @@
 //!
 //! The integrator removes the static error that a constant disturbance leaves: K_I times the
 //! integral of the error. While the joint moves, its value drains into an estimate of the friction
-//! that the configuration does not know. The estimate acts on the side of the commanded rate, so at
-//! a reversal it changes its sign with the friction; the integrator alone would need the time of its
-//! own dynamics and leave a spike at each reversal.
+//! that the configuration does not know. The estimate acts on the side of the commanded rate and
+//! changes its sign with the friction at a reversal. The integrator alone would leave a spike there.
 //!
 //! The integrator does not hunt at rest: while the commanded rate is 0 it ignores errors within the
 //! dead band of one and a half encoder counts.
 //!
-//! Units: axis units per second squared, with [`FRACTION`] fractional bits. The friction estimate is
-//! between the negative configured Coulomb friction and half the drive's limit. No input can
+//! Units: axis units per second squared, with [`FRACTION`] fractional bits. The friction estimate
+//! is between the negative configured Coulomb friction and half the drive's limit. No input can
 //! overflow.
 
 use crate::config::digest::constants;
