@@ -1,6 +1,7 @@
 //! Developer tasks of the project. `cargo xtask help` lists them.
 
 mod board;
+mod gcode;
 mod lint;
 mod planted;
 mod provide;
@@ -29,6 +30,7 @@ Developer tasks of the project.
   cargo xtask storm [OPTION ...]   run random episodes against all checks, by seed (docs/storm.md; --help lists the options)
   cargo xtask storm --planted      plant bugs into a copy of the sources and show that the storm finds each
   cargo xtask bench                run all benchmarks (criterion); results in target/criterion
+  cargo xtask gcode FILE ...       compare the motion of part programs with LinuxCNC's rs274 (docs/gcode.md)
   cargo xtask help                 print this text
 ";
 
@@ -141,6 +143,7 @@ fn main() -> ExitCode {
         ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),
         ["storm", ref options @ ..] => storm(options),
+        ["gcode", ref options @ ..] => gcode::gcode(options),
         ["help"] | [] => {
             print!("{HELP}");
             Ok(())

@@ -6,11 +6,11 @@
 //!
 //! Soft limits of the pose are not checked here. Callers must check them in the motion.
 
+use super::h4::BasePose;
 use super::machines::{AnyMachine, Model};
 use super::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };
-use crate::BasePose;
 use crate::descriptor::Descriptor;
 use haptimill_math::{Angle, Coordinate, Length, Rate};
 use haptimill_protocol::message::MAX_AXES;

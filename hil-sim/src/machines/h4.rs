@@ -12,6 +12,7 @@
 
 use super::{Geometry, GeometryConfig};
 use crate::check::Check;
+use crate::config::PlantConfig;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
 use crate::process::ToolPose;
@@ -66,10 +67,10 @@ pub enum Branch {
 }
 
 impl ArmGeometry {
-    /// Lengths of a geometry that is an H-4 arm; `None` for another one.
+    /// Lengths of a plant that is an H-4 arm; `None` for another machine.
     #[must_use]
-    pub const fn of(geometry: Option<&GeometryConfig>) -> Option<&Self> {
-        match geometry {
+    pub const fn of(plant: &PlantConfig) -> Option<&Self> {
+        match &plant.geometry {
             Some(GeometryConfig::H4(lengths)) => Some(lengths),
             _ => None,
         }

@@ -72,7 +72,8 @@ impl Error {
     /// A part program was refused.
     pub fn refused(kind: ErrorKind, refused: &Refused) -> Self {
         let located = |problem: &haptimill_gcode::Problem| Located {
-            file: refused.file.clone(),
+            file: haptimill_gcode::file_name(&refused.file, &refused.called, problem.place.file)
+                .to_owned(),
             line: problem.place.line as usize,
             column: problem.place.column as usize,
             message: problem.what.clone(),

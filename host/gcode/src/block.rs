@@ -1,370 +1,342 @@
-//! Blocks: assigns the words of a line to their meanings, at most one word per modal group.
+//! Blocks: the words, codes, assignments and comments of a line.
 
-use super::lexer::{Line, Word};
-use super::problem::{Place, Problems};
-use super::{LONGEST_DWELL_S, Options};
+use super::codes::{Code, Codes, g_group, g_remedy, m_group, m_remedy, tenths};
+use super::expression::{LARGEST_NUMBER, Parameter, Read, Scan, Values, text_of};
+use super::problem::Mistake;
 
-/// G0 to G3, or none.
+/// A word that is no code: its number and its place in the line.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Word {
+    pub value: f64,
+    pub at: usize,
+    pub end: usize,
+    /// Whether its number is written with a decimal point.
+    pub has_point: bool,
+}
+
+/// A comment: the place of its mark, and its text between the marks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Motion {
-    Rapid,
-    Straight,
-    Clockwise,
-    CounterClockwise,
-    Off,
+pub(crate) struct CommentSpan {
+    pub at: usize,
+    pub from: usize,
+    pub to: usize,
 }
 
-/// G17 to G19.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Plane {
-    Xy,
-    Zx,
-    Yz,
-}
-
-/// M0, M1, M2 and M30.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Stop {
-    Pause,
-    OptionalPause,
-    End,
-}
-
-/// Direction of the spindle.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Turn {
-    /// Off (M5).
-    #[default]
-    Off,
-    /// M3.
-    Clockwise,
-    /// M4.
-    CounterClockwise,
-}
-
-/// Words of a block by meaning.
+/// Words of a block.
 #[derive(Debug, Default)]
 pub(crate) struct Block {
-    pub motion: Option<(Place, Motion)>,
-    pub plane: Option<Plane>,
-    pub inch: Option<bool>,
-    pub incremental: Option<bool>,
-    pub exact_stop: Option<bool>,
-    pub dwell: Option<Place>,
-    pub spindle: Option<(Place, Turn)>,
-    pub stop: Option<(Place, Stop)>,
-    pub feed: Option<Word>,
-    pub speed: Option<Word>,
-    pub seconds: Option<Word>,
-    pub radius: Option<Word>,
-    /// I, J, K.
-    pub centre: [Option<Word>; 3],
-    /// Words of the pose coordinates, in the machine's order.
-    pub axes: [Option<Word>; 6],
-    /// Whether a problem was found; the motion of the block is then not used.
-    pub has_problem: bool,
+    words: [Word; 26],
+    /// Bit k is set if letter k (A is 0) has a word.
+    present: u32,
+    pub codes: Codes,
+    pub assignments: Vec<(Parameter, f64)>,
+    pub comments: Vec<CommentSpan>,
+    /// Place of the first word, code or assignment.
+    pub first: Option<usize>,
+    /// Place of the last `%`.
+    pub percent: Option<usize>,
+    /// Place of the O of a block that begins with one, and of the byte after it.
+    pub o_word: Option<usize>,
+    /// Whether the block begins with a slash.
+    pub optional: bool,
 }
+
+const fn bit(letter: u8) -> u32 {
+    1 << (letter - b'A')
+}
+
+/// Returns the bits of letters.
+pub(crate) const fn letters(text: &[u8]) -> u32 {
+    let (mut bits, mut index) = (0, 0);
+    while index < text.len() {
+        bits |= bit(text[index]);
+        index += 1;
+    }
+    bits
+}
+
+/// Letters of axes, in the order of the offsets.
+pub(crate) const AXES: [u8; 9] = *b"XYZABCUVW";
+
+/// Bits of the axis letters.
+pub(crate) const AXIS_LETTERS: u32 = letters(&AXES);
 
 impl Block {
-    /// Returns the first axis word.
-    pub(crate) fn first_axis(&self) -> Option<&Word> {
-        self.axes.iter().flatten().min_by_key(|word| word.place)
+    fn clear(&mut self) {
+        self.present = 0;
+        self.codes = Codes::default();
+        self.assignments.clear();
+        self.comments.clear();
+        self.first = None;
+        self.percent = None;
+        self.o_word = None;
+        self.optional = false;
     }
-}
 
-/// Modal groups of a block; each may have one word.
-#[derive(Default)]
-struct ModalGroups {
-    words: Vec<(&'static str, String)>,
-}
-
-impl ModalGroups {
-    fn enter(&mut self, group: &'static str, word: &Word, problems: &mut Problems) -> bool {
-        if let Some((_, first)) = self.words.iter().find(|(known, _)| *known == group) {
-            let what = format!(
-                "{} and {first} in one block: both are of modal group {group}",
-                word.text
-            );
-            problems.add(word.place, what, "keep one");
-            return false;
-        }
-        self.words.push((group, word.text.clone()));
-        true
+    /// Returns the word of a letter in upper case.
+    pub(crate) fn word(&self, letter: u8) -> Option<Word> {
+        (self.present & bit(letter) != 0).then(|| self.words[usize::from(letter - b'A')])
     }
-}
 
-/// Reads the words of a line as a block. `first_block` allows an O word.
-pub fn read_block(
-    line: &Line,
-    options: &Options,
-    first_block: bool,
-    problems: &mut Problems,
-) -> Block {
-    let before = problems.count();
-    let mut block = Block::default();
-    let mut groups = ModalGroups::default();
-    let mut letters: Vec<char> = Vec::new();
-    for (index, word) in line.words.iter().enumerate() {
-        let letter = word.letter;
-        if letter != 'G' && letter != 'M' {
-            if letters.contains(&letter) {
-                let what = format!("the letter {letter} occurs twice in one block");
-                problems.add(word.place, what, "keep one");
-                continue;
+    /// Returns the value of a letter.
+    pub(crate) fn value(&self, letter: u8) -> Option<f64> {
+        self.word(letter).map(|word| word.value)
+    }
+
+    /// Multiplies the number of a word.
+    pub(crate) fn scale(&mut self, letter: u8, factor: f64) {
+        self.words[usize::from(letter - b'A')].value *= factor;
+    }
+
+    /// Whether one of some letters has a word.
+    pub(crate) fn has_any(&self, letters: u32) -> bool {
+        self.present & letters != 0
+    }
+
+    /// Returns the first word of some letters.
+    pub(crate) fn first_of(&self, letters: u32) -> Option<(u8, Word)> {
+        let mut found: Option<(u8, Word)> = None;
+        let mut bits = self.present & letters;
+        while bits != 0 {
+            let letter = b'A' + bits.trailing_zeros() as u8;
+            bits &= bits - 1;
+            let word = self.words[usize::from(letter - b'A')];
+            if found.is_none_or(|(_, first)| word.at < first.at) {
+                found = Some((letter, word));
             }
-            letters.push(letter);
         }
-        let slot = match letter {
-            'G' => {
-                read_g(word, &mut block, &mut groups, problems);
-                continue;
+        found
+    }
+
+    /// Reads a line.
+    ///
+    /// # Errors
+    ///
+    /// Returns its first mistake. The comments before it are in the block.
+    pub(crate) fn read(&mut self, line: &[u8], values: &dyn Values) -> Read<()> {
+        self.clear();
+        let mut scan = Scan::new(line, 0, values);
+        loop {
+            let start = scan.at;
+            let Some(byte) = scan.peek() else {
+                return Ok(());
+            };
+            match byte {
+                b' ' | b'\t' => scan.at += 1,
+                b'%' => {
+                    scan.at += 1;
+                    self.percent = Some(start);
+                }
+                b';' => {
+                    self.comments.push(CommentSpan {
+                        at: start,
+                        from: start + 1,
+                        to: line.len(),
+                    });
+                    return Ok(());
+                }
+                b'(' => self.comment(&mut scan)?,
+                b'/' if self.first.is_none() && !self.optional => {
+                    scan.at += 1;
+                    self.optional = true;
+                }
+                b'#' => {
+                    self.first.get_or_insert(start);
+                    self.assignment(&mut scan)?;
+                }
+                b'O' | b'o' if self.first.is_none() => {
+                    self.first = Some(start);
+                    self.o_word = Some(start);
+                    return Ok(());
+                }
+                _ if byte.is_ascii_alphabetic() => {
+                    let letter = byte.to_ascii_uppercase();
+                    if letter != b'N' {
+                        self.first.get_or_insert(start);
+                    }
+                    self.letter(&mut scan, letter, values)?;
+                }
+                _ => return Err(Box::new(refuse_symbol(line, start))),
             }
-            'M' => {
-                read_m(word, &mut block, &mut groups, problems);
-                continue;
+        }
+    }
+
+    fn comment(&mut self, scan: &mut Scan) -> Read<()> {
+        let at = scan.at;
+        let from = at + 1;
+        let end = scan.bytes[from..]
+            .iter()
+            .position(|&byte| byte == b')' || byte == b'(');
+        match end {
+            Some(end) if scan.bytes[from + end] == b')' => {
+                self.comments.push(CommentSpan {
+                    at,
+                    from,
+                    to: from + end,
+                });
+                scan.at = from + end + 1;
+                Ok(())
             }
-            'N' => {
-                if index > 0 {
-                    problems.add(
-                        word.place,
+            Some(_) => Err(Box::new(Mistake::new(
+                at,
+                "a comment is opened inside a comment",
+                "use ( ) without another ( inside, or ; to the end of the line",
+            ))),
+            None => Err(Box::new(Mistake::new(
+                at,
+                "the comment is not closed",
+                "close it with ) on the same line, or open it with ;",
+            ))),
+        }
+    }
+
+    fn assignment(&mut self, scan: &mut Scan) -> Read<()> {
+        let start = scan.at;
+        let parameter = scan.parameter()?;
+        scan.skip_blanks();
+        if scan.peek() != Some(b'=') {
+            return Err(Box::new(Mistake::new(
+                start,
+                format!("the parameter {} stands alone", scan.text(start)),
+                "assign a value (#1=2), or write the letter that uses it (X#1)",
+            )));
+        }
+        scan.at += 1;
+        let value = scan.value()?;
+        self.assignments.push((parameter, value));
+        Ok(())
+    }
+
+    fn letter(&mut self, scan: &mut Scan, letter: u8, values: &dyn Values) -> Read<()> {
+        let start = scan.at;
+        scan.at += 1;
+        scan.skip_blanks();
+        if !scan.has_value() {
+            let what = format!("the letter {} has no number", char::from(letter));
+            let remedy = "write a number after the letter, or put a remark in ( )";
+            return Err(Box::new(Mistake::new(start, what, remedy)));
+        }
+        let number = scan.at;
+        let value = scan.value()?;
+        let end = scan.at;
+        let text = || text_of(&scan.bytes[start..end]);
+        if value.abs() > LARGEST_NUMBER {
+            return Err(Box::new(Mistake::new(
+                start,
+                format!("the number of {} is too large", text()),
+                "write at most 10,000,000",
+            )));
+        }
+        let code = |tenths| Code {
+            tenths,
+            at: start,
+            end,
+        };
+        match letter {
+            b'G' => {
+                let found = tenths(value).and_then(|number| Some((number, g_group(number)?)));
+                let Some((number, group)) = found else {
+                    return Err(Box::new(Mistake::new(
+                        start,
+                        format!("{} is not supported", text()),
+                        tenths(value).map_or("remove it if the part does not need it", g_remedy),
+                    )));
+                };
+                self.codes.enter(group, code(number), scan.bytes)
+            }
+            b'M' => {
+                let whole = (value.fract() == 0.0 && value >= 0.0).then_some(value as u16);
+                let Some((number, group)) =
+                    whole.and_then(|number| Some((number, m_group(number)?)))
+                else {
+                    return Err(Box::new(Mistake::new(
+                        start,
+                        format!("{} is not supported", text()),
+                        whole.map_or("remove it if the part does not need it", m_remedy),
+                    )));
+                };
+                self.codes.enter(group, code(number * 10), scan.bytes)
+            }
+            b'N' => {
+                if self.first.is_some() {
+                    return Err(Box::new(Mistake::new(
+                        start,
                         "a block number inside a block",
                         "write N at the start of the line",
-                    );
-                } else if word.value < 0.0 || word.value.fract() != 0.0 {
-                    problems.add(
-                        word.place,
-                        format!("{} is not a block number", word.text),
+                    )));
+                }
+                if value < 0.0 || value.fract() != 0.0 {
+                    return Err(Box::new(Mistake::new(
+                        start,
+                        format!("{} is not a block number", text()),
                         "write a whole number from 0, or remove it",
-                    );
+                    )));
                 }
-                continue;
+                let _ = values;
+                Ok(())
             }
-            'O' if first_block && line.words.len() == 1 => continue,
-            'F' => &mut block.feed,
-            'S' => &mut block.speed,
-            'P' => &mut block.seconds,
-            'R' => &mut block.radius,
-            'I' => &mut block.centre[0],
-            'J' => &mut block.centre[1],
-            'K' => &mut block.centre[2],
-            _ => match options
-                .axes
-                .iter()
-                .take(6)
-                .position(|axis| axis.letter == letter)
-            {
-                Some(axis) => &mut block.axes[axis],
-                None => {
-                    let (what, remedy) = unknown_letter(word);
-                    problems.add(word.place, what, remedy);
-                    continue;
+            b'O' => Err(Box::new(Mistake::new(
+                start,
+                format!("program number {} is not alone in its block", text()),
+                "write O at the start of a line",
+            ))),
+            _ => {
+                if self.present & bit(letter) != 0 {
+                    let what = format!(
+                        "the letter {} occurs twice in one block",
+                        char::from(letter)
+                    );
+                    return Err(Box::new(Mistake::new(start, what, "keep one")));
                 }
-            },
-        };
-        *slot = Some(word.clone());
+                self.present |= bit(letter);
+                self.words[usize::from(letter - b'A')] = Word {
+                    value,
+                    at: start,
+                    end,
+                    has_point: scan.bytes[number..end].contains(&b'.'),
+                };
+                Ok(())
+            }
+        }
     }
-    check_companions(&block, problems);
-    block.has_problem = line.has_problem || problems.count() > before;
-    block
 }
 
-/// Returns problem and remedy of a letter that is not supported.
-fn unknown_letter(word: &Word) -> (String, &'static str) {
-    let text = &word.text;
-    match word.letter {
-        'T' => (
-            format!("tool change {text} is not possible: this machine has one tool"),
-            "remove the T word; write one program per tool",
+/// Returns the mistake of a symbol that begins nothing.
+fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
+    let byte = line[at];
+    let (what, remedy) = match byte {
+        b'/' => (
+            "a slash inside a block".into(),
+            "block delete (/) stands at the start of a line; divisions stand in [ ]",
         ),
-        'X' | 'Y' | 'Z' | 'A' | 'B' | 'C' | 'U' | 'V' | 'W' => (
-            format!("{text}: this machine has no axis {}", word.letter),
-            "write the program for the axes of the machine file",
+        b'[' | b']' | b'=' => (
+            format!("'{}' without a letter or parameter", char::from(byte)),
+            "write X[1+2] or #1=[1+2]",
         ),
-        'D' | 'H' => (
-            format!("{text}: tool offsets are not supported"),
-            "let the CAM program apply the tool offset",
+        b'*' => (
+            "checksums are not supported".into(),
+            "remove the * and the number after it",
         ),
-        'E' => (
-            format!("{text}: exponents are not supported"),
-            "write all digits of the number",
+        b')' => (
+            "a comment is closed that was not opened".into(),
+            "open it with ( on the same line",
         ),
-        'O' => (
-            format!("program number {text} is not alone in the first block"),
-            "remove it; subprograms are not supported",
+        b'0'..=b'9' | b'.' | b'+' | b'-' => (
+            "a number without a letter".into(),
+            "write the letter of the word in front of the number",
         ),
-        _ => (
-            format!("{text} is not supported"),
+        b',' => (
+            "a comma is not supported".into(),
+            "write decimals with a point: X10.5",
+        ),
+        0x20..=0x7E => (
+            format!("'{}' is not supported", char::from(byte)),
             "remove it, or put it in a comment ( )",
         ),
-    }
-}
-
-/// Reads a G word.
-fn read_g(word: &Word, block: &mut Block, groups: &mut ModalGroups, problems: &mut Problems) {
-    // Tenths, for words such as G61.1.
-    let tenths = word.value * 10.0;
-    let code = if tenths.fract() == 0.0 {
-        tenths as i64
-    } else {
-        -1
-    };
-    let motion = match code {
-        0 => Some(Motion::Rapid),
-        10 => Some(Motion::Straight),
-        20 => Some(Motion::Clockwise),
-        30 => Some(Motion::CounterClockwise),
-        800 => Some(Motion::Off),
-        _ => None,
-    };
-    if let Some(motion) = motion {
-        if groups.enter("motion", word, problems) {
-            block.motion = Some((word.place, motion));
-        }
-        return;
-    }
-    let group = match code {
-        40 => "dwell",
-        170 | 180 | 190 => "plane",
-        200 | 210 | 700 | 710 => "unit",
-        400 => "cutter compensation",
-        490 => "tool length",
-        610 | 640 => "path control",
-        900 | 910 => "distance",
-        940 => "feed mode",
-        _ => {
-            let remedy = match code {
-                410 | 420 => "cutter compensation is not supported: let the CAM program apply it",
-                430..=439 => "the tool length is in the machine file: remove it",
-                530..=599 => {
-                    "there is one work coordinate system, that of the machine file: remove it"
-                }
-                280..=309 => "write the move as G0 with its coordinates",
-                730 | 810..=899 => "drilling cycles are not supported: write their moves",
-                930 | 950 => "write feeds per minute (G94)",
-                901 => "centres are from the start of the arc (G91.1)",
-                _ => "remove it if the part does not need it",
-            };
-            problems.add(
-                word.place,
-                format!("{} is not supported", word.text),
-                remedy,
-            );
-            return;
-        }
-    };
-    if !groups.enter(group, word, problems) {
-        return;
-    }
-    match code {
-        40 => block.dwell = Some(word.place),
-        170 => block.plane = Some(Plane::Xy),
-        180 => block.plane = Some(Plane::Zx),
-        190 => block.plane = Some(Plane::Yz),
-        200 | 700 => block.inch = Some(true),
-        210 | 710 => block.inch = Some(false),
-        610 => block.exact_stop = Some(true),
-        640 => block.exact_stop = Some(false),
-        900 => block.incremental = Some(false),
-        910 => block.incremental = Some(true),
-        // G40, G49, G94 change nothing.
-        _ => {}
-    }
-}
-
-/// Reads an M word.
-fn read_m(word: &Word, block: &mut Block, groups: &mut ModalGroups, problems: &mut Problems) {
-    let code = if word.value.fract() == 0.0 {
-        word.value as i64
-    } else {
-        -1
-    };
-    match code {
-        0..=2 | 30 => {
-            if groups.enter("stop", word, problems) {
-                let stop = match code {
-                    0 => Stop::Pause,
-                    1 => Stop::OptionalPause,
-                    _ => Stop::End,
-                };
-                block.stop = Some((word.place, stop));
-            }
-        }
-        3..=5 => {
-            if groups.enter("spindle", word, problems) {
-                let turn = match code {
-                    3 => Turn::Clockwise,
-                    4 => Turn::CounterClockwise,
-                    _ => Turn::Off,
-                };
-                block.spindle = Some((word.place, turn));
-            }
-        }
-        _ => {
-            let remedy = match code {
-                6 => "this machine has one tool: remove it, one program for each tool",
-                7..=9 => "this machine has no coolant: remove it",
-                98 | 99 => "subprograms are not supported: write their moves",
-                _ => "remove it if the part does not need it",
-            };
-            problems.add(
-                word.place,
-                format!("{} is not supported", word.text),
-                remedy,
-            );
-        }
-    }
-}
-
-/// Checks ranges, and words that need another word.
-fn check_companions(block: &Block, problems: &mut Problems) {
-    if let Some(word) = &block.feed
-        && word.value <= 0.0
-    {
-        problems.add(
-            word.place,
-            format!("feed {} is not above zero", word.text),
-            "write a positive feed",
-        );
-    }
-    if let Some(word) = &block.speed
-        && !(word.value.fract() == 0.0 && (0.0..=f64::from(i16::MAX)).contains(&word.value))
-    {
-        let what = format!("{} is not a spindle speed", word.text);
-        problems.add(
-            word.place,
-            what,
-            "write a whole number of rev/min from 0 to 32767",
-        );
-    }
-    match (&block.dwell, &block.seconds) {
-        (Some(place), None) => problems.add(
-            *place,
-            "G4 without its time",
-            "write P with the seconds to wait",
+        _ => (
+            format!("byte 0x{byte:02X} is not part of a word"),
+            "part programs are plain ASCII text outside comments",
         ),
-        (Some(_), Some(word)) if !(0.0..=LONGEST_DWELL_S).contains(&word.value) => {
-            problems.add(
-                word.place,
-                format!("{} is not a dwell time", word.text),
-                "write 0 to 3600 seconds",
-            );
-        }
-        (None, Some(word)) => {
-            problems.add(
-                word.place,
-                format!("{} belongs to no word of its block", word.text),
-                "P is the time of G4: write G4, or remove it",
-            );
-        }
-        _ => {}
-    }
-    if block.dwell.is_some()
-        && let Some(word) = block.first_axis()
-    {
-        problems.add(
-            word.place,
-            "an axis word in the block of G4",
-            "write the move in a block of its own",
-        );
-    }
+    };
+    Mistake::new(at, what, remedy)
 }

@@ -1,57 +1,76 @@
-//! Reader of part programs: from the text of a file to moves, dwells and spindle commands, each
-//! with its place in the file.
+//! Interpreter of part programs in the language of RS274/NGC: from the text of a file to moves,
+//! dwells and commands, each with its place in the file.
 //!
-//! Coordinates are workpiece coordinates: millimetres, and degrees for rotary words. Supported
-//! words:
+//! - [`Interpreter`] is an iterator over the [`Step`]s of a program, one block at a time, in memory
+//!   that does not depend on the length of the program.
+//! - [`read`] collects the steps of a whole program, or all its problems.
 //!
-//! | words | meaning |
-//! | --- | --- |
-//! | G0, G1 | straight move: rapid, at feed |
-//! | G2, G3 | arc, clockwise and counter-clockwise seen from the positive end of the plane's normal; helix with the third axis |
-//! | I J K | centre, from the start of the arc (incremental); a full circle without an end point |
-//! | R | radius; negative for an arc of more than half a turn |
-//! | G4 P | dwell, seconds |
-//! | G17, G18, G19 | plane X Y, Z X, Y Z |
-//! | G20 or G70, G21 or G71 | inch, millimetre (default). Rotary words are degrees in both |
-//! | G40, G49, G80 | compensation, tool length, cycle off: they are never on; G80 also ends the modal G0 to G3 |
-//! | G61, G64 | exact stop at block ends; corners blended within the planner's tolerance (default) |
-//! | G90, G91 | absolute (default), incremental |
-//! | G94 F | feed per minute: mm (inch) of the tool tip in the workpiece; degrees of the fastest rotary axis if only rotary axes move |
-//! | M0, M1 | pause; M1 only with [`Options::optional_stop`] |
-//! | M2, M30 | end; the spindle stops |
-//! | M3 S, M4 S, M5 | spindle clockwise, counter-clockwise at S rev/min, off |
-//! | N, O, %, ( ), ; | block number, program number (alone in the first block), tape marks, comments |
+//! The stages are: lines (source), the words of a line with their expressions (block,
+//! expression), one block in the order of RS274/NGC (executor and its parts), and the order of
+//! blocks (flow, interpreter). docs/gcode.md lists every code.
 //!
-//! A block has at most one word of each modal group and each letter once, G and M excepted. The
-//! order within a block is: modes, F, S, spindle, dwell or motion, then pause or end. Everything
-//! else is refused with `file:line:column`, problem and remedy; nothing is skipped. All problems of
-//! a file are reported together (up to [`LISTED_PROBLEMS`]).
+//! Moves are in machine coordinates: millimetres, and degrees for rotary axes. Work offsets, tool
+//! lengths and cutter compensation are applied; cycles, splines and feeds per turn are resolved.
 //!
-//! The radii at both ends of an arc may differ by up to [`RADIUS_TOLERANCE_MM`]. The radius then
-//! changes linearly along the arc, and both ends are as programmed. A larger difference is refused.
+//! Everything that is not understood is refused with `file:line:column`, problem and remedy;
+//! nothing is skipped. One block has at most one problem. All problems of a file are reported
+//! together, up to [`LISTED_PROBLEMS`]; those that follow from an earlier one are left out.
 //!
-//! The reader does not check the workspace of the machine; the planner does.
+//! The radii at both ends of an arc may differ by [`RADIUS_TOLERANCE_MM`], or by a thousandth up to
+//! [`LARGEST_RADIUS_TOLERANCE_MM`]. The radius then changes linearly along the arc, and both ends
+//! are as programmed. A larger difference is refused.
+//!
+//! The interpreter does not check the workspace of the machine; the planner does.
 
+mod arcs;
 mod block;
-mod geometry;
-mod lexer;
+mod canonical;
+mod codes;
+mod compensation;
+mod cycles;
+mod devices;
+mod executor;
+mod expression;
+mod flow;
+mod interpreter;
+mod loops;
+mod motion;
+mod offsets;
+mod output;
 mod path;
 mod problem;
-mod reader;
+mod program;
+mod source;
+mod splines;
+mod state;
+mod subroutines;
+mod tool_table;
+mod words;
 
 #[cfg(test)]
 mod tests;
 
-pub use lexer::Comment;
+pub use canonical::{Feed, Move, OutputValue, ProbeKind, Step, WaitFor};
+pub use interpreter::Interpreter;
 pub use path::{Arc, AxisKind, Coordinates, Measure, Path};
-pub use problem::{LISTED_PROBLEMS, Place, Problem, Refused};
-pub use reader::read;
+pub use problem::{LISTED_PROBLEMS, Notice, Place, Problem, Refused, file_name};
+pub use program::{Comment, Program, read};
+pub use source::{LONGEST_LINE, ProgramBytes};
+pub use tool_table::{Offsets, PerLetter, SYSTEM_NAMES, SYSTEMS, Tool, ToolTable, WorkOffset};
+
+use std::path::PathBuf;
 
 /// Largest difference of an arc's radii at its two ends, mm.
 pub const RADIUS_TOLERANCE_MM: f64 = 0.005;
 
+/// Largest difference of the radii of a large arc, mm.
+pub const LARGEST_RADIUS_TOLERANCE_MM: f64 = 0.125;
+
 /// Longest dwell, seconds.
 pub const LONGEST_DWELL_S: f64 = 3600.0;
+
+/// Millimetres per inch.
+const INCH_MM: f64 = 25.4;
 
 /// Pose coordinate with its program letter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,7 +82,7 @@ pub struct ProgramAxis {
 }
 
 /// Axes, start and options of a program.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
     /// The pose coordinates, in the machine's order, at most six.
     pub axes: Vec<ProgramAxis>,
@@ -71,6 +90,26 @@ pub struct Options {
     pub start: Coordinates,
     /// Whether M1 pauses.
     pub optional_stop: bool,
+    /// Whether blocks that begin with a slash are left out.
+    pub block_delete: bool,
+    /// Whether lengths without a decimal point count the least increment, 0.001 mm or 0.0001 inch.
+    pub no_decimal: bool,
+    /// Whether words that change nothing on this machine are refused.
+    pub strict: bool,
+    /// Whether the machine has coolant.
+    pub coolant: bool,
+    /// Whether the machine has inputs and outputs for M62 to M68.
+    pub outputs: bool,
+    /// Whether the tool tilts: a tool length along Z would then be wrong.
+    pub tool_tilts: bool,
+    /// The tool in the spindle at the start; 0 is none, or unknown.
+    pub tool: u32,
+    /// The tool table.
+    pub tools: ToolTable,
+    /// Work offsets and reference positions.
+    pub offsets: Offsets,
+    /// Folders of called files.
+    pub folders: Vec<PathBuf>,
 }
 
 impl Options {
@@ -88,6 +127,7 @@ impl Options {
             ],
             start,
             optional_stop: true,
+            ..Options::default()
         }
     }
 
@@ -95,67 +135,4 @@ impl Options {
     pub fn kinds(&self) -> Vec<AxisKind> {
         self.axes.iter().map(|axis| axis.kind).collect()
     }
-}
-
-/// Feed of a move.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Feed {
-    /// As fast as the limits of the machine allow (G0).
-    Rapid,
-    /// Feed in mm/min of the tip, or deg/min if only rotary axes move (see [`Measure`]).
-    PerMinute(f64),
-}
-
-/// A move.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Move {
-    /// Place of its first axis word.
-    pub place: Place,
-    /// Path.
-    pub path: Path,
-    /// Feed.
-    pub feed: Feed,
-    /// Whether to stop at the end (G61).
-    pub exact_stop: bool,
-}
-
-/// Step of a program.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Step {
-    /// Move.
-    Move(Move),
-    /// Dwell.
-    Dwell {
-        /// Place of the G4.
-        place: Place,
-        /// Seconds, positive.
-        seconds: f64,
-    },
-    /// Spindle command.
-    Spindle {
-        /// Place of the M word, or of the S word that changes a running spindle.
-        place: Place,
-        /// Rev/min: clockwise above 0 (M3), counter-clockwise below (M4), 0 is off.
-        rpm: i16,
-    },
-    /// Pause until the operator resumes.
-    Pause {
-        /// Place of the M word.
-        place: Place,
-    },
-}
-
-/// A program without problems.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Program {
-    /// Name of the file, for messages.
-    pub file: String,
-    /// Start.
-    pub start: Coordinates,
-    /// Steps, in order.
-    pub steps: Vec<Step>,
-    /// Comments, in order.
-    pub comments: Vec<Comment>,
-    /// Number of lines of the file.
-    pub lines: u32,
 }

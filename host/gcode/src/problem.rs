@@ -8,6 +8,8 @@ pub const LISTED_PROBLEMS: usize = 50;
 /// A place in a part program.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Place {
+    /// 0 for the program itself, else the number of a called file from 1, see [`Refused::called`].
+    pub file: u16,
     /// Line, from 1.
     pub line: u32,
     /// Column in characters, from 1.
@@ -33,6 +35,8 @@ pub struct Problem {
 pub struct Refused {
     /// Name of the file, as given.
     pub file: String,
+    /// Names of the called files, in the order of their numbers.
+    pub called: Vec<String>,
     /// The problems, at least one, at most [`LISTED_PROBLEMS`].
     pub problems: Vec<Problem>,
     /// Number of the others.
@@ -45,11 +49,12 @@ impl fmt::Display for Refused {
             if index > 0 {
                 writeln!(f)?;
             }
-            let Place { line, column } = problem.place;
+            let Place { file, line, column } = problem.place;
+            let name = file_name(&self.file, &self.called, file);
             write!(
                 f,
-                "{}:{line}:{column}: {}; {}",
-                self.file, problem.what, problem.remedy
+                "{name}:{line}:{column}: {}; {}",
+                problem.what, problem.remedy
             )?;
         }
         if self.more > 0 {
@@ -61,42 +66,112 @@ impl fmt::Display for Refused {
 
 impl std::error::Error for Refused {}
 
-/// Collects problems.
-#[derive(Debug, Default)]
-pub(crate) struct Problems {
-    found: Vec<Problem>,
-    more: usize,
+/// Returns the name of a place's file.
+pub fn file_name<'a>(main: &'a str, called: &'a [String], file: u16) -> &'a str {
+    usize::from(file)
+        .checked_sub(1)
+        .and_then(|index| called.get(index))
+        .map_or(main, String::as_str)
 }
 
-impl Problems {
-    /// Adds a problem.
-    pub(crate) fn add(&mut self, place: Place, what: impl Into<String>, remedy: impl Into<String>) {
-        if self.found.len() < LISTED_PROBLEMS {
-            self.found.push(Problem {
-                place,
-                what: what.into(),
-                remedy: remedy.into(),
-            });
-        } else {
-            self.more += 1;
+/// A word that was accepted although it changes nothing, or less than it says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Notice {
+    /// Place of the first such word.
+    pub place: Place,
+    /// What it does here.
+    pub what: String,
+}
+
+/// A mistake in the line that is being read: problem, remedy and byte offset in the line.
+#[derive(Debug, Clone)]
+pub(crate) struct Mistake {
+    pub at: usize,
+    pub what: String,
+    pub remedy: String,
+    /// What an earlier mistake may have left wrong, so that this one follows from it.
+    pub cause: Option<Cause>,
+}
+
+/// State that a block with a mistake may have left wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Cause {
+    Feed,
+    Motion,
+    Position,
+    Spindle,
+    Parameter,
+}
+
+/// States that are in doubt after a mistake: what follows from them is not reported.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Doubt {
+    causes: [bool; 5],
+}
+
+impl Doubt {
+    fn add(&mut self, cause: Cause) {
+        self.causes[cause as usize] = true;
+    }
+
+    /// Whether a mistake may follow from an earlier one.
+    pub(crate) fn explains(&self, mistake: &Mistake) -> bool {
+        mistake
+            .cause
+            .is_some_and(|cause| self.causes[cause as usize])
+    }
+
+    /// Notes what a line with a mistake may have left wrong.
+    pub(crate) fn note(&mut self, line: &[u8], mistake: &Mistake) {
+        match mistake.cause {
+            // The end of a wrong arc is known.
+            Some(Cause::Position) => return,
+            Some(cause) => return self.add(cause),
+            None => {}
+        }
+        for byte in line {
+            match byte.to_ascii_uppercase() {
+                b'(' | b';' => break,
+                b'F' => self.add(Cause::Feed),
+                b'S' | b'M' => self.add(Cause::Spindle),
+                b'G' => {
+                    self.add(Cause::Motion);
+                    self.add(Cause::Position);
+                }
+                b'A'..=b'C' | b'U'..=b'Z' => self.add(Cause::Position),
+                b'#' => self.add(Cause::Parameter),
+                _ => {}
+            }
+        }
+    }
+}
+
+impl Mistake {
+    pub(crate) fn new(at: usize, what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self {
+            at,
+            what: what.into(),
+            remedy: remedy.into(),
+            cause: None,
         }
     }
 
-    /// Returns the number of problems.
-    pub(crate) fn count(&self) -> usize {
-        self.found.len() + self.more
-    }
-
-    /// Returns the value if there is no problem.
-    pub(crate) fn into_result<T>(mut self, file: &str, value: T) -> Result<T, Refused> {
-        if self.found.is_empty() {
-            return Ok(value);
+    /// Marks a mistake that may follow from an earlier one.
+    pub(crate) fn because(self, cause: Cause) -> Self {
+        Self {
+            cause: Some(cause),
+            ..self
         }
-        self.found.sort_by_key(|problem| problem.place);
-        Err(Refused {
-            file: file.to_owned(),
-            problems: self.found,
-            more: self.more,
-        })
+    }
+}
+
+/// Returns the place of a byte of a line; a column is a character, continuation bytes do not count.
+pub(crate) fn place_of(file: u16, line: u32, bytes: &[u8], at: usize) -> Place {
+    let before = &bytes[..at.min(bytes.len())];
+    let column = before.iter().filter(|&&byte| byte & 0xC0 != 0x80).count();
+    Place {
+        file,
+        line,
+        column: u32::try_from(column).unwrap_or(u32::MAX - 1) + 1,
     }
 }

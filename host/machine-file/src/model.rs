@@ -7,6 +7,7 @@ use crate::scale::{PER_DEG, PER_MM};
 use haptimill_firmware::config;
 use haptimill_gcode::{AxisKind, Coordinates, Options, ProgramAxis};
 use haptimill_kinematics::BoundedKinematics;
+use haptimill_kinematics::descriptor::Role;
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Coordinate, Rate};
 use haptimill_planner::{JointLimits, MachineModel, PoseLimits, PoseProblem, Settings};
@@ -265,7 +266,14 @@ pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
     Options {
         axes,
         start,
-        optional_stop: false,
+        tool_tilts: machine
+            .config
+            .model
+            .descriptor()
+            .pose
+            .iter()
+            .any(|axis| matches!(axis.role, Role::ToolTilt | Role::WorkpieceRotation)),
+        ..Options::default()
     }
 }
 

@@ -26,6 +26,8 @@ pub(crate) struct Block {
     pub place: Place,
     pub path: Path,
     pub exact_stop: bool,
+    /// Largest distance of a corner from the path, mm, if the program gives one.
+    pub tolerance: Option<f64>,
     /// Limits along the path.
     pub along: Along,
     /// Derivatives of pose and joints by length, at start and end.
@@ -140,6 +142,7 @@ pub(super) fn prepare(
         place: step.place,
         path: path.clone(),
         exact_stop: step.exact_stop,
+        tolerance: step.tolerance,
         along,
         tangents,
         joint_tangents,

@@ -52,7 +52,11 @@ impl Corner {
 
     /// Returns the junction between two blocks.
     pub(crate) fn between(before: &Block, after: &Block, settings: &Settings) -> Corner {
-        if before.exact_stop || before.path.measure != after.path.measure {
+        let tolerance = match (before.tolerance, after.tolerance) {
+            (Some(one), Some(other)) => one.min(other),
+            (one, other) => one.or(other).unwrap_or(settings.tolerance_mm),
+        };
+        if before.exact_stop || tolerance < 1e-6 || before.path.measure != after.path.measure {
             return Corner::stop();
         }
         let (u1, u2) = (&before.tangents[1], &after.tangents[0]);
@@ -98,10 +102,7 @@ impl Corner {
                 corner.need(change, JOINT_RAMP_SHARE * axis.acceleration, f64::INFINITY);
             }
         }
-        for (squared, tolerance) in squared
-            .iter()
-            .zip([settings.tolerance_mm, settings.tolerance_deg])
-        {
+        for (squared, tolerance) in squared.iter().zip([tolerance, settings.tolerance_deg]) {
             if *squared > 0.0 {
                 corner.largest = corner.largest.min(12.0 * tolerance / squared.sqrt());
             }

@@ -105,9 +105,25 @@ impl Plan {
                     moves.push(step);
                     continue;
                 }
+                Step::Message { .. } => continue,
                 Step::Dwell { place, seconds } => (*place, Action::None, *seconds),
                 Step::Spindle { place, rpm } => (*place, Action::Spindle(*rpm), 0.0),
-                Step::Pause { place } => (*place, Action::Pause, 0.0),
+                // The operator changes the tool during a pause.
+                Step::Pause { place } | Step::ToolChange { place, .. } => {
+                    (*place, Action::Pause, 0.0)
+                }
+                Step::Probe { .. }
+                | Step::Coolant { .. }
+                | Step::Output { .. }
+                | Step::Wait { .. } => {
+                    builder.note(Problem {
+                        place: step.place(),
+                        what: "a job of this machine has no probe, coolant, inputs and outputs"
+                            .into(),
+                        remedy: "remove the block".into(),
+                    });
+                    continue;
+                }
             };
             builder.run(&std::mem::take(&mut moves));
             builder.wait(place, action, seconds);
@@ -203,7 +219,11 @@ impl<'a, M: MachineModel> Builder<'a, M> {
         if let Err((what, _)) = block::check_pose(&self.program.start, self.settings, self.model) {
             let what = format!("the machine cannot be at the start of the program: {what}");
             self.note(Problem {
-                place: Place { line: 1, column: 1 },
+                place: Place {
+                    line: 1,
+                    column: 1,
+                    ..Place::default()
+                },
                 what,
                 remedy: "home the machine".into(),
             });
@@ -363,6 +383,7 @@ impl<'a, M: MachineModel> Builder<'a, M> {
                 Place {
                     line: self.program.lines,
                     column: 1,
+                    ..Place::default()
                 },
             );
         }
@@ -371,6 +392,7 @@ impl<'a, M: MachineModel> Builder<'a, M> {
             self.problems.sort_by_key(|problem| problem.place);
             return Err(Refused {
                 file: self.program.file.clone(),
+                called: self.program.called.clone(),
                 problems: self.problems,
                 more: self.more,
             });

@@ -23,8 +23,7 @@
 //! division. Turning them by (E, D) leaves a division by v, which is a 32-bit reciprocal. The total
 //! cost is two roots, one reciprocal and one arc tangent.
 
-use super::H4;
-use crate::BasePose;
+use super::{BasePose, H4};
 use crate::{Joints, PoseError};
 use haptimill_math::root::{Root, reciprocal};
 use haptimill_math::scale::{

@@ -1,7 +1,6 @@
 //! The H-4 arm as a machine: lengths in a configuration, descriptor, search of homing.
 
-use super::{ALPHA, H4};
-use crate::BasePose;
+use super::{ALPHA, BasePose, H4};
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::{Joints, Machine, Pose, PoseError};
 use haptimill_math::{Angle, Length};

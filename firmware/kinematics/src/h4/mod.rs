@@ -113,6 +113,19 @@ pub struct H4 {
     pub(super) quick_turn: u32,
 }
 
+/// Pose of the tool in the frame of the slave base, without table and offsets.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct BasePose {
+    /// Along the rails.
+    pub x: Length,
+    /// Across the rails.
+    pub y: Length,
+    /// Upwards.
+    pub z: Length,
+    /// Tilt about y.
+    pub theta: Angle,
+}
+
 /// One rod pair at a pose.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pair {

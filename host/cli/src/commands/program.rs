@@ -73,7 +73,8 @@ impl PartProgram {
             .zip(&plan.setpoints)
             .filter(|(_, setpoint)| setpoint.action == Action::Pause);
         let lines = program.steps.iter().filter_map(|step| match step {
-            haptimill_gcode::Step::Pause { place } => Some(place.line),
+            haptimill_gcode::Step::Pause { place }
+            | haptimill_gcode::Step::ToolChange { place, .. } => Some(place.line),
             _ => None,
         });
         let pauses = setpoints.map(|(index, _)| index).zip(lines).collect();

@@ -1,0 +1,542 @@
+//! Executor: runs one block in the order of RS274/NGC.
+
+use super::block::{AXIS_LETTERS, Block, Word};
+use super::canonical::Step;
+use super::codes::{Code, Group, word};
+use super::cycles::Cycle;
+use super::expression::{Read, Scan, text_of};
+use super::output::{Leg, Output, Pace};
+use super::problem::{Cause, Mistake, Notice, Place, place_of};
+use super::splines::ControlPoint;
+use super::state::{FeedMode, Modes, Motion, PathControl, Plane, State, Turn};
+use super::{LONGEST_DWELL_S, Options};
+use std::collections::HashSet;
+
+/// What a block does to the order of blocks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Next {
+    /// The next block follows.
+    Block,
+    /// M2 or M30.
+    End,
+    /// M98 P L.
+    Call {
+        number: f64,
+        repeats: u32,
+        at: usize,
+    },
+    /// M99.
+    Return { at: usize },
+}
+
+/// The line of a block, for places and messages.
+#[derive(Clone, Copy)]
+pub(crate) struct Here<'a> {
+    pub line: &'a [u8],
+    pub file: u16,
+    pub number: u32,
+}
+
+impl Here<'_> {
+    pub(crate) fn place(&self, at: usize) -> Place {
+        place_of(self.file, self.number, self.line, at)
+    }
+
+    pub(crate) fn text(&self, word: Word) -> String {
+        text_of(&self.line[word.at..word.end])
+    }
+}
+
+/// Runs blocks.
+pub(crate) struct Executor {
+    pub state: State,
+    pub out: Output,
+    pub options: Options,
+    pub notices: Vec<Notice>,
+    noticed: HashSet<&'static str>,
+    saved: Vec<Modes>,
+    pub cycle: Cycle,
+    pub control_points: Vec<ControlPoint>,
+    /// Control vector of the last G5, for the next one.
+    pub last_tangent: Option<[f64; 2]>,
+    /// Whether the next arc is refused because compensation was just switched off.
+    pub arc_is_refused: bool,
+}
+
+pub(crate) fn mistake<T>(at: usize, what: impl Into<String>, remedy: &str) -> Read<T> {
+    Err(Box::new(Mistake::new(at, what, remedy)))
+}
+
+impl Executor {
+    pub(crate) fn new(state: State, out: Output, options: Options) -> Self {
+        Self {
+            state,
+            out,
+            options,
+            notices: Vec::new(),
+            noticed: HashSet::new(),
+            saved: Vec::new(),
+            cycle: Cycle::default(),
+            control_points: Vec::new(),
+            last_tangent: None,
+            arc_is_refused: false,
+        }
+    }
+
+    /// Notes once per program that a word changes nothing, or refuses it.
+    ///
+    /// # Errors
+    ///
+    /// The options refuse such words.
+    pub(crate) fn notice(
+        &mut self,
+        here: &Here,
+        at: usize,
+        key: &'static str,
+        what: String,
+    ) -> Read<()> {
+        if self.options.strict {
+            return mistake(at, what, "remove it, or run without --strict");
+        }
+        if self.noticed.insert(key) {
+            self.notices.push(Notice {
+                place: here.place(at),
+                what,
+            });
+        }
+        Ok(())
+    }
+
+    /// Runs a block.
+    pub(crate) fn run(&mut self, block: &mut Block, here: &Here) -> Read<Next> {
+        self.show_messages(block, here)?;
+        for (parameter, value) in &block.assignments {
+            if let Err((what, remedy)) = self.state.assign(parameter, *value) {
+                return mistake(block.first.unwrap_or(0), what, remedy);
+            }
+        }
+        self.check_words(block, here)?;
+        self.set_units_and_feed(block, here)?;
+        self.set_spindle(block, here)?;
+        self.select_tool(block, here)?;
+        self.set_outputs(block, here)?;
+        self.change_tool(block, here)?;
+        self.turn_spindle(block, here)?;
+        self.save_modes(block, here)?;
+        self.set_coolant(block, here)?;
+        self.set_overrides(block, here)?;
+        self.dwell(block, here)?;
+        self.set_compensation(block, here)?;
+        self.set_tool_length(block, here)?;
+        self.set_system(block)?;
+        self.set_path_control(block)?;
+        self.set_distances(block);
+        self.run_once(block, here)?;
+        self.run_motion(block, here)?;
+        self.stop(block, here)
+    }
+
+    fn show_messages(&mut self, block: &Block, here: &Here) -> Read<()> {
+        let is_pause = matches!(block.codes.tenths(Group::Stop), Some(0 | 10 | 600));
+        for comment in &block.comments {
+            let bytes = &here.line[comment.from..comment.to];
+            let text = text_of(bytes);
+            let head: String = text
+                .chars()
+                .take(6)
+                .collect::<String>()
+                .to_ascii_lowercase();
+            let (text, values) = if head.starts_with("msg,") {
+                (text[4..].trim().to_owned(), false)
+            } else if head.starts_with("print,") || head.starts_with("debug,") {
+                (text[6..].trim().to_owned(), true)
+            } else if head.starts_with("log") || head.starts_with("probe") {
+                let is_command = [
+                    "logopen",
+                    "logclose",
+                    "logappend",
+                    "log,",
+                    "probeopen",
+                    "probeclose",
+                ]
+                .iter()
+                .any(|command| text.to_ascii_lowercase().starts_with(command));
+                if is_command {
+                    let what = format!("({text}) writes no file on this machine");
+                    self.notice(here, comment.at, "log", what)?;
+                }
+                continue;
+            } else if is_pause && !text.is_empty() {
+                (text, false)
+            } else {
+                continue;
+            };
+            let text = if values {
+                self.with_values(&text)
+            } else {
+                text
+            };
+            self.out.push(Step::Message {
+                place: here.place(comment.at),
+                text,
+            });
+        }
+        Ok(())
+    }
+
+    /// Replaces the parameters of a text by their values.
+    fn with_values(&self, text: &str) -> String {
+        let bytes = text.as_bytes();
+        let mut shown = Vec::with_capacity(bytes.len());
+        let mut at = 0;
+        while let Some(&byte) = bytes.get(at) {
+            if byte == b'#' {
+                let mut scan = Scan::new(bytes, at, &self.state);
+                match scan.value() {
+                    Ok(value) => {
+                        let value = format!("{value:.6}");
+                        let value = value.trim_end_matches('0').trim_end_matches('.');
+                        shown.extend_from_slice(value.as_bytes());
+                    }
+                    Err(_) => shown.extend_from_slice(b"######"),
+                }
+                at = scan.at.max(at + 1);
+            } else {
+                shown.push(byte);
+                at += 1;
+            }
+        }
+        String::from_utf8_lossy(&shown).into_owned()
+    }
+
+    fn set_units_and_feed(&mut self, block: &Block, here: &Here) -> Read<()> {
+        if let Some(code) = block.codes.get(Group::Plane) {
+            let plane = match code.tenths {
+                170 => Plane::Xy,
+                180 => Plane::Zx,
+                _ => Plane::Yz,
+            };
+            if plane != self.state.modes.plane {
+                self.refuse_while_compensated(code, here)?;
+                self.state.modes.plane = plane;
+            }
+        }
+        if let Some(code) = block.codes.get(Group::Unit) {
+            let inch = matches!(code.tenths, 200 | 700);
+            if inch != self.state.modes.inch {
+                self.state.modes.inch = inch;
+                if self.state.modes.feed.is_some() && block.word(b'F').is_none() {
+                    let what = format!(
+                        "the feed stays {:.3} mm/min after {}",
+                        self.state.modes.feed_mm,
+                        word(here.line, code)
+                    );
+                    self.notice(here, code.at, "unit", what)?;
+                }
+            }
+        }
+        if let Some(tenths) = block.codes.tenths(Group::FeedMode) {
+            let mode = match tenths {
+                930 => FeedMode::InverseTime,
+                950 => FeedMode::PerTurn,
+                _ => FeedMode::PerMinute,
+            };
+            if mode != self.state.modes.feed_mode {
+                // The feed of another mode has another unit.
+                self.state.modes.feed = None;
+            }
+            self.state.modes.feed_mode = mode;
+        }
+        if let Some(word) = block.word(b'F') {
+            let at_feed = !matches!(self.motion_of(block), Motion::Off | Motion::Rapid);
+            if word.value < 0.0 || (word.value == 0.0 && at_feed) {
+                return mistake(
+                    word.at,
+                    format!("feed {} is not above zero", here.text(word)),
+                    "write a positive feed",
+                );
+            }
+            let is_some = word.value > 0.0;
+            self.state.modes.feed = is_some.then_some(word.value);
+            self.state.modes.feed_mm = word.value * self.state.unit();
+        }
+        Ok(())
+    }
+
+    /// Refuses a code that cannot be run while cutter compensation is on.
+    pub(crate) fn refuse_while_compensated(&self, code: Code, here: &Here) -> Read<()> {
+        if self.out.compensation.active.is_some() {
+            return mistake(
+                code.at,
+                format!("{} while cutter compensation is on", word(here.line, code)),
+                "switch it off (G40) before",
+            );
+        }
+        Ok(())
+    }
+
+    fn save_modes(&mut self, block: &Block, here: &Here) -> Read<()> {
+        let Some(code) = block.codes.get(Group::State) else {
+            return Ok(());
+        };
+        match code.tenths {
+            700 | 730 => {
+                if self.saved.len() >= 100 {
+                    return mistake(
+                        code.at,
+                        "modal state is saved more than 100 times",
+                        "restore it (M72) before the next M70",
+                    );
+                }
+                self.saved.push(self.state.modes);
+            }
+            710 => {
+                self.saved.pop();
+            }
+            _ => {
+                let Some(saved) = self.saved.pop() else {
+                    return mistake(
+                        code.at,
+                        "M72 without a saved state",
+                        "save it before with M70",
+                    );
+                };
+                let turned =
+                    saved.turn != self.state.modes.turn || saved.speed != self.state.modes.speed;
+                let cooled = (saved.mist, saved.flood);
+                let changed = cooled != (self.state.modes.mist, self.state.modes.flood);
+                let system = saved.system;
+                self.state.modes = saved;
+                self.state.select_system(system);
+                if turned {
+                    self.send_spindle(here.place(code.at));
+                }
+                if changed {
+                    self.send_coolant(here, code.at, cooled.0, cooled.1)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn dwell(&mut self, block: &Block, here: &Here) -> Read<()> {
+        let Some(code) = block.codes.get(Group::Once) else {
+            return Ok(());
+        };
+        if code.tenths != 40 {
+            return Ok(());
+        }
+        let Some(word) = block.word(b'P') else {
+            return mistake(
+                code.at,
+                "G4 without its time",
+                "write P with the seconds to wait",
+            );
+        };
+        if !(0.0..=LONGEST_DWELL_S).contains(&word.value) {
+            return mistake(
+                word.at,
+                format!("{} is not a dwell time", here.text(word)),
+                "write 0 to 3600 seconds",
+            );
+        }
+        if let Some((_, word)) = block.first_of(AXIS_LETTERS) {
+            return mistake(
+                word.at,
+                "an axis word in the block of G4",
+                "write the move in a block of its own",
+            );
+        }
+        self.push_dwell(here.place(code.at), word.value);
+        Ok(())
+    }
+
+    pub(crate) fn push_dwell(&mut self, place: Place, seconds: f64) {
+        if seconds > 0.0 {
+            self.out.push(Step::Dwell { place, seconds });
+        }
+    }
+
+    fn set_system(&mut self, block: &Block) -> Read<()> {
+        if let Some(code) = block.codes.get(Group::System) {
+            let index = match code.tenths {
+                590..=593 => 5 + usize::from(code.tenths - 590),
+                tenths => usize::from(tenths - 540) / 10,
+            };
+            if index != self.state.modes.system && self.out.compensation.active.is_some() {
+                return mistake(
+                    code.at,
+                    "the coordinate system changes while cutter compensation is on",
+                    "switch it off (G40) before",
+                );
+            }
+            self.state.select_system(index);
+        }
+        Ok(())
+    }
+
+    fn set_path_control(&mut self, block: &Block) -> Read<()> {
+        let Some(code) = block.codes.get(Group::PathControl) else {
+            return Ok(());
+        };
+        self.state.modes.path_control = if code.tenths == 640 {
+            let tolerance = block.word(b'P');
+            if let Some(word) = tolerance
+                && word.value < 0.0
+            {
+                return mistake(
+                    word.at,
+                    "a tolerance below zero",
+                    "write P with the largest distance from the path",
+                );
+            }
+            let unit = self.state.unit();
+            PathControl::Blend(tolerance.map(|word| word.value * unit))
+        } else {
+            PathControl::ExactStop
+        };
+        Ok(())
+    }
+
+    fn set_distances(&mut self, block: &Block) {
+        match block.codes.tenths(Group::Distance) {
+            Some(900) => self.state.modes.incremental = false,
+            Some(_) => self.state.modes.incremental = true,
+            None => {}
+        }
+        match block.codes.tenths(Group::CentreDistance) {
+            Some(901) => self.state.modes.absolute_centres = true,
+            Some(_) => self.state.modes.absolute_centres = false,
+            None => {}
+        }
+        match block.codes.tenths(Group::Return) {
+            Some(990) => self.state.modes.return_to_r = true,
+            Some(_) => self.state.modes.return_to_r = false,
+            None => {}
+        }
+    }
+
+    fn stop(&mut self, block: &Block, here: &Here) -> Read<Next> {
+        if let Some(code) = block.codes.get(Group::Subprogram) {
+            return if code.tenths == 990 {
+                Ok(Next::Return { at: code.at })
+            } else {
+                let Some(number) = block.word(b'P') else {
+                    return mistake(
+                        code.at,
+                        "M98 without its subprogram",
+                        "write P with the number of the subprogram",
+                    );
+                };
+                let repeats = block.value(b'L').unwrap_or(1.0);
+                if repeats.fract() != 0.0 || !(0.0..=1e6).contains(&repeats) {
+                    return mistake(
+                        code.at,
+                        format!("L{repeats} is not a number of repeats"),
+                        "write a whole number from 0 to 1,000,000",
+                    );
+                }
+                Ok(Next::Call {
+                    number: number.value,
+                    repeats: repeats as u32,
+                    at: code.at,
+                })
+            };
+        }
+        let Some(code) = block.codes.get(Group::Stop) else {
+            return Ok(Next::Block);
+        };
+        let place = here.place(code.at);
+        match code.tenths {
+            10 if !self.options.optional_stop => {}
+            0 | 10 | 600 => self.out.push(Step::Pause { place }),
+            _ => {
+                self.finish(place);
+                return Ok(Next::End);
+            }
+        }
+        Ok(Next::Block)
+    }
+
+    /// Ends the program: spindle and coolant off.
+    fn finish(&mut self, place: Place) {
+        self.out.release();
+        if self.state.modes.turn != Turn::Off {
+            self.state.modes.turn = Turn::Off;
+            self.out.push(Step::Spindle { place, rpm: 0 });
+        }
+        if self.options.coolant && (self.state.modes.mist || self.state.modes.flood) {
+            self.out.push(Step::Coolant {
+                place,
+                mist: false,
+                flood: false,
+            });
+        }
+    }
+
+    /// Returns the pace of a move at feed.
+    ///
+    /// # Errors
+    ///
+    /// No feed is in force.
+    pub(crate) fn pace(&self, at: usize, block: &Block) -> Read<Pace> {
+        let modes = &self.state.modes;
+        let missing = |what: &str, remedy: &str| {
+            Err(Box::new(
+                Mistake::new(at, what, remedy).because(Cause::Feed),
+            ))
+        };
+        match modes.feed_mode {
+            FeedMode::InverseTime => match block.value(b'F') {
+                Some(rate) if rate > 0.0 => Ok(Pace::Inverse(rate)),
+                _ => missing(
+                    "a move with inverse time (G93) without F",
+                    "write F in each block: moves per minute",
+                ),
+            },
+            FeedMode::PerMinute | FeedMode::PerTurn => {
+                let Some(feed) = modes.feed else {
+                    return missing(
+                        "a move at feed without a feed",
+                        &format!(
+                            "write F with the feed in {}",
+                            match (modes.feed_mode, modes.inch) {
+                                (FeedMode::PerTurn, true) => "inch per turn",
+                                (FeedMode::PerTurn, false) => "mm per turn",
+                                (_, true) => "inch/min",
+                                (_, false) => "mm/min",
+                            }
+                        ),
+                    );
+                };
+                if modes.feed_mode == FeedMode::PerMinute {
+                    return Ok(Pace::PerMinute(modes.feed_mm, feed));
+                }
+                let rpm = self.rpm();
+                if modes.turn == Turn::Off || rpm < 1.0 {
+                    return missing(
+                        "a feed per turn (G95) while the spindle stands",
+                        "start the spindle (S, M3) before",
+                    );
+                }
+                Ok(Pace::PerMinute(modes.feed_mm * rpm, feed * rpm))
+            }
+        }
+    }
+
+    /// Returns a straight leg with the modes in force.
+    pub(crate) fn line_to(&self, place: Place, to: super::PerLetter, pace: Pace) -> Leg {
+        let (exact_stop, tolerance) = match self.state.modes.path_control {
+            PathControl::ExactStop => (true, None),
+            PathControl::Blend(tolerance) => (false, tolerance),
+        };
+        Leg {
+            place,
+            to,
+            arc: None,
+            pace,
+            exact_stop,
+            tolerance,
+        }
+    }
+}

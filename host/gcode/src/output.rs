@@ -1,0 +1,121 @@
+//! Output of the interpreter: moves between positions with their feeds, through cutter
+//! compensation.
+
+use super::canonical::{Feed, Move, Step};
+use super::compensation::Compensation;
+use super::path::{Arc, AxisKind, Coordinates, Path};
+use super::problem::Place;
+use super::tool_table::PerLetter;
+use std::collections::VecDeque;
+
+/// Feed of a move before its length is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Pace {
+    Rapid,
+    /// mm/min, and deg/min if only rotary axes move.
+    PerMinute(f64, f64),
+    /// Moves per minute (G93).
+    Inverse(f64),
+}
+
+/// A move between positions of the machine.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Leg {
+    pub place: Place,
+    pub to: PerLetter,
+    /// Arc with the indices of X, Y, Z.
+    pub arc: Option<Arc>,
+    pub pace: Pace,
+    pub exact_stop: bool,
+    pub tolerance: Option<f64>,
+}
+
+/// Queue of the steps that are made but not yet taken.
+pub(crate) struct Output {
+    /// Index of each pose coordinate's letter.
+    letters: Vec<usize>,
+    kinds: Vec<AxisKind>,
+    /// Position after the last move of the queue.
+    at: PerLetter,
+    pub steps: VecDeque<Step>,
+    pub compensation: Compensation,
+}
+
+impl Output {
+    pub(crate) fn new(letters: Vec<usize>, kinds: Vec<AxisKind>, at: PerLetter) -> Self {
+        Self {
+            letters,
+            kinds,
+            at,
+            steps: VecDeque::new(),
+            compensation: Compensation::default(),
+        }
+    }
+
+    /// Returns the position of the last move, with cutter compensation.
+    pub(crate) fn at(&self) -> &PerLetter {
+        &self.at
+    }
+
+    /// Sets the position, after a probe move that ended before its programmed end.
+    pub(crate) fn place_at(&mut self, at: PerLetter) {
+        self.at = at;
+    }
+
+    /// Returns the index of the pose coordinate of a letter.
+    pub(crate) fn coordinate(&self, axis: usize) -> Option<usize> {
+        self.letters.iter().position(|letter| *letter == axis)
+    }
+
+    fn coordinates(&self, at: &PerLetter) -> Coordinates {
+        let mut values = Coordinates::default();
+        for (value, letter) in values.iter_mut().zip(&self.letters) {
+            *value = at[*letter];
+        }
+        values
+    }
+
+    /// Adds a move that is not compensated.
+    pub(crate) fn leg(&mut self, leg: &Leg) {
+        let step = self.build(leg);
+        if let Some(step) = step {
+            self.steps.push_back(Step::Move(step));
+        }
+    }
+
+    /// Goes to the end of a leg; `None` if it is no move.
+    pub(crate) fn build(&mut self, leg: &Leg) -> Option<Move> {
+        let (from, to) = (self.coordinates(&self.at), self.coordinates(&leg.to));
+        // A leg that ends at its start is no move, but the position becomes exactly the
+        // programmed one.
+        self.at = leg.to;
+        let arc = match leg.arc {
+            None => None,
+            Some(arc) => Some(Arc {
+                plane: [
+                    self.coordinate(arc.plane[0])?,
+                    self.coordinate(arc.plane[1])?,
+                ],
+                ..arc
+            }),
+        };
+        let path = match arc {
+            None => Path::line(&self.kinds, from, to)?,
+            Some(arc) => Path::arc(&self.kinds, from, to, arc)?,
+        };
+        let feed = match leg.pace {
+            Pace::Rapid => Feed::Rapid,
+            Pace::PerMinute(tip, turn) => {
+                Feed::PerMinute(if path.tip_length() > 0.0 { tip } else { turn })
+            }
+            Pace::Inverse(rate) => Feed::PerMinute(rate * path.length),
+        };
+        Some(Move {
+            place: leg.place,
+            path,
+            feed,
+            exact_stop: leg.exact_stop,
+            tolerance: leg.tolerance,
+        })
+    }
+}

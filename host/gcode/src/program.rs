@@ -1,0 +1,72 @@
+//! Whole programs: all steps, or all problems.
+
+use super::problem::{LISTED_PROBLEMS, Notice, Place, Refused};
+use super::{Coordinates, Interpreter, Options, Step};
+use std::io::Cursor;
+
+/// A comment, as written between its marks.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Comment {
+    /// Place of the opening mark.
+    pub place: Place,
+    /// The text, without marks and surrounding blanks; bytes that are not UTF-8 are replaced.
+    pub text: String,
+}
+
+/// A program without problems.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Program {
+    /// Name of the file, for messages.
+    pub file: String,
+    /// Names of the called files, see [`Place::file`].
+    pub called: Vec<String>,
+    /// Start.
+    pub start: Coordinates,
+    /// Steps, in order.
+    pub steps: Vec<Step>,
+    /// Comments, in the order in which they were read.
+    pub comments: Vec<Comment>,
+    /// Words that change nothing on this machine.
+    pub notices: Vec<Notice>,
+    /// Number of lines of the file.
+    pub lines: u32,
+}
+
+/// Reads a part program from any bytes. `file` is its name in messages.
+///
+/// # Errors
+///
+/// Returns every problem of the file, with line, column and remedy. A program with a problem is
+/// refused as a whole.
+pub fn read(file: &str, text: &[u8], options: &Options) -> Result<Program, Refused> {
+    let mut interpreter = Interpreter::new(Cursor::new(text), options);
+    interpreter.keep_comments();
+    let (mut steps, mut problems, mut more) = (Vec::new(), Vec::new(), 0);
+    while let Some(next) = interpreter.next() {
+        match next {
+            Ok(step) if problems.is_empty() => steps.push(step),
+            Ok(_) => {}
+            Err(problem) if problems.len() < LISTED_PROBLEMS => problems.push(problem),
+            Err(_) => more += 1,
+        }
+    }
+    let called = interpreter.called().to_vec();
+    if !problems.is_empty() {
+        problems.sort_by_key(|problem| problem.place);
+        return Err(Refused {
+            file: file.to_owned(),
+            called,
+            problems,
+            more,
+        });
+    }
+    Ok(Program {
+        file: file.to_owned(),
+        called,
+        start: options.start,
+        steps,
+        comments: interpreter.take_comments(),
+        notices: interpreter.notices().to_vec(),
+        lines: interpreter.lines(),
+    })
+}

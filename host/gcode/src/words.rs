@@ -1,0 +1,184 @@
+//! Check that each word of a block belongs to a code or to the motion in force.
+
+use super::block::{AXES, AXIS_LETTERS, Block, Word, letters};
+use super::codes::Group;
+use super::executor::{Executor, Here, mistake};
+use super::expression::Read;
+use super::problem::{Cause, Mistake};
+use super::state::{Motion, is_linear};
+
+impl Executor {
+    /// Returns the motion that the axis words of a block mean.
+    pub(super) fn motion_of(&self, block: &Block) -> Motion {
+        block
+            .codes
+            .tenths(Group::Motion)
+            .map_or(self.state.modes.motion, |tenths| {
+                Motion::of(tenths).unwrap_or(Motion::Off)
+            })
+    }
+
+    /// Checks that each word belongs to a code of the block or to the motion in force.
+    pub(super) fn check_words(&mut self, block: &mut Block, here: &Here) -> Read<()> {
+        let codes = &block.codes;
+        let once = codes.tenths(Group::Once);
+        let motion = self.motion_of(block);
+        let takes_axes = matches!(once, Some(100 | 280 | 300 | 520 | 920));
+        let mut known = letters(b"FST");
+        if takes_axes || codes.tenths(Group::ToolLength) == Some(431) || motion != Motion::Off {
+            known |= AXIS_LETTERS;
+        }
+        known |= match motion {
+            Motion::Clockwise | Motion::CounterClockwise => letters(b"IJKRP"),
+            Motion::Cubic => letters(b"IJPQ"),
+            Motion::Quadratic => letters(b"IJ"),
+            Motion::Nurbs => letters(b"PL"),
+            Motion::Cycle(87) => letters(b"RLPQIJK"),
+            Motion::Cycle(_) => letters(b"RLPQ"),
+            _ => 0,
+        };
+        known |= match once {
+            // An axis word with a dwell has a message of its own.
+            Some(40) => letters(b"P") | AXIS_LETTERS,
+            Some(100) => letters(b"LPRIJQ"),
+            _ => 0,
+        };
+        if codes.tenths(Group::PathControl) == Some(640) {
+            known |= letters(b"PQ");
+        }
+        if matches!(codes.tenths(Group::Compensation), Some(410..=421)) {
+            known |= letters(b"DL");
+        }
+        if matches!(codes.tenths(Group::ToolLength), Some(430 | 432)) {
+            known |= letters(b"H");
+        }
+        if codes.tenths(Group::SpindleMode) == Some(960) {
+            known |= letters(b"D");
+        }
+        known |= match codes.tenths(Group::Output) {
+            Some(660) => letters(b"PELQ"),
+            Some(670 | 680) => letters(b"EQ"),
+            Some(_) => letters(b"P"),
+            None => 0,
+        };
+        if codes.tenths(Group::Subprogram) == Some(980) {
+            known |= letters(b"PL");
+        }
+        if codes.tenths(Group::Override).is_some() {
+            known |= letters(b"P");
+        }
+        match codes.tenths(Group::Spindle) {
+            Some(190) => known |= letters(b"RPQ"),
+            Some(_) => {}
+            None => {}
+        }
+        if codes.tenths(Group::ToolChange) == Some(610) {
+            known |= letters(b"Q");
+        }
+        if let Some((letter, word)) = block.first_of(!known) {
+            return Err(Box::new(self.stray_word(letter, word, here)));
+        }
+        let missing = |axis: usize| self.out.coordinate(axis).is_none();
+        if let Some((letter, word)) = block.first_of(AXIS_LETTERS)
+            && AXES
+                .iter()
+                .enumerate()
+                .any(|(axis, letter)| block.word(*letter).is_some() && missing(axis))
+        {
+            let (letter, word) = AXES
+                .iter()
+                .enumerate()
+                .filter(|(axis, _)| missing(*axis))
+                .filter_map(|(_, letter)| Some((*letter, block.word(*letter)?)))
+                .min_by_key(|(_, word)| word.at)
+                .unwrap_or((letter, word));
+            return mistake(
+                word.at,
+                format!(
+                    "{}: this machine has no axis {}",
+                    here.text(word),
+                    char::from(letter)
+                ),
+                "write the program for the axes of the machine file",
+            );
+        }
+        if self.options.no_decimal {
+            self.scale_increments(block, here)?;
+        }
+        Ok(())
+    }
+
+    /// Numbers without a decimal point count the least increment.
+    pub(super) fn scale_increments(&mut self, block: &mut Block, here: &Here) -> Read<()> {
+        let inch = match block.codes.tenths(Group::Unit) {
+            Some(tenths) => matches!(tenths, 200 | 700),
+            None => self.state.modes.inch,
+        };
+        let lengths = AXIS_LETTERS | letters(b"IJKRQ");
+        let mut rest = lengths;
+        while let Some((letter, word)) = block.first_of(rest) {
+            rest &= !letters(&[letter]);
+            if word.has_point {
+                return mistake(
+                    word.at,
+                    format!("{} has a decimal point", here.text(word)),
+                    "with --no-decimal all lengths count 0.001 mm or 0.0001 inch",
+                );
+            }
+            let axis = AXES.iter().position(|axis| *axis == letter).unwrap_or(0);
+            block.scale(letter, if inch && is_linear(axis) { 1e-4 } else { 1e-3 });
+        }
+        Ok(())
+    }
+
+    pub(super) fn stray_word(&self, letter: u8, word: Word, here: &Here) -> Mistake {
+        let text = here.text(word);
+        let (what, remedy) = match letter {
+            b'X' | b'Y' | b'Z' | b'A' | b'B' | b'C' | b'U' | b'V' | b'W' => {
+                let axis = AXES.iter().position(|axis| *axis == letter);
+                if axis.is_some_and(|axis| self.out.coordinate(axis).is_none()) {
+                    (
+                        format!("{text}: this machine has no axis {}", char::from(letter)),
+                        "write the program for the axes of the machine file",
+                    )
+                } else {
+                    return Mistake::new(
+                        word.at,
+                        format!("{text} without a motion"),
+                        "write G0, G1, G2 or G3 in this block or before it",
+                    )
+                    .because(Cause::Motion);
+                }
+            }
+            b'I' | b'J' | b'K' | b'R' => {
+                return Mistake::new(
+                    word.at,
+                    format!("{text} without an arc"),
+                    "centre and radius belong to G2 and G3: write one, or remove it",
+                )
+                .because(Cause::Motion);
+            }
+            b'E' => (
+                format!("{text}: exponents are not supported"),
+                "write all digits of the number",
+            ),
+            b'P' => (
+                format!("{text} belongs to no word of its block"),
+                "P is the time of G4: write G4, or remove it",
+            ),
+            b'D' | b'H' => (
+                format!("{text} belongs to no word of its block"),
+                "D belongs to G41 and G42, H to G43: write one, or remove it",
+            ),
+            b'Q' | b'L' => (
+                format!("{text} belongs to no word of its block"),
+                "it belongs to cycles: write one, or remove it",
+            ),
+            _ => (
+                format!("{text} is not supported"),
+                "remove it, or put it in a comment ( )",
+            ),
+        };
+        Mistake::new(word.at, what, remedy)
+    }
+}
