@@ -11,15 +11,18 @@ use haptimill_protocol::message::{AxisValues, Command, Fault, Refusal, State};
 use haptimill_tests::Bench;
 use setup::{commanded, drives_off, following_error, line, moving, ready, recover, state};
 
-/// Returns the same machine with the fault in its schedule in 10 ms, and the start of its job.
+/// Returns the same machine with the faults, separated by `; `, in its schedule in 10 ms, and the
+/// start of its job.
 ///
 /// The simulation is deterministic, so the machine is in the same state.
-fn bench_with_fault(like: &Bench, speed: f64, fault: &str) -> (Bench, AxisValues) {
+fn bench_with_fault(like: &Bench, speed: f64, faults: &str) -> (Bench, AxisValues) {
     let at = like.rig.time_ns() as f64 * 1e-9 + 0.01;
     let periods = like.rig.time_ns() / 200_000;
-    let fault = format!("{fault} at={at}s").parse().expect("a fault");
+    let faults = (faults.split("; "))
+        .map(|fault| format!("{fault} at={at}s").parse().expect("a fault"))
+        .collect();
     let mut bench = Bench::with_options(&RigOptions {
-        faults: vec![fault],
+        faults,
         ..RigOptions::default()
     });
     bench.make_ready();
@@ -49,7 +52,26 @@ fn missed_periods_are_reported_before_their_consequences() {
             bench.steps(3000);
             let status = bench.status();
             assert_eq!(status.fault, Some(Fault::LatePeriod { missed }));
-            assert!(status.position_kept);
+            // Off drives mean that a joint did not follow: its encoder is suspected.
+            assert_eq!(status.position_kept, !drives_off(&bench));
+        }
+    }
+}
+
+/// An encoder that is reversed in the same period in which periods were missed. The fault that is
+/// reported is the missed periods, but the position is wrong.
+#[test]
+fn missed_periods_do_not_keep_the_position_of_a_reversed_encoder() {
+    for missed in [3, 15, 50] {
+        for speed in [4.0, 16.0] {
+            let faults = format!("missed-periods count={missed}; encoder-swapped axis=l1");
+            let (mut bench, _) = bench_with_fault(&moving(0, speed), speed, &faults);
+            bench.steps(3000);
+            let status = bench.status();
+            let off = bench.rig.plant().bodies().motor[0] - f64::from(status.joints[0]) / setup::MM;
+            println!("{missed} at {speed}: {:?}, {off:.3} mm off", status.fault);
+            assert!(!status.position_kept && !status.homed, "{status:?}");
+            assert!(drives_off(&bench));
         }
     }
 }

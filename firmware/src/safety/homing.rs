@@ -7,6 +7,9 @@
 //! machine names for each joint the coordinate that moves in its search, and the pose rates
 //! ([`haptimill_kinematics::Machine::search_rates`]). Joints with the same coordinate are searched
 //! together, in the order of the joints. At a bound of the workspace the search reverses once.
+//! The jog keeps its whole stopping envelope within the workspace. Near a bound that the search does
+//! not move along, the envelope of the full rate may not fit in either direction: the search then
+//! starts again at a quarter of the rate, and at a sixteenth.
 //!
 //! Homing of all joints fails if a joint finds no index, finds one far from where the preset says,
 //! or if the machine cannot take a pose.
@@ -16,6 +19,11 @@ use crate::motion::jog::Jog;
 use haptimill_kinematics::{BoundedKinematics, Pose};
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Fault, HomingProblem, MAX_AXES};
+
+/// Halvings of the search rate in each slower search, and at most. A stopping distance at limited
+/// jerk is proportional to the rate to the power of 3/2: at a sixteenth it is a 64th.
+const SLOWER: u8 = 2;
+const SLOWEST: u8 = 4;
 
 /// Where the homing is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -58,6 +66,8 @@ pub struct Homing {
     downwards: bool,
     /// The present search has met the end of the workspace and turned back.
     reversed: bool,
+    /// Halvings of the search rate.
+    slower: u8,
     /// Correction of each joint whose index was found.
     corrections: [Option<Coordinate>; MAX_AXES],
     /// Periods that the search may still take.
@@ -72,6 +82,7 @@ impl Homing {
         if self.coordinate != Some(coordinate) {
             self.coordinate = Some(coordinate);
             self.reversed = false;
+            self.slower = 0;
             // Upwards, but from the upper quarter of the range towards its middle.
             self.downwards = machine.config.pose.get(coordinate).is_some_and(|axis| {
                 let (low, high) = (i64::from(axis.low.0), i64::from(axis.high.0));
@@ -80,7 +91,7 @@ impl Homing {
         }
         self.left = (machine.config.joints.iter().enumerate())
             .filter(|(other, _)| machine.kinematics.search_coordinate(*other) == coordinate)
-            .map(|(_, other)| search_periods(machine.config, other))
+            .map(|(_, other)| search_periods(machine.config, other, self.slower))
             .max()
             .unwrap_or(0);
         self.steer(machine, joint, pose, jog);
@@ -92,7 +103,7 @@ impl Homing {
         let Some(axis) = machine.config.joints.get(joint) else {
             return;
         };
-        let rate = search_rate(machine.config, axis.kind);
+        let rate = search_rate(machine.config, axis.kind) >> self.slower;
         let rate = if self.downwards { -rate } else { rate };
         let rates = machine.kinematics.search_rates(joint, pose, rate);
         jog.set_rates(&rates, self.left);
@@ -140,10 +151,13 @@ impl Homing {
                 if self.coordinate == Some(machine.kinematics.search_coordinate(joint)) =>
             {
                 self.left = self.left.saturating_sub(1);
-                let problem = if limited && self.reversed {
+                let problem = if limited && self.reversed && self.slower >= SLOWEST {
                     HomingProblem::Workspace
                 } else if limited {
-                    self.reversed = true;
+                    if self.reversed {
+                        self.slower += SLOWER;
+                    }
+                    self.reversed = !self.reversed;
                     self.downwards = !self.downwards;
                     jog.release();
                     self.phase = Phase::Rest;
@@ -183,8 +197,8 @@ fn search_rate(config: &Config, kind: AxisKind) -> i64 {
 
 /// Periods in which a joint must have seen its index: a turn and a fifth at the search rate, and
 /// half a second to get going.
-fn search_periods(config: &Config, joint: &JointAxis) -> u32 {
-    let rate = search_rate(config, joint.kind).max(1);
+fn search_periods(config: &Config, joint: &JointAxis, slower: u8) -> u32 {
+    let rate = (search_rate(config, joint.kind) >> slower).max(1);
     let travel = i64::from(joint.index_pitch.0) * 6 / 5;
     let period = i64::from(config.period_us).max(1);
     ((travel * 1_000_000 / rate + 500_000) / period).clamp(1, i64::from(u32::MAX)) as u32

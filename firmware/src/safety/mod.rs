@@ -63,7 +63,7 @@ pub const fn brakes_first(fault: &Fault) -> bool {
 ///
 /// Missed periods can cause such a fault, because the joint got no command in them. If it occurs
 /// while the machine brakes for missed periods, the drives go off, but the fault reported is the
-/// cause. The encoders have counted all along.
+/// cause. The position is lost, because an encoder can fail in the same moment.
 const fn is_of_joint(fault: &Fault) -> bool {
     matches!(
         fault,
@@ -224,17 +224,18 @@ impl Safety {
         }
         let on = self.drives_on();
         self.holding = on && brakes_first(&fault);
+        // What follows for the position is that of the joint's fault: its encoder is suspected.
+        self.latched = Some(fault);
+        if !keeps_position(&fault) {
+            self.lose_position();
+        }
         let fault = match self.pending.take() {
             Some(late @ Fault::LatePeriod { .. }) if is_of_joint(&fault) => late,
             _ => fault,
         };
-        if !keeps_position(&fault) {
-            self.lose_position();
-        }
         self.fault = Some(fault);
         #[cfg(feature = "defmt")]
         defmt::error!("fault latched: {}", fault);
-        self.latched = Some(fault);
         self.push_event(Event::Fault(fault));
         self.enter(State::Fault);
     }

@@ -23,6 +23,25 @@ impl ReferenceKinematics {
         Self { arm }
     }
 
+    /// Returns a joint of a pose, in mm or degrees, or `None` beyond the reach. The pose is in axis
+    /// units.
+    #[must_use]
+    pub fn joint(&self, pose: &[f64; 6], joint: usize) -> Option<f64> {
+        let (arm, _) = self.arm.as_ref()?;
+        if joint > 3 {
+            return Some(pose[4] / DEGREE);
+        }
+        let tip = place_tip(arm, pose);
+        let theta = (pose[3] / DEGREE).to_radians();
+        let side = [1.0, -1.0, 1.0, -1.0][joint];
+        let sigma = if joint < 2 { 1.0 } else { -1.0 };
+        let m = arm.tl + arm.c * (1.0 + sigma);
+        let u = arm.a - arm.b - arm.e - sigma * tip.y;
+        let v = -tip.z - m * theta.cos() + sigma * arm.d - arm.ge;
+        let square = arm.r * arm.r - u * u - v * v;
+        (square > 0.0).then(|| tip.x + m * tip.sin_theta + side * (arm.w + square.sqrt()))
+    }
+
     /// Returns the distance of the rods from closing, in mm, or of the table, in degrees.
     ///
     /// Pose and joints are in axis units. The result is the larger of the two.
@@ -31,21 +50,26 @@ impl ReferenceKinematics {
         let Some((geometry, arm)) = &self.arm else {
             return 0.0;
         };
-        let [x, y, z] = [0, 1, 2].map(|axis| pose[axis] / MM);
-        let (theta, alpha) = (
-            (pose[3] / DEGREE).to_radians(),
-            (pose[4] / DEGREE).to_radians(),
-        );
-        let (across, up) = (y + geometry.y_off, z + geometry.z_off);
-        let tip = Tip {
-            x: x + geometry.p + geometry.x_off,
-            y: across * alpha.cos() - up * alpha.sin(),
-            z: across * alpha.sin() + up * alpha.cos() - geometry.h,
-            sin_theta: theta.sin(),
-        };
+        let tip = place_tip(geometry, pose);
         let slides = [0, 1, 2, 3].map(|joint| joints[joint] / MM);
         let turned = (f64::from((joints[4] - pose[4]) as i64 as i32) / DEGREE).abs();
         arm.residual(&tip, &slides).abs().max(turned)
+    }
+}
+
+/// Returns the tip at a pose, in the frame of the arm's base.
+fn place_tip(geometry: &ArmGeometry, pose: &[f64; 6]) -> Tip {
+    let [x, y, z] = [0, 1, 2].map(|axis| pose[axis] / MM);
+    let (theta, alpha) = (
+        (pose[3] / DEGREE).to_radians(),
+        (pose[4] / DEGREE).to_radians(),
+    );
+    let (across, up) = (y + geometry.y_off, z + geometry.z_off);
+    Tip {
+        x: x + geometry.p + geometry.x_off,
+        y: across * alpha.cos() - up * alpha.sin(),
+        z: across * alpha.sin() + up * alpha.cos() - geometry.h,
+        sin_theta: theta.sin(),
     }
 }
 
@@ -80,6 +104,8 @@ pub struct PlannedJob {
     /// Every segment is long enough to stop in it.
     pub long_segments: bool,
     last: Option<(u64, u32)>,
+    /// The setpoint at the end of the segment that was compared last.
+    compared: Option<usize>,
 }
 
 impl PlannedJob {
@@ -112,6 +138,7 @@ impl PlannedJob {
         self.start = start;
         self.running = true;
         self.last = None;
+        self.compared = None;
     }
 
     /// The job is over.
@@ -183,24 +210,34 @@ impl PlannedJob {
                 seen.spindle
             ));
         }
+        self.compared = Some(place);
         let begin = if place == 0 { 0 } else { self.ends[place - 1] };
-        let (from, rates) = if place == 0 {
-            (self.start, [0.0; 6])
-        } else {
-            let setpoint = &self.setpoints[place - 1];
-            (places(&setpoint.pose), speeds(&setpoint.rates))
-        };
         let Some(to) = self.setpoints.get(place) else {
-            return Ok(distance(&seen.pose, &from));
+            return Ok(distance(&seen.pose, &self.node(place).0));
         };
         if place as u32 == seen.accepted && seen.time > begin << 32 {
             return Err(format!(
                 "the motion continues beyond setpoint {place}, the last that was accepted"
             ));
         }
+        let time = seen.time as f64 / 4_294_967_296.0 - begin as f64;
+        let planned = self.pose_at(place, to, time / f64::from(to.periods));
+        Ok(distance(&seen.pose, &planned))
+    }
+
+    /// Returns place and rates at the start of the segment to setpoint `place`.
+    fn node(&self, place: usize) -> ([f64; 6], [f64; 6]) {
+        if place == 0 {
+            return (self.start, [0.0; 6]);
+        }
+        let setpoint = &self.setpoints[place - 1];
+        (places(&setpoint.pose), speeds(&setpoint.rates))
+    }
+
+    /// Returns the pose at a part of the segment to setpoint `place`, which is `to`.
+    fn pose_at(&self, place: usize, to: &Setpoint, u: f64) -> [f64; 6] {
+        let (from, rates) = self.node(place);
         let span = f64::from(to.periods) * PERIOD;
-        let time = (seen.time as f64 / 4_294_967_296.0 - begin as f64) * PERIOD;
-        let u = time / span;
         let (end, end_rates) = (places(&to.pose), speeds(&to.rates));
         let mut planned = [0.0; 6];
         for axis in 0..to.pose.len() {
@@ -214,7 +251,25 @@ impl PlannedJob {
                 + u * u * (3.0 * way - 2.0 * v0 - v1)
                 + u * u * u * (v0 + v1 - 2.0 * way);
         }
-        Ok(distance(&seen.pose, &planned))
+        planned
+    }
+
+    /// Returns whether the plan leaves its bounds between two setpoints within them, in the segment
+    /// that was compared last or in the next one.
+    ///
+    /// `beyond` is the distance of a pose from its bounds, positive outside. `accuracy` is that of
+    /// the controller's arithmetic at the setpoints.
+    pub fn leaves_between(&self, beyond: impl Fn(&[f64; 6]) -> f64, accuracy: f64) -> bool {
+        let Some(compared) = self.compared else {
+            return false;
+        };
+        (compared..=compared + 1).any(|place| {
+            self.setpoints.get(place).is_some_and(|to| {
+                let at = |part: f64| beyond(&self.pose_at(place, to, part));
+                let between = |period: u16| at(f64::from(period) / f64::from(to.periods)) > 0.0;
+                at(0.0) <= accuracy && at(1.0) <= accuracy && (1..to.periods).any(between)
+            })
+        })
     }
 }
 

@@ -17,6 +17,9 @@ pub const FOUND: f64 = 0.12;
 /// Periods for which an error may exceed [`OFF`]: 0.05 s.
 pub const LASTING: u32 = 250;
 /// Largest error where other faults of the joint come with it and move the slide.
+///
+/// A dead channel is found by 24 reversals of the count, at most one in a period. Motion in a period
+/// with an even number of edges of the live channel adds to this bound: the count does not change.
 pub const PUSHED: f64 = 0.6;
 /// Periods for which that error may exceed [`OFF`]: 0.5 s.
 pub const PUSHED_LASTING: u32 = 2500;
@@ -46,5 +49,7 @@ pub const REPORTED: f64 = 1.02;
 pub const CUBIC: f64 = 24.0;
 /// Periods from a request to its answer on a clean, fast line.
 pub const ANSWER: u64 = 5000;
+/// Accuracy of the controller's joints, in mm or degrees: 0.1 um (firmware/kinematics/src/h4).
+pub const ARITHMETIC: f64 = 1e-4;
 /// Rod length residual of the commanded joints at the commanded pose, in mm.
 pub const RESIDUAL: f64 = 2e-4;

@@ -3,11 +3,11 @@
 use super::super::bench::StormBench;
 use super::super::episode::{Theme, joint_of};
 use super::super::units::joint_unit;
-use super::{CheckResult, Checks, jump_threshold};
+use super::{CheckResult, Checks, bounds, jump_threshold};
 use haptimill_firmware::config::Drive;
 use haptimill_hil_sim::fault::{FaultKind, Switch};
 use haptimill_protocol::force::ForceProblem;
-use haptimill_protocol::message::{Event, Fault, State};
+use haptimill_protocol::message::{Event, Fault, PoseError, State};
 
 /// A cause of faults that is not an injected device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -134,7 +134,17 @@ impl Checks {
             {
                 true
             }
+            Fault::Force(ForceProblem::Drift { component, .. })
+                if self.causes.contains(&Cause::Contact)
+                    && is_soft_contact_drift(bench, usize::from(*component)) =>
+            {
+                true
+            }
             Fault::Force(_) => self.causes.contains(&Cause::Contact) && !self.theme.is_healthy(),
+            // So are strokes.
+            Fault::Pose(PoseError::OutOfStroke { axis, .. }) => {
+                self.leaves_stroke(bench, usize::from(*axis))
+            }
             // Soft limits of a setpoint are checked at its end only: the cubic may leave them.
             // A machine that was pushed with its drives off may stand beyond a soft limit.
             Fault::SoftLimit { axis } => {
@@ -165,6 +175,24 @@ impl Checks {
         );
     }
 
+    /// Returns whether the planned path leaves the stroke of a joint between two setpoints whose
+    /// joints are within it.
+    fn leaves_stroke(&self, bench: &StormBench, joint: usize) -> bool {
+        let Some(machine) = bench.controller().machine() else {
+            return false;
+        };
+        let Some(limits) = machine.config.joints.get(joint) else {
+            return false;
+        };
+        let unit = joint_unit(joint);
+        let [low, high] = [limits.low, limits.high].map(|end| f64::from(end.0) / unit);
+        let beyond = |pose: &[f64; 6]| {
+            let place = self.kinematics.joint(pose, joint);
+            place.map_or(0.0, |place| (low - place).max(place - high))
+        };
+        self.job.leaves_between(beyond, bounds::ARITHMETIC)
+    }
+
     /// Returns whether a rotor may have been locked at the dead point of its detent.
     ///
     /// Friction may hold a rotor two full steps from its detent, where its torque is 0. Such a
@@ -186,6 +214,20 @@ impl Checks {
         // A rotor that moves without a command had not locked.
         (1.0..2.0 * f64::from(lost.0)).contains(&way.abs())
     }
+}
+
+/// Returns whether a contact of this component can be taken for drift while the spindle is off.
+///
+/// A force below half of f_d is not a contact yet (`ForceControl::unloaded`). Its mean over 0.1 s
+/// can pass the limit of the drift only if that limit is smaller.
+fn is_soft_contact_drift(bench: &StormBench, component: usize) -> bool {
+    let machine = bench.controller().machine();
+    let Some(force) = machine.and_then(|machine| machine.force.as_ref()) else {
+        return false;
+    };
+    let drift = force.conditioner().sensor().drift;
+    let settings = force.settings(component);
+    settings.is_some_and(|settings| settings.desired.0 / 2 > drift.0)
 }
 
 /// Returns whether a fault is among the effects of an injected one.

@@ -38,6 +38,11 @@ pub(super) struct EncoderRecord {
     homing_fault: [bool; 6],
     /// Periods with a position error above its lasting bound.
     wrong: [u32; 6],
+    /// Count and true motor position of the period before.
+    last: [Option<(i32, f64)>; 6],
+    /// True motion, in mm or degrees, in periods that left the count of a defective encoder as it
+    /// was.
+    unseen: [f64; 6],
 }
 
 impl EncoderRecord {
@@ -64,7 +69,21 @@ impl EncoderRecord {
     /// Homing has ended the errors that the counters had before it.
     pub(super) const fn end_of_errors(&mut self) {
         self.suspect = self.homing_fault;
+        self.unseen = [0.0; 6];
         self.slipped_off = [false; 6];
+    }
+
+    /// Records the count and the true position of a motor. `count` is the size of a count.
+    ///
+    /// The live channel of an encoder has an edge every second count. A period with an even number
+    /// of them leaves the count as it was, although the motor moved by more than two counts.
+    fn record_unseen_motion(&mut self, joint: usize, counts: i32, place: f64, count: f64) {
+        if let Some((before, from)) = self.last[joint].replace((counts, place)) {
+            let travel = (place - from).abs();
+            if self.suspect[joint] && counts == before && travel > 2.0 * count {
+                self.unseen[joint] += travel;
+            }
+        }
     }
 
     /// Returns whether a fault was injected into the encoder of this device during homing.
@@ -164,7 +183,7 @@ impl Checks {
                 name: "off, noise or drives off",
             },
             EncoderDefect::Several => ErrorBounds {
-                most: bounds::PUSHED,
+                most: bounds::PUSHED + self.position.unseen[joint],
                 // Each fault may stay below the bound of one; index pulses reveal the sum.
                 lasting: if found_by_index {
                     unseen
@@ -193,6 +212,13 @@ impl Checks {
         if bench.rig.inputs().axes[joint].index_pulses != self.previous.index_pulses[joint] {
             self.position.index_pulses[joint] += 1;
         }
+        let actual = bench.latched.motor[joint];
+        let counts = bench.rig.inputs().axes[joint].counts;
+        if let Some(machine) = bench.controller().machine() {
+            let per_count = machine.config.joints[joint].per_count.unsigned_abs();
+            let count = per_count as f64 / f64::from(1 << 24) / joint_unit(joint);
+            (self.position).record_unseen_motion(joint, counts, actual, count);
+        }
         let safety = bench.controller().safety();
         if !safety.drives_on() || !is_position_known(bench) {
             self.position.wrong[joint] = 0;
@@ -201,7 +227,6 @@ impl Checks {
         let Some(allowed) = self.error_bounds(bench, joint) else {
             return Ok(());
         };
-        let actual = bench.latched.motor[joint];
         let off = (measured - actual).abs();
         self.record_largest(allowed.name, off);
         let wrong = &mut self.position.wrong[joint];
