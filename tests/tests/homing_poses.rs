@@ -241,8 +241,8 @@ fn homing_succeeds_from_any_pose() {
     assert!(reached * 4 > poses.len() * 3);
 }
 
-/// The search of the slides ends with l4 at 0.15 mm from the upper end of its stroke. With S34 at 88
-/// mm the stopping envelope of the full search rate of the table is longer than that.
+/// The search of the slides ends with l4 at 0.15 mm from the upper end of its stroke. With S34 at
+/// 88 mm the stopping envelope of the full search rate of the table is longer than that.
 #[test]
 fn the_table_is_searched_with_a_slide_at_the_end_of_its_stroke() {
     let mut bench = ready();

@@ -7,9 +7,9 @@
 //! machine names for each joint the coordinate that moves in its search, and the pose rates
 //! ([`haptimill_kinematics::Machine::search_rates`]). Joints with the same coordinate are searched
 //! together, in the order of the joints. At a bound of the workspace the search reverses once.
-//! The jog keeps its whole stopping envelope within the workspace. Near a bound that the search does
-//! not move along, the envelope of the full rate may not fit in either direction: the search then
-//! starts again at a quarter of the rate, and at a sixteenth.
+//! The jog keeps its whole stopping envelope within the workspace. Near a bound that the search
+//! does not move along, the envelope of the full rate may not fit in either direction: the search
+//! then starts again at a quarter of the rate, and at a sixteenth.
 //!
 //! Homing of all joints fails if a joint finds no index, finds one far from where the preset says,
 //! or if the machine cannot take a pose.
