@@ -41,7 +41,7 @@ pub struct PlantConfig {
     /// clamps one later.
     #[serde(default)]
     pub workpiece: Option<WorkpieceConfig>,
-    /// Elastic structure between the slides and the tool; without it the arm is rigid.
+    /// Elastic structure between the joints and the tool; without it the machine is rigid.
     #[serde(default)]
     pub structure: Option<StructureConfig>,
     /// Force sensor under the workpiece.
@@ -53,7 +53,7 @@ pub struct PlantConfig {
     /// Operator model at the haptic arm; it holds the handle from the start.
     #[serde(default)]
     pub hand: Option<OperatorConfig>,
-    /// Joints in the machine's order (H-4: four slides, then the table): 1 to 6, or none for a
+    /// Joints in the machine's order: 1 to 6, or none for a
     /// haptic arm alone.
     #[serde(default)]
     pub joint: Vec<JointConfig>,

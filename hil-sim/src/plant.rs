@@ -35,7 +35,7 @@ use haptimill_protocol::message::MAX_AXES;
 pub struct GroundTruth {
     /// Positions of the joints' slide sides, mm or degrees.
     pub joints: [f64; MAX_AXES],
-    /// Pose of the tool in the workpiece frame, mm and degrees (H-4: x_w, y_w, z_w, theta, alpha);
+    /// Pose of the tool in the workpiece frame, mm and degrees;
     /// without an arm, the joint positions. The tip includes the deflection of the structure.
     pub pose: [f64; MAX_AXES],
     /// The rods close. If false, `pose` is the last valid one.

@@ -207,7 +207,7 @@ fn inject(
         FaultKind::DriveTripped { .. } => joints[axis].drive_tripped = true,
         FaultKind::DriveWeak { gain, .. } => joints[axis].drive_gain *= gain,
         FaultKind::DriveReversed { .. } => joints[axis].drive_gain *= -1.0,
-        FaultKind::SlideJammed { effort, .. } => {
+        FaultKind::JointJammed { effort, .. } => {
             joints[axis].jam += effort.unwrap_or(f64::INFINITY)
         }
         FaultKind::Push { effort, .. } => loads[axis] += effort,

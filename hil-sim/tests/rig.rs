@@ -318,7 +318,7 @@ fn faults_start_and_end_on_time() {
             "emergency-stop at=2ms for=1ms",
             "drive-tripped axis=l4 at=4ms for=2ms",
             "switch-stuck axis=l2 switch=limit-high active=yes at=1ms",
-            "slide-jammed axis=l1 at=20ms",
+            "joint-jammed axis=l1 at=20ms",
             "encoder-slip axis=l3 counts=5000 at=5ms",
         ]),
         still,
@@ -342,7 +342,7 @@ fn faults_start_and_end_on_time() {
 
 #[test]
 fn a_jammed_slide_stops_and_continues_after_the_fault() {
-    let mut rig = rig(faults(&["slide-jammed axis=l1 at=0.5s for=200ms"]), swing);
+    let mut rig = rig(faults(&["joint-jammed axis=l1 at=0.5s for=200ms"]), swing);
     let mut stood = Vec::new();
     for period in 0..6000 {
         let before = rig.plant().truth().joints[0];
@@ -404,12 +404,12 @@ fn invalid_faults_are_refused_with_a_message() {
     for (line, part) in [
         ("", "empty"),
         ("slide-jamed axis=l2", "unknown fault `slide-jamed`"),
-        ("slide-jammed", "`axis=` is missing"),
-        ("slide-jammed axis=", "`axis=` is empty"),
-        ("slide-jammed axis=l2 effort=much", "not a number"),
-        ("slide-jammed axis=l2 at=3", "must be a time"),
-        ("slide-jammed axis=l2 axis=l3", "is a duplicate"),
-        ("slide-jammed axis=l2 gain=2", "is not a key"),
+        ("joint-jammed", "`axis=` is missing"),
+        ("joint-jammed axis=", "`axis=` is empty"),
+        ("joint-jammed axis=l2 effort=much", "not a number"),
+        ("joint-jammed axis=l2 at=3", "must be a time"),
+        ("joint-jammed axis=l2 axis=l3", "is a duplicate"),
+        ("joint-jammed axis=l2 gain=2", "is not a key"),
         (
             "encoder-stuck axis=l2 channel=c level=low",
             "must be a or b",
@@ -425,7 +425,7 @@ fn invalid_faults_are_refused_with_a_message() {
         "drive-dead axis=0",
         "drive-dead axis=L1",
         "link-errors rate=1.5",
-        "slide-jammed axis=l1 effort=-1",
+        "joint-jammed axis=l1 effort=-1",
         "drive-weak axis=l1 gain=inf",
         "drive-dead axis=l1 at=-1s",
     ] {
@@ -487,7 +487,7 @@ proptest! {
             0 => FaultKind::EncoderSlip { axis, counts },
             1 => FaultKind::LinkErrors { rate: number, direction },
             2 => FaultKind::LinkDelay { ms: number, direction },
-            3 => FaultKind::SlideJammed { axis, effort: (counts > 0).then_some(number) },
+            3 => FaultKind::JointJammed { axis, effort: (counts > 0).then_some(number) },
             4 => FaultKind::DriveWeak { axis, gain: -number },
             5 => FaultKind::EmergencyStop,
             6 => FaultKind::LinkCut { direction },

@@ -40,7 +40,7 @@
 //!     // The controller, once a period: Hello, at most one message, at most 64 bytes.
 //!     if controller.hello().is_some() {
 //!         let identity =
-//!             Identity { machine: "H4", config_crc: 0, period_us: 200, axes: 5, queue: 64 };
+//!             Identity { machine: "mill", config_crc: 0, period_us: 200, axes: 5, queue: 64 };
 //!         controller.welcome(now_us, &identity, false);
 //!     }
 //!     if controller.room(SHORT_REPORT) > 0

@@ -410,7 +410,7 @@ pub struct Telemetry {
     pub commanded: AxisValues,
     /// Measured pose, axis units; empty while the forward kinematics has no certified answer.
     pub measured: AxisValues,
-    /// Measured joints (slides, table), axis units.
+    /// Measured joints, axis units.
     pub joints: AxisValues,
     /// Following error of each joint, axis units.
     pub following_error: AxisValues,

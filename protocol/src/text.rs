@@ -7,7 +7,7 @@
 //! ```
 //! use haptimill_protocol::message::Fault;
 //! use haptimill_protocol::text::{Axes, Axis, AxisKind};
-//! let axes = Axes { pose: &[], joints: &[Axis { name: "slide 1", kind: AxisKind::Linear }] };
+//! let axes = Axes { pose: &[], joints: &[Axis { name: "joint 1", kind: AxisKind::Linear }] };
 //! let fault = Fault::SoftLimit { axis: 4 };
 //! assert_eq!(
 //!     fault.to_string(),
@@ -16,7 +16,7 @@
 //! let fault = Fault::FollowingError { axis: 0, error: -(3 << 20), limit: 1 << 20 };
 //! assert_eq!(
 //!     axes.describe(&fault).to_string(),
-//!     "the following error of slide 1 is -3.000 mm (at most 1.000 mm); \
+//!     "the following error of joint 1 is -3.000 mm (at most 1.000 mm); \
 //!      remove what blocks the joint, then reset and home"
 //! );
 //! ```
@@ -179,7 +179,7 @@ mod tests {
     #[test]
     fn names_are_used_where_they_are_known() {
         let slide = [Axis {
-            name: "slide 1",
+            name: "joint 1",
             kind: AxisKind::Linear,
         }];
         let axes = Axes {
@@ -196,7 +196,7 @@ mod tests {
         };
         assert_eq!(
             axes.describe(&refusal).to_string(),
-            "setpoint 12: slide 1 would leave its stroke by 0.500 mm; \
+            "setpoint 12: joint 1 would leave its stroke by 0.500 mm; \
              move the workpiece towards the middle of the workspace"
         );
         assert!(

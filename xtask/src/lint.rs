@@ -52,7 +52,7 @@ pub fn lint(root: &Path) -> Result<(), String> {
 }
 
 /// Collects the Rust and Markdown files below a directory. Hidden directories are skipped.
-fn list(directory: &Path, files: &mut Vec<PathBuf>) -> Result<(), String> {
+pub(crate) fn list(directory: &Path, files: &mut Vec<PathBuf>) -> Result<(), String> {
     let problem = |error| format!("{}: {error}", directory.display());
     for entry in fs::read_dir(directory).map_err(problem)? {
         let entry = entry.map_err(problem)?;

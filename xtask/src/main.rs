@@ -3,6 +3,7 @@
 mod board;
 mod gcode;
 mod lint;
+mod names;
 mod planted;
 mod provide;
 mod storm;
@@ -19,13 +20,14 @@ use storm::storm;
 const HELP: &str = "\
 Developer tasks of the project.
 
-  cargo xtask test                 run all checks: format, line lengths, lints, tests, documentation, boards, emulated runs
+  cargo xtask test                 run all checks: format, line lengths, names of machines, lints, tests, documentation, boards, emulated runs
   cargo xtask test --native-only   the same without boards and emulated runs; lists what it skipped
-  cargo xtask lint                 list comments and prose longer than 100 columns
+  cargo xtask lint                 list comments and prose longer than 100 columns, and general code that names a machine
   cargo xtask board NAME           build the image of a board (mps2), print its size, check it against the budget
   cargo xtask board NAME --image   build the image and print only its path
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: hand, faults, checks, logging)
   cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
+  cargo xtask machines             do everything with every machine file and rewrite docs/machines.md
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
   cargo xtask storm [OPTION ...]   run random episodes against all checks, by seed (docs/storm.md; --help lists the options)
   cargo xtask storm --planted      plant bugs into a copy of the sources and show that the storm finds each
@@ -52,7 +54,7 @@ const TEST: &[Step] = &[
         component: Some(("fmt", "rustup component add rustfmt")),
     },
     Step {
-        name: "line lengths",
+        name: "line lengths and names of machines",
         arguments: &["xtask", "lint"],
         environment: &[],
         component: None,
@@ -120,6 +122,21 @@ const TEST: &[Step] = &[
     },
 ];
 
+const MACHINES: &[Step] = &[Step {
+    name: "machines",
+    arguments: &[
+        "test",
+        "--package",
+        "haptimill",
+        "--test",
+        "machines",
+        "--",
+        "--nocapture",
+    ],
+    environment: &[("HAPTIMILL_WRITE", "1")],
+    component: None,
+}];
+
 const BENCH: &[Step] = &[Step {
     name: "benchmarks",
     arguments: &["bench", "--workspace", "--benches"],
@@ -135,11 +152,12 @@ fn main() -> ExitCode {
         ["test", "--native-only"] => run(TEST).map(|()| {
             println!("SKIPPED  boards and emulated runs (--native-only): the controller was not tested on a chip");
         }),
-        ["lint"] => lint(&root()),
+        ["lint"] => lint(&root()).and(names::lint(&root())),
         ["board", name] => board(name),
         ["board", name, "--image"] => image(name, None),
         ["board", name, "--image", other] => image(name, Some(other)),
         ["instructions"] => instructions(),
+        ["machines"] => run(MACHINES),
         ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),
         ["storm", ref options @ ..] => storm(options),

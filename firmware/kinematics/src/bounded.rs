@@ -1,12 +1,10 @@
 //! Kinematics of a configured machine: its geometry and the strokes of its joints.
 //!
 //! The controller and the host use this module. A [`BoundedKinematics`] returns only joints within
-//! their strokes; the geometry alone (for instance
-//! [`H4`](crate::h4::H4)) has no strokes.
+//! their strokes; a geometry alone has no strokes.
 //!
 //! Soft limits of the pose are not checked here. Callers must check them in the motion.
 
-use super::h4::BasePose;
 use super::machines::{AnyMachine, Model};
 use super::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
@@ -75,18 +73,6 @@ impl BoundedKinematics {
     #[must_use]
     pub const fn descriptor(&self) -> &'static Descriptor {
         self.machine.descriptor()
-    }
-
-    /// Pose of the tool in the frame of the machine's base, without table and workpiece offsets.
-    /// `None` on a machine that has no such frame.
-    ///
-    /// # Errors
-    /// As [`Kinematics::forward`].
-    pub fn base_pose(&self, joints: &Joints) -> Option<Result<BasePose, PoseError>> {
-        if let Err(error) = self.check_strokes(joints) {
-            return Some(Err(error));
-        }
-        self.machine.base_pose(joints)
     }
 
     /// Signed distance from the nearest singularity, positive on the configured branch. `None` on a

@@ -83,6 +83,23 @@ impl Descriptor {
         Some([x?, y?, z?])
     }
 
+    /// Whether force control and a master can move the tool: the first coordinates are x, y and z
+    /// of the tool tip, and those behind are the tilt of the tool and the rotation of the
+    /// workpiece, as far as the machine has them. Lengths are added to the first three coordinates,
+    /// angles to the next two.
+    #[must_use]
+    pub fn has_guided_tool(&self) -> bool {
+        let directions = [Role::ToolTilt, Role::WorkpieceRotation];
+        let behind = self.pose.iter().skip(TOOL_TIP.len()).map(|axis| axis.role);
+        let tip = self.tool_tip() == Some([0, 1, 2])
+            && self
+                .pose
+                .iter()
+                .take(TOOL_TIP.len())
+                .all(|axis| axis.kind == AxisKind::Linear);
+        tip && behind.zip(directions).all(|(role, of)| role == of)
+    }
+
     /// Number of pose coordinates, which is also the number of joints; at most [`MAX_AXES`].
     #[must_use]
     pub const fn axes(&self) -> usize {
@@ -97,3 +114,79 @@ pub const NO_MACHINE: Descriptor = Descriptor {
     pose: &[],
     joints: &[],
 };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const fn axis(role: Role, kind: AxisKind) -> CoordinateDescriptor {
+        CoordinateDescriptor {
+            name: "axis",
+            kind,
+            letter: 'X',
+            role,
+        }
+    }
+
+    const X: CoordinateDescriptor = axis(Role::ToolX, AxisKind::Linear);
+    const Y: CoordinateDescriptor = axis(Role::ToolY, AxisKind::Linear);
+    const Z: CoordinateDescriptor = axis(Role::ToolZ, AxisKind::Linear);
+    const TILT: CoordinateDescriptor = axis(Role::ToolTilt, AxisKind::Rotary);
+    const TURN: CoordinateDescriptor = axis(Role::WorkpieceRotation, AxisKind::Rotary);
+    const TURNED_Y: CoordinateDescriptor = axis(Role::ToolY, AxisKind::Rotary);
+    const OTHER: CoordinateDescriptor = axis(Role::None, AxisKind::Rotary);
+
+    /// Millimetres are never added to a rotary coordinate: a machine whose first coordinates are
+    /// not x, y and z of the tool has no guided tool.
+    #[test]
+    fn a_guided_tool_needs_its_roles_in_place() {
+        let machine = |pose: &'static [CoordinateDescriptor]| Descriptor {
+            code: "test",
+            pose,
+            joints: &[],
+        };
+        for pose in [&[X, Y, Z][..], &[X, Y, Z, TILT], &[X, Y, Z, TILT, TURN]] {
+            assert!(machine(pose).has_guided_tool(), "{pose:?}");
+        }
+        for pose in [
+            &[][..],
+            &[OTHER, X, Y, Z],
+            &[X, Z, Y],
+            &[X, Y],
+            &[X, Y, OTHER],
+            &[X, OTHER, Y, Z],
+            &[X, Y, Z, OTHER, OTHER],
+            &[X, Y, Z, TURN],
+            &[X, Y, Z, TURN, TILT],
+            &[X, TURNED_Y, Z],
+        ] {
+            assert!(!machine(pose).has_guided_tool(), "{pose:?}");
+        }
+    }
+
+    /// Each coordinate has a letter and a name of its own, and each role is there once.
+    #[test]
+    fn descriptors_are_unambiguous() {
+        for machine in crate::DESCRIPTORS {
+            assert!(machine.axes() > 0, "{}", machine.code);
+            for (index, axis) in machine.pose.iter().enumerate() {
+                assert!("XYZABCUVW".contains(axis.letter), "{axis:?}");
+                for other in &machine.pose[..index] {
+                    assert!(other.letter != axis.letter, "{axis:?}");
+                    assert!(other.name != axis.name, "{axis:?}");
+                    assert!(
+                        other.role != axis.role || axis.role == Role::None,
+                        "{axis:?}"
+                    );
+                }
+            }
+            for (index, joint) in machine.joints.iter().enumerate() {
+                let others = &machine.joints[..index];
+                assert!(
+                    others.iter().all(|other| other.name != joint.name),
+                    "{joint:?}"
+                );
+            }
+        }
+    }
+}

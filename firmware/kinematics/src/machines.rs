@@ -5,7 +5,7 @@
 
 use crate::cartesian::{Cartesian, CartesianGeometry};
 use crate::descriptor::{Descriptor, NO_MACHINE};
-use crate::h4::{BasePose, H4, H4Geometry};
+use crate::h4::{H4, H4Geometry};
 use crate::trunnion::{Trunnion, TrunnionGeometry};
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
@@ -27,13 +27,6 @@ pub trait Machine: Kinematics + Copy {
 
     /// Whether the lengths are within the range of the arithmetic and make a machine.
     fn is_sound(geometry: &Self::Geometry) -> bool;
-
-    /// Pose of the tool in the frame of the machine's base, without table and workpiece offsets.
-    /// `None` on a machine that has no such frame.
-    fn base_pose(&self, joints: &Joints) -> Option<Result<BasePose, PoseError>> {
-        let _ = joints;
-        None
-    }
 
     /// Signed distance from the nearest singularity, positive on the configured branch. `None` on a
     /// machine without singularities.
@@ -171,13 +164,6 @@ macro_rules! machines {
                 match self {
                     $(Self::$name(machine) => machine.box_bounds(low, high, rates),)*
                     Self::None => Ok(BoxBounds::default()),
-                }
-            }
-
-            pub(crate) fn base_pose(&self, joints: &Joints) -> Option<Result<BasePose, PoseError>> {
-                match self {
-                    $(Self::$name(machine) => Machine::base_pose(machine, joints),)*
-                    Self::None => None,
                 }
             }
 

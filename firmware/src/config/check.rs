@@ -5,7 +5,6 @@ use crate::config::HAND;
 use crate::haptics::config::HapticConfig;
 use crate::motion::tracker::TrackerLimits;
 use crate::motion::{interpolator, jog};
-use haptimill_kinematics::descriptor::Role;
 use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
 
@@ -43,7 +42,7 @@ impl Config {
         let counts = self.pose.len() == axes && self.joints.len() == axes && axes <= MAX_AXES;
         require(counts, ConfigField::AxisCount, None)?;
         self.check_geometry()?;
-        let force = self.force.is_none() || self.has_tool();
+        let force = self.force.is_none() || self.model.descriptor().has_guided_tool();
         require(force, ConfigField::Force, None)?;
         self.check_hand()?;
         for (index, axis) in self.pose.iter().enumerate() {
@@ -115,7 +114,7 @@ impl Config {
             return Ok(());
         };
         require(
-            follow.is_sound() && self.has_tool(),
+            follow.is_sound() && self.model.descriptor().has_guided_tool(),
             ConfigField::Follow,
             None,
         )?;
@@ -124,15 +123,6 @@ impl Config {
             require(bounds.is_some(), ConfigField::Follow, Some(index))?;
         }
         Ok(())
-    }
-
-    /// Whether the first coordinates are x, y, z of the tool, as force control and master-slave
-    /// mapping need them, and those behind are the directions of the tool that a master can lead.
-    fn has_tool(&self) -> bool {
-        let machine = self.model.descriptor();
-        let directions = [Role::ToolTilt, Role::WorkpieceRotation];
-        let behind = machine.pose.iter().skip(3).map(|axis| axis.role);
-        machine.tool_tip() == Some([0, 1, 2]) && behind.zip(directions).all(|(role, of)| role == of)
     }
 
     fn check_geometry(&self) -> Check {

@@ -187,14 +187,14 @@ impl ForceControl {
 
     /// Runs the *measure* stage with the sample of this control period, the commanded spindle
     /// speed, the measured position of the tool (the commanded one without a certified pose), the
-    /// angle of the table, and whether the tool is unloaded.
+    /// rotation of the workpiece, and whether the tool is unloaded.
     #[inline]
     pub fn measure(
         &mut self,
         sample: &ForceSample,
         spindle_rpm: i16,
         position: &[Coordinate; COMPONENTS],
-        table: Angle,
+        rotation: Angle,
         unloaded: bool,
     ) {
         if spindle_rpm != self.rpm {
@@ -217,7 +217,7 @@ impl ForceControl {
                 axis.stability_monitor
                     .update(axis.extremes.peak(), axis.compliance.law(), yielded);
                 if component == 0 {
-                    self.conditioner.set_table(table);
+                    self.conditioner.set_rotation(rotation);
                 }
             }
             if axis.stability_monitor.sign() == Sign::Wrong && self.mask & (1 << component) != 0 {
@@ -281,14 +281,15 @@ impl ForceControl {
     /// The condition that must stop a moving machine; `jogged` while the operator jogs it.
     ///
     /// A force beyond its limit always stops the machine, with one exception: the operator may jog
-    /// away from an overload that was already present. An invalid sensor stops the machine only
-    /// under force control.
+    /// away from an overload that was already present. Without a tare an overload of the sensor
+    /// does not count. An invalid sensor stops the machine only under force control.
     #[must_use]
     #[inline]
     pub fn stop_condition(&self, jogged: bool) -> Option<ForceProblem> {
         let problem = self.condition?;
         let counts = if is_force(&problem) {
-            self.conditioner.tared() && !(jogged && self.known)
+            let measured = matches!(problem, ForceProblem::Limit { .. });
+            (measured || self.conditioner.tared()) && !(jogged && self.known)
         } else {
             self.mask != 0 && !self.suspended
         };

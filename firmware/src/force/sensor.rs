@@ -34,8 +34,8 @@
 //! **Tare.** The mean of `tare_samples` becomes the zero. A tare is refused if the codes vary by
 //! more than `tare_spread` (the spindle runs, the machine moves, a person touches the table), if a
 //! channel with noise does not vary (it is stuck), near saturation, and if samples are missing. The
-//! weight of the vise turns with the table. [`Conditioner::set_table`] subtracts the change of its
-//! share since the tare.
+//! weight of the vise turns with the workpiece. [`Conditioner::set_rotation`] subtracts the change
+//! of its share since the tare.
 //!
 //! Codes are clamped to 14 bits and scales are limited to 0.5 N per code, so a force is below 2^15
 //! codes * 0.5 N: no input overflows.
@@ -86,7 +86,7 @@ pub struct Sensor {
     pub tare_samples: u16,
     /// Largest accepted spread of the codes during a tare, highest minus lowest.
     pub tare_spread: u16,
-    /// Weight on the sensor that tilts with the table; 0 if none does.
+    /// Weight on the sensor that turns with the workpiece; 0 if none does.
     pub weight: Force,
 }
 
@@ -157,8 +157,8 @@ pub struct Conditioner {
     forces: [Force; COMPONENTS],
     /// Share of the weight now, minus its share at the tare.
     weight: [Force; COMPONENTS],
-    table: Angle,
-    /// Sine and cosine of the table angle at the tare, Q30.
+    rotation: Angle,
+    /// Sine and cosine of the rotation at the tare, Q30.
     tared_at: (i32, i32),
     tared: bool,
     conversions: u8,
@@ -167,7 +167,7 @@ pub struct Conditioner {
     last_tare: Option<Result<(), TareRefusal>>,
 }
 
-constants!(Conditioner { sensor } of {} but { memories, forces, weight, table, tared_at, tared, conversions, silent, tare, last_tare });
+constants!(Conditioner { sensor } of {} but { memories, forces, weight, rotation, tared_at, tared, conversions, silent, tare, last_tare });
 
 impl Conditioner {
     /// Creates the conditioner of a sound sensor, without a tare.
@@ -178,7 +178,7 @@ impl Conditioner {
             memories: [Memory::default(); COMPONENTS],
             forces: [Force::ZERO; COMPONENTS],
             weight: [Force::ZERO; COMPONENTS],
-            table: Angle::ZERO,
+            rotation: Angle::ZERO,
             tared_at: (0, ONE),
             tared: false,
             conversions: 0,
@@ -241,21 +241,21 @@ impl Conditioner {
         self.last_tare
     }
 
-    /// Sets the angle of the table (alpha, docs/control.md (3.15)-(3.16)) for the share of the
-    /// weight: +W sin alpha along y and +W cos alpha along z of the workpiece, as a reaction on the
+    /// Sets the rotation r of the workpiece about x (docs/control.md (3.15)-(3.16)) for the share
+    /// of the weight: +W sin r along y and +W cos r along z of the workpiece, as a reaction on the
     /// tool would appear. It computes a sine, so callers may call it once in some control periods.
     #[inline]
-    pub fn set_table(&mut self, angle: Angle) {
-        if self.sensor.weight.0 == 0 || angle == self.table {
+    pub fn set_rotation(&mut self, angle: Angle) {
+        if self.sensor.weight.0 == 0 || angle == self.rotation {
             return;
         }
-        self.table = angle;
+        self.rotation = angle;
         self.update_effective_zero();
     }
 
     #[inline(never)]
     fn update_effective_zero(&mut self) {
-        let (sine, cosine) = sin_cos(self.table);
+        let (sine, cosine) = sin_cos(self.rotation);
         let (sine_then, cosine_then) = self.tared_at;
         // Q30, differences within 2^31.
         let share = |now: i32, then: i32| {
@@ -343,10 +343,8 @@ impl Conditioner {
             Some(ForceProblem::Overload { component: name })
         } else if self.sensor.stuck_samples > 0 && memory.repeated >= self.sensor.stuck_samples {
             Some(ForceProblem::Stuck { component: name })
-        } else if self.tared
-            && memory.saturated == 0
-            && force.magnitude() > self.sensor.limit.magnitude()
-        {
+        } else if memory.saturated == 0 && force.magnitude() > self.sensor.limit.magnitude() {
+            // Also before the first tare: the zero is then that of the amplifier.
             Some(ForceProblem::Limit {
                 component: name,
                 force: force.0,
@@ -411,7 +409,7 @@ impl Conditioner {
             memory.mean = 0;
         }
         self.tared = true;
-        self.tared_at = sin_cos(self.table);
+        self.tared_at = sin_cos(self.rotation);
         self.update_effective_zero();
         Ok(())
     }

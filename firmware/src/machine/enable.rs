@@ -102,8 +102,8 @@ impl Machine {
     fn rebase(&mut self) -> Result<(), PoseError> {
         let mut joints = self.target.joints;
         for (coordinate, joint) in joints.0.iter_mut().zip(&mut self.joints) {
-            if let Some(slide) = joint.end_lock() {
-                *coordinate = slide;
+            if let Some(locked) = joint.end_lock() {
+                *coordinate = locked;
             }
         }
         self.set_joints(&joints)

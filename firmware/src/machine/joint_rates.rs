@@ -4,7 +4,7 @@
 //! A segment is cut into pieces of at most [`PIECE`] periods. Joint positions and rates are known
 //! at the ends of a piece. In between, a joint follows its own cubic Hermite polynomial to fourth
 //! order. The rate of that cubic lies within the hull of three control points: both end rates, and
-//! 3 (l1 - l0) / T - l0' - l1'. The check needs no division.
+//! 3 (q1 - q0) / T - q0' - q1'. The check needs no division.
 //!
 //! docs/decisions/0025-joint-rate-limit.md explains why a setpoint is refused and the path is not
 //! slowed down.

@@ -68,7 +68,7 @@ pub(super) const CATALOGUE: [Entry; 31] = [
         "the drive's output has the wrong sign",
     ),
     entry(
-        "slide-jammed",
+        "joint-jammed",
         "axis=NAME [effort=X]",
         "additional friction of X N (or N m); the joint is blocked without X",
     ),

@@ -5,8 +5,8 @@
 //!
 //! ```
 //! use haptimill_hil_sim::fault::{Fault, FaultKind};
-//! let fault: Fault = "slide-jammed axis=l3 effort=500 at=1.5s for=200ms".parse().unwrap();
-//! assert_eq!(fault.what, FaultKind::SlideJammed { axis: "l3".into(), effort: Some(500.0) });
+//! let fault: Fault = "joint-jammed axis=y effort=500 at=1.5s for=200ms".parse().unwrap();
+//! assert_eq!(fault.what, FaultKind::JointJammed { axis: "y".into(), effort: Some(500.0) });
 //! assert_eq!(fault.for_s, Some(0.2));
 //! ```
 //!
@@ -101,15 +101,15 @@ pub enum FaultKind {
         /// Name of the joint.
         axis: String,
     },
-    /// A slide has additional friction.
-    SlideJammed {
+    /// A joint has additional friction.
+    JointJammed {
         /// Name of the joint.
         axis: String,
-        /// Additional friction, N or N m; without it the slide is blocked.
+        /// Additional friction, N or N m; without it the joint is blocked.
         #[serde(default)]
         effort: Option<f64>,
     },
-    /// An external effort acts on a slide.
+    /// An external effort acts on a joint.
     Push {
         /// Name of the joint.
         axis: String,
@@ -291,7 +291,7 @@ impl FaultKind {
             | Self::DriveTripped { axis }
             | Self::DriveWeak { axis, .. }
             | Self::DriveReversed { axis }
-            | Self::SlideJammed { axis, .. }
+            | Self::JointJammed { axis, .. }
             | Self::Push { axis, .. }
             | Self::SwitchStuck { axis, .. } => Some(axis),
             _ => None,
@@ -299,7 +299,7 @@ impl FaultKind {
     }
 
     /// Key of the fault's number, its value, and the smallest and largest value that the simulation
-    /// supports. Beyond them a slide would be torn off its screw.
+    /// supports. Beyond them a joint would be torn off its screw.
     const fn bounded(&self) -> Option<(&'static str, f64, f64, f64)> {
         Some(match self {
             Self::EncoderNoise { per_second, .. }
@@ -307,7 +307,7 @@ impl FaultKind {
                 ("per-second", *per_second, 0.0, 50_000.0)
             }
             Self::DriveWeak { gain, .. } => ("gain", *gain, -100.0, 100.0),
-            Self::SlideJammed {
+            Self::JointJammed {
                 effort: Some(effort),
                 ..
             } => ("effort", *effort, 0.0, 1e6),

@@ -127,7 +127,7 @@ fn parse(text: &str) -> Result<Fault, String> {
     let mut words = text.split([' ', ',', '\t']).filter(|word| !word.is_empty());
     let name = words
         .next()
-        .ok_or("empty; must be a name and its keys, like `slide-jammed axis=l3 at=1.5s`")?;
+        .ok_or("empty; must be a name and its keys, like `joint-jammed axis=y at=1.5s`")?;
     let entry = CATALOGUE.iter().find(|entry| entry.name == name);
     let entry = entry.ok_or_else(|| {
         let names: Vec<_> = CATALOGUE.iter().map(|entry| entry.name).collect();
@@ -181,10 +181,10 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
             gain: keys.number("gain")?,
         },
         "drive-reversed" => FaultKind::DriveReversed { axis: keys.axis()? },
-        "slide-jammed" => {
+        "joint-jammed" => {
             let axis = keys.axis()?;
             let given = keys.0.iter().any(|(key, _)| *key == "effort");
-            FaultKind::SlideJammed {
+            FaultKind::JointJammed {
                 axis,
                 effort: if given {
                     Some(keys.number("effort")?)
@@ -278,12 +278,12 @@ impl fmt::Display for Fault {
             FaultKind::DriveTripped { axis } => write!(f, "drive-tripped axis={axis}"),
             FaultKind::DriveWeak { axis, gain } => write!(f, "drive-weak axis={axis} gain={gain}"),
             FaultKind::DriveReversed { axis } => write!(f, "drive-reversed axis={axis}"),
-            FaultKind::SlideJammed { axis, effort: None } => write!(f, "slide-jammed axis={axis}"),
-            FaultKind::SlideJammed {
+            FaultKind::JointJammed { axis, effort: None } => write!(f, "joint-jammed axis={axis}"),
+            FaultKind::JointJammed {
                 axis,
                 effort: Some(effort),
             } => {
-                write!(f, "slide-jammed axis={axis} effort={effort}")
+                write!(f, "joint-jammed axis={axis} effort={effort}")
             }
             FaultKind::Push { axis, effort } => write!(f, "push axis={axis} effort={effort}"),
             FaultKind::SwitchStuck {

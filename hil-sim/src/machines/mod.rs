@@ -82,6 +82,15 @@ macro_rules! geometries {
                     $(Self::$name(config) => <$machine>::check(config, kinds, check),)*
                 }
             }
+
+            /// Pose of joint positions, mm and degrees, of the machine that is assembled there;
+            /// `None` where it cannot be assembled.
+            #[must_use]
+            pub fn pose(&self, joints: &JointArray) -> Option<JointArray> {
+                let mut pose = JointArray::default();
+                let mut machine = AnyGeometry::new(self, joints).ok()?;
+                machine.follow(joints, &mut pose).then_some(pose)
+            }
         }
 
         /// A geometry of the list.

@@ -76,18 +76,18 @@ impl ToolPose {
         }
     }
 
-    /// Pose of a tool tilted by `theta` about y over a table at `alpha` about x, degrees
-    /// (docs/control.md (3.20)-(3.22)).
-    pub fn leaning(tip: Vector, theta: f64, alpha: f64) -> Self {
-        if theta == 0.0 && alpha == 0.0 {
+    /// Pose of a tool tilted by `tilt` about y over a workpiece rotated by `rotation` about x,
+    /// degrees (docs/control.md (3.20)-(3.22)).
+    pub fn leaning(tip: Vector, tilt: f64, rotation: f64) -> Self {
+        if tilt == 0.0 && rotation == 0.0 {
             return Self::upright(tip);
         }
         let radian = core::f64::consts::PI / 180.0;
-        let (sin_theta, cos_theta) = libm::sincos(theta * radian);
-        let (sin_alpha, cos_alpha) = libm::sincos(alpha * radian);
+        let (sin_tilt, cos_tilt) = libm::sincos(tilt * radian);
+        let (sin_turn, cos_turn) = libm::sincos(rotation * radian);
         Self {
             tip,
-            axis: [sin_theta, cos_theta * sin_alpha, cos_theta * cos_alpha],
+            axis: [sin_tilt, cos_tilt * sin_turn, cos_tilt * cos_turn],
         }
     }
 
@@ -285,7 +285,7 @@ impl Cutting {
             let (sin, cos) = libm::sincos(turns * core::f64::consts::TAU);
             let mut below = Edge::default();
             for (k, node) in nodes.iter().enumerate() {
-                // Psi = theta - psi: the edge lags behind its tip.
+                // Psi = angle of the tip - psi: the edge lags behind its tip.
                 let radial = [
                     sin * node.cos_lag - cos * node.sin_lag,
                     cos * node.cos_lag + sin * node.sin_lag,

@@ -1,6 +1,6 @@
 //! The process at the tool: spindle, cut or contact, elastic structure, and force sensor.
 //!
-//! [`Process::step`] is called once per control period. It takes the tool pose from the slides and
+//! [`Process::step`] is called once per control period. It takes the tool pose from the joints and
 //! returns the force on the tool, which acts during the following period. The structure deflects
 //! under the force of the period before; at 200 us its own time constant dominates (see
 //! [`crate::process::structure`]).
@@ -43,7 +43,7 @@ pub struct ProcessConfig {
     pub cutting: Option<CuttingConfig>,
     /// Elastic body beside (or instead of) the workpiece.
     pub wall: Option<ElasticWall>,
-    /// Structure; without it the arm is rigid.
+    /// Structure; without it the machine is rigid.
     pub structure: Option<StructureConfig>,
     /// Force sensor.
     pub sensor: Option<SensorConfig>,
@@ -135,7 +135,7 @@ impl Process {
         })
     }
 
-    /// Advances by one period, with the tool pose from the slides, the directions of the workpiece
+    /// Advances by one period, with the tool pose from the joints, the directions of the workpiece
     /// frame in the machine frame and the spindle command `rpm` (rev/min).
     pub fn step(&mut self, pose: &ToolPose, axes: &[Vector; 3], rpm: f64) -> ProcessResult {
         let mut pose = *pose;

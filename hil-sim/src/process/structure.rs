@@ -1,4 +1,4 @@
-//! Elastic structure between the slides and the tool: rods, joints, platform, spindle.
+//! Elastic structure between the joints and the tool: rods, joints, platform, spindle.
 //!
 //! The model is a spring and a damper in each direction of the arm's base frame, without mass:
 //!
@@ -9,7 +9,7 @@
 //! ```
 //!
 //! The model has no mass on purpose. The modes slow enough for a force loop of some Hz and for the
-//! tooth passing at 167 Hz are those of the slides on their screws, which
+//! tooth passing at 167 Hz are those of the joints on their screws, which
 //! [`crate::joint::mechanics`] models with mass. The structure's own modes lie above; the loop sees
 //! only their compliance. A force that is held for a control period would also feed energy into an
 //! undamped mode. With a contact of stiffness k_e the model is stable when (1 - a)(1 + k_e / K_s) <

@@ -143,14 +143,14 @@ fn machine_faults_stop_the_job_with_a_remedy() {
     let faults = [
         ("encoder-stuck axis=l2 channel=a level=high at=6s", "l2"),
         ("encoder-swapped axis=l3 at=6s", "l3"),
-        ("slide-jammed axis=l1 at=6s", "l1"),
+        ("joint-jammed axis=l1 at=6s", "l1"),
         ("drive-dead axis=l4 at=6s", "l4"),
         ("drive-tripped axis=l1 at=6s", "l1"),
         ("drive-reversed axis=alpha at=6s", "alpha"),
         ("encoder-noise axis=l2 per-second=2000 at=6s", "l2"),
         ("missed-periods count=5 at=6s", ""),
         ("emergency-stop at=6s", ""),
-        ("slide-jammed axis=l3", "l3"),
+        ("joint-jammed axis=l3", "l3"),
         ("index-missing axis=l2", "l2"),
     ];
     for (fault, joint) in faults {

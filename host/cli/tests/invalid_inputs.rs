@@ -394,7 +394,7 @@ fn file_size_limit_stops_a_job_with_a_message() {
     let table = folder.file(
         "poses.csv",
         format!(
-            "xw_mm,yw_mm,zw_mm,theta_deg,alpha_deg\n{}",
+            "x_mm,y_mm,z_mm,theta_deg,alpha_deg\n{}",
             "0,0,21,0,0\n".repeat(20_000)
         ),
     );

@@ -40,6 +40,9 @@ fn late_fault_injection_is_reported() {
     let ran = haptimill(&["run", &short, "--out", &out, fault[0], fault[1]]).expect_code(0);
     let message = "--fault \"emergency-stop at=60s\" was not injected: the run ended at";
     assert!(ran.err.contains(message), "{}", ran.err);
+    // It is not listed as injected.
+    assert_eq!(folder.summary("out")["injected"], serde_json::json!([]));
+    assert!(!folder.read("out/report.html").contains("Injected faults"));
 }
 
 #[test]

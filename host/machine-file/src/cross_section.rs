@@ -43,6 +43,28 @@ pub(super) fn check_home_pose(document: &Document<'_>, root: &DeTable<'_>, confi
     }
 }
 
+/// Checks that a machine with force control or a master has the roles for them.
+pub(super) fn check_roles(document: &Document<'_>, root: &DeTable<'_>, config: &Config) {
+    let machine = config.model.descriptor();
+    if machine.pose.is_empty() || machine.has_guided_tool() {
+        return;
+    }
+    for (section, is_there, purpose) in [
+        ("force", config.force.is_some(), "force control"),
+        ("follow", config.follow.is_some(), "a master"),
+    ] {
+        if is_there {
+            let offset = root.get(section).map_or(0, |value| value.span().start);
+            let what = format!(
+                "{purpose} moves x, y and z of the tool, its tilt and the rotation of the \
+                 workpiece, in this order; the coordinates of the model \"{}\" have other roles",
+                machine.code
+            );
+            document.report(offset, section, what, "remove the section");
+        }
+    }
+}
+
 /// Applies the controller's own check, which is stricter than the ranges of single keys.
 pub(super) fn check_by_controller(document: &Document<'_>, root: &DeTable<'_>, config: &Config) {
     let Err(problem) = config.check() else {

@@ -13,7 +13,7 @@ pub const SETTINGS_BYTES: u64 = 1 << 20;
 /// Largest part program, bytes.
 pub const PROGRAM_BYTES: u64 = 64 << 20;
 
-/// Largest table of poses or slides, bytes.
+/// Largest table of poses or joint positions, bytes.
 pub const TABLE_BYTES: u64 = 256 << 20;
 
 /// Longest time until a pipe or a device ends.

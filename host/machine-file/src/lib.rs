@@ -19,6 +19,7 @@ mod likeness;
 pub mod model;
 mod models;
 mod plant;
+pub mod pose_difference;
 mod problem;
 pub mod scale;
 mod stability;
@@ -164,6 +165,9 @@ impl MachineFile {
         let read = read(&document, &root);
         if document.is_valid() {
             cross_section::check_home_pose(&document, root.get_ref(), &read.config);
+        }
+        if document.is_valid() {
+            cross_section::check_roles(&document, root.get_ref(), &read.config);
         }
         if document.is_valid() {
             cross_section::check_by_controller(&document, root.get_ref(), &read.config);

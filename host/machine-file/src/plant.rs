@@ -1,8 +1,10 @@
 //! Check of the `[plant]` section by the simulator, with the lines of its problems.
 
 use super::document::Document;
+use super::pose_difference::{ERROR, PoseDifference};
 use super::{MachineFile, Problems};
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::plant::Plant;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -33,15 +35,40 @@ pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &Machi
                 );
                 document.report(offset, key, what, format!("write [plant.geometry.{model}]"));
             }
-            for error in plant
-                .check(machine.config.period_us)
+            // The machine is built as a simulator builds it, so nothing is refused later.
+            for error in Plant::new(&plant, machine.config.period_us)
                 .err()
                 .unwrap_or_default()
             {
                 let (offset, key) = place_in_plant(root, &error.field);
                 document.report(offset, key, error.problem, "");
             }
+            if document.is_valid() && !machine.is_master() {
+                check_poses(document, root, &plant, machine);
+            }
         }
+    }
+}
+
+/// Values of each coordinate in the comparison of poses that every command makes.
+const LEVELS: u32 = 3;
+
+/// Checks that the simulated machine is the one that the controller computes.
+fn check_poses(
+    document: &Document<'_>,
+    root: &DeTable<'_>,
+    plant: &PlantConfig,
+    machine: &MachineFile,
+) {
+    let difference = PoseDifference::new(machine, plant, LEVELS);
+    if let Some(difference) = difference.filter(PoseDifference::is_another_machine) {
+        let (offset, key) = place_in_plant(root, "geometry");
+        let what = format!(
+            "the simulated machine is another one than that of [kinematics]: {difference} (at most \
+             {ERROR} mm and {ERROR} deg)"
+        );
+        let remedy = "correct [plant.geometry], [kinematics] or the presets of [[plant.joint]]";
+        document.report(offset, key, what, remedy);
     }
 }
 
@@ -74,7 +101,7 @@ fn inside<'d, 'i>(
 }
 
 /// Returns the place of a field of the simulator, and its key in the notation of the other
-/// sections: `joint 0 (l1): drive: limit` is `plant.joint[1].drive.limit`. A part that the file
+/// sections: `joint 0 (x): drive: limit` is `plant.joint[1].drive.limit`. A part that the file
 /// does not have is at the place of its section.
 fn place_in_plant(root: &DeTable<'_>, field: &str) -> (usize, String) {
     let mut key = String::from("plant");

@@ -1,3 +1,4 @@
+use super::pose_difference::PoseDifference;
 use super::*;
 use haptimill_firmware::config::{Drive, ServoForm};
 use haptimill_hil_sim::config::PlantConfig;
@@ -458,4 +459,107 @@ fn simulated_geometry_of_another_model_is_reported() {
         "{problems}"
     );
     assert!(MachineFile::parse("mill", text).is_ok());
+}
+
+/// [`BUILT_IN`] with another length of the simulated rods, mm.
+fn with_true_rods(length: f64) -> String {
+    let (controller, plant) = BUILT_IN.split_once("[plant]").expect("a plant");
+    let plant = plant.replacen("r = 480.0", &format!("r = {length:.1}"), 1);
+    format!("{controller}[plant]{plant}")
+}
+
+/// The largest pose difference of the machine with rods of this length.
+fn rod_difference(length: f64) -> PoseDifference {
+    let machine = MachineFile::parse("rods.toml", &with_true_rods(length))
+        .unwrap_or_else(|problems| panic!("{length}: {problems}"));
+    let plant = machine.plant().expect("a plant");
+    PoseDifference::new(&machine, &plant, 5).expect("a geometry")
+}
+
+#[test]
+fn poses_of_a_simulated_machine_with_other_rods_differ() {
+    let same = rod_difference(480.0);
+    assert!(same.compared > 100, "{same:?}");
+    assert!(!same.is_notable() && same.largest() < 1e-4, "{same:?}");
+
+    // At the presets the rods descend sqrt(R^2 - 275^2 - 250^2) mm: 304.27 with R = 480. Half a
+    // millimetre more is 0.789 mm there, and more where the rods are flatter.
+    let longer = rod_difference(480.5);
+    assert!(longer.is_notable() && !longer.is_another_machine());
+    assert!((0.789..5.0).contains(&longer.linear_mm), "{longer}");
+    let text = longer.to_string();
+    assert!(text.contains("mm, theta = "), "{text}");
+
+    let problems = problems(&with_true_rods(520.0));
+    assert!(problems.contains("plant.geometry"), "{problems}");
+    assert!(problems.contains("is another one"), "{problems}");
+}
+
+/// A simulated joint that starts elsewhere is another machine, too.
+#[test]
+fn presets_of_the_simulated_machine_are_compared() {
+    let (controller, plant) = BUILT_IN.split_once("[plant]").expect("a plant");
+    let all = plant.replacen("preset = 1135.0", "preset = 1105.0", 1);
+    let problems = problems(&format!("{controller}[plant]{all}"));
+    assert!(problems.contains("is another one"), "{problems}");
+}
+
+/// A machine file without a problem has a simulated machine that can be built: nothing is refused
+/// by `run` or `sim serve` that was accepted before.
+#[test]
+fn a_simulated_machine_that_cannot_be_built_is_reported() {
+    let with_arm = |from: &str, to: &str| {
+        assert!(HAPTIC_ARM.contains(from), "{from}");
+        let arm = HAPTIC_ARM.replacen(from, to, 1);
+        problems(&format!("{BUILT_IN}\n{arm}"))
+    };
+    assert_eq!(with_arm("[follow]", "[follow]"), "no problem\n");
+    // The legs of the arm do not reach 450 mm above its home.
+    let reported = with_arm("start_mm = [0.0, 0.0, 0.0]", "start_mm = [0.0, 0.0, 450.0]");
+    assert!(reported.contains("plant.haptic.start_mm"), "{reported}");
+    for file in [
+        BUILT_IN,
+        STEP,
+        include_str!("../../../machines/mill3-servo.toml"),
+    ] {
+        // Each part of the process at the tool may be missing.
+        for part in ["spindle", "cutter", "structure", "sensor"] {
+            let key = format!("[plant.{part}]");
+            let Some(start) = file.find(&key) else {
+                continue;
+            };
+            let length = file[start + 1..].find("\n[").expect("a section behind") + 1;
+            let without = format!("{}{}", &file[..start], &file[start + length..]);
+            if let Ok(machine) = MachineFile::parse("without", &without) {
+                let plant: PlantConfig = machine.plant().expect("a plant");
+                let built = haptimill_hil_sim::plant::Plant::new(&plant, machine.config.period_us);
+                assert!(built.is_ok(), "{part}: {:?}", built.err());
+            }
+        }
+    }
+}
+
+/// Force control and a master add millimetres to the first three coordinates and degrees to the
+/// next two. Without these roles the sections are refused, with a sentence, before anything moves.
+#[test]
+fn force_control_and_a_master_need_their_roles() {
+    let trunnion = include_str!("../../../machines/trunnion5.toml");
+    let machine = MachineFile::parse("trunnion5.toml", trunnion).expect("valid");
+    let refused = machine.with_follow().expect_err("no roles").to_string();
+    assert!(
+        refused.contains("follow: a master moves x, y and z"),
+        "{refused}"
+    );
+    assert!(
+        refused.contains("\"trunnion\" have other roles"),
+        "{refused}"
+    );
+    let start = BUILT_IN.find("[force]").expect("a section");
+    let end = BUILT_IN.find("[plant]").expect("a section");
+    let reported = problems(&format!("{trunnion}\n{}", &BUILT_IN[start..end]));
+    assert!(
+        reported.contains("force: force control moves x, y and z"),
+        "{reported}"
+    );
+    assert!(reported.contains("remove the section"), "{reported}");
 }

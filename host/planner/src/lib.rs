@@ -25,7 +25,6 @@
 //! not between them. A pause (M0) takes no time in the plan.
 
 mod block;
-mod contour;
 mod corner;
 mod limits;
 mod lookahead;
@@ -142,12 +141,6 @@ impl Plan {
     /// second.
     pub fn intended(&self, cursor: &mut Cursor, time_s: f64) -> (Coordinates, Coordinates) {
         self.trajectory.intended(cursor, time_s)
-    }
-
-    /// Returns the contour error: the distance of the tip from the programmed path, mm, searched
-    /// within 2 mm of path around the programmed pose at this time.
-    pub fn contour_error(&self, cursor: &mut Cursor, time_s: f64, pose: &Coordinates) -> f64 {
-        contour::error(&self.trajectory, cursor, time_s, pose)
     }
 
     /// Returns the place in the program of the motion towards a setpoint; the last one for a number

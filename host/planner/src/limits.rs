@@ -25,7 +25,7 @@ pub struct PoseLimits {
 /// Limits of a joint, in its unit: mm/s and mm/s^2, or degrees.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointLimits {
-    /// Name in messages ("slide 3").
+    /// Name in messages ("x").
     pub name: String,
     /// Its unit in messages ("mm" or "deg").
     pub unit: &'static str,
@@ -80,7 +80,7 @@ impl Settings {
     }
 }
 
-/// Reason why a pose is refused, as a message ("slide 2 would leave its stroke by 3.2 mm").
+/// Reason why a pose is refused, as a message ("x would leave its stroke by 3.2 mm").
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PoseProblem(pub String);
 

@@ -3,7 +3,7 @@
 use super::Statistics;
 use super::contour::{Contour, Point, distance};
 use super::series::{Columns, PathPoints};
-use haptimill_firmware::config::AxisKind;
+use super::tip::Tip;
 use haptimill_trace::{Record, Recording, flag};
 use std::collections::VecDeque;
 
@@ -38,11 +38,12 @@ pub struct ChartData {
     pub tip_speed: [Columns; 2],
     /// Drive command of each joint.
     pub drives: Vec<Columns>,
+    /// The tip of the tool.
+    pub tip: Tip,
     /// Each pose coordinate, programmed and actual.
     pub angles: Vec<[Columns; 2]>,
     /// Time, programmed tip, tool tip and joints of the last records.
     history: VecDeque<(f64, Point, Point, Vec<f64>)>,
-    linear: [bool; 3],
 }
 
 impl ChartData {
@@ -53,8 +54,9 @@ impl ChartData {
         let columns = || Columns::new(begin, end);
         let joints = recording.config().joints.len();
         let many = || (0..joints).map(|_| columns()).collect();
-        let extents = statistics.programmed.iter().take(3);
-        let extent = extents.map(super::Extent::span).fold(0.0, f64::max);
+        let tip = Tip::new(recording);
+        let spans = tip.spans(&statistics.programmed);
+        let extent = spans.into_iter().fold(0.0, f64::max);
         let spacing = (extent / 1500.0).max(statistics.path_length_mm / 5000.0);
         let pose = &recording.config().pose;
         Self {
@@ -65,6 +67,7 @@ impl ChartData {
             drive_units: recording.drive_units().iter().map(|(s, _)| *s).collect(),
             first_period: None,
             first_joints: None,
+            tip,
             path: PathPoints::new(spacing.max(1e-4)),
             tool_error: columns(),
             contour_error: columns(),
@@ -77,21 +80,7 @@ impl ChartData {
             drives: many(),
             angles: pose.iter().map(|_| [columns(), columns()]).collect(),
             history: VecDeque::new(),
-            linear: std::array::from_fn(|i| {
-                pose.get(i)
-                    .is_some_and(|axis| axis.kind == AxisKind::Linear)
-            }),
         }
-    }
-
-    fn tip(&self, pose: &[i32; 6]) -> Point {
-        std::array::from_fn(|i| {
-            if self.linear[i] {
-                f64::from(pose[i]) * self.pose_units[i]
-            } else {
-                0.0
-            }
-        })
     }
 
     /// Adds the next record.
@@ -118,7 +107,10 @@ impl ChartData {
             self.following[axis].add(time, following[axis] * 1000.0);
             self.drives[axis].add(time, drive[axis]);
         }
-        let (programmed, tool) = (self.tip(&record.programmed), self.tip(&record.tool));
+        let (programmed, tool) = (
+            self.tip.point(&record.programmed),
+            self.tip.point(&record.tool),
+        );
         let in_job = record.has(flag::PROGRAMMED);
         let has_tool = record.has(flag::TOOL_TRUE | flag::TOOL_MEASURED);
         if !in_job {

@@ -121,7 +121,7 @@ fn tiles(page: &mut String, summary: &Summary) {
             um(summary.contour_error_max_mm),
             true,
         ),
-        ("slide error, largest", um(summary.slide_error_max_mm), true),
+        ("following error, largest", summary.following_error(3), true),
         (
             "underruns",
             summary.underruns.to_string(),
@@ -150,15 +150,10 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, data: &C
         return;
     }
     page.push_str("<h2>Path of the tool in workpiece coordinates</h2>");
-    let spans: Vec<f64> = statistics
-        .programmed
-        .iter()
-        .take(3)
-        .map(super::Extent::span)
-        .collect();
+    let spans = data.tip.spans(&statistics.programmed);
     let extent = spans.iter().copied().fold(1e-3, f64::max);
     let magnified = round_down(0.06 * extent / summary.tool_error_max_mm.max(1e-6)).max(1.0);
-    let names = ["x", "y", "z"];
+    let names = data.tip.names;
     let mut planes = vec![(0, 1)];
     if spans[2] > 0.01 {
         planes.push((0, 2));
@@ -237,11 +232,20 @@ fn time_charts(
         axes.map(|axis| line(&names[*axis], colour(*axis), 1.2, &series[*axis]))
             .collect()
     };
-    let slides = joints_of(AxisKind::Linear);
-    let tables = joints_of(AxisKind::Rotary);
-    let tables_move = tables
+    // Linear joints, and rotary ones if they move: name, axes, units of travel and of errors.
+    let mut groups = vec![(
+        "linear joints",
+        joints_of(AxisKind::Linear),
+        ["mm", "\u{b5}m"],
+    )];
+    let rotary = joints_of(AxisKind::Rotary);
+    if rotary
         .iter()
-        .any(|axis| data.joints[*axis].largest() > 0.01);
+        .any(|axis| data.joints[*axis].largest() > 0.01)
+    {
+        groups.push(("rotary joints", rotary, ["deg", "deg/1000"]));
+    }
+    groups.retain(|(_, axes, _)| !axes.is_empty());
 
     page.push_str("<h2>Errors</h2>");
     let errors = vec![
@@ -263,35 +267,19 @@ fn time_charts(
         caption,
         &over_time("tool error, \u{b5}m", errors, true),
     );
-    let following = over_time(
-        "following error, \u{b5}m",
-        lines(&slides, &data.following),
-        false,
-    );
-    card(
-        page,
-        "Commanded minus measured position of the slides",
-        &following,
-    );
+    for (name, axes, [_, unit]) in &groups {
+        let label = format!("following error, {unit}");
+        let following = over_time(label, lines(axes, &data.following), false);
+        let caption = format!("Commanded minus measured position of the {name}");
+        card(page, &caption, &following);
+    }
 
     page.push_str("<h2>Motion</h2>");
-    let slides_chart = over_time(
-        "travel from the start, mm",
-        lines(&slides, &data.joints),
-        false,
-    );
-    card(
-        page,
-        "Measured position of the slides, relative to the start of the job",
-        &slides_chart,
-    );
-    if tables_move {
-        let chart = over_time(
-            "travel from the start, deg",
-            lines(&tables, &data.joints),
-            false,
-        );
-        card(page, "Measured position of the rotary joints", &chart);
+    for (name, axes, [unit, _]) in &groups {
+        let label = format!("travel from the start, {unit}");
+        let chart = over_time(label, lines(axes, &data.joints), false);
+        let caption = format!("Measured position of the {name}, relative to the start of the job");
+        card(page, &caption, &chart);
     }
     for (axis, [programmed, actual]) in data.angles.iter().enumerate() {
         let rotary = config
@@ -331,8 +319,11 @@ fn time_charts(
         &format!("Speed of the tip in workpiece coordinates, {over}"),
         &over_time("speed, mm/s", speeds, true),
     );
-    let speeds = over_time("speed, mm/s", lines(&slides, &data.joint_speed), false);
-    card(page, &format!("Speed of the slides, {over}"), &speeds);
+    for (name, axes, [unit, _]) in &groups {
+        let label = format!("speed, {unit}/s");
+        let speeds = over_time(label, lines(axes, &data.joint_speed), false);
+        card(page, &format!("Speed of the {name}, {over}"), &speeds);
+    }
 
     page.push_str("<h2>Drive commands</h2>");
     let units = recording.drive_units();
@@ -388,11 +379,8 @@ fn table(page: &mut String, summary: &Summary) {
             format!("{:.5} deg", summary.angle_error_max_deg),
         ),
         (
-            "Following error of the slides, largest",
-            format!(
-                "{:.5} mm ({})",
-                summary.slide_error_max_mm, summary.slide_error_max_joint
-            ),
+            "Following error of the joints, largest",
+            summary.following_error(5),
         ),
         ("Setpoints", summary.setpoints.to_string()),
         ("Underruns", summary.underruns.to_string()),

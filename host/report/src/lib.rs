@@ -14,10 +14,11 @@ pub mod series;
 mod statistics;
 #[cfg(test)]
 mod tests;
+mod tip;
 
 pub use contour::Contour;
 pub use html::write_html;
-pub use statistics::{Extent, Spread, Statistics};
+pub use statistics::{Extent, Following, Spread, Statistics};
 
 use haptimill_protocol::message::State;
 use haptimill_trace::{Recorded, Recording, RecordingError, write_csv};
@@ -85,10 +86,14 @@ pub struct Summary {
     pub contour_error_max_mm: f64,
     /// Rotary coordinates against the programmed ones, largest, degrees.
     pub angle_error_max_deg: f64,
-    /// Following error of the slides, largest, mm.
-    pub slide_error_max_mm: f64,
-    /// Joint of the largest following error.
-    pub slide_error_max_joint: String,
+    /// Following error of the linear joints, largest, mm.
+    pub following_error_max_mm: f64,
+    /// Joint of the largest; empty without a linear joint.
+    pub following_error_max_mm_joint: String,
+    /// Following error of the rotary joints, largest, degrees.
+    pub following_error_max_deg: f64,
+    /// Joint of the largest; empty without a rotary joint.
+    pub following_error_max_deg_joint: String,
     /// The position of the tool is that of the simulated tool; otherwise the controller measured
     /// it.
     pub tool_is_true: bool,
@@ -133,7 +138,10 @@ impl Summary {
         statistics.finish();
         let header = recording.header();
         let (begin, end) = statistics.job.unwrap_or((0.0, 0.0));
-        let joint = header.joints.get(statistics.slide_error_joint);
+        let name = |following: &Following| {
+            let joint = following.joint.and_then(|joint| header.joints.get(joint));
+            joint.cloned().unwrap_or_default()
+        };
         let summary = Self {
             machine: header.machine.clone(),
             program: header.program.clone(),
@@ -146,8 +154,10 @@ impl Summary {
             contour_error_rms_mm: statistics.contour_error.rms(),
             contour_error_max_mm: statistics.contour_error.max,
             angle_error_max_deg: statistics.angle_error.max,
-            slide_error_max_mm: statistics.slide_error.max,
-            slide_error_max_joint: joint.cloned().unwrap_or_default(),
+            following_error_max_mm: statistics.following_linear.error.max,
+            following_error_max_mm_joint: name(&statistics.following_linear),
+            following_error_max_deg: statistics.following_rotary.error.max,
+            following_error_max_deg_joint: name(&statistics.following_rotary),
             tool_is_true: statistics.tool_is_true,
             setpoints: outcome.setpoints,
             underruns: outcome.underruns,
@@ -164,6 +174,32 @@ impl Summary {
             trace_sha256: recorded.sha256.clone(),
         };
         Ok((summary, statistics))
+    }
+
+    /// Largest following errors of the linear and of the rotary joints, with their joints.
+    fn following_error(&self, decimals: usize) -> String {
+        let parts = [
+            (
+                self.following_error_max_mm,
+                "mm",
+                &self.following_error_max_mm_joint,
+            ),
+            (
+                self.following_error_max_deg,
+                "deg",
+                &self.following_error_max_deg_joint,
+            ),
+        ];
+        let parts: Vec<String> = parts
+            .into_iter()
+            .filter(|(_, _, joint)| !joint.is_empty())
+            .map(|(error, unit, joint)| format!("{error:.decimals$} {unit} ({joint})"))
+            .collect();
+        if parts.is_empty() {
+            "not known".to_string()
+        } else {
+            parts.join(", ")
+        }
     }
 
     /// A few lines for the terminal; each ends with a line feed.
@@ -185,7 +221,7 @@ impl Summary {
         let mut text = format!(
             "{}: {} in {}, {:.1} mm of path, {} setpoints, {} underruns\n\
              {tool}: {:.4} mm rms, {:.4} mm largest (at {:.2} s{line}); contour {:.4} / {:.4} mm\n\
-             largest slide error: {:.4} mm ({})\n",
+             largest following error: {}\n",
             self.program,
             match (self.faults.is_empty(), self.completed) {
                 (false, _) => "FAULT",
@@ -201,8 +237,7 @@ impl Summary {
             self.tool_error_max_time_s,
             self.contour_error_rms_mm,
             self.contour_error_max_mm,
-            self.slide_error_max_mm,
-            self.slide_error_max_joint,
+            self.following_error(4),
         );
         for fault in &self.injected {
             text.push_str(&format!("injected fault: {fault}\n"));

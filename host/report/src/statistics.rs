@@ -5,8 +5,9 @@
 //! distance from the nearest point of the path.
 
 use super::contour::{Contour, Point, distance};
+use super::tip::Tip;
 use haptimill_firmware::config::AxisKind;
-use haptimill_trace::{Axes, Record, Recording, flag};
+use haptimill_trace::{Record, Recording, flag};
 use serde::Serialize;
 
 /// Root mean square and maximum of an error, with time and line of the maximum.
@@ -73,13 +74,33 @@ impl Extent {
     }
 }
 
+/// Following error of the joints of a kind.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Following {
+    /// The error, mm or degrees.
+    pub error: Spread,
+    /// Joint of the largest; `None` without a joint of the kind.
+    pub joint: Option<usize>,
+}
+
+impl Following {
+    /// Adds the error of a joint.
+    fn add(&mut self, joint: usize, error: f64, time_s: f64, line: u32) {
+        if error > self.error.max || self.joint.is_none() {
+            self.joint = Some(joint);
+        }
+        self.error.add(error, time_s, line);
+    }
+}
+
 /// Statistics of a recording.
 pub struct Statistics {
     period_s: f64,
+    tip: Tip,
     pose_units: Vec<f64>,
     joint_units: Vec<f64>,
     rotary_pose: Vec<bool>,
-    linear_joint: Vec<bool>,
+    joint_kinds: Vec<AxisKind>,
     first_period: Option<u64>,
     before: Option<Point>,
     contour: Contour,
@@ -97,9 +118,9 @@ pub struct Statistics {
     /// Rotary coordinates of the tool against the programmed ones, degrees.
     pub angle_error: Spread,
     /// Following error of the linear joints, mm.
-    pub slide_error: Spread,
-    /// Joint of the largest following error.
-    pub slide_error_joint: usize,
+    pub following_linear: Following,
+    /// Following error of the rotary joints, degrees.
+    pub following_rotary: Following,
     /// Range of the programmed pose.
     pub programmed: [Extent; 6],
     /// Range of the tool during the job.
@@ -115,14 +136,11 @@ impl Statistics {
         let rotary = |kind: AxisKind| kind == AxisKind::Rotary;
         Self {
             period_s: recording.period_s(),
+            tip: Tip::new(recording),
             pose_units: recording.pose_units(),
             joint_units: recording.joint_units(),
             rotary_pose: config.pose.iter().map(|axis| rotary(axis.kind)).collect(),
-            linear_joint: config
-                .joints
-                .iter()
-                .map(|axis| !rotary(axis.kind))
-                .collect(),
+            joint_kinds: config.joints.iter().map(|axis| axis.kind).collect(),
             first_period: None,
             before: None,
             contour: Contour::default(),
@@ -133,8 +151,8 @@ impl Statistics {
             tool_error: Spread::default(),
             contour_error: Spread::default(),
             angle_error: Spread::default(),
-            slide_error: Spread::default(),
-            slide_error_joint: 0,
+            following_linear: Following::default(),
+            following_rotary: Following::default(),
             programmed: Default::default(),
             tool: Default::default(),
             tool_is_true: true,
@@ -152,7 +170,7 @@ impl Statistics {
         self.job_records += 1;
         let begin = self.job.map_or(time, |(begin, _)| begin);
         self.job = Some((begin, time + self.period_s));
-        let programmed = self.tip(&record.programmed);
+        let programmed = self.tip.point(&record.programmed);
         if let Some(before) = self.before.replace(programmed) {
             self.path_length_mm += distance(&before, &programmed);
         }
@@ -169,19 +187,18 @@ impl Statistics {
             self.add_tool(record, programmed, time);
         }
         for (joint, unit) in self.joint_units.iter().enumerate() {
-            if self.linear_joint[joint] {
-                let error = (f64::from(record.following_error[joint]) * unit).abs();
-                if error > self.slide_error.max {
-                    self.slide_error_joint = joint;
-                }
-                self.slide_error.add(error, time, record.line);
-            }
+            let error = (f64::from(record.following_error[joint]) * unit).abs();
+            let following = match self.joint_kinds[joint] {
+                AxisKind::Linear => &mut self.following_linear,
+                AxisKind::Rotary => &mut self.following_rotary,
+            };
+            following.add(joint, error, time, record.line);
         }
         time
     }
 
     fn add_tool(&mut self, record: &Record, programmed: Point, time: f64) {
-        let tool = self.tip(&record.tool);
+        let tool = self.tip.point(&record.tool);
         self.tool_error
             .add(distance(&tool, &programmed), time, record.line);
         self.contour_places.push_back((time, record.line));
@@ -210,17 +227,5 @@ impl Statistics {
         for error in std::mem::take(&mut self.contour).finish() {
             self.add_contour(error);
         }
-    }
-
-    /// Position of the tip, mm: the linear coordinates among the first three.
-    fn tip(&self, pose: &Axes) -> Point {
-        std::array::from_fn(|axis| {
-            let linear = self.rotary_pose.get(axis).is_some_and(|rotary| !rotary);
-            if linear {
-                f64::from(pose[axis]) * self.pose_units[axis]
-            } else {
-                0.0
-            }
-        })
     }
 }

@@ -106,8 +106,41 @@ fn a_circle_with_a_radius_error_has_this_error_everywhere() {
         summary.duration_s
     );
     assert_eq!(statistics.contour_error.count, recording.records());
-    assert!(summary.slide_error_max_mm > 0.005 && summary.slide_error_max_mm < 0.05);
+    assert!(summary.following_error_max_mm > 0.005 && summary.following_error_max_mm < 0.05);
     assert_eq!(summary.angle_error_max_deg, 0.0);
+}
+
+/// Degrees are not added to millimetres: a turn of the rotary coordinates has no length, and its
+/// errors are errors of angles.
+#[test]
+fn a_turn_has_no_length() {
+    let file = NamedTempFile::new().unwrap().into_temp_path();
+    let mut recorder = Recorder::create(&file, &header()).unwrap();
+    let degrees = |value: f64| (value * 4_294_967_296.0 / 360.0).round() as i32;
+    for index in 0..1000 {
+        let turn = f64::from(index) * 0.02;
+        let row = |off: f64| [0, 0, 0, degrees(turn + off), degrees(-turn - off), 0];
+        recorder.record(&Record {
+            period: index as u64,
+            state: State::Run,
+            flags: flag::HOMED | flag::TOOL_TRUE | flag::PROGRAMMED,
+            commanded: row(0.0),
+            following_error: [0, 0, 0, 0, degrees(-0.25), 0],
+            tool: row(0.5),
+            programmed: row(0.0),
+            ..Record::default()
+        });
+    }
+    let recorded = recorder.finish().unwrap();
+    let recording = Recording::open(&file).unwrap();
+    let (summary, _) = Summary::of(&recording, &recorded, &outcome()).unwrap();
+    assert_eq!(summary.path_length_mm, 0.0);
+    assert_eq!(summary.tool_error_max_mm, 0.0);
+    assert_eq!(summary.contour_error_max_mm, 0.0);
+    assert!((summary.angle_error_max_deg - 0.5).abs() < 1e-6);
+    assert_eq!(summary.following_error_max_mm, 0.0);
+    assert!((summary.following_error_max_deg - 0.25).abs() < 1e-6);
+    assert_eq!(summary.following_error_max_deg_joint, "alpha");
 }
 
 #[test]

@@ -19,17 +19,17 @@ pub enum PoseError {
         /// Distance beyond the nearer end, axis units; negative below the lower end.
         by: i32,
     },
-    /// The pose is too near the parallel singularity (H-4 arm: E Z = y D).
+    /// The pose is too near the singularity of the machine.
     NearSingularity {
         /// Singularity distance, 2^-20 mm; negative on the wrong side.
         distance: i32,
     },
-    /// The pose is too near the reach limit of a rod pair (H-4 arm: S < 0.1 R).
+    /// The pose is too near the reach limit of a pair of rods.
     NearReachLimit {
         /// The rod pair: 0 for rods 1, 2; 1 for rods 3, 4.
         pair: u8,
     },
-    /// The tilt theta is outside +-90 degrees.
+    /// The tilt of the tool is outside +-90 degrees.
     Tilt,
 }
 

@@ -257,7 +257,7 @@ const fn fault_name(kind: &FaultKind) -> &'static str {
         FaultKind::DriveTripped { .. } => "fault drive-tripped",
         FaultKind::DriveWeak { .. } => "fault drive-weak",
         FaultKind::DriveReversed { .. } => "fault drive-reversed",
-        FaultKind::SlideJammed { .. } => "fault slide-jammed",
+        FaultKind::JointJammed { .. } => "fault joint-jammed",
         FaultKind::Push { .. } => "fault push",
         FaultKind::SwitchStuck { .. } => "fault switch-stuck",
         FaultKind::HapticArm(_) => "fault of the haptic arm",

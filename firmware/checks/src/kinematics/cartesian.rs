@@ -6,9 +6,6 @@ use haptimill_kinematics::{Joints, MAX_AXES, Machine};
 use haptimill_math::Coordinate;
 use heapless::Vec;
 
-/// Millimetres of a raw unit.
-const MM: f64 = 1.0 / 1_048_576.0;
-
 /// The range of a coordinate, mm.
 const RANGE: f64 = 2047.0;
 
@@ -32,14 +29,6 @@ impl Subject for Slides {
 
     fn machine(&self) -> &Cartesian {
         &self.machine
-    }
-
-    fn pose_units(&self) -> Reals {
-        [MM, MM, MM, 0.0, 0.0, 0.0]
-    }
-
-    fn joint_units(&self) -> Reals {
-        self.pose_units()
     }
 
     fn random_pose(&self, sequence: &mut Sequence) -> Reals {

@@ -5,7 +5,7 @@
 //! sigma_i d - g_e). The platform's joint is at tip + m_i (sin theta, 0, cos theta) + (0, sigma_i
 //! b, 0). A rod has the length R.
 
-use super::subject::{Margin, Margins, Reals, Sequence, Subject};
+use super::subject::{MM, Margin, Margins, RADIAN, Reals, Sequence, Subject};
 use core::f64::consts::{FRAC_PI_2, PI};
 use haptimill_kinematics::h4::H4;
 use haptimill_kinematics::h4::H4Geometry;
@@ -13,8 +13,6 @@ use haptimill_kinematics::{Joints, PoseError};
 use haptimill_math::{Coordinate, Length};
 use heapless::Vec;
 
-const MM: f64 = 1.0 / 1_048_576.0;
-const RADIAN: f64 = 2.0 * PI / 4_294_967_296.0;
 const SIDES: [f64; 4] = [1.0, -1.0, 1.0, -1.0];
 const PAIRS: [f64; 4] = [1.0, 1.0, -1.0, -1.0];
 
@@ -199,20 +197,17 @@ impl Arm {
         let tip = self.tip(pose);
         let tilt = |error: &PoseError| *error == PoseError::Tilt;
         let mut margins: Vec<Margin, 12> = Vec::new();
-        let first: [Margin; 4] = [
-            // In millimetres at the tip, for comparison with the others. The tilt must be below a
-            // quarter turn.
-            ((FRAC_PI_2 - pose[3].abs()) * 350.0 - 2.0 * RADIAN, tilt),
-            ((FRAC_PI_2 - pose[4].abs()) * 350.0 + 2.0 * RADIAN, tilt),
+        let unreachable = |error: &PoseError| *error == PoseError::Unreachable;
+        margins.extend([
+            // The tilt must be below a quarter turn.
+            Margin::rad(FRAC_PI_2 - pose[3].abs() - RADIAN, tilt),
+            Margin::rad(FRAC_PI_2 - pose[4].abs() + RADIAN, tilt),
             // N = 4 c sin(theta) is rounded to a raw unit before it is compared with 4 c.
-            ((1.0 - libm::sin(pose[3]).abs()) * 4.0 * g.c, |error| {
-                *error == PoseError::Unreachable
-            }),
-            (self.distance(tip, pose[3]) - g.margin, |error| {
+            Margin::mm((1.0 - libm::sin(pose[3]).abs()) * 4.0 * g.c, unreachable),
+            Margin::mm(self.distance(tip, pose[3]) - g.margin, |error| {
                 matches!(error, PoseError::NearSingularity { .. })
             }),
-        ];
-        margins.extend(first);
+        ]);
         for (i, names) in [
             (
                 0,
@@ -223,14 +218,11 @@ impl Arm {
             }),
         ] {
             let square = self.reach_square(tip, pose[3], i);
-            let pair: [Margin; 2] = [
-                (libm::sqrt(square.max(0.0)) - reach * g.r, names),
+            margins.extend([
+                Margin::mm(libm::sqrt(square.max(0.0)) - reach * g.r, names),
                 // The root is steep here. The square divided by 2 R is a length.
-                (square / (2.0 * g.r), |error| {
-                    *error == PoseError::Unreachable
-                }),
-            ];
-            margins.extend(pair);
+                Margin::mm(square / (2.0 * g.r), unreachable),
+            ]);
         }
         Margins(margins)
     }
@@ -241,14 +233,6 @@ impl Subject for Arm {
 
     fn machine(&self) -> &H4 {
         &self.machine
-    }
-
-    fn pose_units(&self) -> Reals {
-        [MM, MM, MM, RADIAN, RADIAN, 0.0]
-    }
-
-    fn joint_units(&self) -> Reals {
-        [MM, MM, MM, MM, RADIAN, 0.0]
     }
 
     fn random_pose(&self, sequence: &mut Sequence) -> Reals {

@@ -1,6 +1,7 @@
 //! Interface of a machine under test, and the random numbers of the tests.
 
-use haptimill_kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
+use haptimill_kinematics::descriptor::AxisKind;
+use haptimill_kinematics::{Joints, MAX_AXES, Machine, Pose, PoseError};
 use haptimill_math::Coordinate;
 use heapless::Vec;
 
@@ -47,48 +48,111 @@ impl Sequence {
     }
 }
 
-/// Distance inside a condition, in millimetres, and whether an error names this condition.
-pub type Margin = (f64, fn(&PoseError) -> bool);
+/// Unit of a margin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// Millimetres.
+    Millimetre,
+    /// Radians.
+    Radian,
+}
 
-/// Distances of a pose inside each condition of a valid answer; negative is outside.
-///
-/// Each entry names the errors that its violation may give.
+impl Unit {
+    /// Distance from a bound within which rounding may decide whether a pose is refused: 0.1 um, or
+    /// 0.25 urad, which is 0.1 um at a lever of 400 mm.
+    #[must_use]
+    pub const fn grey(self) -> f64 {
+        match self {
+            Self::Millimetre => 1e-4,
+            Self::Radian => 2.5e-7,
+        }
+    }
+}
+
+/// Distance of a pose inside a condition of a valid answer; negative is outside.
+#[derive(Debug, Clone, Copy)]
+pub struct Margin {
+    /// The distance.
+    pub distance: f64,
+    /// Its unit.
+    pub unit: Unit,
+    /// Whether an error names this condition.
+    pub names: fn(&PoseError) -> bool,
+}
+
+impl Margin {
+    /// A margin in millimetres.
+    #[must_use]
+    pub const fn mm(distance: f64, names: fn(&PoseError) -> bool) -> Self {
+        Self {
+            distance,
+            unit: Unit::Millimetre,
+            names,
+        }
+    }
+
+    /// A margin in radians.
+    #[must_use]
+    pub const fn rad(distance: f64, names: fn(&PoseError) -> bool) -> Self {
+        Self {
+            distance,
+            unit: Unit::Radian,
+            names,
+        }
+    }
+
+    /// The distance as a multiple of [`Unit::grey`].
+    #[must_use]
+    pub fn share(&self) -> f64 {
+        self.distance / self.unit.grey()
+    }
+}
+
+/// Margins of a pose, one for each condition of a valid answer. A geometry without bounds has none.
 pub struct Margins(pub Vec<Margin, 12>);
 
 impl Margins {
-    /// Returns the smallest distance.
+    /// Returns the smallest margin, as a multiple of [`Unit::grey`]: below -1 a condition is
+    /// violated, above 1 all of them hold.
     pub fn least(&self) -> f64 {
-        self.0
-            .iter()
-            .map(|margin| margin.0)
-            .fold(f64::MAX, f64::min)
+        self.0.iter().map(Margin::share).fold(f64::MAX, f64::min)
     }
 
     /// Returns whether an error is justified: the condition that it names is violated, within
-    /// `tolerance`.
-    pub fn deserve(&self, error: &PoseError, tolerance: f64) -> bool {
+    /// [`Unit::grey`].
+    pub fn deserve(&self, error: &PoseError) -> bool {
         self.0
             .iter()
-            .any(|(margin, names)| *margin <= tolerance && names(error))
+            .any(|margin| margin.share() <= 1.0 && (margin.names)(error))
     }
 }
 
 /// A machine under test, with reference values in f64 from the closure of its loops.
 pub trait Subject {
     /// Its kinematics in the firmware.
-    type Machine: Kinematics;
+    type Machine: Machine;
 
-    /// Whether the geometry refuses poses within the range of the coordinates.
+    /// Whether the geometry refuses poses within the range of the coordinates. A geometry without
+    /// bounds must answer every pose of [`Subject::random_pose`], and has no margins.
     const HAS_BOUNDS: bool = true;
 
     /// Its kinematics in the firmware.
     fn machine(&self) -> &Self::Machine;
 
-    /// Size of a raw unit of each pose coordinate, in millimetres or radians.
-    fn pose_units(&self) -> Reals;
+    /// Size of a raw unit of each pose coordinate, in millimetres or radians; 0 behind the last.
+    fn pose_units(&self) -> Reals {
+        units(Self::Machine::DESCRIPTOR.pose.iter().map(|axis| axis.kind))
+    }
 
-    /// Size of a raw unit of each joint.
-    fn joint_units(&self) -> Reals;
+    /// Size of a raw unit of each joint, in millimetres or radians; 0 behind the last.
+    fn joint_units(&self) -> Reals {
+        units(
+            Self::Machine::DESCRIPTOR
+                .joints
+                .iter()
+                .map(|axis| axis.kind),
+        )
+    }
 
     /// Returns a pose in the workspace or somewhat outside.
     fn random_pose(&self, sequence: &mut Sequence) -> Reals;
@@ -115,6 +179,24 @@ pub trait Subject {
     /// Returns the pose near `guess` at which the joint positions close the loops, by Newton's
     /// method on the closure; `None` if it does not converge.
     fn solve(&self, joints: &Reals, guess: &Reals) -> Option<Reals>;
+}
+
+/// Millimetres of a raw unit of a linear coordinate.
+pub const MM: f64 = 1.0 / 1_048_576.0;
+
+/// Radians of a raw unit of a rotary coordinate.
+pub const RADIAN: f64 = core::f64::consts::TAU / 4_294_967_296.0;
+
+/// Sizes of the raw units of axes.
+fn units(kinds: impl Iterator<Item = AxisKind>) -> Reals {
+    let mut units = [0.0; MAX_AXES];
+    for (unit, kind) in units.iter_mut().zip(kinds) {
+        *unit = match kind {
+            AxisKind::Linear => MM,
+            AxisKind::Rotary => RADIAN,
+        };
+    }
+    units
 }
 
 /// Converts raw coordinates to millimetres and radians.

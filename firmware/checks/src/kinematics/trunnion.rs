@@ -1,15 +1,12 @@
 //! The trunnion mill as a subject. Its reference values follow from turning points about the two
 //! axes as lines in space.
 
-use super::subject::{Margin, Margins, Reals, Sequence, Subject};
+use super::subject::{MM, Margin, Margins, Reals, Sequence, Subject};
 use core::f64::consts::PI;
 use haptimill_kinematics::trunnion::{Trunnion, TrunnionGeometry};
 use haptimill_kinematics::{Joints, MAX_AXES, Machine, PoseError};
 use haptimill_math::{Coordinate, Length};
 use heapless::Vec;
-
-const MM: f64 = 1.0 / 1_048_576.0;
-const RADIAN: f64 = 2.0 * PI / 4_294_967_296.0;
 
 /// The range of a coordinate, mm.
 const RANGE: f64 = 2048.0;
@@ -103,14 +100,6 @@ impl Subject for TrunnionMill {
         &self.machine
     }
 
-    fn pose_units(&self) -> Reals {
-        [MM, MM, MM, RADIAN, RADIAN, 0.0]
-    }
-
-    fn joint_units(&self) -> Reals {
-        self.pose_units()
-    }
-
     fn random_pose(&self, sequence: &mut Sequence) -> Reals {
         let mut pose = [0.0; MAX_AXES];
         for value in &mut pose[..3] {
@@ -143,10 +132,9 @@ impl Subject for TrunnionMill {
         let mut margins: Vec<Margin, 12> = Vec::new();
         let slides = self.slides(pose);
         for value in slides.iter().chain(&pose[..3]) {
-            let margin: Margin = (RANGE - value.abs(), |error| {
+            margins.extend([Margin::mm(RANGE - value.abs(), |error| {
                 *error == PoseError::Unreachable
-            });
-            margins.extend([margin]);
+            })]);
         }
         Margins(margins)
     }

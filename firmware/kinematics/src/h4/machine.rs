@@ -1,8 +1,8 @@
 //! The H-4 arm as a machine: lengths in a configuration, descriptor, search of homing.
 
-use super::{ALPHA, BasePose, H4};
+use super::{ALPHA, H4};
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
-use crate::{Joints, Machine, Pose, PoseError};
+use crate::{Machine, Pose, PoseError};
 use haptimill_math::{Angle, Length};
 use haptimill_protocol::message::MAX_AXES;
 use serde::{Deserialize, Serialize};
@@ -104,10 +104,6 @@ impl Machine for H4 {
             .iter()
             .all(|value| length(*value, -1000, 1000))
             && Self::is_sound(geometry)
-    }
-
-    fn base_pose(&self, joints: &Joints) -> Option<Result<BasePose, PoseError>> {
-        Some(self.base(joints))
     }
 
     fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 /// The machine file of a command without a port.
 #[derive(Debug, Clone, Args)]
 pub struct MachineArg {
-    /// Machine file [default: the built-in H-4 machine, machines/h4.toml]
+    /// Machine file [default: the built-in machines/h4.toml]
     #[arg(long, value_name = "FILE")]
     pub machine: Option<PathBuf>,
 }
@@ -32,8 +32,8 @@ impl MachineArg {
 /// The machine file of a command on a port.
 #[derive(Debug, Clone, Args)]
 pub struct BoardArg {
-    /// Machine file [default: the configuration of the board; in the simulator the built-in H-4
-    /// machine, machines/h4.toml]
+    /// Machine file [default: the configuration of the board; in the simulator the built-in
+    /// machines/h4.toml]
     #[arg(long, value_name = "FILE")]
     pub machine: Option<PathBuf>,
     /// Replace the configuration of a board that is configured as another machine by the one of
@@ -125,7 +125,7 @@ pub struct SimulatorArgs {
     /// Random seed of the simulated machine [default: the one in the machine file]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Inject a fault into the simulated machine, as "slide-jammed axis=l3 at=1.5s"; repeatable.
+    /// Inject a fault into the simulated machine, as "joint-jammed axis=NAME at=1.5s"; repeatable.
     /// `haptimill run --help` lists all faults
     #[arg(long, value_name = "FAULT")]
     pub fault: Vec<Fault>,

@@ -14,10 +14,10 @@ use std::str::FromStr;
 const LONG: &str = "\
 Move pose coordinates at a rate for a time.
 
-Rates are in mm/s and degrees/s: `haptimill jog x=5 theta=-2 --for 1.5`. AXIS is its name in the \
-machine file (x, y, z, theta, alpha) or its letter in part programs: A is alpha (the table), B is \
-theta (the tilt of the tool). The controller clips the motion to the soft limits. It stops the \
-machine when it receives nothing from this command for --deadline milliseconds. Ctrl-C stops.";
+Rates are in mm/s and degrees/s: `haptimill jog x=5 b=-2 --for 1.5`. AXIS is the name of a pose \
+coordinate in the machine file, or its letter in part programs; a wrong name lists those of the \
+machine. The controller clips the motion to the soft limits. It stops the machine when it receives \
+nothing from this command for --deadline milliseconds. Ctrl-C stops.";
 
 /// Arguments of `haptimill jog`.
 #[derive(Debug, Clone, Args)]
@@ -67,7 +67,7 @@ impl FromStr for AxisRate {
                 axis: axis.trim().to_lowercase(),
                 rate,
             }),
-            _ => Err("write AXIS=RATE, as x=5 or theta=-2".to_string()),
+            _ => Err("write AXIS=RATE, as x=5 or b=-2".to_string()),
         }
     }
 }

@@ -2,29 +2,38 @@
 
 use super::args::MachineArg;
 use super::{CliError, Exit, output};
-use crate::kin;
+use crate::kin::{Direction, GridColumn, Table};
 use clap::Args;
+use haptimill_client::session;
 use haptimill_machine_file::input;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const IK_LONG: &str = "\
-Compute joint positions from poses (inverse kinematics): columns xw_mm, yw_mm, zw_mm, theta_deg, \
-alpha_deg to l1_mm, l2_mm, l3_mm, l4_mm, status.
+Compute joint positions from poses (inverse kinematics). The columns are the coordinates and joints \
+of the machine with their units, as x_mm, a_deg; the last column is the status. A machine with a \
+singularity has a column singularity_mm, the distance from it.
 
-The status is ok, unreachable, near_singularity, near_reach_limit or tilt; only a row with ok has \
-joint positions. With --strokes a row whose joints or alpha_deg exceed the strokes of the machine is \
-out_of_stroke, with joint positions. An alpha_deg of 180 or more, or below -180, is out_of_stroke \
-with and without --strokes, without joint positions. Columns are found by name; other columns are \
-ignored. - is standard input or output.";
+The status is ok, unreachable, near_singularity, near_reach_limit, tilt, or out_of_range (a number \
+that the controller cannot hold); only a row with ok has joint positions. With --strokes a row whose \
+joints exceed their strokes is out_of_stroke, with joint positions. Columns are found by name; other \
+columns are ignored. - is standard input or output.
+
+With --grid the table is computed at points of a grid, and its rows begin with the coordinates of \
+the point. Coordinates without a --grid are those of the home pose.";
 
 const FK_LONG: &str = "\
-Compute poses from joint positions (forward kinematics): columns l1_mm, l2_mm, l3_mm, l4_mm to x_mm, \
-y_mm, z_mm, theta_deg, status, in the frame of the machine base (before table and work offsets).
+Compute poses from joint positions (forward kinematics). The columns are the joints and coordinates \
+of the machine with their units, as x_mm, a_deg; the last column is the status. A machine with a \
+singularity has a column singularity_mm, the distance from it.
 
-The status is ok, unreachable, near_singularity or near_reach_limit; only a row with ok has a pose. \
-With --strokes a row whose joints exceed the strokes of the machine is out_of_stroke, with a pose. \
-Columns are found by name; other columns are ignored. - is standard input or output.";
+The status is ok, unreachable, near_singularity, near_reach_limit, or out_of_range (a number that the \
+controller cannot hold); only a row with ok has a pose. With --strokes a row whose joints exceed \
+their strokes is out_of_stroke, with a pose. Columns are found by name; other columns are ignored. - \
+is standard input or output.
+
+With --grid the table is computed at points of a grid, and its rows begin with the joint positions of \
+the point. Joints without a --grid are at their presets.";
 
 /// Arguments of `haptimill kin ik`.
 #[derive(Debug, Clone, Args)]
@@ -53,6 +62,10 @@ pub struct TableArgs {
     /// Also check the strokes of the joints
     #[arg(long)]
     pub strokes: bool,
+    /// Compute the points of a grid instead of a table, as x=-100:100:50; one for each axis
+    #[arg(long, value_name = "AXIS=LOW:HIGH:STEP", allow_hyphen_values = true)]
+    #[arg(conflicts_with = "input")]
+    pub grid: Vec<GridColumn>,
     /// Table to read
     #[arg(long = "in", value_name = "CSV", default_value = "-")]
     pub input: PathBuf,
@@ -61,44 +74,48 @@ pub struct TableArgs {
     pub output: PathBuf,
 }
 
-/// Slides of poses.
+/// Joints of poses.
 ///
 /// # Errors
 /// [`Exit::BadInput`], [`Exit::Output`].
 pub fn ik(args: IkArgs) -> Result<(), CliError> {
-    table(&args.table, kin::inverse_table)
+    table(&args.table, Direction::Inverse)
 }
 
-/// Poses of slides.
+/// Poses of joints.
 ///
 /// # Errors
 /// [`Exit::BadInput`], [`Exit::Output`].
 pub fn fk(args: FkArgs) -> Result<(), CliError> {
-    table(&args.table, kin::forward_table)
+    table(&args.table, Direction::Forward)
 }
 
-type Calculation =
-    fn(&haptimill_firmware::config::Config, bool, &str, &[u8]) -> Result<Vec<u8>, String>;
-
-fn table(args: &TableArgs, calculate: Calculation) -> Result<(), CliError> {
+fn table(args: &TableArgs, direction: Direction) -> Result<(), CliError> {
     let machine = args.machine.load()?;
+    session::check_has_tool(&machine)?;
     let standard = |path: &Path| path.as_os_str() == "-";
     if !standard(&args.input) && !standard(&args.output) {
         output::refuse_overwrite(&args.input, &args.output, "table")?;
     }
-    let name = if standard(&args.input) {
-        "standard input".to_string()
+    let table = Table::new(&machine.config, direction, args.strokes);
+    let result = if args.grid.is_empty() {
+        let name = if standard(&args.input) {
+            "standard input".to_string()
+        } else {
+            args.input.display().to_string()
+        };
+        let read = if standard(&args.input) {
+            input::read_bounded(std::io::stdin().lock(), input::TABLE_BYTES)
+        } else {
+            input::read(&args.input, input::TABLE_BYTES)
+        };
+        let bytes =
+            read.map_err(|error| CliError::new(Exit::BadInput, format!("{name}: {error}")))?;
+        table.of_csv(&name, &bytes)
     } else {
-        args.input.display().to_string()
+        table.of_grid(&args.grid)
     };
-    let read = if standard(&args.input) {
-        input::read_bounded(std::io::stdin().lock(), input::TABLE_BYTES)
-    } else {
-        input::read(&args.input, input::TABLE_BYTES)
-    };
-    let bytes = read.map_err(|error| CliError::new(Exit::BadInput, format!("{name}: {error}")))?;
-    let result = calculate(&machine.config, args.strokes, &name, &bytes)
-        .map_err(|message| CliError::new(Exit::BadInput, message))?;
+    let result = result.map_err(|message| CliError::new(Exit::BadInput, message))?;
     if standard(&args.output) {
         output::to_stdout(|out| out.write_all(&result));
         return Ok(());

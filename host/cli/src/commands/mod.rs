@@ -45,8 +45,8 @@ Runs part programs on milling machines, real or simulated.
 `haptimill run FILE.ngc` checks a part program against the machine, homes the machine, streams the \
 program to the controller and writes a recording, a trace, a summary and a report. Without --port \
 the controller and the machine are the built-in simulator: the same controller code and the same \
-protocol with a simulated machine. Without --machine the machine is the built-in H-4 machine \
-(machines/h4.toml).
+protocol with a simulated machine. Without --machine the machine is the built-in \
+machines/h4.toml.
 
 A board behind --port keeps its configuration. Without --machine a command uses that configuration \
 and sends none. A command that computes positions (run, home, jog, teleop, console) needs the \
@@ -90,7 +90,7 @@ Examples:
       replay a job through a new controller and compare bit by bit
   haptimill trace plot e11-circle.out/recording.hmr 'l?_joint_error_mm'
       plot on the terminal; see also trace info, csv and mcap
-  haptimill kin ik --in poses.csv --out slides.csv
+  haptimill kin ik --in poses.csv --out joints.csv
       compute the firmware's kinematics for a table of poses";
 
 fn after_help() -> String {

@@ -41,7 +41,7 @@ fn expect_small_errors(summary: &Value) {
         number(summary, "path_length_mm"),
         number(summary, "tool_error_rms_mm"),
         number(summary, "tool_error_max_mm"),
-        number(summary, "slide_error_max_mm"),
+        number(summary, "following_error_max_mm"),
         summary["setpoints"],
         number(summary, "bytes_per_setpoint"),
         number(summary, "line_bytes_per_setpoint"),
@@ -50,7 +50,7 @@ fn expect_small_errors(summary: &Value) {
     assert!(number(summary, "tool_error_max_mm") <= 0.05, "{summary:#}");
     // An error of exactly 0 would mean that nothing was measured.
     assert!(number(summary, "tool_error_rms_mm") > 0.0005, "{summary:#}");
-    assert!(number(summary, "slide_error_max_mm") > 0.0 && number(summary, "setpoints") > 10.0);
+    assert!(number(summary, "following_error_max_mm") > 0.0 && number(summary, "setpoints") > 10.0);
     assert_eq!(summary["underruns"], 0);
     assert_eq!(summary["faults"], Value::Array(Vec::new()));
     assert_eq!(summary["final_state"], "Idle");

@@ -141,7 +141,7 @@ fn unusable_files_have_distinct_messages() {
             "run",
             &good,
             "--fault",
-            "slide-jammed axis=9",
+            "joint-jammed axis=9",
             "--out",
             &out,
         ],

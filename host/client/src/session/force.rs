@@ -6,7 +6,7 @@ use haptimill_firmware::force::ForceConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, to_i32, to_u32};
 use haptimill_protocol::force::{ForceLoop, Gate};
-use haptimill_protocol::message::{Command, Event};
+use haptimill_protocol::message::{Command, Event, Telemetry};
 
 /// Changes to the force loop of an axis; absent values stay as they are.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -49,12 +49,24 @@ impl ForceLoopChanges {
 /// The machine has no force sensor.
 pub fn find_force_config(machine: &MachineFile) -> Result<&ForceConfig, Error> {
     machine.config.force.as_ref().ok_or_else(|| {
-        let what = format!(
-            "{}: the machine has no force sensor; add a section [force], as in machines/h4.toml",
-            machine.file
-        );
-        Error::new(ErrorKind::BadInput, what)
+        let model = machine.config.model.descriptor();
+        let what = if model.has_guided_tool() {
+            "the machine has no force sensor; add a section [force], as in machines/h4.toml".into()
+        } else {
+            format!(
+                "force control moves x, y and z of the tool; the coordinates of the model \"{}\" \
+                 have other roles",
+                model.code
+            )
+        };
+        Error::new(ErrorKind::BadInput, format!("{}: {what}", machine.file))
     })
+}
+
+/// The axes under force control in a status.
+pub(super) fn force_axes(status: &Telemetry) -> Vec<u8> {
+    let mask = status.force.as_ref().map_or(0, |force| force.mask);
+    (0..8).filter(|axis| mask & (1 << axis) != 0).collect()
 }
 
 impl<L: Line> Session<L> {
@@ -133,6 +145,14 @@ impl<L: Line> Session<L> {
             }
             self.step()?;
         }
+    }
+
+    /// The axes under force control; empty without a force sensor.
+    ///
+    /// # Errors
+    /// The session ended.
+    pub fn force_mask(&mut self) -> Result<Vec<u8>, Error> {
+        Ok(force_axes(&self.status()?))
     }
 
     /// Sets the axes under force control.

@@ -1,5 +1,6 @@
 //! The move from the reference position to the home pose.
 
+use super::force::force_axes;
 use super::{Line, NoObserver, Session};
 use crate::{Error, ErrorKind};
 
@@ -73,15 +74,24 @@ pub fn plan_straight_move(
 }
 
 impl<L: Line> Session<L> {
-    /// Homes the machine, then moves to the home pose, where every program starts.
+    /// Homes the machine, then moves to the home pose, where every program starts. No axis is under
+    /// force control in the meantime: the sensor may have no zero yet.
     ///
     /// # Errors
     /// As [`Session::home`]; the move is refused, or [not completed](Session::check_completed).
     pub fn go_home(&mut self, machine: &MachineFile, home: &AxisValues) -> Result<(), Error> {
         self.home()?;
-        let here = self.status()?.commanded;
+        let status = self.status()?;
+        let mask = force_axes(&status);
+        if !mask.is_empty() {
+            self.set_force_mask(&[])?;
+        }
+        let here = status.commanded;
         let plan = plan_straight_move(machine, &self.model, &here, home, None)?;
         let end = self.run_job(HOME_JOB, here, plan.setpoints, &mut NoObserver)?;
+        if !mask.is_empty() {
+            self.set_force_mask(&mask)?;
+        }
         self.check_completed(&end)
     }
 }

@@ -261,7 +261,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
         K::DriveDead { .. }
         | K::DriveWeak { .. }
         | K::DriveReversed { .. }
-        | K::SlideJammed { .. }
+        | K::JointJammed { .. }
         | K::Push { .. } => {
             let plausible = !matches!(
                 fault,

@@ -45,7 +45,7 @@ pub(super) fn single_fault(kind: MachineKind, rng: &mut Rng) -> (Stimulus, u32) 
             gain: rng.choose(&[0.02, 0.1, 0.3, 0.7, 1.5, 3.0]),
         },
         9 => FaultKind::DriveReversed { axis },
-        10 => FaultKind::SlideJammed {
+        10 => FaultKind::JointJammed {
             axis,
             effort: rng
                 .chance(0.6)

@@ -3,6 +3,7 @@
 use crate::commands::{CliError, Exit};
 use clap::Args;
 use haptimill_firmware::config::AxisKind;
+use haptimill_machine_file::pose_difference::{PoseDifference, WARNING};
 use haptimill_machine_file::{AxisLimits, MachineFile, Problem};
 use std::path::PathBuf;
 
@@ -10,7 +11,12 @@ const LONG: &str = "\
 Check a machine file.
 
 Lists every problem with its line, the value, the allowed range and the remedy. Ends with exit code \
-3 when there is a problem, otherwise prints a summary of the file.";
+3 when there is a problem, otherwise prints a summary of the file.
+
+The poses of the controller and of the simulated machine are compared at the presets and over a grid \
+of the soft limits, from the same joint positions. A difference above 0.01 mm or degrees is a \
+warning: the errors of [plant.geometry] are there on purpose. Above 10 mm or degrees the simulated \
+machine is another one, which is a problem.";
 
 /// Arguments of `haptimill machine check`.
 #[derive(Debug, Clone, Args)]
@@ -37,14 +43,45 @@ pub(super) fn run(args: CheckArgs) -> Result<(), CliError> {
         print_line!("{}", serde_json::Value::from(list));
     }
     match result {
-        Ok(machine) if !args.json => print_line!("{}", summary(&machine).trim_end()),
-        Ok(_) => {}
+        Ok(machine) => {
+            if !args.json {
+                print_line!("{}", summary(&machine).trim_end());
+            }
+            compare_poses(&machine, args.json)?;
+        }
         Err(problems) => {
             let count = problems.count();
             let plural = if count == 1 { "" } else { "s" };
             let message = format!("{problems}\n{count} problem{plural}");
             return Err(CliError::new(Exit::BadInput, message).reported());
         }
+    }
+    Ok(())
+}
+
+/// Values of each coordinate in the comparison of poses.
+const LEVELS: u32 = 5;
+
+/// Compares the poses of the controller and of the simulated machine, and prints the result.
+fn compare_poses(machine: &MachineFile, json: bool) -> Result<(), CliError> {
+    if !machine.has_plant || machine.is_master() {
+        return Ok(());
+    }
+    let plant = machine.plant()?;
+    let Some(difference) = PoseDifference::new(machine, &plant, LEVELS) else {
+        return Ok(());
+    };
+    if difference.is_notable() {
+        eprintln!(
+            "{}: warning: the simulated machine: {difference}",
+            machine.file
+        );
+    } else if !json {
+        print_line!(
+            "\nthe controller and the simulated machine agree within {WARNING} mm and deg over {} \
+             poses",
+            difference.compared
+        );
     }
     Ok(())
 }

@@ -11,6 +11,7 @@ use haptimill_client::client::JobEnding;
 use haptimill_client::session::{EMERGENCY_STOP, JobEnd, JobLine, JobRecording, Line, Session};
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
+use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
 use haptimill_report::Outcome;
 use haptimill_trace::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
@@ -63,23 +64,33 @@ impl Job<'_> {
         session.ask(Command::Override {
             percent: self.args.feed_override,
         })?;
-        self.set_force_control(&mut session)?;
+        let before = self.set_force_control(&mut session)?;
         if self.machine.config.haptic.is_some() && !self.args.port.is_simulated() {
             // The recording of a simulated machine has the haptic arm without telemetry.
             let every = MASTER_TELEMETRY_US / u32::from(self.machine.config.period_us.max(1));
             let every = every.clamp(1, u32::from(u16::MAX)) as u16;
             session.ask(Command::MasterTelemetry { every })?;
         }
-        self.stream(session, start, planned)
+        let result = self.stream(&mut session, start, planned);
+        match before {
+            Some(before) => result.and(before.restore(&mut session)),
+            None => result,
+        }
     }
 
     /// Sets the force control: settings, zero of the sensor without contact, then the axes.
-    fn set_force_control<L: JobLine>(&self, session: &mut Session<L>) -> Result<(), CliError> {
+    /// Returns what it replaced.
+    fn set_force_control<L: JobLine>(
+        &self,
+        session: &mut Session<L>,
+    ) -> Result<Option<ForceBefore>, CliError> {
         let Some(force) = &self.machine.config.force else {
-            return Ok(());
+            return Ok(None);
         };
+        let mut before = None;
         match &self.args.force {
             Some(ForceAxes(axes)) => {
+                before = Some(ForceBefore::of(session, axes)?);
                 session.set_force_loops(self.machine, axes, &self.args.force_settings.choice())?;
                 // Other axes may still be under force control from an earlier command.
                 session.set_force_mask(&[])?;
@@ -91,13 +102,13 @@ impl Job<'_> {
             None if force.mask != 0 => session.tare()?,
             None => {}
         }
-        Ok(())
+        Ok(before)
     }
 
     /// Streams the program and writes the results.
     fn stream<L: JobLine>(
         &self,
-        mut session: Session<L>,
+        session: &mut Session<L>,
         start: AxisValues,
         planned: Planned,
     ) -> Result<(), CliError> {
@@ -134,18 +145,16 @@ impl Job<'_> {
                 .map_err(|error| results::recording_error(&dir, &error))?,
             None => return Err(CliError::new(Exit::Internal, "the recording was lost")),
         };
-        let injected = self
-            .args
-            .simulator
-            .fault
-            .iter()
-            .map(ToString::to_string)
-            .collect();
+        // A fault whose time did not come was not injected.
+        let end_s = session.now_us() as f64 * 1e-6;
+        let faults = self.args.simulator.fault.iter();
+        let (injected, missed): (Vec<_>, Vec<_>) = faults.partition(|fault| fault.at_s <= end_s);
+        let injected = injected.iter().map(ToString::to_string).collect();
         let outcome = match &end {
             Ok(end) => Outcome {
                 setpoints: u64::from(end.setpoints),
                 underruns: end.underruns.len() as u64,
-                faults: describe_faults(&session, end),
+                faults: describe_faults(session, end),
                 injected,
                 completed: matches!(end.ending, JobEnding::Done { .. }),
                 final_state: Some(end.status.state),
@@ -177,14 +186,7 @@ impl Job<'_> {
             write_mcap(&recording, &mut file, MCAP_RATE).map_err(|error| output(&error))?;
             file.flush().map_err(|error| output(&error))?;
         }
-        let end_s = session.now_us() as f64 * 1e-6;
-        for fault in self
-            .args
-            .simulator
-            .fault
-            .iter()
-            .filter(|fault| fault.at_s > end_s)
-        {
+        for fault in missed {
             eprintln!("--fault \"{fault}\" was not injected: the run ended at {end_s:.2} s");
         }
         if self.args.json {
@@ -201,7 +203,7 @@ impl Job<'_> {
         if recorded.disk_full {
             return Err(results::disk_full(&dir).reported());
         }
-        end.and_then(|end| self.judge(&session, &end))
+        end.and_then(|end| self.judge(session, &end))
             .map_err(|error| CliError::from(error).reported())
     }
 
@@ -215,6 +217,36 @@ impl Job<'_> {
             );
         }
         session.check_completed(end)
+    }
+}
+
+/// The force control before a run that has settings of its own: they end with the run.
+struct ForceBefore {
+    axes: Vec<u8>,
+    loops: Vec<(u8, ForceLoop)>,
+}
+
+impl ForceBefore {
+    /// Reads the axes under force control, and the loops of the axes of the run.
+    fn of<L: JobLine>(session: &mut Session<L>, axes: &[u8]) -> Result<Self, CliError> {
+        let mut loops = Vec::new();
+        for axis in axes {
+            loops.push((*axis, session.force_loop(*axis)?));
+        }
+        Ok(Self {
+            axes: session.force_mask()?,
+            loops,
+        })
+    }
+
+    fn restore<L: JobLine>(&self, session: &mut Session<L>) -> Result<(), CliError> {
+        for (axis, settings) in &self.loops {
+            session.ask(Command::ForceLoop {
+                axis: *axis,
+                settings: *settings,
+            })?;
+        }
+        Ok(session.set_force_mask(&self.axes)?)
     }
 }
 
