@@ -10,8 +10,8 @@ use super::path::Arc;
 use super::tool_table::PerLetter;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-/// Angle below which a corner is none, radians.
-const SMOOTH: f64 = 1e-6;
+/// Angle up to which a corner is passed straight, radians, as LinuxCNC does.
+const SMOOTH: f64 = 0.05;
 
 /// Longest run of moves without motion in the plane, and of other steps, that are held.
 const MOST_HELD: usize = 1000;
@@ -333,10 +333,11 @@ impl Output {
             active.beside(corner, leaving),
         );
         let turn = angle_between(active.direction, leaving);
-        let mut from = start;
+        let mut from = before;
         if turn.abs() > SMOOTH {
-            if turn * active.side < 0.0 || turn.abs() > PI - SMOOTH {
+            if turn * active.side < 0.0 || turn.abs() > PI - 1e-6 {
                 self.go_around(&leg, &active, corner, before, start);
+                from = start;
             } else {
                 from = self.cut(curve, &active, before)?;
             }

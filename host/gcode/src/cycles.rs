@@ -248,7 +248,7 @@ impl Executor {
         match number {
             73 | 83 => {
                 let mut depth = hole.r - hole.peck;
-                while depth > hole.bottom {
+                while depth > hole.bottom + 1e-9 {
                     self.level(hole, depth, hole.pace)?;
                     if number == 83 {
                         self.level(hole, hole.r, Pace::Rapid)?;
@@ -287,11 +287,14 @@ impl Executor {
                 self.turn(hole, turn);
                 Ok(())
             }
-            85 | 89 => {
+            85 => {
                 self.level(hole, hole.bottom, hole.pace)?;
-                if number == 89 {
-                    self.push_dwell(hole.place, hole.dwell);
-                }
+                self.level(hole, hole.r, hole.pace)?;
+                self.level(hole, hole.clear, Pace::Rapid)
+            }
+            89 => {
+                self.level(hole, hole.bottom, hole.pace)?;
+                self.push_dwell(hole.place, hole.dwell);
                 self.level(hole, hole.clear, hole.pace)
             }
             86 | 88 => {

@@ -174,6 +174,8 @@ impl Executor {
             });
         }
         self.state.tool = tool;
+        // After cutter compensation the tool is not where the program led it.
+        self.state.at = *self.out.at();
         Ok(())
     }
 

@@ -340,11 +340,13 @@ impl Executor {
                 "write 0 to 3600 seconds",
             );
         }
-        if let Some((_, word)) = block.first_of(AXIS_LETTERS) {
+        if let Some((_, word)) = block.first_of(AXIS_LETTERS)
+            && block.codes.get(Group::Motion).is_none()
+        {
             return mistake(
                 word.at,
                 "an axis word in the block of G4",
-                "write the move in a block of its own",
+                "write the motion word too (the dwell is before the move), or another block",
             );
         }
         self.push_dwell(here.place(code.at), word.value);

@@ -75,7 +75,7 @@ impl Executor {
             }
         }
         if let Some(Code { tenths, .. }) = block.codes.get(Group::Once)
-            && matches!(tenths, 40 | 100 | 280 | 300 | 520 | 920)
+            && matches!(tenths, 100 | 280 | 300 | 520 | 920)
         {
             // The axis words of the block belong to that code.
             return Ok(());
@@ -375,8 +375,9 @@ impl Executor {
             },
             must_change: matches!(kind, 2 | 4),
         });
-        // Until the machine reports another result, the probe changes at the programmed end.
-        self.set_probed(to, true);
+        // Until the machine reports another result, the move ends at its programmed end. Programs
+        // repeat moves that need not touch until they do not.
+        self.set_probed(to, matches!(kind, 2 | 4));
         Ok(())
     }
 

@@ -320,11 +320,7 @@ impl Executor {
             };
             let value = value * self.state.scale(axis);
             if !to_position {
-                system.origin[axis] = if self.state.modes.incremental {
-                    system.origin[axis] + value
-                } else {
-                    value
-                };
+                system.origin[axis] = value;
             } else if axis < 2 && !rotation.is_none() {
                 wanted[axis] = value;
                 turned_words = true;

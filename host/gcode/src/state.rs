@@ -247,7 +247,7 @@ impl State {
                 feed: None,
                 feed_mm: 0.0,
                 path_control: PathControl::Blend(None),
-                return_to_r: false,
+                return_to_r: true,
                 speed: None,
                 surface_limit: None,
                 turn: Turn::Off,

@@ -140,7 +140,7 @@ impl Writer {
         let level = self.at[normal];
         let mut words = format!("G{back} G{code} R{r} {}{depth}", NAMES[normal]);
         words += match code {
-            73 | 83 => " Q0.7",
+            73 | 83 => " Q0.70001",
             82 | 89 => " P0.1",
             _ => "",
         };

@@ -69,6 +69,7 @@ pub fn gcode(options: &[&str]) -> Result<(), String> {
         return Err(USAGE.into());
     }
     files.sort();
+    files.dedup();
     let tools = folder.join("tools.tbl");
     write(&tools, &tool_table())?;
     let ours = run_ours(&files, &tools)?;
