@@ -169,10 +169,16 @@ fn simple_commands_in_sequence() {
     assert!(
         shown
             .out
-            .contains("h4: Disabled, homed: yes, position kept: yes"),
+            .contains("h4: disabled, homed: yes, position kept: yes"),
         "{}",
         shown.out
     );
+    assert!(
+        shown.out.contains(" mm  theta ") && shown.out.contains(" deg\n"),
+        "{}",
+        shown.out
+    );
+    assert!(!shown.out.contains("not referenced"), "{}", shown.out);
 }
 
 #[test]

@@ -29,6 +29,13 @@ fn units(kind: config::AxisKind) -> f64 {
     }
 }
 
+fn unit(kind: config::AxisKind) -> &'static str {
+    match kind {
+        config::AxisKind::Linear => "mm",
+        config::AxisKind::Rotary => "deg",
+    }
+}
+
 fn program_kind(kind: config::AxisKind) -> AxisKind {
     match kind {
         config::AxisKind::Linear => AxisKind::Linear,
@@ -101,6 +108,18 @@ impl Model {
     #[must_use]
     pub fn joint_names(&self) -> Vec<&str> {
         self.joints.iter().map(|(name, _)| name.as_str()).collect()
+    }
+
+    /// Returns the units of the pose coordinates in messages: `mm` or `deg`.
+    #[must_use]
+    pub fn pose_units(&self) -> Vec<&'static str> {
+        self.pose.iter().map(|(_, kind)| unit(*kind)).collect()
+    }
+
+    /// Returns the units of the joints in messages: `mm` or `deg`.
+    #[must_use]
+    pub fn joint_units(&self) -> Vec<&'static str> {
+        self.joints.iter().map(|(_, kind)| unit(*kind)).collect()
     }
 
     /// Calls `use_axes` with names and kinds of the axes, for messages.

@@ -250,6 +250,13 @@ impl Summary {
     }
 }
 
+/// A number of things: `1 block`, `2 blocks`.
+#[must_use]
+pub fn count(number: usize, thing: &str) -> String {
+    let plural = if number == 1 { "" } else { "s" };
+    format!("{number} {thing}{plural}")
+}
+
 /// Formats a duration.
 pub fn duration(seconds: f64) -> String {
     // Rounded first: 119.7 s must not become 1 min 60 s.

@@ -134,7 +134,8 @@ impl Plot {
         }
     }
 
-    /// Sketch of each column on the terminal in Braille dots, of `width` by `height` characters.
+    /// Sketch of each column on the terminal in Braille dots, `width` by `height` characters: the
+    /// largest and the smallest value at a vertical axis, and a dotted line at zero.
     #[must_use]
     pub fn sketch(&self, width: usize, height: usize) -> String {
         let mut text = String::new();
@@ -155,7 +156,9 @@ impl Plot {
                 "{}: {low:.4} to {high:.4}, from {:.3} to {:.3} s",
                 column.name, self.from_s, self.to_s
             );
-            let mut dots = Dots::new(width.max(1), height.max(1));
+            let (top, bottom) = (format!("{high:.4}"), format!("{low:.4}"));
+            let label = top.len().max(bottom.len());
+            let mut dots = Dots::new(width.saturating_sub(label + 2).max(1), height.max(1));
             let (span, rise) = (self.to_s - self.from_s, (high - low).max(1e-12));
             let place = |(time, value): (f64, f64)| {
                 let x = (time / span * dots.columns() as f64) as usize;
@@ -166,10 +169,23 @@ impl Plot {
                 .iter()
                 .map(|piece| piece.iter().map(|point| place(*point)).collect())
                 .collect();
+            let zero = (low < 0.0 && high > 0.0).then(|| place((0.0, 0.0)).1);
+            if let Some(row) = zero {
+                dots.dotted(row);
+            }
             for piece in pieces {
                 dots.line(&piece);
             }
-            text += &dots.text();
+            let rows = dots.text();
+            for (index, row) in rows.lines().enumerate() {
+                let value = match index {
+                    0 => top.as_str(),
+                    _ if index + 1 == height => bottom.as_str(),
+                    _ if zero.is_some_and(|row| row / 4 == index) => "0",
+                    _ => "",
+                };
+                let _ = writeln!(text, "{value:>label$} │{row}");
+            }
         }
         text
     }
@@ -202,6 +218,13 @@ impl Dots {
         const BITS: [[u8; 4]; 2] = [[1, 2, 4, 64], [8, 16, 32, 128]];
         if let Some(cell) = self.cells.get_mut(y / 4 * self.width + x / 2) {
             *cell |= BITS[x % 2][y % 4];
+        }
+    }
+
+    /// Draws a dotted line in a row.
+    fn dotted(&mut self, row: usize) {
+        for x in (0..self.columns()).step_by(4) {
+            self.set(x, row);
         }
     }
 

@@ -8,6 +8,7 @@ use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_planner::Plan;
 use haptimill_protocol::message::{Action, AxisValues};
 use std::collections::BTreeMap;
+use std::fmt;
 use std::io::IsTerminal;
 use std::path::Path;
 
@@ -15,11 +16,66 @@ use std::path::Path;
 #[derive(Debug)]
 pub(crate) struct Planned {
     pub(crate) plan: Plan,
-    /// Setpoints at which the program pauses, with the line of each pause.
-    pub(crate) pauses: BTreeMap<u32, u32>,
+    /// Pauses of the program, by their setpoints.
+    pub(crate) pauses: BTreeMap<u32, Pause>,
     /// Number of lines of the file.
     #[cfg_attr(not(feature = "console"), allow(dead_code))]
     pub(crate) lines: u32,
+}
+
+/// A pause of a program (M0, M1).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Pause {
+    pub(crate) line: u32,
+    /// The comment in this line, for the operator.
+    comment: Option<String>,
+}
+
+impl fmt::Display for Pause {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "line {}", self.line)?;
+        match &self.comment {
+            Some(comment) => write!(out, " ({comment})"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The lines of a part program, without control characters.
+pub(crate) fn source_lines(text: &[u8]) -> Vec<String> {
+    let lines = String::from_utf8_lossy(text);
+    let plain = |letter: char| if letter.is_control() { ' ' } else { letter };
+    lines
+        .lines()
+        .map(|line| {
+            line.chars()
+                .map(plain)
+                .collect::<String>()
+                .trim()
+                .to_string()
+        })
+        .collect()
+}
+
+/// The first comment of a block: in parentheses, or after a semicolon.
+fn comment_of(block: &str) -> Option<String> {
+    let start = block.find(['(', ';'])?;
+    let rest = &block[start + 1..];
+    let comment = match block[start..].strip_prefix('(') {
+        Some(text) => text.split(')').next().unwrap_or_default(),
+        None => rest,
+    };
+    let comment = comment.trim();
+    // The prefix of a message to the operator.
+    let is_message = comment
+        .get(..4)
+        .is_some_and(|word| word.eq_ignore_ascii_case("MSG,"));
+    let comment = if is_message {
+        comment[4..].trim()
+    } else {
+        comment
+    };
+    (!comment.is_empty()).then(|| comment.to_string())
 }
 
 /// A part program on disk.
@@ -77,7 +133,15 @@ impl PartProgram {
             | haptimill_gcode::Step::ToolChange { place, .. } => Some(place.line),
             _ => None,
         });
-        let pauses = setpoints.map(|(index, _)| index).zip(lines).collect();
+        let source = source_lines(&self.text);
+        let pause = |line: u32| Pause {
+            line,
+            comment: source
+                .get(line.saturating_sub(1) as usize)
+                .and_then(|block| comment_of(block)),
+        };
+        let pauses = setpoints.map(|(index, _)| index).zip(lines.map(pause));
+        let pauses = pauses.collect();
         Ok(Planned {
             plan,
             pauses,
@@ -89,7 +153,7 @@ impl PartProgram {
     /// Enter.
     pub(crate) fn check_pauses(&self, planned: &Planned) -> Result<(), CliError> {
         match planned.pauses.values().next() {
-            Some(line) if !std::io::stdin().is_terminal() => Err(CliError::new(
+            Some(Pause { line, .. }) if !std::io::stdin().is_terminal() => Err(CliError::new(
                 Exit::Usage,
                 format!(
                     "{}:{line}: the program pauses here and standard input is no terminal to press Enter on; \
@@ -99,5 +163,23 @@ impl PartProgram {
             )),
             _ => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn comments_of_a_pause_are_found() {
+        let comment = |block: &str| comment_of(block).unwrap_or_default();
+        assert_eq!(comment("M0 (turn the part)"), "turn the part");
+        assert_eq!(comment("M0 (MSG, turn the part) (again)"), "turn the part");
+        assert_eq!(comment("M0 ; turn (by 90)"), "turn (by 90)");
+        assert_eq!(comment("M0 (open"), "open");
+        assert_eq!(comment("M0 ()"), "");
+        assert_eq!(comment("M0"), "");
+        assert_eq!(comment("M0 (äöü)"), "äöü");
+        assert_eq!(source_lines(b"G1 X1\tY2\r\n\x1b[2J\n"), ["G1 X1 Y2", "[2J"]);
     }
 }

@@ -246,10 +246,11 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         print_line!("{value:#}");
         return Ok(());
     }
-    let line = |values: Vec<(String, f64)>| -> String {
+    let line = |values: Vec<(String, f64)>, units: Vec<&str>| -> String {
         values
             .iter()
-            .map(|(name, value)| format!("  {name} {value:.4}"))
+            .zip(units)
+            .map(|((name, value), unit)| format!("  {name} {value:.4} {unit}"))
             .collect()
     };
     let yes_no = |flag: bool| if flag { "yes" } else { "no" };
@@ -259,8 +260,8 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         machine
     };
     print_line!(
-        "{name}: {:?}, homed: {}, position kept: {}",
-        status.state,
+        "{name}: {}, homed: {}, position kept: {}",
+        status.state.to_string().trim_start_matches("in "),
         yes_no(status.homed),
         yes_no(status.position_kept)
     );
@@ -274,9 +275,14 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         );
     }
     if !status.measured.is_empty() {
-        print_line!("measured {}", line(pose(&status.measured)));
-        print_line!("commanded{}", line(pose(&status.commanded)));
-        print_line!("joints   {}", line(joints(&status.joints)));
+        if !(status.homed && status.position_kept) {
+            print_line!("positions  not referenced; `haptimill home` finds the reference");
+        }
+        let (pose_units, joint_units) = (model.pose_units(), model.joint_units());
+        let measured = line(pose(&status.measured), pose_units.clone());
+        print_line!("measured {measured}");
+        print_line!("commanded{}", line(pose(&status.commanded), pose_units));
+        print_line!("joints   {}", line(joints(&status.joints), joint_units));
     }
     Ok(())
 }

@@ -45,6 +45,8 @@ pub(super) const FORCE_SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
 pub(super) enum OnAck {
     Nothing,
     Enabled,
+    /// The drives were enabled for homing.
+    EnabledToHome,
     Override(u8),
     Source(u8, Source),
     Loop(u8, ForceLoop),
@@ -78,6 +80,15 @@ impl RequestedLoop {
     }
 }
 
+/// The commanded motion between the last two reports.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Motion {
+    /// Speed of the tool tip in the workpiece, mm/min.
+    pub(super) feed_mm_min: f64,
+    /// Any coordinate changes.
+    pub(super) is_moving: bool,
+}
+
 /// Settings from the command line.
 pub(super) struct Settings {
     pub(super) dead_man_ms: u16,
@@ -104,6 +115,7 @@ pub(super) struct App {
     pub(super) requests: Vec<(Ticket, OnAck)>,
     pub(super) telemetry: Option<Telemetry>,
     pub(super) telemetry_at: Instant,
+    pub(super) motion: Option<Motion>,
     /// Control period of the last change of state; older telemetry describes another state.
     pub(super) state_period: u64,
     pub(super) log: Log,
@@ -179,6 +191,7 @@ impl App {
             requests: Vec::new(),
             telemetry: None,
             telemetry_at: now,
+            motion: None,
             state_period: 0,
             log: Log::default(),
             overlay: Overlay::None,
@@ -300,6 +313,7 @@ impl App {
             master.handle_link_loss();
         }
         self.stopping = None;
+        self.motion = None;
         self.requests.clear();
     }
 

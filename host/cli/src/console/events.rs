@@ -1,10 +1,11 @@
 //! Handling of the messages of the controller.
 
-use super::app::{App, FORCE_SCALES, OnAck};
-use super::view_model::Severity;
+use super::app::{App, FORCE_SCALES, Motion, OnAck};
+use super::view_model::{Axis, Severity};
 use crate::commands::{CliError, Exit};
 use haptimill_client::client::{Notification, RequestError, Ticket};
-use haptimill_machine_file::scale::PER_EFFORT;
+use haptimill_firmware::config::AxisKind;
+use haptimill_machine_file::scale::{PER_EFFORT, per_unit};
 use haptimill_protocol::force::{ForceLoop, ForceParameter};
 use haptimill_protocol::message::{Command, Event, Refusal, State, Telemetry};
 use std::time::{Duration, Instant};
@@ -14,6 +15,28 @@ const SCALE_HOLD: Duration = Duration::from_secs(5);
 
 /// Delay before a request is repeated after a busy answer, us.
 const BUSY_US: u64 = 20_000;
+
+/// Longest time between two reports that give a speed, s.
+const SPEED_S: f64 = 1.0;
+
+/// The commanded motion between two reports; none where they are too far apart.
+fn motion(axes: &[Axis], period_s: f64, before: &Telemetry, now: &Telemetry) -> Option<Motion> {
+    let time_s = now.period.checked_sub(before.period)? as f64 * period_s;
+    if time_s <= 0.0 || time_s > SPEED_S {
+        return None;
+    }
+    let changes = axes.iter().zip(now.commanded.iter().zip(&before.commanded));
+    let linear = changes.filter(|(axis, _)| axis.kind == AxisKind::Linear);
+    let square: f64 = linear
+        .map(|(axis, (now, before))| {
+            ((f64::from(*now) - f64::from(*before)) / per_unit(axis.kind)).powi(2)
+        })
+        .sum();
+    Some(Motion {
+        feed_mm_min: square.sqrt() / time_s * 60.0,
+        is_moving: now.commanded != before.commanded,
+    })
+}
 
 /// Period of the master telemetry, ms.
 const MASTER_MS: u32 = 100;
@@ -72,6 +95,10 @@ impl App {
         match on_ack {
             OnAck::Nothing => {}
             OnAck::Enabled => self.notify(Severity::Info, "drives on"),
+            OnAck::EnabledToHome => {
+                self.notify(Severity::Info, "drives on");
+                self.home();
+            }
             OnAck::Override(percent) => self.feed_override = percent,
             OnAck::Source(axis, source) => {
                 self.sources[usize::from(axis)] = source;
@@ -200,7 +227,10 @@ impl App {
             } | Event::JobDone { .. }
         );
         if !routine {
-            let text = self.session.describe(event);
+            let text = match (event, &self.jobs.pause) {
+                (Event::Paused { .. }, Some(pause)) => format!("program pause in {pause}"),
+                _ => self.session.describe(event),
+            };
             self.notify(severity, text);
         }
     }
@@ -236,6 +266,10 @@ impl App {
                 (*scale, *since) = (fits, Instant::now());
             }
         }
+        self.motion = self.telemetry.as_ref().and_then(|before| {
+            let period_s = self.static_info.period_s;
+            motion(&self.static_info.pose, period_s, before, &telemetry)
+        });
         if let Some(recording) = &mut self.recording
             && let Err(reason) = recording.add(&telemetry)
         {
@@ -243,5 +277,39 @@ impl App {
             self.notify(Severity::Alarm, format!("recording ended: {reason}"));
         }
         self.telemetry = Some(telemetry);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn feed_is_the_speed_of_the_tip_and_zero_at_standstill() {
+        let axis = |kind| Axis {
+            name: String::new(),
+            kind,
+        };
+        let axes = [AxisKind::Linear, AxisKind::Linear, AxisKind::Rotary].map(axis);
+        let report = |period: u64, x: f64, y: f64, tilt: i32| {
+            let raw = |mm: f64| (mm * per_unit(AxisKind::Linear)).round() as i32;
+            Telemetry {
+                period,
+                commanded: [raw(x), raw(y), tilt].into_iter().collect(),
+                ..Telemetry::default()
+            }
+        };
+        let before = report(1000, 1.0, 2.0, 0);
+        let moved = |now: &Telemetry| motion(&axes, 2e-4, &before, now);
+        // 0.5 mm along a diagonal in 100 periods of 0.2 ms: 25 mm/s.
+        let diagonal = moved(&report(1100, 1.3, 2.4, 0)).unwrap();
+        assert!((diagonal.feed_mm_min - 1500.0).abs() < 0.1 && diagonal.is_moving);
+        let turning = moved(&report(1100, 1.0, 2.0, 500)).unwrap();
+        assert!(turning.feed_mm_min == 0.0 && turning.is_moving);
+        let still = moved(&report(1100, 1.0, 2.0, 0)).unwrap();
+        assert!(still.feed_mm_min == 0.0 && !still.is_moving);
+        assert_eq!(moved(&report(1000, 9.0, 2.0, 0)), None);
+        assert_eq!(moved(&report(900, 9.0, 2.0, 0)), None);
+        assert_eq!(moved(&report(9000, 9.0, 2.0, 0)), None);
     }
 }

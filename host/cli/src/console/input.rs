@@ -107,17 +107,13 @@ impl App {
             Action::Jog { .. } => {}
             _ if !self.is_ready() => self.notify(Severity::Warning, "no link to the controller"),
             Action::Enable => {
-                if !self.session.is_configured()
-                    && let Err(error) = self.session.restart()
-                {
-                    self.notify(Severity::Warning, error.message);
-                }
-                self.request(Command::Enable, OnAck::Enabled);
+                self.enable(OnAck::Enabled);
             }
             Action::Disable => self.request(Command::Disable, OnAck::Notify("drives off")),
             Action::Reset => self.request(Command::Reset, OnAck::Notify("reset")),
             Action::Home => match self.state() {
                 Some(State::Idle) => self.open(Overlay::Confirm(Confirm::Home)),
+                Some(State::Disabled) => self.open(Overlay::Confirm(Confirm::EnableAndHome)),
                 Some(state) => {
                     let message = format!("home: not possible while the machine is {state}");
                     self.notify(Severity::Warning, message);
@@ -127,7 +123,7 @@ impl App {
             Action::OverrideUp => self.select_override(true),
             Action::OverrideDown => self.select_override(false),
             Action::Program => {
-                let text = self.jobs.path();
+                let text = self.jobs.typed();
                 self.open(Overlay::Prompt {
                     title: "Part program",
                     text,
@@ -145,6 +141,22 @@ impl App {
                 self.notify(Severity::Warning, "this machine has no force sensor");
             }
         }
+    }
+
+    /// Switches the drives on, after the machine file that the controller refused before.
+    fn enable(&mut self, on_ack: OnAck) {
+        if !self.session.is_configured()
+            && let Err(error) = self.session.restart()
+        {
+            self.notify(Severity::Warning, error.message);
+        }
+        self.request(Command::Enable, on_ack);
+    }
+
+    /// Homes the enabled machine.
+    pub(super) fn home(&mut self) {
+        self.jobs.home();
+        self.request(Command::Home, OnAck::Nothing);
     }
 
     fn open(&mut self, overlay: Overlay) {
@@ -169,7 +181,7 @@ impl App {
 
     fn resume(&mut self) {
         if self.is_ready() && self.state() == Some(State::Hold) {
-            self.jobs.pause_line = None;
+            self.jobs.pause = None;
             self.request(Command::Resume, OnAck::Nothing);
         } else {
             self.notify(Severity::Warning, "resume: the machine is not on hold");
@@ -305,10 +317,8 @@ impl App {
                     self.run_program();
                 }
             }
-            Confirm::Home => {
-                self.jobs.home();
-                self.request(Command::Home, OnAck::Nothing);
-            }
+            Confirm::Home => self.home(),
+            Confirm::EnableAndHome => self.enable(OnAck::EnabledToHome),
             Confirm::Tare => self.request(Command::Tare, OnAck::Notify("tare started")),
             Confirm::Quit(_) => self.quitting = true,
         }

@@ -4,18 +4,18 @@
 use super::app::App;
 use super::view_model::{Confirm, Overlay, Severity};
 use crate::commands::CliError;
-use crate::commands::program::PartProgram;
+use crate::commands::program::{PartProgram, Pause, source_lines};
 use haptimill_client::client::JobEnding;
 use haptimill_client::session::{Line as _, plan_straight_move};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_planner::Plan;
-use haptimill_protocol::message::{AxisValues, Event, State};
-use haptimill_report::duration;
+use haptimill_protocol::message::{Action, AxisValues, Event, State};
+use haptimill_report::{count, duration};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver};
+use std::sync::mpsc::{self, Receiver, TryRecvError};
 
 /// Validity of a step request after its key press, us.
 const STEP_VALID_US: u64 = 150_000;
@@ -30,10 +30,29 @@ pub(super) struct Checked {
     /// File name without folders.
     pub(super) name: String,
     pub(super) plan: Arc<Plan>,
-    /// Setpoints at which the program pauses, with the line of each pause.
-    pauses: Arc<BTreeMap<u32, u32>>,
+    /// Pauses of the program, by their setpoints.
+    pauses: Arc<BTreeMap<u32, Pause>>,
+    /// Spindle speeds, rev/min, by the setpoints at which they are set.
+    spindle: Arc<BTreeMap<u32, i16>>,
     /// Number of lines of the file.
     pub(super) lines: u32,
+    /// The lines.
+    source: Arc<Vec<String>>,
+}
+
+impl Checked {
+    /// The text of a line of the file.
+    pub(super) fn text_of(&self, line: u32) -> &str {
+        let index = (line as usize).checked_sub(1);
+        let line = index.and_then(|index| self.source.get(index));
+        line.map_or("", String::as_str)
+    }
+
+    /// Spindle speed on the way to a setpoint, rev/min; none in a program without spindle.
+    pub(super) fn spindle_rpm(&self, setpoint: u32) -> Option<i16> {
+        let last = self.spindle.range(..setpoint).next_back();
+        (!self.spindle.is_empty()).then(|| last.map_or(0, |(_, speed)| *speed))
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,9 +65,12 @@ enum Job {
 /// Requested and running jobs.
 #[derive(Debug, Default)]
 pub(super) struct Jobs {
+    /// The selected program.
     path: Option<PathBuf>,
+    /// The path that was typed last.
+    typed: Option<PathBuf>,
     pub(super) checked: Option<Checked>,
-    checking: Option<Receiver<Result<Checked, CliError>>>,
+    checking: Option<(PathBuf, Receiver<Result<Checked, CliError>>)>,
     running: Option<Job>,
     /// Homing was requested here: the move to the home pose follows it.
     homing: bool,
@@ -59,8 +81,8 @@ pub(super) struct Jobs {
     pending_step: Option<(usize, bool, u64)>,
     /// A program selected just after standstill, and the end of the wait for the exact pose, us.
     pending_check: Option<(PathBuf, u64)>,
-    /// Line of the present program pause.
-    pub(super) pause_line: Option<u32>,
+    /// The present program pause.
+    pub(super) pause: Option<Pause>,
     job_number: u32,
 }
 
@@ -76,11 +98,20 @@ pub(super) fn check(
 ) -> Result<Checked, CliError> {
     let job = PartProgram::load(path, false)?;
     let planned = job.plan(machine, model, start)?;
+    let actions = (0..).zip(&planned.plan.setpoints);
+    let spindle = actions
+        .filter_map(|(index, setpoint)| match setpoint.action {
+            Action::Spindle(speed) => Some((index, speed)),
+            _ => None,
+        })
+        .collect();
     Ok(Checked {
         name: job.name,
         plan: Arc::new(planned.plan),
         pauses: Arc::new(planned.pauses),
+        spindle: Arc::new(spindle),
         lines: planned.lines,
+        source: Arc::new(source_lines(&job.text)),
     })
 }
 
@@ -99,11 +130,10 @@ impl Jobs {
         Some(name.to_string_lossy().into_owned())
     }
 
-    /// Path of the selected program.
-    pub(super) fn path(&self) -> String {
-        self.path
-            .as_ref()
-            .map(|path| path.display().to_string())
+    /// Path that was typed last, else of the selected program.
+    pub(super) fn typed(&self) -> String {
+        let path = self.typed.as_ref().or(self.path.as_ref());
+        path.map(|path| path.display().to_string())
             .unwrap_or_default()
     }
 
@@ -118,7 +148,7 @@ impl Jobs {
     /// Forgets the running job and everything pending.
     pub(super) fn clear(&mut self) {
         self.running = None;
-        self.pause_line = None;
+        self.pause = None;
         self.cancel_pending();
     }
 
@@ -142,6 +172,7 @@ impl App {
     /// idle.
     pub(super) fn check_program(&mut self, path: &str) {
         let path = PathBuf::from(path);
+        self.jobs.typed = Some(path.clone());
         if self.state() == Some(State::Idle) && self.standstill_pose().is_none() {
             self.jobs.pending_check = Some((path, self.now_us() + POSE_TIMEOUT_US));
         } else {
@@ -164,14 +195,14 @@ impl App {
             self.notify(Severity::Warning, message);
             return;
         };
-        self.jobs.path = Some(path.clone());
         let (sender, receiver) = mpsc::channel();
         let machine = Arc::clone(&self.machine);
+        let file = path.clone();
         std::thread::spawn(move || {
             let model = Model::new(&machine);
-            let _ = sender.send(check(&path, &machine, &model, &start));
+            let _ = sender.send(check(&file, &machine, &model, &start));
         });
-        self.jobs.checking = Some(receiver);
+        self.jobs.checking = Some((path, receiver));
     }
 
     /// Runs the checked program if the machine is still at its start pose; otherwise checks it
@@ -187,8 +218,9 @@ impl App {
                 }
             }
             Some(_) => {
-                let path = self.jobs.path();
-                self.check_program(&path);
+                if let Some(path) = self.jobs.path.clone() {
+                    self.begin_check(path);
+                }
             }
             None => self.notify(Severity::Warning, "the machine is not idle"),
         }
@@ -245,7 +277,7 @@ impl App {
         match started {
             Ok(()) => {
                 self.jobs.running = Some(job);
-                self.jobs.pause_line = None;
+                self.jobs.pause = None;
                 true
             }
             Err(error) => {
@@ -257,28 +289,32 @@ impl App {
 
     /// Continues pending work: a finished check, a pending step, the move to the home pose.
     pub(super) fn advance_jobs(&mut self) {
-        if let Some(checking) = &self.jobs.checking
-            && let Ok(result) = checking.try_recv()
-        {
-            self.jobs.checking = None;
-            match result {
-                Ok(checked) => {
+        if let Some((path, checking)) = self.jobs.checking.take() {
+            match checking.try_recv() {
+                Err(TryRecvError::Empty) => self.jobs.checking = Some((path, checking)),
+                Err(TryRecvError::Disconnected) => {}
+                Ok(Ok(checked)) => {
                     let figures = checked.plan.figures;
                     let pauses = match checked.pauses.len() {
                         0 => String::new(),
-                        count => format!(", {count} pauses"),
+                        pauses => format!(", {}", count(pauses, "pause")),
                     };
                     let text = format!(
-                        "{}: {} blocks, {:.1} mm, {}{pauses}",
+                        "{}: {}, {:.1} mm, {}{pauses}",
                         checked.name,
-                        figures.blocks,
+                        count(figures.blocks, "block"),
                         figures.path_length_mm,
                         duration(figures.duration_s)
                     );
+                    self.jobs.path = Some(path);
                     self.jobs.checked = Some(checked);
                     self.confirm(Confirm::Run(text));
                 }
-                Err(error) => {
+                Ok(Err(error)) => {
+                    // A file that was refused is not offered; another one before it still is.
+                    if self.jobs.path.as_ref() == Some(&path) {
+                        (self.jobs.path, self.jobs.checked) = (None, None);
+                    }
                     self.overlay = Overlay::Problems {
                         lines: error.message.lines().map(ToString::to_string).collect(),
                         from: 0,
@@ -323,12 +359,8 @@ impl App {
             Event::Homed => self.jobs.references_found = std::mem::take(&mut self.jobs.homing),
             Event::Fault(_) => self.jobs.cancel_pending(),
             Event::Paused { setpoint } => {
-                let line = self
-                    .jobs
-                    .checked
-                    .as_ref()
-                    .and_then(|checked| checked.pauses.get(setpoint));
-                self.jobs.pause_line = Some(line.copied().unwrap_or(0));
+                let pauses = self.jobs.checked.as_ref().map(|checked| &checked.pauses);
+                self.jobs.pause = pauses.and_then(|pauses| pauses.get(setpoint)).cloned();
             }
             _ => {}
         }
@@ -337,7 +369,7 @@ impl App {
     /// Handles the end of a job.
     pub(super) fn job_ended(&mut self, ending: &JobEnding) {
         let job = self.jobs.running.take();
-        self.jobs.pause_line = None;
+        self.jobs.pause = None;
         let name = match (job, &self.jobs.checked) {
             (Some(Job::Program), Some(checked)) => checked.name.clone(),
             (Some(Job::Home), _) => "move to the home pose".to_string(),

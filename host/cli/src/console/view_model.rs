@@ -3,6 +3,7 @@
 
 mod build;
 
+use super::app::Motion;
 use super::jogging::Mode;
 use super::master::{Face, FieldPosition};
 use haptimill_firmware::config::AxisKind;
@@ -135,6 +136,8 @@ pub(super) enum Overlay {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Confirm {
     Home,
+    /// The drives are off.
+    EnableAndHome,
     Tare,
     /// Summary of the checked program.
     Run(String),
@@ -171,6 +174,10 @@ pub(super) struct ProgramView {
     pub(super) is_running: bool,
     pub(super) line: u32,
     pub(super) lines: u32,
+    /// Text of the line.
+    pub(super) text: String,
+    /// Spindle speed that the running program has set, rev/min.
+    pub(super) spindle_rpm: Option<i16>,
 }
 
 /// All displayed values.
@@ -190,6 +197,8 @@ pub(super) struct ViewModel {
     pub(super) overlay: Overlay,
     pub(super) sources: [Source; MAX_AXES],
     pub(super) feed_override: u8,
+    /// Commanded motion; none while it is unknown.
+    pub(super) motion: Option<Motion>,
     pub(super) jog: JogView,
     pub(super) program: Option<ProgramView>,
     /// Name of the selected program, checked or not.

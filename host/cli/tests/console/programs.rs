@@ -7,7 +7,7 @@ use std::time::Duration;
 
 /// Moves back and forth for half a minute at 10 mm/s, with a pause after the first move.
 const LONG: &str =
-    "G21 G90 F600\nG1 X10\nM0\nG1 X0\nG1 X20\nG1 X0\nG1 X20\nG1 X0\nG1 X20\nG1 X0\nM30\n";
+    "G21 G90 F600\nG1 X10\nM0 (turn it)\nG1 X0\nG1 X20\nG1 X0\nG1 X20\nG1 X0\nG1 X20\nG1 X0\nM30\n";
 
 #[test]
 fn hold_resume_stop_and_emergency_work_whatever_is_open() {
@@ -17,9 +17,16 @@ fn hold_resume_stop_and_emergency_work_whatever_is_open() {
     let terminal = homed(&["--port", &served.port, &program], Keyboard::Plain);
     run(&terminal);
     terminal.expect_text("long.ngc  line 2/");
-    // The program pause.
-    terminal.expect_text("program pause in line 3. Ctrl-R resumes");
+    terminal.expect_text("Feed 600 mm/min ─ spindle - rev/min");
+    terminal.expect_text(" 2 G1 X10 ");
+    // The program pause: one line number everywhere, and the comment. Nothing moves.
+    terminal.expect_text("program pause in line 3 (turn it). Ctrl-R resumes");
     terminal.expect_state("HOLD");
+    terminal.expect_text("long.ngc  line 3/");
+    terminal.expect_text(" 3 M0 (turn it) ");
+    terminal.expect_text("Feed 0 mm/min");
+    terminal.expect_text("path speed 0 %");
+    assert!(!terminal.text().contains("setpoint"), "{}", terminal.text());
     terminal.press(RESUME);
     terminal.expect_state("RUN");
     // Hold while the key table is open, resume while a name is typed.
@@ -60,6 +67,7 @@ fn hold_resume_stop_and_emergency_work_whatever_is_open() {
     terminal.expect_text("override 50 %");
     run(&terminal);
     terminal.expect_text("path speed 50 %");
+    terminal.expect_text("Feed 300 mm/min");
     terminal.press_expect(b"q", "Quit?");
     terminal.press(EMERGENCY);
     terminal.expect_state("EMERGENCY STOP");
@@ -132,6 +140,19 @@ fn program_can_be_selected_right_at_standstill() {
 }
 
 #[test]
+fn spindle_speed_of_the_running_program_is_shown() {
+    let folder = TestFolder::new();
+    let text = "G21 G90 F600\nM3 S12000\nG1 X10\nM5\nG1 X0\nM30\n";
+    let program = folder.file("spindle.ngc", text);
+    let terminal = homed(&[&program], Keyboard::Plain);
+    run(&terminal);
+    terminal.expect_text("spindle 12000 rev/min");
+    terminal.expect_text("spindle 0 rev/min");
+    terminal.expect_text("spindle.ngc: done");
+    terminal.expect_text("spindle - rev/min");
+}
+
+#[test]
 fn program_error_is_reported_with_its_line() {
     let folder = TestFolder::new();
     let bad = folder.file("bad.ngc", "G21\nG1 X10 F600\nG1 X900\nM30\n");
@@ -151,6 +172,8 @@ fn program_error_is_reported_with_its_line() {
     terminal.press_expect(ENTER, "Program rejected");
     terminal.expect_text("bad.ngc:3:");
     terminal.escape();
+    // A refused file is not offered.
+    terminal.expect_text("ready. Jog, or p selects a part program");
     terminal.expect_state("IDLE");
     terminal.press(b"p");
     terminal.press_expect(b"\x15/nowhere.ngc\r", "/nowhere.ngc: cannot be read");

@@ -55,3 +55,37 @@ fn screen_adapts_to_the_terminal_size() {
     terminal.escape();
     terminal.wait_until("closed", |text| !text.contains("Keys: arrows scroll"));
 }
+
+#[test]
+fn homing_enables_and_positions_before_it_are_marked() {
+    let terminal = console(&[], Keyboard::Plain);
+    terminal.expect_state("DISABLED");
+    terminal.expect_text("? not referenced");
+    let is_marked = |text: &str| {
+        let row = text.lines().find(|row| row.starts_with(" x "));
+        row.is_some_and(|row| row.contains('?'))
+    };
+    terminal.wait_until("mark", is_marked);
+    terminal.press_expect(b"h", "Home? The drives are switched on");
+    terminal.press(ENTER);
+    terminal.expect_text("move to the home pose: done");
+    assert!(!is_marked(&terminal.text()), "{}", terminal.text());
+}
+
+#[test]
+fn key_table_keeps_its_width_while_it_scrolls() {
+    let terminal = console(&[], Keyboard::Plain);
+    terminal.press_expect(b"?", "Keys: arrows scroll");
+    let frame = |terminal: &Terminal| {
+        let text = terminal.text();
+        let row = text.lines().find(|row| row.contains("Keys: arrows scroll"));
+        row.map(|row| row.chars().filter(|letter| *letter == '─').count())
+    };
+    let before = frame(&terminal);
+    terminal.press(PAGE_DOWN);
+    terminal.wait_until("scrolled", |text| !text.contains("Space, F5"));
+    assert_eq!(frame(&terminal), before);
+    terminal.press(PAGE_DOWN);
+    terminal.expect_text("Esc        close");
+    assert_eq!(frame(&terminal), before);
+}

@@ -52,6 +52,20 @@ fn recording_info_and_plot() {
     let braille = |line: &str| line.chars().any(|c| ('\u{2801}'..='\u{28ff}').contains(&c));
     assert!(lines[1..9].iter().all(|line| braille(line)), "{sketch}");
 
+    // The vertical axis has the values of the first row; the dotted line at zero has a dot in every
+    // second character.
+    let x: Vec<&str> = lines[0].split([' ', ',']).collect();
+    assert!(
+        lines[8].starts_with(x[1]) && lines[8].contains(" │"),
+        "{sketch}"
+    );
+    assert!(lines[1].trim_start().starts_with(x[3]), "{sketch}");
+    let error = plot(&["l1_joint_error_mm"]).expect_code(0).out;
+    let zero = error.lines().find(|line| line.starts_with("      0 │"));
+    let zero = zero.unwrap_or_else(|| panic!("no zero line: {error}"));
+    let dots = zero.chars().filter(|c| braille(&c.to_string())).count();
+    assert!(dots > 30, "{error}");
+
     let picture = folder.path("errors.svg");
     plot(&[
         "l?_joint_error_mm",

@@ -17,7 +17,7 @@ const STEPS: [f64; 4] = [0.05, 0.2, 1.0, 5.0];
 /// The enabling switch of a keyboard is pressed until this time after the last key, microseconds.
 const KEY_US: u64 = 700_000;
 
-/// The handle stands still for this time after the switch is pressed, microseconds: the controller
+/// The handle does not move for this time after the switch is pressed, microseconds: the controller
 /// latches the start of the motion then, and the first step must be a whole one.
 const LATCH_US: u64 = 25_000;
 

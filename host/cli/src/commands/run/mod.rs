@@ -14,6 +14,7 @@ use haptimill_client::client::Options;
 use haptimill_client::port::PortSpec;
 use haptimill_client::session::{self, PortLine, Session, SimLine};
 use haptimill_machine_file::model::Model;
+use haptimill_report::count;
 use job::Job;
 use results::ResultFolder;
 
@@ -105,10 +106,10 @@ fn print_check(args: &RunArgs, program: &PartProgram, planned: &Planned) {
         print_line!("{value:#}");
     }
     args.print_message(&format!(
-        "{}: no problem; {} blocks, {} setpoints, {:.1} mm, {}",
+        "{}: no problem; {}, {}, {:.1} mm, {}",
         program.name,
-        plan.figures.blocks,
-        plan.setpoints.len(),
+        count(plan.figures.blocks, "block"),
+        count(plan.setpoints.len(), "setpoint"),
         plan.figures.path_length_mm,
         args.describe_duration(plan.figures.duration_s)
     ));

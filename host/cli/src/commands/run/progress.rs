@@ -1,6 +1,7 @@
 //! Progress of a job on the terminal: bar, line, remaining time, pauses.
 
 use super::args::RunArgs;
+use crate::commands::program::Pause;
 use haptimill_client::session::JobObserver;
 use haptimill_planner::Plan;
 use haptimill_protocol::message::Telemetry;
@@ -19,7 +20,7 @@ pub(super) struct ProgressDisplay {
     pace: Option<f64>,
     period_s: f64,
     lines: Vec<u32>,
-    pauses: BTreeMap<u32, u32>,
+    pauses: BTreeMap<u32, Pause>,
     skips_pauses: bool,
     /// The line of the present pause.
     paused_at: Option<u32>,
@@ -28,7 +29,7 @@ pub(super) struct ProgressDisplay {
 
 impl ProgressDisplay {
     /// Creates the progress bar of a job that starts now.
-    pub(super) fn new(args: &RunArgs, plan: &Plan, pauses: BTreeMap<u32, u32>) -> Self {
+    pub(super) fn new(args: &RunArgs, plan: &Plan, pauses: BTreeMap<u32, Pause>) -> Self {
         let total = (plan.figures.duration_s * 1000.0).round() as u64;
         let shown = !args.json && !args.quiet;
         let bar = ProgressBar::with_draw_target(
@@ -91,13 +92,14 @@ impl JobObserver for ProgressDisplay {
     }
 
     fn paused(&mut self, setpoint: u32) {
-        let line = self.pauses.get(&setpoint).copied().unwrap_or(0);
+        let Some(pause) = self.pauses.get(&setpoint) else {
+            return;
+        };
         if self.skips_pauses {
-            self.bar.println(format!("line {line}: pause skipped"));
+            self.bar.println(format!("{pause}: pause skipped"));
             return;
         }
-        let what =
-            format!("line {line}: the program pauses; press Enter to continue, Ctrl-C to stop");
+        let what = format!("{pause}: the program pauses; press Enter to continue, Ctrl-C to stop");
         if self.bar.is_hidden() {
             // The bar is hidden with --quiet, or because standard error is no terminal. The user
             // must still know about the pause.
@@ -105,7 +107,7 @@ impl JobObserver for ProgressDisplay {
         } else {
             self.bar.println(what);
         }
-        self.paused_at = Some(line);
+        self.paused_at = Some(pause.line);
         self.enter_pressed.store(false, Ordering::Relaxed);
         // An Enter before the pause must not end it.
         #[cfg(unix)]

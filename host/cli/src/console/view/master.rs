@@ -321,7 +321,7 @@ pub(super) fn overlay(
         add("? another host may have changed it; the controller does not report it");
     }
     add(keys(at.field()));
-    // The overlay covers the messages panel.
+    // The overlay covers the messages panel, which leaves this message out.
     if let Some(entry) = view.log.newest(1).next() {
         let style = match entry.severity {
             Severity::Info => Style::new(),

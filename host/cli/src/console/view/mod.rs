@@ -45,7 +45,7 @@ fn full(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) -> Rect {
         .len()
         .max(view.static_info.joints.len()) as u16;
     let right_rows = panels::right_rows(view, area.height);
-    let body = (2 * (axes + 1)).max(right_rows);
+    let body = (2 * (axes + 1) + panels::FEED_ROWS).max(right_rows);
     let [status, prompt, body, messages, link, keys] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(2),

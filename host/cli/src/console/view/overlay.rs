@@ -58,13 +58,10 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
             key_rows(view, *from, width),
         ),
         Overlay::Problems { lines, from } => {
-            let rows = lines.iter().skip(*from);
-            let rows = rows
-                .flat_map(|line| wrapped(line, width, 2))
-                .map(Line::from);
+            let rows = lines.iter().flat_map(|line| wrapped(line, width, 2));
             (
                 "Program rejected: arrows scroll, Esc closes",
-                rows.collect(),
+                scrolled(rows, *from),
             )
         }
         Overlay::Confirm(confirm) => {
@@ -107,6 +104,19 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
     Some((title, rows, 0))
 }
 
+/// The rows from `from` on, as wide as the widest of all: the frame keeps its width.
+fn scrolled(rows: impl Iterator<Item = String>, from: usize) -> Vec<Line<'static>> {
+    let rows: Vec<String> = rows.collect();
+    let width = rows
+        .iter()
+        .map(|row| row.chars().count())
+        .max()
+        .unwrap_or(0);
+    let rows = rows.into_iter().skip(from);
+    rows.map(|row| Line::from(format!("{row:width$}")))
+        .collect()
+}
+
 /// A row in reverse video.
 fn highlighted<'a>(text: impl Into<Cow<'a, str>>) -> Line<'a> {
     Line::styled(text, Style::new().add_modifier(Modifier::REVERSED))
@@ -133,10 +143,7 @@ fn key_rows(view: &ViewModel, from: usize, width: usize) -> Vec<Line<'static>> {
         let mark = if row.always_active { " (always)" } else { "" };
         Some(format!("{:<11}{}{mark}", row.name, row.describe(&axes)?))
     });
-    rows.flat_map(|row| wrapped(&row, width, 11))
-        .skip(from)
-        .map(Line::from)
-        .collect()
+    scrolled(rows.flat_map(|row| wrapped(&row, width, 11)), from)
 }
 
 fn question(confirm: &Confirm) -> String {
@@ -146,6 +153,9 @@ fn question(confirm: &Confirm) -> String {
                           the home pose."
                 .to_string()
         }
+        Confirm::EnableAndHome => "Home? The drives are switched on, and the machine moves: it \
+                                   searches for the index pulses, then moves to the home pose."
+            .to_string(),
         Confirm::Tare => {
             "Tare? The present force becomes zero: nothing may touch the tool.".to_string()
         }

@@ -3,7 +3,7 @@
 use super::bars::{around_zero, from_left};
 use super::{STALE_MS, master, style_of};
 use crate::console::jogging::Mode;
-use crate::console::view_model::{Axis, LinkState, Severity, ViewModel};
+use crate::console::view_model::{Axis, LinkState, LogEntry, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, per_unit};
 use haptimill_protocol::message::{AxisValues, Source, State};
 use ratatui::Frame;
@@ -15,6 +15,9 @@ use std::time::Duration;
 
 /// Rows of the right column: force 6, jog 4, program 4.
 const RIGHT_ROWS: u16 = 14;
+
+/// Rows of feed, spindle and program text.
+pub(super) const FEED_ROWS: u16 = 2;
 
 /// Height from which the master panel takes no row from other panels.
 const TALL: u16 = 24 + master::PANEL_ROWS;
@@ -51,6 +54,14 @@ pub(super) fn heading(text: &str, width: u16) -> Line<'static> {
     )
 }
 
+/// The mark of a position that is not certain: the machine is not homed, or lost its position.
+fn reference_mark(view: &ViewModel) -> char {
+    match &view.telemetry {
+        Some(telemetry) if !(telemetry.homed && telemetry.position_kept) => '?',
+        _ => ' ',
+    }
+}
+
 /// Value in mm or degrees, right-aligned; a dash where it is unknown.
 fn value(axes: &[Axis], values: Option<&AxisValues>, index: usize, width: usize) -> String {
     let known = values.and_then(|values| values.get(index));
@@ -82,6 +93,7 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel, is_
         .filter(|t| !matches!(t.state, State::Disabled | State::EmergencyStop))
         .map(|t| &t.commanded);
     let (name, number) = if is_wide { (7, 11) } else { (6, 10) };
+    let mark = reference_mark(view);
     let rows: Vec<Line<'_>> = view
         .static_info
         .pose
@@ -93,7 +105,7 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel, is_
                 &view.static_info.pose,
                 telemetry.map(|t| &t.measured),
                 index,
-                number + 1,
+                number,
             );
             let source = view.sources.get(index).copied().unwrap_or_default();
             let (what, style) = match view.jog.held[index] {
@@ -106,7 +118,7 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel, is_
             };
             Line::from(vec![
                 Span::styled(
-                    format!(" {:<name$}{commanded}{actual}  ", axis.name),
+                    format!(" {:<name$}{commanded}{mark}{actual}{mark} ", axis.name),
                     fresh(view),
                 ),
                 Span::styled(what, style),
@@ -124,7 +136,12 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
         ..area
     };
     let pose = view.static_info.pose.len() as u16;
-    let title = heading("Position commanded ─ measured ─ mm, deg", area.width);
+    let mark = reference_mark(view);
+    let title = match mark {
+        ' ' => "Position commanded ─ measured ─ mm, deg",
+        _ => "Position ─ mm, deg ─ ? not referenced",
+    };
+    let title = heading(title, area.width);
     frame.render_widget(Paragraph::new(title), part(0, 1));
     pose_rows(frame, part(1, pose), view, true);
     let telemetry = view.telemetry.as_ref();
@@ -156,12 +173,35 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
             None => "-".to_string(),
         };
         rows.push(Line::styled(
-            format!(" {:<6}{place}{error:>8} {motor}", axis.name),
+            format!(" {:<6}{place}{mark}{error:>7} {motor}", axis.name),
             fresh(view),
         ));
     }
+    rows.extend(feed_rows(view, area.width));
     let count = rows.len() as u16;
     frame.render_widget(Paragraph::new(rows), part(1 + pose, count));
+}
+
+/// Feed, spindle speed, and the line of the program that is being executed.
+fn feed_rows(view: &ViewModel, width: u16) -> [Line<'static>; FEED_ROWS as usize] {
+    let telemetry = view.telemetry.as_ref();
+    let is_driven =
+        telemetry.is_some_and(|t| !matches!(t.state, State::Disabled | State::EmergencyStop));
+    let feed = match view.motion.filter(|_| is_driven) {
+        Some(motion) => format!("{:.0}", motion.feed_mm_min),
+        None => "-".to_string(),
+    };
+    let running = view.program.as_ref().filter(|program| program.is_running);
+    let spindle = match running.and_then(|program| program.spindle_rpm) {
+        Some(speed) => speed.to_string(),
+        None => "-".to_string(),
+    };
+    let title = format!("Feed {feed} mm/min ─ spindle {spindle} rev/min");
+    let text = match running {
+        Some(program) => format!(" {} {}", program.line, program.text),
+        None => String::new(),
+    };
+    [heading(&title, width), Line::raw(text)]
 }
 
 /// Force, master where it fits, jog, program.
@@ -350,6 +390,7 @@ fn program_rows(view: &ViewModel, width: u16) -> Vec<Line<'static>> {
         .telemetry
         .as_ref()
         .filter(|telemetry| matches!(telemetry.state, State::Run | State::Hold))
+        .filter(|_| view.motion.is_some_and(|motion| motion.is_moving))
         .map_or(0.0, |telemetry| f64::from(telemetry.path_rate) / 655.35);
     let feed = Line::raw(format!(
         " override {} %  path speed {rate:.0} %",
@@ -401,7 +442,12 @@ pub(super) fn messages(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
 pub(super) fn message_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let width = usize::from(area.width).max(12);
     let mut rows: Vec<Line<'_>> = Vec::new();
-    for entry in view.log.newest(usize::from(area.height)) {
+    // The overlay of the master has the newest message itself.
+    let hidden = usize::from(matches!(view.overlay, Overlay::Master { .. }));
+    let count = usize::from(area.height) + hidden;
+    let entries: Vec<&LogEntry> = view.log.newest(count).collect();
+    let shown = entries.len().saturating_sub(hidden);
+    for entry in &entries[..shown] {
         let style = match entry.severity {
             Severity::Info => Style::new(),
             Severity::Warning => Style::new().fg(Color::Yellow),

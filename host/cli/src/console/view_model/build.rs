@@ -64,10 +64,10 @@ impl App {
             State::Hold if self.stopping.is_some() => note("stopping"),
             State::Hold => (
                 Severity::Warning,
-                match self.jobs.pause_line {
-                    Some(line) => {
+                match &self.jobs.pause {
+                    Some(pause) => {
                         format!(
-                            "program pause in line {line}. Ctrl-R resumes, Ctrl-X drops the program"
+                            "program pause in {pause}. Ctrl-R resumes, Ctrl-X drops the program"
                         )
                     }
                     None => "on hold. Ctrl-R resumes, Ctrl-X drops the program".to_string(),
@@ -104,18 +104,24 @@ impl App {
     pub(in crate::console) fn view_model(&self) -> ViewModel {
         let now_us = self.now_us();
         let counters = self.session.client().link().counters();
-        let program = self.jobs.checked.as_ref().map(|checked| ProgramView {
-            name: checked.name.clone(),
-            duration_s: checked.plan.figures.duration_s,
-            is_running: self.jobs.is_running_program(),
-            line: self
-                .telemetry
-                .as_ref()
-                .filter(|_| self.jobs.is_running_program())
-                .map_or(0, |telemetry| {
-                    checked.plan.line_of(telemetry.setpoint as usize)
-                }),
-            lines: checked.lines,
+        let is_running = self.jobs.is_running_program();
+        let telemetry = self.telemetry.as_ref().filter(|_| is_running);
+        let program = self.jobs.checked.as_ref().map(|checked| {
+            let line = match (&self.jobs.pause, telemetry) {
+                (Some(pause), _) => pause.line,
+                (None, Some(telemetry)) => checked.plan.line_of(telemetry.setpoint as usize),
+                (None, None) => 0,
+            };
+            ProgramView {
+                name: checked.name.clone(),
+                duration_s: checked.plan.figures.duration_s,
+                is_running,
+                line,
+                lines: checked.lines,
+                text: checked.text_of(line).to_string(),
+                spindle_rpm: telemetry
+                    .and_then(|telemetry| checked.spindle_rpm(telemetry.setpoint)),
+            }
         });
         ViewModel {
             static_info: Arc::clone(&self.static_info),
@@ -135,6 +141,7 @@ impl App {
             overlay: self.overlay.clone(),
             sources: self.sources,
             feed_override: self.feed_override,
+            motion: self.motion,
             jog: JogView {
                 mode: self.jogging.mode(),
                 rate: self.jogging.rate(),
