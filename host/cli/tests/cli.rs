@@ -249,6 +249,52 @@ fn unreachable_poses_have_no_joint_positions() {
     }
 }
 
+/// A simulated machine with rods half a millimetre longer is used, with a warning; one with rods
+/// 40 mm longer is refused by every command.
+#[test]
+fn a_simulated_machine_that_differs_is_reported() {
+    let folder = scene::TestFolder::new();
+    let with_rods = |length: &str| {
+        let text = haptimill_machine_file::BUILT_IN;
+        let (controller, plant) = text.split_once("[plant]").unwrap();
+        let plant = plant.replacen("r = 480.0", &format!("r = {length}"), 1);
+        folder.file("rods.toml", format!("{controller}[plant]{plant}"))
+    };
+    let file = with_rods("480.5");
+    for arguments in [
+        &["machine", "check", &file][..],
+        &["machine", "check", &file, "--json"],
+    ] {
+        let ran = haptimill(arguments, "");
+        assert_eq!(ran.code, 0, "{}", ran.err);
+        assert!(
+            ran.err.contains("warning: the simulated machine: "),
+            "{}",
+            ran.err
+        );
+        assert!(ran.err.contains("theta = "), "{}", ran.err);
+    }
+    let file = with_rods("520.0");
+    for arguments in [
+        &["machine", "check", &file][..],
+        &[
+            "run",
+            "examples/e11-circle.ngc",
+            "--check",
+            "--machine",
+            &file,
+        ],
+    ] {
+        let ran = haptimill(arguments, "");
+        assert_eq!(ran.code, 3, "{}", ran.err);
+        assert!(
+            ran.err.contains("the simulated machine is another one"),
+            "{}",
+            ran.err
+        );
+    }
+}
+
 #[test]
 fn inverse_kinematics_match_the_golden_table() {
     // The golden poses are in the frame of the base; machines/h4.toml has the origin of the work at
