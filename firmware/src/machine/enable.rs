@@ -143,27 +143,25 @@ impl Machine {
         Ok(())
     }
 
-    /// Corrects the positions of all joints. The commanded position becomes the measured one, so
-    /// nothing moves.
+    /// Corrects the positions of all joints. The commanded positions shift with the measured ones,
+    /// so nothing moves: a drive that holds a load keeps its following error.
     pub fn apply_homing(
         &mut self,
         corrections: &[Coordinate; MAX_AXES],
         inputs: &Inputs,
     ) -> Result<(), PoseError> {
+        let mut commanded = self.target.joints;
         for (index, joint) in self.joints.iter_mut().enumerate() {
             let coordinate = joint
                 .measurement()
                 .motor
                 .0
                 .wrapping_add(corrections[index].0);
-            joint.set_reference(inputs.axes[index].counts, Coordinate(coordinate));
+            let shift = joint.set_reference(inputs.axes[index].counts, Coordinate(coordinate));
+            commanded.0[index] = commanded.0[index].wrapping_add(shift);
             joint.search(false);
         }
         self.update_measured();
-        let pose = self.kinematics.forward(&self.measured)?;
-        self.motion.set_position(&pose);
-        self.reset_force();
-        self.settle();
-        Ok(())
+        self.set_joints(&commanded)
     }
 }
