@@ -60,8 +60,8 @@ fn a_stuck_channel_is_found_before_the_slide_is_fast() {
     let clean = EncoderCondition::default();
     for (speed, most) in [
         // The error includes that at rest after homing, which keeps the effort of each drive.
-        (0.02, 0.11),
-        (-0.02, 0.11),
+        (0.02, 0.105),
+        (-0.02, 0.105),
         (0.05, 0.1),
         (0.2, 0.1),
         (-0.5, 0.15),
