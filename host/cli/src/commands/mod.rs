@@ -11,7 +11,7 @@ macro_rules! print_line {
 pub mod args;
 mod board;
 pub mod console;
-mod exit;
+pub(crate) mod exit;
 pub mod force;
 
 pub(crate) mod interrupt;

@@ -13,7 +13,7 @@ use super::jogging::{JogCommand, Jogging};
 use super::master::Master;
 use super::recording::Recording;
 use super::view_model::{Axis, Confirm, LinkState, Log, Overlay, Severity, StaticInfo};
-use crate::commands::{CliError, Exit};
+use crate::commands::exit::{CliError, Exit};
 use haptimill_client::board::Chosen;
 use haptimill_client::client::{Options, Ticket};
 use haptimill_client::session::{Line, Phase, Session, Startup, fresh_number};

@@ -2,7 +2,7 @@
 
 use super::app::{App, FORCE_SCALES, Motion, OnAck};
 use super::view_model::{Axis, Severity};
-use crate::commands::{CliError, Exit};
+use crate::commands::exit::{CliError, Exit};
 use haptimill_client::client::{Notification, RequestError, Ticket};
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::scale::{PER_EFFORT, per_unit};

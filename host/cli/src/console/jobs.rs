@@ -3,7 +3,7 @@
 
 use super::app::App;
 use super::view_model::{Confirm, Overlay, Severity};
-use crate::commands::CliError;
+use crate::commands::exit::CliError;
 use crate::commands::program::{PartProgram, Pause, source_lines};
 use haptimill_client::client::JobEnding;
 use haptimill_client::session::{Line as _, plan_straight_move};

@@ -34,7 +34,7 @@ mod view;
 mod view_model;
 
 use crate::commands::console::ConsoleArgs;
-use crate::commands::{CliError, Exit};
+use crate::commands::exit::{CliError, Exit};
 use app::{App, Settings};
 use haptimill_client::client::Options;
 use haptimill_client::port::PortSpec;

@@ -5,7 +5,7 @@
 
 use super::view;
 use super::view_model::ViewModel;
-use crate::commands::{CliError, Exit};
+use crate::commands::exit::{CliError, Exit};
 use ratatui::Terminal;
 use ratatui::backend::CrosstermBackend;
 use ratatui::crossterm::event::{
