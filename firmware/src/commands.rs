@@ -1,10 +1,12 @@
 //! Command stage: executes one request or setpoint per period. A refused command changes nothing.
 
+mod conditions;
 mod force;
 mod haptics;
 mod motion;
 mod setpoint;
 
+use conditions::{Done, in_state, settled};
 pub(crate) use setpoint::enqueue_setpoint;
 
 use crate::comm::server::Server;
@@ -19,8 +21,6 @@ use haptimill_protocol::frame::crc32;
 use haptimill_protocol::message::{
     AxisValues, Command, ConfigField, ConfigProblem, Fault, InputProblem, Refusal, State,
 };
-
-type Done = Result<(), Refusal>;
 
 /// Executes the received request and answers it.
 pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
@@ -111,23 +111,6 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         }
     };
     server.answer(request.id, result);
-}
-
-fn in_state(core: &Core, allowed: &[State]) -> Done {
-    let state = core.safety.state();
-    if allowed.contains(&state) {
-        Ok(())
-    } else {
-        Err(Refusal::State(state))
-    }
-}
-
-/// Refuses while the step motors lock: nothing may be moved.
-fn settled(core: &Core) -> Done {
-    match &core.machine {
-        Some(machine) if machine.is_locking() => Err(Refusal::Input(InputProblem::Settling)),
-        _ => Ok(()),
-    }
 }
 
 /// Checks the staged configuration and makes it the active one.

@@ -2,6 +2,7 @@
 //! the simulator's process and on a chip.
 
 use crate::controller::Controller;
+pub use crate::haptics::HapticSnapshot;
 use crate::io::{COMPONENTS, DriveCommand, Inputs};
 use crate::motion::interpolator::FULL_RATE;
 #[cfg(doc)]
@@ -59,19 +60,6 @@ pub struct ForceSnapshot {
     pub low: [i32; COMPONENTS],
     /// Compliant displacement p_c, 2^-20 mm.
     pub yielded: [i32; COMPONENTS],
-}
-
-/// State of the haptic arm; zeros on a machine without one.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct HapticSnapshot {
-    /// The tip, 2^-20 mm.
-    pub tip: [i32; COMPONENTS],
-    /// Force of the arm on the operator, 2^-16 N.
-    pub force: [i32; COMPONENTS],
-    /// Output of the force feedback law alone, 2^-16 N.
-    pub reflected: [i32; COMPONENTS],
-    /// Force of the virtual fixtures, 2^-16 N.
-    pub wall: [i32; COMPONENTS],
 }
 
 impl Controller {

@@ -5,7 +5,7 @@
 //! Every pose has joints; the strokes are checked by [`crate::BoundedKinematics`].
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
-use crate::machines::Machine;
+use crate::machine::Machine;
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };

@@ -13,11 +13,13 @@ pub mod cartesian;
 pub mod descriptor;
 pub mod h4;
 pub mod haptic_arm;
+mod machine;
 mod machines;
 pub mod trunnion;
 
 pub use bounded::{BoundedKinematics, JointLimits};
-pub use machines::{DESCRIPTORS, Machine, Model};
+pub use machine::Machine;
+pub use machines::{DESCRIPTORS, Model};
 
 use haptimill_math::{Acceleration, Coordinate, Rate};
 pub use haptimill_protocol::message::{MAX_AXES, PoseError};

@@ -6,6 +6,7 @@
 use crate::cartesian::{Cartesian, CartesianGeometry};
 use crate::descriptor::{Descriptor, NO_MACHINE};
 use crate::h4::{H4, H4Geometry};
+use crate::machine::Machine;
 use crate::trunnion::{Trunnion, TrunnionGeometry};
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
@@ -13,50 +14,6 @@ use crate::{
 use haptimill_math::{Angle, Length};
 use haptimill_protocol::message::MAX_AXES;
 use serde::{Deserialize, Serialize};
-
-/// A machine: its kinematics, its lengths, and what general code asks about it.
-pub trait Machine: Kinematics + Copy {
-    /// Lengths of the machine, as the configuration holds them.
-    type Geometry;
-
-    /// Coordinates and joints.
-    const DESCRIPTOR: Descriptor;
-
-    /// The machine with these lengths. An unsound geometry is accepted; it refuses every pose.
-    fn new(geometry: &Self::Geometry) -> Self;
-
-    /// Whether the lengths are within the range of the arithmetic and make a machine.
-    fn is_sound(geometry: &Self::Geometry) -> bool;
-
-    /// Signed distance from the nearest singularity, positive on the configured branch. `None` on a
-    /// machine without singularities.
-    fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
-        let _ = pose;
-        None
-    }
-
-    /// Angle by which a pose turns the workpiece and its load out of the horizontal, about x.
-    #[inline]
-    fn workpiece_rotation(&self, pose: &Pose) -> Angle {
-        let _ = pose;
-        Angle::ZERO
-    }
-
-    /// Pose coordinate that moves while a joint searches its reference. Joints with the same
-    /// coordinate are searched together.
-    fn search_coordinate(joint: usize) -> usize {
-        joint
-    }
-
-    /// Pose rates, axis units per second, with which a joint searches its reference: `rate` along
-    /// its [`Machine::search_coordinate`], and what has to move along.
-    fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
-        let _ = pose;
-        let mut rates = [0; MAX_AXES];
-        rates[Self::search_coordinate(joint)] = rate;
-        rates
-    }
-}
 
 /// Defines the configuration's model, the machine behind it, and the dispatch.
 macro_rules! machines {

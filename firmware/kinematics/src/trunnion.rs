@@ -17,7 +17,7 @@
 //! not computed from a direction of the tool.
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
-use crate::machines::Machine;
+use crate::machine::Machine;
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };

@@ -9,7 +9,7 @@
 //! skipped.
 
 use super::schedule::{Schedule, Slice};
-use super::telemetry::{Stream, Streams};
+use super::telemetry::{LineCount, Stream, Streams};
 use crate::io::{Inputs, TRANSMIT_BYTES};
 use crate::safety::Safety;
 use haptimill_protocol::link::{
@@ -77,17 +77,6 @@ pub struct Server {
     lost: u32,
     /// The board's count of lost bytes in the period before.
     lost_before: u16,
-}
-
-/// Total counts of line events.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct LineCount {
-    /// Bytes that waited for a later period, summed over the periods.
-    pub deferred_bytes: u32,
-    /// Frames refused by their CRC.
-    pub bad_frames: u32,
-    /// Bytes that the board lost because its ring was full.
-    pub lost_bytes: u32,
 }
 
 /// Whether a command is executed in the slice that reads it: stops, and the values of a master,

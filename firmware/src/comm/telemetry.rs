@@ -1,11 +1,21 @@
 //! Telemetry streams: when a message of each is due, and what it contains.
 
-use super::server::LineCount;
 use crate::core::Core;
 use crate::force::ForceControl;
 use crate::io::Inputs;
 use crate::motion::interpolator::FULL_RATE;
 use haptimill_protocol::message::{Report, Telemetry};
+
+/// Total counts of line events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LineCount {
+    /// Bytes that waited for a later period, summed over the periods.
+    pub deferred_bytes: u32,
+    /// Frames refused by their CRC.
+    pub bad_frames: u32,
+    /// Bytes that the board lost because its ring was full.
+    pub lost_bytes: u32,
+}
 
 /// A telemetry stream.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -1,6 +1,6 @@
 //! Commands of force control.
 
-use super::Done;
+use super::conditions::Done;
 use crate::core::Core;
 use crate::force::sensor::COMPONENTS;
 use crate::force::{ForceControl, ForceLoop, LoopSettings};

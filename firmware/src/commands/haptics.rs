@@ -1,6 +1,6 @@
 //! Commands of the haptic arm and of the remote master.
 
-use super::Done;
+use super::conditions::Done;
 use crate::config::HAND;
 use crate::core::Core;
 use crate::force::sensor::COMPONENTS;

@@ -1,6 +1,6 @@
 //! Commands of jogs, sources and the feed override.
 
-use super::{Done, in_state, settled};
+use super::conditions::{Done, in_state, settled};
 use crate::config::HAND;
 use crate::core::Core;
 use crate::haptics::mapping::LED;

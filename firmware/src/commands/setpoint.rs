@@ -3,7 +3,7 @@
 //! The checks of one setpoint take longer than a period has time for. A slice does as many of them
 //! as its budget allows; the progress waits in the server for the next slice.
 
-use super::in_state;
+use super::conditions::in_state;
 use crate::comm::server::Server;
 use crate::core::Core;
 use haptimill_protocol::message::{Refusal, State};

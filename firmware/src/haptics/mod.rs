@@ -41,7 +41,6 @@ pub mod walls;
 
 use crate::config::digest::{Constants, Digest, constants};
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
-use crate::snapshot::HapticSnapshot;
 use config::HapticConfig;
 use feedback_filter::FeedbackFilter;
 use feedback_law::FeedbackLaw;
@@ -95,6 +94,19 @@ struct RemoteMaster {
 pub struct Zero {
     counts: [[i32; 3]; LEGS],
     illegal: [[u16; 3]; LEGS],
+}
+
+/// State of the haptic arm; zeros on a machine without one.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct HapticSnapshot {
+    /// The tip, 2^-20 mm.
+    pub tip: [i32; COMPONENTS],
+    /// Force of the arm on the operator, 2^-16 N.
+    pub force: [i32; COMPONENTS],
+    /// Output of the force feedback law alone, 2^-16 N.
+    pub reflected: [i32; COMPONENTS],
+    /// Force of the virtual fixtures, 2^-16 N.
+    pub wall: [i32; COMPONENTS],
 }
 
 /// Haptic arm.
