@@ -92,7 +92,11 @@ fn plant(criterion: &mut Criterion) {
     );
 
     let slides = [1135.0, 485.0, 1135.0, 485.0];
-    let mut arm = Arm::new(ArmGeometry::of(&config()).expect("an arm"), &slides).expect("an arm");
+    let mut arm = Arm::new(
+        ArmGeometry::of(config().geometry.as_ref()).expect("an arm"),
+        &slides,
+    )
+    .expect("an arm");
     let mut phase = 0.0;
     criterion.bench_function("geometry: true pose of moving slides", |bencher| {
         bencher.iter(|| {

@@ -85,7 +85,7 @@ fn each_search_has_the_travel_of_an_index_pitch() {
     let bench = Bench::new();
     let config = &bench.machine.config;
     let plant: PlantConfig = bench.machine.plant().expect("has a plant");
-    let arm = ArmGeometry::of(&plant).expect("has an arm");
+    let arm = ArmGeometry::of(plant.geometry.as_ref()).expect("has an arm");
     let (mut poses, mut worst) = (0, [(f64::INFINITY, [0.0; 5]); 2]);
     let grid = |axis: usize, count: i32| {
         let [low, high] = limits(config, axis);
@@ -207,7 +207,9 @@ fn homing_succeeds_from_any_pose() {
     let bench = Bench::new();
     let config = bench.machine.config.clone();
     let plant: PlantConfig = bench.machine.plant().expect("has a plant");
-    let arm = ArmGeometry::of(&plant).cloned().expect("has an arm");
+    let arm = ArmGeometry::of(plant.geometry.as_ref())
+        .cloned()
+        .expect("has an arm");
     // Random poses, half of them near the end of the workspace along a ray from the middle.
     while poses.len() < 60 {
         let aim: [f64; 5] = core::array::from_fn(|axis| {

@@ -12,7 +12,6 @@
 
 use super::{Geometry, GeometryConfig};
 use crate::check::Check;
-use crate::config::PlantConfig;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
 use crate::process::ToolPose;
@@ -67,10 +66,10 @@ pub enum Branch {
 }
 
 impl ArmGeometry {
-    /// Lengths of a plant that is an H-4 arm; `None` for another machine.
+    /// Lengths of a geometry that is an H-4 arm; `None` for another one.
     #[must_use]
-    pub const fn of(plant: &PlantConfig) -> Option<&Self> {
-        match &plant.geometry {
+    pub const fn of(geometry: Option<&GeometryConfig>) -> Option<&Self> {
+        match geometry {
             Some(GeometryConfig::H4(lengths)) => Some(lengths),
             _ => None,
         }

@@ -16,7 +16,7 @@ impl ReferenceKinematics {
     #[must_use]
     pub fn new(plant: &PlantConfig) -> Self {
         let presets: Vec<f64> = plant.joint.iter().map(|joint| joint.preset).collect();
-        let arm = ArmGeometry::of(plant).and_then(|geometry| {
+        let arm = ArmGeometry::of(plant.geometry.as_ref()).and_then(|geometry| {
             let slides = [presets[0], presets[1], presets[2], presets[3]];
             Some((geometry.clone(), Arm::new(geometry, &slides).ok()?))
         });
