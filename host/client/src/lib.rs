@@ -4,6 +4,7 @@
 //! [`session`] runs jobs, jogs and homing with it, at a port or in the simulator.
 
 pub mod board;
+mod choice;
 pub mod client;
 mod error;
 pub mod port;

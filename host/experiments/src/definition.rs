@@ -11,11 +11,8 @@ mod tests;
 pub use load::all;
 
 use super::expected::{Band, Source};
-use super::run::NO_FORCE_CONTROL;
-use super::teleoperation::{NO_HAPTIC_ARM, has_haptic_arm};
+use super::inputs::input;
 use haptimill_hil_sim::operator::Trajectory;
-use haptimill_machine_file::MachineFile;
-use load::input;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -378,14 +375,5 @@ impl Experiment {
     #[must_use]
     pub fn needs_haptic_arm(&self) -> bool {
         self.passes.iter().any(|pass| pass.teleoperation.is_some())
-    }
-
-    /// Why a machine cannot run it, or none if it can.
-    #[must_use]
-    pub fn obstacle(&self, machine: &MachineFile) -> Option<&'static str> {
-        if self.needs_force_control() && machine.config.force.is_none() {
-            return Some(NO_FORCE_CONTROL);
-        }
-        (self.needs_haptic_arm() && !has_haptic_arm(machine)).then_some(NO_HAPTIC_ARM)
     }
 }

@@ -18,7 +18,9 @@
 
 mod definition;
 mod expected;
+mod inputs;
 mod measures;
+mod obstacle;
 mod page;
 mod result;
 mod run;
@@ -29,9 +31,9 @@ mod teleoperation;
 
 pub use definition::{ExpectedResult, Experiment, Pass, all};
 pub use expected::{Band, Comparison, Source};
+pub use obstacle::{NO_FORCE_CONTROL, NO_HAPTIC_ARM};
 pub use page::{index, page};
 pub use result::{ExperimentResult, PassResult};
-pub use run::{NO_FORCE_CONTROL, PassData, Target, run_pass};
+pub use run::{PassData, Target, run_pass};
 pub use sampled_trace::{ForceSource, Sample, SampledTrace};
 pub use table::table;
-pub use teleoperation::NO_HAPTIC_ARM;

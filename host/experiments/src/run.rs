@@ -1,6 +1,7 @@
 //! Running a pass: the simulated machine is homed, the stock clamped, the program run and recorded.
 
 use super::definition::{Pass, Teleoperation};
+use super::obstacle::NO_FORCE_CONTROL;
 use super::sampled_trace::SampledTrace;
 use super::teleoperation;
 use haptimill_client::client::Options;
@@ -40,9 +41,6 @@ const TELEOPERATION_EVERY: usize = 5;
 /// for the gains of the thesis (6 mm). With K_A 0.25, K_V 0.5 at 4 mm/s the displacement is 13 mm;
 /// at the limit the tool would press with 10 N, and the run would not show the effect of the gains.
 const COMPLIANCE_LIMIT_MM: i32 = 20;
-
-/// Refusal of an experiment with force control.
-pub const NO_FORCE_CONTROL: &str = "this machine has no force control";
 
 /// Data of a completed pass.
 pub struct PassData {

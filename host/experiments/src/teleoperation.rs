@@ -9,27 +9,18 @@
 //! settings.
 
 use super::definition::Teleoperation;
+use super::obstacle::NO_HAPTIC_ARM;
 use haptimill_client::session::{HapticTrace, Session, SimLine};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_hil_sim::haptics::HapticArm;
 use haptimill_hil_sim::operator::{Rail, ReferencePart};
 use haptimill_hil_sim::rig::Control;
-use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, to_i32};
 use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, VirtualFixture};
 use haptimill_protocol::message::{Command, RATE_SHIFT, Source};
 
 /// Force feedback at which the damping term has faded out, N (docs/control.md 3.4).
 const DAMPING_BELOW_N: f64 = 2.0;
-
-/// Refusal of an experiment with teleoperation.
-pub const NO_HAPTIC_ARM: &str = "this machine has no haptic arm";
-
-/// Whether a machine has a haptic arm of its own, or can have the reference one.
-#[must_use]
-pub fn has_haptic_arm(machine: &MachineFile) -> bool {
-    machine.with_haptic_arm().is_ok()
-}
 
 /// The simulated haptic arm of a session.
 fn arm<C: Control>(session: &mut Session<SimLine<C>>) -> Result<&mut HapticArm, Error> {

@@ -12,7 +12,7 @@ use super::jobs::Jobs;
 use super::jogging::{JogCommand, Jogging};
 use super::master::Master;
 use super::recording::Recording;
-use super::view_model::{Axis, Confirm, LinkState, Log, Overlay, Severity, StaticInfo};
+use super::view_model::{Axis, Confirm, LinkState, Log, Motion, Overlay, Severity, StaticInfo};
 use crate::commands::exit::{CliError, Exit};
 use haptimill_client::board::Chosen;
 use haptimill_client::client::{Options, Ticket};
@@ -78,15 +78,6 @@ impl RequestedLoop {
     pub(super) fn latest(&self) -> Option<ForceLoop> {
         self.settings.or(self.in_flight)
     }
-}
-
-/// The commanded motion between the last two reports.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Motion {
-    /// Speed of the tool tip in the workpiece, mm/min.
-    pub(super) feed_mm_min: f64,
-    /// Any coordinate changes.
-    pub(super) is_moving: bool,
 }
 
 /// Settings from the command line.

@@ -1,7 +1,7 @@
 //! Handling of the messages of the controller.
 
-use super::app::{App, FORCE_SCALES, Motion, OnAck};
-use super::view_model::{Axis, Severity};
+use super::app::{App, FORCE_SCALES, OnAck};
+use super::view_model::{Axis, Motion, Severity};
 use crate::commands::exit::{CliError, Exit};
 use haptimill_client::client::{Notification, RequestError, Ticket};
 use haptimill_firmware::config::AxisKind;

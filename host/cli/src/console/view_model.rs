@@ -3,7 +3,6 @@
 
 mod build;
 
-use super::app::Motion;
 use super::jogging::Mode;
 use super::master::{Face, FieldPosition};
 use haptimill_firmware::config::AxisKind;
@@ -17,6 +16,15 @@ use std::time::Duration;
 
 /// Capacity of the message log.
 const LOG_CAPACITY: usize = 200;
+
+/// The commanded motion between the last two reports.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Motion {
+    /// Speed of the tool tip in the workpiece, mm/min.
+    pub(super) feed_mm_min: f64,
+    /// Any coordinate changes.
+    pub(super) is_moving: bool,
+}
 
 /// Severity of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

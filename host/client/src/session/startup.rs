@@ -12,7 +12,7 @@
 //! behind which no controller answers, is closed and opened again.
 
 use super::{Line, Session};
-use crate::board::{Chosen, Decision};
+use crate::choice::{Chosen, Decision};
 use crate::client::{ClientError, RequestError, Ticket};
 use crate::port::PortError;
 use crate::{Error, ErrorKind};

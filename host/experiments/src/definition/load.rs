@@ -1,6 +1,7 @@
 //! Loading of the definitions: parsing, and checks of all references.
 
 use super::{BandDefinition, Experiment};
+use crate::inputs::input;
 use crate::measures;
 use haptimill_client::{Error, ErrorKind};
 use std::collections::BTreeMap;
@@ -18,19 +19,6 @@ macro_rules! files {
 pub(super) const DEFINITIONS: &[(&str, &str)] = files!("host/experiments/data/":
     "e1.toml" "e2.toml" "e3.toml" "e4.toml" "e5.toml" "e6.toml"
     "e7.toml" "e8.toml" "e9.toml" "e10.toml" "e11.toml" "e12.toml");
-
-/// Part programs and stocks that a definition can name.
-const INPUTS: &[(&str, &str)] = files!("examples/":
-    "block.toml" "incline.toml"
-    "e1-feed-sweep.ngc" "e2-depth-sweep.ngc" "e3-incline-2.ngc" "e3-incline-4.ngc"
-    "e5-incline-2.ngc" "e5-incline-4.ngc" "e6-hand.ngc" "e7-slot.ngc" "e8-hand.ngc"
-    "e9-pocket.ngc" "e10-hand.ngc" "e11-circle.ngc" "e12-hand.ngc");
-
-/// Text of a part program or stock; none when it is not built in.
-pub(super) fn input(path: &str) -> Option<&'static str> {
-    let found = INPUTS.iter().find(|(name, _)| *name == path);
-    found.map(|(_, text)| *text)
-}
 
 impl Experiment {
     /// Parses and checks a definition; `file` is its name in messages.
