@@ -360,7 +360,7 @@ fn a_million_problems_are_counted_and_the_first_are_listed() {
         ("lines.ngc", "Q1\n".repeat(1 << 20)),
         ("line.toml", "=".repeat(1_000_000)),
         ("lines.toml", "= =\n".repeat(250_000)),
-        ("keys.toml", keys),
+        ("keys.toml", format!("format = 2\n{keys}")),
         ("quotes.toml", "\" \n".repeat(300_000)),
     ];
     for (name, text) in cases {

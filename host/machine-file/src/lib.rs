@@ -12,10 +12,12 @@ mod axes;
 mod cross_section;
 pub mod document;
 mod force;
+mod format;
 mod h4;
 mod haptic;
 pub mod input;
 mod likeness;
+pub mod migrate;
 pub mod model;
 mod models;
 mod plant;
@@ -30,6 +32,7 @@ mod trunnion;
 
 pub use axes::AxisLimits;
 pub use force::GATES;
+pub use format::FORMAT;
 pub use problem::{Problem, Problems};
 
 use document::{Document, Section};
@@ -162,6 +165,9 @@ impl MachineFile {
         let Some(root) = document.parse() else {
             return Err(document.into_problems());
         };
+        if !format::check(&document, root.get_ref(), file) {
+            return Err(document.into_problems());
+        }
         let read = read(&document, &root);
         if document.is_valid() {
             cross_section::check_home_pose(&document, root.get_ref(), &read.config);
@@ -232,6 +238,8 @@ pub fn read_text(path: &Path) -> Result<String, Problems> {
 
 fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let root = Section::root(document, root.get_ref());
+    // Checked before.
+    root.has(root::format.name);
     let name = read_name(&root);
     let period_us = root.value(root::period_us);
     if root.has("role") {

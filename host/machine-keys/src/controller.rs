@@ -5,6 +5,7 @@ use crate::key::sections;
 sections! {
 
 root "" "The machine and its control period." {
+    format = whole(1, 1000, "").is("format of the file, its first key; without it the format is 1");
     name = text("1 to 24 bytes").is("name in reports and in the session");
     period_us = whole(50, 1000, "us").is("control period").bounded("a divisor of 1,000,000");
     role = word(&["slave", "master"])

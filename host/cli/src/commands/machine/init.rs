@@ -1,12 +1,11 @@
 //! `haptimill machine init`: writes a machine-file template.
 
+use super::migrate::write_new;
 use crate::commands::{CliError, Exit};
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use haptimill_machine_file::{BUILT_IN, MASTER, MachineFile};
-use std::fs::File;
-use std::io::{ErrorKind, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 const LONG: &str = "\
 Write a machine-file template.
@@ -104,32 +103,6 @@ fn fill(template: Template, name: &str) -> Result<String, CliError> {
          \"{known}\".\n# All values are those of the template. Replace them by those of your machine \
          before it moves.\n#\n{head}\nname = \"{name}\"\n{body}"
     ))
-}
-
-/// Writes a file that does not exist yet.
-fn write_new(path: &Path, text: &str) -> Result<(), CliError> {
-    let mut file = File::create_new(path).map_err(|error| match error.kind() {
-        ErrorKind::AlreadyExists => CliError::new(
-            Exit::Usage,
-            format!(
-                "{}: the file exists and is not overwritten; name another file with --out",
-                path.display()
-            ),
-        ),
-        _ => failed(path, &error),
-    })?;
-    file.write_all(text.as_bytes()).map_err(|error| {
-        // A partial file would block the next attempt.
-        let _ = std::fs::remove_file(path);
-        failed(path, &error)
-    })
-}
-
-fn failed(path: &Path, error: &std::io::Error) -> CliError {
-    CliError::new(
-        Exit::Output,
-        format!("{}: {error}; name another file with --out", path.display()),
-    )
 }
 
 #[cfg(test)]

@@ -2,12 +2,14 @@
 
 mod check;
 mod init;
+mod migrate;
 
 use super::CliError;
 use clap::Subcommand;
 
 pub use check::CheckArgs;
 pub use init::InitArgs;
+pub use migrate::MigrateArgs;
 
 /// A command on machine files.
 #[derive(Debug, Subcommand)]
@@ -16,6 +18,8 @@ pub enum MachineCommand {
     Check(CheckArgs),
     #[allow(missing_docs)]
     Init(InitArgs),
+    #[allow(missing_docs)]
+    Migrate(MigrateArgs),
 }
 
 impl MachineCommand {
@@ -33,5 +37,6 @@ pub fn run(command: MachineCommand) -> Result<(), CliError> {
     match command {
         MachineCommand::Check(args) => check::run(args),
         MachineCommand::Init(args) => init::run(args),
+        MachineCommand::Migrate(args) => migrate::run(args),
     }
 }

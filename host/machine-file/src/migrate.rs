@@ -1,0 +1,226 @@
+//! Migration of machine files of an earlier format. Comments and the order of the keys stay.
+
+use super::document::Document;
+use super::format::{FORMAT, Kind, check, kind};
+use super::problem::Problems;
+use toml_edit::{DocumentMut, Item, Key, Table, TableLike, value};
+
+/// A machine file that was rewritten for [`FORMAT`].
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Migrated {
+    /// Format of the file before; [`FORMAT`] for a fragment, which states none.
+    pub from: u32,
+    /// The new text.
+    pub text: String,
+    /// What was changed, one sentence each.
+    pub changes: Vec<String>,
+}
+
+/// A renamed section or key of a section.
+struct Renamed {
+    /// Path before; the last part is the name.
+    from: &'static str,
+    /// Path after.
+    to: &'static str,
+}
+
+/// Names that differ between format 1 and format 2.
+const FORMAT_2: &[Renamed] = &[Renamed {
+    from: "plant.arm",
+    to: "plant.geometry.h4",
+}];
+
+/// Rewrites the text of a machine file or fragment for [`FORMAT`]; `file` is its name in messages.
+///
+/// # Errors
+///
+/// Returns the problems of a text that is not TOML, not a machine file, or of a newer format.
+pub fn migrate(file: &str, text: &str) -> Result<Migrated, Problems> {
+    let document = Document::new(file, text);
+    let Some(root) = document.parse() else {
+        return Err(document.into_problems());
+    };
+    let (from, states_format) = match kind(&document, root.get_ref()) {
+        Some(Kind::Machine(from)) if from <= FORMAT => (from, true),
+        Some(Kind::Fragment(_)) => (FORMAT, false),
+        Some(_) => {
+            check(&document, root.get_ref(), file);
+            return Err(document.into_problems());
+        }
+        None => return Err(document.into_problems()),
+    };
+    let mut edited: DocumentMut = match text.parse() {
+        Ok(edited) => edited,
+        Err(error) => {
+            // The two TOML parsers have the same grammar.
+            document.report(0, "", error.to_string(), "correct the TOML");
+            return Err(document.into_problems());
+        }
+    };
+    let mut changes = Vec::new();
+    if from < 2 || !states_format {
+        to_format_2(&mut edited, &mut changes);
+    }
+    if from < FORMAT {
+        set_format(&mut edited);
+        changes.push(format!("format: {from} became {FORMAT}"));
+    }
+    Ok(Migrated {
+        from,
+        text: edited.to_string(),
+        changes,
+    })
+}
+
+/// Format 2 has an explicit geometry of the simulated machine, and terms of the glossary.
+fn to_format_2(edited: &mut DocumentMut, changes: &mut Vec<String>) {
+    for renamed in FORMAT_2 {
+        if rename(edited.as_table_mut(), renamed) {
+            changes.push(format!("{} became {}", renamed.from, renamed.to));
+        }
+    }
+    add_geometry(edited, changes);
+}
+
+/// Adds the geometry of the simulated machine, which format 1 took to be the joints themselves.
+/// The lengths of a linkage are those of the controller.
+fn add_geometry(edited: &mut DocumentMut, changes: &mut Vec<String>) {
+    let model = edited
+        .get("kinematics")
+        .and_then(|section| section.get("model"))
+        .and_then(Item::as_str)
+        .map(str::to_string);
+    let lengths = edited.get("kinematics").and_then(Item::as_table_like);
+    let mut geometry = Table::new();
+    for (key, item) in lengths.iter().flat_map(|lengths| lengths.iter()) {
+        if key != "model" {
+            geometry.insert(key, item.clone());
+        }
+    }
+    let plant = edited.get_mut("plant").and_then(Item::as_table_mut);
+    let (Some(plant), Some(model)) = (plant, model) else {
+        return;
+    };
+    if plant.contains_key("geometry") {
+        return;
+    }
+    let why = match geometry.is_empty() {
+        true => "no errors",
+        false => "the lengths of [kinematics]",
+    };
+    changes.push(format!("plant.geometry.{model} was added, with {why}"));
+    // Behind [plant] itself, before its subsections.
+    geometry.set_position(plant.position());
+    geometry.decor_mut().set_prefix("\n");
+    let mut parent = Table::new();
+    parent.set_implicit(true);
+    parent.insert(&model, Item::Table(geometry));
+    plant.insert("geometry", Item::Table(parent));
+}
+
+/// Moves a section or key to its new path; returns whether there was one.
+fn rename(root: &mut Table, renamed: &Renamed) -> bool {
+    let (path, name) = split(renamed.from);
+    let (new_path, new_name) = split(renamed.to);
+    let mut found = false;
+    if path == new_path {
+        each(root, &path, &mut |table| {
+            found |= rename_in_place(table, name, new_name);
+        });
+        return found;
+    }
+    let mut moved = None;
+    each(root, &path, &mut |table| moved = table.remove(name));
+    let Some(moved) = moved else { return false };
+    let mut table: &mut dyn TableLike = root;
+    for part in new_path {
+        let item = table.entry(part).or_insert_with(|| {
+            let mut parent = Table::new();
+            parent.set_implicit(true);
+            Item::Table(parent)
+        });
+        match item.as_table_like_mut() {
+            Some(inner) => table = inner,
+            None => return false,
+        }
+    }
+    table.insert(new_name, moved);
+    true
+}
+
+/// Splits a path into the path of the section and the last name.
+fn split(path: &'static str) -> (Vec<&'static str>, &'static str) {
+    let mut parts: Vec<_> = path.split('.').collect();
+    let name = parts.pop().unwrap_or_default();
+    (parts, name)
+}
+
+/// Calls `with` for every table at a path; a list of sections has several.
+fn each(table: &mut dyn TableLike, path: &[&str], with: &mut dyn FnMut(&mut dyn TableLike)) {
+    let Some((first, rest)) = path.split_first() else {
+        return with(table);
+    };
+    match table.get_mut(first) {
+        Some(Item::ArrayOfTables(list)) => {
+            for table in list.iter_mut() {
+                each(table, rest, with);
+            }
+        }
+        Some(item) => {
+            if let Some(table) = item.as_table_like_mut() {
+                each(table, rest, with);
+            }
+        }
+        None => {}
+    }
+}
+
+/// Renames a key at its place; returns whether there was one.
+fn rename_in_place(table: &mut dyn TableLike, name: &str, new_name: &str) -> bool {
+    if !table.contains_key(name) {
+        return false;
+    }
+    let names: Vec<String> = table.iter().map(|(key, _)| key.to_string()).collect();
+    // The order is that of insertion: every key is taken out and put back.
+    for old in names {
+        let key = table.key(&old).cloned();
+        let (Some(key), Some(item)) = (key, table.remove(&old)) else {
+            continue;
+        };
+        let key = if old == name {
+            Key::new(new_name)
+                .with_leaf_decor(key.leaf_decor().clone())
+                .with_dotted_decor(key.dotted_decor().clone())
+        } else {
+            key
+        };
+        table.entry_format(&key).or_insert(item);
+    }
+    true
+}
+
+/// Writes the format as the first key. Comments at the head of the file stay there.
+fn set_format(edited: &mut DocumentMut) {
+    let table = edited.as_table_mut();
+    if table.contains_key("format") {
+        table["format"] = value(i64::from(FORMAT));
+        return;
+    }
+    let names: Vec<String> = table.iter().map(|(key, _)| key.to_string()).collect();
+    let mut entries = Vec::new();
+    for name in names {
+        entries.extend(table.remove_entry(&name));
+    }
+    let mut format = Key::new("format");
+    if let Some((first, item)) = entries.first_mut()
+        && item.is_value()
+    {
+        let head = first.leaf_decor().prefix().cloned();
+        first.leaf_decor_mut().set_prefix("");
+        format.leaf_decor_mut().set_prefix(head.unwrap_or_default());
+    }
+    table.insert_formatted(&format, value(i64::from(FORMAT)));
+    for (key, item) in entries {
+        table.insert_formatted(&key, item);
+    }
+}

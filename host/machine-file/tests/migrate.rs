@@ -1,0 +1,187 @@
+//! Migration of machine files of format 1. `data/format-1` has the files of `machines/` of
+//! 2026-11-21, before format 2.
+
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_machine_file::migrate::migrate;
+use haptimill_machine_file::{FORMAT, MachineFile};
+
+/// Old machine files, and the present ones that describe the same machines.
+const MACHINES: [(&str, &str); 3] = [
+    (
+        include_str!("data/format-1/h4.toml"),
+        include_str!("../../../machines/h4.toml"),
+    ),
+    (
+        include_str!("data/format-1/h4-step.toml"),
+        include_str!("../../../machines/h4-step.toml"),
+    ),
+    (
+        include_str!("data/format-1/hand-master.toml"),
+        include_str!("../../../machines/hand-master.toml"),
+    ),
+];
+
+/// Old fragments, and the present ones.
+const FRAGMENTS: [(&str, &str); 2] = [
+    (
+        include_str!("data/format-1/hand.toml"),
+        include_str!("../../../machines/hand.toml"),
+    ),
+    (
+        include_str!("data/format-1/follow.toml"),
+        include_str!("../../../machines/follow.toml"),
+    ),
+];
+
+fn parse(text: &str) -> MachineFile {
+    MachineFile::parse("machine.toml", text).unwrap_or_else(|problems| panic!("\n{problems}"))
+}
+
+/// Comments of a text, in order.
+fn comments(text: &str) -> Vec<&str> {
+    let comments = text.lines().filter_map(|line| line.split_once('#'));
+    comments.map(|(_, comment)| comment.trim()).collect()
+}
+
+#[test]
+fn old_files_migrate_to_the_configuration_of_today() {
+    for (old, new) in MACHINES {
+        let migrated = migrate("old.toml", old).unwrap_or_else(|problems| panic!("\n{problems}"));
+        assert_eq!(migrated.from, 1);
+        let (old_machine, new_machine) = (parse(&migrated.text), parse(new));
+        let (_, crc) = old_machine.encoded().unwrap();
+        assert_eq!(crc, new_machine.encoded().unwrap().1);
+        assert_eq!(old_machine.config, new_machine.config);
+        // A master has no planner.
+        if !old_machine.is_master() {
+            assert_eq!(old_machine.planner, new_machine.planner);
+        }
+        let plant: PlantConfig = old_machine.plant().unwrap();
+        assert_eq!(plant, new_machine.plant().unwrap());
+    }
+}
+
+#[test]
+fn old_fragments_migrate_to_those_of_today() {
+    let machine = include_str!("../../../machines/h4.toml");
+    for (old, new) in FRAGMENTS {
+        let migrated = migrate("old.toml", old).unwrap_or_else(|problems| panic!("\n{problems}"));
+        let (old_machine, new_machine) = (
+            parse(&format!("{machine}\n{}", migrated.text)),
+            parse(&format!("{machine}\n{new}")),
+        );
+        assert_eq!(old_machine.config, new_machine.config);
+        let plant: PlantConfig = old_machine.plant().unwrap();
+        assert_eq!(plant, new_machine.plant().unwrap());
+    }
+}
+
+#[test]
+fn comments_and_order_stay() {
+    let fragments = FRAGMENTS.map(|(old, _)| old);
+    for old in MACHINES.map(|(old, _)| old).into_iter().chain(fragments) {
+        let migrated = migrate("old.toml", old).unwrap();
+        assert_eq!(comments(&migrated.text), comments(old));
+        // Only renamed lines and the format differ.
+        let old_lines: Vec<_> = old.lines().collect();
+        let lines: Vec<_> = migrated
+            .text
+            .lines()
+            .filter(|line| !line.starts_with("format = "))
+            .collect();
+        assert_eq!(lines.len(), old_lines.len());
+        let changed = lines.iter().zip(&old_lines).filter(|(new, old)| new != old);
+        assert!(changed.count() < migrated.changes.len() + 1);
+    }
+}
+
+#[test]
+fn the_format_is_the_first_key() {
+    let migrated = migrate("old.toml", MACHINES[0].0).unwrap();
+    let first = migrated
+        .text
+        .lines()
+        .find(|line| !line.is_empty() && !line.starts_with('#'));
+    assert_eq!(first, Some(format!("format = {FORMAT}").as_str()));
+}
+
+#[test]
+fn files_of_this_format_stay_as_they_are() {
+    let news = MACHINES.map(|(_, new)| new);
+    for new in news.into_iter().chain(FRAGMENTS.map(|(_, new)| new)) {
+        let migrated = migrate("new.toml", new).unwrap();
+        assert_eq!(migrated.text, new);
+        assert!(migrated.changes.is_empty(), "{:?}", migrated.changes);
+    }
+}
+
+#[test]
+fn a_plant_without_a_geometry_gets_the_one_of_the_controller() {
+    let old = MACHINES[0].0;
+    let (head, rest) = old.split_once("[plant.arm]").unwrap();
+    let (_, tail) = rest.split_once("branch = \"below\"\n").unwrap();
+    let migrated = migrate("old.toml", &format!("{head}{tail}")).unwrap();
+    let plant: PlantConfig = parse(&migrated.text).plant().unwrap();
+    assert_eq!(plant, parse(MACHINES[0].1).plant().unwrap());
+    assert!(migrated.changes[0].contains("plant.geometry.h4 was added"));
+
+    // A Cartesian machine of format 1 had none.
+    let new = include_str!("../../../machines/mill3-servo.toml");
+    let (head, rest) = new.split_once("[plant.geometry.cartesian]").unwrap();
+    let (_, tail) = rest.split_once("squareness_yz = 0.0\n").unwrap();
+    let old = format!("{head}{tail}").replace(&format!("format = {FORMAT}\n"), "");
+    let migrated = migrate("old.toml", &old).unwrap();
+    assert_eq!(parse(&migrated.text).config, parse(new).config);
+    let plant: PlantConfig = parse(&migrated.text).plant().unwrap();
+    assert_eq!(plant, parse(new).plant().unwrap());
+}
+
+#[test]
+fn other_formats_and_texts_are_refused_with_the_remedy() {
+    let newer = MACHINES[0].1.replace("format = 2", "format = 3");
+    for (text, message) in [
+        (
+            newer.as_str(),
+            "format: 3 is newer than this program, which reads format 2; use a newer haptimill",
+        ),
+        (
+            "format = \"two\"",
+            "format: is not the number of a format; write `format = 2`",
+        ),
+        (
+            "format = 0",
+            "format: is not the number of a format; write `format = 2`",
+        ),
+        (
+            "[package]\nversion = 1",
+            "is not a machine file: it has none of its keys and sections; write one with \
+             `haptimill machine init NAME`",
+        ),
+        ("", "is not a machine file"),
+        ("[homing", "old.toml:1:"),
+    ] {
+        for problems in [
+            migrate("old.toml", text).unwrap_err(),
+            MachineFile::parse("old.toml", text).unwrap_err(),
+        ] {
+            assert_eq!(problems.count(), 1, "{problems}");
+            assert!(problems.to_string().contains(message), "{problems}");
+        }
+    }
+}
+
+#[test]
+fn a_reader_names_the_command_for_an_old_file_and_a_fragment() {
+    let old = MachineFile::parse("old.toml", MACHINES[0].0).unwrap_err();
+    assert_eq!(
+        old.to_string(),
+        "old.toml:1:1: format: the file has format 1, this program reads format 2; run `haptimill \
+         machine migrate old.toml`"
+    );
+    let fragment = MachineFile::parse("follow.toml", FRAGMENTS[1].1).unwrap_err();
+    assert_eq!(
+        fragment.to_string(),
+        "follow.toml:1:1: is a fragment of a machine file: it has [follow] only; append it to a \
+         machine file"
+    );
+}
