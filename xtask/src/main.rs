@@ -22,6 +22,7 @@ Developer tasks of the project.
 
   cargo xtask test                 run all checks: format, line lengths, names of machines, lints, tests, documentation, boards, emulated runs
   cargo xtask test --native-only   the same without boards and emulated runs; lists what it skipped
+  cargo xtask keys                 rewrite the tables of docs/machine-files.md from the table of keys
   cargo xtask lint                 list comments and prose longer than 100 columns, and general code that names a machine
   cargo xtask board NAME           build the image of a board (mps2), print its size, check it against the budget
   cargo xtask board NAME --image   build the image and print only its path
@@ -144,6 +145,22 @@ const BENCH: &[Step] = &[Step {
     component: None,
 }];
 
+const KEYS: &[Step] = &[Step {
+    name: "tables of keys",
+    arguments: &[
+        "run",
+        "--quiet",
+        "--package",
+        "haptimill-machine-keys",
+        "--example",
+        "key_tables",
+        "--",
+        "docs/machine-files.md",
+    ],
+    environment: &[],
+    component: None,
+}];
+
 fn main() -> ExitCode {
     let arguments: Vec<String> = env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
@@ -160,6 +177,7 @@ fn main() -> ExitCode {
         ["machines"] => run(MACHINES),
         ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),
+        ["keys"] => run(KEYS),
         ["storm", ref options @ ..] => storm(options),
         ["gcode", ref options @ ..] => gcode::gcode(options),
         ["help"] | [] => {

@@ -26,6 +26,7 @@ mod problem;
 pub mod scale;
 mod stability;
 pub mod stock;
+pub mod template;
 #[cfg(test)]
 mod tests;
 mod trunnion;

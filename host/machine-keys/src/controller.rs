@@ -14,7 +14,7 @@ root "" "The machine and its control period." {
 }
 
 kinematics "kinematics" "The model, and its lengths under the names of docs/control.md." {
-    model = named("a model of the table below")
+    model = named("the name of a model")
         .is("model of the machine: number, names, kinds and order of coordinates and joints");
     a = real(-1000.0, 1000.0, "mm").is("lateral offset of the rails").only_if("model", "h4")
         .bounded("E = a - b - e above 0 and below r");

@@ -9,6 +9,7 @@
 pub mod controller;
 pub mod haptic;
 mod key;
+pub mod page;
 pub mod plant;
 
 pub use key::*;
@@ -38,7 +39,10 @@ mod tests {
         for section in sections() {
             let mut seen = HashSet::new();
             for key in section.keys {
-                let rotary = key.rotary.map(|(name, _)| name);
+                let rotary = key
+                    .rotary
+                    .map(|(name, _)| name)
+                    .filter(|name| *name != key.name);
                 for name in [Some(key.name), rotary].into_iter().flatten() {
                     assert!(seen.insert(name), "[{}] {name}", section.path);
                 }

@@ -4,15 +4,17 @@ use super::migrate::write_new;
 use crate::commands::{CliError, Exit};
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
+use haptimill_machine_file::template::annotate;
 use haptimill_machine_file::{BUILT_IN, MASTER, MachineFile};
 use std::path::PathBuf;
 
 const LONG: &str = "\
 Write a machine-file template.
 
-The template is the complete, commented machine file of an existing machine, with NAME as its name. \
-Every key has its unit in its name. Replace the values by those of your machine, then run \
-`haptimill machine check FILE`. An existing file is not overwritten.";
+The template is the complete machine file of an existing machine, with NAME as its name. Each key has \
+a comment with its meaning, unit, range and default; optional keys are there as comments. Replace the \
+values by those of your machine, then run `haptimill machine check FILE`. An existing file is not \
+overwritten.";
 
 /// Arguments of `haptimill machine init`.
 #[derive(Debug, Clone, Args)]
@@ -22,7 +24,7 @@ pub struct InitArgs {
     #[arg(value_name = "NAME", value_parser = machine_name)]
     pub name: String,
     /// Machine that the template describes
-    #[arg(long, value_name = "TEMPLATE", value_enum, default_value_t = Template::H4)]
+    #[arg(long, value_name = "TEMPLATE", value_enum, default_value_t = Template::Mill3Servo)]
     pub template: Template,
     /// File to write [default: NAME.toml]
     #[arg(long, value_name = "FILE")]
@@ -32,6 +34,10 @@ pub struct InitArgs {
 /// Machines with a template. `TEMPLATES` has their texts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Template {
+    /// Three-axis mill: x, y, z on ball screws, servo drives with encoders
+    Mill3Servo,
+    /// 5-axis mill: x, y, z, and a rotary table on a trunnion, servo drives
+    Trunnion5,
     /// 5-axis H-4 parallel kinematics with a rotary table, servo drives and force sensor
     H4,
     /// The same with step and direction drives
@@ -42,6 +48,14 @@ pub enum Template {
 
 /// The text of every template.
 const TEMPLATES: &[(Template, &str)] = &[
+    (
+        Template::Mill3Servo,
+        include_str!("../../../../../machines/mill3-servo.toml"),
+    ),
+    (
+        Template::Trunnion5,
+        include_str!("../../../../../machines/trunnion5.toml"),
+    ),
     (Template::H4, BUILT_IN),
     (
         Template::H4Step,
@@ -101,7 +115,8 @@ fn fill(template: Template, name: &str) -> Result<String, CliError> {
     Ok(format!(
         "# Machine file of \"{name}\", written by `haptimill machine init` from the template \
          \"{known}\".\n# All values are those of the template. Replace them by those of your machine \
-         before it moves.\n#\n{head}\nname = \"{name}\"\n{body}"
+         before it moves.\n#\n{}",
+        annotate(&format!("{head}\nname = \"{name}\"\n{body}"))
     ))
 }
 

@@ -2,6 +2,7 @@
 
 mod check;
 mod init;
+mod keys;
 mod migrate;
 
 use super::CliError;
@@ -9,6 +10,7 @@ use clap::Subcommand;
 
 pub use check::CheckArgs;
 pub use init::InitArgs;
+pub use keys::KeysArgs;
 pub use migrate::MigrateArgs;
 
 /// A command on machine files.
@@ -18,6 +20,8 @@ pub enum MachineCommand {
     Check(CheckArgs),
     #[allow(missing_docs)]
     Init(InitArgs),
+    #[allow(missing_docs)]
+    Keys(KeysArgs),
     #[allow(missing_docs)]
     Migrate(MigrateArgs),
 }
@@ -37,6 +41,7 @@ pub fn run(command: MachineCommand) -> Result<(), CliError> {
     match command {
         MachineCommand::Check(args) => check::run(args),
         MachineCommand::Init(args) => init::run(args),
+        MachineCommand::Keys(args) => keys::run(&args),
         MachineCommand::Migrate(args) => migrate::run(args),
     }
 }
