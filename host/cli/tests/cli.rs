@@ -84,6 +84,8 @@ fn help_names_every_command() {
         "sim serve",
         "machine init",
         "machine check",
+        "machine keys",
+        "machine migrate",
         "kin ik",
         "--port",
     ] {
@@ -105,7 +107,7 @@ fn help_names_every_command() {
 fn every_template_passes_machine_check_and_is_not_overwritten() {
     let folder = std::env::temp_dir().join(format!("haptimill-init-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
-    for template in ["h4", "h4-step", "haptic-arm"] {
+    for template in ["mill3-servo", "trunnion5", "h4", "h4-step", "haptic-arm"] {
         let path = folder.join(format!("{template}.toml"));
         let file = path.to_str().unwrap();
         let init = [

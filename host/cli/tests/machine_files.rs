@@ -1,7 +1,14 @@
-//! `haptimill machine`: files of earlier formats, fragments.
+//! `haptimill machine`: files of earlier formats, fragments, the first cut of a new machine.
 
+use haptimill_client::client::Options;
+use haptimill_client::session::{self, Line, NoObserver, Session, SimLine};
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_planner::Plan;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
 
 const OLD: &str = include_str!("../../machine-file/tests/data/format-1/h4.toml");
 
@@ -65,7 +72,6 @@ fn an_old_file_is_refused_with_the_command_that_migrates_it() {
             "old.toml",
             "--check",
         ],
-        &["home", "--machine", "old.toml"],
         &["kin", "ik", "--machine", "old.toml"],
     ] {
         let (code, _, err) = folder.run(command);
@@ -121,4 +127,119 @@ fn a_fragment_is_named_as_one() {
         "{err}"
     );
     assert!(err.contains("1 problem\n"), "{err}");
+}
+
+/// The way of a person with a plain mill: template, check, first cut in the simulator.
+#[test]
+fn a_new_machine_cuts_its_first_pocket() {
+    let folder = Folder::new("first-cut");
+    let (code, _, err) = folder.run(&["machine", "init", "mine"]);
+    assert_eq!(code, 0, "{err}");
+    let (code, out, err) = folder.run(&["machine", "check", "mine.toml"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("mine.toml: no problem"), "{out}");
+    let examples = root().join("examples");
+    let path = |name: &str| examples.join(name).to_str().unwrap().to_string();
+    let (program, stock) = (path("mill3-pocket.ngc"), path("mill3-block.toml"));
+    let run = [
+        "run",
+        &program,
+        "--machine",
+        "mine.toml",
+        "--stock",
+        &stock,
+        "--quiet",
+    ];
+    let (code, out, err) = folder.run(&run);
+    assert_eq!(code, 0, "{out}{err}");
+    assert!(folder.0.join("mill3-pocket.out/report.html").exists());
+    let (code, out, err) = folder.run(&["replay", "mill3-pocket.out/recording.hmr"]);
+    assert_eq!(code, 0, "{out}{err}");
+
+    // The same in this process, to see the stock.
+    let machine = MachineFile::load(&folder.0.join("mine.toml")).unwrap();
+    let removed = removed_mm3(&machine, Path::new(&program), Path::new(&stock));
+    let swept = swept_mm3();
+    assert!(
+        (removed / swept - 1.0).abs() < 0.02,
+        "{removed} mm^3, not {swept}"
+    );
+}
+
+/// Volume under the ball of 4 mm radius along the path of the program at a depth of 2 mm, summed
+/// over cells of 0.1 mm.
+fn swept_mm3() -> f64 {
+    let beyond = |value: f64, half: f64| (value.abs() - half).max(0.0);
+    let mut volume = 0.0;
+    for column in -160..160 {
+        for row in -110..110 {
+            let (x, y) = (
+                (f64::from(column) + 0.5) * 0.1,
+                (f64::from(row) + 0.5) * 0.1,
+            );
+            let rows = [-6.0, -2.0, 2.0, 6.0].map(|at| beyond(x, 11.0).hypot(y - at));
+            let ends = [-11.0, 11.0].map(|at| (x - at).hypot(beyond(y, 6.0)));
+            let distance = rows.into_iter().chain(ends).fold(f64::INFINITY, f64::min);
+            let depth = (16.0 - distance * distance).max(0.0).sqrt() - 2.0;
+            volume += depth.max(0.0) * 0.01;
+        }
+    }
+    volume
+}
+
+/// Volume that a program removes from a stock.
+fn removed_mm3(machine: &MachineFile, program: &Path, stock: &Path) -> f64 {
+    let model = Model::new(machine);
+    let home = session::find_home_pose(machine, &model).unwrap();
+    let options = program_options(machine, model.to_engineering_units(&home));
+    let text = std::fs::read(program).unwrap();
+    let read = haptimill_gcode::read("pocket", &text, &options).unwrap();
+    let plan = Plan::new(&read, &settings(machine), &model).unwrap();
+    let rig = session::rig(machine, None, None, vec![]).unwrap();
+    let mut session = Session::new(
+        SimLine::new(rig),
+        machine,
+        Options::default(),
+        Arc::default(),
+    );
+    session.connect(1).unwrap();
+    session.configure(machine).unwrap();
+    session.enable().unwrap();
+    session.go_home(machine, &home).unwrap();
+    let plant: PlantConfig = machine.plant().unwrap();
+    let stock = plant.cutting(haptimill_machine_file::stock::load(stock).unwrap());
+    session.line_mut().clamp(&stock).unwrap();
+    let end = session
+        .run_job(2, home, plan.setpoints, &mut NoObserver)
+        .unwrap();
+    session.check_completed(&end).unwrap();
+    let line = session.into_line();
+    line.rig()
+        .plant()
+        .process()
+        .unwrap()
+        .cutting()
+        .unwrap()
+        .workpiece()
+        .removed_mm3()
+}
+
+#[test]
+fn the_keys_of_a_section_are_listed() {
+    let folder = Folder::new("keys");
+    let (code, out, _) = folder.run(&["machine", "keys", "joint.law"]);
+    assert_eq!(code, 0);
+    assert!(
+        out.contains("  rate_filter_ms\n      filter of the rate of the error\n"),
+        "{out}"
+    );
+    assert!(
+        out.contains("      ms, 0 to 60; to 50 for the controller, default 0\n"),
+        "{out}"
+    );
+    let (_, all, _) = folder.run(&["machine", "keys"]);
+    assert!(all.contains(out.trim_end()), "{all}");
+    let (code, _, err) = folder.run(&["machine", "keys", "joints"]);
+    assert_eq!(code, 2);
+    assert!(err.contains("there is no section `joints`"), "{err}");
 }

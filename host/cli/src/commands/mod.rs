@@ -86,6 +86,10 @@ Examples:
       write a machine-file template
   haptimill machine check mill.toml
       list every mistake in a machine file
+  haptimill machine keys joint
+      list the keys of a section with unit, range, default and meaning
+  haptimill machine migrate mill.toml
+      rewrite a machine file of an earlier format
   haptimill replay e11-circle.out/recording.hmr
       replay a job through a new controller and compare bit by bit
   haptimill trace plot e11-circle.out/recording.hmr 'l?_joint_error_mm'
