@@ -95,12 +95,80 @@ fn help_names_every_command() {
     assert!(!first.contains("H-4"), "{first}");
     for command in [
         "run", "jog", "home", "console", "teleop", "status", "enable", "disable", "stop", "reset",
-        "scenario", "force", "sim", "machine", "ports", "trace", "replay", "kin",
+        "scenario", "force", "sim", "machine", "ports", "trace", "replay", "kin", "offset",
     ] {
         let ran = haptimill(&[command, "--help"], "");
         assert_eq!(ran.code, 0, "{command}");
         assert!(ran.out.contains("Usage: haptimill"), "{}", ran.out);
     }
+}
+
+#[test]
+fn work_offsets_are_kept_beside_the_machine_file() {
+    let folder = std::env::temp_dir().join(format!("haptimill-offset-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let machine = folder.join("mill.toml");
+    let machine = machine.to_str().unwrap();
+    std::fs::write(machine, include_str!("../../../machines/h4.toml")).unwrap();
+    let set = |values: &[&str]| {
+        let mut arguments = vec!["offset", "set"];
+        arguments.extend(values);
+        arguments.extend(["--machine", machine]);
+        haptimill(&arguments, "")
+    };
+    let ran = set(&["g54", "x=10", "z=21.232"]);
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    let ran = set(&["g55", "c=1"]);
+    assert_eq!(ran.code, 2);
+    assert!(
+        ran.err.contains("no such axis; it has x, y, z, b, a"),
+        "{}",
+        ran.err
+    );
+    let ran = haptimill(&["offset", "show", "--machine", machine], "");
+    assert!(ran.out.contains("G54   x=10 y=0 z=21.232"), "{}", ran.out);
+
+    // The program is in the coordinates of G54; G53 is in those of the machine.
+    let program = folder.join("part.ngc");
+    std::fs::write(&program, "G54 G0 X0 Z0\nM8\nG53 G0 X0\nM2\n").unwrap();
+    let program = program.to_str().unwrap();
+    let check = |more: &[&str]| {
+        let mut arguments = vec!["run", program, "--check", "--machine", machine];
+        arguments.extend(more);
+        haptimill(&arguments, "")
+    };
+    let ran = check(&[]);
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    assert!(
+        ran.out.contains("2 blocks") && ran.out.contains("20.0 mm"),
+        "{}",
+        ran.out
+    );
+    assert!(
+        ran.out
+            .contains("part.ngc:2:1: notice: this machine has no coolant"),
+        "{}",
+        ran.out
+    );
+    let ran = check(&["--strict"]);
+    assert_eq!(ran.code, 3);
+    assert!(
+        ran.err
+            .contains("part.ngc:2:1: this machine has no coolant"),
+        "{}",
+        ran.err
+    );
+
+    std::fs::write(folder.join("mill.offsets.toml"), "[g54]\nx = \"1\"\n").unwrap();
+    let ran = check(&[]);
+    assert_eq!(ran.code, 3);
+    assert!(
+        ran.err
+            .contains("mill.offsets.toml: [g54] x is not a number"),
+        "{}",
+        ran.err
+    );
+    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]

@@ -30,6 +30,7 @@ pub mod template;
 #[cfg(test)]
 mod tests;
 mod trunnion;
+pub mod work_data;
 
 pub use axes::AxisLimits;
 pub use force::GATES;

@@ -18,6 +18,7 @@ pub(crate) mod interrupt;
 pub mod jog;
 pub mod kin;
 pub mod machine;
+pub mod offset;
 mod output;
 pub mod ports;
 pub(crate) mod program;
@@ -90,6 +91,8 @@ Examples:
       list the keys of a section with unit, range, default and meaning
   haptimill machine migrate mill.toml
       rewrite a machine file of an earlier format
+  haptimill offset set g54 x=12.5 y=-3 --machine mill.toml
+      set the origin of a work coordinate system
   haptimill replay e11-circle.out/recording.hmr
       replay a job through a new controller and compare bit by bit
   haptimill trace plot e11-circle.out/recording.hmr 'l?_joint_error_mm'
@@ -145,6 +148,9 @@ enum Command {
     /// Write and check machine files
     #[command(subcommand)]
     Machine(machine::MachineCommand),
+    /// Print and set the work offsets of a machine
+    #[command(subcommand)]
+    Offset(offset::OffsetCommand),
     Ports(ports::PortsArgs),
     /// Read recordings: content, CSV, plots, MCAP, the first difference of two
     Trace(trace::TraceArgs),
@@ -172,7 +178,11 @@ impl Command {
             Self::Scenario(scenario::ScenarioCommand::Run(args)) => args.json,
             Self::Trace(args) => args.command.is_json(),
             Self::Replay(args) => args.json,
-            Self::Scenario(_) | Self::Console(_) | Self::Sim(_) | Self::Kin(_) => false,
+            Self::Scenario(_)
+            | Self::Console(_)
+            | Self::Sim(_)
+            | Self::Kin(_)
+            | Self::Offset(_) => false,
         }
     }
 }
@@ -249,6 +259,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Force(command) => force::run(command),
         Command::Sim(SimCommand::Serve(args)) => sim::serve(args),
         Command::Machine(command) => machine::run(command),
+        Command::Offset(command) => offset::run(command),
         Command::Ports(args) => ports::run(args),
         Command::Trace(args) => trace::run(&args),
         Command::Replay(args) => replay::run(&args),

@@ -2,15 +2,17 @@
 
 use super::{CliError, Exit};
 use haptimill_client::{Error, ErrorKind};
+use haptimill_gcode::{Place, file_name};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::input;
 use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_machine_file::work_data::WorkData;
 use haptimill_planner::Plan;
 use haptimill_protocol::message::{Action, AxisValues};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::io::IsTerminal;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A program that was checked and planned from a start pose.
 #[derive(Debug)]
@@ -18,6 +20,8 @@ pub(crate) struct Planned {
     pub(crate) plan: Plan,
     /// Pauses of the program, by their setpoints.
     pub(crate) pauses: BTreeMap<u32, Pause>,
+    /// Words that change nothing on this machine, as lines of text.
+    pub(crate) notices: Vec<String>,
     /// Number of lines of the file.
     #[cfg_attr(not(feature = "console"), allow(dead_code))]
     pub(crate) lines: u32,
@@ -78,6 +82,23 @@ fn comment_of(block: &str) -> Option<String> {
     (!comment.is_empty()).then(|| comment.to_string())
 }
 
+/// How a part program is read.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct LanguageArgs {
+    /// Also pause at M1
+    #[arg(long)]
+    pub optional_stop: bool,
+    /// Leave out blocks that begin with a slash
+    #[arg(long)]
+    pub block_delete: bool,
+    /// Lengths without a decimal point count 0.001 mm or 0.0001 inch
+    #[arg(long)]
+    pub no_decimal: bool,
+    /// Refuse words that change nothing on this machine
+    #[arg(long)]
+    pub strict: bool,
+}
+
 /// A part program on disk.
 #[derive(Debug)]
 pub(crate) struct PartProgram {
@@ -85,13 +106,14 @@ pub(crate) struct PartProgram {
     pub(crate) name: String,
     file: String,
     pub(crate) text: Vec<u8>,
-    /// Whether M1 pauses.
-    optional_stop: bool,
+    language: LanguageArgs,
+    /// Folder of the program, for called files.
+    folder: PathBuf,
 }
 
 impl PartProgram {
-    /// Reads the file. With `optional_stop`, M1 pauses.
-    pub(crate) fn load(path: &Path, optional_stop: bool) -> Result<Self, CliError> {
+    /// Reads the file.
+    pub(crate) fn load(path: &Path, language: LanguageArgs) -> Result<Self, CliError> {
         let file = path.display().to_string();
         let text = input::read(path, input::PROGRAM_BYTES)
             .map_err(|error| CliError::new(Exit::BadInput, format!("{file}: {error}")))?;
@@ -102,11 +124,13 @@ impl PartProgram {
             name,
             file,
             text,
-            optional_stop,
+            language,
+            folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
         })
     }
 
-    /// Checks and plans the program from a start pose.
+    /// Checks and plans the program from a start pose, with the work offsets and the tool table
+    /// beside the machine file.
     ///
     /// # Errors
     /// The mistakes of the program, or what the machine cannot do; nothing moves.
@@ -116,8 +140,16 @@ impl PartProgram {
         model: &Model,
         start: &AxisValues,
     ) -> Result<Planned, CliError> {
+        let data =
+            WorkData::beside(machine).map_err(|error| CliError::new(Exit::BadInput, error))?;
         let options = haptimill_gcode::Options {
-            optional_stop: self.optional_stop,
+            optional_stop: self.language.optional_stop,
+            block_delete: self.language.block_delete,
+            no_decimal: self.language.no_decimal,
+            strict: self.language.strict,
+            offsets: data.offsets,
+            tools: data.tools,
+            folders: vec![self.folder.clone()],
             ..program_options(machine, model.to_engineering_units(start))
         };
         let program = haptimill_gcode::read(&self.file, &self.text, &options)
@@ -145,6 +177,15 @@ impl PartProgram {
         Ok(Planned {
             plan,
             pauses,
+            notices: program
+                .notices
+                .iter()
+                .map(|notice| {
+                    let Place { file, line, column } = notice.place;
+                    let name = file_name(&self.file, &program.called, file);
+                    format!("{name}:{line}:{column}: notice: {}", notice.what)
+                })
+                .collect(),
             lines: program.lines,
         })
     }

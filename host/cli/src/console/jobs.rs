@@ -4,7 +4,7 @@
 use super::app::App;
 use super::view_model::{Confirm, Overlay, Severity};
 use crate::commands::exit::CliError;
-use crate::commands::program::{PartProgram, Pause, source_lines};
+use crate::commands::program::{LanguageArgs, PartProgram, Pause, source_lines};
 use haptimill_client::client::JobEnding;
 use haptimill_client::session::{Line as _, plan_straight_move};
 use haptimill_machine_file::MachineFile;
@@ -96,7 +96,7 @@ pub(super) fn check(
     model: &Model,
     start: &AxisValues,
 ) -> Result<Checked, CliError> {
-    let job = PartProgram::load(path, false)?;
+    let job = PartProgram::load(path, LanguageArgs::default())?;
     let planned = job.plan(machine, model, start)?;
     let actions = (0..).zip(&planned.plan.setpoints);
     let spindle = actions

@@ -2,6 +2,7 @@
 
 use crate::commands::args::{BoardArg, PortArgs, SimulatorArgs, StockArg, check_baud};
 use crate::commands::force::{ForceArgs, ForceAxes, parse_axes};
+use crate::commands::program::LanguageArgs;
 use crate::commands::{CliError, Exit};
 use clap::Args;
 use haptimill_client::port::PortSpec;
@@ -80,9 +81,9 @@ pub struct RunArgs {
     /// Pass M0 pauses of the program instead of waiting for Enter; always so in the simulator
     #[arg(long)]
     pub skip_pauses: bool,
-    /// Also pause at M1
-    #[arg(long)]
-    pub optional_stop: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub language: LanguageArgs,
     /// Emulated board: firmware image to run instead of the one that is built
     #[arg(long, value_name = "FILE")]
     pub image: Option<PathBuf>,

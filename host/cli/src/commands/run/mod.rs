@@ -34,8 +34,11 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     }
     let model = Model::new(&machine);
     let home = session::find_home_pose(&machine, &model)?;
-    let program = PartProgram::load(&args.program, args.optional_stop)?;
+    let program = PartProgram::load(&args.program, args.language)?;
     let planned = program.plan(&machine, &model, &home)?;
+    for notice in &planned.notices {
+        args.print_message(notice);
+    }
     let stock = args.stock.load(&machine)?;
     if args.check {
         print_check(&args, &program, &planned);
