@@ -4,6 +4,7 @@ mod conditions;
 mod force;
 mod haptics;
 mod motion;
+mod named_io;
 mod setpoint;
 
 use conditions::{Done, in_state, settled};
@@ -17,6 +18,7 @@ use crate::core::Core;
 use crate::faults::hardware;
 use crate::io::Inputs;
 use crate::machine::Machine;
+use crate::named_io::Probing;
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::message::{
     AxisValues, Command, ConfigField, ConfigProblem, Fault, InputProblem, Refusal, State,
@@ -108,6 +110,13 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         Command::MasterTelemetry { every } => {
             server.streams().set(Stream::Haptic, every);
             Ok(())
+        }
+        Command::SetOutput { output, on } => named_io::set_output(core, output, on),
+        Command::SetAnalogOutput { output, code } => {
+            named_io::set_analog_output(core, output, code)
+        }
+        Command::ArmProbe { input, active } => {
+            named_io::arm_probe(core, Probing { input, active }, inputs)
         }
     };
     server.answer(request.id, result);
@@ -218,7 +227,9 @@ fn home(core: &mut Core) -> Done {
     if !core.job.preset_valid {
         return Err(Refusal::PresetLost);
     }
-    core.configured()?.begin_homing();
+    let machine = core.configured()?;
+    machine.check_inputs(false)?;
+    machine.begin_homing();
     core.safety.set_homed(false);
     core.job.stopping = false;
     core.safety.enter(State::Homing);
@@ -252,6 +263,7 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
         return Err(Refusal::NotHomed);
     }
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
+    machine.check_inputs(true)?;
     let commanded = machine.commanded_values();
     if pose.len() != commanded.len() {
         return Err(Refusal::AxisCount);
@@ -279,6 +291,7 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
     server.begin_job(pose);
     core.job.number = Some(job);
     core.job.stopping = false;
+    core.job.spindle_stopped = false;
     core.job.saturated = 0;
     core.safety.enter(State::Run);
     Ok(())
@@ -293,6 +306,19 @@ fn resume(core: &mut Core) -> Done {
     in_state(core, &[State::Hold, State::Run])?;
     if core.job.stopping {
         return Err(Refusal::State(State::Hold));
+    }
+    let spindle_up = {
+        let machine = core.configured()?;
+        machine.check_inputs(true)?;
+        machine.spindle_up_periods()
+    };
+    if core.job.resume_wait != 0 {
+        return Ok(());
+    }
+    let restarts = core::mem::take(&mut core.job.spindle_stopped) && core.job.spindle_rpm != 0;
+    if restarts && spindle_up != 0 {
+        core.job.resume_wait = spindle_up;
+        return Ok(());
     }
     core.configured()?.motion.program.leave_pause();
     core.safety.enter(State::Run);

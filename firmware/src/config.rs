@@ -10,6 +10,7 @@ pub mod digest;
 
 use crate::force::ForceConfig;
 use crate::haptics::config::{FollowConfig, HapticConfig};
+use crate::named_io::config::IoConfig;
 pub use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_kinematics::{BoundedKinematics, JointLimits, Model};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
@@ -50,6 +51,8 @@ pub struct Config {
     /// The haptic arm, if there is one.
     #[cfg_attr(not(feature = "hand"), serde(deserialize_with = "absent"))]
     pub haptic: Option<HapticConfig>,
+    /// Named inputs and outputs.
+    pub io: IoConfig,
 }
 
 impl Config {

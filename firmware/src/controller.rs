@@ -26,7 +26,7 @@ use crate::machine::Machine;
 use crate::motion::interpolator::QUEUE;
 use crate::profiler::{Profiler, Stage};
 use crate::safety::Safety;
-use crate::{commands, modes};
+use crate::{commands, modes, named_io};
 use haptimill_protocol::link::Identity;
 use haptimill_protocol::message::{Event, Fault, Refusal, State};
 
@@ -63,6 +63,7 @@ impl Controller {
         profiler.mark(Stage::Measure);
 
         faults::check(core, server, inputs);
+        named_io::react(core, server);
         profiler.mark(Stage::Supervise);
 
         core.track_out_of_band_stop(inputs.urgent);
@@ -100,6 +101,7 @@ impl Controller {
         if !self.core.safety.drives_on() {
             outputs.make_safe();
         }
+        named_io::write_outputs(&mut self.core, outputs);
         profiler.mark(Stage::Interlock);
     }
 
@@ -161,7 +163,7 @@ impl Controller {
     /// Commanded spindle speed, rev/min.
     #[must_use]
     pub const fn spindle_rpm(&self) -> i16 {
-        self.core.job.spindle_rpm
+        self.core.spindle_rpm()
     }
 }
 
@@ -170,9 +172,10 @@ impl Core {
     /// Encoders to joint positions, force samples to tool force.
     #[inline]
     fn measure(&mut self, inputs: &Inputs) {
+        let spindle_rpm = self.spindle_rpm();
         if let Some(machine) = &mut self.machine {
             machine.measure(inputs);
-            machine.measure_force(inputs, self.job.spindle_rpm, self.safety.active());
+            machine.measure_force(inputs, spindle_rpm, self.safety.active());
         } else {
             self.power_on.update(inputs);
         }
@@ -268,6 +271,7 @@ impl Core {
     /// Position loops and step generation; the first saturation of each joint is reported.
     #[inline]
     fn servo(&mut self, outputs: &mut Outputs) {
+        outputs.spindle_rpm = self.spindle_rpm();
         let Some(machine) = &mut self.machine else {
             return;
         };
@@ -275,7 +279,6 @@ impl Core {
             machine.disable();
         }
         let saturated = machine.servo(&mut outputs.axes);
-        outputs.spindle_rpm = self.job.spindle_rpm;
         if let Some(axis) = saturated
             && self.job.saturated & (1 << axis) == 0
         {

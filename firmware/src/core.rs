@@ -29,6 +29,10 @@ pub(crate) struct Job {
     pub stopping: bool,
     /// Commanded spindle speed, rev/min; counter-clockwise below 0.
     pub spindle_rpm: i16,
+    /// An open door stopped the spindle; the resumed job restarts it.
+    pub spindle_stopped: bool,
+    /// Periods until a resumed job moves, while the spindle starts; 0 is none.
+    pub resume_wait: u16,
     /// Joints whose saturation was reported, one bit each.
     pub saturated: u8,
     /// Newest epoch of jogs in this session.
@@ -88,9 +92,63 @@ impl Core {
                 .is_some_and(|machine| machine.motion.program.is_busy())
     }
 
+    /// The spindle speed in effect: 0 while an open door stops it.
+    #[inline]
+    pub const fn spindle_rpm(&self) -> i16 {
+        if self.job.spindle_stopped {
+            0
+        } else {
+            self.job.spindle_rpm
+        }
+    }
+
+    /// Sets an output for an action of the job. An output that cannot be set ends the job.
+    #[inline(never)]
+    pub fn set_output_of_job(&mut self, output: u8, on: bool) {
+        let rpm = self.spindle_rpm();
+        let Some(machine) = &mut self.machine else {
+            return;
+        };
+        match machine.io.may_set(&machine.config.io, output, rpm) {
+            Ok(()) => machine.io.set(output, on),
+            Err(refusal) => {
+                if let Refusal::Output { output, problem } = refusal {
+                    let event = Event::OutputRefused { output, problem };
+                    self.safety.push_event(event);
+                }
+                self.abort();
+            }
+        }
+    }
+
+    /// Switches coolant and mist off, at the end of a job.
+    #[inline(never)]
+    pub fn end_coolant(&mut self) {
+        if let Some(machine) = &mut self.machine {
+            machine.io.end_coolant(&machine.config.io);
+        }
+    }
+
+    /// Counts the periods until a resumed job moves, then resumes it.
+    #[inline(never)]
+    pub fn wait_for_spindle(&mut self) {
+        if self.safety.state() != State::Hold || self.job.stopping {
+            self.job.resume_wait = 0;
+            return;
+        }
+        self.job.resume_wait -= 1;
+        if self.job.resume_wait == 0
+            && let Some(machine) = &mut self.machine
+        {
+            machine.motion.program.leave_pause();
+            self.safety.enter(State::Run);
+        }
+    }
+
     /// Controlled stop; a job keeps its place.
     #[inline(never)]
     pub fn hold(&mut self) {
+        self.job.resume_wait = 0;
         match self.safety.state() {
             State::Run => self.safety.enter(State::Hold),
             State::Jog | State::Homing => self.abort(),
@@ -106,6 +164,7 @@ impl Core {
             self.safety.enter(State::Hold);
         }
         self.job.stopping = true;
+        self.job.resume_wait = 0;
         self.end_jogs();
     }
 
@@ -126,6 +185,14 @@ impl Core {
         self.drop_job();
         self.job.stopping = false;
         self.job.spindle_rpm = 0;
+        let probing = self
+            .machine
+            .as_mut()
+            .and_then(|machine| machine.io.take_probing());
+        if let Some(probing) = probing {
+            let input = probing.input;
+            self.safety.push_event(Event::NoContact { input });
+        }
         if self.safety.pending().is_some() {
             self.safety.settle();
         } else {
@@ -147,6 +214,7 @@ impl Core {
             }
             let setpoints = program.map_or(0, |program| program.reached());
             self.safety.push_event(Event::JobDropped { job, setpoints });
+            self.end_coolant();
         }
     }
 }

@@ -241,6 +241,9 @@ pub(crate) fn close_aborted_job(core: &mut Core) {
         core.drop_job();
         core.job.stopping = false;
         core.job.spindle_rpm = 0;
+        if let Some(machine) = &mut core.machine {
+            machine.io.take_probing();
+        }
     }
     if core.safety.has_latched() {
         invalidate_preset(core);

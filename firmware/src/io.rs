@@ -92,8 +92,7 @@ pub struct HapticOutputs {
     pub currents: [[i16; 2]; LEGS],
 }
 
-/// Analog inputs, and analog outputs, of a board.
-pub const ANALOG: usize = 4;
+pub use haptimill_protocol::message::ANALOG;
 
 /// All inputs, latched at the start of the period.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

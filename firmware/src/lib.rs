@@ -24,6 +24,7 @@ pub mod joint;
 pub mod machine;
 mod modes;
 pub mod motion;
+pub mod named_io;
 pub mod pil;
 pub mod profiler;
 pub mod safety;

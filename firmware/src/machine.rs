@@ -17,6 +17,7 @@ use crate::io::{DriveCommand, Inputs};
 use crate::joint::JointDrive;
 use crate::motion::interpolator::Progress;
 use crate::motion::{Mode, Motion, PoseCommand};
+use crate::named_io::{NamedIo, ProbeLatch};
 use crate::safety::homing::Homing;
 use configure::PARTS;
 pub use configure::{EncoderScaling, PositionSnapshot};
@@ -59,6 +60,8 @@ pub struct Machine {
     pub force: Option<ForceControl>,
     /// The haptic arm or the remote master, and the mapping to the tool.
     pub masters: Masters,
+    /// Named inputs and outputs.
+    pub io: NamedIo,
     /// Reference p_r on a machine with force control; unused without it.
     reference: PoseCommand,
     /// Hold-off before a compliance-limit event is reported again, in periods.
@@ -104,6 +107,28 @@ impl Machine {
         }
         self.measure_pose();
         self.measure_haptics(&inputs.haptic);
+        self.measure_io(inputs);
+    }
+
+    /// Levels of the named inputs; the position of this period for a probe that takes its level.
+    #[inline]
+    fn measure_io(&mut self, inputs: &Inputs) {
+        let (measured, motion) = (&self.measured, &self.motion);
+        self.io.measure(&self.config.io, inputs, || ProbeLatch {
+            period: inputs.period,
+            joints: *measured,
+            commanded: motion.commanded().pose,
+        });
+    }
+
+    /// The position of this period, for a probe.
+    #[must_use]
+    pub fn probe_latch(&self, period: u64) -> ProbeLatch {
+        ProbeLatch {
+            period,
+            joints: self.measured,
+            commanded: self.motion.commanded().pose,
+        }
     }
 
     /// Finds counters that jumped farther than a joint can move in `periods`, which is more than

@@ -9,13 +9,16 @@ use crate::machine::masters::Leading;
 use crate::motion::Mode;
 use crate::motion::interpolator::Progress;
 use crate::safety::homing::{Outcome, Searched};
-use haptimill_protocol::message::{Event, Fault, Refusal, State};
+use haptimill_protocol::message::{Action, Event, Fault, Refusal, State};
 
 /// One period of the present state.
 #[inline]
 pub(crate) fn advance(core: &mut Core, server: &mut Server, inputs: &Inputs) {
     if core.safety.pending().is_some() && !core.job.stopping {
         core.abort();
+    }
+    if core.job.resume_wait != 0 {
+        core.wait_for_spindle();
     }
     follow_master(core);
     advance_motion(core, server, inputs);
@@ -94,9 +97,15 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
     if let Some(axis) = machine.beyond_soft_limit(&commanded) {
         core.safety.raise(Fault::SoftLimit { axis });
     }
-    if let Some(speed) = progress.spindle {
-        core.job.spindle_rpm = speed;
+    match progress.action {
+        Action::None | Action::Pause => {}
+        Action::Spindle(speed) => core.job.spindle_rpm = speed,
+        Action::Output { output, on } => core.set_output_of_job(output, on),
+        Action::AnalogOutput { output, code } => machine.io.set_analog(output, code),
     }
+    let Some(machine) = &mut core.machine else {
+        return;
+    };
     if progress.blocked && state == State::Run {
         core.safety.push_event(Event::Blocked {
             setpoint: machine.motion.program.reached(),
@@ -112,6 +121,7 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
         let setpoints = machine.motion.program.reached();
         if let Some(job) = core.job.number.take() {
             core.safety.push_event(Event::JobDone { job, setpoints });
+            core.end_coolant();
         }
         core.finish_at_standstill();
     } else if state == State::Hold && core.job.stopping && at_standstill {

@@ -7,6 +7,7 @@ use crate::io::{COMPONENTS, DriveCommand, Inputs};
 use crate::motion::interpolator::FULL_RATE;
 #[cfg(doc)]
 use crate::motion::interpolator::QUEUE;
+pub use crate::named_io::IoSnapshot;
 use haptimill_protocol::message::{MAX_AXES, State};
 
 /// Values of all axes, in axis units; 0 for axes that the machine lacks.
@@ -49,6 +50,8 @@ pub struct Snapshot {
     pub force: ForceSnapshot,
     /// The haptic arm, on a machine that has one.
     pub hand: HapticSnapshot,
+    /// Named inputs and outputs.
+    pub io: IoSnapshot,
 }
 
 /// Force on the tool and compliant displacement; zeros on a machine without a force sensor.
@@ -108,6 +111,7 @@ impl Controller {
                 DriveCommand::Off => 0,
             };
         }
+        snapshot.io = machine.io.snapshot(&machine.config.io);
         match &machine.force {
             Some(force) => {
                 let (extremes, yielded) = (force.extremes(), force.displacements());

@@ -107,6 +107,7 @@ fn config() -> Config {
         force: None,
         follow: None,
         haptic: None,
+        io: Default::default(),
     }
 }
 

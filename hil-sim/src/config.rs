@@ -8,6 +8,7 @@
 //! on purpose: a longer rod, more friction, another index position.
 
 use crate::check::{Check, PlantError};
+use crate::contact::{InputLine, TouchConfig, check as check_inputs};
 use crate::haptics::HapticConfig;
 use crate::joint::JointConfig;
 use crate::machines::GeometryConfig;
@@ -53,6 +54,18 @@ pub struct PlantConfig {
     /// Operator model at the haptic arm; it holds the handle from the start.
     #[serde(default)]
     pub hand: Option<OperatorConfig>,
+    /// Digital inputs.
+    #[serde(default)]
+    pub input: Vec<InputLine>,
+    /// Block that the probe touches.
+    #[serde(default)]
+    pub probe: Option<TouchConfig>,
+    /// Block that is the tool setter.
+    #[serde(default)]
+    pub tool_setter: Option<TouchConfig>,
+    /// Codes of the analog inputs, constant.
+    #[serde(default)]
+    pub analog_inputs: [i16; 4],
     /// Joints in the machine's order: 1 to 6, or none for a
     /// haptic arm alone.
     #[serde(default)]
@@ -125,6 +138,11 @@ impl PlantConfig {
                 "needs a haptic arm; add a section [plant.haptic]".into(),
             );
         }
+        let touches = [
+            ("probe", self.probe.as_ref()),
+            ("tool_setter", self.tool_setter.as_ref()),
+        ];
+        check_inputs(&self.input, touches, &mut check);
         for (index, joint) in self.joint.iter().enumerate() {
             joint.check(
                 &format!("joint {index} ({})", joint.name),

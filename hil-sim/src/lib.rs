@@ -10,6 +10,7 @@
 //! * [`machines`]: machine geometries, from their loop-closure equations.
 //! * [`process`]: spindle, cutter, workpiece, cutting force, structure, force sensor.
 //! * [`haptics`]: the haptic master arm; [`operator`]: the operator model that moves it.
+//! * [`contact`]: named inputs, the contacts of a probe and a tool setter.
 //! * [`plant`]: the complete machine, advanced by one control period at a time.
 //! * [`mod@line`]: the serial line; [`fault`], [`schedule`]: injected faults and their times.
 //! * [`rig`]: plant, controller and line in lockstep; [`io_log`]: all inputs and outputs of the
@@ -17,6 +18,7 @@
 
 pub mod check;
 pub mod config;
+pub mod contact;
 pub mod fault;
 pub mod haptics;
 pub mod io_log;

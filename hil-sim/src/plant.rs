@@ -18,6 +18,7 @@
 
 use crate::check::PlantError;
 use crate::config::PlantConfig;
+use crate::contact::InputLines;
 use crate::haptics::HapticArm;
 use crate::joint::encoder::{Encoder, EncoderCondition, Track};
 use crate::joint::mechanics::{Bodies, JointArray, Mechanics};
@@ -133,6 +134,8 @@ pub struct Plant {
     /// Periods since the start.
     period: u64,
     emergency_stop: bool,
+    inputs: InputLines,
+    analog_inputs: [i16; 4],
     misdirected: u64,
     truth: GroundTruth,
 }
@@ -202,6 +205,11 @@ impl Plant {
             seed: config.seed,
             period: 0,
             emergency_stop: false,
+            inputs: InputLines::new(
+                &config.input,
+                [config.probe.as_ref(), config.tool_setter.as_ref()],
+            ),
+            analog_inputs: config.analog_inputs,
             misdirected: 0,
             truth: GroundTruth::default(),
         };
@@ -209,6 +217,7 @@ impl Plant {
         if let Some(process) = config.process() {
             plant.fit(&process)?;
         }
+        plant.follow_contacts();
         Ok(plant)
     }
 
@@ -297,6 +306,8 @@ impl Plant {
         inputs.period = self.period;
         inputs.time_ns = self.time_ns() as u32;
         inputs.emergency_stop = self.emergency_stop;
+        inputs.digital = self.inputs.word(self.time_ns());
+        inputs.analog = self.analog_inputs;
         if let Some(sensor) = self.process.as_ref().and_then(Process::sensor) {
             inputs.force = ForceSample {
                 codes: sensor.codes(),
@@ -399,6 +410,27 @@ impl Plant {
             };
             self.apply_process(rpm);
         }
+        self.follow_contacts();
+    }
+
+    /// Updates the contacts of probe and tool setter. The tip includes the deflection of the
+    /// structure.
+    fn follow_contacts(&mut self) {
+        if self.inputs.has_touches() && self.truth.pose_valid {
+            let mut tool = self.tool_pose();
+            tool.tip.copy_from_slice(&self.truth.pose[..3]);
+            self.inputs.follow(&tool);
+        }
+    }
+
+    /// Digital inputs, with the contacts of probe and tool setter.
+    pub const fn inputs(&self) -> &InputLines {
+        &self.inputs
+    }
+
+    /// Digital inputs, with mutable access for fault injection.
+    pub const fn inputs_mut(&mut self) -> &mut InputLines {
+        &mut self.inputs
     }
 
     /// Advances the cutting process by one period. Its force loads the joints in the next period.

@@ -156,7 +156,12 @@ impl<C: Control> Rig<C> {
             .iter()
             .map(|joint| joint.name.as_str())
             .collect();
-        let schedule = Schedule::new(&options.faults, &joints).map_err(RigError::Fault)?;
+        let inputs: Vec<&str> = config
+            .input
+            .iter()
+            .map(|input| input.name.as_str())
+            .collect();
+        let schedule = Schedule::new(&options.faults, &joints, &inputs).map_err(RigError::Fault)?;
         Ok(Self {
             control,
             truth: *plant.truth(),

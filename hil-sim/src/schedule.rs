@@ -3,6 +3,7 @@
 //! A schedule with faults owns the conditions of all devices. It sets all of them at each change,
 //! which overwrites conditions set by other code.
 
+use crate::contact::InputCondition;
 use crate::fault::{
     Channel, Direction, Fault, FaultError, FaultKind, HapticEncoder, HapticFault, Level, Switch,
 };
@@ -18,7 +19,7 @@ use haptimill_protocol::message::MAX_AXES;
 #[derive(Debug, Clone)]
 struct Entry {
     kind: FaultKind,
-    /// Index of the fault's joint.
+    /// Index of the fault's joint or input.
     axis: usize,
     begins_ns: u64,
     ends_ns: u64,
@@ -36,14 +37,14 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Creates the schedule of these faults for a machine with these joints.
+    /// Creates the schedule of these faults for a machine with these joints and digital inputs.
     ///
     /// # Errors
     /// The first fault that is invalid for the machine.
-    pub fn new(faults: &[Fault], joints: &[&str]) -> Result<Self, FaultError> {
+    pub fn new(faults: &[Fault], joints: &[&str], inputs: &[&str]) -> Result<Self, FaultError> {
         let mut entries = Vec::new();
         for fault in faults {
-            let axis = fault.place(joints)?;
+            let axis = fault.place(joints, inputs)?;
             let begins_ns = (fault.at_s * 1e9) as u64;
             let ends_ns = fault
                 .for_s
@@ -97,6 +98,7 @@ impl Schedule {
         let mut sensors = [SensorCondition::default(); 3];
         let mut stalled = false;
         let mut hand = HapticCondition::default();
+        let mut inputs = vec![InputCondition::default(); plant.inputs().count()];
         for entry in &mut self.entries {
             let begins = !entry.active && now >= entry.begins_ns;
             entry.active = (entry.begins_ns..entry.ends_ns).contains(&now);
@@ -127,6 +129,13 @@ impl Schedule {
             }
             if entry.active {
                 inject_process(&entry.kind, &mut sensors, &mut stalled);
+                match entry.kind {
+                    FaultKind::InputLevel { level, .. } => {
+                        inputs[entry.axis].level = Some(level == Level::High);
+                    }
+                    FaultKind::InputBounce { hz, .. } => inputs[entry.axis].bounce_hz = hz,
+                    _ => {}
+                }
                 if let FaultKind::HapticArm(fault) = &entry.kind {
                     inject_haptic(fault, &mut hand);
                 }
@@ -147,6 +156,9 @@ impl Schedule {
             plant.set_load(axis, loads[axis]);
         }
         plant.set_emergency_stop(emergency_stop);
+        for (input, condition) in inputs.into_iter().enumerate() {
+            plant.inputs_mut().set_condition(input, condition);
+        }
         if let Some(process) = plant.process_mut() {
             process.spindle_mut().set_stalled(stalled);
             if let Some(sensor) = process.sensor_mut() {
@@ -252,6 +264,8 @@ fn inject(
         | FaultKind::SensorDrift { .. }
         | FaultKind::SensorSaturated { .. }
         | FaultKind::HapticArm(_)
+        | FaultKind::InputLevel { .. }
+        | FaultKind::InputBounce { .. }
         | FaultKind::SpindleStalled => {}
     }
 }

@@ -34,7 +34,7 @@ use crate::urgent;
 use heapless::Vec;
 
 /// Largest payload of a frame, bytes. The largest message, a full batch of setpoints with large
-/// residuals, has 284.
+/// residuals, has 288.
 pub const MAX_PAYLOAD: usize = 288;
 
 /// Largest header, payload and check, bytes.

@@ -10,7 +10,8 @@
 mod problem;
 
 pub use problem::{
-    ConfigField, ConfigProblem, Fault, HomingProblem, InputProblem, PoseError, Refusal,
+    ConfigField, ConfigProblem, Fault, HomingProblem, InputProblem, OutputProblem, PoseError,
+    Refusal,
 };
 
 use crate::force::{ForceLoop, ForceTelemetry, TareRefusal};
@@ -25,7 +26,10 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both endpoints must have the same.
-pub const PROTOCOL_VERSION: u16 = 4;
+pub const PROTOCOL_VERSION: u16 = 5;
+
+/// Largest number of named analog inputs, and of named analog outputs.
+pub const ANALOG: usize = 4;
 
 /// A rate on the wire is in axis units per second divided by 2^8: 2^-12 mm/s, or 2^-24 turn/s.
 pub const RATE_SHIFT: u32 = 8;
@@ -247,6 +251,29 @@ pub enum Command {
         /// The component: 0 for x, 1 for y, 2 for z of the workpiece.
         axis: u8,
     },
+    /// Sets a digital output; refused while a fault or an emergency stop is latched.
+    SetOutput {
+        /// Index of the output in the configuration.
+        output: u8,
+        /// On or off.
+        on: bool,
+    },
+    /// Sets an analog output; refused while a fault or an emergency stop is latched.
+    SetAnalogOutput {
+        /// Index of the analog output in the configuration.
+        output: u8,
+        /// The code.
+        code: i16,
+    },
+    /// Arms probing, from idle: the next job or jog decelerates along its path when the input takes
+    /// the level, and ends. [`Event::Probed`] reports the contact, [`Event::NoContact`] an end
+    /// without it. Both end the probing; so do a fault and the drives going off.
+    ArmProbe {
+        /// Index of the input in the configuration: a probe or a tool setter.
+        input: u8,
+        /// The level that ends the motion: active for a contact, inactive for its loss.
+        active: bool,
+    },
 }
 
 /// A piece of the configuration.
@@ -297,6 +324,20 @@ pub enum Action {
     Spindle(i16),
     /// Waits for [`Command::Resume`] (M0, M1); the setpoint must have rate zero.
     Pause,
+    /// Sets a digital output (M7 to M9, M62 to M65).
+    Output {
+        /// Index of the output in the configuration.
+        output: u8,
+        /// On or off.
+        on: bool,
+    },
+    /// Sets an analog output (M67, M68).
+    AnalogOutput {
+        /// Index of the analog output in the configuration.
+        output: u8,
+        /// The code.
+        code: i16,
+    },
 }
 
 /// Source of the commanded value of a pose coordinate.
@@ -426,6 +467,22 @@ pub struct Telemetry {
     pub lost_bytes: u32,
     /// Forces. `None` on a machine without a sensor, which takes one byte.
     pub force: Option<ForceTelemetry>,
+    /// Named inputs and outputs. `None` on a machine without any, which takes one byte.
+    pub io: Option<IoTelemetry>,
+}
+
+/// Named inputs and outputs, in the order of the configuration.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct IoTelemetry {
+    /// Filtered levels of the digital inputs, one bit per input; 1 is active.
+    pub inputs: u16,
+    /// Values of the digital outputs, one bit per output; 1 is on.
+    pub outputs: u16,
+    /// Codes of the analog inputs.
+    pub analog_inputs: Vec<i16, ANALOG>,
+    /// Codes of the analog outputs.
+    pub analog_outputs: Vec<i16, ANALOG>,
 }
 
 /// Something that happened.
@@ -517,5 +574,53 @@ pub enum Event {
         axis: u8,
         /// The settings.
         settings: ForceLoop,
+    },
+    /// Position of an axis in the period in which the probe took its level. One event per axis
+    /// comes directly before [`Event::Probed`].
+    ProbedAt {
+        /// The pose coordinate, and the joint with that number.
+        axis: u8,
+        /// Measured pose coordinate, axis units.
+        measured: i32,
+        /// Commanded pose coordinate, axis units.
+        commanded: i32,
+        /// Measured joint, axis units.
+        joint: i32,
+    },
+    /// The armed probe took its level: the machine decelerates along its path, and the job or jog
+    /// ends.
+    Probed {
+        /// The input.
+        input: u8,
+        /// Control period in which the level changed.
+        period: u64,
+        /// The forward kinematics certified the measured pose; otherwise the commanded pose stands
+        /// in its place.
+        is_measured: bool,
+    },
+    /// The motion for which a probe was armed ended without a contact.
+    NoContact {
+        /// The input.
+        input: u8,
+    },
+    /// A probe had a contact in motion while no probing was armed; the machine file makes this a
+    /// warning.
+    ProbeContact {
+        /// The input.
+        input: u8,
+    },
+    /// An input holds the job, or stops jog or homing: a feed hold or an open door.
+    InputHold {
+        /// The input.
+        input: u8,
+    },
+    /// Outputs went to their safe values: a fault, an emergency stop, or a silent host.
+    OutputsSafe,
+    /// An action of the job could not set an output; the job is dropped.
+    OutputRefused {
+        /// The output.
+        output: u8,
+        /// The reason.
+        problem: OutputProblem,
     },
 }

@@ -7,7 +7,8 @@
 //! ```
 //! use haptimill_protocol::message::Fault;
 //! use haptimill_protocol::text::{Axes, Axis, AxisKind};
-//! let axes = Axes { pose: &[], joints: &[Axis { name: "joint 1", kind: AxisKind::Linear }] };
+//! let joint = [Axis { name: "joint 1", kind: AxisKind::Linear }];
+//! let axes = Axes { joints: &joint, ..Axes::default() };
 //! let fault = Fault::SoftLimit { axis: 4 };
 //! assert_eq!(
 //!     fault.to_string(),
@@ -50,19 +51,51 @@ pub struct Axis<'a> {
     pub kind: AxisKind,
 }
 
-/// Axes of a machine. The lists may be short or empty; a missing axis is named by its number.
+/// Axes, inputs and outputs of a machine. The lists may be short or empty; a missing entry is named by its number.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Axes<'a> {
     /// Pose coordinates.
     pub pose: &'a [Axis<'a>],
     /// Joints.
     pub joints: &'a [Axis<'a>],
+    /// Names of the digital inputs.
+    pub inputs: &'a [&'a str],
+    /// Names of the digital outputs.
+    pub outputs: &'a [&'a str],
+    /// Names of the analog outputs.
+    pub analog_outputs: &'a [&'a str],
 }
 
 impl<'a> Axes<'a> {
     /// Returns the sentence of `Display` with names and amounts.
     pub fn describe<T: Describe>(&'a self, what: &'a T) -> Described<'a, T> {
         Described { axes: self, what }
+    }
+}
+
+impl Axes<'_> {
+    const fn input(&self, index: u8) -> NamedChannel<'_> {
+        NamedChannel(self.inputs, "input", index)
+    }
+
+    const fn output(&self, index: u8) -> NamedChannel<'_> {
+        NamedChannel(self.outputs, "output", index)
+    }
+
+    const fn analog_output(&self, index: u8) -> NamedChannel<'_> {
+        NamedChannel(self.analog_outputs, "analog output", index)
+    }
+}
+
+/// Displays an input or output by its name, or by its kind and its number from 1.
+struct NamedChannel<'a>(&'a [&'a str], &'static str, u8);
+
+impl Display for NamedChannel<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        match self.0.get(usize::from(self.2)) {
+            Some(name) => f.write_str(name),
+            None => write!(f, "{} {}", self.1, u32::from(self.2) + 1),
+        }
     }
 }
 
@@ -183,8 +216,8 @@ mod tests {
             kind: AxisKind::Linear,
         }];
         let axes = Axes {
-            pose: &[],
             joints: &slide,
+            ..Axes::default()
         };
         let error = PoseError::OutOfStroke {
             axis: 0,

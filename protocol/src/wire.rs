@@ -320,7 +320,7 @@ mod tests {
 
         #[test]
         fn writes_what_postcard_writes(
-            kind in 0..31_u8,
+            kind in 0..34_u8,
             rest in prop::collection::vec(prop_oneof![2 => 0..6_u8, 1 => any::<u8>()], 60..200),
             room in 0..MAX_PAYLOAD,
         ) {

@@ -41,7 +41,10 @@ fn every_request_fits_a_frame() {
         periods: u16::MAX,
         moved: 0b11_1111,
         residuals: [i32::MIN; 2 * MAX_AXES].into_iter().collect(),
-        action: Action::Spindle(i16::MIN),
+        action: Action::AnalogOutput {
+            output: u8::MAX,
+            code: i16::MIN,
+        },
     };
     let items = core::iter::repeat_n(delta, SETPOINT_BATCH).collect();
     let chunk = ConfigChunk {
@@ -114,11 +117,19 @@ fn every_request_fits_a_frame() {
         },
         Command::PositionScale { scale: u16::MAX },
         Command::MasterTelemetry { every: u16::MAX },
+        Command::SetAnalogOutput {
+            output: u8::MAX,
+            code: i16::MIN,
+        },
+        Command::ArmProbe {
+            input: u8::MAX,
+            active: true,
+        },
     ];
     let sizes = commands.map(|command| size(&Request { id: 255, command }));
     println!("requests: {sizes:?} bytes");
     // The value in the documentation of MAX_PAYLOAD.
-    assert_eq!(sizes.into_iter().max(), Some(284));
+    assert_eq!(sizes.into_iter().max(), Some(288));
     assert!(sizes.into_iter().all(|bytes| bytes <= MAX_PAYLOAD));
 }
 
@@ -173,6 +184,12 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
         bad_frames: u32::MAX,
         lost_bytes: u32::MAX,
         force: None,
+        io: Some(IoTelemetry {
+            inputs: u16::MAX,
+            outputs: u16::MAX,
+            analog_inputs: [i16::MIN; ANALOG].into_iter().collect(),
+            analog_outputs: [i16::MIN; ANALOG].into_iter().collect(),
+        }),
     };
     let without = size(&Report::Telemetry(telemetry.clone()));
     let telemetry = Telemetry {
@@ -212,6 +229,30 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
     };
     let period = u64::MAX;
     let short = [
+        Report::Event {
+            period,
+            event: Event::ProbedAt {
+                axis: 255,
+                measured: i32::MIN,
+                commanded: i32::MIN,
+                joint: i32::MIN,
+            },
+        },
+        Report::Event {
+            period,
+            event: Event::Probed {
+                input: 255,
+                period,
+                is_measured: true,
+            },
+        },
+        Report::Answer {
+            id: 255,
+            result: Err(Refusal::AnalogOutput {
+                output: 255,
+                problem: OutputProblem::SpindleTurns,
+            }),
+        },
         Report::Answer {
             id: 255,
             result: Err(Refusal::Pose {

@@ -162,6 +162,7 @@ pub fn h4() -> Config {
         force: None,
         follow: None,
         haptic: None,
+        io: Default::default(),
     }
 }
 

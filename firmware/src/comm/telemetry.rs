@@ -158,6 +158,7 @@ fn sample_machine(core: &Core, inputs: &Inputs, line: &LineCount) -> Telemetry {
         sample.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
         machine.fill_telemetry(inputs, &mut sample);
         sample.force = machine.force.as_ref().map(ForceControl::telemetry);
+        sample.io = machine.io_telemetry();
     }
     sample
 }

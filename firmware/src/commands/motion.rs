@@ -30,6 +30,7 @@ pub(super) fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisVal
     if core.job.stopping || !(beside_program || matches!(state, State::Idle | State::Jog)) {
         return Err(Refusal::State(state));
     }
+    machine.check_inputs(false)?;
     if state == State::Idle {
         machine.motion.begin_jog(true);
         core.safety.enter(State::Jog);

@@ -49,6 +49,7 @@ fn validate_setpoint(
         return Err(Refusal::OutOfOrder { expected });
     }
     if validated == 0 {
+        machine.check_action(&setpoint.action)?;
         machine.can_reach(number, setpoint)?;
         *budget = budget.saturating_sub(POSE);
         if !machine.motion.program.expects(setpoint.periods) {

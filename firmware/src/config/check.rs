@@ -45,6 +45,7 @@ impl Config {
         let force = self.force.is_none() || self.model.descriptor().has_guided_tool();
         require(force, ConfigField::Force, None)?;
         self.check_hand()?;
+        self.io.check()?;
         for (index, axis) in self.pose.iter().enumerate() {
             self.check_pose(index, axis)?;
         }

@@ -12,6 +12,7 @@ use crate::io::Inputs;
 use crate::joint::power_on_counts::SincePowerOn;
 use crate::joint::{EncoderState, JointDrive};
 use crate::motion::{Motion, PoseCommand};
+use crate::named_io::NamedIo;
 use crate::safety::homing::Homing;
 use haptimill_kinematics::{JointMotion, Joints};
 use haptimill_math::Coordinate;
@@ -20,14 +21,17 @@ use heapless::Vec;
 
 /// Number of parts in which the configuration and the values derived from it are checked against
 /// their digests. The parts are: geometry and bounds, motion, each pose axis and each joint, the
-/// haptic arm, the force sensor, each axis of force control.
+/// haptic arm, the named inputs and outputs, the force sensor, each axis of force control.
 pub(super) const PARTS: usize = FORCE_PART + 1 + COMPONENTS;
 
 /// Digest part of the haptic arm.
 pub(super) const HAND_PART: usize = 2 + 2 * MAX_AXES;
 
 /// Digest part of the force sensor.
-pub(super) const FORCE_PART: usize = HAND_PART + 1;
+pub(super) const FORCE_PART: usize = IO_PART + 1;
+
+/// Digest part of the named inputs and outputs.
+pub(super) const IO_PART: usize = HAND_PART + 1;
 
 /// Encoder scaling and encoder state of each joint.
 pub type PositionSnapshot = Vec<(EncoderScaling, EncoderState), MAX_AXES>;
@@ -123,6 +127,7 @@ impl Machine {
             homing: Homing::default(),
             force: None,
             masters: Masters::default(),
+            io: NamedIo::new(&config.io),
             reference: PoseCommand::default(),
             limited: [0; COMPONENTS],
             newly_limited: 0,
@@ -221,6 +226,7 @@ impl Machine {
             }
             1 => self.motion.digest(&mut digest),
             HAND_PART => self.digest_hand(&mut digest),
+            IO_PART => digest.add(&config.io),
             FORCE_PART.. => self.digest_force(part - FORCE_PART, &mut digest),
             _ if part.is_multiple_of(2) => digest.add(&config.pose.get(part / 2 - 1)),
             _ => {

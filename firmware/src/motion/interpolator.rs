@@ -61,8 +61,8 @@ impl Knot {
 /// Events on the path in one control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Progress {
-    /// New spindle speed, rev/min.
-    pub spindle: Option<i16>,
+    /// Action of the setpoint that was reached.
+    pub action: Action,
     /// Number of the setpoint at which a pause was reached.
     pub paused: Option<u32>,
     /// The last setpoint of the job was reached.
@@ -534,7 +534,9 @@ impl Interpolator {
             }
             match self.from.action {
                 Action::None => {}
-                Action::Spindle(speed) => progress.spindle = Some(speed),
+                action @ (Action::Spindle(_)
+                | Action::Output { .. }
+                | Action::AnalogOutput { .. }) => progress.action = action,
                 Action::Pause => {
                     self.paused = true;
                     self.time = 0;

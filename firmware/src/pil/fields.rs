@@ -6,7 +6,7 @@ use crate::io::{
     ANALOG, AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs,
     StepSegment,
 };
-use crate::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
+use crate::snapshot::{ForceSnapshot, HapticSnapshot, IoSnapshot, Snapshot};
 use haptimill_protocol::message::State;
 
 #[inline(always)]
@@ -170,6 +170,20 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
     words.put_vector(&hand.force);
     words.put_vector(&hand.reflected);
     words.put_vector(&hand.wall);
+    let io = &snapshot.io;
+    words.put(u32::from(io.inputs) | u32::from(io.outputs) << 16);
+    put_analog(words, io.analog_inputs);
+    put_analog(words, io.analog_outputs);
+}
+
+fn take_io(words: &mut Reader<'_>) -> IoSnapshot {
+    let pair = words.take();
+    IoSnapshot {
+        inputs: pair as u16,
+        outputs: (pair >> 16) as u16,
+        analog_inputs: take_analog(words),
+        analog_outputs: take_analog(words),
+    }
 }
 
 pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
@@ -238,6 +252,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
             reflected: words.take_row(),
             wall: words.take_row(),
         },
+        io: take_io(words),
     });
     Ok(done)
 }

@@ -2,7 +2,7 @@ use super::*;
 use crate::io::{
     AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs, StepSegment,
 };
-use crate::snapshot::{ForceSnapshot, HapticSnapshot};
+use crate::snapshot::{ForceSnapshot, HapticSnapshot, IoSnapshot};
 use haptimill_protocol::message::{MAX_AXES, State};
 use proptest::prelude::*;
 
@@ -53,6 +53,7 @@ prop_compose! {
         rows: [[i32; MAX_AXES]; 5],
         [high, low, yielded]: [[i32; 3]; 3],
         [tip, felt, reflected, wall]: [[i32; 3]; 4],
+        (inputs, outputs, analog_inputs, analog_outputs) in any::<(u16, u16, [i16; 4], [i16; 4])>(),
     ) -> Snapshot {
         let [commanded, joints_commanded, joints, following_error, drive] = rows;
         Snapshot {
@@ -60,6 +61,7 @@ prop_compose! {
             commanded, joints_commanded, joints, following_error, drive,
             force: ForceSnapshot { high, low, yielded },
             hand: HapticSnapshot { tip, force: felt, reflected, wall },
+            io: IoSnapshot { inputs, outputs, analog_inputs, analog_outputs },
         }
     }
 }

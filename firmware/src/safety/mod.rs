@@ -12,7 +12,7 @@
 //! | EmergencyStop (latched) | off | reset |
 //!
 //! Some faults leave the machine under control: lost host, late periods, a soft limit, a joint
-//! rate, the force sensor or its force, the haptic arm. The machine then brakes along the path
+//! rate, the force sensor or its force, the haptic arm, a probe. The machine then brakes along the path
 //! first, the fault latches at standstill, and the drives hold. Any other fault takes the drives
 //! off in the same period.
 //!
@@ -56,6 +56,7 @@ pub const fn brakes_first(fault: &Fault) -> bool {
             | Fault::JointRate { .. }
             | Fault::Force(_)
             | Fault::Master(_)
+            | Fault::ProbeContact { .. }
     )
 }
 

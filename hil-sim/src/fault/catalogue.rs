@@ -25,7 +25,7 @@ const fn entry(name: &'static str, keys: &'static str, what: &'static str) -> En
 }
 
 /// All faults.
-pub(super) const CATALOGUE: [Entry; 31] = [
+pub(super) const CATALOGUE: [Entry; 33] = [
     entry(
         "encoder-stuck",
         "axis=NAME channel=a|b level=low|high",
@@ -138,6 +138,16 @@ pub(super) const CATALOGUE: [Entry; 31] = [
         "the amplifiers of the haptic arm have no output and report a fault",
     ),
     entry("spindle-stalled", "", "the spindle does not turn"),
+    entry(
+        "input-level",
+        "name=NAME level=low|high",
+        "a digital input of [[plant.input]] is forced to a level",
+    ),
+    entry(
+        "input-bounce",
+        "name=NAME hz=X",
+        "the level of a digital input alternates X times a second",
+    ),
     entry("emergency-stop", "", "the emergency stop circuit is open"),
     entry(
         "missed-periods",

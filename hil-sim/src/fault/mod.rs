@@ -159,6 +159,20 @@ pub enum FaultKind {
     HapticArm(HapticFault),
     /// The spindle does not turn, whatever its command is.
     SpindleStalled,
+    /// A digital input is forced to a level.
+    InputLevel {
+        /// Name of the input.
+        name: String,
+        /// The level.
+        level: Level,
+    },
+    /// The level of a digital input alternates.
+    InputBounce {
+        /// Name of the input.
+        name: String,
+        /// Frequency, Hz.
+        hz: f64,
+    },
     /// The emergency stop circuit is open.
     EmergencyStop,
     /// The controller misses some periods, once.
@@ -298,6 +312,14 @@ impl FaultKind {
         }
     }
 
+    /// Name of the fault's digital input, if it has one.
+    pub fn input(&self) -> Option<&str> {
+        match self {
+            Self::InputLevel { name, .. } | Self::InputBounce { name, .. } => Some(name),
+            _ => None,
+        }
+    }
+
     /// Key of the fault's number, its value, and the smallest and largest value that the simulation
     /// supports. Beyond them a joint would be torn off its screw.
     const fn bounded(&self) -> Option<(&'static str, f64, f64, f64)> {
@@ -312,6 +334,7 @@ impl FaultKind {
                 ..
             } => ("effort", *effort, 0.0, 1e6),
             Self::Push { effort, .. } => ("effort", *effort, -1e5, 1e5),
+            Self::InputBounce { hz, .. } => ("hz", *hz, 0.001, 1e6),
             Self::SensorDrift { rate, .. } => ("rate", *rate, -1e6, 1e6),
             Self::MissedPeriods { count } => ("count", *count as f64, 1.0, 1e6),
             Self::LinkErrors { rate, .. }
@@ -324,20 +347,35 @@ impl FaultKind {
 }
 
 impl Fault {
-    /// Checks the fault against a machine with these joints. Returns the index of the fault's
-    /// joint, or 0 for a fault without a joint.
+    /// Checks the fault against a machine with these joints and digital inputs. Returns the index
+    /// of the fault's joint or input, or 0 for a fault with neither.
     ///
     /// # Errors
-    /// The joint does not exist, or a number is out of its range.
-    pub fn place(&self, joints: &[&str]) -> Result<usize, FaultError> {
+    /// The joint or input does not exist, or a number is out of its range.
+    pub fn place(&self, joints: &[&str], inputs: &[&str]) -> Result<usize, FaultError> {
         let refuse = |problem: String| {
             Err(FaultError {
                 fault: self.to_string(),
                 problem,
             })
         };
+        let input = self.what.input();
         let place = match self.what.axis() {
-            None => 0,
+            None => match input.map(|name| inputs.iter().position(|input| *input == name)) {
+                None => 0,
+                Some(Some(place)) => place,
+                Some(None) => {
+                    let has = if inputs.is_empty() {
+                        "no [[plant.input]]".to_string()
+                    } else {
+                        inputs.join(", ")
+                    };
+                    return refuse(format!(
+                        "there is no simulated input `{}`; this machine has {has}",
+                        input.unwrap_or_default()
+                    ));
+                }
+            },
             Some(axis) => match joints.iter().position(|joint| *joint == axis) {
                 Some(place) => place,
                 None => {

@@ -219,6 +219,14 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
             along: keys.word("along")?,
             level: keys.word("level")?,
         },
+        "input-level" => FaultKind::InputLevel {
+            name: keys.need("name")?.to_owned(),
+            level: keys.word("level")?,
+        },
+        "input-bounce" => FaultKind::InputBounce {
+            name: keys.need("name")?.to_owned(),
+            hz: keys.number("hz")?,
+        },
         "spindle-stalled" => FaultKind::SpindleStalled,
         "emergency-stop" => FaultKind::EmergencyStop,
         "missed-periods" => FaultKind::MissedPeriods {
@@ -317,6 +325,12 @@ impl fmt::Display for Fault {
                 )
             }
             FaultKind::HapticArm(fault) => write!(f, "{fault}"),
+            FaultKind::InputLevel { name, level } => {
+                write!(f, "input-level name={name} level={}", level.word())
+            }
+            FaultKind::InputBounce { name, hz } => {
+                write!(f, "input-bounce name={name} hz={hz}")
+            }
             FaultKind::SpindleStalled => f.write_str("spindle-stalled"),
             FaultKind::EmergencyStop => f.write_str("emergency-stop"),
             FaultKind::MissedPeriods { count } => write!(f, "missed-periods count={count}"),

@@ -20,6 +20,7 @@ mod likeness;
 pub mod migrate;
 pub mod model;
 mod models;
+mod named_io;
 mod plant;
 pub mod pose_difference;
 mod problem;
@@ -35,6 +36,7 @@ pub mod work_data;
 pub use axes::AxisLimits;
 pub use force::GATES;
 pub use format::FORMAT;
+pub use named_io::{AnalogName, IoNames};
 pub use problem::{Problem, Problems};
 
 use document::{Document, Section};
@@ -99,6 +101,8 @@ pub struct MachineFile {
     pub pose: Vec<AxisLimits>,
     /// Joints in engineering units.
     pub joints: Vec<AxisLimits>,
+    /// Names of inputs and outputs.
+    pub io: IoNames,
     /// Settings of the planner.
     pub planner: Planner,
     /// Whether the file has a `[plant]` section; see [`MachineFile::plant`].
@@ -301,6 +305,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     } else {
         None
     };
+    let (io, io_names) = named_io::read(&root, period_us);
     let has_plant = root.has("plant");
     root.finish();
 
@@ -331,9 +336,11 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
             force,
             follow,
             haptic: arm,
+            io,
         },
         pose: pose_limits,
         joints: joint_limits,
+        io: io_names,
         planner: planner.unwrap_or(NO_PLANNER),
         has_plant,
     }
@@ -379,9 +386,11 @@ fn read_master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f6
             force: None,
             follow: None,
             haptic: arm,
+            io: Default::default(),
         },
         pose: Vec::new(),
         joints: Vec::new(),
+        io: IoNames::default(),
         planner: NO_PLANNER,
         has_plant,
     }

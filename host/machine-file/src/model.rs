@@ -2,8 +2,8 @@
 //!
 //! A program is checked with the same code that moves the machine.
 
-use crate::MachineFile;
 use crate::scale::{PER_DEG, PER_MM};
+use crate::{IoNames, MachineFile};
 use haptimill_firmware::config;
 use haptimill_gcode::{AxisKind, Coordinates, Options, ProgramAxis};
 use haptimill_kinematics::BoundedKinematics;
@@ -20,6 +20,7 @@ pub struct Model {
     machine: BoundedKinematics,
     pose: Vec<(String, config::AxisKind)>,
     joints: Vec<(String, config::AxisKind)>,
+    io: IoNames,
 }
 
 fn units(kind: config::AxisKind) -> f64 {
@@ -59,13 +60,21 @@ impl Model {
                 .iter()
                 .map(|axis| (axis.name.clone(), axis.kind))
                 .collect(),
+            io: machine.io.clone(),
         }
     }
 
-    /// Removes names and units of all axes.
+    /// Names of inputs and outputs.
+    #[must_use]
+    pub const fn io(&self) -> &IoNames {
+        &self.io
+    }
+
+    /// Removes names and units of all axes, inputs and outputs.
     pub fn forget_axes(&mut self) {
         self.pose.clear();
         self.joints.clear();
+        self.io = IoNames::default();
     }
 
     /// Converts a pose in millimetres and degrees to axis units, rounded.
@@ -136,9 +145,16 @@ impl Model {
                 .collect()
         }
         let (pose, joints) = (list(&self.pose), list(&self.joints));
+        let inputs: Vec<&str> = self.io.inputs.iter().map(String::as_str).collect();
+        let outputs: Vec<&str> = self.io.outputs.iter().map(String::as_str).collect();
+        let analog = self.io.analog_outputs.iter();
+        let analog_outputs: Vec<&str> = analog.map(|it| it.name.as_str()).collect();
         use_axes(&Axes {
             pose: &pose,
             joints: &joints,
+            inputs: &inputs,
+            outputs: &outputs,
+            analog_outputs: &analog_outputs,
         })
     }
 

@@ -3,6 +3,7 @@
 use super::{Axes, Record, Recording, flag};
 use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::io::COMPONENTS;
+use haptimill_machine_file::{IoNames, MachineFile};
 
 /// Axis units per millimetre.
 const MM: f64 = (1 << 20) as f64;
@@ -34,6 +35,10 @@ enum Field {
     Spindle,
     Flag(u8),
     Clutch,
+    Input(usize),
+    Output(usize),
+    /// Whether it is an output, its index, and the value of the code 32768.
+    Analog(bool, usize, f64),
     Axis(Row, usize, f64),
     Force(Forces, usize, f64),
 }
@@ -100,6 +105,17 @@ impl Column {
             Field::Spindle => Value::Whole(i64::from(record.spindle_rpm)),
             Field::Flag(flag) => Value::Flag(record.has(flag)),
             Field::Clutch => Value::Flag(record.haptic_flags & flag::CLUTCH_CLOSED != 0),
+            Field::Input(input) => Value::Flag(record.io.inputs >> input & 1 != 0),
+            Field::Output(output) => Value::Flag(record.io.outputs >> output & 1 != 0),
+            Field::Analog(output, index, full_scale) => {
+                let io = &record.io;
+                let codes = if output {
+                    io.analog_outputs
+                } else {
+                    io.analog_inputs
+                };
+                scaled(i32::from(codes[index]), full_scale / 32_768.0)
+            }
             Field::Axis(row, axis, scale) => scaled(row(record)[axis], scale),
             Field::Force(row, axis, scale) => scaled(row(record)[axis], scale),
         })
@@ -188,6 +204,7 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
     for (group, unit, row, scale) in forces {
         all.extend(component_columns(group, unit, row, scale));
     }
+    all.extend(io_columns(recording));
     if header.has_haptic_arm {
         all.extend(component_columns(
             "hand",
@@ -203,6 +220,55 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         ];
         for (group, row) in masters {
             all.extend(component_columns(group, "n", row, NEWTON));
+        }
+    }
+    all
+}
+
+/// Returns the columns of the named inputs and outputs: `input_door`, `output_coolant`. A recording
+/// whose machine file cannot be read names them by number.
+fn io_columns(recording: &Recording) -> Vec<Column> {
+    let config = &recording.config().io;
+    if config.is_empty() {
+        return Vec::new();
+    }
+    let file = MachineFile::parse("recording", &recording.header().machine_text);
+    let names = file.map_or_else(|_| IoNames::default(), |file| file.io);
+    let name = |names: &[String], index: usize| {
+        let known = names.get(index).cloned();
+        known.unwrap_or_else(|| (index + 1).to_string())
+    };
+    let mut all = Vec::new();
+    for index in 0..config.inputs.len() {
+        let name = format!("input_{}", name(&names.inputs, index));
+        all.push(Column::plain(&name, "input", "", Field::Input(index)));
+    }
+    for index in 0..config.outputs.len() {
+        let name = format!("output_{}", name(&names.outputs, index));
+        all.push(Column::plain(&name, "output", "", Field::Output(index)));
+    }
+    let analog = [
+        (
+            "input",
+            false,
+            &names.analog_inputs,
+            config.analog_inputs.len(),
+        ),
+        (
+            "output",
+            true,
+            &names.analog_outputs,
+            config.analog_outputs.len(),
+        ),
+    ];
+    for (group, is_output, names, count) in analog {
+        for index in 0..count {
+            let (name, full_scale) = names.get(index).map_or_else(
+                || (format!("analog_{}", index + 1), 32_768.0),
+                |known| (known.name.clone(), known.full_scale),
+            );
+            let field = Field::Analog(is_output, index, full_scale);
+            all.push(Column::plain(&format!("{group}_{name}"), group, "", field));
         }
     }
     all

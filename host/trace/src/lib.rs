@@ -68,11 +68,15 @@
 //! | 204 | 3 x i32 | opposite extreme of the same spindle revolution, 2^-16 N |
 //! | 216 | 3 x i32 | compliant displacement, 2^-20 mm |
 //! | 228 | 3 x i32 | true force on the tool, 2^-16 N, if [`flag::TOOL_TRUE`] is set |
-//! | 240 | u32 | version 6: flags of the haptic arm, see [`flag::HAPTIC_KNOWN`] |
-//! | 244 | 3 x i32 | tip of the handle in the frame of the arm's base, 2^-20 mm |
-//! | 256 | 3 x i32 | force of the arm on the operator, 2^-16 N |
-//! | 268 | 3 x i32 | force feedback alone, 2^-16 N |
-//! | 280 | 3 x i32 | force of the virtual fixtures, 2^-16 N |
+//! | 240 | u16 | levels of the named inputs, one bit each; 1 is active |
+//! | 242 | u16 | values of the named outputs, one bit each; 1 is on |
+//! | 244 | 4 x i16 | codes of the named analog inputs |
+//! | 252 | 4 x i16 | codes of the named analog outputs |
+//! | 260 | u32 | version 6: flags of the haptic arm, see [`flag::HAPTIC_KNOWN`] |
+//! | 264 | 3 x i32 | tip of the handle in the frame of the arm's base, 2^-20 mm |
+//! | 276 | 3 x i32 | force of the arm on the operator, 2^-16 N |
+//! | 288 | 3 x i32 | force feedback alone, 2^-16 N |
+//! | 300 | 3 x i32 | force of the virtual fixtures, 2^-16 N |
 
 mod blocks;
 mod column;
@@ -99,7 +103,7 @@ pub use writer::{RESERVE_BYTES, Recorded, Recorder, free_bytes};
 pub use haptimill_hil_sim::io_log::{IoLog, Period};
 
 use haptimill_firmware::io::COMPONENTS;
-use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
+use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, IoSnapshot, Snapshot};
 use haptimill_protocol::message::{MAX_AXES, State};
 
 /// Default number of samples per second in an MCAP file.
@@ -134,7 +138,7 @@ pub fn write_mcap(
 }
 
 /// Size of a record of a machine without a haptic arm.
-pub const RECORD_BYTES: usize = 240;
+pub const RECORD_BYTES: usize = 260;
 
 /// Additional size of a record of a machine with a haptic arm.
 pub const HAPTIC_BYTES: usize = 52;
@@ -210,6 +214,8 @@ pub struct Record {
     pub force: ForceSnapshot,
     /// The true force on the tool, 2^-16 N.
     pub true_force: [i32; COMPONENTS],
+    /// Named inputs and outputs.
+    pub io: IoSnapshot,
     /// Haptic arm, if the machine has one.
     pub haptic: HapticSnapshot,
     /// Flags of the haptic arm, see [`flag::HAPTIC_KNOWN`].
@@ -235,6 +241,7 @@ impl Record {
         self.following_error = snapshot.following_error;
         self.drive = snapshot.drive;
         self.force = snapshot.force;
+        self.io = snapshot.io;
         self.haptic = snapshot.hand;
         self.haptic_flags |= flag::HAPTIC_KNOWN;
         for (set, flag) in [
@@ -302,6 +309,13 @@ impl Record {
         for (cell, value) in bytes[24..].as_chunks_mut::<4>().0.iter_mut().zip(cells) {
             *cell = value.to_le_bytes();
         }
+        let io = &self.io;
+        bytes[240..242].copy_from_slice(&io.inputs.to_le_bytes());
+        bytes[242..244].copy_from_slice(&io.outputs.to_le_bytes());
+        let codes = io.analog_inputs.iter().chain(&io.analog_outputs);
+        for (cell, code) in bytes[244..].as_chunks_mut::<2>().0.iter_mut().zip(codes) {
+            *cell = code.to_le_bytes();
+        }
         bytes
     }
 
@@ -332,6 +346,12 @@ impl Record {
                 yielded: forces(216),
             },
             true_force: forces(228),
+            io: IoSnapshot {
+                inputs: half(240),
+                outputs: half(242),
+                analog_inputs: std::array::from_fn(|input| half(244 + 2 * input) as i16),
+                analog_outputs: std::array::from_fn(|output| half(252 + 2 * output) as i16),
+            },
             haptic: HapticSnapshot::default(),
             haptic_flags: 0,
         })

@@ -1,5 +1,5 @@
 use super::*;
-use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot};
+use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, IoSnapshot};
 use haptimill_machine_file::MachineFile;
 use proptest::prelude::*;
 use sha2::{Digest, Sha256};
@@ -39,6 +39,7 @@ fn any_record() -> impl Strategy<Value = Record> {
         (0..State::ALL.len(), any::<u8>()),
         prop::array::uniform7(axes()),
         any::<[[i32; 3]; 4]>(),
+        any::<(u16, u16, [i16; 4], [i16; 4])>(),
     )
         .prop_map(
             |(
@@ -46,6 +47,7 @@ fn any_record() -> impl Strategy<Value = Record> {
                 (state, flags),
                 rows,
                 [high, low, yielded, true_force],
+                (inputs, outputs, analog_inputs, analog_outputs),
             )| {
                 let [
                     commanded,
@@ -73,6 +75,12 @@ fn any_record() -> impl Strategy<Value = Record> {
                     programmed,
                     force: ForceSnapshot { high, low, yielded },
                     true_force,
+                    io: IoSnapshot {
+                        inputs,
+                        outputs,
+                        analog_inputs,
+                        analog_outputs,
+                    },
                     ..Record::default()
                 }
             },

@@ -284,6 +284,7 @@ fn telemetry(period: u64) -> Report {
         bad_frames: 0,
         lost_bytes: 0,
         force: None,
+        io: None,
     })
 }
 

@@ -123,9 +123,42 @@ pub enum Refusal {
         /// The maximum rate, axis units per second.
         limit: i32,
     },
+    /// The input is no probe and no tool setter.
+    NoProbe {
+        /// Index of the input in the configuration.
+        input: u8,
+    },
+    /// The analog output cannot be set.
+    AnalogOutput {
+        /// Index of the analog output in the configuration.
+        output: u8,
+        /// The reason.
+        problem: OutputProblem,
+    },
+    /// The output cannot be set.
+    Output {
+        /// Index of the output in the configuration.
+        output: u8,
+        /// The reason.
+        problem: OutputProblem,
+    },
 }
 
-/// Condition that forbids to enable the drives or to reset.
+/// Reason why an output cannot be set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum OutputProblem {
+    /// The configuration has no output with this index.
+    Unknown,
+    /// The code is beyond the range of the analog output.
+    Range,
+    /// The output follows the spindle.
+    FollowsSpindle,
+    /// The output is the tool clamp, and the spindle is commanded to turn.
+    SpindleTurns,
+}
+
+/// Condition that forbids to enable the drives, to reset, or to start motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum InputProblem {
@@ -145,6 +178,21 @@ pub enum InputProblem {
     Coasting,
     /// The drives were just switched on, and the step motors have not locked yet.
     Settling,
+    /// The door is open.
+    DoorOpen {
+        /// The input.
+        input: u8,
+    },
+    /// The feed hold is active.
+    FeedHold {
+        /// The input.
+        input: u8,
+    },
+    /// The probe has the level already that ends the motion.
+    ProbeContact {
+        /// The input.
+        input: u8,
+    },
 }
 
 /// Invalid field of a configuration.
@@ -186,6 +234,8 @@ pub enum ConfigField {
     Force,
     Haptic,
     Follow,
+    Input,
+    Output,
 }
 
 /// Reason why the controller stopped by itself; latched until reset.
@@ -304,6 +354,12 @@ pub enum Fault {
         axis: u8,
         /// Distance from the position at which it was switched on, axis units.
         by: i32,
+    },
+    /// A probe or tool setter had a contact in motion while no probing was armed; the machine
+    /// decelerated along its path first.
+    ProbeContact {
+        /// The input.
+        input: u8,
     },
 }
 

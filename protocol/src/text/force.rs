@@ -168,7 +168,7 @@ mod tests {
         }];
         let axes = Axes {
             pose: &x,
-            joints: &[],
+            ..Axes::default()
         };
         let refusal = Refusal::Force {
             axis: 0,

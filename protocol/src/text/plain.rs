@@ -1,6 +1,8 @@
 //! Sentences that need no data of the machine.
 
-use crate::message::{Action, Command, ConfigField, HelloRefusal, HomingProblem, Source, State};
+use crate::message::{
+    Action, Command, ConfigField, HelloRefusal, HomingProblem, OutputProblem, Source, State,
+};
 use core::fmt::{Display, Formatter, Result};
 
 impl Display for HelloRefusal {
@@ -54,6 +56,13 @@ impl Display for Action {
             Self::Spindle(0) => f.write_str("spindle off"),
             Self::Spindle(speed) => write!(f, "spindle to {speed} rev/min"),
             Self::Pause => f.write_str("pause"),
+            Self::Output { output, on } => {
+                let on = if *on { "on" } else { "off" };
+                write!(f, "output {} {on}", u32::from(*output) + 1)
+            }
+            Self::AnalogOutput { output, code } => {
+                write!(f, "analog output {} to code {code}", u32::from(*output) + 1)
+            }
         }
     }
 }
@@ -95,6 +104,22 @@ impl Display for ConfigField {
             Self::Force => "force sensor or force loop",
             Self::Haptic => "haptic arm",
             Self::Follow => "teleoperation ([follow])",
+            Self::Input => "inputs (a channel or function that is used twice, or a range)",
+            Self::Output => "outputs (a channel or function that is used twice, or a range)",
+        })
+    }
+}
+
+impl Display for OutputProblem {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        f.write_str(match self {
+            Self::Unknown => {
+                "the machine has no such output; add it to the machine file and configure the \
+                 controller with it"
+            }
+            Self::Range => "the value is out of the range of this output",
+            Self::FollowsSpindle => "it follows the spindle; command the spindle instead",
+            Self::SpindleTurns => "it is the tool clamp and the spindle turns; stop the spindle",
         })
     }
 }
@@ -133,6 +158,9 @@ impl Command {
             Self::PositionScale { .. } => "position scale",
             Self::MasterTelemetry { .. } => "master telemetry",
             Self::ForceSettings { .. } => "force settings",
+            Self::SetOutput { .. } => "set output",
+            Self::SetAnalogOutput { .. } => "set analog output",
+            Self::ArmProbe { .. } => "arm probe",
         }
     }
 }

@@ -134,6 +134,17 @@ impl Describe for Refusal {
                 write_joint_rate(axes, axis, rate, limit, f)?;
                 f.write_str("; lower the feed there, or stay away from the edge of the workspace")
             }
+            Self::NoProbe { input } => write!(
+                f,
+                "{} is no probe and no tool setter; name an input with that function",
+                axes.input(input)
+            ),
+            Self::AnalogOutput { output, problem } => {
+                write!(f, "{}: {problem}", axes.analog_output(output))
+            }
+            Self::Output { output, problem } => {
+                write!(f, "{}: {problem}", axes.output(output))
+            }
             Self::FixturesTooNear => f.write_str(
                 "the ball at the tip does not fit between this virtual fixture \
                  and the opposite one; move one of them outwards",
@@ -179,6 +190,19 @@ impl Describe for InputProblem {
             Self::Settling => f.write_str(
                 "the step motors have not locked yet; wait until the drives are enabled",
             ),
+            Self::DoorOpen { input } => {
+                write!(f, "{} is open; close it first", axes.input(input))
+            }
+            Self::FeedHold { input } => write!(
+                f,
+                "the feed hold {} is active; release it first",
+                axes.input(input)
+            ),
+            Self::ProbeContact { input } => write!(
+                f,
+                "{} has its contact already; move it off, then probe again",
+                axes.input(input)
+            ),
         }
     }
 }
@@ -202,7 +226,11 @@ impl ConfigProblem {
 impl Describe for ConfigProblem {
     fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
         write!(f, "the configuration is invalid: {}", self.field)?;
-        if let Some(axis) = self.axis {
+        if let Some(axis) = self.axis
+            && matches!(self.field, ConfigField::Input | ConfigField::Output)
+        {
+            write!(f, ", entry {}", u32::from(axis) + 1)?;
+        } else if let Some(axis) = self.axis {
             let list = if self.is_of_pose() {
                 axes.pose
             } else {

@@ -157,6 +157,12 @@ impl Describe for Fault {
                      then reset and enable",
                 )
             }
+            Self::ProbeContact { input } => write!(
+                f,
+                "{} had a contact while no probing was commanded; the machine decelerated along \
+                 its path, reset and move it off",
+                axes.input(input)
+            ),
             Self::Internal { line } => write!(
                 f,
                 "an arithmetic limit was reached inside the controller (line {line}); report this"
@@ -242,6 +248,37 @@ impl Describe for Event {
                 "the compliant displacement of {} is limited: \
                  by its own limit, a soft limit or the edge of the workspace",
                 Named(axes.pose, axis)
+            ),
+            Self::ProbedAt { axis, measured, .. } => {
+                write!(f, "{} was", Named(axes.pose, axis))?;
+                match amount(axes.pose, axis, measured) {
+                    Some(at) => write!(f, " at {at} at the contact"),
+                    None => f.write_str(" measured at the contact"),
+                }
+            }
+            Self::Probed { input, .. } => {
+                write!(f, "contact of {}: the motion ends", axes.input(input))
+            }
+            Self::NoContact { input } => write!(
+                f,
+                "the motion ended without a contact of {}",
+                axes.input(input)
+            ),
+            Self::ProbeContact { input } => write!(
+                f,
+                "{} had a contact while no probing was commanded",
+                axes.input(input)
+            ),
+            Self::InputHold { input } => write!(
+                f,
+                "{} is active: the machine decelerates along its path and holds",
+                axes.input(input)
+            ),
+            Self::OutputsSafe => f.write_str("the outputs went to their safe values"),
+            Self::OutputRefused { output, problem } => write!(
+                f,
+                "the job was dropped, {} cannot be set: {problem}",
+                axes.output(output)
             ),
             Self::ForceSettings { axis, .. } => {
                 write!(

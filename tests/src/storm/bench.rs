@@ -180,6 +180,9 @@ pub const fn name(command: &Command) -> &'static str {
         Command::PositionScale { .. } => "PositionScale",
         Command::MasterTelemetry { .. } => "MasterTelemetry",
         Command::ForceSettings { .. } => "ForceSettings",
+        Command::SetOutput { .. } => "SetOutput",
+        Command::SetAnalogOutput { .. } => "SetAnalogOutput",
+        Command::ArmProbe { .. } => "ArmProbe",
     }
 }
 
@@ -226,7 +229,7 @@ impl StormBench {
             period: 0,
             faults: vec![],
             corrupted: false,
-            schedule: Schedule::new(&[], &[]).expect("empty"),
+            schedule: Schedule::new(&[], &[], &[]).expect("empty"),
             lines: [1, 2].map(|stream| SerialLine::new(None, Random::new(1, stream))),
             noise: [[0.0; 3]; 2],
             rng: Rng::new(episode.seed, 901),
@@ -316,7 +319,7 @@ impl StormBench {
             .chain([over]);
         let joints = if self.axes == 0 { &[][..] } else { &JOINTS[..] };
         let faults: Vec<Fault> = lasting.collect();
-        if let Ok(schedule) = Schedule::new(&faults, joints) {
+        if let Ok(schedule) = Schedule::new(&faults, joints, &[]) {
             self.schedule = schedule;
             self.faults = broken;
         }

@@ -303,6 +303,7 @@ mod tests {
             deferred_bytes: 0,
             bad_frames: 0,
             lost_bytes: 0,
+            io: None,
             force: Some(haptimill_protocol::force::ForceTelemetry {
                 high: [65_536; 3],
                 low: [0; 3],

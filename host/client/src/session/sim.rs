@@ -15,7 +15,7 @@ use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
 use haptimill_machine_file::MachineFile;
 use haptimill_planner::{Cursor, Plan};
 use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
-use haptimill_protocol::message::{AxisValues, MAX_AXES, State, Telemetry};
+use haptimill_protocol::message::{ANALOG, AxisValues, MAX_AXES, State, Telemetry};
 use haptimill_trace::{IoLog, Record, Recorder, flag};
 use std::sync::Arc;
 
@@ -314,6 +314,15 @@ impl JobRecording {
                 low: force.low,
                 yielded: force.yielded,
             };
+        }
+        if let Some(io) = &telemetry.io {
+            record.io.inputs = io.inputs;
+            record.io.outputs = io.outputs;
+            let copy = |to: &mut [i16; ANALOG], from: &[i16]| {
+                to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+            };
+            copy(&mut record.io.analog_inputs, &io.analog_inputs);
+            copy(&mut record.io.analog_outputs, &io.analog_outputs);
         }
         let flags = [
             (telemetry.force.is_some(), flag::FORCE),

@@ -195,6 +195,7 @@ impl Responder {
             deferred_bytes: 0,
             bad_frames: self.link.counters().bad_frames,
             force: None,
+            io: None,
             lost_bytes: 0,
         }
     }

@@ -1,0 +1,319 @@
+//! Sections `[[input]]`, `[[output]]`, `[[analog_input]]` and `[[analog_output]]`.
+
+use super::document::{Section, real, whole};
+use super::scale::to_u16;
+use haptimill_firmware::named_io::config::{
+    AnalogInputConfig, AnalogOutputConfig, CHANNELS, ContactReaction, DIGITAL, InputConfig,
+    InputFunction, IoConfig, LONGEST_PERIODS, OutputConfig, OutputFunction,
+};
+use haptimill_protocol::message::ANALOG;
+
+/// Default filter of an input that is no probe, ms.
+const FILTER_MS: f64 = 2.0;
+
+/// Longest filter, ms.
+const LONGEST_FILTER_MS: f64 = 1000.0;
+
+/// Largest magnitude of the full scale of an analog channel.
+const FULL_SCALE: f64 = 1e9;
+
+/// Codes of the full scale of an analog channel.
+const CODES: f64 = 32_768.0;
+
+/// Names of inputs and outputs, in the order of the configuration.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct IoNames {
+    /// Digital inputs.
+    pub inputs: Vec<String>,
+    /// Digital outputs.
+    pub outputs: Vec<String>,
+    /// Analog inputs.
+    pub analog_inputs: Vec<AnalogName>,
+    /// Analog outputs.
+    pub analog_outputs: Vec<AnalogName>,
+}
+
+/// Name and scale of an analog input or output.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnalogName {
+    /// Name.
+    pub name: String,
+    /// Unit of its values; may be empty.
+    pub unit: String,
+    /// Value of the code 32768; negative where the code falls with the value.
+    pub full_scale: f64,
+}
+
+impl AnalogName {
+    /// Value of a code.
+    #[must_use]
+    pub fn value(&self, code: i16) -> f64 {
+        f64::from(code) * self.full_scale / CODES
+    }
+
+    /// The nearest code of a value; it saturates.
+    #[must_use]
+    pub fn code(&self, value: f64) -> i16 {
+        (value * CODES / self.full_scale).round() as i16
+    }
+}
+
+/// Names of all entries so far.
+#[derive(Default)]
+struct Seen {
+    names: Vec<String>,
+}
+
+/// Channels and functions of one list, with the names of their entries.
+#[derive(Default)]
+struct Used {
+    channels: Vec<(u8, String)>,
+    functions: Vec<(&'static str, String)>,
+}
+
+impl Seen {
+    /// Reads a name, which commands and columns of recordings use.
+    fn name(&mut self, section: &Section<'_, '_>) -> String {
+        let remedy = "add a name of letters, digits, - and _";
+        let Some(name) = section.text("name", remedy) else {
+            return String::new();
+        };
+        let fits = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+        if name.len() > 24 || !name.chars().all(fits) {
+            let what = format!("\"{name}\" is not 1 to 24 letters, digits, - and _");
+            section.report("name", what, "rename it");
+        } else if self.names.iter().any(|known| known == name) {
+            let what = format!("\"{name}\" is the name of another input or output");
+            section.report("name", what, "rename one of them");
+        } else {
+            self.names.push(name.to_string());
+        }
+        name.to_string()
+    }
+}
+
+impl Used {
+    fn channel(&mut self, section: &Section<'_, '_>, channels: u8, name: &str) -> u8 {
+        let channel = section.number("channel", whole(0, u32::from(channels) - 1, ""));
+        if channel.is_nan() {
+            return 0;
+        }
+        let channel = channel as u8;
+        if let Some((_, other)) = self.channels.iter().find(|(used, _)| *used == channel) {
+            let what = format!("{channel} is the channel of \"{other}\" already");
+            section.report("channel", what, "give each its own channel");
+        }
+        self.channels.push((channel, name.to_string()));
+        channel
+    }
+
+    /// Refuses a second entry of a function.
+    fn function(&mut self, section: &Section<'_, '_>, function: &'static str, name: &str) {
+        if let Some((_, other)) = self.functions.iter().find(|(used, _)| *used == function) {
+            let what = format!("\"{function}\" is the function of \"{other}\" already");
+            section.report("function", what, "a machine has one; use \"general\"");
+        }
+        self.functions.push((function, name.to_string()));
+    }
+}
+
+/// Reads all sections of inputs and outputs.
+pub(super) fn read(root: &Section<'_, '_>, period_us: f64) -> (IoConfig, IoNames) {
+    let (mut config, mut names, mut seen) =
+        (IoConfig::default(), IoNames::default(), Seen::default());
+    let mut used = Used::default();
+    for section in list(root, "input", DIGITAL) {
+        let name = seen.name(&section);
+        // Fails beyond the capacity, which was reported.
+        let _ = config
+            .inputs
+            .push(read_input(&section, &mut used, &name, period_us));
+        names.inputs.push(name);
+        section.finish();
+    }
+    let mut used = Used::default();
+    for section in list(root, "output", DIGITAL) {
+        let name = seen.name(&section);
+        let _ = config.outputs.push(read_output(&section, &mut used, &name));
+        names.outputs.push(name);
+        section.finish();
+    }
+    let mut used = Used::default();
+    for section in list(root, "analog_input", ANALOG) {
+        let name = seen.name(&section);
+        let channel = used.channel(&section, ANALOG as u8, &name);
+        let _ = config.analog_inputs.push(AnalogInputConfig { channel });
+        names.analog_inputs.push(read_scale(&section, name));
+        section.finish();
+    }
+    let mut used = Used::default();
+    for section in list(root, "analog_output", ANALOG) {
+        let name = seen.name(&section);
+        let channel = used.channel(&section, ANALOG as u8, &name);
+        let analog = read_scale(&section, name);
+        let _ = config
+            .analog_outputs
+            .push(read_analog_output(&section, channel, &analog));
+        names.analog_outputs.push(analog);
+        section.finish();
+    }
+    (config, names)
+}
+
+/// The sections of an optional list of at most `most` entries.
+fn list<'d, 'i>(root: &Section<'d, 'i>, key: &'static str, most: usize) -> Vec<Section<'d, 'i>> {
+    if !root.has(key) {
+        return Vec::new();
+    }
+    let sections = root.list(key);
+    if sections.len() > most {
+        let what = format!("has {} sections, allowed are {most}", sections.len());
+        root.report(key, what, "remove some");
+    }
+    sections
+}
+
+fn read_inverted(section: &Section<'_, '_>) -> bool {
+    let levels = [("high", false), ("low", true)];
+    section.has("active") && section.choice("active", &levels) == Some(true)
+}
+
+fn read_input(
+    section: &Section<'_, '_>,
+    used: &mut Used,
+    name: &str,
+    period_us: f64,
+) -> InputConfig {
+    let functions = ["general", "probe", "tool_setter", "feed_hold", "door"];
+    let function = section
+        .choice("function", &functions.map(|word| (word, word)))
+        .unwrap_or("general");
+    if function != "general" {
+        used.function(section, function, name);
+    }
+    let channel = used.channel(section, CHANNELS, name);
+    let inverted = read_inverted(section);
+    let is_probe = matches!(function, "probe" | "tool_setter");
+    let default = if is_probe { 0.0 } else { FILTER_MS };
+    let filter_ms = section.number_or("filter_ms", default, real(0.0, LONGEST_FILTER_MS, "ms"));
+    let periods = |ms: f64| to_u16(ms * 1000.0 / period_us);
+    let function = match function {
+        "probe" => InputFunction::Probe(read_contact(section)),
+        "tool_setter" => InputFunction::ToolSetter(read_contact(section)),
+        "feed_hold" => InputFunction::FeedHold,
+        "door" => {
+            let longest = f64::from(LONGEST_PERIODS) * period_us / 1000.0;
+            let range = real(0.0, longest, "ms");
+            let spindle_up = periods(section.number("spindle_up_ms", range));
+            InputFunction::Door { spindle_up }
+        }
+        _ => InputFunction::General,
+    };
+    InputConfig {
+        function,
+        channel,
+        inverted,
+        filter: periods(filter_ms),
+    }
+}
+
+fn read_contact(section: &Section<'_, '_>) -> ContactReaction {
+    let reactions = [
+        ("fault", ContactReaction::Fault),
+        ("warning", ContactReaction::Warning),
+    ];
+    let reaction = section
+        .has("contact")
+        .then(|| section.choice("contact", &reactions));
+    reaction.flatten().unwrap_or(ContactReaction::Fault)
+}
+
+/// Whether the safe value also applies while the host is silent.
+fn read_without_host(section: &Section<'_, '_>) -> bool {
+    let choices = [("safe", true), ("keep", false)];
+    !section.has("without_host") || section.choice("without_host", &choices) != Some(false)
+}
+
+fn read_output(section: &Section<'_, '_>, used: &mut Used, name: &str) -> OutputConfig {
+    let functions = [
+        ("general", OutputFunction::General),
+        ("coolant", OutputFunction::Coolant),
+        ("mist", OutputFunction::Mist),
+        ("tool_clamp", OutputFunction::ToolClamp),
+        ("spindle_on", OutputFunction::SpindleOn),
+        ("spindle_reverse", OutputFunction::SpindleReverse),
+    ];
+    let function = section
+        .choice("function", &functions)
+        .unwrap_or(OutputFunction::General);
+    if let Some((word, _)) = functions.iter().find(|(_, it)| *it == function)
+        && function != OutputFunction::General
+    {
+        used.function(section, word, name);
+    }
+    let channel = used.channel(section, CHANNELS, name);
+    let inverted = read_inverted(section);
+    let safe = section.choice("safe", &[("off", false), ("on", true)]) == Some(true);
+    if safe && function.follows_spindle() {
+        let what = "is \"on\", the output follows the spindle, which is off then";
+        section.report("safe", what, "write \"off\"");
+    }
+    OutputConfig {
+        function,
+        channel,
+        inverted,
+        safe,
+        safe_without_host: read_without_host(section),
+    }
+}
+
+/// Reads name, unit and scale of an analog channel.
+fn read_scale(section: &Section<'_, '_>, name: String) -> AnalogName {
+    let unit = if section.has("unit") {
+        let remedy = "write a unit, or leave the key out";
+        section.text("unit", remedy).unwrap_or_default()
+    } else {
+        ""
+    };
+    let full_scale = section.number("full_scale", real(-FULL_SCALE, FULL_SCALE, ""));
+    if full_scale.abs() < 1.0 / FULL_SCALE {
+        section.report("full_scale", "is 0", "write the value of the code 32768");
+    }
+    AnalogName {
+        name,
+        unit: unit.to_string(),
+        full_scale,
+    }
+}
+
+fn read_analog_output(
+    section: &Section<'_, '_>,
+    channel: u8,
+    analog: &AnalogName,
+) -> AnalogOutputConfig {
+    let ends = [analog.value(i16::MIN), analog.value(i16::MAX)];
+    let (least, most) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+    let range = if analog.full_scale.is_nan() {
+        real(-FULL_SCALE, FULL_SCALE, "")
+    } else {
+        real(least, most, "")
+    };
+    let low = section.number_or("low", least, range);
+    let high = section.number_or("high", most, range);
+    let safe = section.number("safe", range);
+    if low > high {
+        section.report("high", "is below `low`", "exchange them");
+    } else if safe < low || safe > high {
+        let what = format!("{safe} is outside `low` to `high`, {low} to {high}");
+        section.report("safe", what, "write a value between them");
+    }
+    let codes = [analog.code(low), analog.code(high)];
+    let (low, high) = (codes[0].min(codes[1]), codes[0].max(codes[1]));
+    AnalogOutputConfig {
+        channel,
+        low,
+        high,
+        safe: analog.code(safe).clamp(low, high),
+        safe_without_host: read_without_host(section),
+    }
+}
