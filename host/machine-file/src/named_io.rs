@@ -1,21 +1,17 @@
 //! Sections `[[input]]`, `[[output]]`, `[[analog_input]]` and `[[analog_output]]`.
 
-use super::document::{Section, real, whole};
+use super::document::{Section, real};
 use super::scale::to_u16;
 use haptimill_firmware::named_io::config::{
-    AnalogInputConfig, AnalogOutputConfig, CHANNELS, ContactReaction, DIGITAL, InputConfig,
-    InputFunction, IoConfig, LONGEST_PERIODS, OutputConfig, OutputFunction,
+    AnalogInputConfig, AnalogOutputConfig, ContactReaction, DIGITAL, InputConfig, InputFunction,
+    IoConfig, LONGEST_PERIODS, OutputConfig, OutputFunction,
 };
+use haptimill_machine_keys::Key;
+use haptimill_machine_keys::named_io as keys;
 use haptimill_protocol::message::ANALOG;
 
 /// Default filter of an input that is no probe, ms.
 const FILTER_MS: f64 = 2.0;
-
-/// Longest filter, ms.
-const LONGEST_FILTER_MS: f64 = 1000.0;
-
-/// Largest magnitude of the full scale of an analog channel.
-const FULL_SCALE: f64 = 1e9;
 
 /// Codes of the full scale of an analog channel.
 const CODES: f64 = 32_768.0;
@@ -93,8 +89,8 @@ impl Seen {
 }
 
 impl Used {
-    fn channel(&mut self, section: &Section<'_, '_>, channels: u8, name: &str) -> u8 {
-        let channel = section.number("channel", whole(0, u32::from(channels) - 1, ""));
+    fn channel(&mut self, section: &Section<'_, '_>, key: Key, name: &str) -> u8 {
+        let channel = section.value(key);
         if channel.is_nan() {
             return 0;
         }
@@ -141,7 +137,7 @@ pub(super) fn read(root: &Section<'_, '_>, period_us: f64) -> (IoConfig, IoNames
     let mut used = Used::default();
     for section in list(root, "analog_input", ANALOG) {
         let name = seen.name(&section);
-        let channel = used.channel(&section, ANALOG as u8, &name);
+        let channel = used.channel(&section, keys::analog_input::channel, &name);
         let _ = config.analog_inputs.push(AnalogInputConfig { channel });
         names.analog_inputs.push(read_scale(&section, name));
         section.finish();
@@ -149,7 +145,7 @@ pub(super) fn read(root: &Section<'_, '_>, period_us: f64) -> (IoConfig, IoNames
     let mut used = Used::default();
     for section in list(root, "analog_output", ANALOG) {
         let name = seen.name(&section);
-        let channel = used.channel(&section, ANALOG as u8, &name);
+        let channel = used.channel(&section, keys::analog_output::channel, &name);
         let analog = read_scale(&section, name);
         let _ = config
             .analog_outputs
@@ -173,9 +169,9 @@ fn list<'d, 'i>(root: &Section<'d, 'i>, key: &'static str, most: usize) -> Vec<S
     sections
 }
 
-fn read_inverted(section: &Section<'_, '_>) -> bool {
+fn read_inverted(section: &Section<'_, '_>, key: Key) -> bool {
     let levels = [("high", false), ("low", true)];
-    section.has("active") && section.choice("active", &levels) == Some(true)
+    section.has("active") && section.choice(key, &levels) == Some(true)
 }
 
 fn read_input(
@@ -186,25 +182,30 @@ fn read_input(
 ) -> InputConfig {
     let functions = ["general", "probe", "tool_setter", "feed_hold", "door"];
     let function = section
-        .choice("function", &functions.map(|word| (word, word)))
+        .choice(keys::input::function, &functions.map(|word| (word, word)))
         .unwrap_or("general");
     if function != "general" {
         used.function(section, function, name);
     }
-    let channel = used.channel(section, CHANNELS, name);
-    let inverted = read_inverted(section);
+    let channel = used.channel(section, keys::input::channel, name);
+    let inverted = read_inverted(section, keys::input::active);
     let is_probe = matches!(function, "probe" | "tool_setter");
     let default = if is_probe { 0.0 } else { FILTER_MS };
-    let filter_ms = section.number_or("filter_ms", default, real(0.0, LONGEST_FILTER_MS, "ms"));
+    let filter_ms = section.value_or(keys::input::filter_ms, Some(default));
     let periods = |ms: f64| to_u16(ms * 1000.0 / period_us);
     let function = match function {
         "probe" => InputFunction::Probe(read_contact(section)),
         "tool_setter" => InputFunction::ToolSetter(read_contact(section)),
         "feed_hold" => InputFunction::FeedHold,
         "door" => {
+            let key = keys::input::spindle_up_ms;
+            let wait_ms = section.value(key);
             let longest = f64::from(LONGEST_PERIODS) * period_us / 1000.0;
-            let range = real(0.0, longest, "ms");
-            let spindle_up = periods(section.number("spindle_up_ms", range));
+            if wait_ms > longest {
+                let what = format!("{wait_ms} is more than 60,000 control periods, {longest} ms");
+                section.refuse(key, what, "lower it");
+            }
+            let spindle_up = periods(wait_ms);
             InputFunction::Door { spindle_up }
         }
         _ => InputFunction::General,
@@ -224,14 +225,14 @@ fn read_contact(section: &Section<'_, '_>) -> ContactReaction {
     ];
     let reaction = section
         .has("contact")
-        .then(|| section.choice("contact", &reactions));
+        .then(|| section.choice(keys::input::contact, &reactions));
     reaction.flatten().unwrap_or(ContactReaction::Fault)
 }
 
 /// Whether the safe value also applies while the host is silent.
-fn read_without_host(section: &Section<'_, '_>) -> bool {
+fn read_without_host(section: &Section<'_, '_>, key: Key) -> bool {
     let choices = [("safe", true), ("keep", false)];
-    !section.has("without_host") || section.choice("without_host", &choices) != Some(false)
+    !section.has("without_host") || section.choice(key, &choices) != Some(false)
 }
 
 fn read_output(section: &Section<'_, '_>, used: &mut Used, name: &str) -> OutputConfig {
@@ -244,16 +245,16 @@ fn read_output(section: &Section<'_, '_>, used: &mut Used, name: &str) -> Output
         ("spindle_reverse", OutputFunction::SpindleReverse),
     ];
     let function = section
-        .choice("function", &functions)
+        .choice(keys::output::function, &functions)
         .unwrap_or(OutputFunction::General);
     if let Some((word, _)) = functions.iter().find(|(_, it)| *it == function)
         && function != OutputFunction::General
     {
         used.function(section, word, name);
     }
-    let channel = used.channel(section, CHANNELS, name);
-    let inverted = read_inverted(section);
-    let safe = section.choice("safe", &[("off", false), ("on", true)]) == Some(true);
+    let channel = used.channel(section, keys::output::channel, name);
+    let inverted = read_inverted(section, keys::output::active);
+    let safe = section.choice(keys::output::safe, &[("off", false), ("on", true)]) == Some(true);
     if safe && function.follows_spindle() {
         let what = "is \"on\", the output follows the spindle, which is off then";
         section.report("safe", what, "write \"off\"");
@@ -263,7 +264,7 @@ fn read_output(section: &Section<'_, '_>, used: &mut Used, name: &str) -> Output
         channel,
         inverted,
         safe,
-        safe_without_host: read_without_host(section),
+        safe_without_host: read_without_host(section, keys::output::without_host),
     }
 }
 
@@ -275,8 +276,8 @@ fn read_scale(section: &Section<'_, '_>, name: String) -> AnalogName {
     } else {
         ""
     };
-    let full_scale = section.number("full_scale", real(-FULL_SCALE, FULL_SCALE, ""));
-    if full_scale.abs() < 1.0 / FULL_SCALE {
+    let full_scale = section.value(keys::analog_input::full_scale);
+    if full_scale.abs() < 1e-9 {
         section.report("full_scale", "is 0", "write the value of the code 32768");
     }
     AnalogName {
@@ -294,7 +295,7 @@ fn read_analog_output(
     let ends = [analog.value(i16::MIN), analog.value(i16::MAX)];
     let (least, most) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
     let range = if analog.full_scale.is_nan() {
-        real(-FULL_SCALE, FULL_SCALE, "")
+        real(-1e9, 1e9, "")
     } else {
         real(least, most, "")
     };
@@ -314,6 +315,6 @@ fn read_analog_output(
         low,
         high,
         safe: analog.code(safe).clamp(low, high),
-        safe_without_host: read_without_host(section),
+        safe_without_host: read_without_host(section, keys::analog_output::without_host),
     }
 }

@@ -3,12 +3,13 @@
 //! The table is the only place that states them. The reader of machine files takes ranges and
 //! messages from it, `haptimill machine init` the comments of its templates, `haptimill machine
 //! keys` its output, and docs/machine-files.md its tables. A key is one line in [`controller`],
-//! [`haptic`] or [`plant`]; its constant, such as [`controller::planner::curvature_step`], is what
+//! [`mod@named_io`], [`haptic`] or [`plant`]; its constant, such as [`controller::planner::curvature_step`], is what
 //! the reader names.
 
 pub mod controller;
 pub mod haptic;
 mod key;
+pub mod named_io;
 pub mod page;
 pub mod plant;
 
@@ -16,9 +17,14 @@ pub use key::*;
 
 /// All sections, in the order of a machine file. Sections of one path follow each other.
 pub fn sections() -> impl Iterator<Item = &'static Section> {
-    [controller::SECTIONS, haptic::SECTIONS, plant::SECTIONS]
-        .into_iter()
-        .flatten()
+    [
+        controller::SECTIONS,
+        named_io::SECTIONS,
+        haptic::SECTIONS,
+        plant::SECTIONS,
+    ]
+    .into_iter()
+    .flatten()
 }
 
 /// The keys of the section at a path without list indices, such as `joint.drive`; empty for a

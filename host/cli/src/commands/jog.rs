@@ -154,32 +154,7 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
     check_has_tool(machine)?;
     let mut given = vec![false; machine.pose.len()];
     for command in &args.axes {
-        let described = machine.config.model.descriptor().pose;
-        let letters = described
-            .iter()
-            .map(|axis| axis.letter.to_lowercase().to_string());
-        let Some(index) = machine
-            .pose
-            .iter()
-            .position(|axis| axis.name.to_lowercase() == command.axis)
-            .or_else(|| letters.clone().position(|letter| letter == command.axis))
-            .filter(|index| *index < machine.pose.len())
-        else {
-            let names: Vec<String> = machine
-                .pose
-                .iter()
-                .zip(described.iter().map(|axis| axis.letter))
-                .map(|(axis, letter)| match axis.name.to_uppercase() {
-                    name if name == letter.to_string() => axis.name.clone(),
-                    _ => format!("{} (or {letter})", axis.name),
-                })
-                .collect();
-            return Err(usage(format!(
-                "there is no axis '{}'; this machine has {}",
-                command.axis,
-                names.join(", ")
-            )));
-        };
+        let index = axis_index(machine, &command.axis)?;
         let axis = &machine.pose[index];
         if std::mem::replace(&mut given[index], true) {
             return Err(usage(format!(
@@ -197,4 +172,38 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
             (command.rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32;
     }
     Ok(rates.into_iter().collect())
+}
+
+/// Index of a pose coordinate by its name in the machine file or its letter in part programs, both
+/// in lower case.
+///
+/// # Errors
+/// [`Exit::Usage`].
+pub(super) fn axis_index(machine: &MachineFile, name: &str) -> Result<usize, CliError> {
+    let described = machine.config.model.descriptor().pose;
+    let letters = described
+        .iter()
+        .map(|axis| axis.letter.to_lowercase().to_string());
+    let index = machine
+        .pose
+        .iter()
+        .position(|axis| axis.name.to_lowercase() == name)
+        .or_else(|| letters.clone().position(|letter| letter == name))
+        .filter(|index| *index < machine.pose.len());
+    index.ok_or_else(|| {
+        let names: Vec<String> = machine
+            .pose
+            .iter()
+            .zip(described.iter().map(|axis| axis.letter))
+            .map(|(axis, letter)| match axis.name.to_uppercase() {
+                name if name == letter.to_string() => axis.name.clone(),
+                _ => format!("{} (or {letter})", axis.name),
+            })
+            .collect();
+        let what = format!(
+            "there is no axis '{name}'; this machine has {}",
+            names.join(", ")
+        );
+        CliError::new(Exit::Usage, what)
+    })
 }

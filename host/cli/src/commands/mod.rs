@@ -15,10 +15,12 @@ pub(crate) mod exit;
 pub mod force;
 
 pub(crate) mod interrupt;
+mod io_status;
 pub mod jog;
 pub mod kin;
 pub mod machine;
 pub mod offset;
+pub mod named_io;
 mod output;
 pub mod ports;
 pub(crate) mod program;
@@ -83,6 +85,10 @@ Examples:
       print the status of the machine for a script
   haptimill force tare --port /dev/ttyACM0
       zero the force sensor
+  haptimill output set coolant on --for 10 --port /dev/ttyACM0
+      switch an output on for 10 s
+  haptimill probe z=-20 --feed 60 --port /dev/ttyACM0
+      move down until the probe has its contact, and print where
   haptimill machine init mill --out mill.toml
       write a machine-file template
   haptimill machine check mill.toml
@@ -142,6 +148,10 @@ enum Command {
     /// Read and set the force sensor and the force control
     #[command(subcommand)]
     Force(force::ForceCommand),
+    /// Set the named outputs of the machine
+    #[command(subcommand)]
+    Output(named_io::OutputCommand),
+    Probe(named_io::ProbeArgs),
     /// Serve the simulated machine
     #[command(subcommand)]
     Sim(SimCommand),
@@ -174,6 +184,8 @@ impl Command {
             Self::Stop(args) => args.json,
             Self::Ports(args) => args.json,
             Self::Force(command) => command.is_json(),
+            Self::Output(command) => command.is_json(),
+            Self::Probe(args) => args.json,
             Self::Machine(command) => command.is_json(),
             Self::Scenario(scenario::ScenarioCommand::Run(args)) => args.json,
             Self::Trace(args) => args.command.is_json(),
@@ -257,6 +269,8 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Reset(args) => simple::run(SimpleCommand::Reset, args),
         Command::Scenario(command) => scenario::run(command),
         Command::Force(command) => force::run(command),
+        Command::Output(command) => named_io::run(command),
+        Command::Probe(args) => named_io::probe(args),
         Command::Sim(SimCommand::Serve(args)) => sim::serve(args),
         Command::Machine(command) => machine::run(command),
         Command::Offset(command) => offset::run(command),

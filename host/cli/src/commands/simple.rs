@@ -3,6 +3,7 @@
 
 use super::args::{BoardArg, ConnectArgs, check_baud};
 use super::board::{agree, file_of};
+use super::io_status::IoStatus;
 use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::Args;
@@ -224,6 +225,7 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
             .zip(model.joints_to_engineering_units(values))
             .collect()
     };
+    let io = IoStatus::new(model.io(), status.io.as_ref());
     if json {
         let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
         let value = serde_json::json!({
@@ -242,6 +244,8 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
             "following_error": map(joints(&status.following_error)),
             "bad_frames": status.bad_frames,
             "lost_bytes": status.lost_bytes,
+            "inputs": io.inputs_json(),
+            "outputs": io.outputs_json(),
         });
         print_line!("{value:#}");
         return Ok(());
@@ -284,5 +288,6 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         print_line!("commanded{}", line(pose(&status.commanded), pose_units));
         print_line!("joints   {}", line(joints(&status.joints), joint_units));
     }
+    io.print();
     Ok(())
 }

@@ -48,6 +48,9 @@ pub trait JobObserver {
 
     /// Whether the program may resume; called repeatedly during a pause.
     fn may_resume(&mut self) -> bool;
+
+    /// An input holds the job, as `what` says. The job may resume when the input is released.
+    fn held_by_input(&mut self, what: &str);
 }
 
 /// Observes nothing and resumes at once.
@@ -73,6 +76,8 @@ impl JobObserver for NoObserver {
     fn may_resume(&mut self) -> bool {
         true
     }
+
+    fn held_by_input(&mut self, _: &str) {}
 }
 
 /// Steps between two checks of the telemetry.
@@ -122,6 +127,10 @@ pub struct JobRun {
     bytes_sent: BytesSent,
     is_stopped: bool,
     pause: Pause,
+    /// The input that holds the job: a feed hold or an open door.
+    held_by: Option<u8>,
+    /// A `Resume` that was not answered yet. A refused one is sent again.
+    resumed: Option<Ticket>,
     idle_since_us: Option<u64>,
     steps: u32,
 }
@@ -153,6 +162,8 @@ impl JobRun {
             bytes_sent: BytesSent::default(),
             is_stopped: false,
             pause: Pause::None,
+            held_by: None,
+            resumed: None,
             idle_since_us: None,
             steps: 0,
         }
@@ -161,7 +172,7 @@ impl JobRun {
     /// Resumes the program after [`JobStatus::PauseOver`].
     pub fn resume<L: Line>(&mut self, session: &mut Session<L>) {
         self.pause = Pause::None;
-        session.client.request(Command::Resume);
+        self.resumed = Some(session.client.request(Command::Resume));
     }
 
     /// Does what is possible now, without waiting. Must be called after each step of the session.
@@ -232,6 +243,11 @@ impl JobRun {
                     self.pause = Pause::Reached;
                     observer.paused(*setpoint);
                 }
+                Event::InputHold { input } => {
+                    self.pause = Pause::Reached;
+                    self.held_by = Some(*input);
+                    observer.held_by_input(&session.describe(event));
+                }
                 Event::State {
                     from: State::Run,
                     to: State::Hold,
@@ -247,7 +263,22 @@ impl JobRun {
                 _ => {}
             }
         }
-        let is_over = self.pause == Pause::Held && observer.may_resume();
+        // The door may have opened again before the command arrived.
+        if let Some(ticket) = self.resumed
+            && let Some(answer) = session.answer(ticket)
+        {
+            self.resumed = None;
+            if answer.is_err() && session.ending.is_none() {
+                self.pause = Pause::Held;
+            }
+        }
+        if let Some(input) = self.held_by
+            && let Some(io) = session.client.telemetry().and_then(|it| it.io.as_ref())
+            && io.inputs >> input & 1 == 0
+        {
+            self.held_by = None;
+        }
+        let is_over = self.pause == Pause::Held && self.held_by.is_none() && observer.may_resume();
         self.steps = self.steps.wrapping_add(1);
         if self.steps.is_multiple_of(CHECK_EVERY)
             && let Some(telemetry) = session.client.telemetry()

@@ -61,6 +61,8 @@ fn level(event: &Event) -> u8 {
         | Event::JobDone { .. }
         | Event::Paused { .. }
         | Event::Homed
+        | Event::ProbedAt { .. }
+        | Event::Probed { .. }
         | Event::Tared => 0,
         _ => 1,
     }

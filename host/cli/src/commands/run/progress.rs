@@ -22,6 +22,8 @@ pub(super) struct ProgressDisplay {
     lines: Vec<u32>,
     pauses: BTreeMap<u32, Pause>,
     skips_pauses: bool,
+    /// The line of the newest telemetry.
+    line: u32,
     /// The line of the present pause.
     paused_at: Option<u32>,
     enter_pressed: Arc<AtomicBool>,
@@ -54,6 +56,7 @@ impl ProgressDisplay {
             lines,
             pauses,
             skips_pauses: args.skips_pauses(),
+            line: 0,
             paused_at: None,
             enter_pressed: Arc::new(AtomicBool::new(false)),
         }
@@ -75,6 +78,7 @@ impl JobObserver for ProgressDisplay {
             .get(telemetry.setpoint as usize)
             .copied()
             .unwrap_or(0);
+        self.line = line;
         if let Some(line) = self.paused_at {
             self.bar
                 .set_message(format!("line {line}, paused, waiting for Enter"));
@@ -99,7 +103,31 @@ impl JobObserver for ProgressDisplay {
             self.bar.println(format!("{pause}: pause skipped"));
             return;
         }
-        let what = format!("{pause}: the program pauses; press Enter to continue, Ctrl-C to stop");
+        let (line, why) = (pause.line, format!("{pause}: the program pauses"));
+        self.wait_for_enter(line, &why);
+    }
+
+    fn held_by_input(&mut self, what: &str) {
+        if self.skips_pauses {
+            self.bar.println(what);
+        } else {
+            self.wait_for_enter(self.line, what);
+        }
+    }
+
+    fn may_resume(&mut self) -> bool {
+        let resumes = self.skips_pauses || self.enter_pressed.swap(false, Ordering::Relaxed);
+        if resumes {
+            self.paused_at = None;
+        }
+        resumes
+    }
+}
+
+impl ProgressDisplay {
+    /// Asks the user for Enter; [`JobObserver::may_resume`] reports it.
+    fn wait_for_enter(&mut self, line: u32, why: &str) {
+        let what = format!("{why}; press Enter to continue, Ctrl-C to stop");
         if self.bar.is_hidden() {
             // The bar is hidden with --quiet, or because standard error is no terminal. The user
             // must still know about the pause.
@@ -107,7 +135,7 @@ impl JobObserver for ProgressDisplay {
         } else {
             self.bar.println(what);
         }
-        self.paused_at = Some(pause.line);
+        self.paused_at = Some(line);
         self.enter_pressed.store(false, Ordering::Relaxed);
         // An Enter before the pause must not end it.
         #[cfg(unix)]
@@ -123,13 +151,5 @@ impl JobObserver for ProgressDisplay {
                 Err(error) => eprintln!("Enter cannot be read: {error}; stop with Ctrl-C"),
             }
         });
-    }
-
-    fn may_resume(&mut self) -> bool {
-        let resumes = self.skips_pauses || self.enter_pressed.swap(false, Ordering::Relaxed);
-        if resumes {
-            self.paused_at = None;
-        }
-        resumes
     }
 }
