@@ -465,10 +465,37 @@ fn outputs_are_safe_in_every_latched_state() {
     assert_eq!(outputs(&bench), 0b1_0101);
     assert_eq!(bench.ask(Command::Enable), Ok(()));
 
-    // A controlled fault: safe when it latches.
-    let setpoints = down(&mut bench, 5.0, 200);
-    bench.start_job(1, &setpoints[..setpoints.len() - 190]);
+    // A controlled fault: coolant goes on until it latches at standstill.
+    let setpoints = down(&mut bench, 5.0, 30);
+    bench.start_job(1, &setpoints);
+    bench.steps(1000);
     bench.events.clear();
+    force(&mut bench, PROBE, Some(true));
+    bench.steps(100);
+    assert_eq!(state(&bench), State::Hold);
+    assert_eq!(outputs(&bench), 0b1_0101);
+    assert!(bench.wait_for(State::Fault, 5000));
+    check(&mut bench, "controlled fault");
+    force(&mut bench, PROBE, None);
+    assert_eq!(bench.ask(Command::Reset), Ok(()));
+
+    // An immediate fault: safe in its period.
+    prepare(&mut bench);
+    bench.events.clear();
+    let mut condition = bench.rig.plant().condition(0);
+    condition.drive_tripped = true;
+    bench.rig.plant_mut().set_condition(0, condition);
+    for _ in 0..10 {
+        bench.step();
+        if state(&bench) == State::Fault {
+            break;
+        }
+        assert_eq!(outputs(&bench), 0b1_0101);
+    }
+    assert_eq!(state(&bench), State::Fault);
+    assert_eq!(outputs(&bench), level_safe, "in the period of the fault");
+    bench.steps(500);
+    check(&mut bench, "immediate fault");
 }
 
 /// A silent host: outputs with `without_host = "safe"` take their safe values, the others keep
