@@ -33,9 +33,9 @@ pub use outgoing::OutgoingFrame;
 use crate::urgent;
 use heapless::Vec;
 
-/// Largest payload of a frame, bytes. The largest message, a full batch of setpoints with large
-/// residuals, has 288.
-pub const MAX_PAYLOAD: usize = 288;
+/// Largest payload of a frame, bytes. The largest message, telemetry of six axes with force sensor,
+/// inputs and outputs, has 304.
+pub const MAX_PAYLOAD: usize = 304;
 
 /// Largest header, payload and check, bytes.
 const MAX_CONTENT: usize = MAX_HEADER + MAX_PAYLOAD + CRC_BYTES;
