@@ -51,7 +51,8 @@ pub struct Axis<'a> {
     pub kind: AxisKind,
 }
 
-/// Axes, inputs and outputs of a machine. The lists may be short or empty; a missing entry is named by its number.
+/// Axes, inputs and outputs of a machine. The lists may be short or empty; a missing entry is named
+/// by its number.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Axes<'a> {
     /// Pose coordinates.

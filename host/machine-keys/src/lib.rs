@@ -3,8 +3,8 @@
 //! The table is the only place that states them. The reader of machine files takes ranges and
 //! messages from it, `haptimill machine init` the comments of its templates, `haptimill machine
 //! keys` its output, and docs/machine-files.md its tables. A key is one line in [`controller`],
-//! [`mod@named_io`], [`haptic`] or [`plant`]; its constant, such as [`controller::planner::curvature_step`], is what
-//! the reader names.
+//! [`mod@named_io`], [`haptic`] or [`plant`]; its constant, such as
+//! [`controller::planner::curvature_step`], is what the reader names.
 
 pub mod controller;
 pub mod haptic;
