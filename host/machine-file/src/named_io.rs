@@ -183,7 +183,11 @@ fn read_input(
     let functions = ["general", "probe", "tool_setter", "feed_hold", "door"];
     let function = section
         .choice(keys::input::function, &functions.map(|word| (word, word)))
-        .unwrap_or("general");
+        .unwrap_or_else(|| {
+            // Keys of the unknown function are not reported, too.
+            let _ = (section.has("contact"), section.has("spindle_up_ms"));
+            "general"
+        });
     if function != "general" {
         used.function(section, function, name);
     }
@@ -316,5 +320,122 @@ fn read_analog_output(
         high,
         safe: analog.code(safe).clamp(low, high),
         safe_without_host: read_without_host(section, keys::analog_output::without_host),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{BUILT_IN, MachineFile};
+    use haptimill_firmware::named_io::config::InputFunction;
+
+    /// The built-in file with sections, which begin at line 3 of the appended text.
+    fn parse(sections: &str) -> Result<MachineFile, String> {
+        let text = format!("{BUILT_IN}\n\n{sections}");
+        MachineFile::parse("mine.toml", &text).map_err(|problems| problems.to_string())
+    }
+
+    /// The only problem of the sections: its line in them, its key and what it says.
+    fn problem(sections: &str) -> (usize, String) {
+        let text = format!("{BUILT_IN}\n\n{sections}");
+        let problems = MachineFile::parse("mine.toml", &text).expect_err("a problem");
+        assert_eq!(problems.0.len(), 1, "{problems}");
+        let first = &problems.0[0];
+        let before = BUILT_IN.lines().count() + 1;
+        (
+            first.line - before,
+            format!("{}: {}", first.key, first.what),
+        )
+    }
+
+    const DOOR: &str = "[[input]]\nname = \"door\"\nfunction = \"door\"\nchannel = 3\n\
+                        active = \"low\"\nspindle_up_ms = 20\n";
+    const LIGHT: &str = "[[output]]\nname = \"light\"\nfunction = \"general\"\nchannel = 3\n\
+                         safe = \"off\"\n";
+    const VALVE: &str = "[[analog_output]]\nname = \"valve\"\nchannel = 1\nfull_scale = -10.0\n\
+                         low = 0.0\nhigh = 8.0\nsafe = 2.0\n";
+
+    #[test]
+    fn keys_are_converted() {
+        let machine = parse(&format!("{DOOR}{LIGHT}{VALVE}")).unwrap();
+        let config = &machine.config.io;
+        let door = &config.inputs[0];
+        // 20 ms are 100 periods of 200 us, the default filter of 2 ms is 10.
+        assert_eq!(door.function, InputFunction::Door { spindle_up: 100 });
+        assert_eq!((door.channel, door.inverted, door.filter), (3, true, 10));
+        assert!(config.outputs[0].safe_without_host && !config.outputs[0].safe);
+        let valve = &config.analog_outputs[0];
+        // Negative full scale: 8 is the code -26214, 2 is -6554.
+        assert_eq!((valve.low, valve.high, valve.safe), (-26_214, 0, -6554));
+        assert!((machine.io.analog_outputs[0].value(valve.safe) - 2.0).abs() < 2e-4);
+        assert_eq!(machine.io.inputs, ["door"]);
+        assert!(parse("").unwrap().config.io.is_empty());
+    }
+
+    #[test]
+    fn every_mistake_has_its_line_and_key() {
+        let edit = |from: &str, to: &str| problem(&DOOR.replacen(from, to, 1));
+        let (line, text) = edit("\"door\"\nchannel", "\"gate\"\nchannel");
+        assert_eq!(line, 4);
+        assert!(
+            text.starts_with("input[1].function: \"gate\" is not known"),
+            "{text}"
+        );
+        let (line, text) = edit("channel = 3", "channel = 32");
+        assert_eq!(
+            (
+                line,
+                text.starts_with("input[1].channel: 32 is out of range")
+            ),
+            (5, true)
+        );
+        let (_, text) = edit("active = \"low\"", "active = \"on\"");
+        assert!(
+            text.starts_with("input[1].active: \"on\" is not known"),
+            "{text}"
+        );
+        let (_, text) = edit("name = \"door\"", "name = \"my door\"");
+        assert!(
+            text.starts_with("input[1].name: \"my door\" is not 1 to 24"),
+            "{text}"
+        );
+        let (_, text) = edit(
+            "spindle_up_ms = 20",
+            "spindle_up_ms = 20\ncontact = \"fault\"",
+        );
+        assert!(
+            text.starts_with("input[1].contact: is not a known key"),
+            "{text}"
+        );
+        let second = DOOR
+            .replace("name = \"door\"", "name = \"gate\"")
+            .replace("= 3", "= 4");
+        let (line, text) = problem(&format!("{DOOR}{second}"));
+        assert_eq!(line, 10);
+        assert!(
+            text.starts_with("input[2].function: \"door\" is the function of \"door\""),
+            "{text}"
+        );
+        let (line, text) = problem(&format!("{LIGHT}{}", LIGHT.replace("light", "lamp")));
+        assert_eq!(line, 9);
+        assert!(
+            text.starts_with("output[2].channel: 3 is the channel of \"light\""),
+            "{text}"
+        );
+        // A name is unique among all lists.
+        let (_, text) = problem(&format!("{DOOR}{}", LIGHT.replace("light", "door")));
+        assert!(
+            text.starts_with("output[1].name: \"door\" is the name of another"),
+            "{text}"
+        );
+        let (_, text) = problem(&VALVE.replace("safe = 2.0", "safe = 9.0"));
+        assert!(
+            text.starts_with("analog_output[1].safe: 9 is outside"),
+            "{text}"
+        );
+        let (_, text) = problem(&LIGHT.replace("general", "spindle_on").replace("off", "on"));
+        assert!(
+            text.starts_with("output[1].safe: is \"on\", the output follows"),
+            "{text}"
+        );
     }
 }
