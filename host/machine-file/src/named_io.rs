@@ -416,7 +416,7 @@ mod tests {
             "{text}"
         );
         let (line, text) = problem(&format!("{LIGHT}{}", LIGHT.replace("light", "lamp")));
-        assert_eq!(line, 9);
+        assert_eq!(line, 10);
         assert!(
             text.starts_with("output[2].channel: 3 is the channel of \"light\""),
             "{text}"

@@ -185,9 +185,10 @@ mod tests {
                 if line.starts_with('[') {
                     section = line.trim_matches(['[', ']']);
                 }
+                // An optional key that the first section of a list lacks is there as a comment.
                 if let Some((key, _)) = line.split_once(" = ")
+                    && seen.insert((section, key.trim_start_matches(['#', ' '])))
                     && !key.starts_with('#')
-                    && seen.insert((section, key))
                 {
                     // Inline tables have no rows of their own.
                     let is_known = before.starts_with('#') || ["encoder", "home"].contains(&key);

@@ -10,6 +10,32 @@ plant "plant" "The simulated machine, the ground truth. The controller does not 
         .is("seed of start offsets, noise and link errors; `--seed` replaces it");
     substep_us = whole(5, 50, "us").is("integration step").or(20.0)
         .bounded("a divisor of the control period");
+    analog_inputs = other("4 whole numbers, -32768 to 32767")
+        .is("constant codes of the analog inputs").or_text("0");
+}
+
+plant_input "plant.input" "A digital input of the simulated machine; faults use its name." {
+    name = text("text").is("name").bounded("unique");
+    channel = other("0 to 31, whole").is("channel of the board").bounded("each once");
+    high = other("`true`, `false`").is("the level is high at rest").or_text("false");
+}
+
+plant_probe "plant.probe" "A block in the workpiece frame that a probe in the spindle touches." {
+    input = text("the name of a `[[plant.input]]`").is("input whose level a contact inverts");
+    low = list(3, -2000.0, 2000.0, "mm").is("lower corner of the block");
+    high = list(3, -2000.0, 2000.0, "mm").is("upper corner of the block");
+    radius = other("0 to 50 mm").is("radius of the ball; 0 is a point");
+    pretravel = other("0 to 10 mm").is("travel into the block at which the contact begins")
+        .or_text("0");
+}
+
+plant_tool_setter "plant.tool_setter" "A block that the tool touches; the keys are those of `[plant.probe]`." {
+    input = text("the name of a `[[plant.input]]`").is("input whose level a contact inverts");
+    low = list(3, -2000.0, 2000.0, "mm").is("lower corner of the block");
+    high = list(3, -2000.0, 2000.0, "mm").is("upper corner of the block");
+    radius = other("0 to 50 mm").is("radius of the ball; 0 is a point");
+    pretravel = other("0 to 10 mm").is("travel into the block at which the contact begins")
+        .or_text("0");
 }
 
 geometry_h4 "plant.geometry.h4" "The true lengths of the H-4 arm; four linear joints, then a rotary one." {
