@@ -56,6 +56,24 @@ pub struct Config {
 }
 
 impl Config {
+    /// Pose coordinates that wrap around, one bit each.
+    #[must_use]
+    pub fn wrapping(&self) -> u8 {
+        let axes = self.pose.iter().enumerate();
+        axes.fold(0, |mask, (axis, pose)| {
+            mask | u8::from(pose.wraps()) << axis
+        })
+    }
+
+    /// Joints that wrap around, one bit each.
+    #[must_use]
+    pub fn wrapping_joints(&self) -> u8 {
+        let joints = self.joints.iter().enumerate();
+        joints.fold(0, |mask, (axis, joint)| {
+            mask | u8::from(joint.wraps()) << axis
+        })
+    }
+
     /// Kinematics of this machine, with the limits of its joints.
     #[must_use]
     pub fn kinematics(&self) -> BoundedKinematics {
@@ -83,6 +101,26 @@ pub struct PoseAxis {
     pub acceleration: Acceleration,
     /// Largest jerk of a jog, in the scale of [`JERK_SHIFT`].
     pub jerk: u32,
+}
+
+impl PoseAxis {
+    /// Whether the coordinate wraps around: it is rotary, and its limits are the whole circle.
+    #[must_use]
+    pub const fn wraps(&self) -> bool {
+        is_circle(self.kind, self.low, self.high)
+    }
+}
+
+impl JointAxis {
+    /// Whether the joint wraps around: it is rotary, and its stroke is the whole circle.
+    #[must_use]
+    pub const fn wraps(&self) -> bool {
+        is_circle(self.kind, self.low, self.high)
+    }
+}
+
+const fn is_circle(kind: AxisKind, low: Coordinate, high: Coordinate) -> bool {
+    matches!(kind, AxisKind::Rotary) && low.0 == i32::MIN && high.0 == i32::MAX
 }
 
 /// Binary scale of a jerk: axis units per second cubed divided by 2^16. The unit is 2^-4 mm/s^3 or

@@ -70,6 +70,9 @@ pub struct Machine {
     newly_limited: u8,
     joints: Vec<JointDrive, MAX_AXES>,
     measured: Joints,
+    /// Joints that wrap around, one bit each, and their turns since they were configured.
+    wrapping: u8,
+    turns: [i32; MAX_AXES],
     /// Computed every period on a machine with a force sensor, otherwise on demand.
     measured_pose: Option<Pose>,
     target: JointMotion,
@@ -95,12 +98,16 @@ impl Machine {
     #[inline]
     pub fn measure(&mut self, inputs: &Inputs) {
         let time_ns = inputs.time_ns;
+        let before = self.turning();
         let measured = self.measured.0.iter_mut();
         let mut large_step = false;
         for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
             let measurement = joint.measure(inputs, time_ns);
             *measured = measurement.coordinate;
             large_step |= measurement.large_step;
+        }
+        if let Some(before) = before {
+            self.count_turns(&before);
         }
         if large_step {
             self.detect_jumps(u32::from(inputs.missed) + 1);
@@ -176,10 +183,34 @@ impl Machine {
     }
 
     fn update_measured(&mut self) {
+        let before = self.turning();
         for (measured, joint) in self.measured.0.iter_mut().zip(&self.joints) {
             *measured = joint.measurement().coordinate;
         }
+        if let Some(before) = before {
+            self.count_turns(&before);
+        }
         self.measure_pose();
+    }
+
+    /// The measured joints of a machine with joints that wrap around.
+    #[inline]
+    fn turning(&self) -> Option<Joints> {
+        (self.wrapping != 0).then_some(self.measured)
+    }
+
+    /// Counts the turns that the measured joints completed since they were at `before`. A joint
+    /// moves less than half a turn in a period.
+    #[inline(never)]
+    fn count_turns(&mut self, before: &Joints) {
+        let measured = self.measured.0.iter().zip(&before.0);
+        for (axis, (turns, (now, before))) in self.turns.iter_mut().zip(measured).enumerate() {
+            let by = i64::from(now.wrapping_sub(*before).0);
+            if self.wrapping >> axis & 1 != 0 {
+                let over = i64::from(before.0) + by - i64::from(now.0);
+                *turns = turns.wrapping_add((over >> 32) as i32);
+            }
+        }
     }
 
     /// Force control needs the measured pose in every period.
@@ -255,7 +286,10 @@ impl Machine {
     pub fn joint_beyond_rate(&self) -> Option<usize> {
         let rates = self.target.rates.iter().zip(self.kinematics.rates());
         let mut joints = rates.take(self.joints.len());
-        joints.position(|(rate, limit)| rate.0.unsigned_abs() > (limit.0 + (limit.0 >> 5)) as u32)
+        // Above half a turn per second the sum is more than a rate can be.
+        joints.position(|(rate, limit)| {
+            rate.0.unsigned_abs() > limit.0.unsigned_abs() + (limit.0.unsigned_abs() >> 5)
+        })
     }
 
     /// Stage *servo*: position loops. Returns a joint whose drive command is saturated.
@@ -343,6 +377,9 @@ impl Machine {
             sample.measured = self.values(|index| pose.0[index].0);
         }
         sample.joints = self.values(|index| self.measured.0[index].0);
+        if self.wrapping != 0 {
+            sample.turns = self.values(|index| self.turns[index]);
+        }
         sample.following_error =
             self.values(|index| self.joints[index].servo_output().following_error.0);
         sample.drive = self.drive_values(inputs);

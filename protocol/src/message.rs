@@ -453,6 +453,9 @@ pub struct Telemetry {
     pub measured: AxisValues,
     /// Measured joints, axis units.
     pub joints: AxisValues,
+    /// Turns of each joint since it was configured, beside its angle; empty on a machine without a
+    /// joint that wraps around, which takes one byte.
+    pub turns: AxisValues,
     /// Following error of each joint, axis units.
     pub following_error: AxisValues,
     /// Drive command of each joint: DAC code, or steps emitted since enable.
@@ -483,6 +486,18 @@ pub struct IoTelemetry {
     pub analog_inputs: Vec<i16, ANALOG>,
     /// Codes of the analog outputs.
     pub analog_outputs: Vec<i16, ANALOG>,
+}
+
+impl Telemetry {
+    /// Position of a rotary axis, counted on over the turns of the joint that moves it; `value` is
+    /// its angle, less than half a turn from the joint's. Without turns it is the angle.
+    pub fn unwound(&self, joint: Option<usize>, value: i32) -> i64 {
+        let place = joint.and_then(|joint| Some((self.turns.get(joint)?, self.joints.get(joint)?)));
+        place.map_or(i64::from(value), |(turns, joint)| {
+            let near = (i64::from(*turns) << 32) + i64::from(*joint);
+            near + i64::from(value.wrapping_sub(*joint))
+        })
+    }
 }
 
 /// Something that happened.

@@ -175,6 +175,7 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
         commanded: values(),
         measured: values(),
         joints: values(),
+        turns: values(),
         following_error: values(),
         drive: values(),
         fault: Some(fault),
@@ -199,6 +200,8 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
             tared: true,
             problem: Some(problem),
         }),
+        // The controller refuses force control on a machine with a joint that wraps around.
+        turns: AxisValues::new(),
         ..telemetry
     };
     let long = size(&Report::Telemetry(telemetry));

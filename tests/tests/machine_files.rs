@@ -36,13 +36,23 @@ fn machines() -> Vec<PathBuf> {
 fn program(machine: &MachineFile, home: &[f64]) -> String {
     let axes = machine.config.model.descriptor().pose;
     let point = |linear: f64, rotary: f64| -> String {
-        let values = axes.iter().zip(home).map(|(axis, at)| {
-            let by = match axis.kind {
-                AxisKind::Linear => linear,
-                AxisKind::Rotary => rotary,
-            };
-            format!(" {}{:.4}", axis.letter, at + by)
-        });
+        let limits = machine.pose.iter();
+        let values = axes
+            .iter()
+            .zip(home)
+            .zip(limits)
+            .map(|((axis, at), limits)| {
+                let by = match axis.kind {
+                    AxisKind::Linear => linear,
+                    AxisKind::Rotary => rotary,
+                };
+                if limits.wraps() {
+                    // The sign is the direction.
+                    let sign = if by < 0.0 { "-" } else { "" };
+                    return format!(" {}{sign}{:.4}", axis.letter, (at + by).rem_euclid(360.0));
+                }
+                format!(" {}{:.4}", axis.letter, at + by)
+            });
         values.collect()
     };
     let [x, y] = [home[0], home[1]];

@@ -5,6 +5,7 @@ use crate::config::HAND;
 use crate::haptics::config::HapticConfig;
 use crate::motion::tracker::TrackerLimits;
 use crate::motion::{interpolator, jog};
+use haptimill_kinematics::descriptor::{CoordinateDescriptor, Role};
 use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
 
@@ -42,7 +43,9 @@ impl Config {
         let counts = self.pose.len() == axes && self.joints.len() == axes && axes <= MAX_AXES;
         require(counts, ConfigField::AxisCount, None)?;
         self.check_geometry()?;
-        let force = self.force.is_none() || self.model.descriptor().has_guided_tool();
+        // Telemetry of forces and of turns do not fit into one message.
+        let guided = self.model.descriptor().has_guided_tool();
+        let force = self.force.is_none() || (guided && self.wrapping() == 0);
         require(force, ConfigField::Force, None)?;
         self.check_hand()?;
         self.io.check()?;
@@ -136,10 +139,26 @@ impl Config {
         require(kinds, ConfigField::AxisCount, None)
     }
 
+    /// Whether a coordinate that wraps around, if it `wraps`, is a joint of the same name that does
+    /// so too. Roles of tool and workpiece have bounds, which force control and masters need.
+    fn is_turntable(&self, wraps: bool, coordinate: usize) -> bool {
+        let machine = self.model.descriptor();
+        let Some(axis) = machine.pose.get(coordinate) else {
+            return false;
+        };
+        let mut joints = machine.joints.iter().zip(&self.joints);
+        let joint = joints.find(|(joint, _)| joint.name == axis.name);
+        wraps
+            && axis.role == Role::None
+            && self.pose.get(coordinate).is_some_and(PoseAxis::wraps)
+            && joint.is_some_and(|(_, joint)| joint.wraps())
+    }
+
     fn check_pose(&self, index: usize, axis: &PoseAxis) -> Check {
         let here = Some(index);
+        let limited = axis.low < axis.high && within(axis.low.0) && within(axis.high.0);
         require(
-            axis.low < axis.high && within(axis.low.0) && within(axis.high.0),
+            limited || self.is_turntable(axis.wraps(), index),
             ConfigField::SoftLimit,
             here,
         )?;
@@ -154,8 +173,16 @@ impl Config {
 
     fn check_joint(&self, index: usize, axis: &JointAxis) -> Check {
         let here = Some(index);
+        let limited = axis.low < axis.high && within(axis.low.0) && within(axis.high.0);
+        let turns = || {
+            let machine = self.model.descriptor();
+            let joint = machine.joints.get(index)?;
+            let named = |axis: &CoordinateDescriptor| axis.name == joint.name;
+            let coordinate = machine.pose.iter().position(named)?;
+            Some(self.is_turntable(axis.wraps(), coordinate))
+        };
         require(
-            axis.low < axis.high && within(axis.low.0) && within(axis.high.0),
+            limited || turns().unwrap_or(false),
             ConfigField::Stroke,
             here,
         )?;

@@ -133,6 +133,8 @@ impl Machine {
             newly_limited: 0,
             joints: Vec::new(),
             measured: Joints::default(),
+            wrapping: 0,
+            turns: [0; MAX_AXES],
             measured_pose: None,
             target: JointMotion::default(),
             joint_rates: JointRates::default(),
@@ -154,6 +156,7 @@ impl Machine {
         inputs: &Inputs,
     ) {
         self.joints = joints;
+        self.wrapping = self.config.wrapping_joints();
         self.configure_force(design);
         self.configure_haptics(&inputs.haptic);
         self.motion.configure(&self.config);

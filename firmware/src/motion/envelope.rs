@@ -30,6 +30,9 @@ pub struct StoppingEnvelope {
     pub high: Pose,
     /// Largest magnitudes of the rates, axis units per second.
     pub rates: Rates,
+    /// Coordinates that wrap around, one bit each: their bounds are an arc from low upwards to
+    /// high.
+    pub wrapping: u8,
 }
 
 /// Load at which a joint is commanded its maximum rate.
@@ -48,7 +51,25 @@ impl StoppingEnvelope {
             low: *pose,
             high: *pose,
             rates: [Rate::ZERO; MAX_AXES],
+            wrapping: 0,
         }
+    }
+
+    /// The envelope with these coordinates wrapping around, one bit each.
+    #[must_use]
+    pub const fn with_wrapping(self, wrapping: u8) -> Self {
+        Self { wrapping, ..self }
+    }
+
+    #[inline]
+    const fn wraps(&self, axis: usize) -> bool {
+        self.wrapping >> axis & 1 != 0
+    }
+
+    /// Length of the arc of a coordinate that wraps around, axis units.
+    #[inline]
+    fn arc(&self, axis: usize) -> u32 {
+        self.high.0[axis].wrapping_sub(self.low.0[axis]).0 as u32
     }
 
     /// Extends the rate bound of a coordinate to a rate, axis units per second.
@@ -68,9 +89,35 @@ impl StoppingEnvelope {
         }
     }
 
-    /// Extends the box to a value of a coordinate; values beyond the range of a [`Coordinate`] are
-    /// clamped.
+    /// Extends the box by the motion of a coordinate from a place in the box, `low` below it to
+    /// `high` above it.
+    pub fn reach_from(&mut self, axis: usize, from: i32, low: i64, high: i64) {
+        if !self.wraps(axis) {
+            self.reach(axis, i64::from(from) + low);
+            self.reach(axis, i64::from(from) + high);
+            return;
+        }
+        // Both parts of the arc that is known, from here.
+        let below = i64::from(from.wrapping_sub(self.low.0[axis].0) as u32).max(-low);
+        let above = i64::from(self.high.0[axis].0.wrapping_sub(from) as u32).max(high);
+        let (low, high) = if below + above < i64::from(u32::MAX) {
+            let end = |by: i64| from.wrapping_add(by as i32);
+            (end(-below), end(above))
+        } else {
+            (i32::MIN, i32::MAX)
+        };
+        self.low.0[axis] = Coordinate(low);
+        self.high.0[axis] = Coordinate(high);
+    }
+
+    /// Extends the box to a value of a coordinate. Values beyond the range of a [`Coordinate`] are
+    /// clamped; a coordinate that wraps around takes the shorter way from its lower bound.
     pub fn reach(&mut self, axis: usize, value: i64) {
+        if self.wraps(axis) {
+            let from = self.low.0[axis].0;
+            let by = i64::from((value as i32).wrapping_sub(from));
+            return self.reach_from(axis, from, by.min(0), by.max(0));
+        }
         let value = Coordinate(value.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32);
         self.low.0[axis] = self.low.0[axis].min(value);
         self.high.0[axis] = self.high.0[axis].max(value);
@@ -78,7 +125,14 @@ impl StoppingEnvelope {
 
     /// Takes over the bounds of a coordinate from `other`, shifted by `offset`.
     pub fn take(&mut self, axis: usize, other: &Self, offset: i32) {
-        let moved = |value: Coordinate| Coordinate(value.0.saturating_add(offset));
+        let wraps = self.wraps(axis);
+        let moved = |value: Coordinate| {
+            Coordinate(if wraps {
+                value.0.wrapping_add(offset)
+            } else {
+                value.0.saturating_add(offset)
+            })
+        };
         self.low.0[axis] = moved(other.low.0[axis]);
         self.high.0[axis] = moved(other.high.0[axis]);
         self.rates[axis] = other.rates[axis];
@@ -88,9 +142,13 @@ impl StoppingEnvelope {
     #[must_use]
     pub fn is_within(&self, other: &Self, axes: usize) -> bool {
         (0..axes.min(MAX_AXES)).all(|axis| {
-            self.low.0[axis] >= other.low.0[axis]
-                && self.high.0[axis] <= other.high.0[axis]
-                && self.rates[axis] <= other.rates[axis]
+            let inside = if self.wraps(axis) {
+                let ahead = self.low.0[axis].wrapping_sub(other.low.0[axis]).0 as u32;
+                u64::from(ahead) + u64::from(self.arc(axis)) <= u64::from(other.arc(axis))
+            } else {
+                self.low.0[axis] >= other.low.0[axis] && self.high.0[axis] <= other.high.0[axis]
+            };
+            inside && self.rates[axis] <= other.rates[axis]
         })
     }
 
@@ -102,8 +160,9 @@ impl StoppingEnvelope {
         for (axis, margins) in margins.iter().enumerate() {
             let (low, high) = (self.low.0[axis].0, self.high.0[axis].0);
             if low != high || may & (1 << axis) != 0 {
-                wide.reach(axis, i64::from(low) - i64::from(*margins));
-                wide.reach(axis, i64::from(high) + i64::from(*margins));
+                let margin = i64::from(*margins);
+                wide.reach_from(axis, low, -margin, 0);
+                wide.reach_from(axis, high, 0, margin);
                 wide.extend_rate(
                     axis,
                     i64::from(self.rates[axis].0) + 2 * i64::from(*margins),

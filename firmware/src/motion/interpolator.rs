@@ -88,6 +88,8 @@ pub struct Late {
 pub struct Interpolator {
     axes: usize,
     rotary: [bool; MAX_AXES],
+    /// Coordinates that wrap around, one bit each.
+    wrapping: u8,
     /// In wire units.
     rate_limits: [i32; MAX_AXES],
     acceleration_limits: [Acceleration; MAX_AXES],
@@ -131,7 +133,7 @@ pub struct Interpolator {
 }
 
 constants!(Interpolator {
-    axes, rotary, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
+    axes, rotary, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
     queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
     underrunning, late, duration, passed, retract_left
@@ -168,6 +170,7 @@ impl Interpolator {
     pub(super) fn configure(&mut self, config: &Config) {
         let program = self;
         program.axes = config.pose.len();
+        program.wrapping = config.wrapping();
         program.period_us = config.period_us;
         program.periods_per_second = 1_000_000 / i64::from(config.period_us.max(1));
         program.braking = braking_limits(&config.stopping, config.period_us);

@@ -28,6 +28,7 @@ struct Axis {
     target: i64,
     limits: Option<RampLimits>,
     rate_limit: i64,
+    /// Soft limits, 2^-20 axis units; the whole range of the number where there are none.
     low: i64,
     high: i64,
 }
@@ -49,6 +50,25 @@ struct Step {
     peak: i64,
 }
 
+impl Axis {
+    /// Whether the coordinate wraps around.
+    #[inline]
+    const fn wraps(&self) -> bool {
+        self.low == i64::MIN
+    }
+
+    /// Moves to a position; one that wraps around stays within half a turn of 0.
+    #[inline]
+    const fn set_position(&mut self, position: i64) {
+        const ABOVE: u32 = 64 - 32 - FRACTION;
+        self.position = if self.wraps() {
+            (position << ABOVE) >> ABOVE
+        } else {
+            position
+        };
+    }
+}
+
 /// Steps of all coordinates; `None` for a coordinate whose stopping distance is not known.
 type Steps = [Option<Step>; MAX_AXES];
 
@@ -56,6 +76,8 @@ type Steps = [Option<Step>; MAX_AXES];
 #[derive(Debug, Default)]
 pub struct Jog {
     axes: usize,
+    /// Coordinates that wrap around, one bit each.
+    wrapping: u8,
     period_us: u16,
     /// A whole number; the configuration ensures it.
     periods_per_second: i64,
@@ -81,6 +103,7 @@ impl Constants for Jog {
     fn digest(&self, digest: &mut Digest) {
         let Self {
             axes,
+            wrapping,
             period_us,
             periods_per_second,
             axis,
@@ -92,7 +115,7 @@ impl Constants for Jog {
             periods_left: _,
             limited: _,
         } = self;
-        digest.add(&(axes, period_us, periods_per_second));
+        digest.add(&(axes, wrapping, period_us, periods_per_second));
         axis.iter().for_each(|axis| axis.digest(digest));
     }
 }
@@ -131,6 +154,7 @@ impl Jog {
     pub fn new(config: &Config) -> Self {
         let mut jog = Self {
             axes: config.pose.len(),
+            wrapping: config.wrapping(),
             period_us: config.period_us,
             periods_per_second: periods_per_second(config.period_us),
             ..Self::default()
@@ -138,8 +162,12 @@ impl Jog {
         for (axis, pose) in jog.axis.iter_mut().zip(&config.pose) {
             axis.limits = rate_limits(pose.acceleration, pose.jerk, config.period_us);
             axis.rate_limit = per_period(i64::from(pose.rate.0), config.period_us);
-            axis.low = i64::from(pose.low.0) << FRACTION;
-            axis.high = i64::from(pose.high.0) << FRACTION;
+            (axis.low, axis.high) = if pose.wraps() {
+                (i64::MIN, i64::MAX)
+            } else {
+                let [low, high] = [pose.low, pose.high].map(|end| i64::from(end.0) << FRACTION);
+                (low, high)
+            };
         }
         jog
     }
@@ -154,6 +182,12 @@ impl Jog {
         self.periods_left = 0;
         self.limited = limited;
         self.requested_load = 0;
+    }
+
+    /// Coordinates that wrap around, one bit each.
+    #[must_use]
+    pub const fn wrapping(&self) -> u8 {
+        self.wrapping
     }
 
     /// Decelerates in this control period, whatever the targets are. The jog resumes in the next
@@ -296,9 +330,10 @@ impl Jog {
             let Some(limits) = axis.limits else { continue };
             if let Some(Some(step)) = steps.as_ref().map(|steps| steps[index]) {
                 axis.rate = step.rate;
-                axis.position = step.position;
+                axis.set_position(step.position);
             } else {
-                axis.position += axis.rate.advance(0, &limits);
+                let by = axis.rate.advance(0, &limits);
+                axis.set_position(axis.position + by);
             }
             commanded.pose.0[index] = Coordinate((axis.position >> FRACTION) as i32);
             commanded.rates[index] = Rate(saturate(per_second(
@@ -346,11 +381,17 @@ impl Jog {
 
     /// The stopping envelope after these steps; `None` if a bound is not known.
     fn envelope(&self, steps: &Steps) -> Option<StoppingEnvelope> {
-        let mut envelope = StoppingEnvelope::at(&Pose::default());
+        let mut envelope = StoppingEnvelope::at(&self.pose()).with_wrapping(self.wrapping);
         for (index, step) in steps[..self.axes].iter().enumerate() {
             let step = step.as_ref()?;
             let whole = |end: i64| i32::try_from(end >> FRACTION).ok().map(Coordinate);
             envelope.extend_rate(index, per_second(step.peak, self.periods_per_second) + 1);
+            if self.axis[index].wraps() {
+                let at = self.axis[index].position >> FRACTION;
+                let (low, high) = ((step.low >> FRACTION) - at, (step.high >> FRACTION) - at);
+                envelope.reach_from(index, at as i32, low, high);
+                continue;
+            }
             envelope.low.0[index] = whole(step.low)?;
             envelope.high.0[index] = whole(step.high)?;
         }
@@ -362,7 +403,7 @@ impl Jog {
     #[must_use]
     pub fn stopping(&mut self, continues: bool) -> Option<StoppingEnvelope> {
         if self.is_at_standstill() {
-            return Some(StoppingEnvelope::at(&self.pose()));
+            return Some(StoppingEnvelope::at(&self.pose()).with_wrapping(self.wrapping));
         }
         let steps = if continues && self.periods_left > 0 {
             self.plan()

@@ -432,7 +432,8 @@ impl Motion {
     ) -> Option<u32> {
         let program = self.program.sweep();
         let jog = self.jog.stopping(jog_continues)?;
-        let mut sweep = StoppingEnvelope::at(&self.commanded.pose);
+        let mut sweep =
+            StoppingEnvelope::at(&self.commanded.pose).with_wrapping(self.jog.wrapping());
         let mut allowed = true;
         for axis in 0..self.axes {
             let (tracker, bounds) = (&self.trackers[axis], &self.bounds[axis]);

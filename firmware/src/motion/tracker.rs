@@ -52,6 +52,7 @@ pub struct TrackerLimits {
     shift: u32,
     low: i64,
     high: i64,
+    wraps: bool,
     periods_per_second: i64,
 }
 
@@ -66,7 +67,7 @@ pub struct Tracker {
     filtered_target: i64,
 }
 
-constants!(TrackerLimits { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, periods_per_second } of {} but {});
+constants!(TrackerLimits { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, wraps, periods_per_second } of {} but {});
 
 impl TrackerLimits {
     /// Creates bounds for a gain k of 1 to 1000 1/s; `None` if they are inconsistent.
@@ -115,6 +116,7 @@ impl TrackerLimits {
             shift,
             low: i64::from(axis.low.0) << FRACTION,
             high: i64::from(axis.high.0) << FRACTION,
+            wraps: axis.wraps(),
             periods_per_second: 1_000_000 / i64::from(period_us.max(1)),
         })
     }
@@ -256,6 +258,10 @@ impl Tracker {
         // The rate at the end of the period is the derivative of the position there, so the
         // distance is the mean of both rates.
         self.place += self.rate - self.change / 2;
+        if limits.wraps {
+            const ABOVE: u32 = 64 - 32 - FRACTION;
+            self.place = (self.place << ABOVE) >> ABOVE;
+        }
         if target.is_none() {
             self.filtered_target = self.place;
         }

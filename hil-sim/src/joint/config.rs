@@ -55,7 +55,8 @@ pub struct JointConfig {
     pub viscous: f64,
     /// Part of both frictions on the slide side, 0 to 1; the rest acts on motor and screw.
     pub friction_slide_share: f64,
-    /// Lower hard stop of the slide, axis units.
+    /// Lower hard stop of the slide, axis units; minus infinity, with `high` infinity, on a rotary
+    /// joint that turns without end.
     pub low: f64,
     /// Upper hard stop of the slide, axis units.
     pub high: f64,
@@ -217,8 +218,13 @@ impl JointConfig {
             0.0,
             1.0,
         );
-        check.within(format!("{at}: low"), self.low, -2000.0, 2000.0);
-        check.within(format!("{at}: high"), self.high, self.low, 2000.0);
+        let endless = self.kind == JointKind::Rotary
+            && self.low == f64::NEG_INFINITY
+            && self.high == f64::INFINITY;
+        if !endless {
+            check.within(format!("{at}: low"), self.low, -2000.0, 2000.0);
+            check.within(format!("{at}: high"), self.high, self.low, 2000.0);
+        }
         check.within(format!("{at}: preset"), self.preset, self.low, self.high);
         // A limit switch may lie outside the hard stops, where the slide cannot reach it. The lower
         // switch must be below the upper one.

@@ -27,6 +27,7 @@ fn main() -> std::io::Result<()> {
                 } else {
                     AxisKind::Linear
                 },
+                wraps: false,
             })
             .collect(),
         optional_stop: true,

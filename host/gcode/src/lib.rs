@@ -79,6 +79,9 @@ pub struct ProgramAxis {
     pub letter: char,
     /// Millimetres or degrees.
     pub kind: AxisKind,
+    /// The coordinate wraps around: an absolute word is an angle below a turn, and its sign the
+    /// direction in which the machine turns there.
+    pub wraps: bool,
 }
 
 /// Axes, start and options of a program.
@@ -116,7 +119,11 @@ impl Options {
     /// Returns the axes of the H-4 arm with its table: X, Y, Z, B (tool tilt theta), A (table
     /// alpha).
     pub fn h4(start: Coordinates) -> Options {
-        let axis = |letter, kind| ProgramAxis { letter, kind };
+        let axis = |letter, kind| ProgramAxis {
+            letter,
+            kind,
+            wraps: false,
+        };
         Options {
             axes: vec![
                 axis('X', AxisKind::Linear),

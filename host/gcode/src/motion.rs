@@ -11,6 +11,25 @@ use super::problem::{Cause, Mistake, Place};
 use super::state::{FeedMode, Motion, PROBE_DONE, PROBED};
 use super::tool_table::PerLetter;
 
+/// Degrees of a turn.
+const TURN: f64 = 360.0;
+
+/// Angles within this are the same, degrees: a program that is where a word wants it to be makes no
+/// turn because of a rounding.
+const SAME_ANGLE: f64 = 1e-6;
+
+/// End of a coordinate that wraps around, from `at`: at the angle of the word's magnitude, in the
+/// direction of its sign, less than a turn away.
+fn turned_to(at: f64, word: f64, shift: f64) -> f64 {
+    let angle = word.abs() + shift;
+    let turns = if word.is_sign_negative() {
+        ((at + SAME_ANGLE - angle) / TURN).floor()
+    } else {
+        ((at - SAME_ANGLE - angle) / TURN).ceil()
+    };
+    angle + turns * TURN
+}
+
 const ARC_LETTERS: u32 = letters(b"IJKR");
 
 /// Most turns of an arc (P).
@@ -45,10 +64,13 @@ impl Executor {
                 step[axis] = if relative { value } else { value - here[axis] };
             } else if relative {
                 to[axis] += value;
-            } else if in_machine {
-                to[axis] = value;
             } else {
-                to[axis] = value + state.shift[axis];
+                let shift = if in_machine { 0.0 } else { state.shift[axis] };
+                to[axis] = if self.wraps(*letter) {
+                    turned_to(to[axis], value, shift)
+                } else {
+                    value + shift
+                };
             }
         }
         if turned {
@@ -57,6 +79,34 @@ impl Executor {
             to[1] += turned[1];
         }
         to
+    }
+
+    /// Whether the coordinate of a letter wraps around.
+    fn wraps(&self, letter: u8) -> bool {
+        let mut axes = self.options.axes.iter();
+        axes.any(|axis| axis.wraps && axis.letter == char::from(letter))
+    }
+
+    /// Refuses an absolute angle of a turn or more on a coordinate that wraps around.
+    fn check_angles(&self, block: &Block, in_machine: bool) -> Read<()> {
+        if self.state.modes.incremental && !in_machine {
+            return Ok(());
+        }
+        for letter in AXES {
+            let value = block.value(letter).unwrap_or(0.0);
+            if self.wraps(letter) && value.abs() >= TURN {
+                let at = block.first_of(letters(&[letter]));
+                return mistake(
+                    at.map_or(0, |(_, word)| word.at),
+                    format!(
+                        "{}{value} is a turn or more, on a coordinate that wraps around",
+                        char::from(letter)
+                    ),
+                    "write an angle below 360, with a minus sign to turn backwards; G91 turns farther",
+                );
+            }
+        }
+        Ok(())
     }
 
     /// Runs the motion of a block.
@@ -98,6 +148,7 @@ impl Executor {
         };
         let first = first_axis.unwrap_or(first);
         let place = here.place(first.at);
+        self.check_angles(block, machine.is_some())?;
         let to = self.target(block, machine.is_some());
         match motion {
             Motion::Rapid => self.travel_to(to, Pace::Rapid, place, first.at),

@@ -382,3 +382,45 @@ proptest! {
         }
     }
 }
+
+/// Ends of C, a coordinate that wraps around, of a program that starts at `start` degrees.
+fn turned(start: f64, text: &str) -> Vec<f64> {
+    let mut options = options();
+    options.axes.push(crate::ProgramAxis {
+        letter: 'C',
+        kind: AxisKind::Rotary,
+        wraps: true,
+    });
+    options.start[5] = start;
+    let program = read("t.ngc", text.as_bytes(), &options).expect("a program");
+    let ends = program.steps.iter().filter_map(|step| match step {
+        Step::Move(step) => Some(step.path.to[5]),
+        _ => None,
+    });
+    ends.collect()
+}
+
+#[test]
+fn an_absolute_angle_that_wraps_around_is_reached_in_the_direction_of_its_sign() {
+    assert_eq!(turned(0.0, "G0 C90\nC-45\nC45\nC-359"), [90.0, 45.0, -1.0]);
+    assert_eq!(turned(170.0, "G0 C10\nC-350"), [370.0, 350.0]);
+    assert_eq!(turned(-170.0, "G0 C0\nC-0.0\nC-0.5"), [0.0, -359.5]);
+    // Relative words turn as far as they say.
+    assert_eq!(
+        turned(0.0, "G91 G0 C720.5\nG90 C0\nG91 C-1000"),
+        [720.5, 1080.0, 80.0]
+    );
+    // A rounding makes no turn.
+    assert_eq!(turned(90.000_000_1, "G0 C90").len(), 1);
+    let ends = turned(90.000_000_1, "G0 C90\nC-90");
+    assert!(ends.iter().all(|end| (end - 90.0).abs() < 1e-6), "{ends:?}");
+}
+
+#[test]
+fn an_absolute_angle_of_a_turn_or_more_is_refused_where_the_coordinate_wraps() {
+    let mut options = options();
+    options.axes[4].wraps = true;
+    let refused = read("t.ngc", b"G0 A-360", &options).expect_err("refused");
+    let text = refused.to_string();
+    assert!(text.contains("A-360 is a turn or more"), "{text}");
+}

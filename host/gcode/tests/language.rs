@@ -4,7 +4,11 @@ use haptimill_gcode::{AxisKind, Feed, Interpreter, Move, Options, ProgramAxis, S
 use std::io::Cursor;
 
 fn options() -> Options {
-    let axis = |letter, kind| ProgramAxis { letter, kind };
+    let axis = |letter, kind| ProgramAxis {
+        letter,
+        kind,
+        wraps: false,
+    };
     Options {
         axes: vec![
             axis('X', AxisKind::Linear),

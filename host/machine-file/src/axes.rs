@@ -17,9 +17,9 @@ pub struct AxisLimits {
     pub name: String,
     /// Linear or rotary.
     pub kind: AxisKind,
-    /// Lower limit, mm or deg.
+    /// Lower limit, mm or deg; minus infinity where the axis wraps around.
     pub low: f64,
-    /// Upper limit, mm or deg.
+    /// Upper limit, mm or deg; infinity where the axis wraps around.
     pub high: f64,
     /// Largest rate, mm/s or deg/s.
     pub rate: f64,
@@ -62,8 +62,31 @@ fn read_identity(section: &Section<'_, '_>, place: Option<(&str, AxisKind)>) -> 
     (name.to_string(), expected_kind)
 }
 
-/// Reads stroke or soft limits.
-fn read_limits(section: &Section<'_, '_>, low_key: Key, high_key: Key) -> (f64, f64) {
+impl AxisLimits {
+    /// Whether the axis wraps around: it has no limits, and a turn leads to the same place.
+    #[must_use]
+    pub fn wraps(&self) -> bool {
+        self.low == f64::NEG_INFINITY && self.high == f64::INFINITY
+    }
+}
+
+/// Reads stroke or soft limits; infinite with `wrap = true`.
+fn read_limits(
+    section: &Section<'_, '_>,
+    kind: AxisKind,
+    low_key: Key,
+    high_key: Key,
+) -> (f64, f64) {
+    let wrap = joint::wrap.name;
+    if kind == AxisKind::Rotary && section.has(wrap) && section.flag(wrap) == Some(true) {
+        for key in [low_key, high_key] {
+            if section.has(section.key(key).name) {
+                let what = "is a limit of an axis that wraps around";
+                section.refuse(key, what, "remove it, or `wrap`");
+            }
+        }
+        return (f64::NEG_INFINITY, f64::INFINITY);
+    }
     let (low, high) = (section.value(low_key), section.value(high_key));
     if low >= high {
         let what = format!("{low} is not below {} = {high}", section.key(high_key).name);
@@ -78,7 +101,7 @@ pub fn read_pose_axis(
     place: Option<(&str, AxisKind)>,
 ) -> (PoseAxis, AxisLimits) {
     let (name, kind) = read_identity(section, place);
-    let (low, high) = read_limits(section, pose::low, pose::high);
+    let (low, high) = read_limits(section, kind, pose::low, pose::high);
     let limits = AxisLimits {
         name,
         kind,
@@ -111,7 +134,7 @@ pub fn read_joint_axis(
     let scale = per_unit(kind);
     let unit = unit(kind);
     let coordinate = |value: f64| Coordinate(to_i32(value * scale));
-    let (low, high) = read_limits(section, joint::low, joint::high);
+    let (low, high) = read_limits(section, kind, joint::low, joint::high);
     let rate = section.value(joint::rate);
     let acceleration = section.value(joint::acceleration);
 

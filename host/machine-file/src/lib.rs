@@ -478,7 +478,24 @@ fn check_pose_against_joints(
             }
         }
         // A pose coordinate may be a joint itself, as a table is.
-        let Some((_, joint)) = joints.iter().find(|(_, joint)| joint.name == limits.name) else {
+        let joint = joints.iter().find(|(_, joint)| joint.name == limits.name);
+        let role = model.and_then(|model| model.descriptor.pose.get(index));
+        if limits.wraps() && role.is_some_and(|axis| axis.role != Role::None) {
+            let what = "is a direction of the tool or of the workpiece, which has limits";
+            section.report("wrap", what, "write soft limits");
+            continue;
+        }
+        if limits.wraps() != joint.is_some_and(|(_, joint)| joint.wraps()) {
+            let what =
+                "a coordinate that wraps around is a joint of the same name that does so too";
+            section.report(
+                "wrap",
+                what,
+                "write `wrap = true` for both, or limits for both",
+            );
+            continue;
+        }
+        let Some((_, joint)) = joint else {
             continue;
         };
         let (low, high, unit) = (joint.low, joint.high, axes::unit(limits.kind));

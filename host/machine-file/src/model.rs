@@ -11,13 +11,15 @@ use haptimill_kinematics::descriptor::Role;
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Coordinate, Rate};
 use haptimill_planner::{JointLimits, MachineModel, PoseLimits, PoseProblem, Settings};
-use haptimill_protocol::message::{AxisValues, MAX_AXES, PoseError};
+use haptimill_protocol::message::{AxisValues, MAX_AXES, PoseError, Telemetry};
 use haptimill_protocol::text::{Axes, Axis, AxisKind as TextKind};
 
 /// Kinematics of a machine file, with axis names.
 #[derive(Debug, Clone)]
 pub struct Model {
     machine: BoundedKinematics,
+    /// Pose coordinates that wrap around, one bit each.
+    wrapping: u8,
     pose: Vec<(String, config::AxisKind)>,
     joints: Vec<(String, config::AxisKind)>,
     io: IoNames,
@@ -50,6 +52,7 @@ impl Model {
     pub fn new(machine: &MachineFile) -> Self {
         Self {
             machine: machine.config.kinematics(),
+            wrapping: machine.config.wrapping(),
             pose: machine
                 .pose
                 .iter()
@@ -77,13 +80,22 @@ impl Model {
         self.io = IoNames::default();
     }
 
+    /// Axis units of a coordinate in millimetres or degrees, rounded; within half a turn of 0 if it
+    /// wraps around.
+    fn whole_units(&self, axis: usize, kind: config::AxisKind, value: f64) -> f64 {
+        let value = (value * units(kind)).round();
+        if self.wrapping >> axis & 1 != 0 {
+            f64::from(value as i64 as i32)
+        } else {
+            value
+        }
+    }
+
     /// Converts a pose in millimetres and degrees to axis units, rounded.
     #[must_use]
     pub fn to_axis_units(&self, pose: &Coordinates) -> AxisValues {
-        self.pose
-            .iter()
-            .zip(pose)
-            .map(|((_, kind), value)| (value * units(*kind)).round() as i32)
+        let axes = self.pose.iter().zip(pose).enumerate();
+        axes.map(|(axis, ((_, kind), value))| self.whole_units(axis, *kind, *value) as i32)
             .collect()
     }
 
@@ -105,6 +117,32 @@ impl Model {
             .zip(joints)
             .map(|((_, kind), value)| f64::from(*value) / units(*kind))
             .collect()
+    }
+
+    /// Converts a pose of `telemetry` in axis units to millimetres and degrees. A coordinate that
+    /// wraps around counts on over the turns of the joint of its name.
+    #[must_use]
+    pub fn unwound_pose(&self, pose: &AxisValues, telemetry: &Telemetry) -> Coordinates {
+        let mut values = self.to_engineering_units(pose);
+        let axes = self.pose.iter().zip(pose).zip(&mut values).enumerate();
+        for (axis, (((name, kind), raw), value)) in axes {
+            if self.wrapping >> axis & 1 != 0 {
+                let joint = self.joints.iter().position(|(joint, _)| joint == name);
+                *value = telemetry.unwound(joint, *raw) as f64 / units(*kind);
+            }
+        }
+        values
+    }
+
+    /// Converts the measured joints of `telemetry` to millimetres and degrees; joints that wrap
+    /// around count on over their turns.
+    #[must_use]
+    pub fn unwound_joints(&self, telemetry: &Telemetry) -> Vec<f64> {
+        let mut values = self.joints_to_engineering_units(&telemetry.joints);
+        for (value, turns) in values.iter_mut().zip(&telemetry.turns) {
+            *value += 360.0 * f64::from(*turns);
+        }
+        values
     }
 
     /// Returns the names of the pose coordinates.
@@ -182,8 +220,9 @@ impl Model {
 
     fn pose(&self, pose: &Coordinates) -> Option<Pose> {
         let mut units_of = Pose::default();
-        for (slot, ((_, kind), value)) in units_of.0.iter_mut().zip(self.pose.iter().zip(pose)) {
-            let value = (value * units(*kind)).round();
+        let values = self.pose.iter().zip(pose).enumerate();
+        for (slot, (axis, ((_, kind), value))) in units_of.0.iter_mut().zip(values) {
+            let value = self.whole_units(axis, *kind, *value);
             if !(f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&value) {
                 return None;
             }
@@ -296,6 +335,7 @@ pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
         .map(|(axis, described)| ProgramAxis {
             letter: described.letter,
             kind: program_kind(axis.kind),
+            wraps: axis.wraps(),
         })
         .collect();
     Options {

@@ -61,6 +61,9 @@ pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may
         .bounded("below the upper one; a tilt within +-90 deg; a coordinate that is a joint within its stroke");
     high = real(-2047.0, 2047.0, "mm").is("upper soft limit").named("high_mm")
         .rotary("high_deg", real(-179.0, 179.0, "deg"));
+    wrap = flag().is("the coordinate turns without end and has no soft limits")
+        .only("rotary coordinates without a role").or_text("false")
+        .bounded("the joint of the same name wraps too");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
         .rotary("rate_deg_s", real(0.001, 179.0, "deg/s"))
         .bounded("at most the joint's where the coordinate is a joint");
@@ -78,6 +81,9 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .rotary("low_deg", real(-179.0, 179.0, "deg")).bounded("below the upper end");
     high = real(-2047.0, 2047.0, "mm").is("upper end of the stroke").named("high_mm")
         .rotary("high_deg", real(-179.0, 179.0, "deg"));
+    wrap = flag().is("the joint turns without end and has no stroke")
+        .only("rotary joints").or_text("false")
+        .bounded("the pose coordinate of the same name wraps too");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
         .rotary("rate_deg_s", real(0.001, 179.0, "deg/s"));
     acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")

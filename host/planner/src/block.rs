@@ -61,6 +61,8 @@ pub(super) fn check_pose(
     for (value, axis) in pose.iter().zip(&settings.pose) {
         let (unit, range) = match axis.kind {
             AxisKind::Linear => ("mm", 2047.0),
+            // One that wraps around has no range.
+            AxisKind::Rotary if axis.high == f64::INFINITY => ("deg", f64::INFINITY),
             AxisKind::Rotary => ("deg", 179.9),
         };
         let (low, high) = (axis.low.max(-range), axis.high.min(range));

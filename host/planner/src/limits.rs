@@ -10,9 +10,9 @@ pub struct PoseLimits {
     pub letter: char,
     /// Millimetres or degrees.
     pub kind: AxisKind,
-    /// Lower soft limit.
+    /// Lower soft limit; minus infinity if the coordinate wraps around.
     pub low: f64,
-    /// Upper soft limit.
+    /// Upper soft limit; infinity if the coordinate wraps around.
     pub high: f64,
     /// Largest rate.
     pub rate: f64,

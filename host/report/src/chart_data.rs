@@ -4,7 +4,7 @@ use super::Statistics;
 use super::contour::{Contour, Point, distance};
 use super::series::{Columns, PathPoints};
 use super::tip::Tip;
-use haptimill_trace::{Record, Recording, flag};
+use haptimill_trace::{Quantity, Record, Recording, flag};
 use std::collections::VecDeque;
 
 /// Time over which speeds are averaged, s: a single encoder count does not show as a step. Where
@@ -93,7 +93,10 @@ impl ChartData {
                 .map(|(value, unit)| f64::from(*value) * unit)
                 .collect()
         };
-        let joints = scaled(&record.joints, &self.joint_units);
+        let unwound = |quantity, axis, unit: &f64| record.unwound(quantity, axis) as f64 * unit;
+        let joints: Vec<f64> = (self.joint_units.iter().enumerate())
+            .map(|(axis, unit)| unwound(Quantity::Joints, axis, unit))
+            .collect();
         if time + self.period_s / 2.0 < self.begin {
             return;
         }
@@ -119,9 +122,9 @@ impl ChartData {
         }
         for (axis, unit) in self.pose_units.iter().enumerate() {
             let [programmed, actual] = &mut self.angles[axis];
-            programmed.add(time, f64::from(record.programmed[axis]) * unit);
+            programmed.add(time, unwound(Quantity::Programmed, axis, unit));
             if has_tool {
-                actual.add(time, f64::from(record.tool[axis]) * unit);
+                actual.add(time, unwound(Quantity::Tool, axis, unit));
             }
         }
         if has_tool {

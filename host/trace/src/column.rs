@@ -1,6 +1,6 @@
 //! Columns: the named values of a record, for the trace, plots and MCAP messages.
 
-use super::{Axes, Record, Recording, flag};
+use super::{Axes, Quantity, Record, Recording, flag};
 use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::io::COMPONENTS;
 use haptimill_machine_file::{IoNames, MachineFile};
@@ -24,6 +24,13 @@ pub struct Column {
 type Row = fn(&Record) -> &Axes;
 type Forces = fn(&Record) -> &[i32; COMPONENTS];
 
+/// Values of all axes of a record: positions, which count on over turns, or differences.
+#[derive(Clone, Copy)]
+enum Places {
+    Positions(Quantity),
+    Differences(Row),
+}
+
 #[derive(Debug, Clone, Copy)]
 enum Field {
     Time,
@@ -40,6 +47,7 @@ enum Field {
     /// Whether it is an output, its index, and the value of the code 32768.
     Analog(bool, usize, f64),
     Axis(Row, usize, f64),
+    Place(Quantity, usize, f64),
     Force(Forces, usize, f64),
 }
 
@@ -117,6 +125,9 @@ impl Column {
                 scaled(i32::from(codes[index]), full_scale / 32_768.0)
             }
             Field::Axis(row, axis, scale) => scaled(row(record)[axis], scale),
+            Field::Place(quantity, axis, scale) => {
+                Value::Real(record.unwound(quantity, axis) as f64 * scale, 6)
+            }
             Field::Force(row, axis, scale) => scaled(row(record)[axis], scale),
         })
     }
@@ -160,15 +171,21 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
             Field::Flag(flag::POSITION_KEPT),
         ),
     ];
-    let pose: [(&'static str, Row); 3] = [
-        ("commanded", |record| &record.commanded),
-        ("programmed", |record| &record.programmed),
-        ("tool", |record| &record.tool),
+    let pose: [(&'static str, Places); 3] = [
+        ("commanded", Places::Positions(Quantity::Commanded)),
+        ("programmed", Places::Positions(Quantity::Programmed)),
+        ("tool", Places::Positions(Quantity::Tool)),
     ];
-    let joints: [(&'static str, Row); 3] = [
-        ("joint_commanded", |record| &record.joints_commanded),
-        ("joint_measured", |record| &record.joints),
-        ("joint_error", |record| &record.following_error),
+    let joints: [(&'static str, Places); 3] = [
+        (
+            "joint_commanded",
+            Places::Positions(Quantity::JointsCommanded),
+        ),
+        ("joint_measured", Places::Positions(Quantity::Joints)),
+        (
+            "joint_error",
+            Places::Differences(|record| &record.following_error),
+        ),
     ];
     let kinds: Vec<AxisKind> = config.pose.iter().map(|axis| axis.kind).collect();
     let scales = recording.pose_units();
@@ -277,7 +294,7 @@ fn io_columns(recording: &Recording) -> Vec<Column> {
 /// Returns the columns of all axes.
 fn axis_columns(
     group: &'static str,
-    row: Row,
+    row: Places,
     names: &[String],
     kinds: &[AxisKind],
     scales: &[f64],
@@ -288,7 +305,10 @@ fn axis_columns(
             AxisKind::Linear => "mm",
             AxisKind::Rotary => "deg",
         };
-        let field = Field::Axis(row, axis, *scale);
+        let field = match row {
+            Places::Positions(quantity) => Field::Place(quantity, axis, *scale),
+            Places::Differences(row) => Field::Axis(row, axis, *scale),
+        };
         Column::plain(&format!("{name}_{group}_{unit}"), group, unit, field)
     })
 }

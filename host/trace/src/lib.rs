@@ -220,9 +220,74 @@ pub struct Record {
     pub haptic: HapticSnapshot,
     /// Flags of the haptic arm, see [`flag::HAPTIC_KNOWN`].
     pub haptic_flags: u32,
+    /// Turns beside the angles of axes that wrap around, by [`Quantity`]. They are not in the file;
+    /// a reader counts them from the first record on.
+    pub turns: [Axes; 5],
+}
+
+/// A quantity with a position of each axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quantity {
+    /// Commanded pose.
+    Commanded,
+    /// Programmed pose.
+    Programmed,
+    /// Tool pose.
+    Tool,
+    /// Measured joints.
+    Joints,
+    /// Commanded joints.
+    JointsCommanded,
 }
 
 impl Record {
+    /// Positions of a quantity; axes that wrap around are within half a turn of 0.
+    #[must_use]
+    pub fn positions(&self, quantity: Quantity) -> &Axes {
+        match quantity {
+            Quantity::Commanded => &self.commanded,
+            Quantity::Programmed => &self.programmed,
+            Quantity::Tool => &self.tool,
+            Quantity::Joints => &self.joints,
+            Quantity::JointsCommanded => &self.joints_commanded,
+        }
+    }
+
+    /// Position of an axis in axis units, counted on over the turns since the first record.
+    #[must_use]
+    pub fn unwound(&self, quantity: Quantity, axis: usize) -> i64 {
+        let turns = self.turns[quantity as usize][axis];
+        (i64::from(turns) << 32) + i64::from(self.positions(quantity)[axis])
+    }
+
+    /// Counts the turns of the axes that wrap around (one bit each of pose and joints) on from the
+    /// record before. Poses and joints that belong together are less than half a turn apart.
+    pub fn count_turns(&mut self, wrapping: [u8; 2], before: Option<&Self>) {
+        use Quantity::{Commanded, Joints, JointsCommanded, Programmed, Tool};
+        let groups = [
+            (Commanded, &[Programmed, Tool] as &[Quantity]),
+            (Joints, &[JointsCommanded]),
+        ];
+        for (mask, (first, others)) in wrapping.into_iter().zip(groups) {
+            for axis in (0..MAX_AXES).filter(|axis| mask >> axis & 1 != 0) {
+                let base = before.map_or(0, |before| before.unwound(first, axis));
+                let base = self.count_turn(first, axis, base);
+                for other in others {
+                    self.count_turn(*other, axis, base);
+                }
+            }
+        }
+    }
+
+    /// Sets the turns of an axis so that it is less than half a turn from `near`; returns its
+    /// unwound position.
+    fn count_turn(&mut self, quantity: Quantity, axis: usize, near: i64) -> i64 {
+        let value = self.positions(quantity)[axis];
+        let unwound = near + i64::from(value.wrapping_sub(near as i32));
+        self.turns[quantity as usize][axis] = ((unwound - i64::from(value)) >> 32) as i32;
+        unwound
+    }
+
     /// Whether a flag is set.
     pub fn has(&self, flag: u8) -> bool {
         self.flags & flag != 0
@@ -354,6 +419,7 @@ impl Record {
             },
             haptic: HapticSnapshot::default(),
             haptic_flags: 0,
+            turns: Default::default(),
         })
     }
 }

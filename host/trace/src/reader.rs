@@ -215,6 +215,11 @@ impl Recording {
         f64::from(self.config.period_us) / 1e6
     }
 
+    /// Returns the pose coordinates and the joints that wrap around, one bit each.
+    fn wrapping(&self) -> [u8; 2] {
+        [self.config.wrapping(), self.config.wrapping_joints()]
+    }
+
     /// Returns millimetres or degrees per axis unit for each pose coordinate.
     pub fn pose_units(&self) -> Vec<f64> {
         let axes = self.config.pose.iter();
@@ -255,6 +260,8 @@ impl Recording {
         Ok(Records {
             blocks: self.contents(Kind::Records)?,
             has_haptic_arm: self.header.has_haptic_arm,
+            wrapping: self.wrapping(),
+            before: None,
             block: Vec::new(),
             at: 0,
         })
@@ -272,6 +279,8 @@ impl Recording {
         let records = Records {
             blocks,
             has_haptic_arm: self.header.has_haptic_arm,
+            wrapping: self.wrapping(),
+            before: None,
             block: Vec::new(),
             at: 0,
         };
@@ -482,6 +491,9 @@ impl Blocks {
 pub struct Records {
     blocks: Blocks,
     has_haptic_arm: bool,
+    /// Pose coordinates and joints that wrap around, one bit each, and the record before.
+    wrapping: [u8; 2],
+    before: Option<Record>,
     block: Vec<u8>,
     at: usize,
 }
@@ -509,6 +521,12 @@ impl Iterator for Records {
                         "has a record with an unknown state".into(),
                     )
                 };
+                if let Some(record) = &mut record
+                    && self.wrapping != [0; 2]
+                {
+                    record.count_turns(self.wrapping, self.before.as_ref());
+                    self.before = Some(*record);
+                }
                 return Some(record.ok_or_else(foreign));
             }
             match self.blocks.next()? {

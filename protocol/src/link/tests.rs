@@ -268,23 +268,7 @@ fn telemetry(period: u64) -> Report {
     Report::Telemetry(Telemetry {
         period,
         state: State::Idle,
-        homed: false,
-        position_kept: false,
-        credit: 0,
-        setpoint: 0,
-        program_periods: 0,
-        path_rate: 0,
-        commanded: Default::default(),
-        measured: Default::default(),
-        joints: Default::default(),
-        following_error: Default::default(),
-        drive: Default::default(),
-        fault: None,
-        deferred_bytes: 0,
-        bad_frames: 0,
-        lost_bytes: 0,
-        force: None,
-        io: None,
+        ..Telemetry::default()
     })
 }
 

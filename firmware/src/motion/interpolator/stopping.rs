@@ -16,7 +16,7 @@ impl Interpolator {
     #[must_use]
     pub fn sweep(&self) -> StoppingEnvelope {
         let commanded = self.commanded().pose;
-        let mut sweep = StoppingEnvelope::at(&commanded);
+        let mut sweep = StoppingEnvelope::at(&commanded).with_wrapping(self.wrapping);
         let Some(braking) = self.braking.filter(|_| !self.paused) else {
             return sweep;
         };
@@ -95,15 +95,10 @@ impl Interpolator {
         }
         let distance = self.distance(axis, from, to);
         let [first, second] = rates.map(|rate| (rate * third) >> 22);
-        let from = i64::from(from);
-        for point in [
-            from,
-            from + first,
-            from + distance - second,
-            from + distance,
-        ] {
-            sweep.reach(axis, point);
-        }
+        let points = [first, distance - second, distance];
+        let low = points.iter().fold(0, |low, point| low.min(*point));
+        let high = points.iter().fold(0, |high, point| high.max(*point));
+        sweep.reach_from(axis, from, low, high);
     }
 }
 

@@ -208,7 +208,7 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
     let model = session.model();
     let fault = status.fault.map(|fault| session.describe(&fault));
     let pose = |values: &AxisValues| -> Vec<(String, f64)> {
-        let units = model.to_engineering_units(values);
+        let units = model.unwound_pose(values, &status);
         model
             .pose_names()
             .iter()
@@ -226,6 +226,11 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
             .collect()
     };
     let io = IoStatus::new(model.io(), status.io.as_ref());
+    let joint_names: Vec<String> = model
+        .joint_names()
+        .iter()
+        .map(ToString::to_string)
+        .collect();
     if json {
         let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
         let value = serde_json::json!({
@@ -240,7 +245,7 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
             "path_rate": f64::from(status.path_rate) / 65_535.0,
             "commanded": map(pose(&status.commanded)),
             "measured": map(pose(&status.measured)),
-            "joints": map(joints(&status.joints)),
+            "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(&status)).collect()),
             "following_error": map(joints(&status.following_error)),
             "bad_frames": status.bad_frames,
             "lost_bytes": status.lost_bytes,
@@ -286,7 +291,8 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         let measured = line(pose(&status.measured), pose_units.clone());
         print_line!("measured {measured}");
         print_line!("commanded{}", line(pose(&status.commanded), pose_units));
-        print_line!("joints   {}", line(joints(&status.joints), joint_units));
+        let unwound = joint_names.into_iter().zip(model.unwound_joints(&status));
+        print_line!("joints   {}", line(unwound.collect(), joint_units));
     }
     io.print();
     Ok(())

@@ -120,19 +120,23 @@ impl Columns {
             f64::from(of.path_rate) / 65_535.0,
             f64::from(of.program_periods) * self.period_s
         );
-        let mut add = |axes: &[(String, AxisKind)], values: &AxisValues| {
-            for (index, (_, kind)) in axes.iter().enumerate() {
+        let joints = &self.joints;
+        let mut add = |axes: &[(String, AxisKind)], values: &AxisValues, unwound: bool| {
+            for (index, (name, kind)) in axes.iter().enumerate() {
                 row.push(',');
                 // Unknown values stay empty.
                 if let Some(value) = values.get(index) {
-                    row.push_str(&format!("{:.6}", f64::from(*value) / per_unit(*kind)));
+                    let turns = unwound && *kind == AxisKind::Rotary;
+                    let joint = joints.iter().position(|(joint, _)| turns && joint == name);
+                    let value = of.unwound(joint, *value) as f64;
+                    row.push_str(&format!("{:.6}", value / per_unit(*kind)));
                 }
             }
         };
-        add(&self.pose, &of.commanded);
-        add(&self.pose, &of.measured);
-        add(&self.joints, &of.joints);
-        add(&self.joints, &of.following_error);
+        add(&self.pose, &of.commanded, true);
+        add(&self.pose, &of.measured, true);
+        add(&self.joints, &of.joints, true);
+        add(&self.joints, &of.following_error, false);
         for index in 0..self.joints.len() {
             row.push(',');
             if let Some(code) = of.drive.get(index) {
@@ -278,6 +282,10 @@ mod tests {
         let count = |line: &str| line.matches(',').count();
         let mut telemetry = telemetry();
         assert_eq!(count(&columns.row(&telemetry)), count(&columns.header()));
+        // Angles count on over the turns of the joint of their name.
+        telemetry.turns = [0, 0, 0, 0, 2].into_iter().collect();
+        let row = columns.row(&telemetry);
+        assert_eq!(row.matches(",720.000088").count(), 3, "{row}");
         telemetry.measured.clear();
         telemetry.force = None;
         assert_eq!(count(&columns.row(&telemetry)), count(&columns.header()));
@@ -297,6 +305,7 @@ mod tests {
             commanded: five.clone(),
             measured: five.clone(),
             joints: five.clone(),
+            turns: AxisValues::new(),
             following_error: five.clone(),
             drive: five,
             fault: None,

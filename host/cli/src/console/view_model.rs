@@ -84,6 +84,19 @@ pub(super) struct Axis {
     pub(super) kind: AxisKind,
 }
 
+impl ViewModel {
+    /// Position of an axis in axis units; a rotary one counts on over the turns of the joint of its
+    /// name.
+    pub(super) fn unwound(&self, axis: &Axis, value: i32) -> i64 {
+        let joints = &self.static_info.joints;
+        let joint = joints.iter().position(|joint| joint.name == axis.name);
+        match &self.telemetry {
+            Some(telemetry) if axis.kind == AxisKind::Rotary => telemetry.unwound(joint, value),
+            _ => i64::from(value),
+        }
+    }
+}
+
 impl Axis {
     pub(super) fn all(limits: &[AxisLimits]) -> Vec<Self> {
         let axis = |axis: &AxisLimits| Self {

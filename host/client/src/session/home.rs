@@ -54,12 +54,19 @@ pub fn plan_straight_move(
     to: &AxisValues,
     feed: Option<f64>,
 ) -> Result<Plan, Error> {
-    let options = program_options(machine, model.to_engineering_units(from));
+    let mut options = program_options(machine, model.to_engineering_units(from));
+    let mut end = model.to_engineering_units(to);
+    // A coordinate that wraps around takes the shorter way.
+    for ((axis, to), from) in options.axes.iter_mut().zip(&mut end).zip(&options.start) {
+        if std::mem::take(&mut axis.wraps) {
+            *to -= ((*to - from) / 360.0).round() * 360.0;
+        }
+    }
     // Ten decimals are far below an axis unit: the end pose is exact.
     let coordinates: String = options
         .axes
         .iter()
-        .zip(model.to_engineering_units(to))
+        .zip(end)
         .map(|(axis, value)| format!(" {}{value:.10}", axis.letter))
         .collect();
     let name = "straight move";

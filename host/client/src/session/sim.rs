@@ -42,6 +42,8 @@ pub struct JobRecording {
     cursor: Cursor,
     /// Axis units per millimetre or degree of the pose coordinates.
     units: [f64; MAX_AXES],
+    /// Pose coordinates that wrap around, one bit each.
+    wrapping: u8,
     /// The newest telemetry of the master, for a controller behind a port.
     master: Option<MasterTelemetry>,
 }
@@ -273,6 +275,7 @@ impl JobRecording {
             plan: None,
             cursor: Cursor::default(),
             units,
+            wrapping: machine.config.wrapping(),
             master: None,
         }
     }
@@ -381,15 +384,21 @@ impl JobRecording {
             return;
         }
         let programmed = plan.programmed(&mut self.cursor, periods * plan.period_s);
-        for (slot, (value, units)) in record
-            .programmed
-            .iter_mut()
-            .zip(programmed.iter().zip(&self.units))
-        {
-            *slot = (value * units).round() as i32;
+        for (axis, (slot, value)) in record.programmed.iter_mut().zip(&programmed).enumerate() {
+            *slot = self.axis_units(axis, *value);
         }
         record.flags |= flag::PROGRAMMED;
         record.line = plan.line_of(record.setpoint as usize);
+    }
+
+    /// Axis units of a coordinate in millimetres or degrees; modulo a turn if it wraps around.
+    fn axis_units(&self, axis: usize, value: f64) -> i32 {
+        let value = (value * self.units[axis]).round();
+        if self.wrapping >> axis & 1 != 0 {
+            value as i64 as i32
+        } else {
+            value as i32
+        }
     }
 
     fn add<C: Control>(&mut self, rig: &Rig<C>) {
@@ -416,13 +425,9 @@ impl JobRecording {
                 record.flags |= flag;
             }
         }
-        for (tool, (value, units)) in record
-            .tool
-            .iter_mut()
-            .zip(rig.truth().pose.iter().zip(&self.units))
-            .take(rig.plant().axes())
-        {
-            *tool = (value * units).round() as i32;
+        let truth = rig.truth().pose.iter().take(rig.plant().axes());
+        for (axis, (tool, value)) in record.tool.iter_mut().zip(truth).enumerate() {
+            *tool = self.axis_units(axis, *value);
         }
         self.add_programmed(&mut record, snapshot.program_time as f64 / FULL_RATE as f64);
         self.recorder.record(&record);

@@ -122,11 +122,14 @@ fn summary(machine: &MachineFile) -> String {
                 AxisKind::Linear => "mm",
                 AxisKind::Rotary => "deg",
             };
+            let [low, high] = if axis.wraps() {
+                ["wraps".to_string(), "wraps".to_string()]
+            } else {
+                [axis.low, axis.high].map(|end| format!("{end} {unit}"))
+            };
             text.push_str(&format!(
-                "{:<8} {:>10} {:>10} {:>12} {:>16}\n",
+                "{:<8} {low:>10} {high:>10} {:>12} {:>16}\n",
                 axis.name,
-                format!("{} {unit}", axis.low),
-                format!("{} {unit}", axis.high),
                 format!("{} {unit}/s", axis.rate),
                 format!("{} {unit}/s^2", axis.acceleration),
             ));

@@ -63,11 +63,17 @@ fn reference_mark(view: &ViewModel) -> char {
 }
 
 /// Value in mm or degrees, right-aligned; a dash where it is unknown.
-fn value(axes: &[Axis], values: Option<&AxisValues>, index: usize, width: usize) -> String {
+fn value(
+    view: &ViewModel,
+    axes: &[Axis],
+    values: Option<&AxisValues>,
+    index: usize,
+    width: usize,
+) -> String {
     let known = values.and_then(|values| values.get(index));
     match (known, axes.get(index)) {
         (Some(value), Some(axis)) => {
-            let value = f64::from(*value) / per_unit(axis.kind);
+            let value = view.unwound(axis, *value) as f64 / per_unit(axis.kind);
             // No minus sign before a displayed zero.
             let value = if value.abs() < 5e-5 { 0.0 } else { value };
             format!("{value:>width$.4}")
@@ -100,8 +106,9 @@ pub(super) fn pose_rows(frame: &mut Frame<'_>, area: Rect, view: &ViewModel, is_
         .iter()
         .enumerate()
         .map(|(index, axis)| {
-            let commanded = value(&view.static_info.pose, pose, index, number);
+            let commanded = value(view, &view.static_info.pose, pose, index, number);
             let actual = value(
+                view,
                 &view.static_info.pose,
                 telemetry.map(|t| &t.measured),
                 index,
@@ -152,6 +159,7 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let bar = usize::from(area.width).saturating_sub(35).clamp(6, 30);
     for (index, axis) in view.static_info.joints.iter().enumerate() {
         let place = value(
+            view,
             &view.static_info.joints,
             telemetry.map(|t| &t.joints),
             index,

@@ -189,6 +189,7 @@ impl Responder {
             commanded: AxisValues::new(),
             measured: AxisValues::new(),
             joints: AxisValues::new(),
+            turns: AxisValues::new(),
             following_error: AxisValues::new(),
             drive: AxisValues::new(),
             fault: None,
