@@ -34,8 +34,8 @@ use crate::urgent;
 use heapless::Vec;
 
 /// Largest payload of a frame, bytes. The largest message, telemetry of six axes with force sensor,
-/// inputs and outputs, has 304.
-pub const MAX_PAYLOAD: usize = 304;
+/// inputs and outputs, has 306.
+pub const MAX_PAYLOAD: usize = 312;
 
 /// Largest header, payload and check, bytes.
 const MAX_CONTENT: usize = MAX_HEADER + MAX_PAYLOAD + CRC_BYTES;
