@@ -1,7 +1,9 @@
 //! One control period of five joints: sense and drive.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use haptimill_firmware::config::{AxisKind, Drive, JointAxis, ServoConfig, ServoForm};
+use haptimill_firmware::config::{
+    AxisKind, Drive, EncoderAxis, Home, JointAxis, ServoConfig, ServoForm,
+};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
 use haptimill_firmware::joint::JointDrive;
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
@@ -14,7 +16,6 @@ fn axis(drive: Drive) -> JointAxis {
         low: Coordinate(0),
         high: Coordinate(i32::MAX),
         rate: Rate(60 << 20),
-        per_count: 21_990_232_556,
         backlash: Coordinate(10_486),
         drive,
         law: ServoConfig {
@@ -29,14 +30,19 @@ fn axis(drive: Drive) -> JointAxis {
             ki: Gain(0),
             friction_adaptation_ms: 0,
         },
-        following: Coordinate(1 << 18),
-        following_lag: 0,
-        still: Coordinate(1 << 17),
         preset: Coordinate(0),
-        index: Coordinate(0),
-        index_pitch: Coordinate(10 << 20),
-        index_slack: 4,
-        search: Coordinate(0),
+        home: Home::Index,
+        encoder: Some(EncoderAxis {
+            per_count: 21_990_232_556,
+            following: Coordinate(1 << 18),
+            following_lag: 0,
+            still: Coordinate(1 << 17),
+            index: Coordinate(0),
+            index_pitch: Coordinate(10 << 20),
+            index_slack: 4,
+            search: Coordinate(0),
+        }),
+        keeps_position: false,
     }
 }
 

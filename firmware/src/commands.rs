@@ -169,6 +169,9 @@ fn activate(
     Machine::install(&mut core.machine, config, crc, inputs).map_err(Refusal::Config)?;
     let first = !core::mem::replace(&mut core.job.configured, true);
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
+    let open_loop = machine.open_loop() != 0;
+    core.safety
+        .set_open_loop(open_loop, machine.forgets_position());
     if at_preset || first {
         core.safety.set_homed(false);
         core.job.preset_valid = at_preset || machine.count_from(&core.power_on);

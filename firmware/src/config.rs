@@ -127,7 +127,7 @@ const fn is_circle(kind: AxisKind, low: Coordinate, high: Coordinate) -> bool {
 /// 2^-16 turn/s^3.
 pub const JERK_SHIFT: u32 = 16;
 
-/// Joint: its screw, encoder, drive, servo loop and limits.
+/// Joint: its screw, drive, servo loop, limits, and its encoder if it has one.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct JointAxis {
     /// Linear or rotary.
@@ -138,23 +138,46 @@ pub struct JointAxis {
     pub high: Coordinate,
     /// Largest rate.
     pub rate: Rate,
-    /// Axis units per encoder count, times 2^24; negative when the encoder counts backwards.
-    pub per_count: i64,
     /// Full width of the backlash of the screw. The encoder sits on the motor side. 0 switches the
     /// compensation off.
     pub backlash: Coordinate,
     /// The drive.
     pub drive: Drive,
-    /// The servo loop.
+    /// The servo loop; a step drive has its own and ignores this one.
     pub law: ServoConfig,
+    /// Coordinate at the home pose. A joint that homes by its index pulse or by its preset stands
+    /// here before power on, set up by the operator.
+    pub preset: Coordinate,
+    /// How the joint finds its reference.
+    pub home: Home,
+    /// The encoder. Without one the joint is open loop: it has a step drive, and its position is
+    /// the count of the emitted steps.
+    pub encoder: Option<EncoderAxis>,
+    /// Open loop only: the joint cannot move while its drive is off, and the drive keeps its
+    /// electrical angle. Otherwise the position is lost with the drives off.
+    pub keeps_position: bool,
+}
+
+/// How a joint finds its reference.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Home {
+    /// By the index pulse nearest to the preset.
+    Index,
+    /// Not at all: the joint stands at its preset when the host commands homing.
+    Preset,
+}
+
+/// Encoder of a joint, its index pulse, and the supervision that needs an encoder.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct EncoderAxis {
+    /// Axis units per encoder count, times 2^24; negative when the encoder counts backwards.
+    pub per_count: i64,
     /// Largest following error at standstill.
     pub following: Coordinate,
     /// Increase of the following-error limit with the commanded rate, in 2^-16 s of travel.
     pub following_lag: u32,
     /// Encoder-stuck distance: commanded motion without a count that is a fault.
     pub still: Coordinate,
-    /// Coordinate at the preset: the distance that the operator sets up before power on.
-    pub preset: Coordinate,
     /// Coordinate of the index pulse nearest to the preset.
     pub index: Coordinate,
     /// Distance from one index pulse to the next: one turn of the motor.
@@ -190,7 +213,8 @@ pub enum Drive {
         setup: u16,
         /// Hold time of the direction level after the last pulse, in ticks.
         hold: u16,
-        /// Difference between steps and encoder that is the fault of lost steps.
+        /// Difference between steps and encoder that is the fault of lost steps; 0 without an
+        /// encoder.
         lost: Coordinate,
     },
 }

@@ -248,6 +248,9 @@ pub(crate) fn close_aborted_job(core: &mut Core) {
     if core.safety.has_latched() {
         invalidate_preset(core);
     }
+    if core.safety.take_forgotten() {
+        core.job.preset_valid = false;
+    }
 }
 
 #[cold]

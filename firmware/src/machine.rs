@@ -383,6 +383,14 @@ impl Machine {
         sample.following_error =
             self.values(|index| self.joints[index].servo_output().following_error.0);
         sample.drive = self.drive_values(inputs);
+        sample.open_loop = self.open_loop();
+    }
+
+    /// Joints without an encoder, one bit each.
+    #[must_use]
+    pub fn open_loop(&self) -> u8 {
+        let joints = self.joints.iter().rev();
+        joints.fold(0, |bits, joint| bits << 1 | u8::from(joint.is_open_loop()))
     }
 
     /// Drive commands: DAC codes, or steps emitted.

@@ -147,7 +147,7 @@ fn changed_joint_constant_is_detected_motion_is_not() {
     let made = |axis: &JointAxis| digest(&JointDrive::new(axis, 200).expect("sound"));
     let axis = h4().joints[0].clone();
     let changes: [fn(&mut JointAxis); 10] = [
-        |axis| axis.per_count += 1,
+        |axis| axis.encoder.as_mut().expect("an encoder").per_count += 1,
         |axis| axis.backlash.0 += 2,
         |axis| axis.law.kp.0 += 1,
         |axis| axis.law.kd.0 += 1,

@@ -1,7 +1,9 @@
 //! Whole joints: torque with backlash on a simulated slide, steps with a simulated motor, enabling,
 //! references, bad configurations.
 
-use haptimill_firmware::config::{AxisKind, Drive, JointAxis, ServoConfig, ServoForm};
+use haptimill_firmware::config::{
+    AxisKind, Drive, EncoderAxis, Home, JointAxis, ServoConfig, ServoForm,
+};
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
 use haptimill_firmware::joint::torque::TorqueOutput;
 use haptimill_firmware::joint::{DriveError, JointCommand, JointDrive, ServoOutput};
@@ -52,7 +54,6 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
         low: Coordinate(0),
         high: Coordinate((1500.0 * MM) as i32),
         rate: Rate((60.0 * MM) as i32),
-        per_count: 21_990_232_556,
         backlash: Coordinate((backlash_mm * MM) as i32),
         drive,
         law: ServoConfig {
@@ -67,14 +68,19 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
             ki: Gain(0),
             friction_adaptation_ms: 0,
         },
-        following: Coordinate((0.2 * MM) as i32),
-        following_lag: 0,
-        still: Coordinate((0.1 * MM) as i32),
         preset: Coordinate(0),
-        index: Coordinate(0),
-        index_pitch: Coordinate(10 << 20),
-        index_slack: 4,
-        search: Coordinate(0),
+        home: Home::Index,
+        encoder: Some(EncoderAxis {
+            per_count: 21_990_232_556,
+            following: Coordinate((0.2 * MM) as i32),
+            following_lag: 0,
+            still: Coordinate((0.1 * MM) as i32),
+            index: Coordinate(0),
+            index_pitch: Coordinate(10 << 20),
+            index_slack: 4,
+            search: Coordinate(0),
+        }),
+        keeps_position: false,
     }
 }
 
@@ -329,16 +335,14 @@ fn invalid_joint_configurations_are_refused() {
         refused(&axis(torque(), -0.1), 200),
         Some(DriveError::Backlash)
     );
-    assert_eq!(
-        refused(
-            &JointAxis {
-                per_count: 0,
-                ..axis(torque(), 0.0)
-            },
-            200
-        ),
-        Some(DriveError::Encoder)
-    );
+    let mut senseless = axis(torque(), 0.0);
+    senseless.encoder.as_mut().expect("an encoder").per_count = 0;
+    assert_eq!(refused(&senseless, 200), Some(DriveError::Encoder));
+    // Without an encoder only steps can be counted.
+    senseless.encoder = None;
+    assert_eq!(refused(&senseless, 200), Some(DriveError::Encoder));
+    senseless.drive = steps();
+    assert_eq!(refused(&senseless, 200), None);
     for (full_scale, limit) in [(0, 1), (1, 0), (1, -1)] {
         let servo = Drive::Torque {
             full_scale: Effort(full_scale),
@@ -436,7 +440,7 @@ proptest! {
             let mut config = axis(servo, 0.0);
             config.kind = if kinds { AxisKind::Linear } else { AxisKind::Rotary };
             config.backlash = Coordinate(backlash);
-            config.per_count = per_count;
+            config.encoder.as_mut().expect("an encoder").per_count = per_count;
             let mut joint = JointDrive::new(&config, 200).unwrap();
             for &((counts, edge_time_ns, illegal, index_counts, index_pulses, steps, time), (coordinate, rate, acceleration), what) in &frames {
                 joint.measure(&AxisInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, ..AxisInputs::default() }, time);

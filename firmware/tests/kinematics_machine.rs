@@ -6,7 +6,8 @@
 )]
 
 use haptimill_firmware::config::{
-    AxisKind, Config, Drive, Homing, JointAxis, ServoConfig, ServoForm, Stopping, Supervision,
+    AxisKind, Config, Drive, EncoderAxis, Home, Homing, JointAxis, ServoConfig, ServoForm,
+    Stopping, Supervision,
 };
 use haptimill_firmware::motion::envelope::StoppingEnvelope;
 use haptimill_kinematics::Model;
@@ -46,7 +47,6 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
         low,
         high,
         rate: Rate(100 * MM),
-        per_count: 1 << 24,
         backlash: Coordinate::ZERO,
         drive: Drive::Torque {
             full_scale: Effort(1 << 16),
@@ -64,14 +64,19 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
             ki: Gain(0),
             friction_adaptation_ms: 0,
         },
-        following: Coordinate(MM),
-        following_lag: 0,
-        still: Coordinate(MM),
         preset: Coordinate::ZERO,
-        index: Coordinate::ZERO,
-        index_pitch: Coordinate(MM),
-        index_slack: 4,
-        search: Coordinate::ZERO,
+        home: Home::Index,
+        encoder: Some(EncoderAxis {
+            per_count: 1 << 24,
+            following: Coordinate(MM),
+            following_lag: 0,
+            still: Coordinate(MM),
+            index: Coordinate::ZERO,
+            index_pitch: Coordinate(MM),
+            index_slack: 4,
+            search: Coordinate::ZERO,
+        }),
+        keeps_position: false,
     }
 }
 

@@ -2,7 +2,7 @@
 
 mod reference;
 
-use haptimill_firmware::config::{AxisKind, Drive, JointAxis, Stopping};
+use haptimill_firmware::config::{AxisKind, Drive, EncoderAxis, JointAxis, Stopping};
 use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
 use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
 use haptimill_firmware::safety::{EVENTS, Safety, brakes_first, keeps_position};
@@ -20,6 +20,11 @@ const LIMIT: u16 = 8;
 
 fn newtons(force: f64) -> Effort {
     Effort((force * 65536.0) as i32)
+}
+
+/// The encoder of a joint.
+fn encoder(axis: &mut JointAxis) -> &mut EncoderAxis {
+    axis.encoder.as_mut().expect("an encoder")
 }
 
 /// A slide and a sample of it without a fault: standstill at 100 mm.
@@ -42,14 +47,17 @@ fn look(
     seen: &JointSample,
     periods: usize,
 ) -> Option<Fault> {
-    (0..periods).find_map(|_| watch.check(2, axis, LIMIT, seen))
+    let encoder = axis.encoder.as_ref().expect("an encoder");
+    (0..periods).find_map(|_| watch.check(2, axis, encoder, LIMIT, seen))
 }
 
 #[test]
 fn following_error_limit_grows_with_the_commanded_rate() {
-    let (axis, seen) = slide();
+    let (mut axis, seen) = slide();
+    let limits = encoder(&mut axis).clone();
     let limit = |speed: f64| {
-        f64::from(axis.following.0) + f64::from(mm(speed)) * f64::from(axis.following_lag) / 65536.0
+        f64::from(limits.following.0)
+            + f64::from(mm(speed)) * f64::from(limits.following_lag) / 65536.0
     };
     for speed in [0.0, 1.0, 20.0, -20.0, 100.0] {
         let most = limit(f64::abs(speed)) as i32;
@@ -76,13 +84,10 @@ fn following_error_limit_grows_with_the_commanded_rate() {
 /// Beyond its stroke a joint may exceed the limit of the following error at standstill at no rate.
 #[test]
 fn stroke_fault_reports_the_excess() {
-    let (axis, seen) = slide();
+    let (mut axis, seen) = slide();
+    let following = encoder(&mut axis).following.0;
     for (end, sign) in [(axis.high.0, 1), (axis.low.0, -1)] {
-        for (beyond, faulty) in [
-            (0, false),
-            (axis.following.0, false),
-            (axis.following.0 + 1, true),
-        ] {
+        for (beyond, faulty) in [(0, false), (following, false), (following + 1, true)] {
             let seen = JointSample {
                 commanded: Coordinate(end),
                 commanded_rate: Rate(mm(100.0) * sign),
@@ -102,8 +107,8 @@ fn rotary_following_error_takes_the_short_way() {
     let (mut axis, seen) = slide();
     axis.kind = AxisKind::Rotary;
     (axis.low, axis.high) = (Coordinate(i32::MIN), Coordinate(i32::MAX));
-    axis.following = Coordinate(degrees(0.2));
-    axis.still = Coordinate(degrees(0.1));
+    encoder(&mut axis).following = Coordinate(degrees(0.2));
+    encoder(&mut axis).still = Coordinate(degrees(0.1));
     let across = |off: f64| JointSample {
         commanded: Coordinate(i32::MAX),
         measured: Coordinate(i32::MAX.wrapping_add(degrees(off))),
@@ -287,12 +292,12 @@ proptest! {
     fn joint_monitor_accepts_any_sample(sights in prop::collection::vec(any::<[i32; 7]>(), 1..20), numbers: [i32; 4], inertia: u32, per_count: i64, rotary: bool, period_us: u16) {
         let (mut axis, _) = slide();
         axis.kind = if rotary { AxisKind::Rotary } else { AxisKind::Linear };
-        axis.following = Coordinate(numbers[0]);
-        axis.following_lag = numbers[1].unsigned_abs();
-        axis.still = Coordinate(numbers[2]);
+        encoder(&mut axis).following = Coordinate(numbers[0]);
+        encoder(&mut axis).following_lag = numbers[1].unsigned_abs();
+        encoder(&mut axis).still = Coordinate(numbers[2]);
         axis.law.coulomb = Effort(numbers[3]);
         axis.law.inertia = inertia;
-        axis.per_count = per_count;
+        encoder(&mut axis).per_count = per_count;
         let mut watch = JointMonitor::default();
         for sight in sights {
             let seen = JointSample {
@@ -307,7 +312,9 @@ proptest! {
                 period_us,
                 missed: false,
             };
-            let _ = watch.check(0, &axis, LIMIT, &seen);
+            let encoder = axis.encoder.clone().expect("an encoder");
+            let _ = watch.check(0, &axis, &encoder, LIMIT, &seen);
+            let _ = JointMonitor::steps(0, &axis, &seen);
         }
     }
 }

@@ -85,7 +85,7 @@ enum Drive {
 struct Joint {
     config: JointConfig,
     drive: Drive,
-    encoder: Encoder,
+    encoder: Option<Encoder>,
     condition: JointCondition,
 }
 
@@ -164,7 +164,10 @@ impl Plant {
                         Drive::Steps(Stepper::new(joint, drive, start, period_us))
                     }
                 },
-                encoder: Encoder::new(joint, start, Random::new(config.seed, 16 + lane as u64)),
+                encoder: joint.encoder.as_ref().map(|encoder| {
+                    let random = Random::new(config.seed, 16 + lane as u64);
+                    Encoder::new(joint, encoder, start, random)
+                }),
                 condition: JointCondition::default(),
                 config: joint.clone(),
             });
@@ -285,14 +288,18 @@ impl Plant {
         self.joints[axis].condition = condition;
     }
 
-    /// Sets the injected faults of an encoder.
+    /// Sets the injected faults of an encoder; a joint without one has none.
     pub fn set_encoder_condition(&mut self, axis: usize, condition: EncoderCondition) {
-        self.joints[axis].encoder.set_condition(condition);
+        if let Some(encoder) = &mut self.joints[axis].encoder {
+            encoder.set_condition(condition);
+        }
     }
 
     /// Adds a slip of `counts` to the counter of an encoder.
     pub fn slip_encoder(&mut self, axis: usize, counts: i32) {
-        self.joints[axis].encoder.slip(counts);
+        if let Some(encoder) = &mut self.joints[axis].encoder {
+            encoder.slip(counts);
+        }
     }
 
     /// Opens or closes the emergency stop circuit. Open, it removes the power of all drives.
@@ -320,7 +327,11 @@ impl Plant {
         }
         for (axis, joint) in self.joints.iter().enumerate() {
             let slide = self.bodies.slide[axis];
-            let reading = joint.encoder.reading();
+            let reading = joint
+                .encoder
+                .as_ref()
+                .map(Encoder::reading)
+                .unwrap_or_default();
             let seen = &mut inputs.axes[axis];
             seen.counts = reading.counts;
             seen.edge_time_ns = reading.edge_time_ns;
@@ -392,7 +403,9 @@ impl Plant {
         let start_ns = self.time_ns();
         for (axis, joint) in self.joints.iter_mut().enumerate() {
             let track = Track::new(&self.history, axis, low[axis], high[axis]);
-            joint.encoder.follow(&track, start_ns, self.step_ns);
+            if let Some(encoder) = &mut joint.encoder {
+                encoder.follow(&track, start_ns, self.step_ns);
+            }
             if let Drive::Steps(stepper) = &mut joint.drive {
                 stepper.end();
             }

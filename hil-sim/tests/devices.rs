@@ -51,9 +51,11 @@ fn follow(encoder: &mut Encoder, path: &[f64], time_ns: u64) {
 
 fn encoder(reversed: bool) -> Encoder {
     let mut config = machine::slide();
-    config.joint[0].encoder.reversed = reversed;
-    config.joint[0].encoder.index = 0.2;
-    Encoder::new(&config.joint[0], START, Random::new(1, 1))
+    let joint = &mut config.joint[0];
+    let mut encoder = joint.encoder.clone().expect("an encoder");
+    encoder.reversed = reversed;
+    encoder.index = 0.2;
+    Encoder::new(joint, &encoder, START, Random::new(1, 1))
 }
 
 proptest! {

@@ -35,7 +35,7 @@ impl Loops {
             .iter()
             .zip(starts)
             .map(|(joint, &start)| Joint {
-                per_count: joint.per_count(),
+                per_count: joint.per_count(joint.encoder.as_ref().expect("an encoder")),
                 start,
                 inertia: joint.inertia / joint.kind.acceleration_unit(),
                 // A fifth of the friction is not compensated.

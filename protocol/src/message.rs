@@ -456,8 +456,12 @@ pub struct Telemetry {
     /// Turns of each joint since it was configured, beside its angle; empty on a machine without a
     /// joint that wraps around, which takes one byte.
     pub turns: AxisValues,
-    /// Following error of each joint, axis units.
+    /// Following error of each joint, axis units; of an open-loop joint the steps that are still to
+    /// be emitted.
     pub following_error: AxisValues,
+    /// Open-loop joints, one bit each: their position is the count of emitted steps and not
+    /// measured.
+    pub open_loop: u8,
     /// Drive command of each joint: DAC code, or steps emitted since enable.
     pub drive: AxisValues,
     /// The latched fault.

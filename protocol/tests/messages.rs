@@ -177,6 +177,7 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
         joints: values(),
         turns: values(),
         following_error: values(),
+        open_loop: u8::MAX,
         drive: values(),
         fault: Some(fault),
         deferred_bytes: u32::MAX,

@@ -381,7 +381,7 @@ fn an_invalid_preset_is_refused() {
         |bench| {
             bench.configure();
             push_all(bench, 100.0);
-            bench.machine.config.joints[0].per_count *= 2;
+            setup::encoder(bench, 0).per_count *= 2;
             bench.configure();
         },
     ];

@@ -323,7 +323,7 @@ fn an_encoder_record_survives_a_new_configuration() {
 fn a_new_index_slack_keeps_the_position() {
     let mut bench = ready();
     bench.ask(Command::Disable).expect("off");
-    bench.machine.config.joints[0].index_slack = 9;
+    setup::encoder(&mut bench, 0).index_slack = 9;
     bench.configure();
     bench.ask(Command::Enable).expect("on");
     bench.steps(5000);

@@ -190,7 +190,7 @@ fn a_new_configuration_keeps_the_true_position_or_loses_it() {
         );
     }
     bench.ask(Command::Disable).expect("off");
-    bench.machine.config.joints[1].per_count -= 1;
+    setup::encoder(&mut bench, 1).per_count -= 1;
     bench.configure();
     bench.ask(Command::Enable).expect("enabled");
     let status = bench.status();

@@ -1,8 +1,8 @@
 //! The reference H-4 machine as a configuration.
 
 use haptimill_firmware::config::{
-    AxisKind, Config, Drive, Homing, JointAxis, PoseAxis, ServoConfig, ServoForm, Stopping,
-    Supervision,
+    AxisKind, Config, Drive, EncoderAxis, Home, Homing, JointAxis, PoseAxis, ServoConfig,
+    ServoForm, Stopping, Supervision,
 };
 use haptimill_firmware::force::sensor::{Channel, Sensor};
 use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
@@ -53,7 +53,6 @@ fn slide(preset: f64) -> JointAxis {
         low: Coordinate(mm(preset - 250.0)),
         high: Coordinate(mm(preset + 250.0)),
         rate: Rate(mm(100.0)),
-        per_count: i64::from(mm(10.0)) * (1 << 24) / 8000,
         backlash: Coordinate(mm(0.010)),
         drive: Drive::Torque {
             full_scale: Effort(800 << 16),
@@ -71,14 +70,19 @@ fn slide(preset: f64) -> JointAxis {
             ki: Gain(0),
             friction_adaptation_ms: 0,
         },
-        following: Coordinate(mm(0.5)),
-        following_lag: 1311,
-        still: Coordinate(mm(0.25)),
         preset: Coordinate(mm(preset)),
-        index: Coordinate(mm(preset + 3.0)),
-        index_pitch: Coordinate(mm(10.0)),
-        index_slack: 4,
-        search: Coordinate(mm(3.0)),
+        home: Home::Index,
+        encoder: Some(EncoderAxis {
+            per_count: i64::from(mm(10.0)) * (1 << 24) / 8000,
+            following: Coordinate(mm(0.5)),
+            following_lag: 1311,
+            still: Coordinate(mm(0.25)),
+            index: Coordinate(mm(preset + 3.0)),
+            index_pitch: Coordinate(mm(10.0)),
+            index_slack: 4,
+            search: Coordinate(mm(3.0)),
+        }),
+        keeps_position: false,
     }
 }
 
@@ -88,15 +92,18 @@ fn table() -> JointAxis {
         low: Coordinate(degrees(-45.0)),
         high: Coordinate(degrees(45.0)),
         rate: Rate(degrees(40.0)),
-        per_count: (i64::from(degrees(4.0)) << 24) / 8000,
         backlash: Coordinate(0),
         preset: Coordinate(0),
-        index: Coordinate(degrees(1.0)),
-        index_pitch: Coordinate(degrees(4.0)),
-        index_slack: 4,
-        search: Coordinate(degrees(1.5)),
-        following: Coordinate(degrees(0.5)),
-        still: Coordinate(degrees(0.2)),
+        encoder: Some(EncoderAxis {
+            per_count: (i64::from(degrees(4.0)) << 24) / 8000,
+            following: Coordinate(degrees(0.5)),
+            following_lag: 1311,
+            still: Coordinate(degrees(0.2)),
+            index: Coordinate(degrees(1.0)),
+            index_pitch: Coordinate(degrees(4.0)),
+            index_slack: 4,
+            search: Coordinate(degrees(1.5)),
+        }),
         ..slide(0.0)
     }
 }
@@ -288,13 +295,16 @@ pub fn master() -> Config {
 pub fn h4_with_steps() -> Config {
     let mut config = h4();
     for joint in &mut config.joints {
+        let Some(encoder) = &joint.encoder else {
+            continue;
+        };
         joint.drive = Drive::Steps {
-            per_step: joint.per_count,
+            per_step: encoder.per_count,
             ticks_per_us: 84,
             pulse: 210,
             setup: 420,
             hold: 420,
-            lost: joint.still,
+            lost: encoder.still,
         };
         joint.backlash = Coordinate(0);
         joint.rate = Rate(joint.rate.0 / 2);

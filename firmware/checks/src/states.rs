@@ -297,9 +297,10 @@ trait Indexes {
 
 impl Indexes for Config {
     fn has_index(&self, joint: usize, counts: i32) -> bool {
-        let joint = &self.joints[joint];
+        let preset = self.joints[joint].preset;
+        let joint = self.joints[joint].encoder.as_ref().expect("an encoder");
         let in_counts = |way: i32| ((i64::from(way) << 24) / joint.per_count) as i32;
-        let first = in_counts(joint.index.0.wrapping_sub(joint.preset.0));
+        let first = in_counts(joint.index.0.wrapping_sub(preset.0));
         (counts - first) % in_counts(joint.index_pitch.0) == 0
     }
 }
@@ -459,7 +460,7 @@ fn misfit() {
         assert_eq!(result.is_ok(), offset + CONFIG_CHUNK <= 1024, "{offset}");
     }
     let mut senseless = bed.config.clone();
-    senseless.joints[1].per_count = 0;
+    senseless.joints[1].low.0 = i32::MAX;
     let mut other = [0; 1024];
     let bytes = postcard::to_slice(&senseless, &mut other).expect("fits");
     let crc_of_it = crc32(bytes);

@@ -1,6 +1,6 @@
 //! Checks of a configuration before it is activated. A refusal names the field and its axis.
 
-use super::{AxisKind, Config, Drive, JointAxis, PoseAxis, ServoConfig};
+use super::{AxisKind, Config, Drive, EncoderAxis, Home, JointAxis, PoseAxis, ServoConfig};
 use crate::config::HAND;
 use crate::haptics::config::HapticConfig;
 use crate::motion::tracker::TrackerLimits;
@@ -97,7 +97,8 @@ impl Config {
             ConfigField::Homing,
             None,
         )?;
-        let needed = |kind| self.joints.iter().any(|joint| joint.kind == kind);
+        let searched = |joint: &JointAxis, kind| joint.kind == kind && joint.home == Home::Index;
+        let needed = |kind| self.joints.iter().any(|joint| searched(joint, kind));
         require(
             (self.homing.rate.0 > 0 || !needed(AxisKind::Linear))
                 && (self.homing.table_rate.0 > 0 || !needed(AxisKind::Rotary)),
@@ -187,35 +188,55 @@ impl Config {
             here,
         )?;
         require(axis.rate.0 > 0, ConfigField::Rate, here)?;
-        let per_count = axis.per_count.unsigned_abs();
+        require(
+            axis.backlash.0 >= 0 && axis.backlash.0 <= axis.high.0.saturating_sub(axis.low.0),
+            ConfigField::Backlash,
+            here,
+        )?;
+        let preset = (axis.low..=axis.high).contains(&axis.preset);
+        require(preset, ConfigField::Homing, here)?;
+        match &axis.encoder {
+            Some(encoder) => {
+                require(!axis.keeps_position, ConfigField::Encoder, here)?;
+                Self::check_encoder(here, axis, encoder)?;
+            }
+            None => {
+                let steps = matches!(axis.drive, Drive::Steps { .. });
+                require(steps, ConfigField::Encoder, here)?;
+                require(axis.home != Home::Index, ConfigField::Homing, here)?;
+            }
+        }
+        self.check_drive(here, axis)
+    }
+
+    fn check_encoder(here: Option<usize>, axis: &JointAxis, encoder: &EncoderAxis) -> Check {
+        let per_count = encoder.per_count.unsigned_abs();
         require(
             (1 << 20..1 << 44).contains(&per_count),
             ConfigField::Encoder,
             here,
         )?;
         require(
-            axis.backlash.0 >= 0 && i64::from(axis.backlash.0) < i64::from(axis.index_pitch.0),
+            i64::from(axis.backlash.0) < i64::from(encoder.index_pitch.0),
             ConfigField::Backlash,
             here,
         )?;
         require(
-            axis.following.0 > 0
-                && axis.following <= axis.index_pitch
-                && axis.still.0 > 0
-                && axis.following_lag < 1 << 16,
+            encoder.following.0 > 0
+                && encoder.following <= encoder.index_pitch
+                && encoder.still.0 > 0
+                && encoder.following_lag < 1 << 16,
             ConfigField::Following,
             here,
         )?;
-        let preset = (axis.low..=axis.high).contains(&axis.preset)
-            && (axis.low..=axis.high).contains(&axis.index);
-        require(preset, ConfigField::Homing, here)?;
-        let search =
-            axis.search.0 > 0 && i64::from(axis.search.0) * 2 < i64::from(axis.index_pitch.0);
-        require(search, ConfigField::Homing, here)?;
-        let turn = (u64::from(axis.index_pitch.0.unsigned_abs()) << 24) / per_count;
-        let slack = u64::from(axis.index_slack) * 4 < turn;
-        require(slack, ConfigField::Homing, here)?;
-        self.check_drive(here, axis)
+        let pitch = i64::from(encoder.index_pitch.0);
+        let found = (axis.low..=axis.high).contains(&encoder.index)
+            && encoder.search.0 > 0
+            && i64::from(encoder.search.0) * 2 < pitch;
+        require(found, ConfigField::Homing, here)?;
+        let turn = (u64::from(encoder.index_pitch.0.unsigned_abs()) << 24) / per_count;
+        let slack = u64::from(encoder.index_slack) * 4 < turn;
+        require(slack, ConfigField::Homing, here)
     }
 
     fn check_drive(&self, here: Option<usize>, axis: &JointAxis) -> Check {
@@ -254,8 +275,10 @@ impl Config {
                 let ticks = u32::from(*ticks_per_us) * u32::from(self.period_us);
                 let is_consistent = *pulse > 0
                     && u32::from(*pulse) * 2 + u32::from(*setup) + u32::from(*hold) < ticks;
+                // Lost steps show as a difference from the encoder.
+                let lost = (lost.0 > 0) == axis.encoder.is_some() && lost.0 >= 0;
                 require(
-                    steps && clock && is_consistent && lost.0 > 0,
+                    steps && clock && is_consistent && lost,
                     ConfigField::Drive,
                     here,
                 )

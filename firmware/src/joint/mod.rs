@@ -7,7 +7,9 @@
 //! ```
 //!
 //! The servo loop of a step/dir axis is in its drive. The pulses follow the commanded position, and
-//! the encoder supervises them; [`JointMeasurement::slip`] is their difference.
+//! the encoder supervises them; [`JointMeasurement::slip`] is their difference. A step/dir axis
+//! without an encoder is open loop: it counts the steps that were emitted, in place of the edges of
+//! an encoder, and nothing supervises whether its motor made them.
 //!
 //! Outputs take effect one period after the inputs were latched. The pulses of a step/dir axis end
 //! at the commanded position at the end of that next period, two periods after the latch. A torque
@@ -37,7 +39,7 @@ use crate::io::{AxisInputs, DriveCommand};
 use crate::joint::monitor::{JointMonitor, JointSample};
 use crate::joint::servo::ServoLaw;
 use backlash::Backlash;
-use encoder::{Encoder, difference, sum};
+use encoder::{Encoder, Measured, difference, sum};
 use haptimill_math::{Acceleration, Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 use index_monitor::IndexMonitor;
@@ -176,6 +178,8 @@ pub struct JointDrive {
     enabled: bool,
     /// Largest plausible change of the counter in a period ([`reach`]), in counts.
     reach: u32,
+    /// The joint has no encoder: its counter counts the emitted steps.
+    open_loop: bool,
 }
 
 /// Largest plausible rate of a joint (moved by hand, coasting, or runaway) over its highest
@@ -186,21 +190,26 @@ const REACH_FACTOR: u64 = 10;
 /// snaps, a screw that unwinds) plus the travel at [`REACH_FACTOR`] times the highest rate. A
 /// counter has jumped if it changes by more. After missed periods the mean change per period
 /// counts.
+///
+/// A count of emitted steps cannot jump.
 fn reach(axis: &JointAxis, period_us: u16) -> u32 {
+    let Some(encoder) = &axis.encoder else {
+        return u32::MAX;
+    };
     let rate = u64::from(axis.rate.0.unsigned_abs());
     let travel = rate * REACH_FACTOR * u64::from(period_us) / 1_000_000;
-    let reach = travel + u64::from(axis.following.magnitude());
-    let counts = (reach << 24) / axis.per_count.unsigned_abs().max(1);
+    let reach = travel + u64::from(encoder.following.magnitude());
+    let counts = (reach << 24) / encoder.per_count.unsigned_abs().max(1);
     counts.min(u64::from(u32::MAX)) as u32
 }
 
-/// Size of an encoder count.
-fn count(axis: &JointAxis) -> Coordinate {
-    let size = axis.per_count.unsigned_abs() >> 24;
+/// Size of an encoder count, or of a step without an encoder.
+fn count(per_count: i64) -> Coordinate {
+    let size = per_count.unsigned_abs() >> 24;
     Coordinate(size.min(i32::MAX as u64) as i32)
 }
 
-constants!(JointDrive { kind, reach } of { encoder, indexes, backlash, output } but { monitor, commanded, measurement, servo_output, measured_once, enabled });
+constants!(JointDrive { kind, reach, open_loop } of { encoder, indexes, backlash, output } but { monitor, commanded, measurement, servo_output, measured_once, enabled });
 
 impl Constants for Output {
     fn digest(&self, digest: &mut Digest) {
@@ -231,9 +240,18 @@ impl JointDrive {
         if !(50..=1000).contains(&period_us) {
             return Err(DriveError::Period);
         }
-        if axis.per_count == 0 {
+        let encoder = axis.encoder.as_ref();
+        let per_count = match (encoder, &axis.drive) {
+            (Some(encoder), _) => encoder.per_count,
+            (None, Drive::Steps { per_step, .. }) => *per_step,
+            (None, Drive::Torque { .. }) => 0,
+        };
+        if per_count == 0 {
             return Err(DriveError::Encoder);
         }
+        let indexes = encoder.map_or(IndexMonitor::new(0, 1, 0), |encoder| {
+            IndexMonitor::new(encoder.index_pitch.0, per_count, encoder.index_slack)
+        });
         if axis.backlash.0 < 0 {
             return Err(DriveError::Backlash);
         }
@@ -243,7 +261,7 @@ impl JointDrive {
                     return Err(DriveError::Torque);
                 }
                 Output::Torque {
-                    law: ServoLaw::new(&axis.law, limit, period_us, count(axis)),
+                    law: ServoLaw::new(&axis.law, limit, period_us, count(per_count)),
                     output: TorqueOutput::new(full_scale),
                 }
             }
@@ -283,8 +301,8 @@ impl JointDrive {
         };
         Ok(Self {
             kind: axis.kind,
-            encoder: Encoder::new(axis.kind, axis.per_count),
-            indexes: IndexMonitor::new(axis.index_pitch.0, axis.per_count, axis.index_slack),
+            encoder: Encoder::new(axis.kind, per_count),
+            indexes,
             backlash: Backlash::new(axis.kind, axis.backlash, period_us),
             output,
             monitor: JointMonitor::default(),
@@ -294,6 +312,7 @@ impl JointDrive {
             measured_once: false,
             enabled: false,
             reach: reach(axis, period_us),
+            open_loop: encoder.is_none(),
         })
     }
 
@@ -301,7 +320,11 @@ impl JointDrive {
     /// once every period.
     #[inline(never)]
     pub fn measure(&mut self, inputs: &AxisInputs, time_ns: u32) -> &JointMeasurement {
-        let measured = self.encoder.read(inputs, time_ns);
+        let measured = if self.open_loop {
+            self.count_steps(inputs, time_ns)
+        } else {
+            self.encoder.read(inputs, time_ns)
+        };
         if !self.measured_once {
             self.measured_once = true;
             self.backlash.place(measured.coordinate);
@@ -326,6 +349,34 @@ impl JointDrive {
             self.note_pulse();
         }
         &self.measurement
+    }
+
+    /// Reads the count of emitted steps in place of an encoder.
+    #[cold]
+    #[inline(never)]
+    fn count_steps(&mut self, inputs: &AxisInputs, time_ns: u32) -> Measured {
+        let steps = AxisInputs {
+            counts: inputs.steps,
+            edge_time_ns: time_ns,
+            ..AxisInputs::default()
+        };
+        self.encoder.read(&steps, time_ns)
+    }
+
+    /// The counter that [`Self::set_reference`] refers to: the encoder's, or the emitted steps.
+    #[must_use]
+    pub const fn counter(&self, inputs: &AxisInputs) -> i32 {
+        if self.open_loop {
+            inputs.steps
+        } else {
+            inputs.counts
+        }
+    }
+
+    /// Whether the joint has no encoder.
+    #[must_use]
+    pub const fn is_open_loop(&self) -> bool {
+        self.open_loop
     }
 
     /// Checks the index pulse. Lost counts invalidate the encoder until the joint is enabled again.
@@ -356,7 +407,12 @@ impl JointDrive {
     /// References the joint to the power-on counts. The joint was set to its preset now; it stood
     /// at the preset at power-on and has moved by `counted` since. Returns false if the counter
     /// jumped.
+    ///
+    /// A motor without an encoder emitted no steps before its configuration.
     pub(crate) fn count_from(&mut self, counted: &Counted) -> bool {
+        if self.open_loop {
+            return true;
+        }
         let Ok(travelled) = i32::try_from(counted.travelled) else {
             return false;
         };
@@ -439,7 +495,8 @@ impl JointDrive {
         let band = u64::from(supervision.lost.unsigned_abs() / 8);
         let lock = supervision.lock.as_mut()?;
         let moved = difference(self.kind, motor, lock.middle).magnitude();
-        if u64::from(moved) > band.max(axis.per_count.unsigned_abs() >> 23) {
+        let count = axis.encoder.as_ref().map_or(0, |encoder| encoder.per_count);
+        if u64::from(moved) > band.max(count.unsigned_abs() >> 23) {
             lock.middle = motor;
             lock.quiet = 0;
         } else {
@@ -474,7 +531,7 @@ impl JointDrive {
     }
 
     /// Sets the motor coordinate at the raw count `raw` to `coordinate`: a preset (with
-    /// [`AxisInputs::counts`]) or a found index.
+    /// [`JointDrive::counter`]) or a found index.
     ///
     /// Returns the shift of every coordinate of this joint. Callers must add it to their commanded
     /// position in the same period; then nothing moves, enabled or not.
@@ -544,6 +601,9 @@ impl JointDrive {
             period_us,
             missed,
         };
+        let Some(encoder) = &axis.encoder else {
+            return JointMonitor::steps(joint, axis, &sample);
+        };
         if measurement.off != 0 {
             return Some(Fault::EncoderSlip {
                 axis: joint,
@@ -551,7 +611,7 @@ impl JointDrive {
             });
         }
         self.monitor
-            .check(joint, axis, limits.illegal_transitions, &sample)
+            .check(joint, axis, encoder, limits.illegal_transitions, &sample)
     }
 
     /// Checks the encoder of a joint whose drive is off: a stuck channel, while somebody moves the
@@ -570,7 +630,8 @@ impl JointDrive {
             period_us,
             ..JointSample::default()
         };
-        self.monitor.toggles(joint, axis, &seen)
+        let encoder = axis.encoder.as_ref()?;
+        self.monitor.toggles(joint, axis, encoder, &seen)
     }
 
     /// Rate of the motor side, from the times between edges.
@@ -654,7 +715,8 @@ impl StepSupervision {
             .steps
             .wrapping_add(i64::from(steps.wrapping_sub(self.last_steps)));
         self.last_steps = steps;
-        if !enabled || self.lock.is_some() {
+        // Without an encoder there is nothing to compare.
+        if !enabled || self.lock.is_some() || self.lost == 0 {
             return (Coordinate(0), false);
         }
         let by_steps = match kind {

@@ -12,9 +12,12 @@
 //! | steps and encoder disagree (step/dir) | steps lost |
 //! | an index pulse is off its grid ([`crate::joint::index_monitor`]) | encoder slip |
 //!
+//! All of these need an encoder. A joint without one is supervised for one thing: the board emits
+//! the steps that were commanded ([`JointMonitor::steps`]).
+//!
 //! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
 
-use crate::config::{AxisKind, Drive, JointAxis};
+use crate::config::{AxisKind, Drive, EncoderAxis, JointAxis};
 use haptimill_math::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 
@@ -100,6 +103,9 @@ const REVERSAL_US: u32 = 50_000;
 /// Change of the counts between two periods up to which the jump check is skipped.
 const STEADY: u32 = 8;
 
+/// Control periods and steps by which the emitted steps may be behind their command.
+const STEP_PERIODS: i64 = 8;
+
 /// Divisor of the fade: the effort that motion needed fades by this part of its difference to the
 /// present effort every two and a half counts.
 const FADE: i32 = 64;
@@ -131,6 +137,7 @@ impl JointMonitor {
         &mut self,
         axis: u8,
         config: &JointAxis,
+        encoder: &EncoderAxis,
         illegal_limit: u16,
         sample: &JointSample,
     ) -> Option<Fault> {
@@ -140,14 +147,35 @@ impl JointMonitor {
                 count: sample.illegal,
             });
         }
-        self.jump(axis, config, sample)
+        self.jump(axis, config, encoder, sample)
             .or_else(|| Self::slip(axis, config, sample))
-            .or_else(|| self.runaway(axis, config, sample))
-            .or_else(|| self.toggles(axis, config, sample))
-            .or_else(|| self.pushed(axis, config, sample))
-            .or_else(|| self.motion(axis, config, sample))
-            .or_else(|| Self::stroke(axis, config, sample))
-            .or_else(|| Self::error(axis, config, sample))
+            .or_else(|| self.runaway(axis, config, encoder, sample))
+            .or_else(|| self.toggles(axis, config, encoder, sample))
+            .or_else(|| self.pushed(axis, config, encoder, sample))
+            .or_else(|| self.motion(axis, config, encoder, sample))
+            .or_else(|| Self::stroke(axis, config, encoder, sample))
+            .or_else(|| Self::error(axis, config, encoder, sample))
+    }
+
+    /// Checks one period of a joint without an encoder: the emitted steps follow the command. The
+    /// pulses of a command are counted two periods later, and missed periods delay them, so the
+    /// limit is the travel of eight periods at the commanded rate, plus eight steps and the play.
+    #[cold]
+    #[inline(never)]
+    pub fn steps(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+        let Drive::Steps { per_step, .. } = config.drive else {
+            return None;
+        };
+        let off = difference(config, sample.commanded, sample.measured);
+        let rate = i64::from(config.rate.0).abs();
+        let travel = rate * i64::from(sample.period_us) * STEP_PERIODS / 1_000_000;
+        let steps = (per_step.unsigned_abs() >> 24).min(1 << 20) as i64 * STEP_PERIODS;
+        let limit = travel + steps + magnitude(config.backlash);
+        (off.abs() > limit && !sample.missed).then_some(Fault::FollowingError {
+            axis,
+            error: saturate(off),
+            limit: saturate(limit),
+        })
     }
 
     /// A counter jump: the counts per period changed by more in one period than an impact can
@@ -155,7 +183,13 @@ impl JointMonitor {
     /// grid of the counter (20 um on a slide of 40 kg and 750 N). The position is unknown after it.
     /// Smaller jumps are found by the index pulses.
     #[inline]
-    fn jump(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    fn jump(
+        &mut self,
+        axis: u8,
+        config: &JointAxis,
+        encoder: &EncoderAxis,
+        sample: &JointSample,
+    ) -> Option<Fault> {
         let now = if sample.missed {
             None
         } else {
@@ -166,7 +200,7 @@ impl JointMonitor {
         if change <= STEADY {
             return None;
         }
-        Self::impact(config, sample.period_us, change).then_some(Fault::EncoderIllegal {
+        Self::impact(config, encoder, sample.period_us, change).then_some(Fault::EncoderIllegal {
             axis,
             count: change.min(u32::from(u16::MAX)) as u16,
         })
@@ -175,7 +209,7 @@ impl JointMonitor {
     /// Whether `change` counts are more than an impact can cause in a period.
     #[cold]
     #[inline(never)]
-    fn impact(config: &JointAxis, period_us: u16, change: u32) -> bool {
+    fn impact(config: &JointAxis, encoder: &EncoderAxis, period_us: u16, change: u32) -> bool {
         let Drive::Torque { limit, .. } = config.drive else {
             // [`JointMonitor::slip`] finds lost steps.
             return false;
@@ -186,7 +220,7 @@ impl JointMonitor {
             (magnitude(Coordinate(limit.0)) << 28) / i64::from(config.law.inertia.max(1));
         let period = i64::from(period_us.min(1000));
         let most = acceleration.min(1 << 40) * period * period / 1_000_000_000_000 * IMPACT;
-        let counts = i64::from(count(config));
+        let counts = i64::from(count(encoder));
         i64::from(change) * counts > most + 2 * counts
     }
 
@@ -203,14 +237,19 @@ impl JointMonitor {
 
     /// The measured position against the stroke. The commanded position is always within the stroke
     /// (the solve stage checks it); the measured one may be off by the following error.
-    fn stroke(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    fn stroke(
+        axis: u8,
+        config: &JointAxis,
+        encoder: &EncoderAxis,
+        sample: &JointSample,
+    ) -> Option<Fault> {
         if (config.low..=config.high).contains(&sample.measured) {
             return None;
         }
         let measured = i64::from(sample.measured.0);
         let (low, high) = (i64::from(config.low.0), i64::from(config.high.0));
         let by = measured - measured.max(low).min(high.max(low));
-        (by.abs() > magnitude(config.following)).then_some(Fault::Stroke {
+        (by.abs() > magnitude(encoder.following)).then_some(Fault::Stroke {
             axis,
             by: saturate(by),
         })
@@ -224,7 +263,13 @@ impl JointMonitor {
     /// 50/s times the following error limit (15 mm/s for 0.3 mm) plus a quarter of the commanded
     /// rate. An external push stronger than the drive looks the same and is as dangerous to people
     /// nearby.
-    fn runaway(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    fn runaway(
+        &mut self,
+        axis: u8,
+        config: &JointAxis,
+        encoder: &EncoderAxis,
+        sample: &JointSample,
+    ) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
@@ -236,7 +281,7 @@ impl JointMonitor {
         let commanded = i64::from(sample.commanded_rate.0);
         let off = i64::from(sample.rate.0) - commanded;
         let effort = i64::from(sample.effort.0);
-        let limit = magnitude(config.following) * 50 + commanded.abs() / 4;
+        let limit = magnitude(encoder.following) * 50 + commanded.abs() / 4;
         let against = off.abs() > limit && effort.signum() == -off.signum();
         self.against = if against { self.against + 1 } else { 0 };
         if self.against < AGAINST_PERIODS {
@@ -246,7 +291,7 @@ impl JointMonitor {
         // With a faulty encoder the rate is off long before the error is large. If the error came
         // first, the slide is jammed and springs back on its screw.
         let error = difference(config, sample.commanded, sample.measured);
-        let limit = magnitude(config.following) / 2;
+        let limit = magnitude(encoder.following) / 2;
         Some(if error.abs() > limit {
             Fault::FollowingError {
                 axis,
@@ -263,11 +308,17 @@ impl JointMonitor {
     /// An encoder with one stuck channel. The edges of the other channel count up and down in turn,
     /// whatever is commanded, and with the drive off as well.
     #[inline]
-    pub fn toggles(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    pub fn toggles(
+        &mut self,
+        axis: u8,
+        config: &JointAxis,
+        encoder: &EncoderAxis,
+        sample: &JointSample,
+    ) -> Option<Fault> {
         let reversals = &mut self.reversals;
         if sample.moved != 0 {
             let sign = direction_of(sample.moved);
-            if distance(config, sample.measured, reversals.place) > still(config) {
+            if distance(config, sample.measured, reversals.place) > still(encoder) {
                 *reversals = Reversals {
                     place: sample.measured,
                     sign,
@@ -310,7 +361,13 @@ impl JointMonitor {
     /// standstill or a reversal growth is measured from the same effort, or from twice the friction
     /// above the present effort if that is more. Friction is the compensated friction, and at least
     /// a 32nd of the drive's limit; growth up to that value is ignored.
-    fn pushed(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    fn pushed(
+        &mut self,
+        axis: u8,
+        config: &JointAxis,
+        encoder: &EncoderAxis,
+        sample: &JointSample,
+    ) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
             return None;
         };
@@ -332,7 +389,7 @@ impl JointMonitor {
             return None;
         }
         last_count.peak = last_count.peak.max(along);
-        if distance(config, sample.measured, last_count.measured) > still(config) {
+        if distance(config, sample.measured, last_count.measured) > still(encoder) {
             let fade = needed.saturating_sub(along) / FADE;
             let needed = last_count.peak.max(needed.saturating_sub(fade));
             *last_count = LastCount {
@@ -348,18 +405,24 @@ impl JointMonitor {
             // The impulse is within any limit, and a limit costs a division.
             return None;
         }
-        let rate = (magnitude(config.following) * 25 / 2) >> 8;
+        let rate = (magnitude(encoder.following) * 25 / 2) >> 8;
         let momentum = (i64::from(config.law.inertia) * rate) >> 20;
         let limit = momentum * 1_000_000 / i64::from(sample.period_us.max(1));
         (last_count.impulse > limit).then_some(Fault::EncoderStuck { axis })
     }
 
     /// Commanded motion that was not measured, or was measured with the opposite sign.
-    fn motion(&mut self, axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    fn motion(
+        &mut self,
+        axis: u8,
+        config: &JointAxis,
+        encoder: &EncoderAxis,
+        sample: &JointSample,
+    ) -> Option<Fault> {
         let (commanded_then, measured_then) = *self
             .since
             .get_or_insert((sample.commanded, sample.measured));
-        if distance(config, sample.commanded, commanded_then) < config.still.magnitude() {
+        if distance(config, sample.commanded, commanded_then) < encoder.still.magnitude() {
             return None;
         }
         let commanded = difference(config, sample.commanded, commanded_then);
@@ -372,12 +435,18 @@ impl JointMonitor {
     }
 
     /// The following error against its limit.
-    fn error(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
-        if distance(config, sample.commanded, sample.measured) <= config.following.magnitude() {
+    fn error(
+        axis: u8,
+        config: &JointAxis,
+        encoder: &EncoderAxis,
+        sample: &JointSample,
+    ) -> Option<Fault> {
+        if distance(config, sample.commanded, sample.measured) <= encoder.following.magnitude() {
             return None;
         }
         let speed = i64::from(sample.commanded_rate.0).abs();
-        let limit = magnitude(config.following) + ((speed * i64::from(config.following_lag)) >> 16);
+        let limit =
+            magnitude(encoder.following) + ((speed * i64::from(encoder.following_lag)) >> 16);
         let error = difference(config, sample.commanded, sample.measured);
         if error.abs() <= limit {
             return None;
@@ -397,14 +466,14 @@ const fn direction_of(value: i32) -> i32 {
 }
 
 /// Size of an encoder count, axis units.
-fn count(config: &JointAxis) -> u32 {
-    u32::try_from(config.per_count.unsigned_abs() >> 24).unwrap_or(u32::MAX)
+fn count(encoder: &EncoderAxis) -> u32 {
+    u32::try_from(encoder.per_count.unsigned_abs() >> 24).unwrap_or(u32::MAX)
 }
 
 /// Limit of the apparent motion by a stuck channel, axis units: two and a half counts. A stuck
 /// channel moves the count back and forth by one.
-fn still(config: &JointAxis) -> u32 {
-    count(config).saturating_mul(5) / 2
+fn still(encoder: &EncoderAxis) -> u32 {
+    count(encoder).saturating_mul(5) / 2
 }
 
 /// Effort that friction may take: the compensated friction, and at least a 32nd of the drive's

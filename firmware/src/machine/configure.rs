@@ -5,7 +5,7 @@ use super::Machine;
 use super::joint_rates::JointRates;
 use super::masters::Masters;
 use crate::config::digest::{Constants, Digest};
-use crate::config::{AxisKind, Config, JointAxis};
+use crate::config::{AxisKind, Config, Drive, JointAxis};
 use crate::force::Design;
 use crate::force::sensor::COMPONENTS;
 use crate::io::Inputs;
@@ -36,19 +36,19 @@ pub(super) const IO_PART: usize = HAND_PART + 1;
 /// Encoder scaling and encoder state of each joint.
 pub type PositionSnapshot = Vec<(EncoderScaling, EncoderState), MAX_AXES>;
 
-/// Encoder scaling of a joint: kind, axis units per count, preset, index and index pitch.
+/// Scaling of the counter of a joint: kind, axis units per count of the encoder (or per step),
+/// preset, index and index pitch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EncoderScaling(AxisKind, i64, Coordinate, Coordinate, Coordinate);
 
 impl EncoderScaling {
     fn of(axis: &JointAxis) -> Self {
-        Self(
-            axis.kind,
-            axis.per_count,
-            axis.preset,
-            axis.index,
-            axis.index_pitch,
-        )
+        let (per_count, index, pitch) = match (&axis.encoder, &axis.drive) {
+            (Some(encoder), _) => (encoder.per_count, encoder.index, encoder.index_pitch),
+            (None, Drive::Steps { per_step, .. }) => (*per_step, Coordinate(0), Coordinate(0)),
+            (None, Drive::Torque { .. }) => (0, Coordinate(0), Coordinate(0)),
+        };
+        Self(axis.kind, per_count, axis.preset, index, pitch)
     }
 }
 
@@ -104,7 +104,8 @@ impl Machine {
             };
             let mut joint = JointDrive::new(axis, config.period_us).map_err(|_| problem)?;
             joint.measure(&inputs.axes[index], inputs.time_ns);
-            joint.set_reference(inputs.axes[index].counts, axis.preset);
+            let counter = joint.counter(&inputs.axes[index]);
+            joint.set_reference(counter, axis.preset);
             joints.push(joint).map_err(|_| problem)?;
         }
         Ok(joints)
@@ -175,6 +176,14 @@ impl Machine {
             .collect()
     }
 
+    /// Whether a joint can move unseen while its drive is off: it has no encoder, and nothing holds
+    /// it.
+    #[must_use]
+    pub fn forgets_position(&self) -> bool {
+        let mut joints = self.config.joints.iter();
+        joints.any(|joint| joint.encoder.is_none() && !joint.keeps_position)
+    }
+
     /// Whether the next index pulse of a joint will confirm or refute its encoder.
     #[must_use]
     pub fn index_decides(&self, axis: u8) -> bool {
@@ -190,7 +199,7 @@ impl Machine {
             return false;
         }
         for (index, (joint, (_, state))) in self.joints.iter_mut().zip(positions).enumerate() {
-            joint.take_over(inputs.axes[index].counts, state);
+            joint.take_over(joint.counter(&inputs.axes[index]), state);
         }
         self.update_measured();
         true

@@ -2,6 +2,7 @@
 //! locking of step motors, and homing.
 
 use super::Machine;
+use crate::config::Home;
 use crate::io::Inputs;
 use crate::joint::JointDrive;
 use crate::safety::homing::Homing;
@@ -25,7 +26,10 @@ impl Machine {
             .iter()
             .zip(&self.config.joints)
             .all(|(joint, axis)| {
-                i64::from(joint.rate().0).abs() <= 2 * i64::from(axis.following.0).abs()
+                // Nobody sees a motor without an encoder move while its drive is off.
+                axis.encoder.as_ref().is_none_or(|encoder| {
+                    i64::from(joint.rate().0).abs() <= 2 * i64::from(encoder.following.0).abs()
+                })
             })
     }
 
@@ -62,7 +66,8 @@ impl Machine {
 
     /// One period in which the rotors of step motors lock. Each rotor moves to the nearest detent,
     /// by two full steps at most, and oscillates there; its encoder counts that. When all have
-    /// locked, the commanded position becomes the measured one, and steps count from there.
+    /// locked, the commanded position becomes the measured one, and steps count from there. A motor
+    /// without an encoder gets the time and is not seen.
     ///
     /// # Errors
     /// A rotor that moved farther than the following-error limit at standstill, or that does not
@@ -82,7 +87,9 @@ impl Machine {
                 continue;
             };
             let moves = quiet < settled_periods;
-            if by.magnitude() > axis.following.magnitude() || (expired && moves) {
+            let following = axis.encoder.as_ref().map(|encoder| encoder.following);
+            let too_far = following.is_some_and(|limit| by.magnitude() > limit.magnitude());
+            if too_far || (expired && moves) {
                 return Err(Fault::NotLocked {
                     axis: index as u8,
                     by: by.0,
@@ -128,6 +135,13 @@ impl Machine {
         self.joints.iter_mut().for_each(|joint| joint.search(true));
         self.motion.begin_jog(false);
         self.homing = Homing::default();
+        for (index, (joint, axis)) in self.joints.iter().zip(&self.config.joints).enumerate() {
+            if axis.home == Home::Preset {
+                let motor = joint.measurement().motor;
+                self.homing
+                    .place(index, axis.preset.0.wrapping_sub(motor.0));
+            }
+        }
     }
 
     /// Passes the index pulses of this period to homing.
@@ -135,7 +149,8 @@ impl Machine {
     pub fn check_index_pulses(&mut self) -> Result<(), Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
             if let Some((_, coordinate)) = self.joints[index].measurement().index
-                && let Some(fault) = self.homing.index(index, axis, coordinate)
+                && let Some(encoder) = &axis.encoder
+                && let Some(fault) = self.homing.index(index, encoder, coordinate)
             {
                 return Err(fault);
             }
@@ -157,7 +172,8 @@ impl Machine {
                 .motor
                 .0
                 .wrapping_add(corrections[index].0);
-            let shift = joint.set_reference(inputs.axes[index].counts, Coordinate(coordinate));
+            let counter = joint.counter(&inputs.axes[index]);
+            let shift = joint.set_reference(counter, Coordinate(coordinate));
             commanded.0[index] = commanded.0[index].wrapping_add(shift);
             joint.search(false);
         }

@@ -1,6 +1,6 @@
 //! Finding the reference: one transaction for all joints.
 //!
-//! The operator sets the joints to their presets before power-on, within [`JointAxis::search`].
+//! The operator sets the joints to their presets before power-on, within [`EncoderAxis::search`].
 //! Motion after that is known from the counters ([`crate::joint::power_on_counts`]).
 //!
 //! Joints of a parallel arm that home one by one can leave the workspace, so the *pose* moves. The
@@ -14,7 +14,7 @@
 //! Homing of all joints fails if a joint finds no index, finds one far from where the preset says,
 //! or if the machine cannot take a pose.
 
-use crate::config::{AxisKind, Config, JointAxis};
+use crate::config::{AxisKind, Config, EncoderAxis, JointAxis};
 use crate::motion::jog::Jog;
 use haptimill_kinematics::{BoundedKinematics, Pose};
 use haptimill_math::Coordinate;
@@ -109,11 +109,18 @@ impl Homing {
         jog.set_rates(&rates, self.left);
     }
 
+    /// Takes the correction of a joint that is not searched.
+    pub fn place(&mut self, joint: usize, correction: i32) {
+        if let Some(slot) = self.corrections.get_mut(joint) {
+            *slot = Some(Coordinate(correction));
+        }
+    }
+
     /// Takes the index pulse of a joint: the coordinate, by the preset, at which it came.
     pub fn index(
         &mut self,
         joint: usize,
-        config: &JointAxis,
+        config: &EncoderAxis,
         coordinate: Coordinate,
     ) -> Option<Fault> {
         let slot = self.corrections.get_mut(joint)?;
@@ -199,7 +206,11 @@ fn search_rate(config: &Config, kind: AxisKind) -> i64 {
 /// half a second to get going.
 fn search_periods(config: &Config, joint: &JointAxis, slower: u8) -> u32 {
     let rate = (search_rate(config, joint.kind) >> slower).max(1);
-    let travel = i64::from(joint.index_pitch.0) * 6 / 5;
+    let pitch = joint
+        .encoder
+        .as_ref()
+        .map_or(0, |encoder| encoder.index_pitch.0);
+    let travel = i64::from(pitch) * 6 / 5;
     let period = i64::from(config.period_us).max(1);
     ((travel * 1_000_000 / rate + 500_000) / period).clamp(1, i64::from(u32::MAX)) as u32
 }

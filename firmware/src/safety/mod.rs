@@ -18,7 +18,8 @@
 //!
 //! Every stop reports whether the position is kept. It is lost when an encoder or the configuration
 //! is invalid, when steps were lost, or when a joint is measured away from its command or outside
-//! its stroke.
+//! its stroke. A joint without an encoder loses it whenever its drive goes off, because nothing sees
+//! its motor move then.
 
 pub mod homing;
 
@@ -41,6 +42,13 @@ pub struct Safety {
     latched: Option<Fault>,
     homed: bool,
     position_kept: bool,
+    /// A joint has no encoder and nothing holds it without its drive: its position is lost then.
+    forgets: bool,
+    /// A joint has no encoder: an alarm of a drive loses the position.
+    open_loop: bool,
+    /// The position of an open-loop joint was lost, and [`Safety::take_forgotten`] has not returned that
+    /// yet.
+    forgotten: bool,
     events: Deque<Event, EVENTS>,
     events_lost: u32,
 }
@@ -147,6 +155,18 @@ impl Safety {
         self.latched.take()
     }
 
+    /// Sets whether a joint has no encoder, and whether the position is therefore lost whenever the
+    /// drives go off.
+    pub const fn set_open_loop(&mut self, open_loop: bool, forgets: bool) {
+        self.open_loop = open_loop;
+        self.forgets = forgets;
+    }
+
+    /// Whether the position of an open-loop joint was lost since the last call.
+    pub const fn take_forgotten(&mut self) -> bool {
+        core::mem::replace(&mut self.forgotten, false)
+    }
+
     /// Marks the position as unknown and the joints as not homed.
     pub fn lose_position(&mut self) {
         self.position_kept = false;
@@ -179,6 +199,10 @@ impl Safety {
     pub fn enter(&mut self, state: State) {
         if state != self.state {
             let from = core::mem::replace(&mut self.state, state);
+            if self.forgets && !self.drives_on() {
+                self.forgotten = true;
+                self.lose_position();
+            }
             #[cfg(feature = "defmt")]
             defmt::info!("{} -> {}", from, state);
             self.push_event(Event::State {
@@ -227,7 +251,10 @@ impl Safety {
         self.holding = on && brakes_first(&fault);
         // What follows for the position is that of the joint's fault: its encoder is suspected.
         self.latched = Some(fault);
-        if !keeps_position(&fault) {
+        // A drive with an alarm has not followed, and no encoder has seen it.
+        let unseen = self.open_loop && matches!(fault, Fault::Drive { .. });
+        if unseen || !keeps_position(&fault) {
+            self.forgotten |= unseen;
             self.lose_position();
         }
         let fault = match self.pending.take() {

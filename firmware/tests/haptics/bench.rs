@@ -73,9 +73,13 @@ impl Bench {
             let DriveCommand::Steps(segment) = self.outputs.axes[joint] else {
                 continue;
             };
-            let config = &self.config.joints[joint];
+            let preset = self.config.joints[joint].preset;
+            let config = self.config.joints[joint]
+                .encoder
+                .as_ref()
+                .expect("an encoder");
             let in_counts = |way: i32| ((i64::from(way) << 24) / config.per_count) as i32;
-            let first = in_counts(config.index.0.wrapping_sub(config.preset.0));
+            let first = in_counts(config.index.0.wrapping_sub(preset.0));
             for _ in 0..segment.count.unsigned_abs() {
                 let way = i32::from(segment.count.signum());
                 axis.steps += way;

@@ -68,8 +68,9 @@ pub struct JointConfig {
     /// seed.
     #[serde(default)]
     pub start_spread: f64,
-    /// The encoder on the motor shaft.
-    pub encoder: EncoderConfig,
+    /// The encoder on the motor shaft; a joint without one has a step drive.
+    #[serde(default)]
+    pub encoder: Option<EncoderConfig>,
     /// Drive of the joint.
     pub drive: DriveConfig,
     /// Home switch.
@@ -185,9 +186,9 @@ impl JointConfig {
         self.inertia * self.motor_share * (1.0 - self.motor_share)
     }
 
-    /// Axis units per encoder count.
-    pub fn per_count(&self) -> f64 {
-        self.lead / f64::from(self.encoder.counts_per_turn)
+    /// Axis units per count of an encoder.
+    pub fn per_count(&self, encoder: &EncoderConfig) -> f64 {
+        self.lead / f64::from(encoder.counts_per_turn)
     }
 
     pub(crate) fn check(&self, at: &str, substep_us: f64, check: &mut Check) {
@@ -254,19 +255,28 @@ impl JointConfig {
             0.0,
             stiffest,
         );
-        let counts = self.encoder.counts_per_turn;
-        if counts < 4 || !counts.is_multiple_of(4) || counts > 4_000_000 {
-            check.refuse(
-                format!("{at}: encoder: counts_per_turn"),
-                format!("{counts} is not a multiple of 4 up to 4000000; correct it"),
-            );
+        match (&self.encoder, &self.drive) {
+            (Some(encoder), _) => {
+                let counts = encoder.counts_per_turn;
+                if counts < 4 || !counts.is_multiple_of(4) || counts > 4_000_000 {
+                    check.refuse(
+                        format!("{at}: encoder: counts_per_turn"),
+                        format!("{counts} is not a multiple of 4 up to 4000000; correct it"),
+                    );
+                }
+                check.within(
+                    format!("{at}: encoder: index"),
+                    encoder.index,
+                    -4000.0,
+                    4000.0,
+                );
+            }
+            (None, DriveConfig::Torque(_)) => check.refuse(
+                format!("{at}: encoder"),
+                "is missing; a torque drive needs one".into(),
+            ),
+            (None, DriveConfig::Steps(_)) => {}
         }
-        check.within(
-            format!("{at}: encoder: index"),
-            self.encoder.index,
-            -4000.0,
-            4000.0,
-        );
         match &self.drive {
             DriveConfig::Torque(drive) => {
                 check.within(

@@ -10,8 +10,8 @@
 //! Units: coordinates in axis units, times in ns of virtual time. The model assumes a constant rate
 //! of the shaft between two integration steps, so it times an edge to a fraction of a step.
 
-use crate::joint::JointConfig;
 use crate::joint::mechanics::JointArray;
+use crate::joint::{EncoderConfig, JointConfig};
 use crate::random::Random;
 use haptimill_firmware::io::AxisInputs;
 use haptimill_firmware::joint::quadrature::Quadrature;
@@ -181,17 +181,17 @@ fn floor(value: f64) -> i64 {
 
 impl Encoder {
     /// Creates the encoder of a joint whose motor is at `motor`; the counter starts at 0.
-    pub fn new(joint: &JointConfig, motor: f64, random: Random) -> Self {
-        let scale = 1.0 / joint.per_count();
-        let origin = joint.encoder.index;
+    pub fn new(joint: &JointConfig, encoder: &EncoderConfig, motor: f64, random: Random) -> Self {
+        let scale = 1.0 / joint.per_count(encoder);
+        let origin = encoder.index;
         let state = floor((motor - origin) * scale);
-        let counts_per_turn = i64::from(joint.encoder.counts_per_turn);
+        let counts_per_turn = i64::from(encoder.counts_per_turn);
         Self {
             scale,
             origin,
             counts_per_turn,
             turn_start: state.div_euclid(counts_per_turn) * counts_per_turn,
-            reversed: joint.encoder.reversed,
+            reversed: encoder.reversed,
             state,
             zero: state,
             reading: EncoderReading::default(),

@@ -27,7 +27,7 @@ pub fn slide() -> PlantConfig {
     joint.high = 500.0;
     joint.preset = 0.0;
     joint.start_spread = 0.0;
-    joint.encoder.index = 0.0;
+    joint.encoder.as_mut().expect("an encoder").index = 0.0;
     joint.limit_low = None;
     joint.limit_high = None;
     config

@@ -1,11 +1,14 @@
 //! Pose coordinates and joints of a machine file.
 
 use super::document::Section;
+use super::encoder;
 use super::scale::{
     self, PER_COUNT, PER_EFFORT, PER_GAIN, per_unit, to_i32, to_i64, to_u16, to_u32,
 };
 use super::stability::{Gains, spectral_radius};
-use haptimill_firmware::config::{AxisKind, Drive, JointAxis, PoseAxis, ServoConfig, ServoForm};
+use haptimill_firmware::config::{
+    AxisKind, Drive, Home, JointAxis, PoseAxis, ServoConfig, ServoForm,
+};
 use haptimill_machine_keys::Key;
 use haptimill_machine_keys::controller::{joint, joint_drive, joint_law, pose};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
@@ -35,6 +38,18 @@ pub(super) fn unit(kind: AxisKind) -> &'static str {
         AxisKind::Linear => "mm",
         AxisKind::Rotary => "deg",
     }
+}
+
+/// What the parts of a joint need to know about it.
+pub(super) struct Place {
+    pub(super) kind: AxisKind,
+    /// The stroke, mm or deg.
+    pub(super) low: f64,
+    pub(super) high: f64,
+    /// Travel of a motor turn, mm or deg.
+    pub(super) turn: f64,
+    /// The preset, mm or deg.
+    pub(super) preset: f64,
 }
 
 const KINDS: [(&str, AxisKind); 2] = [("linear", AxisKind::Linear), ("rotary", AxisKind::Rotary)];
@@ -144,61 +159,38 @@ pub fn read_joint_axis(
         AxisKind::Linear => travel,
         AxisKind::Rotary => 360.0 / travel,
     };
-    let counts = section.value(joint::counts_per_turn);
-    let direction = section.value(joint::direction);
     let backlash = section.value(joint::backlash);
-    let following = section.value(joint::following_error);
-    if following <= 0.0 {
-        section.refuse(joint::following_error, "0 is always exceeded", "raise it");
-    }
-    let lag = section.value(joint::following_error_lag_ms);
-    let still = section.value(joint::still);
-    let resolution = turn / counts;
-    if still < 4.0 * resolution {
-        let what = format!("{still} {} is less than 4 encoder counts", unit);
-        let remedy = format!("raise it to {} or more", 4.0 * resolution);
-        section.refuse(joint::still, what, remedy);
-    }
     let preset = section.value(joint::preset);
-    let index = section.value(joint::index);
-    let search = section.value(joint::search);
-    // One line of the encoder, or less for a coarse encoder.
-    let usual = ((counts - 1.0) / 4.0).floor().clamp(0.0, 4.0);
-    let slack = section.value_or(joint::index_slack_counts, Some(usual));
-    if slack * 4.0 >= counts {
-        let what = format!("{slack} is a quarter of the {counts} counts of a turn, or more");
-        section.refuse(joint::index_slack_counts, what, "lower it");
+    if preset < low || preset > high {
+        let what = format!("{preset} {unit} is outside the stroke {low} to {high}");
+        section.refuse(joint::preset, what, "correct it, or the stroke");
     }
-    for (key, value) in [(joint::preset, preset), (joint::index, index)] {
-        if value < low || value > high {
-            let what = format!("{value} {} is outside the stroke {low} to {high}", unit);
-            section.refuse(key, what, "correct it, or the stroke");
-        }
-    }
-    if (index - preset).abs() > search {
-        let what = format!(
-            "{search} {} does not reach from the preset {preset} to the index {index}",
-            unit
-        );
-        section.refuse(joint::search, what, "raise it, or correct the index");
-    }
-    if search > turn / 2.0 {
-        let what = format!(
-            "{search} {} is more than half a motor turn ({} {}): the search could find the index of the next turn",
-            unit,
-            turn / 2.0,
-            unit
-        );
-        section.refuse(joint::search, what, "lower it");
-    }
-
-    let (drive, limit) = match section.section("drive") {
-        Some(drive_section) => read_drive(drive_section, kind, turn, rate),
-        None => (placeholder_drive(), f64::NAN),
+    let place = Place {
+        kind,
+        low,
+        high,
+        turn,
+        preset,
     };
-    let law = match section.section("law") {
-        Some(law_section) => read_law(law_section, kind, period, acceleration, limit),
-        None => placeholder_law(),
+    let encoder = encoder::read_encoder(section, &place);
+    let home = read_home(section, encoder.is_some());
+    let ((drive, keeps_position), limit) = match section.section("drive") {
+        Some(drive_section) => read_drive(drive_section, &place, rate, encoder.is_some()),
+        None => ((placeholder_drive(), false), f64::NAN),
+    };
+    let law = match &drive {
+        // A step drive has its own servo loop.
+        Drive::Steps { .. } => {
+            if section.has("law") {
+                let what = "has no meaning for a step drive, which has its own servo loop";
+                section.report("law", what, "remove it");
+            }
+            NO_LAW
+        }
+        Drive::Torque { .. } => match section.section("law") {
+            Some(law_section) => read_law(law_section, kind, period, acceleration, limit),
+            None => NO_LAW,
+        },
     };
     section.finish();
     let axis = JointAxis {
@@ -206,18 +198,13 @@ pub fn read_joint_axis(
         low: coordinate(low),
         high: coordinate(high),
         rate: Rate(to_i32(rate * scale)),
-        per_count: to_i64(direction * resolution * scale * PER_COUNT),
         backlash: coordinate(backlash),
         drive,
         law,
-        following: coordinate(following),
-        following_lag: to_u32(lag * 65.536),
-        still: coordinate(still),
         preset: coordinate(preset),
-        index: coordinate(index),
-        index_pitch: coordinate(turn),
-        index_slack: to_u32(slack).min(u32::from(u16::MAX)) as u16,
-        search: coordinate(search),
+        home,
+        encoder,
+        keeps_position,
     };
     let limits = AxisLimits {
         name,
@@ -239,24 +226,44 @@ fn placeholder_drive() -> Drive {
     }
 }
 
-/// As [`placeholder_drive`], for the servo loop.
-fn placeholder_law() -> ServoConfig {
-    ServoConfig {
-        form: ServoForm::ModelBased,
-        kp: Gain(0),
-        kd: Gain(0),
-        rate_filter_us: 0,
-        inertia: 0,
-        viscous: 0,
-        coulomb: Effort(0),
-        coulomb_rate: Rate(0),
-        ki: Gain(0),
-        friction_adaptation_ms: 0,
+/// The servo loop of a step drive, and of a joint whose law has problems.
+const NO_LAW: ServoConfig = ServoConfig {
+    form: ServoForm::ModelBased,
+    kp: Gain(0),
+    kd: Gain(0),
+    rate_filter_us: 0,
+    inertia: 0,
+    viscous: 0,
+    coulomb: Effort(0),
+    coulomb_rate: Rate(0),
+    ki: Gain(0),
+    friction_adaptation_ms: 0,
+};
+
+/// How the joint finds its reference.
+fn read_home(section: &Section<'_, '_>, has_encoder: bool) -> Home {
+    if has_encoder && !section.has("home") {
+        return Home::Index;
+    }
+    let by_index = section.choice(joint::home, &[("index", true), ("none", false)]);
+    if by_index == Some(true) && !has_encoder {
+        let what = "\"index\" needs an encoder with an index pulse";
+        section.refuse(joint::home, what, "write \"none\", or add the encoder");
+    }
+    match by_index {
+        Some(false) => Home::Preset,
+        _ => Home::Index,
     }
 }
 
-/// Reads the drive; returns it and its effort limit (infinite for step drives, NaN if not known).
-fn read_drive(section: Section<'_, '_>, kind: AxisKind, turn: f64, rate: f64) -> (Drive, f64) {
+/// Reads the drive; returns it, whether it keeps the position of an open-loop joint, and its effort
+/// limit (infinite for step drives, NaN if not known).
+fn read_drive(
+    section: Section<'_, '_>,
+    place: &Place,
+    rate: f64,
+    has_encoder: bool,
+) -> ((Drive, bool), f64) {
     #[derive(Clone, Copy)]
     enum DriveKind {
         Torque,
@@ -281,25 +288,39 @@ fn read_drive(section: Section<'_, '_>, kind: AxisKind, turn: f64, rate: f64) ->
                 full_scale: Effort(to_i32(direction * full_scale * PER_EFFORT)),
                 limit: Effort(to_i32(limit * PER_EFFORT)),
             };
-            (drive, limit)
+            ((drive, false), limit)
         }
-        Some(DriveKind::Step) => (read_step_drive(&section, kind, turn, rate), f64::INFINITY),
+        Some(DriveKind::Step) => {
+            let drive = read_step_drive(&section, place, rate, has_encoder);
+            (drive, f64::INFINITY)
+        }
         // The other keys depend on the kind.
-        None => return (placeholder_drive(), f64::NAN),
+        None => return ((placeholder_drive(), false), f64::NAN),
     };
     section.finish();
     result
 }
 
 /// Reads the keys of a step drive.
-fn read_step_drive(section: &Section<'_, '_>, kind: AxisKind, turn: f64, rate: f64) -> Drive {
+fn read_step_drive(
+    section: &Section<'_, '_>,
+    place: &Place,
+    rate: f64,
+    has_encoder: bool,
+) -> (Drive, bool) {
+    let Place { kind, turn, .. } = *place;
     let direction = section.value(joint_drive::direction);
     let steps = section.value(joint_drive::steps_per_turn);
     let ticks = section.value(joint_drive::ticks_per_us);
     let pulse = section.value(joint_drive::pulse_us);
     let setup = section.value(joint_drive::setup_us);
     let hold = section.value(joint_drive::hold_us);
-    let lost = section.value(joint_drive::lost);
+    let (lost, keeps_position) = if has_encoder {
+        (section.value(joint_drive::lost), false)
+    } else {
+        let key = joint_drive::keeps_position.name;
+        (0.0, section.has(key) && section.flag(key) == Some(true))
+    };
     for (key, value) in [
         (joint_drive::pulse_us, pulse),
         (joint_drive::setup_us, setup),
@@ -327,20 +348,21 @@ fn read_step_drive(section: &Section<'_, '_>, kind: AxisKind, turn: f64, rate: f
             "shorten the pulse, or lower the rate",
         );
     }
-    if lost < 2.0 * step {
+    if has_encoder && lost < 2.0 * step {
         let what = format!("{lost} {} is less than 2 steps", unit(kind));
         section.refuse(joint_drive::lost, what, "raise it");
     }
     // Rounded up, because a shorter pulse may be lost.
     let in_ticks = |us: f64| to_u16((us * ticks).ceil());
-    Drive::Steps {
+    let drive = Drive::Steps {
         per_step: to_i64(direction * step * per_unit(kind) * PER_COUNT),
         ticks_per_us: to_u16(ticks),
         pulse: in_ticks(pulse),
         setup: in_ticks(setup),
         hold: in_ticks(hold),
         lost: Coordinate(to_i32(lost * per_unit(kind))),
-    }
+    };
+    (drive, keeps_position)
 }
 
 /// Reads the servo loop.

@@ -405,6 +405,17 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
+    /// As [`Self::peek_text`], of a key of a section below this one.
+    pub fn peek_text_of(&self, section: &str, key: &str) -> Option<&'d str> {
+        match self.table.get(section)?.get_ref() {
+            DeValue::Table(table) => match table.get(key)?.get_ref() {
+                DeValue::String(text) => Some(text),
+                _ => None,
+            },
+            _ => None,
+        }
+    }
+
     /// Reads one of several words; `None` after a report.
     pub fn choice<T: Copy>(&self, key: Key, choices: &[(&str, T)]) -> Option<T> {
         check_words(key, choices);

@@ -11,6 +11,7 @@
 mod axes;
 mod cross_section;
 pub mod document;
+mod encoder;
 mod force;
 mod format;
 mod h4;
@@ -41,7 +42,7 @@ pub use problem::{Problem, Problems};
 
 use document::{Document, Section};
 use haptimill_firmware::config::{
-    AxisKind, Config, Homing, JointAxis, PoseAxis, Stopping, Supervision,
+    AxisKind, Config, Home, Homing, JointAxis, PoseAxis, Stopping, Supervision,
 };
 use haptimill_kinematics::Model;
 use haptimill_kinematics::descriptor::Role;
@@ -260,20 +261,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let model = kinematics.as_ref().and_then(ModelReader::of);
     // Without a model the keys that depend on it are unknown: one report is enough.
     let singular = model.is_none_or(|model| model.has_singularity);
-    let rotary = model.is_none_or(|model| model.has_rotary_joint());
-    let (supervision, margin) = root
-        .section("supervision")
-        .map(|section| read_supervision(section, singular))
-        .unzip();
-    let margin = margin.unwrap_or(f64::NAN);
-    let homing = root
-        .section("homing")
-        .map(|section| read_homing(section, rotary));
     let planner = root.section("planner").map(read_planner);
-    let geometry = kinematics
-        .zip(model)
-        .map(|(section, model)| (model.read)(section, margin));
-
     let places = model.map_or_else(Vec::new, |model| model.pose());
     let pose = read_axes(&root, "pose", &places);
     let pose: Vec<_> = pose
@@ -287,6 +275,16 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         .map(|(section, place)| axes::read_joint_axis(section, *place, period_us / 1e6))
         .collect();
     check_pose_against_joints(&pose, &joints, model);
+    let encoders = joints.is_empty() || joints.iter().any(|(joint, _)| joint.encoder.is_some());
+    let (supervision, margin) = root
+        .section("supervision")
+        .map(|section| read_supervision(section, singular, encoders))
+        .unzip();
+    let margin = margin.unwrap_or(f64::NAN);
+    let geometry = kinematics
+        .zip(model)
+        .map(|(section, model)| (model.read)(section, margin));
+    let homing = read_homing(&root, &joints);
     let force = if root.has("force") {
         root.section("force")
             .map(|section| force::read_force(&section, period_us))
@@ -329,10 +327,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
                 missed_periods: 0,
                 illegal_transitions: 0,
             }),
-            homing: homing.unwrap_or(Homing {
-                rate: Rate(0),
-                table_rate: Rate(0),
-            }),
+            homing,
             force,
             follow,
             haptic: arm,
@@ -527,11 +522,19 @@ fn read_stopping(section: Section<'_, '_>) -> Stopping {
     }
 }
 
-fn read_supervision(section: Section<'_, '_>, singular: bool) -> (Supervision, f64) {
+fn read_supervision(
+    section: Section<'_, '_>,
+    singular: bool,
+    encoders: bool,
+) -> (Supervision, f64) {
     let result = Supervision {
         heartbeat_ms: to_u16(section.value(keys::supervision::heartbeat_ms)),
         missed_periods: to_u16(section.value(keys::supervision::missed_periods)),
-        illegal_transitions: to_u16(section.value(keys::supervision::illegal_transitions)),
+        illegal_transitions: if encoders {
+            to_u16(section.value(keys::supervision::illegal_transitions))
+        } else {
+            0
+        },
     };
     let margin = if singular {
         section.value(keys::supervision::singularity_margin_mm)
@@ -542,18 +545,36 @@ fn read_supervision(section: Section<'_, '_>, singular: bool) -> (Supervision, f
     (result, margin)
 }
 
-fn read_homing(section: Section<'_, '_>, rotary: bool) -> Homing {
-    let rate = section.value(keys::homing::rate_mm_s);
-    let table_rate = if rotary {
-        section.value(keys::homing::table_rate_deg_s)
-    } else {
-        0.0
+/// Reads the rates of the search for the index pulses; a machine without a joint that homes by its
+/// index has no such section.
+fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Homing {
+    let searched = |kind| {
+        let mut joints = joints.iter();
+        joints.any(|(joint, _)| joint.kind == kind && joint.home == Home::Index)
     };
-    section.finish();
-    Homing {
-        rate: Rate(to_i32(rate * PER_MM)),
-        table_rate: Rate(to_i32(table_rate * PER_DEG)),
+    let (linear, rotary) = (searched(AxisKind::Linear), searched(AxisKind::Rotary));
+    let mut homing = Homing {
+        rate: Rate(0),
+        table_rate: Rate(0),
+    };
+    if !joints.is_empty() && !linear && !rotary {
+        if root.has("homing") {
+            let what = "has no meaning: no joint homes by its index pulse";
+            root.report("homing", what, "remove it");
+        }
+        return homing;
     }
+    if let Some(section) = root.section("homing") {
+        if linear {
+            homing.rate = Rate(to_i32(section.value(keys::homing::rate_mm_s) * PER_MM));
+        }
+        if rotary {
+            let rate = section.value(keys::homing::table_rate_deg_s);
+            homing.table_rate = Rate(to_i32(rate * PER_DEG));
+        }
+        section.finish();
+    }
+    homing
 }
 
 fn read_planner(section: Section<'_, '_>) -> Planner {

@@ -59,11 +59,4 @@ impl ModelReader {
         let joints = self.descriptor.joints.iter();
         joints.map(|joint| (joint.name, joint.kind)).collect()
     }
-
-    /// Whether a joint is rotary.
-    pub(super) fn has_rotary_joint(&self) -> bool {
-        self.joints()
-            .iter()
-            .any(|(_, kind)| *kind == AxisKind::Rotary)
-    }
 }

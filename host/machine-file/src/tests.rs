@@ -23,7 +23,7 @@ fn built_in_machine_is_valid() {
     assert_eq!(slide.low, Coordinate(885 << 20));
     // 10 mm / 8000 counts = 1.25 um, times 2^44.
     assert_eq!(
-        slide.per_count,
+        slide.encoder.as_ref().expect("an encoder").per_count,
         (0.00125_f64 * 2_f64.powi(44)).round() as i64
     );
     assert_eq!(slide.law.kp.0, 40_000 << 8);
@@ -31,7 +31,10 @@ fn built_in_machine_is_valid() {
     // 40 kg * 1 mm/s^2 = 0.04 N.
     let effort = f64::from(slide.law.inertia) / 2_f64.powi(20) * 4096.0 / 65_536.0;
     assert!((effort - 0.04).abs() < 1e-7, "{effort}");
-    assert_eq!(slide.following_lag, 655);
+    assert_eq!(
+        slide.encoder.as_ref().expect("an encoder").following_lag,
+        655
+    );
     let table = &config.joints[4];
     // 0.2 kg m^2 at 1 turn/s^2 is 0.4 pi N m.
     let effort = f64::from(table.law.inertia) / 2_f64.powi(20) * 2_f64.powi(24) / 65_536.0;
@@ -40,7 +43,8 @@ fn built_in_machine_is_valid() {
         "{effort}"
     );
     // One turn of the table is 720000 counts.
-    let turn = table.per_count as f64 / 2_f64.powi(24) * 720_000.0;
+    let turn =
+        table.encoder.as_ref().expect("an encoder").per_count as f64 / 2_f64.powi(24) * 720_000.0;
     assert!((turn / 2_f64.powi(32) - 1.0).abs() < 1e-11);
     assert_eq!(
         table.high,

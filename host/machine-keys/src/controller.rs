@@ -2,6 +2,9 @@
 
 use crate::key::sections;
 
+/// Joints to which the keys of an encoder apply.
+const ENCODER: &str = "joints with an encoder";
+
 sections! {
 
 root "" "The machine and its control period." {
@@ -90,32 +93,36 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
     travel = real(0.01, 200.0, "mm/turn").is("motion per motor turn").named("lead_mm")
         .rotary("gear_ratio", real(0.1, 1_000.0, "motor turns per turn"));
+    home = word(&["index", "none"])
+        .is("how the joint finds its reference: by the index pulse nearest to the preset, or not at all, as it stands at its preset")
+        .or_text("\"index\" with an encoder, required without one");
     counts_per_turn = whole(4, 10_000_000, "counts")
-        .is("encoder counts per motor turn, after x4 decoding");
-    direction = plus_minus().is("-1: the encoder counts backwards");
+        .is("encoder counts per motor turn, after x4 decoding; without it the joint has no encoder and is open loop")
+        .or_absent().bounded("required with a torque drive");
+    direction = plus_minus().is("-1: the encoder counts backwards").only(super::ENCODER);
     backlash = real(0.0, 100.0, "mm").is("lost motion that is compensated").named("backlash_mm")
         .rotary("backlash_deg", real(0.0, 30.0, "deg")).or(0.0).bounded("below one motor turn");
     following_error = real(0.0, 100.0, "mm").is("largest following error at standstill")
         .named("following_error_mm").rotary("following_error_deg", real(0.0, 30.0, "deg"))
-        .bounded("above 0, at most one motor turn");
+        .bounded("above 0, at most one motor turn").only(super::ENCODER);
     following_error_lag_ms = real(0.0, 1000.0, "ms")
-        .is("the limit of the following error grows by this time of travel");
+        .is("the limit of the following error grows by this time of travel").only(super::ENCODER);
     still = real(0.0, 100.0, "mm").is("commanded motion without a count that is an encoder fault")
         .named("still_mm").rotary("still_deg", real(0.0, 30.0, "deg"))
-        .bounded("at least 4 counts");
+        .bounded("at least 4 counts").only(super::ENCODER);
     preset = real(-2047.0, 2047.0, "mm")
-        .is("joint position that the operator sets before power-on").named("preset_mm")
+        .is("joint position of the home pose; where the joint homes by index or not at all, the operator sets it before power-on").named("preset_mm")
         .rotary("preset_deg", real(-179.0, 179.0, "deg")).bounded("within the stroke");
     index = real(-2047.0, 2047.0, "mm")
         .is("index pulse nearest to the preset, measured once for each machine").named("index_mm")
         .rotary("index_deg", real(-179.0, 179.0, "deg"))
-        .bounded("within the stroke, and within the search distance of the preset");
+        .bounded("within the stroke, and within the search distance of the preset").only(super::ENCODER);
     search = real(0.0, 100.0, "mm").is("how far an index pulse may be from its place")
         .named("search_mm").rotary("search_deg", real(0.0, 30.0, "deg"))
-        .bounded("above 0, below half a motor turn");
+        .bounded("above 0, below half a motor turn").only(super::ENCODER);
     index_slack_counts = whole(0, 65_535, "counts")
         .is("counts by which an index pulse may be off; 0 switches the index monitor off")
-        .or_text("4, or less for a coarse encoder").bounded("below a quarter of a turn");
+        .or_text("4, or less for a coarse encoder").bounded("below a quarter of a turn").only(super::ENCODER);
 }
 
 joint_drive "joint.drive" "The drive of a joint." {
@@ -142,7 +149,10 @@ joint_drive "joint.drive" "The drive of a joint." {
         .only_if("kind", "step");
     lost = real(0.0, 100.0, "mm").is("disagreement of steps and encoder that means lost steps")
         .named("lost_mm").rotary("lost_deg", real(0.0, 30.0, "deg")).only_if("kind", "step")
-        .bounded("at least 2 steps");
+        .bounded("at least 2 steps").only(super::ENCODER);
+    keeps_position = flag()
+        .is("the joint cannot move while its drive is off or without power, and the drive keeps its electrical angle; otherwise the position is lost then")
+        .or_text("false").only_if("kind", "step").only("joints without an encoder");
 }
 
 joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)." {

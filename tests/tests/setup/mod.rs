@@ -7,6 +7,7 @@ pub mod joint_fault;
 pub mod single_joint;
 pub mod slides;
 
+use haptimill_firmware::config::EncoderAxis;
 use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::message::{Action, AxisValues, Command, Event, State};
 use haptimill_protocol::setpoint::Setpoint;
@@ -57,6 +58,12 @@ pub fn moving(axis: usize, speed: f64) -> Bench {
         assert_eq!(state(&bench), State::Run);
     }
     bench
+}
+
+/// Returns the encoder of a joint in the configuration to be sent.
+pub fn encoder(bench: &mut Bench, joint: usize) -> &mut EncoderAxis {
+    let joint = &mut bench.machine.config.joints[joint];
+    joint.encoder.as_mut().expect("an encoder")
 }
 
 /// Returns the state of the controller.

@@ -80,7 +80,12 @@ impl Slide {
             limits: machine.config.supervision.clone(),
             axis,
             joint,
-            encoder: Encoder::new(&plant.joint[0], start, Random::new(1, 1)),
+            encoder: Encoder::new(
+                &plant.joint[0],
+                plant.joint[0].encoder.as_ref().expect("an encoder"),
+                start,
+                Random::new(1, 1),
+            ),
             friction,
             motor: [start, 0.0],
             slide: [start, 0.0],

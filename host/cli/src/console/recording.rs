@@ -307,6 +307,7 @@ mod tests {
             joints: five.clone(),
             turns: AxisValues::new(),
             following_error: five.clone(),
+            open_loop: 0,
             drive: five,
             fault: None,
             deferred_bytes: 0,

@@ -60,7 +60,9 @@ impl Checks {
         let (safety, Some(machine)) = (controller.safety(), controller.machine()) else {
             return Ok(());
         };
-        let limits = &machine.config.joints[joint];
+        let Some(limits) = &machine.config.joints[joint].encoder else {
+            return Ok(());
+        };
         // The firmware compares the present measurement with the command of the period before.
         let commanded = self.previous.joints[joint] as i64 as i32;
         let error = f64::from(measured.wrapping_sub(commanded)).abs();

@@ -103,7 +103,11 @@ pub struct Checks {
 ///
 /// It is the limit of the following error at standstill plus ten times the highest rate.
 fn jump_threshold(limits: &JointAxis) -> f64 {
-    f64::from(limits.following.0) + f64::from(limits.rate.0) * 10.0 * PERIOD
+    let following = limits
+        .encoder
+        .as_ref()
+        .map_or(0, |encoder| encoder.following.0);
+    f64::from(following) + f64::from(limits.rate.0) * 10.0 * PERIOD
 }
 
 /// Returns the commanded pose in axis units.

@@ -135,21 +135,27 @@ fn mutate_coordinate(axis: &mut PoseAxis, word: i32, rng: &mut Rng) {
 }
 
 fn mutate_joint(axis: &mut JointAxis, (word, half, wide): (i32, u16, i64), rng: &mut Rng) {
-    match rng.below(24) {
+    let number = rng.below(24);
+    if let (3..=4 | 6..=8 | 10..=13, Some(encoder)) = (number, &mut axis.encoder) {
+        match number {
+            3 => encoder.per_count = wide,
+            4 => encoder.per_count = -encoder.per_count,
+            6 => encoder.following.0 = word,
+            7 => encoder.following_lag = word as u32,
+            8 => encoder.still.0 = word,
+            10 => encoder.index.0 = word,
+            11 => encoder.index_pitch.0 = word,
+            12 => encoder.index_slack = half,
+            _ => encoder.search.0 = word,
+        }
+        return;
+    }
+    match number {
         0 => axis.low.0 = word,
         1 => axis.high.0 = word,
         2 => axis.rate.0 = word,
-        3 => axis.per_count = wide,
-        4 => axis.per_count = -axis.per_count,
         5 => axis.backlash.0 = word,
-        6 => axis.following.0 = word,
-        7 => axis.following_lag = word as u32,
-        8 => axis.still.0 = word,
         9 => axis.preset.0 = word,
-        10 => axis.index.0 = word,
-        11 => axis.index_pitch.0 = word,
-        12 => axis.index_slack = half,
-        13 => axis.search.0 = word,
         14 => axis.law.kp.0 = word as u32,
         15 => axis.law.kd.0 = word as u32,
         16 => axis.law.rate_filter_us = half,

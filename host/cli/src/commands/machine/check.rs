@@ -97,6 +97,29 @@ fn as_json(problem: &Problem) -> serde_json::Value {
     })
 }
 
+/// Names the joints without an encoder, and what that means.
+fn open_loop(machine: &MachineFile) -> String {
+    let mut text = String::new();
+    for (keeps, consequence) in [
+        (false, "the position is lost whenever the drives go off"),
+        (true, "the position is kept while the drives are off"),
+    ] {
+        let joints = machine.config.joints.iter().zip(&machine.joints);
+        let names: Vec<&str> = joints
+            .filter(|(joint, _)| joint.encoder.is_none() && joint.keeps_position == keeps)
+            .map(|(_, axis)| axis.name.as_str())
+            .collect();
+        if !names.is_empty() {
+            let names = names.join(", ");
+            text.push_str(&format!(
+                "\nopen loop: {names}: no encoder, steps are counted; lost steps are not seen, and \
+                 {consequence}\n"
+            ));
+        }
+    }
+    text
+}
+
 fn summary(machine: &MachineFile) -> String {
     let config = &machine.config;
     let mut text = format!(
@@ -137,5 +160,6 @@ fn summary(machine: &MachineFile) -> String {
     };
     table("pose", &machine.pose);
     table("joint", &machine.joints);
+    text.push_str(&open_loop(machine));
     text
 }
