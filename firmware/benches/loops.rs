@@ -42,6 +42,7 @@ fn axis(drive: Drive) -> JointAxis {
             index_slack: 4,
             search: Coordinate(0),
         }),
+        active_low: 0,
         keeps_position: false,
     }
 }

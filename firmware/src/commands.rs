@@ -191,7 +191,7 @@ fn enable(core: &mut Core, inputs: &Inputs) -> Done {
     if inputs.emergency_stop {
         return Err(Refusal::Input(InputProblem::EmergencyStop));
     }
-    match hardware(&inputs.axes[..machine.axes()]) {
+    match hardware(machine, inputs, core.safety.homed()) {
         Some(Fault::LimitSwitch { axis }) => {
             return Err(Refusal::Input(InputProblem::LimitSwitch { axis }));
         }
@@ -203,6 +203,9 @@ fn enable(core: &mut Core, inputs: &Inputs) -> Done {
     // Enabling a coasting machine would stop it with the full force of its drives.
     if !machine.is_at_standstill() {
         return Err(Refusal::Input(InputProblem::Coasting));
+    }
+    if !core.safety.homed() {
+        machine.forget_joints(inputs);
     }
     let counted = machine.encoders_counted();
     machine.enable().map_err(Refusal::MeasuredPose)?;
@@ -227,10 +230,10 @@ fn disable(core: &mut Core) -> Done {
 fn home(core: &mut Core) -> Done {
     in_state(core, &[State::Idle])?;
     settled(core)?;
-    if !core.job.preset_valid {
+    let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
+    if machine.needs_presets() && !core.job.preset_valid {
         return Err(Refusal::PresetLost);
     }
-    let machine = core.configured()?;
     machine.check_inputs(false)?;
     machine.begin_homing();
     core.safety.set_homed(false);

@@ -10,6 +10,7 @@ pub mod digest;
 
 use crate::force::ForceConfig;
 use crate::haptics::config::{FollowConfig, HapticConfig};
+use crate::io::AxisInputs;
 use crate::named_io::config::IoConfig;
 pub use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_kinematics::{BoundedKinematics, JointLimits, Model};
@@ -153,6 +154,8 @@ pub struct JointAxis {
     /// The encoder. Without one the joint is open loop: it has a step drive, and its position is
     /// the count of the emitted steps.
     pub encoder: Option<EncoderAxis>,
+    /// Switches whose line is low when they are active, by their [bits](SwitchInput::bit).
+    pub active_low: u8,
     /// Open loop only: the joint cannot move while its drive is off, and the drive keeps its
     /// electrical angle. Otherwise the position is lost with the drives off.
     pub keeps_position: bool,
@@ -165,6 +168,77 @@ pub enum Home {
     Index,
     /// Not at all: the joint stands at its preset when the host commands homing.
     Preset,
+    /// By a switch.
+    Switch(SwitchHome),
+    /// By a switch, and then by the next index pulse off the switch, which must come near its
+    /// place.
+    SwitchAndIndex(SwitchHome),
+}
+
+impl Home {
+    /// The search for a switch, if the joint homes by one.
+    #[must_use]
+    pub const fn switch(&self) -> Option<&SwitchHome> {
+        match self {
+            Self::Switch(switch) | Self::SwitchAndIndex(switch) => Some(switch),
+            Self::Index | Self::Preset => None,
+        }
+    }
+}
+
+/// Search of a joint for its switch.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct SwitchHome {
+    /// The switch.
+    pub input: SwitchInput,
+    /// Joints with the lowest number are searched first, joints with one number together.
+    pub order: u8,
+    /// The joint moves down to its switch.
+    pub downwards: bool,
+    /// Coordinate where the switch becomes active on the way to it.
+    pub coordinate: Coordinate,
+    /// Rate to the switch, and off it.
+    pub rate: Rate,
+    /// Rate of the second touch, whose place counts.
+    pub touch_rate: Rate,
+    /// Acceleration of the search.
+    pub acceleration: Acceleration,
+    /// Distance off the released switch, between the touches and at the end.
+    pub back_off: Coordinate,
+    /// Largest distance within which the switch is released.
+    pub release: Coordinate,
+    /// Largest distance to the switch.
+    pub travel: Coordinate,
+}
+
+/// Switch of a joint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum SwitchInput {
+    /// [`crate::io::AxisInputs::home`].
+    Home,
+    /// [`crate::io::AxisInputs::limit_low`]; while the machine is not homed it is no fault.
+    LimitLow,
+    /// [`crate::io::AxisInputs::limit_high`]; while the machine is not homed it is no fault.
+    LimitHigh,
+}
+
+impl SwitchInput {
+    /// Bit of the switch in [`JointAxis::active_low`].
+    #[must_use]
+    pub const fn bit(self) -> u8 {
+        1 << self as u8
+    }
+}
+
+impl JointAxis {
+    /// The active switches, by their [bits](SwitchInput::bit).
+    #[must_use]
+    #[inline]
+    pub const fn active_switches(&self, inputs: &AxisInputs) -> u8 {
+        let levels =
+            inputs.home as u8 | (inputs.limit_low as u8) << 1 | (inputs.limit_high as u8) << 2;
+        levels ^ self.active_low
+    }
 }
 
 /// Encoder of a joint, its index pulse, and the supervision that needs an encoder.

@@ -4,6 +4,7 @@ use crate::comm::server::Server;
 use crate::core::Core;
 use crate::force::sensor::is_force;
 use crate::io::{AxisInputs, Inputs};
+use crate::machine::Machine;
 use crate::safety::{keeps_position, suspected};
 use haptimill_protocol::message::{Event, Fault, State};
 
@@ -180,8 +181,8 @@ fn check_joints(core: &mut Core, inputs: &Inputs, late: bool) {
     let Some(machine) = &mut core.machine else {
         return;
     };
-    if let Some(fault) =
-        hardware(&inputs.axes[..machine.axes()]).or_else(|| machine.supervise(inputs.missed != 0))
+    if let Some(fault) = hardware(machine, inputs, core.safety.homed())
+        .or_else(|| machine.supervise(inputs.missed != 0))
     {
         // After missed periods a large change of the counts is legitimate.
         let jumped = matches!(fault, Fault::EncoderIllegal { .. });
@@ -208,7 +209,11 @@ fn check_host(core: &mut Core, server: &Server) {
 
 /// A limit switch that is active, or a drive that reports a fault.
 #[inline]
-pub(crate) fn hardware(axes: &[AxisInputs]) -> Option<Fault> {
+pub(crate) fn hardware(machine: &Machine, inputs: &Inputs, homed: bool) -> Option<Fault> {
+    if !machine.has_only_plain_switches() {
+        return machine.hardware_fault(&inputs.axes, homed);
+    }
+    let axes = inputs.axes.get(..machine.axes())?;
     let healthy = |axis: &AxisInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
     if axes.iter().fold(true, |all, axis| all & healthy(axis)) {
         return None;

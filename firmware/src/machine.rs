@@ -8,6 +8,7 @@ mod configure;
 mod enable;
 mod joint_rates;
 pub mod masters;
+mod switches;
 
 use crate::config::Config;
 use crate::config::digest::Digest;
@@ -29,6 +30,7 @@ use haptimill_protocol::setpoint::Setpoint;
 use heapless::Vec;
 use joint_rates::JointRates;
 use masters::Masters;
+use switches::Switches;
 
 /// State of one joint in one period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -56,6 +58,10 @@ pub struct Machine {
     pub motion: Motion,
     /// Search for the index pulses.
     pub homing: Homing,
+    /// Search for the home switches.
+    switches: Switches,
+    /// No switch needs [`Machine::hardware_fault`].
+    plain_switches: bool,
     /// Force sensor and force control, on a machine that has them.
     pub force: Option<ForceControl>,
     /// The haptic arm or the remote master, and the mapping to the tool.
@@ -177,6 +183,13 @@ impl Machine {
         self.counter_fault
     }
 
+    /// Whether the levels of the limit switches need no interpretation.
+    #[must_use]
+    #[inline]
+    pub const fn has_only_plain_switches(&self) -> bool {
+        self.plain_switches
+    }
+
     /// Clears the fault of a counter after it was reported.
     pub const fn acknowledge_counter_fault(&mut self) {
         self.counter_fault = None;
@@ -267,6 +280,9 @@ impl Machine {
     /// control.
     #[inline]
     pub fn solve(&mut self) -> Result<(), PoseError> {
+        if self.searches_switches() {
+            return Ok(());
+        }
         if self.is_compliant() {
             return self.solve_reference();
         }

@@ -135,6 +135,14 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
     let Some(machine) = &mut core.machine else {
         return;
     };
+    if machine.searches_switches() {
+        match machine.advance_switches(inputs, core.job.stopping) {
+            Ok(true) if core.job.stopping => core.finish_at_standstill(),
+            Ok(_) => {}
+            Err(fault) => core.safety.raise(fault),
+        }
+        return;
+    }
     if core.job.stopping {
         if machine.motion.jog.is_at_standstill() {
             core.finish_at_standstill();

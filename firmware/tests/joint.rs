@@ -80,6 +80,7 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
             index_slack: 4,
             search: Coordinate(0),
         }),
+        active_low: 0,
         keeps_position: false,
     }
 }

@@ -76,6 +76,7 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
             index_slack: 4,
             search: Coordinate::ZERO,
         }),
+        active_low: 0,
         keeps_position: false,
     }
 }

@@ -35,6 +35,7 @@ fn slide() -> (JointAxis, JointSample) {
         commanded: Coordinate(mm(100.0)),
         measured: Coordinate(mm(100.0)),
         period_us: 200,
+        placed: true,
         ..JointSample::default()
     };
     (axis, seen)
@@ -311,6 +312,7 @@ proptest! {
                 steps_off: Coordinate(sight[5]),
                 period_us,
                 missed: false,
+                placed: true,
             };
             let encoder = axis.encoder.clone().expect("an encoder");
             let _ = watch.check(0, &axis, &encoder, LIMIT, &seen);

@@ -19,10 +19,12 @@
 use crate::check::PlantError;
 use crate::config::PlantConfig;
 use crate::contact::InputLines;
+use crate::fault::Switch as Kind;
 use crate::haptics::HapticArm;
 use crate::joint::encoder::{Encoder, EncoderCondition, Track};
 use crate::joint::mechanics::{Bodies, JointArray, Mechanics};
 use crate::joint::stepper::{PulseReport, Stepper};
+use crate::joint::switch::{Switch, SwitchCondition, SwitchPlace};
 use crate::joint::{DriveConfig, JointConfig, JointKind, SwitchSide};
 use crate::machines::AnyGeometry;
 use crate::process::{CuttingConfig, ToolPose};
@@ -54,13 +56,12 @@ pub struct JointCondition {
     pub drive_tripped: bool,
     /// Additional Coulomb friction on the slide, effort; infinity blocks it.
     pub jam: f64,
-    /// The home switch is stuck at this level.
-    pub home: Option<bool>,
-    /// The lower limit switch is stuck at this level.
-    pub limit_low: Option<bool>,
-    /// The upper limit switch is stuck at this level.
-    pub limit_high: Option<bool>,
+    /// Home switch, lower and upper limit switch.
+    pub switches: [SwitchCondition; SWITCHES],
 }
+
+/// Number of switches of a joint: home, lower limit, upper limit.
+pub const SWITCHES: usize = 3;
 
 impl Default for JointCondition {
     fn default() -> Self {
@@ -68,9 +69,7 @@ impl Default for JointCondition {
             drive_gain: 1.0,
             drive_tripped: false,
             jam: 0.0,
-            home: None,
-            limit_low: None,
-            limit_high: None,
+            switches: [SwitchCondition::default(); SWITCHES],
         }
     }
 }
@@ -86,6 +85,7 @@ struct Joint {
     config: JointConfig,
     drive: Drive,
     encoder: Option<Encoder>,
+    switches: [Switch; SWITCHES],
     condition: JointCondition,
 }
 
@@ -100,17 +100,37 @@ impl Joint {
         }
     }
 
-    fn home(&self, slide: f64) -> bool {
-        self.condition.home.unwrap_or_else(|| {
-            self.config
-                .home
-                .as_ref()
-                .is_some_and(|switch| match switch.active {
-                    SwitchSide::Below => slide <= switch.at,
-                    SwitchSide::Above => slide >= switch.at,
-                })
-        })
+    /// Level of the line of a switch.
+    fn level(&self, switch: usize) -> bool {
+        self.switches[switch].level(&self.condition.switches[switch])
     }
+}
+
+/// The switches of a joint with its slide at `slide`.
+fn switches(joint: &JointConfig, slide: f64, seed: u64, lane: usize) -> [Switch; SWITCHES] {
+    let limit = |at: Option<f64>, side| {
+        at.map(|at| SwitchPlace {
+            at,
+            side,
+            hysteresis: 0.0,
+            bounce_ms: 0.0,
+        })
+    };
+    let home = joint.home.as_ref().map(|home| SwitchPlace {
+        at: home.at,
+        side: home.active,
+        hysteresis: home.hysteresis,
+        bounce_ms: home.bounce_ms,
+    });
+    let places = [
+        (Kind::Home, home),
+        (Kind::LimitLow, limit(joint.limit_low, SwitchSide::Below)),
+        (Kind::LimitHigh, limit(joint.limit_high, SwitchSide::Above)),
+    ];
+    places.map(|(kind, place)| {
+        let random = Random::new(seed, 64 + 4 * lane as u64 + kind as u64);
+        Switch::new(place, joint.active_low.contains(&kind), slide, random)
+    })
 }
 
 /// The simulated machine.
@@ -168,6 +188,7 @@ impl Plant {
                     let random = Random::new(config.seed, 16 + lane as u64);
                     Encoder::new(joint, encoder, start, random)
                 }),
+                switches: switches(joint, start, config.seed, lane),
                 condition: JointCondition::default(),
                 config: joint.clone(),
             });
@@ -326,7 +347,6 @@ impl Plant {
             inputs.haptic = arm.inputs();
         }
         for (axis, joint) in self.joints.iter().enumerate() {
-            let slide = self.bodies.slide[axis];
             let reading = joint
                 .encoder
                 .as_ref()
@@ -342,15 +362,9 @@ impl Plant {
                 Drive::Torque { .. } => 0,
                 Drive::Steps(stepper) => stepper.emitted(),
             };
-            seen.home = joint.home(slide);
-            seen.limit_low = joint
-                .condition
-                .limit_low
-                .unwrap_or_else(|| joint.config.limit_low.is_some_and(|at| slide <= at));
-            seen.limit_high = joint
-                .condition
-                .limit_high
-                .unwrap_or_else(|| joint.config.limit_high.is_some_and(|at| slide >= at));
+            seen.home = joint.level(Kind::Home as usize);
+            seen.limit_low = joint.level(Kind::LimitLow as usize);
+            seen.limit_high = joint.level(Kind::LimitHigh as usize);
             seen.drive_ready = !joint.condition.drive_tripped && !self.emergency_stop;
         }
     }
@@ -414,6 +428,13 @@ impl Plant {
             arm.advance(&outputs.haptic, powered);
         }
         self.period += 1;
+        let now_ns = self.time_ns();
+        for (axis, joint) in self.joints.iter_mut().enumerate() {
+            let conditions = joint.condition.switches;
+            for (switch, condition) in joint.switches.iter_mut().zip(&conditions) {
+                switch.follow(self.bodies.slide[axis], now_ns, condition);
+            }
+        }
         self.update_ground_truth();
         if self.process.is_some() {
             let rpm = if powered {

@@ -5,7 +5,7 @@
 
 use crate::contact::InputCondition;
 use crate::fault::{
-    Channel, Direction, Fault, FaultError, FaultKind, HapticEncoder, HapticFault, Level, Switch,
+    Channel, Direction, Fault, FaultError, FaultKind, HapticEncoder, HapticFault, Level,
 };
 use crate::haptics::sensors::SENSORS;
 use crate::joint::encoder::EncoderCondition;
@@ -224,13 +224,16 @@ fn inject(
         }
         FaultKind::Push { effort, .. } => loads[axis] += effort,
         FaultKind::SwitchStuck { switch, active, .. } => {
-            let joint = &mut joints[axis];
-            let stuck = match switch {
-                Switch::Home => &mut joint.home,
-                Switch::LimitLow => &mut joint.limit_low,
-                Switch::LimitHigh => &mut joint.limit_high,
-            };
-            *stuck = Some(active);
+            joints[axis].switches[switch as usize].stuck = Some(active);
+        }
+        FaultKind::SwitchInverted { switch, .. } => {
+            joints[axis].switches[switch as usize].inverted = true;
+        }
+        FaultKind::SwitchMissing { switch, .. } => {
+            joints[axis].switches[switch as usize].missing = true;
+        }
+        FaultKind::SwitchBounces { switch, ms, .. } => {
+            joints[axis].switches[switch as usize].bounce_ms += ms;
         }
         FaultKind::EmergencyStop => *emergency_stop = true,
         FaultKind::LinkErrors { rate, direction } => {

@@ -280,6 +280,8 @@ fn limit_switches_follow_the_slide() {
     joint.home = Some(SwitchConfig {
         at: 0.1,
         active: SwitchSide::Above,
+        hysteresis: 0.0,
+        bounce_ms: 0.0,
     });
     let mut plant = Plant::new(&config, 200).expect("a slide");
     let mut inputs = Inputs::default();

@@ -86,6 +86,11 @@ fn the_limit_of_the_following_error_grows_with_the_speed() {
 #[test]
 fn a_tripped_drive_or_limit_switch_stops_all_drives_in_one_period() {
     let well = JointCondition::default();
+    let stuck = |switch: usize| {
+        let mut condition = well;
+        condition.switches[switch].stuck = Some(true);
+        condition
+    };
     for (condition, fault) in [
         (
             JointCondition {
@@ -94,20 +99,8 @@ fn a_tripped_drive_or_limit_switch_stops_all_drives_in_one_period() {
             },
             Fault::Drive { axis: 3 },
         ),
-        (
-            JointCondition {
-                limit_low: Some(true),
-                ..well
-            },
-            Fault::LimitSwitch { axis: 3 },
-        ),
-        (
-            JointCondition {
-                limit_high: Some(true),
-                ..well
-            },
-            Fault::LimitSwitch { axis: 3 },
-        ),
+        (stuck(1), Fault::LimitSwitch { axis: 3 }),
+        (stuck(2), Fault::LimitSwitch { axis: 3 }),
     ] {
         let mut struck = run_with_joint_fault(0, 3, 20.0, joint_fault(3, condition));
         assert_eq!((struck.fault, struck.periods), (fault, 0));

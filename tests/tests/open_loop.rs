@@ -14,14 +14,47 @@ use setup::{MM, drives_off, line, state};
 fn mill(change: impl FnOnce(String) -> String) -> Bench {
     let text = change(include_str!("../../machines/mill3.toml").to_string());
     let machine = MachineFile::parse("mill3.toml", &text).unwrap_or_else(|error| panic!("{error}"));
-    Bench::of_machine(machine, &RigOptions::default(), Controller::new(200))
+    let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
+    bench.steps(500);
+    bench.configure();
+    bench
+}
+
+/// Enables and homes.
+fn home(bench: &mut Bench) {
+    bench.ask(Command::Enable).expect("enabled");
+    home_again(bench);
+}
+
+fn home_again(bench: &mut Bench) {
+    bench.events.clear();
+    bench.ask(Command::Home).expect("homing");
+    for _ in 0..2000 {
+        bench.steps(100);
+        if bench.events.contains(&Event::Homed) {
+            bench.steps(500);
+            return;
+        }
+    }
+    panic!("not homed: {:?}", bench.events);
+}
+
+/// The text with joints that home by their presets.
+fn without_switches(text: String) -> String {
+    let mut parts = text.split("home = \"switch\"\n");
+    let mut without = parts.next().expect("a part").to_string();
+    for part in parts {
+        let drive = part.find("[joint.drive]").expect("a drive");
+        without.push_str("home = \"none\"\n\n");
+        without.push_str(&part[drive..]);
+    }
+    without.replace("start_spread = 20.0", "start_spread = 0.0")
 }
 
 /// A homed mill in the middle of a line in x at 20 mm/s.
 fn moving() -> Bench {
     let mut bench = mill(|text| text);
-    bench.make_ready();
-    bench.steps(500);
+    home(&mut bench);
     let start = bench.status().commanded;
     bench.start_job(1, &line(&start, 0, 20.0, 20));
     bench.steps(4000);
@@ -76,6 +109,29 @@ fn lost_steps_show_at_the_next_homing() {
     assert_eq!(bench.status().open_loop, 0b111);
     let off = error(&mut bench);
     assert!(off > 1.0, "{off} mm");
+    home_again(&mut bench);
+    let off = error(&mut bench);
+    assert!(off < 0.02, "{off} mm");
+}
+
+/// A joint without a switch takes its preset as its position, once: an operator has to confirm it
+/// after the drives were off.
+#[test]
+fn a_preset_holds_until_the_drives_go_off() {
+    let mut bench = mill(without_switches);
+    home(&mut bench);
+    let status = bench.status();
+    assert!(status.homed && status.position_kept);
+    let off = error(&mut bench);
+    assert!(off < 0.06, "a rotor moves to its next detent: {off} mm");
+    bench.ask(Command::Disable).expect("off");
+    assert_lost(&mut bench);
+    bench.ask(Command::Enable).expect("on");
+    assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
+    bench.ask(Command::Disable).expect("off");
+    bench.configure_as(true);
+    home(&mut bench);
+    assert!(bench.status().homed);
 }
 
 #[test]
@@ -133,8 +189,7 @@ fn a_drive_that_holds_its_rotor_keeps_the_position() {
         )
     };
     let mut bench = mill(keeps);
-    bench.make_ready();
-    bench.steps(500);
+    home(&mut bench);
     bench.ask(Command::Disable).expect("off");
     bench.steps(1000);
     let status = bench.status();

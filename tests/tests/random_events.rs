@@ -292,10 +292,8 @@ impl Invariants {
             RandomEvent::Garbage(garbage) => self.step(|bytes| bytes.extend(garbage)),
             RandomEvent::EmergencyInput(open) => bench.rig.plant_mut().set_emergency_stop(*open),
             RandomEvent::Limit { joint, active } => {
-                let condition = JointCondition {
-                    limit_low: active.then_some(true),
-                    ..JointCondition::default()
-                };
+                let mut condition = JointCondition::default();
+                condition.switches[1].stuck = active.then_some(true);
                 bench.rig.plant_mut().set_condition(*joint, condition);
             }
             RandomEvent::Tripped { joint, tripped } => {

@@ -82,6 +82,7 @@ fn slide(preset: f64) -> JointAxis {
             index_slack: 4,
             search: Coordinate(mm(3.0)),
         }),
+        active_low: 0,
         keeps_position: false,
     }
 }

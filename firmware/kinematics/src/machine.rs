@@ -33,6 +33,13 @@ pub trait Machine: Kinematics + Copy {
         Angle::ZERO
     }
 
+    /// Whether a joint may move alone, through its whole stroke and whatever the others do, to
+    /// search its home switch.
+    #[must_use]
+    fn joints_move_alone() -> bool {
+        true
+    }
+
     /// Pose coordinate that moves while a joint searches its reference. Joints with the same
     /// coordinate are searched together.
     fn search_coordinate(joint: usize) -> usize {

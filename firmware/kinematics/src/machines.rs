@@ -39,6 +39,15 @@ macro_rules! machines {
                 }
             }
 
+            /// Whether a joint may move alone, to search its home switch.
+            #[must_use]
+            pub fn joints_move_alone(&self) -> bool {
+                match self {
+                    $(Self::$name(_) => <$machine as Machine>::joints_move_alone(),)*
+                    Self::None => true,
+                }
+            }
+
             /// Whether the lengths are within the range of the arithmetic and make a machine.
             #[must_use]
             pub fn is_sound(&self) -> bool {

@@ -1,6 +1,8 @@
 //! Checks of a configuration before it is activated. A refusal names the field and its axis.
 
-use super::{AxisKind, Config, Drive, EncoderAxis, Home, JointAxis, PoseAxis, ServoConfig};
+use super::{
+    AxisKind, Config, Drive, EncoderAxis, Home, JointAxis, PoseAxis, ServoConfig, SwitchHome,
+};
 use crate::config::HAND;
 use crate::haptics::config::HapticConfig;
 use crate::motion::tracker::TrackerLimits;
@@ -203,8 +205,15 @@ impl Config {
             None => {
                 let steps = matches!(axis.drive, Drive::Steps { .. });
                 require(steps, ConfigField::Encoder, here)?;
-                require(axis.home != Home::Index, ConfigField::Homing, here)?;
+                let without = matches!(axis.home, Home::Preset | Home::Switch(_));
+                require(without, ConfigField::Homing, here)?;
             }
+        }
+        require(axis.active_low < 8, ConfigField::Homing, here)?;
+        if let Some(switch) = axis.home.switch() {
+            // The search moves one joint at a time.
+            let alone = self.model.joints_move_alone();
+            require(alone && is_sound(axis, switch), ConfigField::Homing, here)?;
         }
         self.check_drive(here, axis)
     }
@@ -285,6 +294,26 @@ impl Config {
             }
         }
     }
+}
+
+/// Whether the search for a switch stays within the numbers of the joint, and stops within the
+/// distance in which the switch is released.
+fn is_sound(axis: &JointAxis, switch: &SwitchHome) -> bool {
+    let stroke = i64::from(axis.low.0)..=i64::from(axis.high.0);
+    let at = i64::from(switch.coordinate.0);
+    let off = i64::from(switch.back_off.0);
+    let end = if switch.downwards { at + off } else { at - off };
+    let places = stroke.contains(&at) && stroke.contains(&end);
+    let rates = 0 < switch.touch_rate.0
+        && switch.touch_rate <= switch.rate
+        && switch.rate <= axis.rate
+        && switch.acceleration.0 > 0;
+    let distances =
+        off > 0 && switch.release.0 > 0 && switch.travel.0 > 0 && within(switch.travel.0);
+    // v^2 / 2a; an acceleration has 2^8 axis units per second squared.
+    let (rate, release) = (i128::from(switch.rate.0), i128::from(switch.release.0));
+    let stops = rate * rate <= 512 * i128::from(switch.acceleration.0) * release;
+    places && rates && distances && stops
 }
 
 /// Whether the servo loop on a mass is damped with a margin of two, with a filter tau and a lag of

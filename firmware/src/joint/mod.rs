@@ -180,6 +180,8 @@ pub struct JointDrive {
     reach: u32,
     /// The joint has no encoder: its counter counts the emitted steps.
     open_loop: bool,
+    /// The position is known well enough to compare it with the stroke.
+    placed: bool,
 }
 
 /// Largest plausible rate of a joint (moved by hand, coasting, or runaway) over its highest
@@ -209,7 +211,7 @@ fn count(per_count: i64) -> Coordinate {
     Coordinate(size.min(i32::MAX as u64) as i32)
 }
 
-constants!(JointDrive { kind, reach, open_loop } of { encoder, indexes, backlash, output } but { monitor, commanded, measurement, servo_output, measured_once, enabled });
+constants!(JointDrive { kind, reach, open_loop } of { encoder, indexes, backlash, output } but { monitor, commanded, measurement, servo_output, measured_once, enabled, placed });
 
 impl Constants for Output {
     fn digest(&self, digest: &mut Digest) {
@@ -313,6 +315,7 @@ impl JointDrive {
             enabled: false,
             reach: reach(axis, period_us),
             open_loop: encoder.is_none(),
+            placed: true,
         })
     }
 
@@ -600,6 +603,7 @@ impl JointDrive {
             steps_off: measurement.slip,
             period_us,
             missed,
+            placed: self.placed,
         };
         let Some(encoder) = &axis.encoder else {
             return JointMonitor::steps(joint, axis, &sample);
@@ -638,6 +642,11 @@ impl JointDrive {
     #[must_use]
     pub fn rate(&self) -> Rate {
         self.encoder.rate()
+    }
+
+    /// Sets whether the position is known well enough to compare it with the stroke.
+    pub const fn set_placed(&mut self, placed: bool) {
+        self.placed = placed;
     }
 
     /// Resets supervision, after the drives were switched on or the coordinate was set.

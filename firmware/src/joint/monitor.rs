@@ -44,6 +44,8 @@ pub struct JointSample {
     pub period_us: u16,
     /// Periods were missed just before this one, so `moved` covers several periods.
     pub missed: bool,
+    /// The position is known well enough to compare it with the stroke.
+    pub placed: bool,
 }
 
 /// State of the supervision of one joint.
@@ -243,7 +245,7 @@ impl JointMonitor {
         encoder: &EncoderAxis,
         sample: &JointSample,
     ) -> Option<Fault> {
-        if (config.low..=config.high).contains(&sample.measured) {
+        if !sample.placed || (config.low..=config.high).contains(&sample.measured) {
             return None;
         }
         let measured = i64::from(sample.measured.0);

@@ -4,6 +4,7 @@
 use super::Machine;
 use super::joint_rates::JointRates;
 use super::masters::Masters;
+use super::switches::Switches;
 use crate::config::digest::{Constants, Digest};
 use crate::config::{AxisKind, Config, Drive, JointAxis};
 use crate::force::Design;
@@ -126,6 +127,8 @@ impl Machine {
             kinematics: config.kinematics(),
             motion: Motion::default(),
             homing: Homing::default(),
+            switches: Switches::default(),
+            plain_switches: true,
             force: None,
             masters: Masters::default(),
             io: NamedIo::new(&config.io),
@@ -161,6 +164,7 @@ impl Machine {
         self.configure_force(design);
         self.configure_haptics(&inputs.haptic);
         self.motion.configure(&self.config);
+        self.plain_switches = self.has_plain_switches();
         for part in 0..PARTS {
             self.digests[part] = self.digest(part);
         }
@@ -182,6 +186,13 @@ impl Machine {
     pub fn forgets_position(&self) -> bool {
         let mut joints = self.config.joints.iter();
         joints.any(|joint| joint.encoder.is_none() && !joint.keeps_position)
+    }
+
+    /// Whether a joint homes by its preset, or by the index pulse nearest to it.
+    #[must_use]
+    pub fn needs_presets(&self) -> bool {
+        let mut joints = self.config.joints.iter();
+        joints.any(|joint| joint.home.switch().is_none())
     }
 
     /// Whether the next index pulse of a joint will confirm or refute its encoder.

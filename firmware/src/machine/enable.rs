@@ -48,7 +48,7 @@ impl Machine {
 
     /// Commands these joint positions, at rest. An error changes nothing.
     #[inline(never)]
-    fn set_joints(&mut self, joints: &Joints) -> Result<(), PoseError> {
+    pub(super) fn set_joints(&mut self, joints: &Joints) -> Result<(), PoseError> {
         let pose = self.kinematics.forward(joints)?;
         self.kinematics.load(&pose, &pose, &[])?;
         self.motion.set_position(&pose);
@@ -119,6 +119,7 @@ impl Machine {
     /// Switches the drives off.
     #[inline]
     pub fn disable(&mut self) {
+        self.leave_switches();
         self.locking = None;
         for joint in &mut self.joints {
             joint.disable();
@@ -134,6 +135,7 @@ impl Machine {
         self.rebase_on_compliance();
         self.joints.iter_mut().for_each(|joint| joint.search(true));
         self.motion.begin_jog(false);
+        self.begin_switches();
         self.homing = Homing::default();
         for (index, (joint, axis)) in self.joints.iter().zip(&self.config.joints).enumerate() {
             if axis.home == Home::Preset {

@@ -18,10 +18,11 @@
 //!
 //! Every stop reports whether the position is kept. It is lost when an encoder or the configuration
 //! is invalid, when steps were lost, or when a joint is measured away from its command or outside
-//! its stroke. A joint without an encoder loses it whenever its drive goes off, because nothing sees
-//! its motor move then.
+//! its stroke. A joint without an encoder loses it whenever its drive goes off, because nothing
+//! sees its motor move then.
 
 pub mod homing;
+pub mod switch_search;
 
 use haptimill_protocol::message::{Event, Fault, State};
 use heapless::Deque;
@@ -46,8 +47,8 @@ pub struct Safety {
     forgets: bool,
     /// A joint has no encoder: an alarm of a drive loses the position.
     open_loop: bool,
-    /// The position of an open-loop joint was lost, and [`Safety::take_forgotten`] has not returned that
-    /// yet.
+    /// The position of an open-loop joint was lost, and [`Safety::take_forgotten`] has not
+    /// returned that yet.
     forgotten: bool,
     events: Deque<Event, EVENTS>,
     events_lost: u32,

@@ -25,7 +25,7 @@ const fn entry(name: &'static str, keys: &'static str, what: &'static str) -> En
 }
 
 /// All faults.
-pub(super) const CATALOGUE: [Entry; 33] = [
+pub(super) const CATALOGUE: [Entry; 36] = [
     entry(
         "encoder-stuck",
         "axis=NAME channel=a|b level=low|high",
@@ -81,6 +81,21 @@ pub(super) const CATALOGUE: [Entry; 33] = [
         "switch-stuck",
         "axis=NAME switch=home|limit-low|limit-high active=yes|no",
         "a switch is stuck",
+    ),
+    entry(
+        "switch-inverted",
+        "axis=NAME switch=home|limit-low|limit-high",
+        "a switch is wired the wrong way",
+    ),
+    entry(
+        "switch-missing",
+        "axis=NAME switch=home|limit-low|limit-high",
+        "a switch is not connected: its line is low",
+    ),
+    entry(
+        "switch-bounces",
+        "axis=NAME switch=home|limit-low|limit-high ms=X",
+        "the contact of a switch bounces for X ms after a change",
     ),
     entry(
         "sensor-stuck",

@@ -125,6 +125,29 @@ pub enum FaultKind {
         /// State in which it is stuck.
         active: bool,
     },
+    /// A switch is wired the wrong way: closed for open.
+    SwitchInverted {
+        /// Name of the joint.
+        axis: String,
+        /// The switch.
+        switch: Switch,
+    },
+    /// A switch is not connected: its line is low.
+    SwitchMissing {
+        /// Name of the joint.
+        axis: String,
+        /// The switch.
+        switch: Switch,
+    },
+    /// The contact of a switch bounces.
+    SwitchBounces {
+        /// Name of the joint.
+        axis: String,
+        /// The switch.
+        switch: Switch,
+        /// Time after a change, ms.
+        ms: f64,
+    },
     /// The codes of the force sensor are frozen. This fault and the next four have no effect on a
     /// machine without a sensor.
     SensorStuck {
@@ -307,7 +330,10 @@ impl FaultKind {
             | Self::DriveReversed { axis }
             | Self::JointJammed { axis, .. }
             | Self::Push { axis, .. }
-            | Self::SwitchStuck { axis, .. } => Some(axis),
+            | Self::SwitchStuck { axis, .. }
+            | Self::SwitchInverted { axis, .. }
+            | Self::SwitchMissing { axis, .. }
+            | Self::SwitchBounces { axis, .. } => Some(axis),
             _ => None,
         }
     }
@@ -340,7 +366,7 @@ impl FaultKind {
             Self::LinkErrors { rate, .. }
             | Self::LinkDrop { rate, .. }
             | Self::LinkDuplicate { rate, .. } => ("rate", *rate, 0.0, 1.0),
-            Self::LinkDelay { ms, .. } => ("ms", *ms, 0.0, 1e6),
+            Self::LinkDelay { ms, .. } | Self::SwitchBounces { ms, .. } => ("ms", *ms, 0.0, 1e6),
             _ => return None,
         })
     }

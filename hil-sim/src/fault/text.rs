@@ -202,6 +202,19 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
             switch: keys.word("switch")?,
             active: keys.word("active")?,
         },
+        "switch-inverted" => FaultKind::SwitchInverted {
+            axis: keys.axis()?,
+            switch: keys.word("switch")?,
+        },
+        "switch-missing" => FaultKind::SwitchMissing {
+            axis: keys.axis()?,
+            switch: keys.word("switch")?,
+        },
+        "switch-bounces" => FaultKind::SwitchBounces {
+            axis: keys.axis()?,
+            switch: keys.word("switch")?,
+            ms: keys.number("ms")?,
+        },
         "sensor-stuck" => FaultKind::SensorStuck {
             along: keys.word("along")?,
         },
@@ -294,6 +307,19 @@ impl fmt::Display for Fault {
                 write!(f, "joint-jammed axis={axis} effort={effort}")
             }
             FaultKind::Push { axis, effort } => write!(f, "push axis={axis} effort={effort}"),
+            FaultKind::SwitchInverted { axis, switch } => {
+                write!(f, "switch-inverted axis={axis} switch={}", switch.word())
+            }
+            FaultKind::SwitchMissing { axis, switch } => {
+                write!(f, "switch-missing axis={axis} switch={}", switch.word())
+            }
+            FaultKind::SwitchBounces { axis, switch, ms } => {
+                write!(
+                    f,
+                    "switch-bounces axis={axis} switch={} ms={ms}",
+                    switch.word()
+                )
+            }
             FaultKind::SwitchStuck {
                 axis,
                 switch,

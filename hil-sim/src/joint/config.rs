@@ -76,6 +76,9 @@ pub struct JointConfig {
     /// Home switch.
     #[serde(default)]
     pub home: Option<SwitchConfig>,
+    /// Switches whose line is low when they are active, as the contact opens.
+    #[serde(default)]
+    pub active_low: Vec<crate::fault::Switch>,
     /// Limit switch at the lower end: active at or below this coordinate.
     #[serde(default)]
     pub limit_low: Option<f64>,
@@ -106,6 +109,12 @@ pub struct SwitchConfig {
     pub at: f64,
     /// Side on which the switch is active.
     pub active: SwitchSide,
+    /// Distance from the trip coordinate back to the release, axis units.
+    #[serde(default)]
+    pub hysteresis: f64,
+    /// Time for which the contact bounces after a change, ms.
+    #[serde(default)]
+    pub bounce_ms: f64,
 }
 
 /// Side of a switch on which it is active.
@@ -239,6 +248,21 @@ impl JointConfig {
         {
             let problem = format!("{low} is not below limit_high = {high}; lower it");
             check.refuse(format!("{at}: limit_low"), problem);
+        }
+        if let Some(home) = &self.home {
+            check.within(format!("{at}: home: at"), home.at, -4000.0, 4000.0);
+            check.within(
+                format!("{at}: home: hysteresis"),
+                home.hysteresis,
+                0.0,
+                100.0,
+            );
+            check.within(
+                format!("{at}: home: bounce_ms"),
+                home.bounce_ms,
+                0.0,
+                1000.0,
+            );
         }
         let distance = (self.preset - self.low).min(self.high - self.preset);
         check.within(

@@ -4,6 +4,7 @@ pub mod config;
 pub mod encoder;
 pub mod mechanics;
 pub mod stepper;
+pub mod switch;
 
 pub use config::{
     DriveConfig, EncoderConfig, JointConfig, JointKind, StepDrive, SwitchConfig, SwitchSide,

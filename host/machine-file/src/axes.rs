@@ -1,14 +1,12 @@
 //! Pose coordinates and joints of a machine file.
 
 use super::document::Section;
-use super::encoder;
 use super::scale::{
     self, PER_COUNT, PER_EFFORT, PER_GAIN, per_unit, to_i32, to_i64, to_u16, to_u32,
 };
 use super::stability::{Gains, spectral_radius};
-use haptimill_firmware::config::{
-    AxisKind, Drive, Home, JointAxis, PoseAxis, ServoConfig, ServoForm,
-};
+use super::{encoder, homing};
+use haptimill_firmware::config::{AxisKind, Drive, JointAxis, PoseAxis, ServoConfig, ServoForm};
 use haptimill_machine_keys::Key;
 use haptimill_machine_keys::controller::{joint, joint_drive, joint_law, pose};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
@@ -173,7 +171,8 @@ pub fn read_joint_axis(
         preset,
     };
     let encoder = encoder::read_encoder(section, &place);
-    let home = read_home(section, encoder.is_some());
+    let home = homing::read_home(section, &place, rate, acceleration, encoder.is_some());
+    let active_low = homing::read_active_low(section);
     let ((drive, keeps_position), limit) = match section.section("drive") {
         Some(drive_section) => read_drive(drive_section, &place, rate, encoder.is_some()),
         None => ((placeholder_drive(), false), f64::NAN),
@@ -204,6 +203,7 @@ pub fn read_joint_axis(
         preset: coordinate(preset),
         home,
         encoder,
+        active_low,
         keeps_position,
     };
     let limits = AxisLimits {
@@ -239,22 +239,6 @@ const NO_LAW: ServoConfig = ServoConfig {
     ki: Gain(0),
     friction_adaptation_ms: 0,
 };
-
-/// How the joint finds its reference.
-fn read_home(section: &Section<'_, '_>, has_encoder: bool) -> Home {
-    if has_encoder && !section.has("home") {
-        return Home::Index;
-    }
-    let by_index = section.choice(joint::home, &[("index", true), ("none", false)]);
-    if by_index == Some(true) && !has_encoder {
-        let what = "\"index\" needs an encoder with an index pulse";
-        section.refuse(joint::home, what, "write \"none\", or add the encoder");
-    }
-    match by_index {
-        Some(false) => Home::Preset,
-        _ => Home::Index,
-    }
-}
 
 /// Reads the drive; returns it, whether it keeps the position of an open-loop joint, and its effort
 /// limit (infinite for step drives, NaN if not known).

@@ -15,7 +15,7 @@ pub(super) fn read_encoder(section: &Section<'_, '_>, joint: &Place) -> Option<E
         refuse_keys(section);
         return None;
     }
-    let counts = section.value(keys::counts_per_turn);
+    let counts = section.value_or(keys::counts_per_turn, None);
     let direction = section.value(keys::direction);
     let following = section.value(keys::following_error);
     if following <= 0.0 {

@@ -16,6 +16,7 @@ mod force;
 mod format;
 mod h4;
 mod haptic;
+mod homing;
 pub mod input;
 mod likeness;
 pub mod migrate;

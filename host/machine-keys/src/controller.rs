@@ -93,9 +93,15 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
     travel = real(0.01, 200.0, "mm/turn").is("motion per motor turn").named("lead_mm")
         .rotary("gear_ratio", real(0.1, 1_000.0, "motor turns per turn"));
-    home = word(&["index", "none"])
-        .is("how the joint finds its reference: by the index pulse nearest to the preset, or not at all, as it stands at its preset")
+    home = word(&["index", "switch", "switch_and_index", "none"])
+        .is("how the joint finds its reference: by the index pulse nearest to the preset, by a switch, by the index pulse next to a switch, or not at all, as it stands at its preset")
         .or_text("\"index\" with an encoder, required without one");
+    home_active = word(&["high", "low"]).is("level of the home switch's line when it is active")
+        .or_text("\"high\"");
+    limit_low_active = word(&["high", "low"])
+        .is("level of the lower limit switch's line when it is active").or_text("\"high\"");
+    limit_high_active = word(&["high", "low"])
+        .is("level of the upper limit switch's line when it is active").or_text("\"high\"");
     counts_per_turn = whole(4, 10_000_000, "counts")
         .is("encoder counts per motor turn, after x4 decoding; without it the joint has no encoder and is open loop")
         .or_absent().bounded("required with a torque drive");
@@ -123,6 +129,36 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
     index_slack_counts = whole(0, 65_535, "counts")
         .is("counts by which an index pulse may be off; 0 switches the index monitor off")
         .or_text("4, or less for a coarse encoder").bounded("below a quarter of a turn").only(super::ENCODER);
+}
+
+joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \"switch_and_index\"." {
+    home_order = whole(1, 6, "").is("the lowest number is searched first, equal ones together")
+        .or(1.0);
+    input = word(&["home", "limit_low", "limit_high"])
+        .is("the switch; a limit switch is no fault until the machine is homed")
+        .or_text("\"home\"");
+    towards = word(&["down", "up"]).is("direction in which the joint moves to its switch")
+        .bounded("down to `limit_low`, up to `limit_high`");
+    at = real(-2047.0, 2047.0, "mm")
+        .is("joint position where the switch becomes active, measured once for each machine")
+        .named("at_mm").rotary("at_deg", real(-179.0, 179.0, "deg")).bounded("within the stroke");
+    rate = real(0.001, 2000.0, "mm/s").is("rate to the switch, and off it").named("rate_mm_s")
+        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s"))
+        .bounded("at most the joint's; stops within the release distance");
+    touch_rate = real(0.001, 100.0, "mm/s").is("rate of the second touch, whose place counts")
+        .named("touch_rate_mm_s").rotary("touch_rate_deg_s", real(0.001, 30.0, "deg/s"))
+        .bounded("at most the rate to the switch");
+    back_off = real(0.01, 100.0, "mm")
+        .is("distance off the released switch, between the touches and at the end")
+        .named("back_off_mm").rotary("back_off_deg", real(0.01, 30.0, "deg"))
+        .bounded("homing ends within the stroke");
+    release = real(0.01, 200.0, "mm")
+        .is("distance within which the switch must be released, from the end of the travel too")
+        .named("release_mm").rotary("release_deg", real(0.01, 60.0, "deg"))
+        .or_text("three times the back-off");
+    travel = real(0.1, 1900.0, "mm").is("largest distance to the switch").named("travel_mm")
+        .rotary("travel_deg", real(0.1, 166.0, "deg"))
+        .or_text("1.2 times the stroke and twice the release distance");
 }
 
 joint_drive "joint.drive" "The drive of a joint." {

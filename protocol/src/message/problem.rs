@@ -379,4 +379,8 @@ pub enum HomingProblem {
     Workspace,
     /// Stopped by a command or by another fault.
     Stopped,
+    /// The home switch stays active where it must be released.
+    SwitchStuck,
+    /// The home switch came at two different places.
+    SwitchUnsteady,
 }

@@ -260,6 +260,9 @@ const fn fault_name(kind: &FaultKind) -> &'static str {
         FaultKind::JointJammed { .. } => "fault joint-jammed",
         FaultKind::Push { .. } => "fault push",
         FaultKind::SwitchStuck { .. } => "fault switch-stuck",
+        FaultKind::SwitchInverted { .. }
+        | FaultKind::SwitchMissing { .. }
+        | FaultKind::SwitchBounces { .. } => "fault of a switch",
         FaultKind::HapticArm(_) => "fault of the haptic arm",
         FaultKind::SpindleStalled => "fault spindle-stalled",
         _ => "fault of the force sensor",

@@ -115,6 +115,11 @@ impl Machine for H4 {
         pose.0[ALPHA].angle()
     }
 
+    /// Slides that move alone would leave the workspace.
+    fn joints_move_alone() -> bool {
+        false
+    }
+
     /// The slides search along x, which shifts all of them alike; the table searches by itself.
     fn search_coordinate(joint: usize) -> usize {
         if joint == ALPHA { ALPHA } else { 0 }

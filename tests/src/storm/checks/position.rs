@@ -214,8 +214,10 @@ impl Checks {
         }
         let actual = bench.latched.motor[joint];
         let counts = bench.rig.inputs().axes[joint].counts;
-        if let Some(machine) = bench.controller().machine() {
-            let per_count = machine.config.joints[joint].per_count.unsigned_abs();
+        if let Some(machine) = bench.controller().machine()
+            && let Some(encoder) = &machine.config.joints[joint].encoder
+        {
+            let per_count = encoder.per_count.unsigned_abs();
             let count = per_count as f64 / f64::from(1 << 24) / joint_unit(joint);
             (self.position).record_unseen_motion(joint, counts, actual, count);
         }

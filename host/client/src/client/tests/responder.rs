@@ -191,6 +191,7 @@ impl Responder {
             joints: AxisValues::new(),
             turns: AxisValues::new(),
             following_error: AxisValues::new(),
+            open_loop: 0,
             drive: AxisValues::new(),
             fault: None,
             deferred_bytes: 0,

@@ -1,0 +1,202 @@
+//! Homing by switches: each joint moves alone, in its own coordinate. The commanded pose waits
+//! until all joints are found.
+
+use super::Machine;
+use crate::config::{Home, SwitchInput};
+use crate::io::{AxisInputs, Inputs};
+use crate::joint::encoder::sum;
+use crate::safety::switch_search::{Seen, SwitchSearch};
+use haptimill_kinematics::Joints;
+use haptimill_math::{Acceleration, Coordinate, Rate};
+use haptimill_protocol::message::{Fault, HomingProblem, MAX_AXES};
+
+/// The search of all joints.
+#[derive(Debug, Default)]
+pub struct Switches {
+    active: bool,
+    /// Commanded joints at the start.
+    origin: Joints,
+    searches: [SwitchSearch; MAX_AXES],
+}
+
+impl Machine {
+    /// Whether joints search their switches. The pose is not commanded then.
+    #[must_use]
+    #[inline]
+    pub const fn searches_switches(&self) -> bool {
+        self.switches.active
+    }
+
+    /// Starts the search of the joints that home by a switch.
+    pub(super) fn begin_switches(&mut self) {
+        let mut joints = self.config.joints.iter();
+        self.switches = Switches {
+            active: joints.any(|axis| axis.home.switch().is_some()),
+            origin: self.target.joints,
+            ..Switches::default()
+        };
+        self.set_placed(!self.switches.active);
+    }
+
+    /// Ends the search without a result.
+    pub(super) fn leave_switches(&mut self) {
+        if self.switches.active {
+            self.switches.active = false;
+            self.set_placed(true);
+        }
+    }
+
+    /// Sets whether the strokes of the joints that home by a switch are supervised.
+    fn set_placed(&mut self, placed: bool) {
+        for (joint, axis) in self.joints.iter_mut().zip(&self.config.joints) {
+            joint.set_placed(placed || axis.home.switch().is_none());
+        }
+    }
+
+    /// One period of the search, and the joints commanded in it. Returns whether it has ended: all
+    /// joints are found, or at rest after a stop.
+    ///
+    /// # Errors
+    /// The fault that stops all joints.
+    #[inline(never)]
+    pub fn advance_switches(&mut self, inputs: &Inputs, stopping: bool) -> Result<bool, Fault> {
+        let order = self.present_order();
+        let period_us = self.config.period_us;
+        let mut rest = true;
+        for (index, axis) in self.config.joints.iter().enumerate() {
+            let (Some(config), Some(joint)) = (axis.home.switch(), self.joints.get(index)) else {
+                continue;
+            };
+            let search = &mut self.switches.searches[index];
+            if stopping || Some(config.order) != order {
+                rest &= search.halt(config, period_us);
+            } else {
+                rest = false;
+                let encoder = axis.encoder.as_ref();
+                let index_travel = match axis.home {
+                    Home::SwitchAndIndex(_) => {
+                        encoder.map(|encoder| i64::from(encoder.index_pitch.0) * 6 / 5)
+                    }
+                    _ => None,
+                };
+                let measurement = joint.measurement();
+                let seen = Seen {
+                    config,
+                    active: axis.active_switches(&inputs.axes[index]) & config.input.bit() != 0,
+                    place: measurement.coordinate,
+                    index: measurement.index.map(|(_, coordinate)| coordinate),
+                    index_travel,
+                    period_us,
+                };
+                search.advance(&seen).map_err(|problem| Fault::Homing {
+                    axis: index as u8,
+                    problem,
+                })?;
+            }
+            let moved = Coordinate(search.moved() as i32);
+            self.target.joints.0[index] = sum(axis.kind, self.switches.origin.0[index], moved);
+            self.target.rates[index] = Rate::saturating_from(search.rate());
+            let change = search.change() * 1_000_000 / i64::from(period_us.max(1)) / 256;
+            self.target.accelerations[index] = Acceleration(change as i32);
+        }
+        let found = self.present_order().is_none();
+        if found || (stopping && rest) {
+            self.place_joints(inputs, found)?;
+            self.leave_switches();
+            return Ok(true);
+        }
+        Ok(false)
+    }
+
+    /// Lowest order of the joints that are not found yet.
+    fn present_order(&self) -> Option<u8> {
+        let joints = self.config.joints.iter().zip(&self.switches.searches);
+        let missing = joints.filter(|(_, search)| !search.is_done());
+        missing
+            .filter_map(|(axis, _)| Some(axis.home.switch()?.order))
+            .min()
+    }
+
+    /// Places the joints at the coordinates of their switches; joints that were not found are
+    /// placed at their presets. Nothing moves.
+    fn place_joints(&mut self, inputs: &Inputs, found: bool) -> Result<(), Fault> {
+        let mut commanded = self.target.joints;
+        for (index, axis) in self.config.joints.iter().enumerate() {
+            let (Some(config), Some(joint)) = (axis.home.switch(), self.joints.get_mut(index))
+            else {
+                continue;
+            };
+            let motor = joint.measurement().motor;
+            let (touched, pulse) = self.switches.searches[index].found();
+            let mut by = config.coordinate.0.wrapping_sub(touched.0);
+            if !found {
+                by = axis.preset.0.wrapping_sub(motor.0);
+            } else if let (Some(pulse), Some(encoder)) = (pulse, &axis.encoder) {
+                // The pulses come once a turn of the motor.
+                let pitch = i64::from(encoder.index_pitch.0).max(1);
+                let place = i64::from(pulse.0.wrapping_add(by));
+                let off = (i64::from(encoder.index.0) - place).rem_euclid(pitch);
+                let off = if off > pitch / 2 { off - pitch } else { off };
+                if off.abs() > i64::from(encoder.search.0) {
+                    return Err(Fault::Homing {
+                        axis: index as u8,
+                        problem: HomingProblem::Implausible,
+                    });
+                }
+                by = by.wrapping_add(off as i32);
+            }
+            let counter = joint.counter(&inputs.axes[index]);
+            let shift = joint.set_reference(counter, Coordinate(motor.0.wrapping_add(by)));
+            commanded.0[index] = sum(axis.kind, commanded.0[index], shift);
+            self.homing.place(index, 0);
+        }
+        self.update_measured();
+        self.set_joints(&commanded).map_err(Fault::Pose)?;
+        self.motion.begin_jog(false);
+        Ok(())
+    }
+
+    /// Places the joints that home by a switch at their presets while the drives are off: their
+    /// positions are unknown, and nothing else keeps them within their strokes.
+    pub fn forget_joints(&mut self, inputs: &Inputs) {
+        for (index, axis) in self.config.joints.iter().enumerate() {
+            if axis.home.switch().is_some()
+                && let Some(joint) = self.joints.get_mut(index)
+            {
+                joint.set_reference(joint.counter(&inputs.axes[index]), axis.preset);
+            }
+        }
+        self.update_measured();
+    }
+
+    /// A limit switch that is active, or a drive that reports a fault, on a machine whose switches
+    /// are active at a low level or serve for homing.
+    #[cold]
+    #[inline(never)]
+    pub fn hardware_fault(&self, inputs: &[AxisInputs; MAX_AXES], homed: bool) -> Option<Fault> {
+        for (index, axis) in self.config.joints.iter().enumerate() {
+            let inputs = inputs.get(index)?;
+            let mut limits = SwitchInput::LimitLow.bit() | SwitchInput::LimitHigh.bit();
+            if let Some(home) = axis.home.switch()
+                && !homed
+            {
+                limits &= !home.input.bit();
+            }
+            if axis.active_switches(inputs) & limits != 0 {
+                return Some(Fault::LimitSwitch { axis: index as u8 });
+            }
+            if !inputs.drive_ready {
+                return Some(Fault::Drive { axis: index as u8 });
+            }
+        }
+        None
+    }
+
+    /// Whether every switch is active at a high level and none of the limits serves for homing.
+    pub(super) fn has_plain_switches(&self) -> bool {
+        self.config.joints.iter().all(|axis| {
+            let input = axis.home.switch().map(|switch| switch.input);
+            axis.active_low == 0 && !input.is_some_and(|input| input != SwitchInput::Home)
+        })
+    }
+}
