@@ -79,7 +79,29 @@ fn to_format_2(edited: &mut DocumentMut, changes: &mut Vec<String>) {
             changes.push(format!("{} became {}", renamed.from, renamed.to));
         }
     }
+    remove_laws_of_step_drives(edited, changes);
     add_geometry(edited, changes);
+}
+
+/// Removes the servo loops of step drives, which format 1 required and the controller did not use.
+fn remove_laws_of_step_drives(edited: &mut DocumentMut, changes: &mut Vec<String>) {
+    let joints = edited
+        .get_mut("joint")
+        .and_then(Item::as_array_of_tables_mut);
+    for (index, joint) in joints
+        .into_iter()
+        .flat_map(|joints| joints.iter_mut())
+        .enumerate()
+    {
+        let kind = joint.get("drive").and_then(|drive| drive.get("kind"));
+        let has_step_drive = kind.and_then(Item::as_str) == Some("step");
+        if has_step_drive && joint.remove("law").is_some() {
+            changes.push(format!(
+                "joint[{}].law was removed: a step drive has its own servo loop",
+                index + 1
+            ));
+        }
+    }
 }
 
 /// Adds the geometry of the simulated machine, which format 1 took to be the joints themselves.
