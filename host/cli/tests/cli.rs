@@ -413,9 +413,14 @@ fn tables_of_every_machine_invert_each_other() {
         let mut arguments = vec!["kin".to_string(), "ik".to_string(), "--strokes".to_string()];
         arguments.extend(["--machine".to_string(), file.clone()]);
         for axis in &machine.pose {
-            let (low, third) = (axis.low, (axis.high - axis.low) / 3.0);
+            // A coordinate that wraps around has no limits.
+            let (low, high) = match axis.low.is_finite() {
+                true => (axis.low, axis.high),
+                false => (-150.0, 150.0),
+            };
+            let third = (high - low) / 3.0;
             arguments.push("--grid".to_string());
-            arguments.push(format!("{}={low}:{}:{third}", axis.name, axis.high));
+            arguments.push(format!("{}={low}:{high}:{third}", axis.name));
         }
         let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
         let ran = haptimill(&arguments, "");

@@ -285,7 +285,7 @@ mod tests {
         // Angles count on over the turns of the joint of their name.
         telemetry.turns = [0, 0, 0, 0, 2].into_iter().collect();
         let row = columns.row(&telemetry);
-        assert_eq!(row.matches(",720.000088").count(), 3, "{row}");
+        assert_eq!(row.matches(",720.087891").count(), 3, "{row}");
         telemetry.measured.clear();
         telemetry.force = None;
         assert_eq!(count(&columns.row(&telemetry)), count(&columns.header()));
