@@ -83,11 +83,17 @@ impl Machine {
     /// Words of a block: `linear` mm and `rotary` degrees from the home pose in each coordinate.
     fn point(&self, linear: f64, rotary: f64) -> String {
         let axes = self.descriptor().pose.iter().zip(&self.home);
-        axes.map(|(axis, at)| {
+        let axes = axes.zip(&self.machine.config.pose);
+        axes.map(|((axis, at), limits)| {
             let by = match axis.kind {
                 AxisKind::Linear => linear,
                 AxisKind::Rotary => rotary,
             };
+            if limits.wraps() {
+                // The sign is the direction.
+                let sign = if by < 0.0 { "-" } else { "" };
+                return format!(" {}{sign}{:.4}", axis.letter, (at + by).rem_euclid(360.0));
+            }
             format!(" {}{:.4}", axis.letter, at + by)
         })
         .collect()

@@ -174,7 +174,7 @@ fn mistakes_are_reported_as_json() {
     let out = folder.path("out");
     let bad = folder.file("bad.ngc", "G21 G90\nG1 X1 F100\nG1 Q5 X2\n   M98 P1\n");
     let far = folder.file("far.ngc", "G21 G90 F600\n\nG1 X1999\n");
-    let wrong = folder.file("wrong.toml", "name = 5\n");
+    let wrong = folder.file("wrong.toml", "format = 2\nname = 5\n");
     for (arguments, code, places) in [
         (
             &["run", &bad, "--json", "--out", &out][..],
@@ -183,7 +183,7 @@ fn mistakes_are_reported_as_json() {
         ),
         (&["run", &bad, "--check", "--json"], 3, &[(3, 4), (4, 4)]),
         (&["run", &far, "--json", "--out", &out], 4, &[(3, 4)]),
-        (&["run", &bad, "--machine", &wrong, "--json"], 3, &[(1, 8)]),
+        (&["run", &bad, "--machine", &wrong, "--json"], 3, &[(2, 8)]),
     ] {
         let ran = haptimill(arguments).expect_code(code);
         let told = ran.json();
