@@ -500,7 +500,7 @@ fn pause_waits_for_enter_and_ignores_an_earlier_one() {
     let mut run = scene::start_with(&run, input.into());
     // An Enter during homing skips no pause.
     enter();
-    run.wait_for_error("line 2: the program pauses; press Enter");
+    run.wait_for_error("line 2 (turn the work): the program pauses; press Enter");
     let paused = Instant::now();
     while paused.elapsed() < Duration::from_millis(700) {
         assert!(run.runs(), "{:?}", run.end());
