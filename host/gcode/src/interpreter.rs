@@ -103,14 +103,14 @@ impl<'a> Interpreter<'a> {
     /// move ends at its programmed end and the probe changes there.
     pub fn report_probe(&mut self, at: &Coordinates, changed: bool) {
         let mut here = self.executor.state.at;
-        for axis in 0..AXES.len() {
+        for (axis, slot) in here.iter_mut().enumerate() {
             if let Some(value) = self
                 .executor
                 .out
                 .coordinate(axis)
                 .and_then(|index| at.get(index))
             {
-                here[axis] = *value;
+                *slot = *value;
             }
         }
         self.executor.state.at = here;

@@ -42,7 +42,7 @@ pub fn read(file: &str, text: &[u8], options: &Options) -> Result<Program, Refus
     let mut interpreter = Interpreter::new(Cursor::new(text), options);
     interpreter.keep_comments();
     let (mut steps, mut problems, mut more) = (Vec::new(), Vec::new(), 0);
-    while let Some(next) = interpreter.next() {
+    for next in interpreter.by_ref() {
         match next {
             Ok(step) if problems.is_empty() => steps.push(step),
             Ok(_) => {}

@@ -101,8 +101,8 @@ impl Curve for Nurbs<'_> {
         for level in 1..=degree {
             if level == degree {
                 let width = self.knot(first + 1) - self.knot(first);
-                for k in 0..3 {
-                    slope[k] = degree as f64 * (values[degree][k] - values[degree - 1][k]) / width;
+                for (k, slope) in slope.iter_mut().enumerate() {
+                    *slope = degree as f64 * (values[degree][k] - values[degree - 1][k]) / width;
                 }
             }
             for j in (level..=degree).rev() {
