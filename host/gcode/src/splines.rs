@@ -109,8 +109,9 @@ impl Curve for Nurbs<'_> {
                 let low = self.knot(self.span + j);
                 let high = self.knot(first + 1 + j - level);
                 let share = (t - low) / (high - low);
-                for k in 0..3 {
-                    values[j][k] = (1.0 - share) * values[j - 1][k] + share * values[j][k];
+                let before = values[j - 1];
+                for (value, before) in values[j].iter_mut().zip(before) {
+                    *value = (1.0 - share) * before + share * *value;
                 }
             }
         }

@@ -203,14 +203,14 @@ struct Modes {
 impl Modes {
     fn machine(&self, values: &[f64]) -> [f64; 6] {
         let mut at = [0.0; 6];
-        for axis in 0..6 {
+        for (axis, place) in at.iter_mut().enumerate() {
             let scale = if axis < 3 { self.unit } else { 1.0 };
-            at[axis] = values.get(axis).copied().unwrap_or(0.0) * scale + self.g92[axis];
+            *place = values.get(axis).copied().unwrap_or(0.0) * scale + self.g92[axis];
         }
         let (sin, cos) = self.rotation.to_radians().sin_cos();
         [at[0], at[1]] = [at[0] * cos - at[1] * sin, at[0] * sin + at[1] * cos];
-        for axis in 0..6 {
-            at[axis] += self.origin[axis] + self.tool[axis];
+        for (axis, place) in at.iter_mut().enumerate() {
+            *place += self.origin[axis] + self.tool[axis];
         }
         at
     }
@@ -261,8 +261,7 @@ fn run_theirs(rs274: &str, file: &Path, tools: &Path, folder: &Path) -> Result<R
         let message = errors
             .lines()
             .chain(text.lines().filter(|line| !line.contains(" N")))
-            .filter(|line| !line.trim().is_empty() && *line != "executing")
-            .next_back()
+            .rfind(|line| !line.trim().is_empty() && *line != "executing")
             .unwrap_or("no program end")
             .to_owned();
         if !output.status.success() {
@@ -320,8 +319,8 @@ fn element(line: &str, modes: &mut Modes, elements: &mut Vec<Element>) {
             let [first, second, normal] = modes.plane;
             let mut end = [0.0; 6];
             (end[first], end[second], end[normal]) = (values[0], values[1], values[5]);
-            for axis in 3..6 {
-                end[axis] = values.get(axis + 3).copied().unwrap_or(0.0);
+            for (end, value) in end[3..].iter_mut().zip(values.iter().skip(6)) {
+                *end = *value;
             }
             let mut centre = end;
             (centre[first], centre[second]) = (values[2], values[3]);
