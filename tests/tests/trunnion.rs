@@ -66,8 +66,8 @@ proptest! {
             *unit = raw(axis, joints[axis]);
         }
         let measured = MACHINE.config.kinematics().forward(&units).expect("a pose");
-        for axis in 0..3 {
-            let off = f64::from(measured.0[axis].0) / f64::from(1 << 20) - pose[axis];
+        for (axis, (measured, truth)) in measured.0.iter().zip(pose).take(3).enumerate() {
+            let off = f64::from(measured.0) / f64::from(1 << 20) - truth;
             prop_assert!(off.abs() < 5e-6, "axis {axis} is off by {off}");
         }
         prop_assert_eq!(&pose[3..5], &joints[3..5]);

@@ -134,8 +134,8 @@ fn a_program_turns_the_table_many_times_forwards_and_back() {
     // Each round ends at -675 degrees, and the shorter way home is 45 degrees down.
     let off = truth.joints[C] - 2.0 * (-675.0 - 45.0);
     assert!(off.abs() < 0.05, "the table is off by {off} degrees");
-    for axis in 0..3 {
-        let off = truth.pose[axis] - start[axis];
+    for (axis, (truth, start)) in truth.pose.iter().zip(&start).take(3).enumerate() {
+        let off = truth - start;
         assert!(off.abs() < 0.05, "axis {axis} is off by {off} mm");
     }
 
