@@ -49,6 +49,19 @@ pub struct CoordinateDescriptor {
     pub role: Role,
 }
 
+impl CoordinateDescriptor {
+    /// A coordinate with this name, kind, program letter and role.
+    #[must_use]
+    pub const fn new(name: &'static str, kind: AxisKind, letter: char, role: Role) -> Self {
+        Self {
+            name,
+            kind,
+            letter,
+            role,
+        }
+    }
+}
+
 /// A joint of a machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct JointDescriptor {
@@ -56,6 +69,14 @@ pub struct JointDescriptor {
     pub name: &'static str,
     /// Linear or rotary.
     pub kind: AxisKind,
+}
+
+impl JointDescriptor {
+    /// A joint with this name and kind.
+    #[must_use]
+    pub const fn new(name: &'static str, kind: AxisKind) -> Self {
+        Self { name, kind }
+    }
 }
 
 /// Coordinates and joints of a machine, in the order of [`crate::Pose`] and [`crate::Joints`].

@@ -162,24 +162,6 @@ impl Trunnion {
     }
 }
 
-const fn coordinate(
-    name: &'static str,
-    kind: AxisKind,
-    letter: char,
-    role: Role,
-) -> CoordinateDescriptor {
-    CoordinateDescriptor {
-        name,
-        kind,
-        letter,
-        role,
-    }
-}
-
-const fn joint(name: &'static str, kind: AxisKind) -> JointDescriptor {
-    JointDescriptor { name, kind }
-}
-
 impl Machine for Trunnion {
     type Geometry = TrunnionGeometry;
 
@@ -188,18 +170,18 @@ impl Machine for Trunnion {
         Descriptor {
             code: "trunnion",
             pose: &[
-                coordinate("x", Linear, 'X', Role::ToolX),
-                coordinate("y", Linear, 'Y', Role::ToolY),
-                coordinate("z", Linear, 'Z', Role::ToolZ),
-                coordinate("a", Rotary, 'A', Role::WorkpieceRotation),
-                coordinate("c", Rotary, 'C', Role::None),
+                CoordinateDescriptor::new("x", Linear, 'X', Role::ToolX),
+                CoordinateDescriptor::new("y", Linear, 'Y', Role::ToolY),
+                CoordinateDescriptor::new("z", Linear, 'Z', Role::ToolZ),
+                CoordinateDescriptor::new("a", Rotary, 'A', Role::WorkpieceRotation),
+                CoordinateDescriptor::new("c", Rotary, 'C', Role::None),
             ],
             joints: &[
-                joint("lx", Linear),
-                joint("ly", Linear),
-                joint("lz", Linear),
-                joint("a", Rotary),
-                joint("c", Rotary),
+                JointDescriptor::new("lx", Linear),
+                JointDescriptor::new("ly", Linear),
+                JointDescriptor::new("lz", Linear),
+                JointDescriptor::new("a", Rotary),
+                JointDescriptor::new("c", Rotary),
             ],
         }
     };

@@ -38,24 +38,6 @@ pub struct H4Geometry {
     pub singularity_margin: Length,
 }
 
-const fn coordinate(
-    name: &'static str,
-    kind: AxisKind,
-    letter: char,
-    role: Role,
-) -> CoordinateDescriptor {
-    CoordinateDescriptor {
-        name,
-        kind,
-        letter,
-        role,
-    }
-}
-
-const fn joint(name: &'static str, kind: AxisKind) -> JointDescriptor {
-    JointDescriptor { name, kind }
-}
-
 impl Machine for H4 {
     type Geometry = H4Geometry;
 
@@ -64,18 +46,18 @@ impl Machine for H4 {
         Descriptor {
             code: "h4",
             pose: &[
-                coordinate("x", Linear, 'X', Role::ToolX),
-                coordinate("y", Linear, 'Y', Role::ToolY),
-                coordinate("z", Linear, 'Z', Role::ToolZ),
-                coordinate("theta", Rotary, 'B', Role::ToolTilt),
-                coordinate("alpha", Rotary, 'A', Role::WorkpieceRotation),
+                CoordinateDescriptor::new("x", Linear, 'X', Role::ToolX),
+                CoordinateDescriptor::new("y", Linear, 'Y', Role::ToolY),
+                CoordinateDescriptor::new("z", Linear, 'Z', Role::ToolZ),
+                CoordinateDescriptor::new("theta", Rotary, 'B', Role::ToolTilt),
+                CoordinateDescriptor::new("alpha", Rotary, 'A', Role::WorkpieceRotation),
             ],
             joints: &[
-                joint("l1", Linear),
-                joint("l2", Linear),
-                joint("l3", Linear),
-                joint("l4", Linear),
-                joint("alpha", Rotary),
+                JointDescriptor::new("l1", Linear),
+                JointDescriptor::new("l2", Linear),
+                JointDescriptor::new("l3", Linear),
+                JointDescriptor::new("l4", Linear),
+                JointDescriptor::new("alpha", Rotary),
             ],
         }
     };
