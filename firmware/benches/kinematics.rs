@@ -1,12 +1,15 @@
-//! Time of one pose through the H-4 arm's kinematics, and of the functions it is made of.
+//! Time of one pose through the kinematics of the H-4 arm and of the faceting machine, and of the
+//! functions they are made of.
 //!
-//! Each figure is the mean over an array of varied arguments, so neither a branch nor a table entry
-//! can be learnt by heart.
+//! Each figure is the mean over an array of varied arguments, so neither a branch predictor
+//! nor a cache learns the sequence.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use haptimill_kinematics::facet::chain::{Chain, ChainJoints};
+use haptimill_kinematics::facet::{Facet, FacetGeometry};
 use haptimill_kinematics::h4::H4;
 use haptimill_kinematics::h4::H4Geometry;
-use haptimill_kinematics::{Accelerations, Joints, Kinematics, Pose, Rates};
+use haptimill_kinematics::{Accelerations, Joints, Kinematics, Machine, Pose, Rates};
 use haptimill_math::root::isqrt;
 use haptimill_math::trig::{atan2, sin_cos};
 use haptimill_math::{Acceleration, Angle, Coordinate, Length, Rate};
@@ -113,6 +116,64 @@ fn kinematics(criterion: &mut Criterion) {
     group.finish();
 }
 
+/// The faceting machine over all quadrants: its pose, and the chain with the residuals of a frame.
+fn facet(criterion: &mut Criterion) {
+    let geometry = FacetGeometry {
+        l2: Length::millimetres(280),
+        l3: Length::millimetres(24),
+        l4: Length::millimetres(166),
+        z_lap: Length::millimetres(40),
+        lap_in_z: false,
+        theta2_zero: Angle::HALF,
+    };
+    let (machine, chain) = (Facet::new(&geometry), Chain::new(&geometry));
+    let mut sequence = Sequence(4);
+    let mut random = |size: i32| Coordinate(sequence.within(size));
+    let poses: Vec<Pose> = (0..COUNT)
+        .map(|_| {
+            let [x, y, z] = [100, 20, 100].map(|mm| random(mm << 20));
+            let [angle, index] = [(); 2].map(|()| random(i32::MAX));
+            Pose([x, y, z, angle, index, Coordinate::ZERO])
+        })
+        .collect();
+    let inverse = |pose| machine.inverse(pose).unwrap();
+    let joints: Vec<Joints> = poses.iter().map(inverse).collect();
+    let links: Vec<ChainJoints> = joints.iter().map(|at| machine.chain(at)).collect();
+    let frames: Vec<_> = links.iter().map(|at| chain.forward(at).unwrap()).collect();
+
+    let mut group = criterion.benchmark_group("facet");
+    group.throughput(Throughput::Elements(COUNT as u64));
+    group.bench_function("inverse", |bencher| {
+        bencher.iter(|| {
+            for pose in &poses {
+                let _ = black_box(machine.inverse(black_box(pose)));
+            }
+        });
+    });
+    group.bench_function("forward", |bencher| {
+        bencher.iter(|| {
+            for joints in &joints {
+                let _ = black_box(machine.forward(black_box(joints)));
+            }
+        });
+    });
+    group.bench_function("chain_forward", |bencher| {
+        bencher.iter(|| {
+            for links in &links {
+                let _ = black_box(chain.forward(black_box(links)));
+            }
+        });
+    });
+    group.bench_function("chain_inverse", |bencher| {
+        bencher.iter(|| {
+            for frame in &frames {
+                let _ = black_box(chain.inverse(black_box(frame)));
+            }
+        });
+    });
+    group.finish();
+}
+
 fn functions(criterion: &mut Criterion) {
     let mut sequence = Sequence(3);
     let words: Vec<i32> = (0..COUNT).map(|_| sequence.next() as i32).collect();
@@ -146,5 +207,5 @@ fn functions(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, kinematics, functions);
+criterion_group!(benches, kinematics, facet, functions);
 criterion_main!(benches);

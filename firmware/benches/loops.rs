@@ -36,7 +36,7 @@ fn axis(drive: Drive) -> JointAxis {
             per_count: 21_990_232_556,
             following: Coordinate(1 << 18),
             following_lag: 0,
-            still: Coordinate(1 << 17),
+            stuck_distance: Coordinate(1 << 17),
             index: Coordinate(0),
             index_pitch: Coordinate(10 << 20),
             index_slack: 4,

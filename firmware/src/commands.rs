@@ -13,7 +13,7 @@ pub(crate) use setpoint::enqueue_setpoint;
 use crate::comm::server::Server;
 use crate::comm::telemetry::Stream;
 use crate::config::Config;
-use crate::config::HAND;
+use crate::config::HAPTICS;
 use crate::core::Core;
 use crate::faults::hardware;
 use crate::io::Inputs;
@@ -95,8 +95,8 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         Command::MasterPose {
             epoch,
             age_ms,
-            pose: hand,
-        } => haptics::set_remote_master(core, epoch, age_ms, &hand),
+            pose: master,
+        } => haptics::set_remote_master(core, epoch, age_ms, &master),
         Command::RemoteForce { force } => {
             haptics::haptic_arm(core).map(|arm| arm.set_remote_force(force))
         }
@@ -106,7 +106,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
             upper,
             fixture: wall,
         } => haptics::set_wall(core, axis, upper, wall),
-        Command::PositionScale { scale } => haptics::set_hand_scale(core, scale),
+        Command::PositionScale { scale } => haptics::set_position_scale(core, scale),
         Command::MasterTelemetry { every } => {
             server.streams().set(Stream::Haptic, every);
             Ok(())
@@ -115,6 +115,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         Command::SetAnalogOutput { output, code } => {
             named_io::set_analog_output(core, output, code)
         }
+        Command::Compensation { on } => set_compensation(core, on),
         Command::ArmProbe { input, active } => {
             named_io::arm_probe(core, Probing { input, active }, inputs)
         }
@@ -148,7 +149,7 @@ fn activate(
     }
     let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
     // CRC and schema match, so an unreadable part is one that this controller was built without.
-    let unreadable = if HAND {
+    let unreadable = if HAPTICS {
         ConfigField::Encoding
     } else {
         ConfigField::Haptic
@@ -162,7 +163,7 @@ fn activate(
         return Err(problem(ConfigField::Period));
     }
     let positions = core.machine.as_ref().map(Machine::positions);
-    let hand = core
+    let master = core
         .machine
         .as_ref()
         .and_then(Machine::haptic_encoder_state);
@@ -179,7 +180,7 @@ fn activate(
         core.safety.lose_position();
         core.job.preset_valid = false;
     }
-    if let (Some(positions), false) = (&hand, at_preset) {
+    if let (Some(positions), false) = (&master, at_preset) {
         machine.take_over_haptics(positions);
     }
     Ok(())
@@ -300,6 +301,13 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
     core.job.spindle_stopped = false;
     core.job.saturated = 0;
     core.safety.enter(State::Run);
+    Ok(())
+}
+
+fn set_compensation(core: &mut Core, on: bool) -> Done {
+    let machine = core.configured()?;
+    let compensation = machine.compensation.as_mut();
+    compensation.ok_or(Refusal::NoErrorTables)?.want(on);
     Ok(())
 }
 

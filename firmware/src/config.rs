@@ -7,6 +7,7 @@
 
 mod check;
 pub mod digest;
+pub mod volumetric;
 
 use crate::force::ForceConfig;
 use crate::haptics::config::{FollowConfig, HapticConfig};
@@ -18,12 +19,13 @@ use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use haptimill_protocol::message::MAX_AXES;
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
+use volumetric::VolumetricConfig;
 
-/// Whether this controller was built with the haptic arm (feature `hand`).
+/// Whether this controller was built with the haptic arm (feature `haptics`).
 ///
 /// Without it the controller refuses a configuration with a haptic arm, and the compiler omits the
 /// code of the arm.
-pub const HAND: bool = cfg!(feature = "hand");
+pub const HAPTICS: bool = cfg!(feature = "haptics");
 
 /// All machine data of a controller.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -47,13 +49,15 @@ pub struct Config {
     /// Force sensor and force control, if the machine has them.
     pub force: Option<ForceConfig>,
     /// Mapping from a master to the tool, if a master can lead it.
-    #[cfg_attr(not(feature = "hand"), serde(deserialize_with = "absent"))]
+    #[cfg_attr(not(feature = "haptics"), serde(deserialize_with = "absent"))]
     pub follow: Option<FollowConfig>,
     /// The haptic arm, if there is one.
-    #[cfg_attr(not(feature = "hand"), serde(deserialize_with = "absent"))]
+    #[cfg_attr(not(feature = "haptics"), serde(deserialize_with = "absent"))]
     pub haptic: Option<HapticConfig>,
     /// Named inputs and outputs.
     pub io: IoConfig,
+    /// Volumetric compensation, if the errors of the machine are known.
+    pub volumetric: Option<VolumetricConfig>,
 }
 
 impl Config {
@@ -251,7 +255,7 @@ pub struct EncoderAxis {
     /// Increase of the following-error limit with the commanded rate, in 2^-16 s of travel.
     pub following_lag: u32,
     /// Encoder-stuck distance: commanded motion without a count that is a fault.
-    pub still: Coordinate,
+    pub stuck_distance: Coordinate,
     /// Coordinate of the index pulse nearest to the preset.
     pub index: Coordinate,
     /// Distance from one index pulse to the next: one turn of the motor.
@@ -358,12 +362,12 @@ pub struct Homing {
     /// Rate of linear coordinates.
     pub rate: Rate,
     /// Rate of rotary coordinates.
-    pub table_rate: Rate,
+    pub rotary_rate: Rate,
 }
 
 /// Deserializes a part that this controller was built without: `None`, or an error if the
 /// configuration has the part. The part is not decoded, which saves the code for it.
-#[cfg(not(feature = "hand"))]
+#[cfg(not(feature = "haptics"))]
 fn absent<'de, D: serde::Deserializer<'de>, T>(deserializer: D) -> Result<Option<T>, D::Error> {
     enum Never {}
     impl<'de> Deserialize<'de> for Never {

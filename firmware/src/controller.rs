@@ -105,7 +105,7 @@ impl Controller {
         profiler.mark(Stage::Interlock);
     }
 
-    /// Takes the bytes of this period, answers a greeting, and gives the next message.
+    /// Takes the bytes of this period, answers a Hello, and gives the next message.
     #[inline]
     fn receive(&mut self, inputs: &Inputs) -> Option<Incoming> {
         if self.server.take_bytes(inputs) {
@@ -250,6 +250,9 @@ impl Core {
         let Some(machine) = &mut self.machine else {
             return;
         };
+        let known = self.safety.homed() && self.safety.position_kept();
+        let moves = !matches!(self.safety.state(), State::Homing | State::Fault);
+        machine.fade_compensation(self.safety.drives_on(), known && moves);
         if self.safety.drives_on() {
             if let Err(error) = machine.solve() {
                 self.safety.raise(Fault::Pose(error));

@@ -29,3 +29,4 @@ pub mod pil;
 pub mod profiler;
 pub mod safety;
 pub mod snapshot;
+pub mod volumetric;

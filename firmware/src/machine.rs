@@ -5,6 +5,7 @@
 
 mod compliance;
 mod configure;
+mod correction;
 mod enable;
 mod joint_rates;
 pub mod masters;
@@ -20,6 +21,7 @@ use crate::motion::interpolator::Progress;
 use crate::motion::{Mode, Motion, PoseCommand};
 use crate::named_io::{NamedIo, ProbeLatch};
 use crate::safety::homing::Homing;
+use crate::volumetric::Compensation;
 use configure::PARTS;
 pub use configure::{EncoderScaling, PositionSnapshot};
 use haptimill_kinematics::BoundedKinematics;
@@ -68,6 +70,8 @@ pub struct Machine {
     pub masters: Masters,
     /// Named inputs and outputs.
     pub io: NamedIo,
+    /// Volumetric compensation, on a machine with error tables.
+    pub compensation: Option<Compensation>,
     /// Reference p_r on a machine with force control; unused without it.
     reference: PoseCommand,
     /// Hold-off before a compliance-limit event is reported again, in periods.
@@ -230,7 +234,8 @@ impl Machine {
     #[inline]
     fn measure_pose(&mut self) {
         if self.force.is_some() {
-            self.measured_pose = self.kinematics.forward(&self.measured).ok();
+            let measured = self.kinematics.forward(&self.measured).ok();
+            self.measured_pose = measured.map(|pose| self.uncorrected(pose));
         }
     }
 
@@ -240,7 +245,10 @@ impl Machine {
     pub fn measured_pose(&self) -> Option<Pose> {
         match self.force {
             Some(_) => self.measured_pose,
-            None => self.kinematics.forward(&self.measured).ok(),
+            None => {
+                let measured = self.kinematics.forward(&self.measured).ok();
+                measured.map(|pose| self.uncorrected(pose))
+            }
         }
     }
 
@@ -286,7 +294,13 @@ impl Machine {
         if self.is_compliant() {
             return self.solve_reference();
         }
-        let commanded = self.motion.commanded();
+        let mut commanded = self.motion.commanded();
+        if let (Some(compensation), Some(tables)) =
+            (&mut self.compensation, &self.config.volumetric)
+            && compensation.is_active()
+        {
+            commanded = compensation.correct(tables, commanded, self.config.period_us);
+        }
         self.kinematics.solve(
             &commanded.pose,
             &commanded.rates,
@@ -400,6 +414,7 @@ impl Machine {
             self.values(|index| self.joints[index].servo_output().following_error.0);
         sample.drive = self.drive_values(inputs);
         sample.open_loop = self.open_loop();
+        sample.compensation = self.compensation.as_ref().map(Compensation::percent);
     }
 
     /// Joints without an encoder, one bit each.

@@ -24,6 +24,8 @@ pub struct Snapshot {
     pub position_kept: bool,
     /// A fault is latched.
     pub fault: bool,
+    /// Volumetric compensation is in full effect.
+    pub compensated: bool,
     /// Number of the setpoint at which the present segment ends.
     pub setpoint: u32,
     /// Setpoints in the queue, at most [`QUEUE`].
@@ -49,7 +51,7 @@ pub struct Snapshot {
     /// Force on the tool, on a machine with a force sensor.
     pub force: ForceSnapshot,
     /// The haptic arm, on a machine that has one.
-    pub hand: HapticSnapshot,
+    pub haptic: HapticSnapshot,
     /// Named inputs and outputs.
     pub io: IoSnapshot,
 }
@@ -89,6 +91,8 @@ impl Controller {
         snapshot.homed = safety.homed();
         snapshot.position_kept = safety.position_kept();
         snapshot.fault = safety.fault().is_some();
+        let compensation = machine.compensation.as_ref();
+        snapshot.compensated = compensation.is_some_and(|it| it.is_complete());
         snapshot.setpoint = program.reached();
         snapshot.queued = program.queued() as u16;
         snapshot.more = !program.is_complete();
@@ -125,9 +129,9 @@ impl Controller {
             None => snapshot.force = ForceSnapshot::default(),
         }
         match machine.masters.arm() {
-            Some(arm) => snapshot.hand = arm.snapshot(),
+            Some(arm) => snapshot.haptic = arm.snapshot(),
             // Without the feature there is never an arm, so the values stay 0.
-            None if cfg!(feature = "hand") => snapshot.hand = HapticSnapshot::default(),
+            None if cfg!(feature = "haptics") => snapshot.haptic = HapticSnapshot::default(),
             None => {}
         }
         true

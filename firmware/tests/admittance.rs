@@ -5,7 +5,7 @@ use haptimill_firmware::force::admittance::{
     AdmittanceAxis, AdmittanceLaw, DrivingForce, Yielding,
 };
 use haptimill_firmware::force::zero_order_hold::{FINENESS, ZeroOrderHold, sound};
-use haptimill_firmware::force::{ForceParameter, Gate, LoopSettings};
+use haptimill_firmware::force::{EnableCondition, ForceParameter, LoopSettings};
 use haptimill_math::force::{Displacement, Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Length, Rate};
 use proptest::prelude::*;
@@ -17,14 +17,14 @@ const NEWTON: f64 = 65_536.0;
 const DELAY_US: u32 = 20_000;
 const RANGE: Force = Force::millinewtons(95_000);
 
-fn settings(mass: f64, damping: f64, gate: Gate) -> LoopSettings {
+fn settings(mass: f64, damping: f64, enable_condition: EnableCondition) -> LoopSettings {
     LoopSettings {
         desired: Force::millinewtons(5000),
         mass: VirtualMass((mass * NEWTON).round() as u32),
         damping: VirtualDamping((damping * NEWTON).round() as u32),
         limit: Length::millimetres(10),
         rate: Rate(50 << 20),
-        gate,
+        enable_condition,
     }
 }
 
@@ -87,14 +87,14 @@ proptest! {
         prop_assert!((rate as f64 / unit - exact_rate * time).abs() < f64::exp2(-37.0) + path * f64::exp2(-28.0));
     }
 
-    /// The whole law of an axis, with its clamp, gate, landing and limit, over 30 s.
+    /// The whole law of an axis, with its clamp, enable condition, landing and limit, over 30 s.
     #[test]
     fn admittance_law_matches_f64(
         mass in 0.1f64..4.0, damping in 0.6f64..40.0, period in prop::sample::select(vec![100u16, 200, 500, 1000]),
         force in -30.0f64..30.0, swing in 0.0f64..20.0, frequency in 0.02f64..3.0, open in any::<bool>(),
     ) {
-        let gate = if open { Gate::Any } else { Gate::AgainstMotion };
-        let settings = settings(mass, damping, gate);
+        let enable_condition = if open { EnableCondition::Any } else { EnableCondition::AgainstMotion };
+        let settings = settings(mass, damping, enable_condition);
         let Ok(law) = AdmittanceLaw::new(&settings, period, DELAY_US, RANGE) else { return Ok(()) };
         let mut fixed = AdmittanceAxis::new(law);
         let time = f64::from(period) * 1e-6;
@@ -138,7 +138,7 @@ proptest! {
         mass in 0.001f64..1000.0, damping in 0.1f64..1000.0, period in 50u16..=1000, limit in 1i32..=64 << 20, rate in 1i32..,
         inputs in prop::collection::vec((any::<i32>(), any::<i32>(), any::<bool>(), any::<bool>(), 0usize..20, 1u8..40), 1..60),
     ) {
-        let mut settings = settings(mass, damping, Gate::Any);
+        let mut settings = settings(mass, damping, EnableCondition::Any);
         (settings.limit, settings.rate) = (Length(limit), Rate(rate));
         let Ok(law) = AdmittanceLaw::new(&settings, period, DELAY_US, RANGE) else { return Ok(()) };
         let mut compliance = AdmittanceAxis::new(law);
@@ -159,7 +159,7 @@ proptest! {
     /// A refusal names a bound, and the bound is where the refusal ends.
     #[test]
     fn bounds_are_bounds(mass_raw: u32, damping_raw: u32, desired: i32, limit: i32, rate: i32, period in 50u16..=1000) {
-        let mut settings = settings(1.0, 5.0, Gate::Any);
+        let mut settings = settings(1.0, 5.0, EnableCondition::Any);
         settings.mass = VirtualMass(mass_raw >> (mass_raw % 32));
         settings.damping = VirtualDamping(damping_raw >> (damping_raw % 32));
         settings.desired = Force(desired >> (desired & 15));
@@ -188,7 +188,7 @@ proptest! {
         force in 6.0f64..30.0, periods in 100u32..20_000, limit in 0.01f64..10.0,
     ) {
         let make = |(mass, damping, desired): (f64, f64, f64), limit: f64| {
-            let mut settings = settings(mass, damping, Gate::Any);
+            let mut settings = settings(mass, damping, EnableCondition::Any);
             settings.desired = Force((desired * NEWTON) as i32);
             settings.limit = Length((limit * MM) as i32);
             AdmittanceLaw::new(&settings, 200, DELAY_US, RANGE).expect("sound")
@@ -218,8 +218,13 @@ proptest! {
 #[test]
 fn tool_jump_at_a_change_of_gains() {
     let law = |mass, damping| {
-        AdmittanceLaw::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE)
-            .expect("sound")
+        AdmittanceLaw::new(
+            &settings(mass, damping, EnableCondition::Any),
+            200,
+            DELAY_US,
+            RANGE,
+        )
+        .expect("sound")
     };
     let mut compliance = AdmittanceAxis::new(law(1.0, 5.0));
     let (mut largest, mut last, mut speed) = (0.0f64, 0.0, 0.0);
@@ -247,7 +252,13 @@ fn tool_jump_at_a_change_of_gains() {
 #[test]
 fn integral_of_force_error_matches_the_equation() {
     let mut compliance = AdmittanceAxis::new(
-        AdmittanceLaw::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
+        AdmittanceLaw::new(
+            &settings(1.0, 5.0, EnableCondition::Any),
+            200,
+            DELAY_US,
+            RANGE,
+        )
+        .expect("sound"),
     );
     let (mut impulse, mut now) = (0.0, Yielding::default());
     for k in 0..25_000 {
@@ -267,7 +278,13 @@ fn integral_of_force_error_matches_the_equation() {
 #[test]
 fn accelerations_are_derivatives_of_rates() {
     let mut compliance = AdmittanceAxis::new(
-        AdmittanceLaw::new(&settings(0.5, 3.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
+        AdmittanceLaw::new(
+            &settings(0.5, 3.0, EnableCondition::Any),
+            200,
+            DELAY_US,
+            RANGE,
+        )
+        .expect("sound"),
     );
     let mut last = Yielding::default();
     for k in 0..4000 {
@@ -290,26 +307,27 @@ fn accelerations_are_derivatives_of_rates() {
 /// met.
 #[test]
 fn enable_condition_blocks_motion_along_and_standstill() {
-    let run = |gate, force, rate| {
+    let run = |enable_condition, force, rate| {
         let mut compliance = AdmittanceAxis::new(
-            AdmittanceLaw::new(&settings(1.0, 5.0, gate), 200, DELAY_US, RANGE).expect("sound"),
+            AdmittanceLaw::new(&settings(1.0, 5.0, enable_condition), 200, DELAY_US, RANGE)
+                .expect("sound"),
         );
         (0..5000)
             .map(|_| compliance.advance(&push(force, rate)))
             .last()
             .map_or(0.0, |last| millimetres(last.displacement))
     };
-    assert!(run(Gate::AgainstMotion, 10.0, -2.0) > 0.5);
-    assert!(run(Gate::AgainstMotion, -10.0, 2.0) < -0.5);
-    assert_eq!(run(Gate::AgainstMotion, 10.0, 2.0), 0.0);
-    assert_eq!(run(Gate::AgainstMotion, 10.0, 0.0), 0.0);
-    assert!(run(Gate::Positive, 10.0, 0.0) > 0.5);
-    assert_eq!(run(Gate::Positive, -10.0, 0.0), 0.0);
-    assert!(run(Gate::Negative, -10.0, 0.0) < -0.5);
-    assert_eq!(run(Gate::Any, 4.9, -2.0), 0.0);
+    assert!(run(EnableCondition::AgainstMotion, 10.0, -2.0) > 0.5);
+    assert!(run(EnableCondition::AgainstMotion, -10.0, 2.0) < -0.5);
+    assert_eq!(run(EnableCondition::AgainstMotion, 10.0, 2.0), 0.0);
+    assert_eq!(run(EnableCondition::AgainstMotion, 10.0, 0.0), 0.0);
+    assert!(run(EnableCondition::Positive, 10.0, 0.0) > 0.5);
+    assert_eq!(run(EnableCondition::Positive, -10.0, 0.0), 0.0);
+    assert!(run(EnableCondition::Negative, -10.0, 0.0) < -0.5);
+    assert_eq!(run(EnableCondition::Any, 4.9, -2.0), 0.0);
     let mut compliance = AdmittanceAxis::new(
         AdmittanceLaw::new(
-            &settings(1.0, 5.0, Gate::AgainstMotion),
+            &settings(1.0, 5.0, EnableCondition::AgainstMotion),
             200,
             DELAY_US,
             RANGE,
@@ -337,7 +355,13 @@ fn enable_condition_blocks_motion_along_and_standstill() {
 #[test]
 fn held_and_withheld() {
     let mut compliance = AdmittanceAxis::new(
-        AdmittanceLaw::new(&settings(1.0, 5.0, Gate::Any), 200, DELAY_US, RANGE).expect("sound"),
+        AdmittanceLaw::new(
+            &settings(1.0, 5.0, EnableCondition::Any),
+            200,
+            DELAY_US,
+            RANGE,
+        )
+        .expect("sound"),
     );
     for _ in 0..10_000 {
         compliance.advance(&push(10.0, 0.0));
@@ -367,7 +391,7 @@ fn held_and_withheld() {
 #[test]
 fn invalid_parameters_are_refused_with_their_bound() {
     let refuse = |change: fn(&mut LoopSettings)| {
-        let mut settings = settings(1.0, 5.0, Gate::Any);
+        let mut settings = settings(1.0, 5.0, EnableCondition::Any);
         change(&mut settings);
         AdmittanceLaw::new(&settings, 200, DELAY_US, RANGE)
             .map(|_| ())
@@ -411,7 +435,13 @@ fn invalid_parameters_are_refused_with_their_bound() {
     );
     for (mass, damping) in [(1.0, 5.0), (0.25, 5.0), (1.0, 20.0), (0.25, 0.5)] {
         assert!(
-            AdmittanceLaw::new(&settings(mass, damping, Gate::Any), 200, DELAY_US, RANGE).is_ok()
+            AdmittanceLaw::new(
+                &settings(mass, damping, EnableCondition::Any),
+                200,
+                DELAY_US,
+                RANGE
+            )
+            .is_ok()
         );
     }
 }

@@ -53,8 +53,8 @@ proptest! {
         }
     }
 
-    /// Whatever the settings become, between two periods the law changes by little; the boost has
-    /// no step either, neither in the force nor in the rate.
+    /// Whatever the settings become, the law changes by little between two periods. The damping
+    /// term has no step, neither in the force nor in the rate.
     #[test]
     fn nothing_steps(
         newtons in -20.0_f64..20.0, rate in -25.0_f64..25.0, percents in prop::array::uniform2(1_u8..=100), most in 0.5_f64..8.0, boosts in prop::array::uniform2(0.0_f64..0.12),
@@ -102,7 +102,7 @@ proptest! {
         }
     }
 
-    /// The boost only takes energy: with it the force is never more along the motion than without.
+    /// The damping term only dissipates energy: the force along the motion is never larger with it.
     #[test]
     fn velocity_damping_opposes_the_motion(newtons in -8.0_f64..8.0, rate in -60.0_f64..60.0) {
         let rates = [Rate((rate * MM) as i32); 3];
@@ -118,9 +118,9 @@ proptest! {
         }
     }
 
-    /// Reflection and damping have one limit together, to the last bit; a wall pushes beyond it by
-    /// itself and no more. The damping never adds along the motion, and where it does not fit the
-    /// whole limit opposes the motion.
+    /// Feedback and damping have one limit together, to the last bit; a virtual fixture exceeds it
+    /// by its own force and no more. The damping never adds along the
+    /// motion; where it does not fit, the whole limit opposes the motion.
     #[test]
     fn feedback_and_damping_share_one_limit(tool: [i32; 3], damping: i32, wall in -10.0_f64..10.0, most in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
         let mut law = FeedbackLaw::new(&settings([100; 3], most, 0.1), 200);
@@ -143,8 +143,8 @@ proptest! {
         }
     }
 
-    /// Without debt the shares pass as they are; with it they go the way of a first-order filter
-    /// with a gain of 1, and never beyond the largest of them.
+    /// Without an energy deficit the shares pass unchanged. With one they pass a first-order filter
+    /// with a gain of 1, and never exceed the largest of them.
     #[test]
     fn deficit_low_passes_the_feedback(shares in prop::collection::vec(-10.0_f64..10.0, 3..20), deficit_of in 0_i32..4 * WHOLE, hold in 50_usize..4000) {
         let mut smoothing = FeedbackFilter::new(200);
@@ -233,10 +233,10 @@ proptest! {
     /// No sample of a remote master makes it panic.
     #[test]
     fn any_master_sample_is_accepted(tip: [i32; 3], rate: [i32; 3], axes: [[i16; 3]; 2], age: u32, scale in 410_u16..8192, rest: i32) {
-        let hand = MasterPose { tip, rate, axes, engaged: true };
+        let master = MasterPose { tip, rate, axes, engaged: true };
         let mut lead = MasterMapping::new(scale);
-        lead.follow(&Frame::of(&hand, age, 5000), 0b11111, |_| Coordinate(rest));
-        let other = MasterPose { tip: tip.map(|x| !x), ..hand };
+        lead.follow(&Frame::of(&master, age, 5000), 0b11111, |_| Coordinate(rest));
+        let other = MasterPose { tip: tip.map(|x| !x), ..master };
         lead.follow(&Frame::of(&other, age, 5000), 0b11111, |_| Coordinate(rest));
     }
 
@@ -266,7 +266,7 @@ fn force_limits_of_the_experiments() {
     assert_eq!(render(10.0, -7.0, 7.0), [3.2, -0.7, 1.2]);
     assert_eq!(render(7.9, 0.0, 5.9), [3.16, 0.0, 1.18]);
     assert_eq!(render(-8.1, 0.0, -6.1), [-3.2, 0.0, -1.2]);
-    // The boost of E10: 12 mm/s are 1.2 N.
+    // The damping term of E10: 12 mm/s are 1.2 N.
     let mut law = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200);
     let rates = [Rate((-12.0 * MM) as i32), Rate(0), Rate(0)];
     let [felt, ..] = law.reflect(&[force(2.5), force(0.0), force(0.0)], &rates);

@@ -3,7 +3,9 @@
 
 use haptimill_checks::reference;
 use haptimill_firmware::force::sensor::{Channel, ForceProblem, ForceSample, Sensor};
-use haptimill_firmware::force::{ForceConfig, ForceControl, ForceParameter, Gate, LoopSettings};
+use haptimill_firmware::force::{
+    EnableCondition, ForceConfig, ForceControl, ForceParameter, LoopSettings,
+};
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Angle, Coordinate, Length, Rate};
 
@@ -15,14 +17,14 @@ const NEWTON: f64 = 65_536.0;
 const PER_CODE: f64 = 200.0 / 16_384.0;
 const STEP: f64 = 200e-6;
 
-fn settings(mass: f64, damping: f64, gate: Gate) -> LoopSettings {
+fn settings(mass: f64, damping: f64, enable_condition: EnableCondition) -> LoopSettings {
     LoopSettings {
         desired: Force::millinewtons(5000),
         mass: VirtualMass((mass * NEWTON) as u32),
         damping: VirtualDamping((damping * NEWTON) as u32),
         limit: Length::millimetres(10),
         rate: Rate(50 << 20),
-        gate,
+        enable_condition,
     }
 }
 
@@ -152,7 +154,7 @@ impl Rig {
 fn monitor_does_not_interfere_with_cutting() {
     for (mass, damping) in [(1.0, 5.0), (0.25, 5.0), (1.0, 20.0), (0.25, 0.5)] {
         for feed in [2.0, 4.0] {
-            let mut loops = settings(mass, damping, Gate::AgainstMotion);
+            let mut loops = settings(mass, damping, EnableCondition::AgainstMotion);
             loops.limit = Length::millimetres(20);
             let mut rig = Rig::new(&config(1.0, &loops));
             let (mut impulse, mut levels, mut late, mut samples) = (0.0, 0, 0.0, 0);
@@ -205,7 +207,7 @@ fn wall(rig: &Rig, stiffness: f64) -> f64 {
 /// setpoint; a right one never is.
 #[test]
 fn wrong_sensor_sign_is_detected_in_the_first_contact() {
-    for gate in [Gate::Any, Gate::AgainstMotion] {
+    for enable_condition in [EnableCondition::Any, EnableCondition::AgainstMotion] {
         for (stiffness, speed) in [
             (5.0, 1.0),
             (20.0, 1.0),
@@ -215,7 +217,7 @@ fn wrong_sensor_sign_is_detected_in_the_first_contact() {
             (1000.0, 0.2),
         ] {
             for sign in [1.0, -1.0] {
-                let mut rig = Rig::new(&config(sign, &settings(1.0, 5.0, gate)));
+                let mut rig = Rig::new(&config(sign, &settings(1.0, 5.0, enable_condition)));
                 let mut told = None;
                 for _ in 0..(6.0 / speed / STEP) as usize {
                     let force = wall(&rig, stiffness);
@@ -227,14 +229,19 @@ fn wrong_sensor_sign_is_detected_in_the_first_contact() {
                 if sign > 0.0 {
                     assert!(
                         !matches!(told, Some((ForceProblem::WrongSign { .. }, _))),
-                        "{gate:?} {stiffness} {told:?}"
+                        "{enable_condition:?} {stiffness} {told:?}"
                     );
                 } else {
                     let Some((ForceProblem::WrongSign { component: 0 }, force)) = told else {
-                        panic!("{gate:?} {stiffness} {speed} {told:?}")
+                        panic!("{enable_condition:?} {stiffness} {speed} {told:?}")
                     };
-                    println!("{gate:?}, {stiffness} N/mm at {speed} mm/s: told at {force:.1} N");
-                    assert!(force < 50.0, "{gate:?} {stiffness} {speed} {force}");
+                    println!(
+                        "{enable_condition:?}, {stiffness} N/mm at {speed} mm/s: told at {force:.1} N"
+                    );
+                    assert!(
+                        force < 50.0,
+                        "{enable_condition:?} {stiffness} {speed} {force}"
+                    );
                 }
             }
         }
@@ -245,7 +252,7 @@ fn wrong_sensor_sign_is_detected_in_the_first_contact() {
 /// retraction.
 #[test]
 fn stiffness_estimate_decays_in_free_motion() {
-    let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
+    let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, EnableCondition::Any)));
     for k in 0..20_000 {
         let force = wall(&rig, 1000.0);
         rig.period(force, if k < 4000 { -1.0 } else { 0.0 });
@@ -268,12 +275,12 @@ fn stiffness_estimate_decays_in_free_motion() {
 /// not jump.
 #[test]
 fn runtime_settings_change_without_a_jump() {
-    let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
+    let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, EnableCondition::Any)));
     let (mut largest, mut last, mut speed) = (0.0f64, 0.0, 0.0);
     for k in 0..10_000 {
         rig.period(10.0, 0.0);
         if k == 5000 {
-            let mut gentle = settings(0.25, 0.5, Gate::Any);
+            let mut gentle = settings(0.25, 0.5, EnableCondition::Any);
             gentle.desired = Force::millinewtons(9000);
             assert_eq!(rig.control.set(0, &gentle), Ok(()));
             assert_eq!(
@@ -295,8 +302,12 @@ fn runtime_settings_change_without_a_jump() {
     println!("largest jump of the tool {:.1} nm", largest * 1e6);
     // Two roundings to 2^-20 mm, and half of 20 mm/s^2 (200 us)^2.
     assert!(largest < 2.5e-6, "{largest}");
-    assert!(rig.control.set(3, &settings(1.0, 5.0, Gate::Any)).is_err());
-    let mut bad = settings(1.0, 5.0, Gate::Any);
+    assert!(
+        rig.control
+            .set(3, &settings(1.0, 5.0, EnableCondition::Any))
+            .is_err()
+    );
+    let mut bad = settings(1.0, 5.0, EnableCondition::Any);
     bad.desired = Force(0);
     assert_eq!(
         rig.control
@@ -310,7 +321,7 @@ fn runtime_settings_change_without_a_jump() {
 /// returns.
 #[test]
 fn only_tared_axes_in_the_mask_comply() {
-    let config = config(1.0, &settings(1.0, 5.0, Gate::Any));
+    let config = config(1.0, &settings(1.0, 5.0, EnableCondition::Any));
     let mut bare = ForceControl::new(&config, 200).expect("sound");
     for k in 0..1000u32 {
         let sample = ForceSample {
@@ -339,10 +350,10 @@ fn only_tared_axes_in_the_mask_comply() {
     assert_eq!(rig.control.mask(), 7);
 }
 
-/// The window follows the spindle; too slow a spindle is told while force control is on.
+/// The window follows the spindle; too slow a spindle is reported while force control is on.
 #[test]
 fn spindle_speed_sets_the_peak_window() {
-    let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, Gate::Any)));
+    let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, EnableCondition::Any)));
     rig.rpm = 3000;
     assert_eq!(
         rig.period(0.0, 0.0),
@@ -355,7 +366,7 @@ fn spindle_speed_sets_the_peak_window() {
         rig.rpm = rpm;
         assert_eq!(rig.period(0.0, 0.0), None);
     }
-    let mut slow = config(1.0, &settings(1.0, 5.0, Gate::Any));
+    let mut slow = config(1.0, &settings(1.0, 5.0, EnableCondition::Any));
     slow.slowest_rpm = 100;
     let refused = ForceControl::new(&slow, 200).map(|_| ());
     let Err((None, refused)) = refused else {
@@ -382,7 +393,7 @@ proptest! {
         ),
         gentle: bool,
     ) {
-        let loops = if gentle { settings(0.25, 0.5, Gate::Any) } else { settings(1.0, 5.0, Gate::AgainstMotion) };
+        let loops = if gentle { settings(0.25, 0.5, EnableCondition::Any) } else { settings(1.0, 5.0, EnableCondition::AgainstMotion) };
         let mut config = config(1.0, &loops);
         config.sensor.weight = Force::millinewtons(60_000);
         config.sensor.tare_samples = 16;
@@ -392,7 +403,7 @@ proptest! {
                 0 => control.begin_tare(),
                 1 => control.reset(),
                 2 => control.set_mask(codes[0] as u8),
-                3 => { let _ = control.set(usize::from(conversions >> 6), &settings(1.0, 20.0, Gate::Any)); }
+                3 => { let _ = control.set(usize::from(conversions >> 6), &settings(1.0, 20.0, EnableCondition::Any)); }
                 _ => {}
             }
             control.hold(hold);

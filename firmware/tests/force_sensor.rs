@@ -213,7 +213,7 @@ fn saturation_and_amplifier_alarm_are_reported() {
     );
 }
 
-/// A channel that sticks is told in 0.1 s; one with noise of 0.58 codes is not told in a million
+/// A channel that sticks is reported in 0.1 s; one with noise of 0.58 codes is not, in a million
 /// samples; and the bound of the module's documentation is above what is seen.
 #[test]
 fn stuck_channel_is_reported_noise_is_not() {

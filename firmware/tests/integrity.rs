@@ -6,7 +6,7 @@ mod reference;
 use haptimill_firmware::config::digest::{Constants, Digest};
 use haptimill_firmware::config::{Config, JointAxis};
 use haptimill_firmware::force::sensor::Sensor;
-use haptimill_firmware::force::{ForceConfig, ForceControl, Gate, LoopSettings};
+use haptimill_firmware::force::{EnableCondition, ForceConfig, ForceControl, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
 use haptimill_firmware::joint::{JointCommand, JointDrive};
 use haptimill_firmware::machine::Machine;
@@ -107,7 +107,7 @@ fn changed_force_control_constant_is_detected() {
         |force| force.axes[0].damping.0 += 1 << 12,
         |force| force.axes[1].mass.0 += 1 << 10,
         |force| force.axes[2].limit.0 -= 1 << 18,
-        |force| force.axes[2].gate = Gate::Any,
+        |force| force.axes[2].enable_condition = EnableCondition::Any,
         |force| force.sensor.channels[1].per_code *= -1,
         |force| force.sensor.limit.0 += 1 << 16,
         |force| force.drive_lag_us += 100,

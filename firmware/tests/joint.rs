@@ -74,7 +74,7 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
             per_count: 21_990_232_556,
             following: Coordinate((0.2 * MM) as i32),
             following_lag: 0,
-            still: Coordinate((0.1 * MM) as i32),
+            stuck_distance: Coordinate((0.1 * MM) as i32),
             index: Coordinate(0),
             index_pitch: Coordinate(10 << 20),
             index_slack: 4,

@@ -12,7 +12,7 @@ use arm::{
     rotation, scaled, sub,
 };
 use haptimill_kinematics::haptic_arm::statics::Wrench;
-use haptimill_kinematics::haptic_arm::{ArmError, HandPose, HapticArm, HapticGeometry};
+use haptimill_kinematics::haptic_arm::{ArmError, ArmPose, HapticArm, HapticGeometry};
 use haptimill_math::{Angle, Length};
 use nalgebra::Matrix6;
 use proptest::prelude::*;
@@ -66,7 +66,7 @@ fn the_golden_table() {
         worst[0], worst[1], worst[2], worst[3]
     );
     assert_eq!(rows, 500);
-    // Wanted: 1 um, 3 urad, 1 mN, 0.1 N mm. Promised: 20 nm, 50 nrad.
+    // Required: 1 um, 3 urad, 1 mN, 0.1 N mm. Stated by the kinematics: 20 nm, 50 nrad.
     assert!(worst[0] < 2e-5 && worst[1] < 5e-8, "{worst:?}");
     assert!(worst[2] < 1e-5 && worst[3] < 2e-3, "{worst:?}");
 }
@@ -181,7 +181,7 @@ proptest! {
     }
 }
 
-fn orthonormal(pose: &HandPose) -> Result<(), TestCaseError> {
+fn orthonormal(pose: &ArmPose) -> Result<(), TestCaseError> {
     let [n, o, a] = pose.axes.map(direction);
     for (x, y, want) in [
         (n, n, 1.0),
@@ -244,8 +244,8 @@ fn condition_number_limit_is_enforced() {
     let arm = HapticArm::new(&arm::reference());
     let mut sequence = Sequence(7);
     let (mut worst, mut bound_worst, mut refused, mut ratio) = (0.0_f64, 0.0_f64, 0, 0.0_f64);
-    let bound = |pose: &HandPose| {
-        // The bound itself is told when nothing is allowed.
+    let bound = |pose: &ArmPose| {
+        // The bound itself is reported when nothing is allowed.
         let singular = arm
             .efforts(pose, &Wrench::default(), 0.0)
             .expect_err("limit 0");
@@ -267,7 +267,7 @@ fn condition_number_limit_is_enforced() {
         "workspace: condition to {worst:.2}, bound to {bound_worst:.1}, at most {ratio:.1} times too large"
     );
     assert!(worst < 4.7 && bound_worst < 60.0);
-    // On the way from one sign of the determinant to the other lies a singular pose: come at it by
+    // Between the two signs of the determinant is a singular pose: approach it by
     // halves.
     let determinant = |(centre, axis, angle): (V, V, f64)| {
         let (b, legs) = (

@@ -70,7 +70,7 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
             per_count: 1 << 24,
             following: Coordinate(MM),
             following_lag: 0,
-            still: Coordinate(MM),
+            stuck_distance: Coordinate(MM),
             index: Coordinate::ZERO,
             index_pitch: Coordinate(MM),
             index_slack: 4,
@@ -108,11 +108,12 @@ fn config() -> Config {
         },
         homing: Homing {
             rate: Rate(MM),
-            table_rate: Rate(MM),
+            rotary_rate: Rate(MM),
         },
         force: None,
         follow: None,
         haptic: None,
+        volumetric: None,
         io: Default::default(),
     }
 }
@@ -354,9 +355,9 @@ proptest! {
     }
 }
 
-/// A box that the machine can take by its corners stands for the boxes in it: what a hand does in
-/// some periods is looked at once. That is no theorem, for the strokes bend the reach inwards; with
-/// the room that a box is given, it holds.
+/// A box whose corners are reachable represents the boxes in it: the motion of a master over some
+/// periods is checked once. That is no theorem, since the strokes bend the reach inwards; with the
+/// margin of a box it holds.
 #[test]
 fn box_inside_a_reachable_box_is_reachable() {
     let config = config();

@@ -109,7 +109,7 @@ fn rotary_following_error_takes_the_short_way() {
     axis.kind = AxisKind::Rotary;
     (axis.low, axis.high) = (Coordinate(i32::MIN), Coordinate(i32::MAX));
     encoder(&mut axis).following = Coordinate(degrees(0.2));
-    encoder(&mut axis).still = Coordinate(degrees(0.1));
+    encoder(&mut axis).stuck_distance = Coordinate(degrees(0.1));
     let across = |off: f64| JointSample {
         commanded: Coordinate(i32::MAX),
         measured: Coordinate(i32::MAX.wrapping_add(degrees(off))),
@@ -295,7 +295,7 @@ proptest! {
         axis.kind = if rotary { AxisKind::Rotary } else { AxisKind::Linear };
         encoder(&mut axis).following = Coordinate(numbers[0]);
         encoder(&mut axis).following_lag = numbers[1].unsigned_abs();
-        encoder(&mut axis).still = Coordinate(numbers[2]);
+        encoder(&mut axis).stuck_distance = Coordinate(numbers[2]);
         axis.law.coulomb = Effort(numbers[3]);
         axis.law.inertia = inertia;
         encoder(&mut axis).per_count = per_count;

@@ -53,7 +53,7 @@ pub struct PlantConfig {
     pub haptic: Option<HapticConfig>,
     /// Operator model at the haptic arm; it holds the handle from the start.
     #[serde(default)]
-    pub hand: Option<OperatorConfig>,
+    pub operator: Option<OperatorConfig>,
     /// Digital inputs.
     #[serde(default)]
     pub input: Vec<InputLine>,
@@ -128,13 +128,16 @@ impl PlantConfig {
             check.refuse(problem.field, problem.problem);
         }
         let haptic = self.haptic.as_ref().and_then(|haptic| haptic.check().err());
-        let hand = self.hand.as_ref().and_then(|hand| hand.check().err());
-        for problem in haptic.into_iter().chain(hand).flatten() {
+        let operator = self
+            .operator
+            .as_ref()
+            .and_then(|operator| operator.check().err());
+        for problem in haptic.into_iter().chain(operator).flatten() {
             check.refuse(problem.field, problem.problem);
         }
-        if self.hand.is_some() && self.haptic.is_none() {
+        if self.operator.is_some() && self.haptic.is_none() {
             check.refuse(
-                "hand".into(),
+                "operator".into(),
                 "needs a haptic arm; add a section [plant.haptic]".into(),
             );
         }

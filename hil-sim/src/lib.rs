@@ -11,6 +11,7 @@
 //! * [`process`]: spindle, cutter, workpiece, cutting force, structure, force sensor.
 //! * [`haptics`]: the haptic master arm; [`operator`]: the operator model that moves it.
 //! * [`contact`]: named inputs, the contacts of a probe and a tool setter.
+//! * [`polyhedron`]: a convex body that planes cut, for gems.
 //! * [`plant`]: the complete machine, advanced by one control period at a time.
 //! * [`mod@line`]: the serial line; [`fault`], [`schedule`]: injected faults and their times.
 //! * [`rig`]: plant, controller and line in lockstep; [`io_log`]: all inputs and outputs of the
@@ -27,6 +28,7 @@ pub mod line;
 pub mod machines;
 pub mod operator;
 pub mod plant;
+pub mod polyhedron;
 pub mod process;
 pub mod random;
 pub mod remote;

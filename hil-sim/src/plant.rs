@@ -7,8 +7,8 @@
 //! when [`Plant::fit`] gives it a [`ProcessConfig`]. The force on the tool loads the joints.
 //!
 //! Modelled: each joint as two masses on a screw with stiffness, damping and backlash; Coulomb
-//! friction with sticking; drives with limits; hard stops; the encoder on the motor shaft, edge by
-//! edge.
+//! friction with sticking; drives with limits; hard stops; the encoder on the motor shaft or on the
+//! slide, edge by edge; geometric errors of three slides.
 //!
 //! Not modelled: the inertia of the platform, which couples the slides; holding torque of a
 //! disabled drive (friction alone holds the screw); the delay of the amplifier's current.
@@ -25,7 +25,7 @@ use crate::joint::encoder::{Encoder, EncoderCondition, Track};
 use crate::joint::mechanics::{Bodies, JointArray, Mechanics};
 use crate::joint::stepper::{PulseReport, Stepper};
 use crate::joint::switch::{Switch, SwitchCondition, SwitchPlace};
-use crate::joint::{DriveConfig, JointConfig, JointKind, SwitchSide};
+use crate::joint::{DriveConfig, EncoderPlace, JointConfig, SwitchSide};
 use crate::machines::AnyGeometry;
 use crate::process::{CuttingConfig, ToolPose};
 use crate::process::{Process, ProcessConfig};
@@ -146,8 +146,10 @@ pub struct Plant {
     /// Loads of the cutting process on the joints in this period.
     process_load: JointArray,
     load: JointArray,
-    /// Motor positions of the last period, one row per step, including the start.
+    /// Positions at the encoders in the last period, one row per step, including the start.
     history: Vec<JointArray>,
+    /// Joints whose encoder is a linear scale.
+    scales: [bool; MAX_AXES],
     step_ns: u64,
     period_us: u16,
     seed: u64,
@@ -209,6 +211,13 @@ impl Plant {
         let mut plant = Self {
             mechanics: Mechanics::new(&config.joint, f64::from(config.substep_us) * 1e-6),
             history: vec![bodies.motor; steps + 1],
+            scales: core::array::from_fn(|lane| {
+                let encoder = config
+                    .joint
+                    .get(lane)
+                    .and_then(|joint| joint.encoder.as_ref());
+                encoder.is_some_and(|encoder| encoder.on == EncoderPlace::Slide)
+            }),
             bodies,
             joints,
             geometry,
@@ -217,7 +226,7 @@ impl Plant {
                 Some(haptic) => {
                     let mut arm =
                         HapticArm::new(haptic, period_us, config.substep_us, config.seed)?;
-                    arm.take(config.hand.as_ref())?;
+                    arm.take(config.operator.as_ref())?;
                     Some(arm)
                 }
                 None => None,
@@ -391,8 +400,19 @@ impl Plant {
         let load = core::array::from_fn(|lane| self.load[lane] + self.process_load[lane]);
         let mut bodies = self.bodies.clone();
         let steps = self.history.len() - 1;
-        self.history[0] = bodies.motor;
-        let (mut low, mut high) = (bodies.motor, bodies.motor);
+        let scales = self.scales;
+        let at_encoders = |bodies: &Bodies| -> JointArray {
+            core::array::from_fn(|lane| {
+                if scales[lane] {
+                    bodies.slide[lane]
+                } else {
+                    bodies.motor[lane]
+                }
+            })
+        };
+        let start = at_encoders(&bodies);
+        self.history[0] = start;
+        let (mut low, mut high) = (start, start);
         for step in 0..steps {
             if stepping {
                 let part = (step as f64 + 0.5) / steps as f64;
@@ -406,9 +426,10 @@ impl Plant {
                 );
             }
             self.mechanics.step(&mut bodies, &drive, &load);
-            self.history[step + 1] = bodies.motor;
+            let now = at_encoders(&bodies);
+            self.history[step + 1] = now;
             for lane in 0..MAX_AXES {
-                let at = bodies.motor[lane];
+                let at = now[lane];
                 low[lane] = if at < low[lane] { at } else { low[lane] };
                 high[lane] = if at > high[lane] { at } else { high[lane] };
             }
@@ -479,15 +500,18 @@ impl Plant {
             return;
         };
         let axes = geometry.workpiece_axes(&self.truth.pose);
+        if process.grinding().is_some() {
+            process.set_tool_axes(geometry.tool_axes(&self.truth.pose));
+        }
         let applied = process.step(&pose, &axes, rpm);
-        let above = process.force_height();
+        let from_tip = process.force_point();
         let rigid = self.truth.pose;
         self.truth.pose[..3].copy_from_slice(&applied.tip);
         self.truth.force = applied.force;
         self.process_load = [0.0; MAX_AXES];
         if applied.force != [0.0; 3]
             && let Some(loads) =
-                geometry.joint_loads(&self.bodies.slide, &rigid, applied.force, above)
+                geometry.tool_loads(&self.bodies.slide, &rigid, applied.force, from_tip)
         {
             self.process_load = loads;
         }
@@ -504,22 +528,14 @@ impl Plant {
     /// Replaces the spindle and the process of the machine.
     ///
     /// # Errors
-    /// All problems of the configuration, or the machine has no tool that three linear joints move.
+    /// All problems of the configuration, or the joints move no tool.
     pub fn fit(&mut self, config: &ProcessConfig) -> Result<(), Vec<PlantError>> {
-        let linear = |joint: &Joint| joint.config.kind == JointKind::Linear;
-        let tool = self.geometry.as_ref().is_some_and(AnyGeometry::has_tool);
-        if !tool
-            || self
-                .joints
-                .iter()
-                .take(3)
-                .filter(|joint| linear(joint))
-                .count()
-                < 3
-        {
+        let kinds: Vec<_> = self.joints.iter().map(|joint| joint.config.kind).collect();
+        let geometry = self.geometry.as_ref();
+        if !geometry.is_some_and(|geometry| geometry.has_tool(&kinds)) {
             return Err(vec![PlantError {
                 field: "process".into(),
-                problem: "needs a geometry with a tool that three linear joints move".into(),
+                problem: "needs a geometry with a tool that the joints move".into(),
             }]);
         }
         self.update_ground_truth();

@@ -97,7 +97,7 @@ impl Schedule {
         let mut wires = [LineCondition::HEALTHY; 2];
         let mut sensors = [SensorCondition::default(); 3];
         let mut stalled = false;
-        let mut hand = HapticCondition::default();
+        let mut haptic = HapticCondition::default();
         let mut inputs = vec![InputCondition::default(); plant.inputs().count()];
         for entry in &mut self.entries {
             let begins = !entry.active && now >= entry.begins_ns;
@@ -137,7 +137,7 @@ impl Schedule {
                     _ => {}
                 }
                 if let FaultKind::HapticArm(fault) = &entry.kind {
-                    inject_haptic(fault, &mut hand);
+                    inject_haptic(fault, &mut haptic);
                 }
                 inject(
                     &entry.kind,
@@ -168,8 +168,8 @@ impl Schedule {
             }
         }
         if let Some(arm) = plant.haptic_mut() {
-            arm.set_tripped(hand.tripped);
-            for (leg, encoders) in hand.encoders.into_iter().enumerate() {
+            arm.set_tripped(haptic.tripped);
+            for (leg, encoders) in haptic.encoders.into_iter().enumerate() {
                 for (sensor, condition) in encoders.into_iter().enumerate() {
                     arm.set_encoder_condition(leg, sensor, condition);
                 }
@@ -288,13 +288,13 @@ fn index(place: HapticEncoder) -> (usize, usize) {
 }
 
 /// Adds an active fault of the haptic arm to its conditions.
-fn inject_haptic(fault: &HapticFault, hand: &mut HapticCondition) {
+fn inject_haptic(fault: &HapticFault, haptic: &mut HapticCondition) {
     let Some(place) = fault.encoder() else {
-        hand.tripped = true;
+        haptic.tripped = true;
         return;
     };
     let (leg, sensor) = index(place);
-    let encoder = &mut hand.encoders[leg][sensor];
+    let encoder = &mut haptic.encoders[leg][sensor];
     match *fault {
         HapticFault::EncoderStuck { channel, level, .. } => {
             let stuck = match channel {

@@ -28,7 +28,7 @@ impl Control for Remembers {
 fn config() -> PlantConfig {
     PlantConfig {
         haptic: Some(HapticConfig::default()),
-        hand: Some(OperatorConfig::default()),
+        operator: Some(OperatorConfig::default()),
         ..machine::slide()
     }
 }
@@ -104,12 +104,12 @@ fn faults_act_on_their_encoder_only() {
         rig(
             0,
             &[
-                "hand-encoder-stuck leg=1 sensor=slide channel=a level=low at=100ms",
-                "hand-encoder-swapped leg=2 sensor=turn",
-                "hand-encoder-slip leg=3 sensor=hinge counts=-700 at=0.5s",
-                "hand-encoder-dropped leg=3 sensor=slide at=0.3s",
-                "hand-encoder-noise leg=1 sensor=turn per-second=2000",
-                "hand-amplifiers-tripped at=0.6s for=0.1s",
+                "haptic-encoder-stuck leg=1 sensor=slide channel=a level=low at=100ms",
+                "haptic-encoder-swapped leg=2 sensor=turn",
+                "haptic-encoder-slip leg=3 sensor=hinge counts=-700 at=0.5s",
+                "haptic-encoder-dropped leg=3 sensor=slide at=0.3s",
+                "haptic-encoder-noise leg=1 sensor=turn per-second=2000",
+                "haptic-amplifiers-tripped at=0.6s for=0.1s",
             ],
         ),
         1.0,
@@ -159,10 +159,10 @@ fn invalid_sections_are_reported() {
         let error = Rig::new(&config(), &options, Remembers::default()).err();
         error.expect(text).to_string()
     };
-    assert!(refused("hand-encoder-swapped leg=4 sensor=turn").contains("no leg 4"));
-    assert!(refused("hand-encoder-noise leg=1 sensor=turn per-second=-1").contains("-1"));
+    assert!(refused("haptic-encoder-swapped leg=4 sensor=turn").contains("no leg 4"));
+    assert!(refused("haptic-encoder-noise leg=1 sensor=turn per-second=-1").contains("-1"));
     assert!(
-        "hand-encoder-stuck leg=1 sensor=wrist channel=a level=low"
+        "haptic-encoder-stuck leg=1 sensor=wrist channel=a level=low"
             .parse::<Fault>()
             .is_err()
     );
@@ -178,7 +178,7 @@ fn invalid_sections_are_reported() {
 fn sections_of_a_machine_file_are_parsed() {
     let mut text = include_str!("refg.toml").to_owned();
     text.push_str(
-        "\n[plant.haptic]\nbalance = 0.9\n[plant.haptic.geometry]\nlink_mm = 201.0\n[plant.hand]\nmass_kg = 0.3\n",
+        "\n[plant.haptic]\nbalance = 0.9\n[plant.haptic.geometry]\nlink_mm = 201.0\n[plant.operator]\nmass_kg = 0.3\n",
     );
     #[derive(serde::Deserialize)]
     struct File {
@@ -194,5 +194,5 @@ fn sections_of_a_machine_file_are_parsed() {
         ),
         (0.9, 201.0, 150.0)
     );
-    assert_eq!(plant.hand.expect("there").mass_kg, 0.3);
+    assert_eq!(plant.operator.expect("there").mass_kg, 0.3);
 }

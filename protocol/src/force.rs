@@ -17,7 +17,7 @@ pub const COMPONENTS: usize = 3;
 /// 7.1 item 20).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Gate {
+pub enum EnableCondition {
     /// Only while the force opposes the desired motion of the axis: F p_d' < 0. At standstill, and
     /// across the motion, the tool only returns.
     #[default]
@@ -45,7 +45,7 @@ pub struct ForceLoop {
     /// Largest rate of the compliant displacement, 2^-20 mm/s.
     pub rate: i32,
     /// Enable condition.
-    pub gate: Gate,
+    pub enable_condition: EnableCondition,
 }
 
 /// Refusal of settings. Nothing changes.

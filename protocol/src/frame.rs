@@ -34,7 +34,7 @@ use crate::urgent;
 use heapless::Vec;
 
 /// Largest payload of a frame, bytes. The largest message, telemetry of six axes with force sensor,
-/// inputs and outputs, has 306.
+/// inputs and outputs, has 308.
 pub const MAX_PAYLOAD: usize = 312;
 
 /// Largest header, payload and check, bytes.

@@ -489,7 +489,8 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
             ..
         } = self;
         self.reliable = false;
-        let composed = if let Some(header) = end.greeting(now_us, timing.hello_us, &mut self.latest)
+        let composed = if let Some(header) =
+            end.handshake_frame(now_us, timing.hello_us, &mut self.latest)
         {
             // The payload has replaced a last-value message, which had no receiver.
             self.latest_waits = false;

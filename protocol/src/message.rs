@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both endpoints must have the same.
-pub const PROTOCOL_VERSION: u16 = 5;
+pub const PROTOCOL_VERSION: u16 = 6;
 
 /// Largest number of named analog inputs, and of named analog outputs.
 pub const ANALOG: usize = 4;
@@ -274,6 +274,12 @@ pub enum Command {
         /// The level that ends the motion: active for a contact, inactive for its loss.
         active: bool,
     },
+    /// Switches volumetric compensation on or off; it fades within a second. It is on after the
+    /// configuration, and has an effect while the machine is homed and the drives are on.
+    Compensation {
+        /// On or off.
+        on: bool,
+    },
 }
 
 /// A piece of the configuration.
@@ -476,6 +482,9 @@ pub struct Telemetry {
     pub force: Option<ForceTelemetry>,
     /// Named inputs and outputs. `None` on a machine without any, which takes one byte.
     pub io: Option<IoTelemetry>,
+    /// Volumetric compensation: percent of its fade, 100 where it is in full effect. `None` on a
+    /// machine without error tables, which takes one byte.
+    pub compensation: Option<u8>,
 }
 
 /// Named inputs and outputs, in the order of the configuration.

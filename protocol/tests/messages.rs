@@ -1,8 +1,8 @@
 //! The largest encoding of every message fits its frame, and each decodes to the same value.
 
 use haptimill_protocol::force::{
-    COMPONENTS, ForceLoop, ForceParameter, ForceProblem, ForceRefusal, ForceTelemetry, Gate,
-    TareRefusal,
+    COMPONENTS, EnableCondition, ForceLoop, ForceParameter, ForceProblem, ForceRefusal,
+    ForceTelemetry, TareRefusal,
 };
 use haptimill_protocol::frame::MAX_PAYLOAD;
 use haptimill_protocol::haptic::{
@@ -28,7 +28,7 @@ fn values() -> AxisValues {
 }
 
 /// A master pose with the longest encoding.
-const HAND: MasterPose = MasterPose {
+const HAPTICS: MasterPose = MasterPose {
     tip: [i32::MIN; COMPONENTS],
     rate: [i32::MIN; COMPONENTS],
     axes: [[i16::MIN; COMPONENTS]; 2],
@@ -87,14 +87,14 @@ fn every_request_fits_a_frame() {
                 damping: u32::MAX,
                 limit: i32::MIN,
                 rate: i32::MIN,
-                gate: Gate::Negative,
+                enable_condition: EnableCondition::Negative,
             },
         },
         Command::Tare,
         Command::MasterPose {
             epoch: u16::MAX,
             age_ms: u8::MAX,
-            pose: HAND,
+            pose: HAPTICS,
         },
         Command::RemoteForce {
             force: [i16::MIN; COMPONENTS],
@@ -125,6 +125,7 @@ fn every_request_fits_a_frame() {
             input: u8::MAX,
             active: true,
         },
+        Command::Compensation { on: true },
     ];
     let sizes = commands.map(|command| size(&Request { id: 255, command }));
     println!("requests: {sizes:?} bytes");
@@ -190,6 +191,7 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
             analog_inputs: [i16::MIN; ANALOG].into_iter().collect(),
             analog_outputs: [i16::MIN; ANALOG].into_iter().collect(),
         }),
+        compensation: Some(u8::MAX),
     };
     let without = size(&Report::Telemetry(telemetry.clone()));
     let telemetry = Telemetry {
@@ -209,11 +211,11 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
     println!("telemetry without a force sensor: {without} bytes");
     println!("telemetry: {long} bytes");
     // The value in the documentation of MAX_PAYLOAD.
-    assert_eq!(long, 306);
+    assert_eq!(long, 308);
     assert!(long <= MAX_PAYLOAD);
     let hand = size(&Report::Master(MasterTelemetry {
         period: u64::MAX,
-        pose: HAND,
+        pose: HAPTICS,
         force: [i16::MIN; COMPONENTS],
         feedback: [i16::MIN; COMPONENTS],
         fixture: [i16::MIN; COMPONENTS],

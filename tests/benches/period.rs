@@ -8,7 +8,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_hil_sim::rig::{Control, RigOptions};
-use haptimill_protocol::force::Gate;
+use haptimill_protocol::force::EnableCondition;
 use haptimill_tests::{Bench, line_in_x};
 use std::time::{Duration, Instant};
 
@@ -62,7 +62,7 @@ fn cutting() -> Bench<Timed> {
     bench.rig.plant_mut().fit(&process).expect("sound");
     bench.steps(100);
     setup::force::tare(&mut bench);
-    let law = setup::force::force_settings(1.0, 5.0, Gate::AgainstMotion);
+    let law = setup::force::force_settings(1.0, 5.0, EnableCondition::AgainstMotion);
     setup::force::control(&mut bench, 0, law);
     setup::force::job(&mut bench, -4.0, 40, 0.0);
     while !yields(&bench) {

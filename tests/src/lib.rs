@@ -28,7 +28,7 @@ pub struct Bench<C = Controller> {
     /// The newest telemetry.
     pub telemetry: Option<Telemetry>,
     /// The newest telemetry of the master.
-    pub hand: Option<MasterTelemetry>,
+    pub master: Option<MasterTelemetry>,
     /// All events so far.
     pub events: Vec<Event>,
     answers: Vec<(u8, Result<(), Refusal>)>,
@@ -74,7 +74,7 @@ impl<C: Control> Bench<C> {
             link,
             machine,
             telemetry: None,
-            hand: None,
+            master: None,
             events: vec![],
             answers: vec![],
             id: 0,
@@ -103,7 +103,7 @@ impl<C: Control> Bench<C> {
                 Report::Answer { id, result } => self.answers.push((id, result)),
                 Report::Event { event, .. } => self.events.push(event),
                 Report::Telemetry(telemetry) => self.telemetry = Some(telemetry),
-                Report::Master(hand) => self.hand = Some(hand),
+                Report::Master(master) => self.master = Some(master),
             }
         }
     }

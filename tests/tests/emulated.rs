@@ -19,7 +19,7 @@ use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::SensorConfig;
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::force::{ForceLoop, Gate};
+use haptimill_protocol::force::{EnableCondition, ForceLoop};
 use haptimill_protocol::message::{Command as Say, Event, State};
 use haptimill_tests::{Bench, line_in_x};
 use haptimill_trace::replay::replay;
@@ -112,7 +112,7 @@ fn run_into_wall<C: haptimill_hil_sim::Control>(control: C) -> Vec<(Snapshot, Ou
         damping: raw(4.0),
         limit: 10 << 20,
         rate: 20 << 20,
-        gate: Gate::Any,
+        enable_condition: EnableCondition::Any,
     };
     bench
         .ask(Say::ForceLoop { axis: 0, settings })

@@ -157,12 +157,14 @@ fn lost_counts_are_found_within_two_turns() {
 /// and its next index pulse confirms that: homing is enough.
 #[test]
 fn a_pushed_slide_needs_only_homing() {
-    for effort in [-300, -150, 100, 200, 400] {
+    for effort in [-300, -150, 150, 200, 400] {
         let push = format!("push axis=l1 effort={effort} for=12ms");
         let (mut bench, _) = bench_with_fault(&moving(0, 4.0), 4.0, &push);
         bench.steps(1000);
         let status = bench.status();
-        let fault = status.fault.expect("a fault");
+        let fault = status
+            .fault
+            .unwrap_or_else(|| panic!("{effort} N: no fault"));
         assert_eq!(suspected(&fault), Some(0), "{effort} N: {fault:?}");
         assert!(!status.position_kept && !status.homed);
         recover(&mut bench, State::Disabled);

@@ -9,7 +9,7 @@ use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::SensorConfig;
 use haptimill_hil_sim::process::structure::StructureConfig;
 use haptimill_machine_file::{BUILT_IN, MachineFile};
-use haptimill_protocol::force::Gate;
+use haptimill_protocol::force::EnableCondition;
 use haptimill_protocol::message::State;
 use haptimill_tests::Bench;
 use setup::force::{PERIOD, control, force_settings, job, levels, tare, turn_table, wall};
@@ -29,9 +29,9 @@ fn machine(ideal: bool) -> Bench {
             ("coulomb_n_m = 1.6", "coulomb_n_m = 0.0"),
             ("backlash = 0.010", "backlash = 0.0"),
             ("backlash = 0.005", "backlash = 0.0"),
-            ("backlash_mm = 0.018", "backlash_mm = 0.0"),
-            ("backlash_deg = 0.005", "backlash_deg = 0.0"),
-            ("creep_mm_s = 0.025", "creep_mm_s = 0.010"),
+            ("backlash_mm = 0.0258", "backlash_mm = 0.0"),
+            ("backlash_deg = 0.0123", "backlash_deg = 0.0"),
+            ("creep_mm_s = 0.030", "creep_mm_s = 0.010"),
         ] {
             assert!(text.contains(from), "{from}");
             text = text.replace(from, to);
@@ -87,7 +87,11 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64, table: f64) -
     bench.rig.plant_mut().fit(&process).expect("sound");
     bench.steps(100);
     tare(&mut bench);
-    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::Any));
+    control(
+        &mut bench,
+        0,
+        force_settings(1.0, 5.0, EnableCondition::Any),
+    );
     let spans = (20.0 / speed) as usize;
     job(&mut bench, -speed, spans, TIME);
     // The spindle takes 1 s to its speed.

@@ -4,7 +4,7 @@ mod setup;
 
 use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::{End, SensorCondition};
-use haptimill_protocol::force::{ForceProblem, Gate};
+use haptimill_protocol::force::{EnableCondition, ForceProblem};
 use haptimill_protocol::message::{Command, Event, Fault, State};
 use haptimill_tests::Bench;
 use setup::force::{
@@ -52,20 +52,20 @@ fn controlled_stop(bench: &mut Bench) -> ForceProblem {
 #[test]
 fn every_sensor_fault_causes_a_controlled_stop_and_is_reported() {
     let healthy = SensorCondition::default();
-    let setup = |gap: f64, gate: Gate| {
+    let setup = |gap: f64, enable_condition: EnableCondition| {
         let mut bench = setup::ready();
         let process = wall(tool(&bench), gap, 100.0);
         bench.rig.plant_mut().fit(&process).expect("sound");
         bench.steps(100);
         tare(&mut bench);
-        control(&mut bench, 0, force_settings(1.0, 5.0, gate));
+        control(&mut bench, 0, force_settings(1.0, 5.0, enable_condition));
         job(&mut bench, -1.0, 40, 0.0);
         // The spindle reaches its speed, and the tool the contact.
         bench.steps(6000);
         assert_eq!(state(&bench), State::Run);
         bench
     };
-    let mut bench = setup(0.2, Gate::AgainstMotion);
+    let mut bench = setup(0.2, EnableCondition::AgainstMotion);
     broken(
         &mut bench,
         SensorCondition {
@@ -79,7 +79,7 @@ fn every_sensor_fault_causes_a_controlled_stop_and_is_reported() {
         "{problem:?}"
     );
 
-    let mut bench = setup(0.2, Gate::AgainstMotion);
+    let mut bench = setup(0.2, EnableCondition::AgainstMotion);
     broken(
         &mut bench,
         SensorCondition {
@@ -93,7 +93,7 @@ fn every_sensor_fault_causes_a_controlled_stop_and_is_reported() {
     );
 
     // A lost signal gives the code of zero force again and again.
-    let mut bench = setup(0.2, Gate::AgainstMotion);
+    let mut bench = setup(0.2, EnableCondition::AgainstMotion);
     broken(
         &mut bench,
         SensorCondition {
@@ -107,7 +107,7 @@ fn every_sensor_fault_causes_a_controlled_stop_and_is_reported() {
     );
 
     // The converter gives no more codes.
-    let mut bench = setup(0.2, Gate::AgainstMotion);
+    let mut bench = setup(0.2, EnableCondition::AgainstMotion);
     bench
         .rig
         .plant_mut()
@@ -115,8 +115,8 @@ fn every_sensor_fault_causes_a_controlled_stop_and_is_reported() {
         .expect("sound");
     assert_eq!(controlled_stop(&mut bench), ForceProblem::Silent);
 
-    for gate in [Gate::AgainstMotion, Gate::Any] {
-        let mut bench = setup(3.0, gate);
+    for enable_condition in [EnableCondition::AgainstMotion, EnableCondition::Any] {
+        let mut bench = setup(3.0, enable_condition);
         broken(
             &mut bench,
             SensorCondition {
@@ -127,13 +127,17 @@ fn every_sensor_fault_causes_a_controlled_stop_and_is_reported() {
         assert_eq!(
             controlled_stop(&mut bench),
             ForceProblem::WrongSign { component: 0 },
-            "{gate:?}"
+            "{enable_condition:?}"
         );
     }
 
     // The tool is in the air, the spindle is off.
     let mut bench = tared_machine(&sensor_alone());
-    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::AgainstMotion));
+    control(
+        &mut bench,
+        0,
+        force_settings(1.0, 5.0, EnableCondition::AgainstMotion),
+    );
     let start = bench.status().commanded;
     bench.start_job(1, &line(&start, 0, -1.0, 60));
     bench.steps(3000);
@@ -160,7 +164,11 @@ fn after_a_force_fault_the_tool_stays_and_can_be_jogged() {
     bench.rig.plant_mut().fit(&process).expect("sound");
     bench.steps(100);
     tare(&mut bench);
-    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::AgainstMotion));
+    control(
+        &mut bench,
+        0,
+        force_settings(1.0, 5.0, EnableCondition::AgainstMotion),
+    );
     job(&mut bench, -1.0, 60, 0.0);
     while displacement(&bench) < 0.5 {
         bench.step();
@@ -216,7 +224,7 @@ fn a_returning_tool_is_not_stopped_within_a_period() {
         bench.rig.plant_mut().fit(&process).expect("sound");
         bench.steps(100);
         tare(&mut bench);
-        let mut settings = force_settings(1.0, 2.0, Gate::AgainstMotion);
+        let mut settings = force_settings(1.0, 2.0, EnableCondition::AgainstMotion);
         settings.desired *= if reset { 3 } else { 1 };
         control(&mut bench, 0, settings);
         job(&mut bench, -4.0, 30, if reset { 3.0 } else { 0.05 });

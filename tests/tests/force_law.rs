@@ -8,7 +8,7 @@ mod setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::RigOptions;
 use haptimill_machine_file::{BUILT_IN, MachineFile};
-use haptimill_protocol::force::{ForceLoop, ForceParameter, ForceRefusal, Gate};
+use haptimill_protocol::force::{EnableCondition, ForceLoop, ForceParameter, ForceRefusal};
 use haptimill_protocol::message::{Command, Event, Refusal, State};
 use haptimill_tests::Bench;
 use setup::force::{
@@ -33,7 +33,7 @@ fn the_displacement_follows_the_admittance_law_and_returns() {
         control(
             &mut bench,
             0,
-            force_settings(mass, damping, Gate::AgainstMotion),
+            force_settings(mass, damping, EnableCondition::AgainstMotion),
         );
         let end = job(&mut bench, -4.0, 40, 20.0);
         let mut before = 0.0;
@@ -84,21 +84,25 @@ fn the_tool_does_not_jump_when_parameters_change() {
     bench.rig.plant_mut().fit(&process).expect("sound");
     bench.steps(100);
     tare(&mut bench);
-    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::AgainstMotion));
+    control(
+        &mut bench,
+        0,
+        force_settings(1.0, 5.0, EnableCondition::AgainstMotion),
+    );
     job(&mut bench, -4.0, 80, 0.0);
     while displacement(&bench) < 0.3 {
         bench.step();
         assert_eq!(state(&bench), State::Run, "{:?}", bench.events);
     }
-    let soft = force_settings(0.25, 0.5, Gate::AgainstMotion);
-    let stiff = force_settings(4.0, 40.0, Gate::Any);
+    let soft = force_settings(0.25, 0.5, EnableCondition::AgainstMotion);
+    let stiff = force_settings(4.0, 40.0, EnableCondition::Any);
     let eager = ForceLoop {
         desired: (2.0 * NEWTON) as i32,
-        ..force_settings(1.0, 5.0, Gate::Any)
+        ..force_settings(1.0, 5.0, EnableCondition::Any)
     };
     let short = ForceLoop {
         limit: (0.1 * MM) as i32,
-        ..force_settings(1.0, 5.0, Gate::AgainstMotion)
+        ..force_settings(1.0, 5.0, EnableCondition::AgainstMotion)
     };
     let changes = [
         // The tool is beyond this limit, and returns.
@@ -148,7 +152,7 @@ fn the_tool_does_not_jump_when_parameters_change() {
 #[test]
 fn invalid_settings_are_refused_with_their_bound() {
     let mut bench = tared_machine(&sensor_alone());
-    let good = force_settings(1.0, 5.0, Gate::AgainstMotion);
+    let good = force_settings(1.0, 5.0, EnableCondition::AgainstMotion);
     let newtons = |value: f64| ForceLoop {
         desired: (value * NEWTON) as i32,
         ..good
@@ -163,12 +167,12 @@ fn invalid_settings_are_refused_with_their_bound() {
         ),
         // K_V >= 20 N/mm * (15 ms + 5 ms + 0.3 ms).
         (
-            force_settings(1.0, 0.2, Gate::Any),
+            force_settings(1.0, 0.2, EnableCondition::Any),
             ForceParameter::DampingTooSmall,
             20.0 * 0.0203,
         ),
         (
-            force_settings(0.001, 5.0, Gate::Any),
+            force_settings(0.001, 5.0, EnableCondition::Any),
             ForceParameter::MassTooSmall,
             f64::NAN,
         ),
@@ -291,7 +295,7 @@ fn the_compliant_displacement_stays_within_its_limit() {
     tare(&mut bench);
     let short = ForceLoop {
         limit: (0.5 * MM) as i32,
-        ..force_settings(1.0, 5.0, Gate::AgainstMotion)
+        ..force_settings(1.0, 5.0, EnableCondition::AgainstMotion)
     };
     control(&mut bench, 0, short);
     bench.events.clear();
@@ -332,7 +336,11 @@ fn soft_limits_hold_for_the_reference() {
     bench.rig.plant_mut().fit(&sensor_alone()).expect("sound");
     bench.steps(100);
     tare(&mut bench);
-    control(&mut bench, 0, force_settings(1.0, 5.0, Gate::Any));
+    control(
+        &mut bench,
+        0,
+        force_settings(1.0, 5.0, EnableCondition::Any),
+    );
     bench.events.clear();
     let face = |x: f64| wall([x, at[1], at[2]], 0.0, 10.0).wall;
     let process = bench.rig.plant_mut().process_mut().expect("there");

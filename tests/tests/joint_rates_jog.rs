@@ -2,7 +2,7 @@
 
 mod setup;
 
-use haptimill_protocol::force::Gate;
+use haptimill_protocol::force::EnableCondition;
 use haptimill_protocol::message::{
     AxisValues, Command, Event, Fault, SETPOINT_BATCH, SetpointBatch, Source, State,
 };
@@ -100,7 +100,7 @@ fn a_jog_under_force_control_exceeds_no_joint_rate() {
         setup::force::tare(&mut bench);
         bench.events.clear();
         for axis in [0, 2] {
-            let settings = setup::force::force_settings(0.8, 2.0, Gate::Any);
+            let settings = setup::force::force_settings(0.8, 2.0, EnableCondition::Any);
             let command = Command::ForceLoop { axis, settings };
             bench.ask(command).expect("accepted");
         }

@@ -32,19 +32,22 @@ fn machines() -> Vec<PathBuf> {
 }
 
 /// A program that moves every coordinate of the machine away from its home pose and back to 1 mm
-/// and 1 degree from it, along lines and an arc.
+/// and 1 degree from it, along lines and an arc. It moves upwards where the home pose is close to
+/// the lower soft limit, and no faster than the slowest linear coordinate.
 fn program(machine: &MachineFile, home: &[f64]) -> String {
     let axes = machine.config.model.descriptor().pose;
-    let point = |linear: f64, rotary: f64| -> String {
+    let point = |is_away: bool| -> String {
         let limits = machine.pose.iter();
         let values = axes
             .iter()
             .zip(home)
             .zip(limits)
             .map(|((axis, at), limits)| {
-                let by = match axis.kind {
-                    AxisKind::Linear => linear,
-                    AxisKind::Rotary => rotary,
+                let by = match (is_away, axis.kind) {
+                    (false, _) => 1.0,
+                    (true, AxisKind::Linear) if at - 9.0 < limits.low => 8.0,
+                    (true, AxisKind::Linear) => -8.0,
+                    (true, AxisKind::Rotary) => -4.0,
                 };
                 if limits.wraps() {
                     // The sign is the direction.
@@ -55,15 +58,23 @@ fn program(machine: &MachineFile, home: &[f64]) -> String {
             });
         values.collect()
     };
-    let [x, y] = [home[0], home[1]];
+    let centre = |index: usize| {
+        let (at, low) = (home[index], machine.pose[index].low);
+        if at - 5.0 < low { at + 5.0 } else { at }
+    };
+    let linear = axes.iter().zip(&machine.pose);
+    let linear = linear.filter(|(axis, _)| axis.kind == AxisKind::Linear);
+    let slowest = linear.map(|(_, limits)| limits.rate).fold(15.0, f64::min);
+    let [x, y] = [centre(0), centre(1)];
     format!(
-        "G21 G90 G17 F900\nG1{}\nG1 X{:.4} Y{:.4}\nG2 X{:.4} Y{:.4} I5 J0\nG1{}\nM30\n",
-        point(-8.0, -4.0),
+        "G21 G90 G17 F{:.0}\nG1{}\nG1 X{:.4} Y{:.4}\nG2 X{:.4} Y{:.4} I5 J0\nG1{}\nM30\n",
+        slowest * 60.0,
+        point(true),
         x - 5.0,
         y,
         x + 5.0,
         y,
-        point(1.0, 1.0),
+        point(false),
     )
 }
 

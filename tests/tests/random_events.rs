@@ -8,7 +8,7 @@ use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
 use haptimill_hil_sim::process::ElasticWall;
 use haptimill_hil_sim::process::sensor::SensorCondition;
-use haptimill_protocol::force::{ForceLoop, Gate};
+use haptimill_protocol::force::{EnableCondition, ForceLoop};
 use haptimill_protocol::message::{
     Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source, State,
 };
@@ -73,11 +73,11 @@ fn rates() -> impl Strategy<Value = AxisValues> {
 
 /// Valid settings, and any others.
 fn force_loop() -> impl Strategy<Value = ForceLoop> {
-    let gate = prop_oneof![
-        Just(Gate::AgainstMotion),
-        Just(Gate::Any),
-        Just(Gate::Positive),
-        Just(Gate::Negative)
+    let enable_condition = prop_oneof![
+        Just(EnableCondition::AgainstMotion),
+        Just(EnableCondition::Any),
+        Just(EnableCondition::Positive),
+        Just(EnableCondition::Negative)
     ];
     let sound = (1_i32..20, 1_u32..200, 1_u32..40, 1_i32..20, 1_i32..20).prop_map(
         |(desired, mass, damping, limit, rate)| {
@@ -91,14 +91,14 @@ fn force_loop() -> impl Strategy<Value = ForceLoop> {
         },
     );
     let any = any::<(i32, u32, u32, i32, i32)>();
-    (prop_oneof![4 => sound, 1 => any], gate).prop_map(
-        |((desired, mass, damping, limit, rate), gate)| ForceLoop {
+    (prop_oneof![4 => sound, 1 => any], enable_condition).prop_map(
+        |((desired, mass, damping, limit, rate), enable_condition)| ForceLoop {
             desired,
             mass,
             damping,
             limit,
             rate,
-            gate,
+            enable_condition,
         },
     )
 }

@@ -36,8 +36,8 @@ pub const BOARDS: &[Board] = &[Board {
         // This image exceeds the flash budget of the plain image. Optimised for size it would
         // exceed its control period.
         (
-            "hand",
-            "hand",
+            "haptics",
+            "haptics",
             &["--config", FOR_SPEED[0], "--config", FOR_SPEED[1]],
         ),
         ("faults", "faults", &[]),

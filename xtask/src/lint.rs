@@ -4,6 +4,7 @@
 //! counts in characters. Links do not count: their targets cannot be broken.
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -11,7 +12,7 @@ use std::path::{Path, PathBuf};
 const COLUMNS: usize = 100;
 
 /// Directories that hold no sources of the project.
-const SKIPPED: &[&str] = &["target"];
+const SKIPPED: &[&str] = &["data", "target"];
 
 /// Checks all sources and pages below `root`.
 ///
@@ -20,17 +21,17 @@ const SKIPPED: &[&str] = &["target"];
 /// Returns the number of long lines of every package and folder, or the file that cannot be read.
 pub fn lint(root: &Path) -> Result<(), String> {
     let mut files = Vec::new();
-    list(root, &mut files)?;
+    list(root, &[".rs", ".md", ".toml"], &mut files)?;
     files.sort();
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
     for path in files {
         let text =
             fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
         let name = path.strip_prefix(root).unwrap_or(&path);
-        let lines = if name.extension().is_some_and(|extension| extension == "rs") {
-            long_comments(&text)
-        } else {
-            long_prose(&text)
+        let lines = match name.extension().and_then(OsStr::to_str) {
+            Some("rs") => long_comments(&text),
+            Some("toml") => long_toml_comments(&text),
+            _ => long_prose(&text),
         };
         for (line, columns) in lines {
             println!("{}:{line}: {columns} columns", name.display());
@@ -51,8 +52,13 @@ pub fn lint(root: &Path) -> Result<(), String> {
     ))
 }
 
-/// Collects the Rust and Markdown files below a directory. Hidden directories are skipped.
-pub(crate) fn list(directory: &Path, files: &mut Vec<PathBuf>) -> Result<(), String> {
+/// Collects the files below a directory whose names have one of the endings. Hidden directories,
+/// build output and test data are skipped.
+pub(crate) fn list(
+    directory: &Path,
+    endings: &[&str],
+    files: &mut Vec<PathBuf>,
+) -> Result<(), String> {
     let problem = |error| format!("{}: {error}", directory.display());
     for entry in fs::read_dir(directory).map_err(problem)? {
         let entry = entry.map_err(problem)?;
@@ -60,9 +66,9 @@ pub(crate) fn list(directory: &Path, files: &mut Vec<PathBuf>) -> Result<(), Str
         let name = name.to_string_lossy();
         if entry.file_type().map_err(problem)?.is_dir() {
             if !name.starts_with('.') && !SKIPPED.contains(&name.as_ref()) {
-                list(&path, files)?;
+                list(&path, endings, files)?;
             }
-        } else if name.ends_with(".rs") || name.ends_with(".md") {
+        } else if endings.iter().any(|ending| name.ends_with(ending)) {
             files.push(path);
         }
     }
@@ -112,6 +118,15 @@ fn long_prose(text: &str) -> Vec<(usize, usize)> {
         }
     }
     lines
+}
+
+/// Long lines of a TOML file that have a comment.
+fn long_toml_comments(text: &str) -> Vec<(usize, usize)> {
+    let commented = text.lines().enumerate();
+    let commented = commented.filter(|(_, line)| line.contains('#'));
+    commented
+        .filter_map(|(index, line)| long(index, line))
+        .collect()
 }
 
 /// Returns the number of a line, from 1, and its length if it is long.

@@ -1,6 +1,7 @@
 //! Developer tasks of the project. `cargo xtask help` lists them.
 
 mod board;
+mod emulator;
 mod gcode;
 mod lint;
 mod names;
@@ -28,6 +29,7 @@ Developer tasks of the project.
   cargo xtask board NAME --image   build the image and print only its path
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: hand, faults, checks, logging)
   cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
+  cargo xtask emulator             repair the emulator of the RP2350 (host/emulator) and test the repairs
   cargo xtask machines             do everything with every machine file and rewrite docs/machines.md
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
   cargo xtask storm [OPTION ...]   run random episodes against all checks, by seed (docs/storm.md; --help lists the options)
@@ -151,7 +153,7 @@ const KEYS: &[Step] = &[Step {
         "run",
         "--quiet",
         "--package",
-        "haptimill-machine-keys",
+        "haptimill-machine-file",
         "--example",
         "key_tables",
         "--",
@@ -174,6 +176,7 @@ fn main() -> ExitCode {
         ["board", name, "--image"] => image(name, None),
         ["board", name, "--image", other] => image(name, Some(other)),
         ["instructions"] => instructions(),
+        ["emulator"] => emulator::emulator(&root()),
         ["machines"] => run(MACHINES),
         ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),

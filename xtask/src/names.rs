@@ -21,20 +21,17 @@ const ABOUT_MACHINES: &[&str] = &["tests", "benches", "examples"];
 const PARTS: &[&str] = &["slide", "slides"];
 
 /// Names of descriptors that are ordinary words of general code.
-const ORDINARY: &[&str] = &["cartesian"];
+const ORDINARY: &[&str] = &["cartesian", "facet", "height", "angle", "index"];
 
 /// Files and folders that may name machines, and why.
 const EXCEPTIONS: &[(&str, &str)] = &[
     // Lists with a row per machine.
-    ("firmware/kinematics/src/lib.rs", "list of modules"),
-    ("firmware/kinematics/src/machines.rs", "list of machines"),
-    ("hil-sim/src/machines/mod.rs", "list of geometries"),
-    ("host/machine-file/src/lib.rs", "list of modules"),
-    ("host/machine-file/src/models.rs", "list of models"),
     (
-        "host/machine-keys/src/",
-        "list of keys, with those of the models",
+        "firmware/kinematics/src/machines/mod.rs",
+        "list of machines",
     ),
+    ("hil-sim/src/machines/mod.rs", "list of geometries"),
+    ("host/machine-file/src/models/mod.rs", "list of models"),
     ("host/cli/src/commands/machine/init.rs", "list of templates"),
     // The haptic arm has slides of its own.
     ("firmware/kinematics/src/haptic_arm/", "haptic arm"),
@@ -47,8 +44,12 @@ const EXCEPTIONS: &[(&str, &str)] = &[
     ("hil-sim/src/fault/haptic.rs", "faults of the haptic arm"),
     ("hil-sim/src/fault/catalogue.rs", "faults of the haptic arm"),
     ("host/machine-file/src/haptic.rs", "haptic arm"),
+    ("host/machine-keys/src/haptic.rs", "haptic arm"),
     ("protocol/src/haptic.rs", "haptic arm"),
     ("protocol/src/text/haptic.rs", "haptic arm"),
+    // Gems, and the machine that cuts them.
+    ("host/facet/", "gems"),
+    ("host/cli/src/commands/facet.rs", "gems"),
     // Experiments and references of one machine.
     ("host/experiments/", "experiments of the thesis"),
     ("firmware/checks/src/", "checks of the reference machine"),
@@ -64,8 +65,15 @@ const WORDS: &[(&str, &str)] = &[
     ("firmware/src/joint/", "slide"),
     ("hil-sim/src/joint/", "slide"),
     ("hil-sim/src/joint/", "slides"),
+    ("host/machine-keys/src/plant.rs", "slide"),
+    ("host/machine-keys/src/plant.rs", "slides"),
+    // The angles of the haptic arm.
+    ("host/machine-keys/src/plant.rs", "theta1"),
+    ("host/machine-keys/src/plant.rs", "theta2"),
     ("hil-sim/src/plant.rs", "slide"),
     ("hil-sim/src/plant.rs", "slides"),
+    // An angle of the haptic arm.
+    ("host/machine-keys/src/plant.rs", "theta2"),
     // The axes of the part programs of tests.
     ("host/gcode/src/lib.rs", "h4"),
     ("host/gcode/src/lib.rs", "theta"),
@@ -81,7 +89,7 @@ pub fn lint(root: &Path) -> Result<(), String> {
     let names = names(root)?;
     let mut files = Vec::new();
     for folder in CHECKED {
-        super::lint::list(&root.join(folder), &mut files)?;
+        super::lint::list(&root.join(folder), &[".rs", ".md"], &mut files)?;
     }
     files.sort();
     let mut count = 0;
@@ -126,7 +134,7 @@ struct Names {
 /// Reads the names from the descriptors.
 fn names(root: &Path) -> Result<Names, String> {
     let mut files = Vec::new();
-    super::lint::list(&root.join(DESCRIPTORS), &mut files)?;
+    super::lint::list(&root.join(DESCRIPTORS), &[".rs"], &mut files)?;
     let mut names = Names::default();
     for path in files {
         let text =
@@ -285,11 +293,11 @@ mod tests {
     fn files_of_a_machine_may_name_it() {
         let names = scara();
         for free in [
-            "firmware/kinematics/src/scara.rs",
-            "firmware/kinematics/src/scara/motion.rs",
+            "firmware/kinematics/src/machines/scara.rs",
+            "firmware/kinematics/src/machines/scara/motion.rs",
             "hil-sim/src/machines/scara.rs",
             "host/planner/tests/plan/scara.rs",
-            "host/machine-file/src/models.rs",
+            "host/machine-file/src/models/mod.rs",
             "host/cli/tests/cli.rs",
         ] {
             assert!(is_free(free, &names), "{free}");
@@ -315,7 +323,7 @@ mod tests {
         for checked in CHECKED {
             fs::create_dir_all(folder.join(checked)).unwrap();
         }
-        write("firmware/kinematics/src/scara.rs", DESCRIPTOR);
+        write("firmware/kinematics/src/machines/scara.rs", DESCRIPTOR);
         write("host/report/src/lib.rs", "fn general() {}\n");
         assert_eq!(lint(&folder), Ok(()));
         write("host/report/src/lib.rs", "fn elbow_error() {}\n");

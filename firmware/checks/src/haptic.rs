@@ -5,7 +5,7 @@ use crate::Check;
 use crate::kinematics::subject::Sequence;
 use haptimill_firmware::config::digest::Digest;
 use haptimill_kinematics::haptic_arm::statics::{Efforts, Wrench};
-use haptimill_kinematics::haptic_arm::{HandPose, HapticArm, HapticGeometry, LegReading};
+use haptimill_kinematics::haptic_arm::{ArmPose, HapticArm, HapticGeometry, LegReading};
 use haptimill_math::{Angle, Length};
 
 /// Number of poses checked.
@@ -17,7 +17,7 @@ const BITS: u32 = 0xeca9_30cf;
 
 /// The checks of this module.
 pub const CHECKS: &[Check] = &[Check {
-    name: "haptic::the_hand_has_the_same_bits_everywhere",
+    name: "haptic::the_arm_has_the_same_bits_everywhere",
     run: bits,
 }];
 
@@ -58,7 +58,7 @@ fn readings([x, y, z]: [f64; 3], turn: f64) -> [LegReading; 3] {
     })
 }
 
-fn add(digest: &mut Digest, pose: &HandPose, efforts: &Efforts) {
+fn add(digest: &mut Digest, pose: &ArmPose, efforts: &Efforts) {
     digest.add(&(pose.centre, pose.axes, pose.tip));
     let words = efforts.iter().flatten().map(|effort| effort.to_bits());
     words.for_each(|word| digest.add(&word));

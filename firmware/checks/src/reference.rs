@@ -5,7 +5,7 @@ use haptimill_firmware::config::{
     ServoForm, Stopping, Supervision,
 };
 use haptimill_firmware::force::sensor::{Channel, Sensor};
-use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
+use haptimill_firmware::force::{EnableCondition, ForceConfig, LoopSettings};
 use haptimill_firmware::haptics::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
 use haptimill_firmware::haptics::passivity::PassivityConfig;
 use haptimill_firmware::haptics::walls::WallConfig;
@@ -76,7 +76,7 @@ fn slide(preset: f64) -> JointAxis {
             per_count: i64::from(mm(10.0)) * (1 << 24) / 8000,
             following: Coordinate(mm(0.5)),
             following_lag: 1311,
-            still: Coordinate(mm(0.25)),
+            stuck_distance: Coordinate(mm(0.25)),
             index: Coordinate(mm(preset + 3.0)),
             index_pitch: Coordinate(mm(10.0)),
             index_slack: 4,
@@ -99,7 +99,7 @@ fn table() -> JointAxis {
             per_count: (i64::from(degrees(4.0)) << 24) / 8000,
             following: Coordinate(degrees(0.5)),
             following_lag: 1311,
-            still: Coordinate(degrees(0.2)),
+            stuck_distance: Coordinate(degrees(0.2)),
             index: Coordinate(degrees(1.0)),
             index_pitch: Coordinate(degrees(4.0)),
             index_slack: 4,
@@ -165,11 +165,12 @@ pub fn h4() -> Config {
         },
         homing: Homing {
             rate: Rate(mm(10.0)),
-            table_rate: Rate(degrees(4.0)),
+            rotary_rate: Rate(degrees(4.0)),
         },
         force: None,
         follow: None,
         haptic: None,
+        volumetric: None,
         io: Default::default(),
     }
 }
@@ -188,7 +189,7 @@ pub fn force() -> ForceConfig {
         damping: VirtualDamping(5 << 16),
         limit: Length::millimetres(10),
         rate: Rate(10 << 20),
-        gate: Gate::AgainstMotion,
+        enable_condition: EnableCondition::AgainstMotion,
     };
     ForceConfig {
         sensor: Sensor {
@@ -252,7 +253,7 @@ pub fn haptic() -> HapticConfig {
         rate_filter_us: 5000,
         ball: length(5.0),
         step: Force(newton(0.05)),
-        reflection: ForceFeedback {
+        feedback: ForceFeedback {
             axes: [reflect(40, 3.2), reflect(10, 3.2), reflect(20, 1.2)],
             damping: 0,
             damping_below: newton(2.0),
@@ -305,7 +306,7 @@ pub fn h4_with_steps() -> Config {
             pulse: 210,
             setup: 420,
             hold: 420,
-            lost: encoder.still,
+            lost: encoder.stuck_distance,
         };
         joint.backlash = Coordinate(0);
         joint.rate = Rate(joint.rate.0 / 2);

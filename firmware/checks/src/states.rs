@@ -5,6 +5,7 @@
 
 use crate::Check;
 use crate::reference::{h4_with_steps, mm};
+use haptimill_firmware::comm::server::CONFIG_BYTES;
 use haptimill_firmware::config::Config;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
@@ -451,13 +452,17 @@ fn misfit() {
     let refused = |result: Result<(), Refusal>| assert!(result.is_err(), "taken");
     refused(bed.configure(&room[..length], crc ^ 1));
     refused(bed.configure(&room[..length - 7], crc));
-    for offset in (0..2048).step_by(CONFIG_CHUNK) {
+    for offset in (0..2 * CONFIG_BYTES).step_by(CONFIG_CHUNK) {
         let chunk = ConfigChunk {
             offset: offset as u16,
             bytes: [7; CONFIG_CHUNK].into_iter().collect(),
         };
         let result = bed.ask(Command::Configure(chunk));
-        assert_eq!(result.is_ok(), offset + CONFIG_CHUNK <= 1024, "{offset}");
+        assert_eq!(
+            result.is_ok(),
+            offset + CONFIG_CHUNK <= CONFIG_BYTES,
+            "{offset}"
+        );
     }
     let mut senseless = bed.config.clone();
     senseless.joints[1].low.0 = i32::MAX;

@@ -104,21 +104,26 @@ impl Descriptor {
         Some([x?, y?, z?])
     }
 
-    /// Whether force control and a master can move the tool: the first coordinates are x, y and z
-    /// of the tool tip, and those behind are the tilt of the tool and the rotation of the
-    /// workpiece, as far as the machine has them. Lengths are added to the first three coordinates,
-    /// angles to the next two.
+    /// Whether force control can move the tool: the first coordinates are x, y and z of the tool
+    /// tip. Lengths are added to them.
     #[must_use]
-    pub fn has_guided_tool(&self) -> bool {
-        let directions = [Role::ToolTilt, Role::WorkpieceRotation];
-        let behind = self.pose.iter().skip(TOOL_TIP.len()).map(|axis| axis.role);
-        let tip = self.tool_tip() == Some([0, 1, 2])
+    pub fn has_force_axes(&self) -> bool {
+        self.tool_tip() == Some([0, 1, 2])
             && self
                 .pose
                 .iter()
                 .take(TOOL_TIP.len())
-                .all(|axis| axis.kind == AxisKind::Linear);
-        tip && behind.zip(directions).all(|(role, of)| role == of)
+                .all(|axis| axis.kind == AxisKind::Linear)
+    }
+
+    /// Whether a master can move the tool: it has the axes of force control, and the coordinates
+    /// behind are the tilt of the tool and the rotation of the workpiece, as far as the machine has
+    /// them. Angles are added to these two.
+    #[must_use]
+    pub fn has_guided_tool(&self) -> bool {
+        let directions = [Role::ToolTilt, Role::WorkpieceRotation];
+        let behind = self.pose.iter().skip(TOOL_TIP.len()).map(|axis| axis.role);
+        self.has_force_axes() && behind.zip(directions).all(|(role, of)| role == of)
     }
 
     /// Number of pose coordinates, which is also the number of joints; at most [`MAX_AXES`].
@@ -168,6 +173,18 @@ mod tests {
         };
         for pose in [&[X, Y, Z][..], &[X, Y, Z, TILT], &[X, Y, Z, TILT, TURN]] {
             assert!(machine(pose).has_guided_tool(), "{pose:?}");
+            assert!(machine(pose).has_force_axes(), "{pose:?}");
+        }
+        for pose in [&[X, Y, Z, OTHER, OTHER][..], &[X, Y, Z, TURN]] {
+            assert!(machine(pose).has_force_axes(), "{pose:?}");
+        }
+        for pose in [
+            &[OTHER, X, Y, Z][..],
+            &[X, Z, Y],
+            &[X, Y],
+            &[X, TURNED_Y, Z],
+        ] {
+            assert!(!machine(pose).has_force_axes(), "{pose:?}");
         }
         for pose in [
             &[][..],

@@ -9,27 +9,24 @@
 #![cfg_attr(not(test), deny(clippy::float_arithmetic))]
 
 mod bounded;
-pub mod cartesian;
 pub mod descriptor;
-pub mod h4;
 pub mod haptic_arm;
 mod machine;
-mod machines;
-pub mod trunnion;
+pub mod machines;
+mod planar;
 
 pub use bounded::{BoundedKinematics, JointLimits};
 pub use machine::Machine;
-pub use machines::{DESCRIPTORS, Model};
+pub use machines::*;
 
 use haptimill_math::{Acceleration, Coordinate, Rate};
 pub use haptimill_protocol::message::{MAX_AXES, PoseError};
 
-/// Pose of the tool in the workpiece frame, in the machine's order of pose coordinates (H-4: x_w,
-/// y_w, z_w, theta, alpha).
+/// Pose of the tool in the workpiece frame, in the order of the descriptor's pose coordinates.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Pose(pub [Coordinate; MAX_AXES]);
 
-/// Positions of the joints, in the machine's order (H-4: l_1, l_2, l_3, l_4, alpha).
+/// Positions of the joints, in the order of the descriptor's joints.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Joints(pub [Coordinate; MAX_AXES]);
 
@@ -69,8 +66,8 @@ pub struct BoxBounds {
 
 /// Kinematics of a machine.
 ///
-/// A new machine needs one module with this trait and [`Machine`], one row in the list of
-/// `machines.rs`, and one row in the conformance suite.
+/// A new machine is a module with this trait and [`Machine`], its row in the list of [`machines`],
+/// and a subject with its row in the conformance suite.
 pub trait Kinematics {
     /// Number of pose coordinates, which is also the number of joints.
     fn axes(&self) -> usize;

@@ -20,7 +20,7 @@ use haptimill_protocol::setpoint::{BatchReader, Setpoint, SetpointCoder};
 use heapless::{Deque, Vec};
 
 /// Largest staged configuration, in bytes.
-pub const CONFIG_BYTES: usize = 1024;
+pub const CONFIG_BYTES: usize = 4096;
 
 /// Answers that wait for room in the link: as many as a host can have requests under way.
 const ANSWERS: usize = 8;

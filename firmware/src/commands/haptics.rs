@@ -1,7 +1,7 @@
 //! Commands of the haptic arm and of the remote master.
 
 use super::conditions::Done;
-use crate::config::HAND;
+use crate::config::HAPTICS;
 use crate::core::Core;
 use crate::force::sensor::COMPONENTS;
 use crate::haptics::Haptic;
@@ -21,9 +21,9 @@ pub(super) fn set_remote_master(
     core: &mut Core,
     epoch: u16,
     age_ms: u8,
-    hand: &MasterPose,
+    master: &MasterPose,
 ) -> Done {
-    if !HAND || core.configured()?.config.follow.is_none() {
+    if !HAPTICS || core.configured()?.config.follow.is_none() {
         return Err(Refusal::NoMaster);
     }
     let newest = core.job.master_epoch;
@@ -33,7 +33,7 @@ pub(super) fn set_remote_master(
     }
     core.job.master_epoch = Some(epoch);
     core.job.master_cancelled = false;
-    core.configured()?.set_remote_master(hand, age_ms);
+    core.configured()?.set_remote_master(master, age_ms);
     Ok(())
 }
 
@@ -68,15 +68,15 @@ pub(super) fn set_wall(
 }
 
 /// Latches master and tool positions anew, so the tool does not jump.
-pub(super) fn set_hand_scale(core: &mut Core, scale: u16) -> Done {
+pub(super) fn set_position_scale(core: &mut Core, scale: u16) -> Done {
     let machine = core.configured()?;
-    if !HAND || machine.config.follow.is_none() {
+    if !HAPTICS || machine.config.follow.is_none() {
         return Err(Refusal::NoMaster);
     }
     if !scale_is_sound(scale) {
         return Err(Refusal::Range);
     }
-    let frame = machine.hand();
+    let frame = machine.master();
     machine.masters.mapping.set_scale(scale, frame.as_ref());
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Commands of jogs, sources and the feed override.
 
 use super::conditions::{Done, in_state, settled};
-use crate::config::HAND;
+use crate::config::HAPTICS;
 use crate::core::Core;
 use crate::haptics::mapping::LED;
 use haptimill_protocol::message::{AxisValues, MAX_AXES, RATE_SHIFT, Refusal, Source, State};
@@ -83,14 +83,15 @@ pub(super) fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
     if usize::from(axis) >= machine.axes() {
         return Err(Refusal::Range);
     }
-    let follows = HAND && machine.config.follow.is_some() && usize::from(axis) < LED;
+    let follows = HAPTICS && machine.config.follow.is_some() && usize::from(axis) < LED;
     if source == Source::Master && !follows {
         return Err(Refusal::NoMaster);
     }
     machine.masters.mapping.release_one(usize::from(axis));
-    // Without the feature `hand` no source takes over a moving coordinate.
-    let jogs =
-        !HAND || source == Source::Jog || machine.motion.source(usize::from(axis)) == Source::Jog;
+    // Without the feature `haptics` no source takes over a moving coordinate.
+    let jogs = !HAPTICS
+        || source == Source::Jog
+        || machine.motion.source(usize::from(axis)) == Source::Jog;
     if jogs && state == State::Run {
         return Err(Refusal::State(state));
     }

@@ -3,7 +3,8 @@
 use super::{
     AxisKind, Config, Drive, EncoderAxis, Home, JointAxis, PoseAxis, ServoConfig, SwitchHome,
 };
-use crate::config::HAND;
+use crate::config::HAPTICS;
+use crate::config::volumetric::{CORRECTION, ERROR_AXES};
 use crate::haptics::config::HapticConfig;
 use crate::motion::tracker::TrackerLimits;
 use crate::motion::{interpolator, jog};
@@ -46,10 +47,11 @@ impl Config {
         require(counts, ConfigField::AxisCount, None)?;
         self.check_geometry()?;
         // Telemetry of forces and of turns do not fit into one message.
-        let guided = self.model.descriptor().has_guided_tool();
-        let force = self.force.is_none() || (guided && self.wrapping() == 0);
+        let has_axes = self.model.descriptor().has_force_axes();
+        let force = self.force.is_none() || (has_axes && self.wrapping() == 0);
         require(force, ConfigField::Force, None)?;
-        self.check_hand()?;
+        self.check_haptics()?;
+        self.check_volumetric()?;
         self.io.check()?;
         for (index, axis) in self.pose.iter().enumerate() {
             self.check_pose(index, axis)?;
@@ -103,21 +105,50 @@ impl Config {
         let needed = |kind| self.joints.iter().any(|joint| searched(joint, kind));
         require(
             (self.homing.rate.0 > 0 || !needed(AxisKind::Linear))
-                && (self.homing.table_rate.0 > 0 || !needed(AxisKind::Rotary)),
+                && (self.homing.rotary_rate.0 > 0 || !needed(AxisKind::Rotary)),
             ConfigField::Homing,
             None,
         )
     }
 
+    /// Checks volumetric compensation: three linear coordinates that are joints, and joints that
+    /// have room for the correction beyond the soft limits.
+    fn check_volumetric(&self) -> Check {
+        let Some(volumetric) = &self.volumetric else {
+            return Ok(());
+        };
+        let field = ConfigField::Volumetric;
+        let machine = self.model.descriptor();
+        let names = machine.pose.iter().zip(machine.joints);
+        let direct = names
+            .take(ERROR_AXES)
+            .all(|(pose, joint)| pose.name == joint.name && pose.kind == AxisKind::Linear);
+        let counts = self.pose.len() >= ERROR_AXES && self.joints.len() >= ERROR_AXES;
+        require(direct && counts, field, None)?;
+        let axes = self.pose.iter().zip(&self.joints).take(ERROR_AXES);
+        for (index, (pose, joint)) in axes.enumerate() {
+            let room = i64::from(CORRECTION);
+            let below = i64::from(pose.low.0) - i64::from(joint.low.0) >= room;
+            let above = i64::from(joint.high.0) - i64::from(pose.high.0) >= room;
+            require(below && above, field, Some(index))?;
+        }
+        let travel: [_; ERROR_AXES] =
+            core::array::from_fn(|index| (self.pose[index].low, self.pose[index].high));
+        match volumetric.unsound_axis(&travel) {
+            None => Ok(()),
+            axis => require(false, field, axis),
+        }
+    }
+
     /// Checks the haptic arm and the master-to-tool mapping. A machine without axes must have a
     /// haptic arm.
-    fn check_hand(&self) -> Check {
-        require(HAND || self.haptic.is_none(), ConfigField::Haptic, None)?;
-        require(HAND || self.follow.is_none(), ConfigField::Follow, None)?;
-        let sound = !HAND || self.haptic.as_ref().is_none_or(HapticConfig::is_sound);
+    fn check_haptics(&self) -> Check {
+        require(HAPTICS || self.haptic.is_none(), ConfigField::Haptic, None)?;
+        require(HAPTICS || self.follow.is_none(), ConfigField::Follow, None)?;
+        let sound = !HAPTICS || self.haptic.as_ref().is_none_or(HapticConfig::is_sound);
         let something = self.haptic.is_some() || !self.pose.is_empty();
         require(sound && something, ConfigField::Haptic, None)?;
-        let Some(follow) = self.follow.as_ref().filter(|_| HAND) else {
+        let Some(follow) = self.follow.as_ref().filter(|_| HAPTICS) else {
             return Ok(());
         };
         require(
@@ -233,7 +264,7 @@ impl Config {
         require(
             encoder.following.0 > 0
                 && encoder.following <= encoder.index_pitch
-                && encoder.still.0 > 0
+                && encoder.stuck_distance.0 > 0
                 && encoder.following_lag < 1 << 16,
             ConfigField::Following,
             here,

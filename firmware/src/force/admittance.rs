@@ -11,8 +11,8 @@
 //! returns at up to f_d / K_V, and stops at 0.
 //!
 //! The implementation extends the equation:
-//! - **Enable condition.** While it is false ([`Gate`]) a force does not push outward. The rate
-//!   decays, and the tool returns as soon as the force is below f_d.
+//! - **Enable condition.** While it is false ([`EnableCondition`]) a force does not push outward.
+//!   The rate decays, and the tool returns as soon as the force is below f_d.
 //! - **Limit.** Towards the largest displacement the tool moves at most 1/64 of the remaining
 //!   displacement per control period. A limit that is lowered too far to be reached in this way
 //!   first allows the distance in which the rate ends, and then follows the returning tool.
@@ -43,7 +43,7 @@
 //! workpiece; [`super::stability`] detects that.
 
 use super::zero_order_hold::{FINENESS, Part, RATE_BITS, ZeroOrderHold, sound};
-use super::{ForceParameter, ForceRefusal, Gate, LoopSettings};
+use super::{EnableCondition, ForceParameter, ForceRefusal, LoopSettings};
 use crate::config::digest::constants;
 use crate::joint::rate_filter::frequency;
 use haptimill_math::force::{Displacement, Force, VirtualDamping};
@@ -527,11 +527,11 @@ impl AdmittanceAxis {
             let most = if push.touching { 1 << 28 } else { desired };
             drive = drive.wrapping_add(resisted.min(most).max(-desired) as i32);
         }
-        let open = match law.settings.gate {
-            Gate::AgainstMotion => desired_rate < 0,
-            Gate::Any => true,
-            Gate::Positive => self.upward,
-            Gate::Negative => !self.upward,
+        let open = match law.settings.enable_condition {
+            EnableCondition::AgainstMotion => desired_rate < 0,
+            EnableCondition::Any => true,
+            EnableCondition::Positive => self.upward,
+            EnableCondition::Negative => !self.upward,
         };
         // From displacement 0 only a force above f_d moves the tool, not the damping against the
         // desired motion.

@@ -4,7 +4,7 @@ use super::sensor::{COMPONENTS, Sensor};
 use super::window_peak::Window;
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Length, Rate};
-use haptimill_protocol::force::{ForceLoop, Gate};
+use haptimill_protocol::force::{EnableCondition, ForceLoop};
 use serde::{Deserialize, Serialize};
 
 /// Force control settings of one axis.
@@ -21,7 +21,7 @@ pub struct LoopSettings {
     /// Largest rate of the compliant displacement, away and back.
     pub rate: Rate,
     /// Enable condition.
-    pub gate: Gate,
+    pub enable_condition: EnableCondition,
 }
 
 impl LoopSettings {
@@ -41,7 +41,7 @@ impl From<&ForceLoop> for LoopSettings {
             damping: VirtualDamping(settings.damping),
             limit: Length(settings.limit),
             rate: Rate(settings.rate),
-            gate: settings.gate,
+            enable_condition: settings.enable_condition,
         }
     }
 }
@@ -54,7 +54,7 @@ impl From<&LoopSettings> for ForceLoop {
             damping: settings.damping.0,
             limit: settings.limit.0,
             rate: settings.rate.0,
-            gate: settings.gate,
+            enable_condition: settings.enable_condition,
         }
     }
 }

@@ -31,7 +31,8 @@ pub use config::{ForceConfig, LoopSettings};
 use haptimill_math::force::Displacement;
 use haptimill_math::{Angle, Coordinate, Rate};
 pub use haptimill_protocol::force::{
-    ForceLoop, ForceParameter, ForceProblem, ForceRefusal, ForceTelemetry, Gate, TareRefusal,
+    EnableCondition, ForceLoop, ForceParameter, ForceProblem, ForceRefusal, ForceTelemetry,
+    TareRefusal,
 };
 use sensor::{COMPONENTS, Conditioner, ForceSample, is_force};
 use stability::{Sign, StabilityMonitor};

@@ -52,7 +52,7 @@ pub struct HapticConfig {
     /// Largest change of the force on the operator in a control period: to 0.05 N.
     pub step: Force,
     /// Force feedback law after a start.
-    pub reflection: ForceFeedback,
+    pub feedback: ForceFeedback,
     /// Virtual fixtures.
     pub wall: WallConfig,
     /// Passivity observer and controller.
@@ -117,7 +117,7 @@ impl HapticConfig {
             && (500..=20_000).contains(&self.rate_filter_us)
             && (0..=50 << 20).contains(&self.ball.0)
             && (1..=3277).contains(&self.step.0)
-            && super::feedback_law::is_sound(&self.reflection)
+            && super::feedback_law::is_sound(&self.feedback)
             && self.wall.is_sound()
             && self.passivity.is_sound()
     }

@@ -36,7 +36,7 @@ pub struct FeedbackLaw {
     percent: [i32; COMPONENTS],
     most: [i32; COMPONENTS],
     /// Velocity-proportional damping, 2^-24 N s/mm, and the force below which it acts.
-    boost: i32,
+    damping: i32,
     below: i32,
     commanded: ForceFeedback,
     /// All settings have reached their targets.
@@ -48,10 +48,9 @@ pub struct FeedbackLaw {
 /// Whether settings are in range: at most 100 %, limits from 0 to 10 N, a threshold from 0.5 N to
 /// 10 N.
 #[must_use]
-pub fn is_sound(reflection: &ForceFeedback) -> bool {
+pub fn is_sound(feedback: &ForceFeedback) -> bool {
     let axis = |axis: &ForceFeedbackAxis| axis.percent <= 100 && (0..=MOST.0).contains(&axis.limit);
-    reflection.axes.iter().all(axis)
-        && (1 << FADE_SHIFT..=MOST.0).contains(&reflection.damping_below)
+    feedback.axes.iter().all(axis) && (1 << FADE_SHIFT..=MOST.0).contains(&feedback.damping_below)
 }
 
 /// Moves `value` towards `commanded` by at most `step`.
@@ -94,7 +93,7 @@ impl FeedbackLaw {
     /// Ramps the settings; called once per control period until they reach their targets.
     #[inline(never)]
     fn approach(&mut self, step: i32) {
-        let before = (self.percent, self.most, self.boost, self.below);
+        let before = (self.percent, self.most, self.damping, self.below);
         for (axis, commanded) in self.commanded.axes.iter().enumerate() {
             // 2^24 / 100, to nearest.
             approach(
@@ -109,7 +108,7 @@ impl FeedbackLaw {
             );
         }
         approach(
-            &mut self.boost,
+            &mut self.damping,
             i32::from(self.commanded.damping) << 8,
             step,
         );
@@ -119,7 +118,7 @@ impl FeedbackLaw {
             step.saturating_mul(10),
         );
         // Settings that do not change have reached their targets.
-        self.arrived = before == (self.percent, self.most, self.boost, self.below);
+        self.arrived = before == (self.percent, self.most, self.damping, self.below);
     }
 
     /// The present limit of an axis.
@@ -136,7 +135,7 @@ impl FeedbackLaw {
         rates: &[Rate; COMPONENTS],
     ) -> [Force; COMPONENTS] {
         let shares = self.shares(forces);
-        self.boosted(&shares, rates)
+        self.damped(&shares, rates)
     }
 
     /// First half of a control period: the percentage of each force, clamped to the largest value
@@ -145,16 +144,16 @@ impl FeedbackLaw {
         if !self.arrived {
             self.approach(self.step);
         }
-        let boosted = if self.boost == 0 { 0 } else { self.below };
+        let damped = if self.damping == 0 { 0 } else { self.below };
         core::array::from_fn(|axis| {
             let share = (i64::from(forces[axis].0) * i64::from(self.percent[axis])) >> 24;
-            within(saturate(share), self.most[axis].max(boosted) >> 8)
+            within(saturate(share), self.most[axis].max(damped) >> 8)
         })
     }
 
     /// Second half: adds the velocity-proportional damping term and applies the limits.
     #[must_use]
-    pub fn boosted(
+    pub fn damped(
         &self,
         shares: &[Force; COMPONENTS],
         rates: &[Rate; COMPONENTS],
@@ -163,7 +162,7 @@ impl FeedbackLaw {
             let share = shares[axis].0;
             let most = self.most[axis] >> 8;
             // An axis without force feedback has no damping term.
-            if self.boost == 0 || self.percent[axis] == 0 {
+            if self.damping == 0 || self.percent[axis] == 0 {
                 return within(share, most);
             }
             // 1 below the threshold minus the fade range, 0 above the threshold, in 2^-15.
@@ -171,9 +170,9 @@ impl FeedbackLaw {
             let fade = under.clamp(0, 1 << FADE_SHIFT);
             // 2^-20 mm/s times 2^-24 N s/mm is 2^-44 N; |rate| <= 2^31, damping < 2^24: at most
             // 2^27, before and after the fade.
-            let against = ((i64::from(rates[axis].0) * i64::from(self.boost)) >> 28) as i32;
-            let boost = ((i64::from(against) * i64::from(fade)) >> FADE_SHIFT) as i32;
-            within(share.saturating_sub(boost), most)
+            let against = ((i64::from(rates[axis].0) * i64::from(self.damping)) >> 28) as i32;
+            let damping = ((i64::from(against) * i64::from(fade)) >> FADE_SHIFT) as i32;
+            within(share.saturating_sub(damping), most)
         })
     }
 

@@ -48,23 +48,23 @@ impl Frame {
     /// The frame of a remote master from a sample that is `age` control periods old, with
     /// `per_second` control periods per second. The motion is extrapolated for at most 0.02 s.
     #[must_use]
-    pub fn of(hand: &MasterPose, age: u32, per_second: u32) -> Self {
+    pub fn of(master: &MasterPose, age: u32, per_second: u32) -> Self {
         let age = i64::from(age.min(per_second / 50));
         let on = |axis: usize| {
             // 2^-12 mm/s times control periods: below 2^31 * 2^9 * 2^8.
             let displacement =
-                (i64::from(hand.rate[axis]) << 8) * age / i64::from(per_second.max(1));
-            saturate(i64::from(hand.tip[axis]) + displacement)
+                (i64::from(master.rate[axis]) << 8) * age / i64::from(per_second.max(1));
+            saturate(i64::from(master.tip[axis]) + displacement)
         };
         let wide = |axis: [i16; 3]| axis.map(|part| i32::from(part) << 15);
-        let (n, a) = (wide(hand.axes[0]), wide(hand.axes[1]));
+        let (n, a) = (wide(master.axes[0]), wide(master.axes[1]));
         let product = |i: usize, j: usize| {
             (multiply_shift(a[i], n[j], 30) - multiply_shift(a[j], n[i], 30)) as i32
         };
         Self {
             tip: [on(0), on(1), on(2)],
             axes: [n, [product(1, 2), product(2, 0), product(0, 1)], a],
-            engaged: hand.engaged,
+            engaged: master.engaged,
         }
     }
 }
@@ -75,7 +75,7 @@ pub struct MasterMapping {
     scale: i64,
     /// Latched coordinates, one bit each.
     latched: u8,
-    hand: Vector,
+    master: Vector,
     tool: [i32; LED],
     /// Tool axis at the latch, in handle coordinates.
     latched_axis: Vector,
@@ -111,7 +111,7 @@ impl MasterMapping {
         self.scale = i64::from(scale);
         for axis in 0..THETA {
             if let (Some(target), Some(frame)) = (self.targets[axis], frame) {
-                (self.hand[axis], self.tool[axis]) = (frame.tip[axis], target.0);
+                (self.master[axis], self.tool[axis]) = (frame.tip[axis], target.0);
             } else {
                 self.release_one(axis);
             }
@@ -146,11 +146,12 @@ impl MasterMapping {
                 continue;
             }
             if fresh & (1 << axis) != 0 {
-                (self.hand[axis], self.tool[axis]) = (frame.tip[axis], standstill_position(axis).0);
+                (self.master[axis], self.tool[axis]) =
+                    (frame.tip[axis], standstill_position(axis).0);
             }
             // Below 2^32 * 2^13.
             let displacement =
-                (i64::from(frame.tip[axis]) - i64::from(self.hand[axis])) * self.scale;
+                (i64::from(frame.tip[axis]) - i64::from(self.master[axis])) * self.scale;
             let target = i64::from(self.tool[axis]) + round_shift(displacement, 12);
             self.targets[axis] = Some(Coordinate(saturate(target)));
         }
@@ -210,15 +211,15 @@ fn dot(a: Vector, b: Vector) -> i64 {
 /// Last sample of a remote master.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RemoteMaster {
-    hand: MasterPose,
+    master: MasterPose,
     /// Control periods since the sample; `None` without a sample.
     age: Option<u32>,
 }
 
 impl RemoteMaster {
     /// Sets a new sample that is `age` control periods old.
-    pub const fn set_sample(&mut self, hand: &MasterPose, age: u32) {
-        self.hand = *hand;
+    pub const fn set_sample(&mut self, master: &MasterPose, age: u32) {
+        self.master = *master;
         self.age = Some(age);
     }
 
@@ -243,12 +244,12 @@ impl RemoteMaster {
     /// Extrapolated frame of the master; `None` without a sample.
     #[must_use]
     pub fn frame(&self, per_second: u32) -> Option<Frame> {
-        self.age.map(|age| Frame::of(&self.hand, age, per_second))
+        self.age.map(|age| Frame::of(&self.master, age, per_second))
     }
 
     /// Rates of the master, 2^-20 mm/s.
     #[must_use]
     pub fn rates(&self) -> [Rate; 3] {
-        self.hand.rate.map(|rate| Rate(rate.saturating_mul(256)))
+        self.master.rate.map(|rate| Rate(rate.saturating_mul(256)))
     }
 }

@@ -45,7 +45,7 @@ use config::HapticConfig;
 use feedback_filter::FeedbackFilter;
 use feedback_law::FeedbackLaw;
 use haptimill_kinematics::haptic_arm::statics::Wrench;
-use haptimill_kinematics::haptic_arm::{ArmError, HandPose, HapticArm, LegReading};
+use haptimill_kinematics::haptic_arm::{ArmError, ArmPose, HapticArm, LegReading};
 use haptimill_math::force::Force;
 use haptimill_math::scale::{difference, multiply_high, product, saturate, total};
 use haptimill_math::{Angle, Length, Rate};
@@ -131,7 +131,7 @@ pub struct Haptic {
     /// Counts at the presets.
     zero: [[i32; 3]; LEGS],
     illegal: [[u16; 3]; LEGS],
-    pose: Option<HandPose>,
+    pose: Option<ArmPose>,
     tip: [i32; COMPONENTS],
     moved: [i32; COMPONENTS],
     /// 2^-28 mm/s.
@@ -188,7 +188,7 @@ impl Haptic {
             periods_per_second: i64::from(1_000_000 / period),
             blend_step: ((period << 16) / BLEND_US).max(1) as i32,
             feel_periods: FEEL_US / period,
-            law: FeedbackLaw::new(&config.reflection, period_us),
+            law: FeedbackLaw::new(&config.feedback, period_us),
             walls: Walls::new(&config.wall, config.ball, period_us),
             passivity: Passivity::new(&config.passivity, period_us, FORGET_US),
             swings: OscillationDampers::new(&config.passivity, period_us),
@@ -423,7 +423,7 @@ impl Haptic {
             .shares
             .smooth(&shares, &deficit_of)
             .map(|share| Force(saturate((i64::from(share.0) * i64::from(self.blend)) >> 16)));
-        self.reflected = self.law.boosted(&shares, &rates);
+        self.reflected = self.law.damped(&shares, &rates);
         let mut force = self.force;
         for (axis, force) in force.iter_mut().enumerate() {
             let damping = self.passivity.damp_by(damped[axis], rates[axis]);
@@ -494,7 +494,7 @@ impl Haptic {
 
     /// Pose of the handle; `None` if it is invalid.
     #[must_use]
-    pub const fn pose(&self) -> Option<&HandPose> {
+    pub const fn pose(&self) -> Option<&ArmPose> {
         self.pose.as_ref()
     }
 

@@ -11,7 +11,7 @@ use super::config::Amplifier;
 use crate::io::LEGS;
 use core::hash::{Hash, Hasher};
 use haptimill_kinematics::haptic_arm::statics::{Singular, Wrench};
-use haptimill_kinematics::haptic_arm::{HandPose, HapticArm};
+use haptimill_kinematics::haptic_arm::{ArmPose, HapticArm};
 
 /// Largest magnitude of a code.
 const CODE_MAX: f32 = 8191.0;
@@ -63,7 +63,7 @@ impl Motors {
     pub fn currents(
         &self,
         arm: &HapticArm,
-        pose: &HandPose,
+        pose: &ArmPose,
         wrench: &Wrench,
     ) -> Result<([[i16; 2]; LEGS], i32), Singular> {
         let efforts = arm.efforts(pose, wrench, self.condition)?;

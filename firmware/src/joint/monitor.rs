@@ -320,7 +320,7 @@ impl JointMonitor {
         let reversals = &mut self.reversals;
         if sample.moved != 0 {
             let sign = direction_of(sample.moved);
-            if distance(config, sample.measured, reversals.place) > still(encoder) {
+            if distance(config, sample.measured, reversals.place) > stuck_distance(encoder) {
                 *reversals = Reversals {
                     place: sample.measured,
                     sign,
@@ -391,7 +391,7 @@ impl JointMonitor {
             return None;
         }
         last_count.peak = last_count.peak.max(along);
-        if distance(config, sample.measured, last_count.measured) > still(encoder) {
+        if distance(config, sample.measured, last_count.measured) > stuck_distance(encoder) {
             let fade = needed.saturating_sub(along) / FADE;
             let needed = last_count.peak.max(needed.saturating_sub(fade));
             *last_count = LastCount {
@@ -424,7 +424,7 @@ impl JointMonitor {
         let (commanded_then, measured_then) = *self
             .since
             .get_or_insert((sample.commanded, sample.measured));
-        if distance(config, sample.commanded, commanded_then) < encoder.still.magnitude() {
+        if distance(config, sample.commanded, commanded_then) < encoder.stuck_distance.magnitude() {
             return None;
         }
         let commanded = difference(config, sample.commanded, commanded_then);
@@ -474,7 +474,7 @@ fn count(encoder: &EncoderAxis) -> u32 {
 
 /// Limit of the apparent motion by a stuck channel, axis units: two and a half counts. A stuck
 /// channel moves the count back and forth by one.
-fn still(encoder: &EncoderAxis) -> u32 {
+fn stuck_distance(encoder: &EncoderAxis) -> u32 {
     count(encoder).saturating_mul(5) / 2
 }
 

@@ -231,7 +231,13 @@ impl Machine {
     }
 
     fn solve_once(&mut self) -> Result<(), PoseError> {
-        let reference = &self.reference;
+        let mut reference = &self.reference;
+        if let (Some(compensation), Some(tables)) =
+            (&mut self.compensation, &self.config.volumetric)
+            && compensation.is_active()
+        {
+            reference = compensation.correct(tables, reference, self.config.period_us);
+        }
         let accelerations: &Accelerations = &reference.accelerations;
         self.kinematics.solve(
             &reference.pose,

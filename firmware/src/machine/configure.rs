@@ -6,6 +6,7 @@ use super::joint_rates::JointRates;
 use super::masters::Masters;
 use super::switches::Switches;
 use crate::config::digest::{Constants, Digest};
+use crate::config::volumetric::ERROR_AXES;
 use crate::config::{AxisKind, Config, Drive, JointAxis};
 use crate::force::Design;
 use crate::force::sensor::COMPONENTS;
@@ -15,6 +16,7 @@ use crate::joint::{EncoderState, JointDrive};
 use crate::motion::{Motion, PoseCommand};
 use crate::named_io::NamedIo;
 use crate::safety::homing::Homing;
+use crate::volumetric::Compensation;
 use haptimill_kinematics::{JointMotion, Joints};
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
@@ -22,17 +24,21 @@ use heapless::Vec;
 
 /// Number of parts in which the configuration and the values derived from it are checked against
 /// their digests. The parts are: geometry and bounds, motion, each pose axis and each joint, the
-/// haptic arm, the named inputs and outputs, the force sensor, each axis of force control.
+/// haptic arm, the named inputs and outputs, the error tables and each axis of them, the force
+/// sensor, each axis of force control.
 pub(super) const PARTS: usize = FORCE_PART + 1 + COMPONENTS;
 
 /// Digest part of the haptic arm.
-pub(super) const HAND_PART: usize = 2 + 2 * MAX_AXES;
+pub(super) const HAPTICS_PART: usize = 2 + 2 * MAX_AXES;
 
 /// Digest part of the force sensor.
-pub(super) const FORCE_PART: usize = IO_PART + 1;
+pub(super) const FORCE_PART: usize = VOLUMETRIC_PART + 1 + ERROR_AXES;
+
+/// Digest part of the error tables.
+pub(super) const VOLUMETRIC_PART: usize = IO_PART + 1;
 
 /// Digest part of the named inputs and outputs.
-pub(super) const IO_PART: usize = HAND_PART + 1;
+pub(super) const IO_PART: usize = HAPTICS_PART + 1;
 
 /// Encoder scaling and encoder state of each joint.
 pub type PositionSnapshot = Vec<(EncoderScaling, EncoderState), MAX_AXES>;
@@ -132,6 +138,7 @@ impl Machine {
             force: None,
             masters: Masters::default(),
             io: NamedIo::new(&config.io),
+            compensation: None,
             reference: PoseCommand::default(),
             limited: [0; COMPONENTS],
             newly_limited: 0,
@@ -163,6 +170,9 @@ impl Machine {
         self.wrapping = self.config.wrapping_joints();
         self.configure_force(design);
         self.configure_haptics(&inputs.haptic);
+        let period_us = self.config.period_us;
+        let tables = self.config.volumetric.as_ref();
+        self.compensation = tables.map(|tables| Compensation::new(tables, period_us));
         self.motion.configure(&self.config);
         self.plain_switches = self.has_plain_switches();
         for part in 0..PARTS {
@@ -248,8 +258,11 @@ impl Machine {
                 digest.add(&(config.period_us, self.crc));
             }
             1 => self.motion.digest(&mut digest),
-            HAND_PART => self.digest_hand(&mut digest),
+            HAPTICS_PART => self.digest_haptics(&mut digest),
             IO_PART => digest.add(&config.io),
+            VOLUMETRIC_PART..FORCE_PART => {
+                self.digest_volumetric(part - VOLUMETRIC_PART, &mut digest);
+            }
             FORCE_PART.. => self.digest_force(part - FORCE_PART, &mut digest),
             _ if part.is_multiple_of(2) => digest.add(&config.pose.get(part / 2 - 1)),
             _ => {

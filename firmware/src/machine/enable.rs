@@ -133,6 +133,7 @@ impl Machine {
     /// Begins homing: the search for the index pulses.
     pub fn begin_homing(&mut self) {
         self.rebase_on_compliance();
+        self.rebase_on_correction();
         self.joints.iter_mut().for_each(|joint| joint.search(true));
         self.motion.begin_jog(false);
         self.begin_switches();

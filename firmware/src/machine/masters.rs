@@ -5,8 +5,8 @@
 //! keeps the old positions of master and tool.
 
 use super::Machine;
-use super::configure::HAND_PART;
-use crate::config::HAND;
+use super::configure::HAPTICS_PART;
+use crate::config::HAPTICS;
 use crate::config::digest::Digest;
 use crate::haptics::config::Encoder;
 use crate::haptics::mapping::{Frame, MasterMapping, RemoteMaster};
@@ -29,17 +29,17 @@ pub struct Masters {
 }
 
 impl Masters {
-    /// The haptic arm, for reading; `None` without the feature `hand`.
+    /// The haptic arm, for reading; `None` without the feature `haptics`.
     #[must_use]
     #[inline]
     pub const fn arm(&self) -> Option<&Haptic> {
-        if HAND { self.arm.as_ref() } else { None }
+        if HAPTICS { self.arm.as_ref() } else { None }
     }
 
-    /// The haptic arm; `None` without the feature `hand`.
+    /// The haptic arm; `None` without the feature `haptics`.
     #[inline]
     pub const fn arm_mut(&mut self) -> Option<&mut Haptic> {
-        if HAND { self.arm.as_mut() } else { None }
+        if HAPTICS { self.arm.as_mut() } else { None }
     }
 }
 
@@ -61,7 +61,7 @@ impl Machine {
     #[cold]
     #[inline(never)]
     pub(super) fn configure_haptics(&mut self, inputs: &HapticInputs) {
-        if !HAND {
+        if !HAPTICS {
             return;
         }
         let config = &self.config;
@@ -96,7 +96,7 @@ impl Machine {
     /// Stage *measure*, haptic part.
     #[inline]
     pub fn measure_haptics(&mut self, inputs: &HapticInputs) {
-        if HAND {
+        if HAPTICS {
             self.masters.remote.grow();
         }
         if let Some(arm) = self.masters.arm_mut() {
@@ -105,18 +105,18 @@ impl Machine {
     }
 
     /// Stores a pose of the remote master, `age_ms` milliseconds old.
-    pub fn set_remote_master(&mut self, hand: &MasterPose, age_ms: u8) {
+    pub fn set_remote_master(&mut self, master: &MasterPose, age_ms: u8) {
         let age = u32::from(age_ms) * self.masters.periods_per_second / 1000;
-        self.masters.remote.set_sample(hand, age);
+        self.masters.remote.set_sample(master, age);
     }
 
     /// Pose of the master that can lead: the haptic arm if there is one, otherwise the remote
     /// master.
     #[must_use]
-    pub fn hand(&self) -> Option<Frame> {
+    pub fn master(&self) -> Option<Frame> {
         match self.masters.arm() {
             Some(arm) => arm.frame(),
-            None if !HAND => None,
+            None if !HAPTICS => None,
             None => self.masters.remote.frame(self.masters.periods_per_second),
         }
     }
@@ -124,7 +124,7 @@ impl Machine {
     /// Moves the coordinates whose source is the master, while its clutch is held.
     #[inline]
     pub fn advance_master(&mut self) -> Leading {
-        if HAND {
+        if HAPTICS {
             self.follow_master()
         } else {
             Leading::No
@@ -133,12 +133,12 @@ impl Machine {
 
     #[inline(never)]
     fn follow_master(&mut self) -> Leading {
-        let mask = self.motion.hand_mask();
+        let mask = self.motion.master_mask();
         let remote = self.masters.arm().is_none();
         let age = self.masters.remote.age().unwrap_or(u32::MAX);
         let late = remote && age > self.masters.stale;
         let frame = self
-            .hand()
+            .master()
             .filter(|frame| frame.engaged && !late && mask != 0);
         let Some(frame) = frame else {
             let led = self.masters.mapping.leads();
@@ -162,7 +162,7 @@ impl Machine {
     /// start.
     #[inline]
     pub fn release_master(&mut self) {
-        if !HAND {
+        if !HAPTICS {
             return;
         }
         self.masters.mapping.release();
@@ -212,12 +212,12 @@ impl Machine {
     /// master is the source of a coordinate.
     #[must_use]
     pub fn is_led_by_haptics(&self) -> bool {
-        self.joints.is_empty() || self.motion.hand_mask() != 0
+        self.joints.is_empty() || self.motion.master_mask() != 0
     }
 
-    pub(super) fn digest_hand(&self, digest: &mut Digest) {
-        const { assert!(HAND_PART < super::PARTS) };
-        if !HAND {
+    pub(super) fn digest_haptics(&self, digest: &mut Digest) {
+        const { assert!(HAPTICS_PART < super::PARTS) };
+        if !HAPTICS {
             return;
         }
         digest.add(&(&self.config.haptic, &self.config.follow));

@@ -21,7 +21,7 @@ pub mod segment;
 pub mod tracker;
 
 use crate::config::Config;
-use crate::config::HAND;
+use crate::config::HAPTICS;
 use crate::config::digest::constants;
 use envelope::{MOST_LOAD, ReachableBox, StoppingEnvelope};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
@@ -119,7 +119,7 @@ impl Motion {
                 ((i64::from(axis.high.0) - i64::from(axis.low.0)).max(0) >> MARGIN_SHIFT) as i32;
         }
         for (bounds, axis) in self.bounds.iter_mut().zip(&config.pose) {
-            if HAND {
+            if HAPTICS {
                 *bounds = TrackerLimits::new(axis, gain, config.period_us).unwrap_or_default();
             }
         }
@@ -183,7 +183,7 @@ impl Motion {
         if before == Source::Jog || source == Source::Jog {
             self.jog.begin(&self.commanded.pose, true);
         }
-        if HAND && source != before {
+        if HAPTICS && source != before {
             self.trackers[axis] = if source == Source::Program {
                 let rate = rate.saturating_sub(self.program_rates[axis]);
                 Tracker::at(Coordinate(self.offsets[axis]), rate, bounds)
@@ -198,8 +198,8 @@ impl Motion {
 
     /// Coordinates whose source is a master, one bit each.
     #[must_use]
-    pub fn hand_mask(&self) -> u8 {
-        if !HAND {
+    pub fn master_mask(&self) -> u8 {
+        if !HAPTICS {
             return 0;
         }
         let axes = self.sources[..self.axes].iter().enumerate();
@@ -235,7 +235,7 @@ impl Motion {
     /// Whether all trackers are at standstill.
     #[must_use]
     pub fn are_trackers_at_standstill(&self) -> bool {
-        !HAND
+        !HAPTICS
             || self.trackers[..self.axes]
                 .iter()
                 .all(Tracker::is_at_standstill)
@@ -355,7 +355,7 @@ impl Motion {
 
     /// Advances the trackers by one control period. Returns a bit for each tracker that moved.
     fn follow(&mut self, halt: bool) -> u8 {
-        if !HAND {
+        if !HAPTICS {
             return 0;
         }
         let free = !(halt || self.tracking_blocked || self.stopping || self.load > MOST_LOAD);
@@ -440,7 +440,7 @@ impl Motion {
             match self.sources[axis] {
                 Source::Program => {
                     sweep.take(axis, &program, self.offsets[axis]);
-                    if HAND && !tracker.is_at_standstill() {
+                    if HAPTICS && !tracker.is_at_standstill() {
                         let (low, high) = tracker.sweep(None, bounds);
                         let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
                         sweep.reach(axis, of(program.low.0[axis], low));
@@ -451,7 +451,7 @@ impl Motion {
                     allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
                 }
                 Source::Jog => sweep.take(axis, &jog, 0),
-                Source::Master if HAND => {
+                Source::Master if HAPTICS => {
                     let target = self.targets[axis].filter(|_| master_may_lead);
                     let (low, high) = tracker.sweep(target, bounds);
                     // A tracker at standstill keeps its position exactly.
@@ -461,7 +461,7 @@ impl Motion {
                         sweep.extend_rate(axis, tracker.peak(target, self.load, bounds));
                     }
                 }
-                Source::Hold if HAND && !tracker.is_at_standstill() => {
+                Source::Hold if HAPTICS && !tracker.is_at_standstill() => {
                     let (low, high) = tracker.sweep(None, bounds);
                     sweep.reach(axis, low);
                     sweep.reach(axis, high);
@@ -473,8 +473,8 @@ impl Motion {
         sweep.displace(self.jog.excursion());
         // A machine without a master checks the corners directly: it needs boxes only for jogs, and
         // has little flash.
-        let load = if HAND {
-            let margins = (&self.margins, self.hand_mask());
+        let load = if HAPTICS {
+            let margins = (&self.margins, self.master_mask());
             self.reach.load_bound(&sweep, margins, self.axes, machine)
         } else {
             Some(sweep.load(&[sweep.rates], machine)?[0])

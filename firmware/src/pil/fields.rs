@@ -42,9 +42,9 @@ pub(super) fn take_force(words: &mut Reader<'_>) -> ForceSample {
     }
 }
 
-pub(super) fn put_hand(words: &mut Writer<'_>, hand: &HapticInputs) {
-    words.put(u32::from(hand.engaged) | u32::from(hand.drives_ready) << 1);
-    for leg in &hand.legs {
+pub(super) fn put_haptic(words: &mut Writer<'_>, haptic: &HapticInputs) {
+    words.put(u32::from(haptic.engaged) | u32::from(haptic.drives_ready) << 1);
+    for leg in &haptic.legs {
         words.put_vector(&leg.counts);
         let [first, second, third] = leg.illegal.map(u32::from);
         words.put_all([first | second << 16, third]);
@@ -52,11 +52,11 @@ pub(super) fn put_hand(words: &mut Writer<'_>, hand: &HapticInputs) {
 }
 
 #[inline(always)]
-pub(super) fn take_hand(words: &mut Reader<'_>, hand: &mut HapticInputs) {
+pub(super) fn take_haptic(words: &mut Reader<'_>, haptic: &mut HapticInputs) {
     let bits = words.take();
-    hand.engaged = bits & 1 != 0;
-    hand.drives_ready = bits & 2 != 0;
-    for leg in &mut hand.legs {
+    haptic.engaged = bits & 1 != 0;
+    haptic.drives_ready = bits & 2 != 0;
+    for leg in &mut haptic.legs {
         let [x, y, z, pair, third] = words.take_all();
         *leg = LegInputs {
             counts: [x as i32, y as i32, z as i32],
@@ -66,23 +66,23 @@ pub(super) fn take_hand(words: &mut Reader<'_>, hand: &mut HapticInputs) {
 }
 
 #[inline(always)]
-fn put_currents(words: &mut Writer<'_>, hand: &HapticOutputs) {
-    words.put(u32::from(hand.enabled));
+fn put_currents(words: &mut Writer<'_>, haptic: &HapticOutputs) {
+    words.put(u32::from(haptic.enabled));
     let pair = |[force, torque]: [i16; 2]| u32::from(force as u16) | u32::from(torque as u16) << 16;
-    let [first, second, third] = hand.currents;
+    let [first, second, third] = haptic.currents;
     words.put_all([pair(first), pair(second), pair(third)]);
 }
 
 fn take_currents(words: &mut Reader<'_>) -> HapticOutputs {
-    let mut hand = HapticOutputs {
+    let mut haptic = HapticOutputs {
         enabled: words.take() & 1 != 0,
         ..HapticOutputs::default()
     };
-    for leg in &mut hand.currents {
+    for leg in &mut haptic.currents {
         let pair = words.take();
         *leg = [pair as i16, (pair >> 16) as i16];
     }
-    hand
+    haptic
 }
 
 pub(super) fn put_axis(words: &mut Writer<'_>, axis: &AxisInputs) {
@@ -152,7 +152,10 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
         | u32::from(snapshot.fault) << 2
         | u32::from(snapshot.more) << 3;
     words.put_all([
-        1 | state << 8 | flags << 16 | u32::from(snapshot.queued & 0xFFF) << 20,
+        1 | u32::from(snapshot.compensated) << 1
+            | state << 8
+            | flags << 16
+            | u32::from(snapshot.queued & 0xFFF) << 20,
         snapshot.setpoint,
         u32::from(snapshot.path_rate) | u32::from(snapshot.spindle_rpm as u16) << 16,
     ]);
@@ -162,14 +165,14 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
     words.put_axes(&snapshot.joints);
     words.put_axes(&snapshot.following_error);
     words.put_axes(&snapshot.drive);
-    let (force, hand) = (&snapshot.force, &snapshot.hand);
+    let (force, haptic) = (&snapshot.force, &snapshot.haptic);
     words.put_vector(&force.high);
     words.put_vector(&force.low);
     words.put_vector(&force.yielded);
-    words.put_vector(&hand.tip);
-    words.put_vector(&hand.force);
-    words.put_vector(&hand.reflected);
-    words.put_vector(&hand.wall);
+    words.put_vector(&haptic.tip);
+    words.put_vector(&haptic.force);
+    words.put_vector(&haptic.reflected);
+    words.put_vector(&haptic.wall);
     let io = &snapshot.io;
     words.put(u32::from(io.inputs) | u32::from(io.outputs) << 16);
     put_analog(words, io.analog_inputs);
@@ -230,6 +233,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
         homed: head >> 16 & 1 != 0,
         position_kept: head >> 17 & 1 != 0,
         fault: head >> 18 & 1 != 0,
+        compensated: head >> 1 & 1 != 0,
         more: head >> 19 & 1 != 0,
         queued: (head >> 20) as u16,
         setpoint,
@@ -246,7 +250,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
             low: words.take_row(),
             yielded: words.take_row(),
         },
-        hand: HapticSnapshot {
+        haptic: HapticSnapshot {
             tip: words.take_row(),
             force: words.take_row(),
             reflected: words.take_row(),

@@ -36,8 +36,8 @@ use crate::io::{Inputs, Outputs};
 use crate::profiler::STAGES;
 use crate::snapshot::Snapshot;
 use fields::{
-    put_analog, put_axis, put_done, put_force, put_hand, take_analog, take_axis, take_done,
-    take_force, take_hand,
+    put_analog, put_axis, put_done, put_force, put_haptic, take_analog, take_axis, take_done,
+    take_force, take_haptic,
 };
 pub use words::seal;
 use words::{Reader, Writer, check, from_bytes, to_bytes};
@@ -214,7 +214,7 @@ pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Order,
             inputs.digital = digital;
             inputs.analog = take_analog(&mut words);
             inputs.force = take_force(&mut words);
-            take_hand(&mut words, &mut inputs.haptic);
+            take_haptic(&mut words, &mut inputs.haptic);
             for axis in &mut inputs.axes {
                 *axis = take_axis(&mut words);
             }
@@ -254,7 +254,7 @@ impl ToBoard {
                 words.put(inputs.digital);
                 put_analog(&mut words, inputs.analog);
                 put_force(&mut words, &inputs.force);
-                put_hand(&mut words, &inputs.haptic);
+                put_haptic(&mut words, &inputs.haptic);
                 for axis in &inputs.axes {
                     put_axis(&mut words, axis);
                 }

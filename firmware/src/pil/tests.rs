@@ -24,7 +24,7 @@ prop_compose! {
 }
 
 prop_compose! {
-    fn hand()(counts: [[i32; 3]; 3], illegal: [[u16; 3]; 3], engaged: bool, drives_ready: bool) -> HapticInputs {
+    fn haptic()(counts: [[i32; 3]; 3], illegal: [[u16; 3]; 3], engaged: bool, drives_ready: bool) -> HapticInputs {
         let legs = core::array::from_fn(|leg| LegInputs { counts: counts[leg], illegal: illegal[leg] });
         HapticInputs { legs, engaged, drives_ready }
     }
@@ -48,7 +48,7 @@ fn command() -> impl Strategy<Value = DriveCommand> {
 prop_compose! {
     fn snapshot()(
         state in prop::sample::select(State::ALL.to_vec()),
-        (homed, position_kept, fault, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
+        (homed, position_kept, fault, compensated, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
         (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
         [high, low, yielded]: [[i32; 3]; 3],
@@ -57,10 +57,10 @@ prop_compose! {
     ) -> Snapshot {
         let [commanded, joints_commanded, joints, following_error, drive] = rows;
         Snapshot {
-            state, homed, position_kept, fault, more, queued, setpoint, path_rate, spindle_rpm, program_time,
+            state, homed, position_kept, fault, compensated, more, queued, setpoint, path_rate, spindle_rpm, program_time,
             commanded, joints_commanded, joints, following_error, drive,
             force: ForceSnapshot { high, low, yielded },
-            hand: HapticSnapshot { tip, force: felt, reflected, wall },
+            haptic: HapticSnapshot { tip, force: felt, reflected, wall },
             io: IoSnapshot { inputs, outputs, analog_inputs, analog_outputs },
         }
     }
@@ -95,7 +95,7 @@ proptest! {
     #[test]
     fn inputs_arrive(
         period: u64, missed: u16, time_ns: u32, transmit_room: u16, emergency_stop: bool, arrived: u32,
-        axes in prop::array::uniform6(axis()), period_us: u16, haptic in hand(), (codes, conversions, overload, digital, analog) in any::<([i16; 3], u8, bool, u32, [i16; 4])>(),
+        axes in prop::array::uniform6(axis()), period_us: u16, haptic in haptic(), (codes, conversions, overload, digital, analog) in any::<([i16; 3], u8, bool, u32, [i16; 4])>(),
     ) {
         let force = ForceSample { codes, conversions, overload };
         let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, axes, digital, analog, ..Inputs::default() };

@@ -141,8 +141,8 @@ impl Homing {
         None
     }
 
-    /// One period, with the machine wanted at `pose`; `limited` says that the jog was kept from
-    /// going on. The first sets out.
+    /// One period, with the machine commanded to `pose`; `limited` is true while the jog was
+    /// held back. The first period starts the search.
     pub fn advance(
         &mut self,
         machine: &Searched<'_>,
@@ -198,7 +198,7 @@ impl Homing {
 fn search_rate(config: &Config, kind: AxisKind) -> i64 {
     i64::from(match kind {
         AxisKind::Linear => config.homing.rate.0,
-        AxisKind::Rotary => config.homing.table_rate.0,
+        AxisKind::Rotary => config.homing.rotary_rate.0,
     })
 }
 

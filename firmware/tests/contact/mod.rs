@@ -4,7 +4,7 @@
 use haptimill_firmware::force::admittance::{AdmittanceAxis, AdmittanceLaw, DrivingForce};
 use haptimill_firmware::force::stability::{Sign, StabilityMonitor};
 use haptimill_firmware::force::window_peak::{SlidingMinMax, Window};
-use haptimill_firmware::force::{Gate, LoopSettings};
+use haptimill_firmware::force::{EnableCondition, LoopSettings};
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Coordinate, Length, Rate};
 
@@ -83,7 +83,7 @@ pub fn settings(mass: f64, damping: f64) -> LoopSettings {
         damping: VirtualDamping((damping * NEWTON) as u32),
         limit: Length::millimetres(10),
         rate: Rate(50 << 20),
-        gate: Gate::Any,
+        enable_condition: EnableCondition::Any,
     }
 }
 

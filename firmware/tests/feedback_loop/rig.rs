@@ -11,7 +11,7 @@ use crate::bench::{Bench, HOME};
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
 use haptimill_firmware::force::sensor::{Channel, Sensor};
-use haptimill_firmware::force::{ForceConfig, Gate, LoopSettings};
+use haptimill_firmware::force::{EnableCondition, ForceConfig, LoopSettings};
 use haptimill_math::Rate;
 use haptimill_math::force::Force;
 use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose};
@@ -83,7 +83,7 @@ fn sensor(yields: bool) -> ForceConfig {
     let force = reference::force();
     let settings = LoopSettings {
         rate: Rate(20 << 20),
-        gate: Gate::Any,
+        enable_condition: EnableCondition::Any,
         ..force.axes[0].clone()
     };
     ForceConfig {
@@ -102,7 +102,7 @@ fn sensor(yields: bool) -> ForceConfig {
     }
 }
 
-fn reflection() -> ForceFeedback {
+fn feedback() -> ForceFeedback {
     let axis = ForceFeedbackAxis {
         percent: 40,
         limit: (3.2 * NEWTON) as i32,
@@ -130,7 +130,7 @@ fn swing(values: &[f64]) -> f64 {
 pub fn run(case: &Case) -> Outcome {
     let haptic = || {
         let mut haptic = reference::haptic();
-        haptic.reflection = reflection();
+        haptic.feedback = feedback();
         haptic
     };
     let afar = case.delay > 0.0;
@@ -193,20 +193,20 @@ pub fn run(case: &Case) -> Outcome {
             f64::from(force.extremes()[0].peak().0) / NEWTON
         });
         mill.codes = Some([(force / CODE).round().min(8000.0) as i16, 0, 0]);
-        let hand = master.as_mut().unwrap_or(&mut mill);
-        hand.centre = [HOME[0] + x - 10.0, HOME[1], HOME[2]];
+        let held = master.as_mut().unwrap_or(&mut mill);
+        held.centre = [HOME[0] + x - 10.0, HOME[1], HOME[2]];
         if let Some(master) = &mut master {
             if period % WORD == 0 {
-                let hand = master.arm().telemetry(0).pose;
-                out.push_back((period + lag, hand));
+                let pose = master.arm().telemetry(0).pose;
+                out.push_back((period + lag, pose));
                 back.push_back((period + lag, [(peak * 64.0).round() as i16, 0, 0]));
             }
-            while let Some((_, hand)) = out.front().copied().filter(|(at, _)| *at <= period) {
+            while let Some((_, pose)) = out.front().copied().filter(|(at, _)| *at <= period) {
                 out.pop_front();
                 mill.say(Command::MasterPose {
                     epoch: 1,
                     age_ms: 0,
-                    pose: hand,
+                    pose,
                 });
             }
             while let Some((_, force)) = back.front().copied().filter(|(at, _)| *at <= period) {

@@ -23,7 +23,7 @@ pub struct Bench {
     pub config: Config,
     pub events: Vec<Event>,
     pub telemetry: Option<Telemetry>,
-    pub hand_report: Option<MasterTelemetry>,
+    pub master_report: Option<MasterTelemetry>,
     answer: Option<(u8, Result<(), Refusal>)>,
     id: u8,
     /// Platform of the handle.
@@ -57,7 +57,7 @@ impl Bench {
             config,
             events: vec![],
             telemetry: None,
-            hand_report: None,
+            master_report: None,
             answer: None,
             id: 0,
             centre: HOME,
@@ -137,7 +137,7 @@ impl Bench {
                 Report::Answer { id, result } => self.answer = Some((id, result)),
                 Report::Event { event, .. } => self.events.push(event),
                 Report::Telemetry(telemetry) => self.telemetry = Some(telemetry),
-                Report::Master(hand) => self.hand_report = Some(hand),
+                Report::Master(master) => self.master_report = Some(master),
             }
         }
     }

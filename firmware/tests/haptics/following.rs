@@ -39,7 +39,7 @@ fn tool_follows_the_master_and_the_clutch() {
         bench.at(1)
     );
     assert_eq!(bench.at(2).0, start[2]);
-    // The clutch, in the midst of a motion: it lets go, goes back, and goes on from there.
+    // The clutch during a motion: released, moved back, engaged again there.
     for _ in 0..5 {
         bench.lead([1.0, 0.0, 0.0], 500);
     }
@@ -75,7 +75,7 @@ fn tool_follows_the_master_and_the_clutch() {
     // The job is over: the hand leads no more.
     assert_eq!(bench.ask(Command::JobEnd { count: 0 }), Ok(()));
     bench.wait_for(State::Idle);
-    // One event is told in a period.
+    // One event is reported per period.
     bench.steps(20);
     assert!(
         bench
@@ -273,6 +273,7 @@ fn master_is_blocked_at_the_workspace_boundary() {
 fn silent_remote_master_holds_the_job() {
     let config = Config {
         haptic: None,
+        volumetric: None,
         ..mill()
     };
     let mut bench = Bench::ready(config);
@@ -285,7 +286,7 @@ fn silent_remote_master_holds_the_job() {
     let start = bench.at(0).0;
     let mut x = 30.0_f64;
     let say = |bench: &mut Bench, epoch: u16, x: f64, rate: f64| {
-        let hand = MasterPose {
+        let master = MasterPose {
             tip: [(x * 1_048_576.0) as i32, 0, 0],
             rate: [(rate * 4096.0) as i32, 0, 0],
             axes: [[32767, 0, 0], [0, 0, 32767]],
@@ -294,7 +295,7 @@ fn silent_remote_master_holds_the_job() {
         bench.say(Command::MasterPose {
             epoch,
             age_ms: 2,
-            pose: hand,
+            pose: master,
         });
     };
     let mut watch = JumpCheck::at(&bench);

@@ -61,7 +61,7 @@ fn other_arm_problems_are_named() {
     assert!(bench.arm_off());
     bench.inputs.haptic.drives_ready = true;
     bench.steps(100);
-    // Nothing was led: told, and the arm stays off until reset.
+    // Nothing followed the arm: the fault is reported, and the arm stays off until reset.
     assert!(bench.arm_off() && bench.state() == State::Idle);
     assert!(bench.events.contains(&Event::Master(MasterProblem::Drive)));
     assert_eq!(bench.ask(Command::Reset), Ok(()));

@@ -64,16 +64,16 @@ fn master_arm_renders_the_remote_force() {
     };
     assert_eq!(bench.ask(Command::ForceFeedback(bad)), Err(Refusal::Range));
     assert!(steps > 10, "the step was never used");
-    // Nothing more is heard of the tool: the force goes away by itself.
+    // No further force of the tool arrives: the feedback decays by itself.
     bench.steps(1500);
     assert!(bench.felt()[0].abs() < 0.01);
-    let hand = bench.hand_report.expect("telemetry of the hand");
-    assert!(hand.pose.engaged && hand.enabled && hand.problem.is_none());
+    let master = bench.master_report.expect("telemetry of the master");
+    assert!(master.pose.engaged && master.enabled && master.problem.is_none());
     assert!(
-        (f64::from(hand.pose.tip[2]) / 1_048_576.0 - 600.0).abs() < 0.05,
-        "{hand:?}"
+        (f64::from(master.pose.tip[2]) / 1_048_576.0 - 600.0).abs() < 0.05,
+        "{master:?}"
     );
-    assert!(hand.pose.axes[0][0] > 32_700 && hand.pose.axes[1][2] > 32_700);
+    assert!(master.pose.axes[0][0] > 32_700 && master.pose.axes[1][2] > 32_700);
 }
 
 #[test]

@@ -1,22 +1,24 @@
-//! The conformance suite of machine kinematics: what every machine must pass, and the rows of those
-//! that do.
-//!
-//! A new machine is one subject in `haptimill_checks::kinematics` and one row below; the same
-//! checks run on a chip, with smaller counts.
+//! The conformance suite of machine kinematics with large counts, for every machine in the list of
+//! `haptimill_checks::kinematics`. The same checks run on a chip, with smaller counts.
 
-use haptimill_checks::kinematics::{cartesian, h4, suite, trunnion};
+use haptimill_checks::kinematics::*;
+use haptimill_checks::subjects;
 
-/// Poses and joints of the big checks.
+/// Poses and joints of a subject with the share 1.
 const COUNT: usize = 1_000_000;
 
-macro_rules! row {
-    ($name:ident, $subject:expr, $count:expr) => {
-        mod $name {
+/// Defines the tests of each subject.
+macro_rules! tests {
+    ($($name:ident: $subject:expr, $share:literal, $chip:literal;)*) => {
+        $(mod $name {
             use super::*;
+
+            /// Poses and joints of this subject.
+            const SHARE: usize = (COUNT as f64 * $share) as usize;
 
             #[test]
             fn inverse_matches_closure_and_forward_inverts_it() {
-                let (inverse, forward) = suite::inverse_against_closure(&$subject, $count);
+                let (inverse, forward) = suite::inverse_against_closure(&$subject, SHARE);
                 println!(
                     "largest error, share of the bound: inverse {inverse:.3}, forward {forward:.3}"
                 );
@@ -24,33 +26,21 @@ macro_rules! row {
 
             #[test]
             fn no_wrong_pose() {
-                let worst = suite::forward_is_certified(&$subject, $count);
+                let worst = suite::forward_is_certified(&$subject, SHARE);
                 println!("largest error, share of the bound: {worst:.3}");
             }
 
             #[test]
             fn extremes() {
-                suite::extremes(&$subject, $count / 2);
+                suite::extremes(&$subject, SHARE / 2);
             }
 
             #[test]
             fn derivatives() {
-                suite::derivatives_against_differences(&$subject, $count / 50);
+                suite::derivatives_against_differences(&$subject, SHARE / 50);
             }
-        }
+        })*
     };
 }
 
-row!(h4_reference, h4::Arm::new(h4::REFERENCE), COUNT);
-row!(h4_other, h4::Arm::new(h4::OTHER), COUNT / 5);
-row!(cartesian_slides, cartesian::Slides::default(), COUNT / 10);
-row!(
-    trunnion_apart,
-    trunnion::TrunnionMill::new(trunnion::APART),
-    COUNT / 2
-);
-row!(
-    trunnion_meeting,
-    trunnion::TrunnionMill::new(trunnion::MEETING),
-    COUNT / 10
-);
+subjects!(tests);

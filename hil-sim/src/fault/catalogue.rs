@@ -123,32 +123,32 @@ pub(super) const CATALOGUE: [Entry; 36] = [
         "the force sensor is saturated",
     ),
     entry(
-        "hand-encoder-stuck",
+        "haptic-encoder-stuck",
         "leg=N sensor=slide|turn|hinge channel=a|b level=low|high",
         "a channel of an encoder of the haptic arm is stuck",
     ),
     entry(
-        "hand-encoder-swapped",
+        "haptic-encoder-swapped",
         "leg=N sensor=slide|turn|hinge",
         "the channels of an encoder of the haptic arm are swapped",
     ),
     entry(
-        "hand-encoder-slip",
+        "haptic-encoder-slip",
         "leg=N sensor=slide|turn|hinge counts=N",
         "an encoder of the haptic arm gains N counts, once",
     ),
     entry(
-        "hand-encoder-dropped",
+        "haptic-encoder-dropped",
         "leg=N sensor=slide|turn|hinge",
         "an encoder of the haptic arm is disconnected",
     ),
     entry(
-        "hand-encoder-noise",
+        "haptic-encoder-noise",
         "leg=N sensor=slide|turn|hinge per-second=N",
         "noise pulses on the channels of an encoder of the haptic arm",
     ),
     entry(
-        "hand-amplifiers-tripped",
+        "haptic-amplifiers-tripped",
         "",
         "the amplifiers of the haptic arm have no output and report a fault",
     ),

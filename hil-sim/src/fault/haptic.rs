@@ -102,7 +102,7 @@ impl HapticFault {
         }
     }
 
-    /// Reads the keys of the fault `hand-` + `name`.
+    /// Reads the keys of the fault `haptic-` + `name`.
     pub(super) fn read(name: &str, keys: &mut Keys<'_>) -> Result<Self, String> {
         Ok(match name {
             "encoder-stuck" => Self::EncoderStuck {
@@ -121,7 +121,7 @@ impl HapticFault {
                 per_second: keys.number("per-second")?,
             },
             "amplifiers-tripped" => Self::AmplifiersTripped,
-            _ => return Err(format!("hand-{name} is in the catalogue only")),
+            _ => return Err(format!("haptic-{name} is in the catalogue only")),
         })
     }
 }
@@ -137,18 +137,18 @@ impl fmt::Display for HapticFault {
                 let (channel, level) = (channel.word(), level.word());
                 write!(
                     f,
-                    "hand-encoder-stuck {place} channel={channel} level={level}"
+                    "haptic-encoder-stuck {place} channel={channel} level={level}"
                 )
             }
-            Self::EncoderSwapped(place) => write!(f, "hand-encoder-swapped {place}"),
+            Self::EncoderSwapped(place) => write!(f, "haptic-encoder-swapped {place}"),
             Self::EncoderSlip { place, counts } => {
-                write!(f, "hand-encoder-slip {place} counts={counts}")
+                write!(f, "haptic-encoder-slip {place} counts={counts}")
             }
-            Self::EncoderDropped(place) => write!(f, "hand-encoder-dropped {place}"),
+            Self::EncoderDropped(place) => write!(f, "haptic-encoder-dropped {place}"),
             Self::EncoderNoise { place, per_second } => {
-                write!(f, "hand-encoder-noise {place} per-second={per_second}")
+                write!(f, "haptic-encoder-noise {place} per-second={per_second}")
             }
-            Self::AmplifiersTripped => f.write_str("hand-amplifiers-tripped"),
+            Self::AmplifiersTripped => f.write_str("haptic-amplifiers-tripped"),
         }
     }
 }

@@ -264,7 +264,7 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
         "link-cut" => FaultKind::LinkCut {
             direction: keys.direction()?,
         },
-        _ => match name.strip_prefix("hand-") {
+        _ => match name.strip_prefix("haptic-") {
             Some(rest) => FaultKind::HapticArm(HapticFault::read(rest, keys)?),
             None => return Err(format!("{name} is in the catalogue only")),
         },

@@ -73,7 +73,7 @@ pub struct HapticGroundTruth {
     /// Effect of the motors at the handle: force, N, and moment about the platform's centre, N mm.
     pub reflected: Twist,
     /// Force of the operator on the handle, N; 0 without an operator.
-    pub hand: Vector,
+    pub operator: Vector,
     /// Fraction of its intended speed that the operator keeps; 1 without an operator.
     pub pace: f64,
     /// The operator has completed the trajectory.
@@ -89,7 +89,7 @@ pub struct HapticGroundTruth {
 /// Objects in contact with the arm.
 #[derive(Debug, Clone, Default)]
 struct Surroundings {
-    hand: Option<Operator>,
+    operator: Option<Operator>,
     rail: Option<Rail>,
     part: Option<ReferencePart>,
     /// External force at the platform's centre, N.
@@ -205,15 +205,15 @@ impl HapticArm {
     ///
     /// # Errors
     /// All problems of the configuration.
-    pub fn take(&mut self, hand: Option<&OperatorConfig>) -> Result<(), Vec<PlantError>> {
+    pub fn take(&mut self, operator: Option<&OperatorConfig>) -> Result<(), Vec<PlantError>> {
         self.idle = 0;
         self.dynamics.body = self.bare.clone();
-        self.around.hand = None;
-        if let Some(config) = hand {
+        self.around.operator = None;
+        if let Some(config) = operator {
             config.check()?;
             self.dynamics.body = self.bare.clone().with(config.mass_kg, config.grip_mm);
-            let hand = Operator::new(config, &self.handle(), self.period_s());
-            self.around.hand = Some(hand);
+            let operator = Operator::new(config, &self.handle(), self.period_s());
+            self.around.operator = Some(operator);
         }
         Ok(())
     }
@@ -243,8 +243,8 @@ impl HapticArm {
     /// Sets the operator trajectory; no effect without an operator.
     pub fn set_trajectory(&mut self, trajectory: Trajectory) {
         self.idle = 0;
-        if let Some(hand) = &mut self.around.hand {
-            hand.set_trajectory(trajectory);
+        if let Some(operator) = &mut self.around.operator {
+            operator.set_trajectory(trajectory);
         }
     }
 
@@ -253,11 +253,11 @@ impl HapticArm {
     pub fn live(&mut self, live: Live) {
         self.idle = 0;
         self.engaged = live.engaged;
-        if let Some(hand) = &mut self.around.hand {
-            if matches!(hand.trajectory(), Trajectory::Live(_)) {
-                hand.live(live);
+        if let Some(operator) = &mut self.around.operator {
+            if matches!(operator.trajectory(), Trajectory::Live(_)) {
+                operator.live(live);
             } else {
-                hand.set_trajectory(Trajectory::Live(live));
+                operator.set_trajectory(Trajectory::Live(live));
             }
         }
     }
@@ -268,8 +268,8 @@ impl HapticArm {
     }
 
     /// The operator model.
-    pub const fn hand(&self) -> Option<&Operator> {
-        self.around.hand.as_ref()
+    pub const fn operator(&self) -> Option<&Operator> {
+        self.around.operator.as_ref()
     }
 
     /// Configuration of the arm.
@@ -367,8 +367,8 @@ impl HapticArm {
         }
         let handle = self.handle();
         let period_s = self.period_s();
-        if let Some(hand) = &mut self.around.hand {
-            hand.update(&handle, period_s);
+        if let Some(operator) = &mut self.around.operator {
+            operator.update(&handle, period_s);
         }
         for step in 0..self.steps {
             self.step(step as f64 * self.step_s);
@@ -377,8 +377,8 @@ impl HapticArm {
         self.sensors.follow(&now, self.time_ns);
         self.time_ns += self.period_ns;
         self.update_ground_truth();
-        let holds = |hand: &Operator| matches!(hand.trajectory(), Trajectory::Hold);
-        let is_holding = self.around.hand.as_ref().is_none_or(holds);
+        let holds = |operator: &Operator| matches!(operator.trajectory(), Trajectory::Hold);
+        let is_holding = self.around.operator.as_ref().is_none_or(holds);
         let rests = is_holding && self.motion.twist.iter().all(|rate| rate.abs() < RESTS);
         self.idle = if rests {
             self.idle.saturating_add(1)
@@ -451,11 +451,11 @@ impl HapticArm {
                 acting.rub([0.0, 0.0, 1.0], lever, bound);
             }
         }
-        if let Some(hand) = &mut self.around.hand {
-            let grip = hand.config().grip_mm;
+        if let Some(operator) = &mut self.around.operator {
+            let grip = operator.config().grip_mm;
             let lever = turned(frame, grip);
             let place = minus(plus(centre, lever), grip);
-            let (force, moment) = hand.force_on(
+            let (force, moment) = operator.force_on(
                 (place, motion.of_point(lever)),
                 (motion.turned(), motion.spin()),
                 later,
@@ -525,7 +525,7 @@ impl HapticArm {
             .part
             .as_ref()
             .and_then(|part| part.touch(place, velocity));
-        let hand = self.around.hand.as_ref();
+        let operator = self.around.operator.as_ref();
         self.truth = HapticGroundTruth {
             centre: motion.centre,
             frame,
@@ -535,9 +535,9 @@ impl HapticArm {
             joints: readings(&self.geometry, &self.legs),
             motors: core::array::from_fn(|leg| [forces[2 * leg], forces[2 * leg + 1]]),
             reflected,
-            hand: hand.map_or([0.0; 3], Operator::force),
-            pace: hand.map_or(1.0, Operator::pace),
-            done: hand.is_none_or(|hand| hand.desired().done),
+            operator: operator.map_or([0.0; 3], Operator::force),
+            pace: operator.map_or(1.0, Operator::pace),
+            done: operator.is_none_or(|operator| operator.desired().done),
             contact: touch.map_or([0.0; 3], |touch| times(touch.normal, touch.push)),
             depth: touch.map_or(0.0, |touch| touch.depth),
             jammed: self.truth.jammed,

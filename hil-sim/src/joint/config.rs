@@ -68,7 +68,7 @@ pub struct JointConfig {
     /// seed.
     #[serde(default)]
     pub start_spread: f64,
-    /// The encoder on the motor shaft; a joint without one has a step drive.
+    /// The encoder; a joint without one has a step drive.
     #[serde(default)]
     pub encoder: Option<EncoderConfig>,
     /// Drive of the joint.
@@ -87,14 +87,29 @@ pub struct JointConfig {
     pub limit_high: Option<f64>,
 }
 
-/// An incremental encoder on the motor shaft.
+/// Place of an encoder.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EncoderPlace {
+    /// On the motor shaft: backlash and wind-up of the screw are outside the loop.
+    #[default]
+    Motor,
+    /// On the slide: a linear scale, whose index states are reference marks.
+    Slide,
+}
+
+/// An incremental encoder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EncoderConfig {
-    /// Counts per motor turn after x4 decoding (four times the lines); a multiple of 4.
+    /// Where it is.
+    #[serde(default)]
+    pub on: EncoderPlace,
+    /// Counts per motor turn, or per lead of travel of the slide, after x4 decoding (four times the
+    /// lines); a multiple of 4.
     pub counts_per_turn: u32,
-    /// Coordinate at which the index state begins on one motor turn; the other index states are
-    /// whole leads away.
+    /// Coordinate at which the index state begins on one motor turn, or a reference mark; the other
+    /// ones are whole leads away.
     pub index: f64,
     /// The encoder counts backwards.
     #[serde(default)]
@@ -153,6 +168,9 @@ pub struct TorqueDrive {
 pub struct StepDrive {
     /// Full steps of the motor per turn (200 for 1.8 degrees).
     pub full_steps: u32,
+    /// Phases of the motor; an electrical turn is two full steps for each.
+    #[serde(default = "two_phases")]
+    pub phases: u32,
     /// Steps (pulses) per full step.
     pub microsteps: u32,
     /// Largest static effort at the axis. The effort is this value times the sine of the electrical
@@ -176,6 +194,10 @@ pub struct StepDrive {
     pub setup_ns: f64,
     /// Shortest time from the end of a pulse to a change of direction, ns.
     pub hold_ns: f64,
+}
+
+const fn two_phases() -> u32 {
+    2
 }
 
 impl JointConfig {
@@ -317,6 +339,12 @@ impl JointConfig {
                     f64::from(drive.full_steps),
                     4.0,
                     10_000.0,
+                );
+                check.within(
+                    format!("{at}: drive: phases"),
+                    f64::from(drive.phases),
+                    2.0,
+                    5.0,
                 );
                 check.within(
                     format!("{at}: drive: microsteps"),

@@ -7,6 +7,6 @@ pub mod stepper;
 pub mod switch;
 
 pub use config::{
-    DriveConfig, EncoderConfig, JointConfig, JointKind, StepDrive, SwitchConfig, SwitchSide,
-    TorqueDrive,
+    DriveConfig, EncoderConfig, EncoderPlace, JointConfig, JointKind, StepDrive, SwitchConfig,
+    SwitchSide, TorqueDrive,
 };

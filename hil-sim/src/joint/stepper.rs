@@ -1,8 +1,9 @@
 //! Step/direction drive with its motor, and the check of the pulses that reach it.
 //!
 //! The motor follows the commanded position through its magnetic field: effort = pull-out effort *
-//! sin(2 pi lag / 4 full steps). Beyond two full steps of lag the rotor settles at the next stable
-//! position. Steps are therefore lost in multiples of four full steps, and the drive does not
+//! sin(2 pi lag / electrical turn). An electrical turn is two full steps for each phase: four of a
+//! 2-phase motor, ten of a 5-phase motor. Beyond half of it the rotor settles at the next stable
+//! position. Steps are therefore lost in multiples of an electrical turn, and the drive does not
 //! detect it.
 //!
 //! Pulses are checked against the drive's data sheet: width, pause, direction set-up and hold, and
@@ -54,7 +55,7 @@ pub struct PulseReport {
 pub struct Stepper {
     /// Axis units per step, with the sign of the direction.
     per_step: f64,
-    /// Electrical turns (four full steps) per axis unit.
+    /// Electrical turns per axis unit.
     per_electrical_turn: f64,
     pull_out: f64,
     damping: f64,
@@ -110,7 +111,7 @@ impl Stepper {
         let sign = if drive.reversed { -1.0 } else { 1.0 };
         Self {
             per_step: sign * full_step / f64::from(drive.microsteps),
-            per_electrical_turn: 1.0 / (4.0 * full_step),
+            per_electrical_turn: 1.0 / (2.0 * f64::from(drive.phases) * full_step),
             pull_out: drive.pull_out,
             damping: drive.damping,
             origin: motor,

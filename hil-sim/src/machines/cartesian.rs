@@ -3,6 +3,7 @@
 //! Units: mm and degrees; the tool points down along z.
 
 use super::Geometry;
+use super::carriage_errors::{CarriageErrors, ErrorModel};
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
@@ -21,18 +22,22 @@ pub struct CartesianConfig {
     pub squareness_xz: f64,
     /// Squareness error of z to y: displacement of the tool in y per mm of z, +-0.1.
     pub squareness_yz: f64,
+    /// Geometric errors of the slides: the text of an error file, see docs/volumetric.md. Empty for
+    /// none.
+    pub errors: String,
+    /// Model that turns them into the error of the tool.
+    pub error_model: ErrorModel,
 }
 
 /// A tool on three slides.
 #[derive(Debug, Clone)]
 pub struct Cartesian {
     config: CartesianConfig,
+    errors: Option<CarriageErrors>,
 }
 
 impl Geometry for Cartesian {
     type Config = CartesianConfig;
-
-    const HAS_TOOL: bool = true;
 
     fn check(config: &CartesianConfig, kinds: &[JointKind], check: &mut Check) {
         if kinds != [JointKind::Linear; 3] {
@@ -48,11 +53,15 @@ impl Geometry for Cartesian {
         ] {
             check.within(format!("geometry: cartesian: {name}"), value, -0.1, 0.1);
         }
+        if let Err(problem) = CarriageErrors::parse(&config.errors, config.error_model) {
+            check.refuse("geometry: cartesian: errors".into(), problem);
+        }
     }
 
     fn new(config: &CartesianConfig, _: &JointArray) -> Result<Self, String> {
         Ok(Self {
             config: config.clone(),
+            errors: CarriageErrors::parse(&config.errors, config.error_model)?,
         })
     }
 
@@ -61,12 +70,19 @@ impl Geometry for Cartesian {
             squareness_xy,
             squareness_xz,
             squareness_yz,
+            ..
         } = self.config;
         let [x, y, z, ..] = *joints;
         *pose = [0.0; MAX_AXES];
         pose[0] = x + squareness_xy * y + squareness_xz * z;
         pose[1] = y + squareness_yz * z;
         pose[2] = z;
+        if let Some(errors) = &mut self.errors {
+            let error = errors.follow([x, y, z]);
+            pose.iter_mut()
+                .zip(error)
+                .for_each(|(place, by)| *place += by);
+        }
         true
     }
 
@@ -104,9 +120,11 @@ pub struct BareJoints {}
 impl Geometry for BareJoints {
     type Config = BareJointsConfig;
 
-    const HAS_TOOL: bool = true;
-
     fn check(_: &BareJointsConfig, _: &[JointKind], _: &mut Check) {}
+
+    fn has_tool(kinds: &[JointKind]) -> bool {
+        kinds.starts_with(&[JointKind::Linear; 3])
+    }
 
     fn new(_: &BareJointsConfig, _: &JointArray) -> Result<Self, String> {
         Ok(Self {})

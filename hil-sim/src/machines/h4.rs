@@ -415,8 +415,6 @@ fn slides(joints: &JointArray) -> [f64; 4] {
 impl Geometry for H4 {
     type Config = ArmGeometry;
 
-    const HAS_TOOL: bool = true;
-
     fn check(config: &ArmGeometry, kinds: &[JointKind], check: &mut Check) {
         config.check(kinds, check);
     }

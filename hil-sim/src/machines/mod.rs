@@ -4,8 +4,11 @@
 //! formulas. A new one is a file with a [`Geometry`] and a row in the list below; the row gives it
 //! its key in `[plant.geometry]`.
 
+pub mod carriage_errors;
 pub mod cartesian;
+pub mod facet;
 pub mod h4;
+pub mod scara;
 pub mod trunnion;
 
 use crate::check::Check;
@@ -23,9 +26,6 @@ pub trait Geometry: Sized {
     /// Section of the machine file, mm and degrees.
     type Config;
 
-    /// Whether the machine has a tool that can cut.
-    const HAS_TOOL: bool;
-
     /// Adds the problems of a configuration, with joints of these kinds.
     fn check(config: &Self::Config, kinds: &[JointKind], check: &mut Check);
 
@@ -39,6 +39,13 @@ pub trait Geometry: Sized {
     /// have moved little since the last call.
     fn follow(&mut self, joints: &JointArray, pose: &mut JointArray) -> bool;
 
+    /// Whether joints of these kinds carry a tool that can cut.
+    #[must_use]
+    fn has_tool(kinds: &[JointKind]) -> bool {
+        let _ = kinds;
+        true
+    }
+
     /// Tool in the workpiece frame at a pose.
     fn tool_pose(&self, pose: &JointArray) -> ToolPose;
 
@@ -46,6 +53,25 @@ pub trait Geometry: Sized {
     fn workpiece_axes(&self, pose: &JointArray) -> [Vector; 3] {
         let _ = pose;
         LEVEL
+    }
+
+    /// Directions of x, y and z of the tool's own frame in the workpiece frame, at a pose; of use
+    /// for a tool that is not round.
+    fn tool_axes(&self, pose: &JointArray) -> [Vector; 3] {
+        let _ = pose;
+        LEVEL
+    }
+
+    /// Loads of the joints by a force on the tool in the workpiece frame, N, at a point `from_tip`
+    /// mm from the tip. `None` where the geometry is singular.
+    fn tool_loads(
+        &self,
+        joints: &JointArray,
+        pose: &JointArray,
+        force: [f64; 3],
+        from_tip: Vector,
+    ) -> Option<JointArray> {
+        self.joint_loads(joints, pose, force, from_tip[2])
     }
 
     /// Loads of the joints by a force on the tool in the workpiece frame, N, which acts `above` mm
@@ -112,9 +138,9 @@ macro_rules! geometries {
                 }
             }
 
-            pub(crate) const fn has_tool(&self) -> bool {
+            pub(crate) fn has_tool(&self, kinds: &[JointKind]) -> bool {
                 match self {
-                    $(Self::$name(_) => <$machine as Geometry>::HAS_TOOL,)*
+                    $(Self::$name(_) => <$machine as Geometry>::has_tool(kinds),)*
                 }
             }
 
@@ -136,16 +162,22 @@ macro_rules! geometries {
                 }
             }
 
-            pub(crate) fn joint_loads(
+            pub(crate) fn tool_axes(&self, pose: &JointArray) -> [Vector; 3] {
+                match self {
+                    $(Self::$name(machine) => machine.tool_axes(pose),)*
+                }
+            }
+
+            pub(crate) fn tool_loads(
                 &self,
                 joints: &JointArray,
                 pose: &JointArray,
                 force: [f64; 3],
-                above: f64,
+                from_tip: Vector,
             ) -> Option<JointArray> {
                 match self {
                     $(Self::$name(machine) => {
-                        Geometry::joint_loads(machine, joints, pose, force, above)
+                        Geometry::tool_loads(machine, joints, pose, force, from_tip)
                     })*
                 }
             }
@@ -160,6 +192,10 @@ geometries! {
     Cartesian("cartesian", cartesian::Cartesian);
     /// Slides x, y, z, and a table that turns about z on a trunnion that tilts about x.
     Trunnion("trunnion", trunnion::Trunnion);
+    /// A lift with a tilting, spinning dop over a lap on two slides.
+    Facet("facet", facet::Facet);
+    /// Shoulder and elbow about vertical axes, and a vertical slide.
+    Scara("scara", scara::Scara);
     /// Joints that carry nothing: the pose is the joint positions.
     Joints("joints", cartesian::BareJoints);
 }

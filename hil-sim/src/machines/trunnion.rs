@@ -182,8 +182,6 @@ impl Trunnion {
 impl Geometry for Trunnion {
     type Config = TrunnionConfig;
 
-    const HAS_TOOL: bool = true;
-
     fn check(config: &TrunnionConfig, kinds: &[JointKind], check: &mut Check) {
         use JointKind::{Linear, Rotary};
         if kinds != [Linear, Linear, Linear, Rotary, Rotary] {

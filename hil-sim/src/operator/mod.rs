@@ -41,7 +41,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use trajectory::{Carried, DesiredMotion, without};
 
-/// Parameters of the operator: the `[plant.hand]` section of a machine file. All keys are optional.
+/// Parameters of the operator: the `[plant.operator]` section of a machine file. All keys are
+/// optional.
 ///
 /// ```
 /// let text = r#"
@@ -121,7 +122,7 @@ impl OperatorConfig {
     /// All problems, not only the first.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
-        let field = |key: &str| format!("hand: {key}");
+        let field = |key: &str| format!("operator: {key}");
         for (axis, value) in self.grip_mm.into_iter().enumerate() {
             check.within(field(&format!("grip_mm {axis}")), value, -500.0, 500.0);
         }

@@ -246,7 +246,7 @@ impl CutterConfig {
     }
 
     fn check(&self, check: &mut Check) {
-        check.within("cutter: radius_mm".into(), self.radius_mm, 0.5, 25.0);
+        check.within("cutter: radius_mm".into(), self.radius_mm, 0.05, 25.0);
         check.within("cutter: helix_deg".into(), self.helix_deg, 0.0, 60.0);
         check.within("cutter: teeth".into(), self.teeth as f64, 1.0, 8.0);
         check.within(

@@ -1,4 +1,4 @@
-//! The process at the tool: spindle, cut or contact, elastic structure, and force sensor.
+//! The process at the tool: spindle, cut, grinding or contact, elastic structure, and force sensor.
 //!
 //! [`Process::step`] is called once per control period. It takes the tool pose from the joints and
 //! returns the force on the tool, which acts during the following period. The structure deflects
@@ -13,6 +13,7 @@ pub mod config;
 pub mod contact;
 pub mod cutter;
 pub mod cutting;
+pub mod grinding;
 pub mod metrology;
 pub mod removal;
 pub mod sensor;
@@ -24,11 +25,13 @@ pub mod workpiece;
 pub use config::{Area, Coefficients, CutterConfig, CuttingConfig, SpindleConfig, WorkpieceConfig};
 pub use contact::ElasticWall;
 pub use cutting::{Cut, Cutting, ToolPose};
+pub use grinding::{Grinding, LapConfig};
 pub use spindle::Spindle;
 pub use tooth_path::PASSES;
 pub use workpiece::Workpiece;
 
 use crate::check::PlantError;
+use crate::machines::LEVEL;
 use crate::process::sensor::{Sensor, SensorConfig};
 use crate::process::structure::{Structure, StructureConfig};
 use crate::random::Random;
@@ -84,9 +87,14 @@ pub struct Process {
     period_s: f64,
     spindle: Spindle,
     cutting: Option<Cutting>,
+    grinding: Option<Grinding>,
     wall: Option<ElasticWall>,
     structure: Option<Structure>,
     sensor: Option<Sensor>,
+    /// Directions of the tool's own axes in the workpiece frame.
+    tool_axes: [Vector; 3],
+    /// Point of the force, from the tip.
+    force_point: Vector,
     tip: Vector,
     cut: Cut,
     force: Vector,
@@ -120,6 +128,7 @@ impl Process {
                 Some(config) => Some(Cutting::new(config, pose)?),
                 None => None,
             },
+            grinding: None,
             wall: config.wall.clone(),
             structure: config
                 .structure
@@ -129,6 +138,8 @@ impl Process {
                 .sensor
                 .as_ref()
                 .map(|config| Sensor::new(config, period_s, random)),
+            tool_axes: LEVEL,
+            force_point: [0.0; 3],
             tip: pose.tip,
             cut: Cut::default(),
             force: [0.0; 3],
@@ -151,6 +162,12 @@ impl Process {
             None => Cut::default(),
         };
         self.force = self.cut.force;
+        self.force_point = [0.0, 0.0, self.force_height()];
+        if let Some(grinding) = &mut self.grinding {
+            let ground = grinding.step(pose.tip, &self.tool_axes, turns);
+            self.force = plus(self.force, ground.force);
+            self.force_point = ground.from_tip;
+        }
         if let Some(wall) = &self.wall {
             let push = wall.force(&pose, velocity);
             self.force = plus(self.force, push);
@@ -175,6 +192,31 @@ impl Process {
             (None, Some(wall)) => wall.radius,
             (None, None) => 0.0,
         }
+    }
+
+    /// Point of the force, from the tip, mm, in the workpiece frame.
+    pub const fn force_point(&self) -> Vector {
+        self.force_point
+    }
+
+    /// Sets the directions of the tool's own axes in the workpiece frame for the next period.
+    pub const fn set_tool_axes(&mut self, axes: [Vector; 3]) {
+        self.tool_axes = axes;
+    }
+
+    /// A stone on a lap; `None` on a machine without one.
+    pub const fn grinding(&self) -> Option<&Grinding> {
+        self.grinding.as_ref()
+    }
+
+    /// A stone on a lap, with mutable access.
+    pub const fn grinding_mut(&mut self) -> Option<&mut Grinding> {
+        self.grinding.as_mut()
+    }
+
+    /// Puts a stone on the tool and a lap under it, or removes both.
+    pub fn set_grinding(&mut self, grinding: Option<Grinding>) {
+        self.grinding = grinding;
     }
 
     /// Result of the cut in the last period.

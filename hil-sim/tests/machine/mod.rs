@@ -50,6 +50,7 @@ pub fn stepped_slide() -> PlantConfig {
     let joint: &mut JointConfig = &mut config.joint[0];
     joint.drive = DriveConfig::Steps(StepDrive {
         full_steps: 200,
+        phases: 2,
         microsteps: 16,
         pull_out: 1200.0,
         damping: 2.0,

@@ -122,7 +122,7 @@ mod linux {
                 &machine_file,
                 "--operator",
                 &script,
-                "examples/e8-hand.ngc",
+                "examples/e8-teleop.ngc",
             ],
         )?;
         terminal.press_expect(b"w", "clutch pressed");

@@ -194,7 +194,7 @@ fn haptic_arm_keeps_its_configuration() {
     let ran = haptimill(&teleop).expect_code(8);
     assert_eq!(status(&arm), before, "{ran:#?}");
     assert!(ran.err.contains("--master-machine"), "{ran:#?}");
-    let master = ["--master-machine", "machines/hand-master.toml"];
+    let master = ["--master-machine", "machines/haptic-master.toml"];
     let ran = haptimill(&[&teleop[..], &master].concat()).expect_code(8);
     assert_eq!(status(&arm), before, "{ran:#?}");
     assert!(ran.err.contains("--replace-master-machine"), "{ran:#?}");

@@ -96,6 +96,7 @@ fn help_names_every_command() {
     for command in [
         "run", "jog", "home", "console", "teleop", "status", "enable", "disable", "stop", "reset",
         "scenario", "force", "sim", "machine", "ports", "trace", "replay", "kin", "offset",
+        "preview",
     ] {
         let ran = haptimill(&[command, "--help"], "");
         assert_eq!(ran.code, 0, "{command}");
@@ -169,6 +170,40 @@ fn work_offsets_are_kept_beside_the_machine_file() {
         ran.err
     );
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn a_preview_is_one_page_with_the_extremes_of_the_joints() {
+    let folder = std::env::temp_dir().join(format!("haptimill-preview-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let page = folder.join("pocket.html");
+    let page = page.to_str().unwrap();
+    let ran = haptimill(&["preview", "examples/e9-pocket.ngc", "--out", page], "");
+    assert_eq!((ran.code, ran.out.trim()), (0, page), "{}", ran.err);
+    let text = std::fs::read_to_string(page).unwrap();
+    for part in [
+        "at feed",
+        "rapid moves",
+        "feed, mm/min",
+        "l1",
+        "nearest to an end",
+    ] {
+        assert!(text.contains(part), "{part}");
+    }
+    // A program that the machine cannot run has no page.
+    let program = folder.join("far.ngc");
+    std::fs::write(&program, "G0 X9999\n").unwrap();
+    let page = folder.join("far.html");
+    let arguments = [
+        "preview",
+        program.to_str().unwrap(),
+        "--out",
+        page.to_str().unwrap(),
+    ];
+    let ran = haptimill(&arguments, "");
+    assert_eq!(ran.code, 4, "{}", ran.err);
+    assert!(ran.err.contains("far.ngc:1:4: X9999"), "{}", ran.err);
+    assert!(!page.exists());
 }
 
 #[test]

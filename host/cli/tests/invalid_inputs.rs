@@ -45,8 +45,8 @@ const OLD: [&str; 6] = [
     "trace.csv",
     "summary.json",
     "report.html",
-    "hand.csv",
-    "hand.hmr",
+    "teleop.csv",
+    "master.hmr",
 ];
 
 /// A folder with earlier results.
@@ -192,7 +192,7 @@ const OTHERS: [(&[&str], i32); 9] = [
             "sim",
             "serve",
             "--machine",
-            "machines/hand-master.toml",
+            "machines/haptic-master.toml",
             "--operator",
             "{}",
             "--for",
@@ -270,10 +270,12 @@ fn invalid_input_files_are_reported_before_any_action() {
 fn missing_devices_are_reported_before_any_action() {
     let (folder, unused) = (TestFolder::new(), UnusedPort::new());
     let missing = folder.path("missing");
-    for hand in ["joystick:{}", "mouse3d:{}", "{}"] {
-        let row = ["teleop", "--master", hand, "--port", "PORT", "--out", "OUT"];
+    for master in ["joystick:{}", "mouse3d:{}", "{}"] {
+        let row = [
+            "teleop", "--master", master, "--port", "PORT", "--out", "OUT",
+        ];
         expect_refused(&folder, &unused, (&row, 5), &missing);
-        let row = ["teleop", "--master", hand, "--out", "OUT"];
+        let row = ["teleop", "--master", master, "--out", "OUT"];
         expect_refused(&folder, &unused, (&row, 5), &missing);
     }
     for row in [

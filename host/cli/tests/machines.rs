@@ -7,6 +7,7 @@ mod scene;
 
 use haptimill_client::client::Options;
 use haptimill_client::session::{self, Session, SimLine};
+use haptimill_firmware::config::PoseAxis;
 use haptimill_kinematics::descriptor::{AxisKind, Descriptor, Role};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
@@ -143,12 +144,19 @@ impl Machine {
         session.go_home(machine, &home).expect("homed");
         let before = session.status().expect("a status");
         assert!(before.homed && before.position_kept, "{}", self.file);
-        // 2 mm/s and 2 degrees/s for half a second, away from the home pose.
-        let rates: AxisValues = machine
-            .config
-            .pose
+        // 2 mm/s and 2 degrees/s for half a second: downwards, or upwards where the home pose is at
+        // the lower soft limit.
+        let is_at_low = |index: usize, axis: &PoseAxis| {
+            f64::from(before.commanded[index]) - f64::from(axis.low.0) < 2.0 * per_unit(axis.kind)
+        };
+        let directions: Vec<f64> = (0..)
+            .zip(machine.config.pose.iter())
+            .map(|(index, axis)| if is_at_low(index, axis) { 1.0 } else { -1.0 })
+            .collect();
+        let rates: AxisValues = directions
             .iter()
-            .map(|axis| (-2.0 * per_unit(axis.kind)) as i32 >> RATE_SHIFT)
+            .zip(machine.config.pose.iter())
+            .map(|(direction, axis)| (2.0 * direction * per_unit(axis.kind)) as i32 >> RATE_SHIFT)
             .collect();
         let end = session.now_us() + 500_000;
         let mut next = 0;
@@ -167,9 +175,9 @@ impl Machine {
         assert_eq!(after.state, State::Idle, "{}", self.file);
         for (index, axis) in machine.config.pose.iter().enumerate() {
             let moved = f64::from(after.measured[index] - before.measured[index]);
-            let moved = moved / per_unit(axis.kind);
+            let moved = directions[index] * moved / per_unit(axis.kind);
             assert!(
-                (-1.6..-0.4).contains(&moved),
+                (0.4..1.6).contains(&moved),
                 "{}: axis {index} by {moved}",
                 self.file
             );
@@ -180,7 +188,7 @@ impl Machine {
     /// A program that moves every coordinate.
     fn program(&self) -> String {
         let text = format!(
-            "G21 G90 G17 F900\nG1{}\nG1{}\nM30\n",
+            "G21 G90 G17 F200\nG1{}\nG1{}\nM30\n",
             self.point(-5.0, -3.0),
             self.point(0.0, 0.0)
         );
@@ -218,7 +226,7 @@ impl Machine {
     fn groove(&self) -> String {
         let (z, x) = (Role::ToolZ, Role::ToolX);
         let text = format!(
-            "G21 G90 S6000 M3\nG4 P1\nG1 {} F120\nG1 {} F240\nG1 {} F600\nM5\nM30\n",
+            "G21 G90 S6000 M3\nG4 P1\nG1 {} F120\nG1 {} F200\nG1 {} F200\nM5\nM30\n",
             self.word(z, -3.0),
             self.word(x, -10.0),
             self.word(z, 0.0)

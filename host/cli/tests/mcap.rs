@@ -25,7 +25,7 @@ mod built {
             "teleop", "--master", "sim", "--for", "1.5", "--quiet", "--out", &out,
         ])
         .expect_code(0);
-        let (trace, file) = (folder.path("out/hand.hmr"), folder.path("hand.mcap"));
+        let (trace, file) = (folder.path("out/master.hmr"), folder.path("master.mcap"));
         haptimill(&["trace", "mcap", &trace, "--out", &file]).expect_code(0);
         let bytes = std::fs::read(&file).unwrap();
         let recording = Recording::open(Path::new(&trace)).unwrap();
@@ -34,7 +34,7 @@ mod built {
         let mut seen = 0;
         for message in read_with_checks(&bytes) {
             let message = message.unwrap();
-            if message.channel.topic != "/hand" {
+            if message.channel.topic != "/master" {
                 continue;
             }
             let period = message.log_time / 200_000;
@@ -45,12 +45,12 @@ mod built {
                 (value["z_mm"].as_f64().unwrap() - tip).abs() < 1e-6,
                 "{value}"
             );
-            held += u64::from(value["hand_held"] == true);
+            held += u64::from(value["master_engaged"] == true);
             seen += 1;
         }
         assert!(seen > 1000 && held > 500 && held < seen, "{held} of {seen}");
         let summary = Summary::read(&bytes).unwrap().unwrap();
-        for topic in ["/hand/force", "/hand/reflected", "/hand/wall"] {
+        for topic in ["/master/force", "/master/reflected", "/master/wall"] {
             assert!(
                 summary
                     .channels

@@ -94,13 +94,13 @@ fn invalid_options_are_refused_before_the_run() {
 fn haptic_arm_is_refused_as_machine() {
     let folder = TestFolder::new();
     let out = folder.path("out");
-    let arm = ["--machine", "machines/hand-master.toml"];
+    let arm = ["--machine", "machines/haptic-master.toml"];
     let run = ["run", "examples/e7-slot.ngc", "--out", &out];
     // The port must not be opened.
     let jog = ["jog", "x=1", "--port", "tcp:127.0.0.1:1"];
     for command in [&run[..], &jog] {
         let ran = haptimill(&[command, &arm].concat()).expect_code(3);
-        let what = "machines/hand-master.toml: a haptic arm alone";
+        let what = "machines/haptic-master.toml: a haptic arm alone";
         assert!(ran.err.contains(what), "{}", ran.err);
     }
     assert!(!std::path::Path::new(&out).exists());

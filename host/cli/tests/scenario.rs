@@ -67,7 +67,7 @@ fn all_experiments_write_their_tables_pages_and_recordings() {
             // In E6 the tool waits at the home pose and does not cut.
             let cutting = records.find(|record| !pass.has_cutting() || record.true_force != [0; 3]);
             assert!(cutting.unwrap().has(flag::FORCE | flag::TOOL_TRUE));
-            let table = format!("out/{name}/{}/hand.csv", pass.name);
+            let table = format!("out/{name}/{}/teleop.csv", pass.name);
             if pass.teleoperation.is_some() {
                 assert!(folder.read(&table).lines().count() > 1000);
             }

@@ -73,7 +73,7 @@ fn force_settings_are_read_set_and_range_checked() {
         "1.5",
         "--virtual-damping",
         "4",
-        "--gate",
+        "--enable-condition",
         "any",
         "--json",
     ];
@@ -143,7 +143,7 @@ fn force_command_transcript() {
             "4",
             "--virtual-damping",
             "8",
-            "--gate",
+            "--enable-condition",
             "any",
         ],
         &["force", "set", "z", "--limit", "3"],

@@ -18,7 +18,7 @@ use super::sampled_trace::Sample;
 use context::Context;
 use haptimill_client::session::HapticTraceSample;
 use laws::{admittance_law_residual, feedback_ratio, mean_speed, opposed_fraction, time_after};
-use statistics::{first_time, largest, mean, slope, smallest, time_of_max, worst};
+use statistics::{change_time, first_time, largest, mean, slope, smallest, time_of_max, worst};
 
 /// Circle of E11 and E12: x of its centre and radius, mm.
 const CIRCLE_MM: f64 = 15.0;
@@ -155,6 +155,9 @@ const MEASURES: &[Measure] = &[
     measure("max", &[Key::Quantity], |c| largest(&c.values())),
     measure("min", &[Key::Quantity], |c| smallest(&c.values())),
     measure("max_abs", &[Key::Quantity], |c| largest(&c.magnitudes())),
+    measure("spread", &[Key::Quantity], |c| {
+        largest(&c.values()) - smallest(&c.values())
+    }),
     // Slope of the least-squares line, per second.
     measure("slope", &[Key::Quantity], |c| slope(&c.values())),
     // Value at a time, and its magnitude.
@@ -184,6 +187,11 @@ const MEASURES: &[Measure] = &[
         let values = c.values();
         let peak = largest(&values);
         first_time(&values, |value| value > 0.95 * peak)
+    }),
+    // Time in which a rising quantity goes from 10 to 90 % of the way from its start to its largest
+    // value.
+    measure("change_time", &[Key::Quantity, Key::Windows], |c| {
+        change_time(&c.values())
     }),
     measure("event_time", &[Key::Event], |c| c.event_time()),
     // How long after an event the magnitude is above a threshold for the last time; 0 for never.

@@ -1,7 +1,7 @@
 //! Results of experiments and passes; `summary.json` has these fields.
 
 use super::definition::{Experiment, ForceControl};
-use super::expected::{Comparison, rounded};
+use super::expected::{Comparison, Source, rounded};
 use super::measures;
 use super::run::PassData;
 use super::sampled_trace::ForceSource;
@@ -105,5 +105,16 @@ impl ExperimentResult {
     pub fn inside(&self) -> usize {
         let inside = self.comparisons.iter().filter(|result| result.is_inside);
         inside.count()
+    }
+
+    /// Results of a source: those inside their bands, and all.
+    #[must_use]
+    pub fn count_of(&self, source: Source) -> (usize, usize) {
+        let of_source = |result: &&Comparison| result.band.source == source;
+        let results = || self.comparisons.iter().filter(of_source);
+        (
+            results().filter(|result| result.is_inside).count(),
+            results().count(),
+        )
     }
 }

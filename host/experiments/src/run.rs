@@ -34,7 +34,7 @@ use std::sync::atomic::AtomicBool;
 const TRACE_EVERY: u32 = 25;
 
 /// Table of master and tool of a teleoperated pass, and its milliseconds per row.
-const TELEOPERATION_FILE: &str = "hand.csv";
+const TELEOPERATION_FILE: &str = "teleop.csv";
 const TELEOPERATION_EVERY: usize = 5;
 
 /// Largest compliant displacement under force control, mm. The 10 mm of the machine file suffice

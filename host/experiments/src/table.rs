@@ -1,7 +1,7 @@
 //! Table for the terminal.
 
 use super::ExperimentResult;
-use super::expected::{Band, Comparison};
+use super::expected::{Band, Comparison, Source};
 use std::fmt::Write as _;
 
 /// Formats a value for the tables.
@@ -95,11 +95,18 @@ pub fn table(results: &[ExperimentResult]) -> String {
     for (index, reason) in reasons.iter().enumerate() {
         let _ = writeln!(text, "[{}] {reason}", index + 1);
     }
-    let (inside, all) = results.iter().fold((0, 0), |(inside, all), result| {
-        (inside + result.inside(), all + result.comparisons.len())
-    });
     let not_run = results.iter().filter(|result| result.not_run.is_some());
-    let _ = write!(text, "{inside} of {all} inside");
+    let [stated, derived, own] = [Source::Stated, Source::Derived, Source::Own].map(|source| {
+        results.iter().fold((0, 0), |(inside, all), result| {
+            let of_one = result.count_of(source);
+            (inside + of_one.0, all + of_one.1)
+        })
+    });
+    let _ = write!(
+        text,
+        "inside: {} of {} stated, {} of {} derived, {} of {} own",
+        stated.0, stated.1, derived.0, derived.1, own.0, own.1
+    );
     match not_run.count() {
         0 => text.push('\n'),
         count => {

@@ -149,7 +149,7 @@ impl<'a> Interpreter<'a> {
     }
 
     /// Runs the next line.
-    fn advance(&mut self) -> Result<(), Problem> {
+    pub(super) fn advance(&mut self) -> Result<(), Problem> {
         self.line_start = self.sources[self.current].mark();
         let fetched = self.sources[self.current].next(&mut self.line);
         let fetched = match fetched {

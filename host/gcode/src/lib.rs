@@ -29,6 +29,7 @@ mod codes;
 mod compensation;
 mod cycles;
 mod devices;
+mod dialog;
 mod executor;
 mod expression;
 mod flow;
@@ -51,6 +52,7 @@ mod words;
 mod tests;
 
 pub use canonical::{Feed, Move, OutputValue, ProbeKind, Step, WaitFor};
+pub use dialog::Dialog;
 pub use interpreter::Interpreter;
 pub use path::{Arc, AxisKind, Coordinates, Measure, Path};
 pub use problem::{LISTED_PROBLEMS, Notice, Place, Problem, Refused, file_name};

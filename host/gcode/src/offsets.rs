@@ -303,7 +303,7 @@ impl Executor {
             }
             at
         };
-        let mut wanted = PerLetter::default();
+        let mut target = PerLetter::default();
         let rotation = super::state::Rotation::of(system.rotation);
         if to_position && !rotation.is_none() {
             // Coordinates that are not written stay as they are in the old system.
@@ -311,7 +311,7 @@ impl Executor {
                 position[0] - system.origin[0],
                 position[1] - system.origin[1],
             ];
-            [wanted[0], wanted[1]] = rotation.turn_back(old);
+            [target[0], target[1]] = rotation.turn_back(old);
         }
         let mut turned_words = false;
         for (axis, letter) in AXES.iter().enumerate() {
@@ -322,14 +322,14 @@ impl Executor {
             if !to_position {
                 system.origin[axis] = value;
             } else if axis < 2 && !rotation.is_none() {
-                wanted[axis] = value;
+                target[axis] = value;
                 turned_words = true;
             } else {
                 system.origin[axis] = position[axis] - value;
             }
         }
         if turned_words {
-            let turned = rotation.turn([wanted[0], wanted[1]]);
+            let turned = rotation.turn([target[0], target[1]]);
             system.origin[0] = position[0] - turned[0];
             system.origin[1] = position[1] - turned[1];
         }

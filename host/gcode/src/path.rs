@@ -93,6 +93,29 @@ impl Path {
         })
     }
 
+    /// Returns the two halves of the path.
+    pub fn halves(&self) -> [Path; 2] {
+        let middle = self.at(0.5 * self.length);
+        [(0.0, self.from, middle), (0.5, middle, self.to)].map(|(begin, from, to)| {
+            let arc = self.arc.map(|arc| {
+                let radius = |u: f64| arc.radius[0] + (arc.radius[1] - arc.radius[0]) * u;
+                Arc {
+                    radius: [radius(begin), radius(begin + 0.5)],
+                    angle: arc.angle + arc.sweep * begin,
+                    sweep: 0.5 * arc.sweep,
+                    ..arc
+                }
+            });
+            Path {
+                from,
+                to,
+                arc,
+                length: 0.5 * self.length,
+                measure: self.measure,
+            }
+        })
+    }
+
     /// Returns the length of the path of the tool tip, mm.
     pub fn tip_length(&self) -> f64 {
         match self.measure {

@@ -12,7 +12,7 @@ pub(crate) const PARAMETERS: usize = 5603;
 /// First parameters of the reference positions, of G92, and of the work coordinate systems.
 pub(crate) const G28: usize = 5161;
 pub(crate) const G30: usize = 5181;
-const G92_ACTIVE: usize = 5210;
+pub(crate) const G92_ACTIVE: usize = 5210;
 pub(crate) const G92: usize = 5211;
 const SYSTEM: usize = 5220;
 const SYSTEM_1: usize = 5221;
@@ -60,7 +60,7 @@ impl Motion {
         })
     }
 
-    fn tenths(self) -> u16 {
+    pub(crate) fn tenths(self) -> u16 {
         match self {
             Motion::Off => 800,
             Motion::Rapid => 0,
@@ -161,6 +161,7 @@ pub(crate) struct Modes {
 }
 
 /// State of the interpreter.
+#[derive(Clone)]
 pub(crate) struct State {
     pub modes: Modes,
     /// Programmed position in machine coordinates: mm, degrees.

@@ -46,22 +46,36 @@ pub(super) fn check_home_pose(document: &Document<'_>, root: &DeTable<'_>, confi
 /// Checks that a machine with force control or a master has the roles for them.
 pub(super) fn check_roles(document: &Document<'_>, root: &DeTable<'_>, config: &Config) {
     let machine = config.model.descriptor();
-    if machine.pose.is_empty() || machine.has_guided_tool() {
+    if machine.pose.is_empty() {
         return;
     }
     for (section, is_there, purpose) in [
-        ("force", config.force.is_some(), "force control"),
-        ("follow", config.follow.is_some(), "a master"),
+        (
+            "force",
+            config.force.is_some() && !machine.has_force_axes(),
+            "force control moves x, y and z of the tool",
+        ),
+        (
+            "follow",
+            config.follow.is_some() && !machine.has_guided_tool(),
+            "a master moves x, y and z of the tool, its tilt and the rotation of the workpiece",
+        ),
     ] {
         if is_there {
             let offset = root.get(section).map_or(0, |value| value.span().start);
             let what = format!(
-                "{purpose} moves x, y and z of the tool, its tilt and the rotation of the \
-                 workpiece, in this order; the coordinates of the model \"{}\" have other roles",
+                "{purpose}, in this order; the coordinates of the model \"{}\" have other roles",
                 machine.code
             );
             document.report(offset, section, what, "remove the section");
         }
+    }
+    if config.force.is_some() && machine.has_force_axes() && config.wrapping() != 0 {
+        let offset = root.get("force").map_or(0, |value| value.span().start);
+        let what = "force control needs a machine without wrapping coordinates; the telemetry of \
+                    forces and of turns do not fit into one message";
+        let remedy = "remove the section, or give the coordinate limits in place of `wrap`";
+        document.report(offset, "force", what, remedy);
     }
 }
 

@@ -7,7 +7,8 @@
 
 use super::likeness::nearest;
 use super::problem::{LISTED_PROBLEMS, Problem, Problems};
-use haptimill_machine_keys::{Default as KeyDefault, Key, Values, keys_of};
+use crate::keys::keys_of;
+use haptimill_machine_keys::{Default as KeyDefault, Key, Values};
 use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
 use toml::Spanned;

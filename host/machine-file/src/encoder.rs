@@ -22,13 +22,13 @@ pub(super) fn read_encoder(section: &Section<'_, '_>, joint: &Place) -> Option<E
         section.refuse(keys::following_error, "0 is always exceeded", "raise it");
     }
     let lag = section.value(keys::following_error_lag_ms);
-    let still = section.value(keys::still);
+    let stuck = section.value(keys::encoder_stuck);
     let resolution = joint.turn / counts;
-    if still < 4.0 * resolution {
+    if stuck < 4.0 * resolution {
         let unit = unit(joint.kind);
-        let what = format!("{still} {unit} is less than 4 encoder counts");
+        let what = format!("{stuck} {unit} is less than 4 encoder counts");
         let remedy = format!("raise it to {} or more", 4.0 * resolution);
-        section.refuse(keys::still, what, remedy);
+        section.refuse(keys::encoder_stuck, what, remedy);
     }
     let index = section.value(keys::index);
     let search = section.value(keys::search);
@@ -46,7 +46,7 @@ pub(super) fn read_encoder(section: &Section<'_, '_>, joint: &Place) -> Option<E
         per_count: to_i64(direction * resolution * scale * PER_COUNT),
         following: coordinate(following),
         following_lag: to_u32(lag * 65.536),
-        still: coordinate(still),
+        stuck_distance: coordinate(stuck),
         index: coordinate(index),
         index_pitch: coordinate(joint.turn),
         index_slack: to_u32(slack).min(u32::from(u16::MAX)) as u16,
@@ -60,7 +60,7 @@ fn refuse_keys(section: &Section<'_, '_>) {
         keys::direction,
         keys::following_error,
         keys::following_error_lag_ms,
-        keys::still,
+        keys::encoder_stuck,
         keys::index,
         keys::search,
         keys::index_slack_counts,

@@ -5,7 +5,9 @@ use super::document::Section;
 use super::scale::{PER_EFFORT, PER_MM, to_i32, to_u16, to_u32};
 use haptimill_firmware::force::admittance::AdmittanceLaw;
 use haptimill_firmware::force::sensor::{COMPONENTS, Channel, Sensor};
-use haptimill_firmware::force::{Design, ForceConfig, ForceParameter, Gate, LoopSettings};
+use haptimill_firmware::force::{
+    Design, EnableCondition, ForceConfig, ForceParameter, LoopSettings,
+};
 use haptimill_machine_keys::controller::{force as keys, force_axis, force_sensor};
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Length, Rate};
@@ -14,11 +16,11 @@ use haptimill_math::{Length, Rate};
 pub const AXES: [(&str, usize); COMPONENTS] = [("x", 0), ("y", 1), ("z", 2)];
 
 /// Enable conditions, with their names in machine files and on the command line.
-pub const GATES: [(&str, Gate); 4] = [
-    ("against_motion", Gate::AgainstMotion),
-    ("any", Gate::Any),
-    ("positive", Gate::Positive),
-    ("negative", Gate::Negative),
+pub const ENABLE_CONDITIONS: [(&str, EnableCondition); 4] = [
+    ("against_motion", EnableCondition::AgainstMotion),
+    ("any", EnableCondition::Any),
+    ("positive", EnableCondition::Positive),
+    ("negative", EnableCondition::Negative),
 ];
 
 /// Codes of a 14-bit converter from 0 to the end of its range.
@@ -210,7 +212,7 @@ fn read_axis<'d, 'i>(
     let damping = section.value(force_axis::damping_n_s_per_mm);
     let limit = section.value(force_axis::limit_mm);
     let rate = section.value(force_axis::rate_mm_s);
-    let gate = section.choice(force_axis::gate, &GATES);
+    let enable_condition = section.choice(force_axis::enable_condition, &ENABLE_CONDITIONS);
     section.finish();
     let per_code = sign * newtons * volts / CODES;
     if per_code.abs() > 0.5 {
@@ -222,7 +224,9 @@ fn read_axis<'d, 'i>(
         newtons, sign, desired, mass, damping, limit, rate, volts, saturation,
     ];
     Axis {
-        is_valid: is_scaled && gate.is_some() && numbers.iter().all(|value| !value.is_nan()),
+        is_valid: is_scaled
+            && enable_condition.is_some()
+            && numbers.iter().all(|value| !value.is_nan()),
         channel: Channel {
             per_code: to_i32(per_code * 4_294_967_296.0),
             saturation: to_u16(saturation * CODES).min(8191) as i16,
@@ -233,7 +237,7 @@ fn read_axis<'d, 'i>(
             damping: VirtualDamping(to_u32(damping * PER_EFFORT)),
             limit: Length(to_i32(limit * PER_MM)),
             rate: Rate(to_i32(rate * PER_MM)),
-            gate: gate.unwrap_or_default(),
+            enable_condition: enable_condition.unwrap_or_default(),
         },
         section,
     }
@@ -273,6 +277,6 @@ const fn placeholder_loop() -> LoopSettings {
         damping: VirtualDamping(0),
         limit: Length::ZERO,
         rate: Rate::ZERO,
-        gate: Gate::AgainstMotion,
+        enable_condition: EnableCondition::AgainstMotion,
     }
 }

@@ -1,7 +1,7 @@
 //! Format version of a machine file, and whether a text is a machine file at all.
 
 use super::document::Document;
-use haptimill_machine_keys::sections;
+use super::keys::sections;
 use toml::de::{DeTable, DeValue};
 
 /// Format that this program reads. [`migrate`](super::migrate::migrate) writes it.
@@ -50,10 +50,11 @@ pub(super) fn kind(document: &Document<'_>, root: &DeTable<'_>) -> Option<Kind> 
     if has("name") || has("period_us") || REQUIRED.into_iter().any(has) {
         return Some(Kind::Machine(1));
     }
-    let known = root
-        .keys()
-        .map(|key| key.get_ref().as_ref())
-        .filter(|key| sections().any(|section| section.path.split('.').next() == Some(*key)));
+    let known = root.keys().map(|key| key.get_ref().as_ref()).filter(|key| {
+        sections()
+            .iter()
+            .any(|section| section.path.split('.').next() == Some(*key))
+    });
     let names: Vec<String> = known.map(str::to_string).collect();
     Some(if names.is_empty() {
         Kind::Other

@@ -41,8 +41,8 @@ pub fn read_haptic(section: &Section<'_, '_>) -> HapticConfig {
     let illegal = section.value(keys::haptic::illegal_transitions);
     let condition = section.value(keys::haptic::condition);
     let filter = section.value(keys::haptic::rate_filter_ms);
-    let ball = section.value(keys::haptic::ball_mm);
-    let step = section.value(keys::haptic::step_n);
+    let ball = section.value(keys::haptic::tip_ball_mm);
+    let step = section.value(keys::haptic::force_step_n);
     let geometry = section.section("geometry").map(read_geometry);
     let ranges = section.section("range").map(read_ranges);
     let legs: Vec<_> = section.list("leg").into_iter().map(read_leg).collect();
@@ -50,8 +50,8 @@ pub fn read_haptic(section: &Section<'_, '_>) -> HapticConfig {
         let what = format!("has {} sections, the arm has {LEGS} legs", legs.len());
         section.report("leg", what, "write one for each leg");
     }
-    let reflection = section.section("reflection").map(read_reflection);
-    let wall = section.section("wall").map(read_wall);
+    let feedback = section.section("feedback").map(read_feedback);
+    let fixture = section.section("fixture").map(read_fixture);
     let passivity = section.section("passivity").map(read_passivity);
     section.finish();
     let place = |index: usize| legs.get(index).cloned().unwrap_or_else(placeholder_leg);
@@ -65,8 +65,8 @@ pub fn read_haptic(section: &Section<'_, '_>) -> HapticConfig {
         rate_filter_us: to_u16(filter * 1000.0),
         ball: length(ball),
         step: force(step),
-        reflection: reflection.unwrap_or_default(),
-        wall: wall.unwrap_or(WallConfig {
+        feedback: feedback.unwrap_or_default(),
+        wall: fixture.unwrap_or(WallConfig {
             stiffness: 0,
             most: Force::ZERO,
         }),
@@ -131,8 +131,8 @@ fn read_ranges(section: Section<'_, '_>) -> [(Coordinate, Coordinate); 3] {
             PER_DEG,
         ),
         range(
-            keys::range::lean_low_deg,
-            keys::range::lean_high_deg,
+            keys::range::hinge_low_deg,
+            keys::range::hinge_high_deg,
             PER_DEG,
         ),
     ];
@@ -174,7 +174,7 @@ fn read_leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
     let sensors = [
         encoder(leg::slide_counts_per_mm, leg::slide_home_mm, false),
         encoder(leg::turn_counts_per_turn, leg::turn_home_deg, true),
-        encoder(leg::lean_counts_per_turn, leg::lean_home_deg, true),
+        encoder(leg::hinge_counts_per_turn, leg::hinge_home_deg, true),
     ];
     let amplifier = |full_key: Key, limit_key: Key, scale: f64| {
         let (full, limit) = (section.value(full_key), section.value(limit_key));
@@ -200,13 +200,13 @@ fn read_leg(section: Section<'_, '_>) -> ([Encoder; 3], [Amplifier; 2]) {
     (sensors, drives)
 }
 
-fn read_reflection(section: Section<'_, '_>) -> ForceFeedback {
+fn read_feedback(section: Section<'_, '_>) -> ForceFeedback {
     let mut axes = [ForceFeedbackAxis::default(); 3];
-    use keys::reflection as row;
+    use keys::feedback as row;
     let rows = [
-        (row::x_percent, row::x_most_n),
-        (row::y_percent, row::y_most_n),
-        (row::z_percent, row::z_most_n),
+        (row::x_percent, row::x_limit_n),
+        (row::y_percent, row::y_limit_n),
+        (row::z_percent, row::z_limit_n),
     ];
     for (axis, (percent, most)) in axes.iter_mut().zip(rows) {
         let (percent, most) = (section.value(percent), section.value(most));
@@ -215,19 +215,19 @@ fn read_reflection(section: Section<'_, '_>) -> ForceFeedback {
             limit: force(most).0,
         };
     }
-    let boost = section.value(keys::reflection::boost_n_s_per_mm);
-    let below = section.value(keys::reflection::boost_below_n);
+    let damping = section.value(keys::feedback::damping_n_s_per_mm);
+    let below = section.value(keys::feedback::damping_below_n);
     section.finish();
     ForceFeedback {
         axes,
-        damping: to_u16(boost * PER_EFFORT),
+        damping: to_u16(damping * PER_EFFORT),
         damping_below: force(below).0,
     }
 }
 
-fn read_wall(section: Section<'_, '_>) -> WallConfig {
-    let stiffness = section.value(keys::wall::stiffness_n_per_mm);
-    let most = section.value(keys::wall::most_n);
+fn read_fixture(section: Section<'_, '_>) -> WallConfig {
+    let stiffness = section.value(keys::fixture::stiffness_n_per_mm);
+    let most = section.value(keys::fixture::limit_n);
     section.finish();
     WallConfig {
         stiffness: to_u32(stiffness * PER_EFFORT),
@@ -236,13 +236,13 @@ fn read_wall(section: Section<'_, '_>) -> WallConfig {
 }
 
 fn read_passivity(section: Section<'_, '_>) -> PassivityConfig {
-    let credit = section.value(keys::passivity::credit_n_mm);
-    let debt = section.value(keys::passivity::debt_n_mm);
+    let surplus = section.value(keys::passivity::surplus_n_mm);
+    let deficit = section.value(keys::passivity::deficit_n_mm);
     let damping = section.value(keys::passivity::damping_n_s_per_mm);
     section.finish();
     PassivityConfig {
-        surplus: to_u32(credit * PER_EFFORT),
-        deficit: to_u32(debt * PER_EFFORT),
+        surplus: to_u32(surplus * PER_EFFORT),
+        deficit: to_u32(deficit * PER_EFFORT),
         damping: to_u32(damping * PER_EFFORT),
     }
 }

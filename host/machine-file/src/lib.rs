@@ -9,15 +9,16 @@
 //! the real machine.
 
 mod axes;
+pub mod compensation;
 mod cross_section;
 pub mod document;
 mod encoder;
 mod force;
 mod format;
-mod h4;
 mod haptic;
 mod homing;
 pub mod input;
+pub mod keys;
 mod likeness;
 pub mod migrate;
 pub mod model;
@@ -32,11 +33,10 @@ pub mod stock;
 pub mod template;
 #[cfg(test)]
 mod tests;
-mod trunnion;
 pub mod work_data;
 
 pub use axes::AxisLimits;
-pub use force::GATES;
+pub use force::ENABLE_CONDITIONS;
 pub use format::FORMAT;
 pub use named_io::{AnalogName, IoNames};
 pub use problem::{Problem, Problems};
@@ -47,7 +47,7 @@ use haptimill_firmware::config::{
 };
 use haptimill_kinematics::Model;
 use haptimill_kinematics::descriptor::Role;
-use haptimill_machine_keys::controller::{self as keys, root};
+use haptimill_machine_keys::controller::{self, root};
 use haptimill_math::{Coordinate, Rate};
 use models::ModelReader;
 use scale::{PER_DEG, PER_MM, to_i32, to_u16};
@@ -63,13 +63,13 @@ pub const BUILT_IN: &str = include_str!("../../../machines/h4.toml");
 pub const BUILT_IN_NAME: &str = "machines/h4.toml (built in)";
 
 /// Sections `[follow]` and `[haptic]`, with the simulated haptic arm and operator.
-pub const HAPTIC_ARM: &str = include_str!("../../../machines/hand.toml");
+pub const HAPTIC_ARM: &str = include_str!("../../../machines/haptic-arm.toml");
 
 /// Machine file of a haptic arm on a board of its own: a remote master.
-pub const MASTER: &str = include_str!("../../../machines/hand-master.toml");
+pub const MASTER: &str = include_str!("../../../machines/haptic-master.toml");
 
 /// Name under which problems of [`MASTER`] are reported.
-pub const MASTER_NAME: &str = "machines/hand-master.toml (built in)";
+pub const MASTER_NAME: &str = "machines/haptic-master.toml (built in)";
 
 /// Section `[follow]`: the machine follows a remote master.
 pub const FOLLOW: &str = include_str!("../../../machines/follow.toml");
@@ -127,7 +127,7 @@ impl MachineFile {
         if self.config.haptic.is_some() {
             return Ok(self.clone());
         }
-        let file = format!("{} with machines/hand.toml", self.file);
+        let file = format!("{} with machines/haptic-arm.toml", self.file);
         Self::parse(&file, &format!("{}\n{HAPTIC_ARM}", self.text))
     }
 
@@ -284,7 +284,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let margin = margin.unwrap_or(f64::NAN);
     let geometry = kinematics
         .zip(model)
-        .map(|(section, model)| (model.read)(section, margin));
+        .map(|(section, model)| model.read(section, margin));
     let homing = read_homing(&root, &joints);
     let force = if root.has("force") {
         root.section("force")
@@ -305,6 +305,13 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         None
     };
     let (io, io_names) = named_io::read(&root, period_us);
+    let volumetric = if root.has("compensation") {
+        let axes: Vec<_> = pose.iter().map(|(_, (axis, _))| axis.clone()).collect();
+        let section = root.section("compensation");
+        section.and_then(|section| compensation::read(&section, &axes))
+    } else {
+        None
+    };
     let has_plant = root.has("plant");
     root.finish();
 
@@ -333,6 +340,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
             follow,
             haptic: arm,
             io,
+            volumetric,
         },
         pose: pose_limits,
         joints: joint_limits,
@@ -345,8 +353,8 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
 /// Reads the machine file of a haptic arm alone, which has no axes and no planner.
 fn read_master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f64) -> MachineFile {
     let supervision = root.section("supervision").map(|section| {
-        let heartbeat = section.value(keys::supervision::heartbeat_ms);
-        let missed = section.value(keys::supervision::missed_periods);
+        let heartbeat = section.value(controller::supervision::heartbeat_ms);
+        let missed = section.value(controller::supervision::missed_periods);
         section.finish();
         (to_u16(heartbeat), to_u16(missed))
     });
@@ -377,12 +385,13 @@ fn read_master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f6
             },
             homing: Homing {
                 rate: Rate(0),
-                table_rate: Rate(0),
+                rotary_rate: Rate(0),
             },
             force: None,
             follow: None,
             haptic: arm,
             io: Default::default(),
+            volumetric: None,
         },
         pose: Vec::new(),
         joints: Vec::new(),
@@ -462,8 +471,8 @@ fn check_pose_against_joints(
     let tilt = model.and_then(|model| model.descriptor.coordinate(Role::ToolTilt));
     for (index, (section, (_, limits))) in pose.iter().enumerate() {
         let ends = [
-            (keys::pose::low, limits.low),
-            (keys::pose::high, limits.high),
+            (controller::pose::low, limits.low),
+            (controller::pose::high, limits.high),
         ];
         if tilt == Some(index) {
             for (key, value) in ends {
@@ -504,14 +513,14 @@ fn check_pose_against_joints(
         }
         if limits.rate > joint.rate {
             let what = format!("{} is above the joint's rate {}", limits.rate, joint.rate);
-            section.refuse(keys::pose::rate, what, "lower it");
+            section.refuse(controller::pose::rate, what, "lower it");
         }
     }
 }
 
 fn read_stopping(section: Section<'_, '_>) -> Stopping {
-    let time = section.value(keys::stopping::time_ms);
-    let ramp = section.value(keys::stopping::ramp_ms);
+    let time = section.value(controller::stopping::time_ms);
+    let ramp = section.value(controller::stopping::ramp_ms);
     if ramp > time / 2.0 {
         let what = format!("{ramp} ms is more than half of time_ms = {time}");
         section.report("ramp_ms", what, "lower it");
@@ -529,16 +538,16 @@ fn read_supervision(
     encoders: bool,
 ) -> (Supervision, f64) {
     let result = Supervision {
-        heartbeat_ms: to_u16(section.value(keys::supervision::heartbeat_ms)),
-        missed_periods: to_u16(section.value(keys::supervision::missed_periods)),
+        heartbeat_ms: to_u16(section.value(controller::supervision::heartbeat_ms)),
+        missed_periods: to_u16(section.value(controller::supervision::missed_periods)),
         illegal_transitions: if encoders {
-            to_u16(section.value(keys::supervision::illegal_transitions))
+            to_u16(section.value(controller::supervision::illegal_transitions))
         } else {
             0
         },
     };
     let margin = if singular {
-        section.value(keys::supervision::singularity_margin_mm)
+        section.value(controller::supervision::singularity_margin_mm)
     } else {
         0.0
     };
@@ -556,7 +565,7 @@ fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Ho
     let (linear, rotary) = (searched(AxisKind::Linear), searched(AxisKind::Rotary));
     let mut homing = Homing {
         rate: Rate(0),
-        table_rate: Rate(0),
+        rotary_rate: Rate(0),
     };
     if !joints.is_empty() && !linear && !rotary {
         if root.has("homing") {
@@ -567,11 +576,13 @@ fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Ho
     }
     if let Some(section) = root.section("homing") {
         if linear {
-            homing.rate = Rate(to_i32(section.value(keys::homing::rate_mm_s) * PER_MM));
+            homing.rate = Rate(to_i32(
+                section.value(controller::homing::rate_mm_s) * PER_MM,
+            ));
         }
         if rotary {
-            let rate = section.value(keys::homing::table_rate_deg_s);
-            homing.table_rate = Rate(to_i32(rate * PER_DEG));
+            let rate = section.value(controller::homing::rate_deg_s);
+            homing.rotary_rate = Rate(to_i32(rate * PER_DEG));
         }
         section.finish();
     }
@@ -580,11 +591,11 @@ fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Ho
 
 fn read_planner(section: Section<'_, '_>) -> Planner {
     let result = Planner {
-        corner_tolerance_mm: section.value(keys::planner::corner_tolerance_mm),
-        corner_tolerance_deg: section.value(keys::planner::corner_tolerance_deg),
-        curvature_step: section.value(keys::planner::curvature_step),
-        longest_span_ms: section.value(keys::planner::longest_span_ms),
-        shortest_span_ms: section.value(keys::planner::shortest_span_ms),
+        corner_tolerance_mm: section.value(controller::planner::corner_tolerance_mm),
+        corner_tolerance_deg: section.value(controller::planner::corner_tolerance_deg),
+        curvature_step: section.value(controller::planner::curvature_step),
+        longest_span_ms: section.value(controller::planner::longest_span_ms),
+        shortest_span_ms: section.value(controller::planner::shortest_span_ms),
     };
     if result.shortest_span_ms > result.longest_span_ms {
         let what = format!(

@@ -24,11 +24,51 @@ struct Renamed {
     to: &'static str,
 }
 
-/// Names that differ between format 1 and format 2.
-const FORMAT_2: &[Renamed] = &[Renamed {
-    from: "plant.arm",
-    to: "plant.geometry.h4",
-}];
+/// Names that differ between format 1 and format 2, in the order in which they change: the keys of
+/// a section before the section.
+const FORMAT_2: &[Renamed] = &[
+    renamed("plant.arm", "plant.geometry.h4"),
+    renamed("plant.hand", "plant.operator"),
+    renamed("homing.table_rate_deg_s", "homing.rate_deg_s"),
+    renamed("joint.still_mm", "joint.encoder_stuck_mm"),
+    renamed("joint.still_deg", "joint.encoder_stuck_deg"),
+    renamed("force.axis.gate", "force.axis.enable_condition"),
+    renamed("haptic.ball_mm", "haptic.tip_ball_mm"),
+    renamed("haptic.step_n", "haptic.force_step_n"),
+    renamed("haptic.range.lean_low_deg", "haptic.range.hinge_low_deg"),
+    renamed("haptic.range.lean_high_deg", "haptic.range.hinge_high_deg"),
+    renamed(
+        "haptic.leg.lean_counts_per_turn",
+        "haptic.leg.hinge_counts_per_turn",
+    ),
+    renamed("haptic.leg.lean_home_deg", "haptic.leg.hinge_home_deg"),
+    renamed("haptic.reflection.x_most_n", "haptic.reflection.x_limit_n"),
+    renamed("haptic.reflection.y_most_n", "haptic.reflection.y_limit_n"),
+    renamed("haptic.reflection.z_most_n", "haptic.reflection.z_limit_n"),
+    renamed(
+        "haptic.reflection.boost_n_s_per_mm",
+        "haptic.reflection.damping_n_s_per_mm",
+    ),
+    renamed(
+        "haptic.reflection.boost_below_n",
+        "haptic.reflection.damping_below_n",
+    ),
+    renamed("haptic.reflection", "haptic.feedback"),
+    renamed("haptic.wall.most_n", "haptic.wall.limit_n"),
+    renamed("haptic.wall", "haptic.fixture"),
+    renamed(
+        "haptic.passivity.credit_n_mm",
+        "haptic.passivity.surplus_n_mm",
+    ),
+    renamed(
+        "haptic.passivity.debt_n_mm",
+        "haptic.passivity.deficit_n_mm",
+    ),
+];
+
+const fn renamed(from: &'static str, to: &'static str) -> Renamed {
+    Renamed { from, to }
+}
 
 /// Rewrites the text of a machine file or fragment for [`FORMAT`]; `file` is its name in messages.
 ///

@@ -5,12 +5,15 @@
 use crate::scale::{PER_DEG, PER_MM};
 use crate::{IoNames, MachineFile};
 use haptimill_firmware::config;
+use haptimill_firmware::named_io::config::OutputFunction;
 use haptimill_gcode::{AxisKind, Coordinates, Options, ProgramAxis};
 use haptimill_kinematics::BoundedKinematics;
 use haptimill_kinematics::descriptor::Role;
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Coordinate, Rate};
-use haptimill_planner::{JointLimits, MachineModel, PoseLimits, PoseProblem, Settings};
+use haptimill_planner::{
+    AnalogueOutput, JointLimits, MachineModel, Outputs, PoseLimits, PoseProblem, Settings,
+};
 use haptimill_protocol::message::{AxisValues, MAX_AXES, PoseError, Telemetry};
 use haptimill_protocol::text::{Axes, Axis, AxisKind as TextKind};
 
@@ -285,10 +288,36 @@ impl MachineModel for Model {
     }
 }
 
+/// Returns the outputs of a machine file that a program can set.
+fn outputs(machine: &MachineFile) -> Outputs {
+    let io = &machine.config.io;
+    let with = |function: OutputFunction| {
+        let mut outputs = (0..).zip(&io.outputs);
+        outputs.find_map(|(index, output)| (output.function == function).then_some(index))
+    };
+    let analogue = io.analog_outputs.iter().zip(&machine.io.analog_outputs);
+    Outputs {
+        flood: with(OutputFunction::Coolant),
+        mist: with(OutputFunction::Mist),
+        digital: io
+            .outputs
+            .iter()
+            .map(|output| !output.function.follows_spindle())
+            .collect(),
+        analogue: analogue
+            .map(|(output, named)| AnalogueOutput {
+                codes: [output.low, output.high],
+                per_unit: f64::from(1_u32 << 15) / named.full_scale,
+                unit: named.unit.clone(),
+            })
+            .collect(),
+    }
+}
+
 /// Returns the planner settings of a machine file.
 #[must_use]
 pub fn settings(machine: &MachineFile) -> Settings {
-    let pose = machine
+    let pose: Vec<PoseLimits> = machine
         .pose
         .iter()
         .zip(machine.config.model.descriptor().pose)
@@ -313,9 +342,11 @@ pub fn settings(machine: &MachineFile) -> Settings {
             },
             rate: axis.rate,
             acceleration: axis.acceleration,
+            jerk: Settings::joint_jerk(&pose, axis.acceleration),
         })
         .collect();
     Settings {
+        outputs: outputs(machine),
         tolerance_mm: machine.planner.corner_tolerance_mm,
         tolerance_deg: machine.planner.corner_tolerance_deg,
         curvature_step: machine.planner.curvature_step,
@@ -338,9 +369,12 @@ pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
             wraps: axis.wraps(),
         })
         .collect();
+    let outputs = outputs(machine);
     Options {
         axes,
         start,
+        coolant: outputs.flood.is_some() || outputs.mist.is_some(),
+        outputs: !outputs.digital.is_empty() || !outputs.analogue.is_empty(),
         tool_tilts: machine
             .config
             .model

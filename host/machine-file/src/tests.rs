@@ -149,9 +149,9 @@ fn every_problem_names_its_line() {
         ),
         ("counts_per_turn = 8000", "counts_per_turn = true"),
         ("direction = 1\n", "direction = 0.5\n"),
-        ("backlash_mm = 0.018", "backlash_mm = -0.018"),
-        ("backlash_mm = 0.018", "backlash = 0.018"),
-        ("still_mm = 0.2 ", "still_mm = 0.001 "),
+        ("backlash_mm = 0.0258", "backlash_mm = -0.0258"),
+        ("backlash_mm = 0.0258", "backlash = 0.0258"),
+        ("encoder_stuck_mm = 0.2 ", "encoder_stuck_mm = 0.001 "),
         ("preset_mm = 1135.0", "preset_mm = 1400.0"),
         ("index_mm = 1136.2", "index_mm = 1142.2"),
         ("search_mm = 4.5", "search_mm = 9.5"),
@@ -161,7 +161,7 @@ fn every_problem_names_its_line() {
         ("full_scale_n = 800.0", "full_scale_n = 0"),
         ("form = \"model\"", "form = \"pid\""),
         ("kp = 40000.0", "kp = 4000000.0"),
-        ("kd = 400.0", "kd = 40.0\nki = 2000000.0"),
+        ("kd = 400.0\nki = 1000000.0", "kd = 40.0\nki = 2000000.0"),
         ("kd = 400.0", "kd = 9000.0"),
         ("inertia_kg = 40.0", "inertia_kg = 40.0\nmass_kg = 40.0"),
         ("ramp_ms = 80", "ramp_ms = 200"),
@@ -218,7 +218,10 @@ fn every_problem_names_its_line() {
         ("damping_n_s_per_mm = 5.0", "damping_n_s_per_mm = 0.2"),
         ("limit_mm = 10.0", "limit_mm = 0.0"),
         ("rate_mm_s = 20.0", "rate_mm_s = 0.0"),
-        ("gate = \"against_motion\"", "gate = \"open\""),
+        (
+            "enable_condition = \"against_motion\"",
+            "enable_condition = \"open\"",
+        ),
         (
             "[[force.axis]]\nname = \"x\"",
             "[[force.axis]]\nname = \"w\"",
@@ -260,12 +263,12 @@ fn problems_of_the_controller_name_joints_as_joints() {
     let (before, after) = BUILT_IN.split_once("name = \"l2\"").unwrap();
     let after = after
         .replacen("kp = 40000.0", "kp = 100.0", 1)
-        .replacen("kd = 400.0", "kd = 10.0", 1)
+        .replacen("kd = 400.0\nki = 1000000.0", "kd = 10.0\nki = 1.0", 1)
         .replacen("rate_filter_ms = 1.5", "rate_filter_ms = 55.0", 1);
     let text = format!("{before}name = \"l2\"{after}");
     assert_eq!(
         problems(&text),
-        "broken.toml:124:1: joint[2]: the controller would refuse this: \
+        "broken.toml:134:1: joint[2]: the controller would refuse this: \
          filter of the position loop of l2; \
          see docs/machine-files.md for the limits of the controller\n"
     );
@@ -307,6 +310,7 @@ fn every_required_key_is_reported_if_missing() {
         "backlash_deg",
         "direction",
         "rate_filter_ms",
+        "friction_adaptation_ms",
         "viscous_n_per_mm_s",
         "viscous_n_m_per_deg_s",
         "coulomb_n",
@@ -320,8 +324,8 @@ fn every_required_key_is_reported_if_missing() {
         let Some((key, _)) = line.split_once(" =") else {
             continue;
         };
-        // Without its format the file is one of format 1.
-        if key.starts_with('#') || key == "format" {
+        // Without its format the file is one of format 1; the adaptation needs the integrator.
+        if key.starts_with('#') || key == "format" || key == "ki" {
             continue;
         }
         let text: Vec<&str> = BUILT_IN
@@ -419,7 +423,7 @@ fn master_has_the_same_haptic_arm_and_reports_missing_sections() {
     // The simulated arm and the operator model are the same, too.
     let plant = |machine: &MachineFile| machine.plant::<PlantConfig>().unwrap();
     assert_eq!(plant(&master).haptic, plant(&with_arm).haptic);
-    assert_eq!(plant(&master).hand, plant(&with_arm).hand);
+    assert_eq!(plant(&master).operator, plant(&with_arm).operator);
     // A machine follows a remote master as it follows a haptic arm on its own board.
     let remote = MachineFile::built_in().unwrap().with_follow().unwrap();
     assert_eq!(remote.config.follow, with_arm.config.follow);
@@ -544,8 +548,9 @@ fn a_simulated_machine_that_cannot_be_built_is_reported() {
     }
 }
 
-/// Force control and a master add millimetres to the first three coordinates and degrees to the
-/// next two. Without these roles the sections are refused, with a sentence, before anything moves.
+/// A master adds millimetres to the first three coordinates and degrees to the next two. Force
+/// control adds millimetres to the first three, on a machine without wrapping coordinates. Other
+/// machines are refused, with a sentence, before anything moves.
 #[test]
 fn force_control_and_a_master_need_their_roles() {
     let trunnion = include_str!("../../../machines/trunnion5.toml");
@@ -563,7 +568,7 @@ fn force_control_and_a_master_need_their_roles() {
     let end = BUILT_IN.find("[plant]").expect("a section");
     let reported = problems(&format!("{trunnion}\n{}", &BUILT_IN[start..end]));
     assert!(
-        reported.contains("force: force control moves x, y and z"),
+        reported.contains("force: force control needs a machine without wrapping coordinates"),
         "{reported}"
     );
     assert!(reported.contains("remove the section"), "{reported}");

@@ -138,6 +138,20 @@ impl WorkData {
         write_section(&mut text, "g30", &self.offsets.g30, ("", 0.0));
         replace(&offsets_path(machine), &text)
     }
+
+    /// Writes the tool table of a machine file.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be written; the old one is unchanged.
+    pub fn save_tools(&self, machine: &Path) -> Result<(), String> {
+        let mut text = String::from("# Tool table: lengths and diameters, mm.\n");
+        for (number, tool) in &self.tools {
+            let _ = writeln!(text, "\n[t{number}]");
+            write_values(&mut text, &tool.offset, ("diameter", tool.diameter));
+        }
+        replace(&tools_path(machine), &text)
+    }
 }
 
 /// Returns the index of a work coordinate system from its name, as `g54` or `G59.1`.
@@ -211,6 +225,11 @@ fn write_section(text: &mut String, name: &str, values: &PerLetter, further: (&s
         return;
     }
     let _ = writeln!(text, "\n[{name}]");
+    write_values(text, values, further);
+}
+
+/// Writes the values that are not 0.
+fn write_values(text: &mut String, values: &PerLetter, further: (&str, f64)) {
     for (axis, value) in AXES.iter().zip(values) {
         if *value != 0.0 {
             let _ = writeln!(text, "{axis} = {value:?}");
@@ -298,6 +317,11 @@ mod tests {
         let data = WorkData::load(&machine).expect("read");
         assert_eq!(data.tools[&3].offset[2], 52.0);
         assert_eq!(data.tools[&3].diameter, 6.5);
+        let mut more = data.clone();
+        more.tools.insert(99, Tool::default());
+        more.save_tools(&machine).expect("written");
+        assert_eq!(WorkData::load(&machine).expect("read"), more);
+        assert!(machine.with_extension("tools.toml.bak").exists());
         std::fs::write(tools_path(&machine), "[t0]\nz = 52\n").expect("written");
         assert!(WorkData::load(&machine).is_err());
         std::fs::remove_dir_all(machine.parent().expect("a folder")).expect("removed");

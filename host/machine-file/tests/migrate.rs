@@ -1,5 +1,5 @@
 //! Migration of machine files of format 1. `data/format-1` has the files of `machines/` of
-//! 2026-11-21, before format 2.
+//! 2026-11-21, before format 2, with the gains of today.
 
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_machine_file::migrate::migrate;
@@ -16,16 +16,16 @@ const MACHINES: [(&str, &str); 3] = [
         include_str!("../../../machines/h4-step.toml"),
     ),
     (
-        include_str!("data/format-1/hand-master.toml"),
-        include_str!("../../../machines/hand-master.toml"),
+        include_str!("data/format-1/haptic-master.toml"),
+        include_str!("../../../machines/haptic-master.toml"),
     ),
 ];
 
 /// Old fragments, and the present ones.
 const FRAGMENTS: [(&str, &str); 2] = [
     (
-        include_str!("data/format-1/hand.toml"),
-        include_str!("../../../machines/hand.toml"),
+        include_str!("data/format-1/haptic-arm.toml"),
+        include_str!("../../../machines/haptic-arm.toml"),
     ),
     (
         include_str!("data/format-1/follow.toml"),
@@ -89,17 +89,19 @@ fn comments_and_order_stay() {
             .lines()
             .filter(|line| !line.starts_with("format = "))
             .collect();
-        // The other lines stay in their order; lines go only with a section that is removed.
+        // The other lines stay in their order; lines go only with a section that is removed. A
+        // changed line is the head of a section, or keeps its value and comment.
         let mut rest = old_lines.iter();
-        let changed = lines.iter().filter(|line| {
+        for line in &lines {
             let mut ahead = rest.clone();
-            let is_kept = ahead.any(|old| old == *line);
-            if is_kept {
+            if ahead.any(|old| old == line) {
                 rest = ahead;
+                continue;
             }
-            !is_kept
-        });
-        assert!(changed.count() <= migrated.changes.len());
+            let value = |line: &str| line.split_once('=').map(|(_, value)| value.to_string());
+            let is_renamed = old_lines.iter().any(|old| value(old) == value(line));
+            assert!(line.starts_with('[') || is_renamed, "{line}");
+        }
         let removes = migrated
             .changes
             .iter()
@@ -136,7 +138,8 @@ fn a_plant_without_a_geometry_gets_the_one_of_the_controller() {
     let migrated = migrate("old.toml", &format!("{head}{tail}")).unwrap();
     let plant: PlantConfig = parse(&migrated.text).plant().unwrap();
     assert_eq!(plant, parse(MACHINES[0].1).plant().unwrap());
-    assert!(migrated.changes[0].contains("plant.geometry.h4 was added"));
+    let is_added = |change: &String| change.contains("plant.geometry.h4 was added");
+    assert!(migrated.changes.iter().any(is_added));
 
     // A Cartesian machine of format 1 had none.
     let new = include_str!("../../../machines/mill3-servo.toml");

@@ -1,21 +1,40 @@
 //! The rows of `[plant]` in the table of keys have the ranges and defaults of the simulator.
 
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_machine_file::keys::sections;
 use haptimill_machine_file::{BUILT_IN, HAPTIC_ARM, MachineFile};
-use haptimill_machine_keys::{Default, Key, Values, plant};
+use haptimill_machine_keys::{Default, Key, Values};
+use std::path::Path;
 use toml::{Table, Value};
 
 const STEP: &str = include_str!("../../../machines/h4-step.toml");
-const MILL: &str = include_str!("../../../machines/mill3-servo.toml");
-const TRUNNION: &str = include_str!("../../../machines/trunnion5.toml");
+
+/// Text of a machine file with a model.
+fn file_of(model: &str) -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../machines");
+    let mut files: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    files.sort();
+    let texts = files
+        .iter()
+        .map(|file| std::fs::read_to_string(file).unwrap());
+    let line = format!("\nmodel = \"{model}\"");
+    let mut of_model = texts.filter(|text| text.contains(&line));
+    of_model
+        .next()
+        .unwrap_or_else(|| panic!("no file in machines/ has the model {model}"))
+}
 
 /// A machine file whose plant has a section, or can have it.
 fn base(path: &str) -> Table {
     let text = match path {
         "plant.joint.drive.steps" => STEP.to_string(),
-        "plant.geometry.cartesian" => MILL.to_string(),
-        "plant.geometry.trunnion" => TRUNNION.to_string(),
-        _ => format!("{BUILT_IN}\n{HAPTIC_ARM}"),
+        _ => match path.strip_prefix("plant.geometry.") {
+            Some(model) => file_of(model),
+            None => format!("{BUILT_IN}\n{HAPTIC_ARM}"),
+        },
     };
     let mut root: Table = text.parse().unwrap();
     if path == "plant.haptic.stops" {
@@ -69,9 +88,10 @@ fn problems(path: &str, key: &str, value: Value) -> Vec<String> {
 
 /// Rows with one number, by section.
 fn rows() -> impl Iterator<Item = (&'static str, &'static Key)> {
-    plant::SECTIONS
-        .iter()
-        .flat_map(|section| section.keys.iter().map(|key| (section.path, key)))
+    sections()
+        .into_iter()
+        .filter(|section| section.path.split('.').next() == Some("plant"))
+        .flat_map(|section| section.keys.iter().map(move |key| (section.path, key)))
         .filter(|(_, key)| matches!(key.values, Values::Number { count: 1, .. }))
 }
 

@@ -1,4 +1,4 @@
-//! Keys of the machine as controller and planner know it: root, kinematics, axes, planner, force.
+//! Keys of the machine as controller and planner know it: root, model, axes, planner, force.
 
 use crate::key::sections;
 
@@ -16,44 +16,9 @@ root "" "The machine and its control period." {
         .or_text("\"slave\"");
 }
 
-kinematics "kinematics" "The model, and its lengths under the names of docs/control.md." {
+kinematics "kinematics" "The model; its lengths are keys of the model." {
     model = named("the name of a model")
         .is("model of the machine: number, names, kinds and order of coordinates and joints");
-    a = real(-1000.0, 1000.0, "mm").is("lateral offset of the rails").only_if("model", "h4")
-        .bounded("E = a - b - e above 0 and below r");
-    b = real(-1000.0, 1000.0, "mm").is("lateral offset of the slides").only_if("model", "h4");
-    e = real(-1000.0, 1000.0, "mm").is("lateral offset of the platform").only_if("model", "h4");
-    c = real(1.0, 500.0, "mm")
-        .is("half the distance of the two platform joints along the tool axis")
-        .only_if("model", "h4");
-    d = real(-1000.0, 1000.0, "mm").is("half the height difference of the rail pairs")
-        .only_if("model", "h4");
-    w = real(-1000.0, 1000.0, "mm").is("offset of a slide's joint along x").only_if("model", "h4");
-    r = real(16.0, 1000.0, "mm").is("length of the rods").only_if("model", "h4")
-        .bounded("above sqrt(E^2 + (d - c)^2)");
-    ge = real(-1000.0, 1000.0, "mm").is("z offset of the rails").only_if("model", "h4");
-    tl = real(0.0, 1000.0, "mm")
-        .is("tool length: from the lower platform joint, or from the spindle nose, to the tip")
-        .only("models `h4` and `trunnion`");
-    p = real(-1000.0, 1000.0, "mm").is("x offset of the table").only_if("model", "h4");
-    h = real(-1000.0, 1000.0, "mm").is("height of the arm's origin above the table axis")
-        .only_if("model", "h4");
-    x_off = real(-2000.0, 2000.0, "mm").is("x of the workpiece's origin")
-        .only("models `h4` and `trunnion`").bounded("h4: p + x_off within +-1000");
-    y_off = real(-2000.0, 2000.0, "mm").is("y of the workpiece's origin")
-        .only("models `h4` and `trunnion`").bounded("h4: within +-1000 for the controller");
-    z_off = real(-2000.0, 2000.0, "mm").is("z of the workpiece's origin")
-        .only("models `h4` and `trunnion`").bounded("h4: within +-1000 for the controller");
-    branch = word(&["below", "above"]).is("assembly branch: platform below or above the rails")
-        .only_if("model", "h4");
-    tilt_y = real(-2000.0, 2000.0, "mm").is("y of the trunnion's axis")
-        .only_if("model", "trunnion");
-    tilt_z = real(-2000.0, 2000.0, "mm").is("z of the trunnion's axis")
-        .only_if("model", "trunnion");
-    table_x = real(-2000.0, 2000.0, "mm").is("x of the table's axis with the trunnion at 0")
-        .only_if("model", "trunnion");
-    table_y = real(-2000.0, 2000.0, "mm").is("y of the table's axis with the trunnion at 0")
-        .only_if("model", "trunnion");
 }
 
 pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may ask for." {
@@ -113,8 +78,8 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .bounded("above 0, at most one motor turn").only(super::ENCODER);
     following_error_lag_ms = real(0.0, 1000.0, "ms")
         .is("the limit of the following error grows by this time of travel").only(super::ENCODER);
-    still = real(0.0, 100.0, "mm").is("commanded motion without a count that is an encoder fault")
-        .named("still_mm").rotary("still_deg", real(0.0, 30.0, "deg"))
+    encoder_stuck = real(0.0, 100.0, "mm").is("commanded motion without a count that is an encoder fault")
+        .named("encoder_stuck_mm").rotary("encoder_stuck_deg", real(0.0, 30.0, "deg"))
         .bounded("at least 4 counts").only(super::ENCODER);
     preset = real(-2047.0, 2047.0, "mm")
         .is("joint position of the home pose; where the joint homes by index or not at all, the operator sets it before power-on").named("preset_mm")
@@ -220,10 +185,24 @@ planner "planner" "How the planner joins the blocks of a program." {
         .is("largest distance of the path from a programmed corner; 0 stops at every corner");
     corner_tolerance_deg = real(0.0, 1.0, "deg").is("the same for rotary coordinates");
     curvature_step = real(0.0, 1.0, "")
-        .is("jump of the acceleration where a line meets an arc, as a fraction of its limit");
+        .is("change of the acceleration where a line meets an arc, as a fraction of its limit");
     longest_span_ms = real(1.0, 1000.0, "ms").is("longest time between setpoints during motion");
     shortest_span_ms = real(0.2, 1000.0, "ms").is("shortest time between setpoints")
         .bounded("at most the longest");
+}
+
+compensation "compensation" "Volumetric compensation: the controller corrects the known geometric errors of three linear axes." {
+    chain = text("letters w and t with the axes between them and b").is(
+        "order of the bodies from the workpiece to the tool, such as \"wYbXZt\"",
+    );
+    errors = text("the text of an error file (docs/volumetric.md)")
+        .is("measured errors; a file of a calibration is added with `--errors FILE`");
+    x_measured_at_mm = list(3, -1000.0, 1000.0, "mm")
+        .is("work point of the tool while the x axis was measured").or_text("the origin");
+    y_measured_at_mm = list(3, -1000.0, 1000.0, "mm")
+        .is("the same for the y axis").or_text("the origin");
+    z_measured_at_mm = list(3, -1000.0, 1000.0, "mm")
+        .is("the same for the z axis").or_text("the origin");
 }
 
 stopping "stopping" "The controlled stop along the path." {
@@ -249,7 +228,7 @@ supervision "supervision" "Limits of the controller's monitors." {
 
 homing "homing" "The search for the index pulses." {
     rate_mm_s = real(0.01, 200.0, "mm/s").is("rate of the search of linear coordinates");
-    table_rate_deg_s = real(0.01, 90.0, "deg/s").is("rate of the search of the table")
+    rate_deg_s = real(0.01, 90.0, "deg/s").is("rate of the search of the table")
         .only("models with a rotary joint");
 }
 
@@ -295,7 +274,7 @@ force_axis "force.axis" "The force loop of x, y or z." {
     limit_mm = real(-64.0, 1000.0, "mm").is("compliance limit").bounded("above 0 to 64");
     rate_mm_s = real(-2000.0, 2000.0, "mm/s").is("largest rate of the compliant displacement")
         .bounded("above 0");
-    gate = word(&["against_motion", "any", "positive", "negative"])
+    enable_condition = word(&["against_motion", "any", "positive", "negative"])
         .is("enable condition: when a force displaces the tool");
 }
 

@@ -16,9 +16,9 @@ haptic "haptic" "The haptic arm; optional." {
         .is("illegal transitions of an encoder that are a fault");
     condition = whole(2, 1000, "").is("largest condition number of the statics");
     rate_filter_ms = real(0.5, 20.0, "ms").is("filter of the rates of the handle");
-    ball_mm = real(0.0, 50.0, "mm")
+    tip_ball_mm = real(0.0, 50.0, "mm")
         .is("diameter of the ball at the tip; virtual fixtures leave it room");
-    step_n = real(1e-4, 0.05, "N").is("largest change of the feedback force per control period");
+    force_step_n = real(1e-4, 0.05, "N").is("largest change of the feedback force per control period");
 }
 
 geometry "haptic.geometry" "Lengths of the haptic arm." {
@@ -39,8 +39,8 @@ range "haptic.range" "Ranges of the joints of a leg." {
     slide_high_mm = real(-800.0, 800.0, "mm").is("upper end of the slide d");
     turn_low_deg = real(-179.0, 179.0, "deg").is("lower end of theta3, the turn about the slide");
     turn_high_deg = real(-179.0, 179.0, "deg").is("upper end of theta3");
-    lean_low_deg = real(-179.0, 179.0, "deg").is("lower end of theta4, the lean of the link");
-    lean_high_deg = real(-179.0, 179.0, "deg").is("upper end of theta4");
+    hinge_low_deg = real(-179.0, 179.0, "deg").is("lower end of theta4, the lean of the link");
+    hinge_high_deg = real(-179.0, 179.0, "deg").is("upper end of theta4");
 }
 
 leg "haptic.leg" "Encoders and amplifiers of a leg; three sections." {
@@ -50,9 +50,9 @@ leg "haptic.leg" "Encoders and amplifiers of a leg; three sections." {
     turn_counts_per_turn = real(-1e8, 1e8, "counts/turn").is("counts of the encoder of theta3")
         .bounded("not 0");
     turn_home_deg = real(-179.0, 179.0, "deg").is("theta3 at home").bounded("within its range");
-    lean_counts_per_turn = real(-1e8, 1e8, "counts/turn").is("counts of the encoder of theta4")
+    hinge_counts_per_turn = real(-1e8, 1e8, "counts/turn").is("counts of the encoder of theta4")
         .bounded("not 0");
-    lean_home_deg = real(-179.0, 179.0, "deg").is("theta4 at home").bounded("within its range");
+    hinge_home_deg = real(-179.0, 179.0, "deg").is("theta4 at home").bounded("within its range");
     slide_full_scale_n = real(-30_000.0, 30_000.0, "N")
         .is("force of full scale of the slide; negative: wired the other way round")
         .bounded("not 0");
@@ -64,26 +64,26 @@ leg "haptic.leg" "Encoders and amplifiers of a leg; three sections." {
         .is("largest moment of theta3 that is commanded").bounded("at most the full scale");
 }
 
-reflection "haptic.reflection" "The force feedback law." {
+feedback "haptic.feedback" "The force feedback law." {
     x_percent = whole(0, 100, "%").is("force feedback in x, percentage of the force on the tool");
-    x_most_n = real(0.0, 10.0, "N").is("limit of the force feedback in x");
+    x_limit_n = real(0.0, 10.0, "N").is("limit of the force feedback in x");
     y_percent = whole(0, 100, "%").is("the percentage in y");
-    y_most_n = real(0.0, 10.0, "N").is("the limit in y");
+    y_limit_n = real(0.0, 10.0, "N").is("the limit in y");
     z_percent = whole(0, 100, "%").is("the percentage in z");
-    z_most_n = real(0.0, 10.0, "N").is("the limit in z");
-    boost_n_s_per_mm = real(0.0, 0.99, "N s/mm").is("velocity-proportional damping term");
-    boost_below_n = real(0.5, 10.0, "N").is("force feedback below which the damping term acts");
+    z_limit_n = real(0.0, 10.0, "N").is("the limit in z");
+    damping_n_s_per_mm = real(0.0, 0.99, "N s/mm").is("velocity-proportional damping term");
+    damping_below_n = real(0.5, 10.0, "N").is("force feedback below which the damping term acts");
 }
 
-wall "haptic.wall" "Virtual fixtures." {
+fixture "haptic.fixture" "Virtual fixtures." {
     stiffness_n_per_mm = real(0.05, 2.0, "N/mm").is("stiffness of a virtual fixture");
-    most_n = real(0.5, 10.0, "N").is("limit of its force");
+    limit_n = real(0.5, 10.0, "N").is("limit of its force");
 }
 
 passivity "haptic.passivity" "The passivity observer and controller." {
-    credit_n_mm = real(0.0, 100.0, "N mm")
+    surplus_n_mm = real(0.0, 100.0, "N mm")
         .is("largest energy surplus, without the energy of the virtual fixtures");
-    debt_n_mm = real(0.01, 100.0, "N mm").is("energy deficit at which the damping is in full");
+    deficit_n_mm = real(0.01, 100.0, "N mm").is("energy deficit at which the damping is in full");
     damping_n_s_per_mm = real(0.0, 0.5, "N s/mm").is("damping of the passivity controller");
 }
 

@@ -73,6 +73,8 @@ pub enum Default {
 pub struct Section {
     /// Path without list indices, such as `joint.drive`.
     pub path: &'static str,
+    /// Model of the machine to which the section belongs; `None` for all.
+    pub model: Option<&'static str>,
     /// What the section describes, in one sentence.
     pub title: &'static str,
     /// Its keys, in the order of the documentation.
@@ -287,6 +289,15 @@ impl Key {
         self
     }
 
+    /// Limits the key to sections in which another key has a word, unless it is limited already.
+    #[must_use]
+    pub const fn within(mut self, condition: Option<(&'static str, &'static str)>) -> Self {
+        if self.condition.is_none() {
+            self.condition = condition;
+        }
+        self
+    }
+
     /// Limits the key to some machines.
     #[must_use]
     pub const fn only(mut self, machines: &'static str) -> Self {
@@ -323,37 +334,85 @@ pub fn number_text(value: f64) -> String {
     }
 }
 
+/// Defines the module of a section, with a constant for each key and the constant `SECTION`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! section {
+    (
+        $module:ident ($path:expr, $model:expr, $condition:expr)
+        $title:literal { $($name:ident = $key:expr;)* }
+    ) => {
+        #[doc = $title]
+        #[allow(
+            non_upper_case_globals,
+            unused_imports,
+            reason = "a constant has the name of its key"
+        )]
+        pub mod $module {
+            use $crate::*;
+
+            $(
+                #[doc = concat!("Key `", stringify!($name), "` of section `", $path, "`.")]
+                pub const $name: Key = $key.constant(stringify!($name)).within($condition);
+            )*
+
+            /// The section.
+            pub const SECTION: Section = Section {
+                path: $path,
+                model: $model,
+                title: $title,
+                keys: &[$($name),*],
+            };
+        }
+    };
+}
+
 /// Defines the sections of a file of the table: a module for each, with a constant for each key,
 /// and the list `SECTIONS`.
 macro_rules! sections {
     ($($module:ident $path:literal $title:literal { $($name:ident = $key:expr;)* })*) => {
-        $(
-            #[doc = $title]
-            #[allow(
-                non_upper_case_globals,
-                unused_imports,
-                reason = "a constant has the name of its key"
-            )]
-            pub mod $module {
-                use crate::key::*;
-
-                $(
-                    #[doc = concat!("Key `", stringify!($name), "` of section `", $path, "`.")]
-                    pub const $name: Key = $key.constant(stringify!($name));
-                )*
-
-                /// The section.
-                pub const SECTION: Section = Section {
-                    path: $path,
-                    title: $title,
-                    keys: &[$($name),*],
-                };
-            }
-        )*
+        $($crate::section! {
+            $module ($path, None, None) $title { $($name = $key;)* }
+        })*
 
         /// The sections of this file.
-        pub const SECTIONS: &[crate::Section] = &[$($module::SECTION),*];
+        pub const SECTIONS: &[$crate::Section] = &[$($module::SECTION),*];
     };
 }
 
 pub(crate) use sections;
+
+/// Defines the keys of a model: those of `[kinematics]` in a module `kinematics`, and those of
+/// `[plant.geometry.MODEL]` in a module `plant`. A module has a constant for each key, and the
+/// constant `SECTION`.
+///
+/// ```
+/// haptimill_machine_keys::model_keys! {
+///     "crane"
+///     kinematics "The lengths of the crane." {
+///         boom = real(1.0, 500.0, "mm").is("length of the boom");
+///     }
+///     plant "The true lengths of the crane." {
+///         boom = real(1.0, 500.0, "mm").is("as in `[kinematics]`");
+///     }
+/// }
+/// assert_eq!(kinematics::boom.condition, Some(("model", "crane")));
+/// assert_eq!(plant::SECTION.path, "plant.geometry.crane");
+/// ```
+#[macro_export]
+macro_rules! model_keys {
+    (
+        $code:literal
+        kinematics $title:literal { $($name:ident = $key:expr;)* }
+        plant $plant_title:literal { $($plant_name:ident = $plant_key:expr;)* }
+    ) => {
+        $crate::section! {
+            kinematics ("kinematics", Some($code), Some(("model", $code)))
+            $title { $($name = $key;)* }
+        }
+        $crate::section! {
+            plant (concat!("plant.geometry.", $code), Some($code), None)
+            $plant_title { $($plant_name = $plant_key;)* }
+        }
+    };
+}

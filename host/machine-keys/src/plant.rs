@@ -38,49 +38,6 @@ plant_tool_setter "plant.tool_setter" "A block that the tool touches; the keys a
         .or_text("0");
 }
 
-geometry_h4 "plant.geometry.h4" "The true lengths of the H-4 arm; four linear joints, then a rotary one." {
-    a = other("E = a - b - e is 1 to 2000 mm").is("as in `[kinematics]`, like all keys here");
-    b = other("as `a`").is("lateral offset of the slides");
-    c = real(1.0, 2000.0, "mm")
-        .is("half the distance of the two platform joints along the tool axis");
-    d = real(-2000.0, 2000.0, "mm").is("half the height difference of the rail pairs");
-    e = other("as `a`").is("lateral offset of the platform");
-    w = real(-2000.0, 2000.0, "mm").is("offset of a slide's joint along x");
-    r = real(1.0, 2000.0, "mm").is("length of the rods");
-    ge = real(-2000.0, 2000.0, "mm").is("z offset of the rails");
-    tl = real(-2000.0, 2000.0, "mm").is("tool length");
-    p = real(-2000.0, 2000.0, "mm").is("x offset of the table");
-    h = real(-2000.0, 2000.0, "mm").is("height of the arm's origin above the table axis");
-    x_off = real(-2000.0, 2000.0, "mm").is("x of the workpiece's origin");
-    y_off = real(-2000.0, 2000.0, "mm").is("y of the workpiece's origin");
-    z_off = real(-2000.0, 2000.0, "mm").is("z of the workpiece's origin");
-    branch = word(&["below", "above"]).is("assembly branch");
-}
-
-geometry_cartesian "plant.geometry.cartesian" "Errors of the directions of three slides; three linear joints." {
-    squareness_xy = real(-0.1, 0.1, "mm/mm").is("displacement of the tool in x per mm of y").or(0.0);
-    squareness_xz = real(-0.1, 0.1, "mm/mm").is("displacement of the tool in x per mm of z").or(0.0);
-    squareness_yz = real(-0.1, 0.1, "mm/mm").is("displacement of the tool in y per mm of z").or(0.0);
-}
-
-geometry_trunnion "plant.geometry.trunnion" "The true offsets of the trunnion mill, and its errors; three linear joints, then two rotary ones." {
-    tilt_y = real(-2000.0, 2000.0, "mm").is("y of the trunnion's axis, as in `[kinematics]`");
-    tilt_z = real(-2000.0, 2000.0, "mm").is("z of the trunnion's axis");
-    table_x = real(-2000.0, 2000.0, "mm").is("x of the table's axis with the trunnion at 0");
-    table_y = real(-2000.0, 2000.0, "mm").is("y of the table's axis with the trunnion at 0");
-    x_off = real(-2000.0, 2000.0, "mm").is("x of the workpiece's origin");
-    y_off = real(-2000.0, 2000.0, "mm").is("y of the workpiece's origin");
-    z_off = real(-2000.0, 2000.0, "mm").is("z of the workpiece's origin");
-    tl = real(-2000.0, 2000.0, "mm").is("tool length");
-    tilt_about_y_deg = real(-5.0, 5.0, "deg").is("rotation of the trunnion's axis about y").or(0.0);
-    tilt_about_z_deg = real(-5.0, 5.0, "deg").is("rotation of the trunnion's axis about z").or(0.0);
-    table_about_x_deg = real(-5.0, 5.0, "deg").is("rotation of the table's axis about x").or(0.0);
-    table_about_y_deg = real(-5.0, 5.0, "deg").is("rotation of the table's axis about y of the trunnion").or(0.0);
-    squareness_xy = real(-0.1, 0.1, "mm/mm").is("displacement of the tool in x per mm of y").or(0.0);
-    squareness_xz = real(-0.1, 0.1, "mm/mm").is("displacement of the tool in x per mm of z").or(0.0);
-    squareness_yz = real(-0.1, 0.1, "mm/mm").is("displacement of the tool in y per mm of z").or(0.0);
-}
-
 joint "plant.joint" "A simulated joint, with the name of the controller's: motor, screw and slide." {
     name = text("the controller's name").is("name of the joint");
     kind = word(&["linear", "rotary"]).is("mm, N, kg; or degrees, N m, kg m^2");
@@ -115,8 +72,12 @@ joint "plant.joint" "A simulated joint, with the name of the controller's: motor
         .rotary("limit_high", real(-4000.0, 4000.0, "deg"));
 }
 
-joint_encoder "plant.joint.encoder" "The encoder on the motor shaft." {
-    counts_per_turn = whole(4, 4_000_000, "counts").is("counts per motor turn, after x4 decoding")
+joint_encoder "plant.joint.encoder" "The encoder, on the motor shaft or on the slide." {
+    on = word(&["motor", "slide"])
+        .is("motor shaft, or slide: a linear scale with a reference mark each lead")
+        .or_text("\"motor\"");
+    counts_per_turn = whole(4, 4_000_000, "counts")
+        .is("counts per motor turn, or per lead of the slide, after x4 decoding")
         .bounded("a multiple of 4");
     index = real(-4000.0, 4000.0, "mm").is("place of an index pulse; the others are whole leads away")
         .rotary("index", real(-4000.0, 4000.0, "deg"));
@@ -131,6 +92,7 @@ joint_torque "plant.joint.drive.torque" "A current-mode amplifier." {
 
 joint_steps "plant.joint.drive.steps" "A step motor with its drive." {
     full_steps = whole(4, 10_000, "steps").is("full steps per turn");
+    phases = whole(2, 5, "").is("phases; an electrical turn is two full steps for each").or(2.0);
     microsteps = whole(1, 1024, "").is("steps per full step");
     pull_out = real(0.0, 1e6, "N").is("largest static effort").rotary("pull_out", real(0.0, 1e6, "N m"));
     damping = real(0.0, 1e6, "N per mm/s").is("damping by the drive").or(0.0)
@@ -149,7 +111,7 @@ spindle "plant.spindle" "The spindle; optional." {
 }
 
 cutter "plant.cutter" "The cutter, a ball-end mill; optional." {
-    radius_mm = real(0.5, 25.0, "mm").is("radius of ball and shank").or(4.0);
+    radius_mm = real(0.05, 25.0, "mm").is("radius of ball and shank").or(4.0);
     helix_deg = real(0.0, 60.0, "deg").is("helix angle").or(30.0);
     teeth = whole(1, 8, "").is("number of teeth").or(2.0);
     flute_length_mm = real(0.5, 200.0, "mm").is("height of the flutes").or(16.0)
@@ -251,7 +213,7 @@ haptic_stops "plant.haptic.stops" "Its end stops; a section has all keys." {
     hinge_stiffness = real(0.0, 1e6, "N mm/rad").is("stiffness of the hinges' stops");
 }
 
-operator "plant.hand" "The operator model at the haptic arm; optional, needs `[plant.haptic]`." {
+operator "plant.operator" "The operator model at the haptic arm; optional, needs `[plant.haptic]`." {
     grip_mm = list(3, -500.0, 500.0, "mm").is("where the handle is held").or_text("[0.0, 0.0, 75.0]");
     mass_kg = real(0.0, 10.0, "kg").is("moving mass of the hand").or(0.5);
     stiffness = real(0.001, 20.0, "N/mm").is("stiffness of the hand").or(0.8);

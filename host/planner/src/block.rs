@@ -19,13 +19,27 @@ const ARC_ACROSS_JERK: f64 = 0.5;
 /// Shares of a joint's acceleration: for the curvature of its path, and for the ramp or a corner.
 const JOINT_CURVATURE_SHARE: f64 = 0.4;
 pub(super) const JOINT_RAMP_SHARE: f64 = 0.5;
+/// Shares of a joint's jerk: speed^3 times the third derivative of its path, 3 times speed and
+/// acceleration times the second one, or a corner. The ramp has the rest of [`JERK_SHARE`].
+const JOINT_SPEED_JERK: f64 = 0.2;
+const JOINT_ACROSS_JERK: f64 = 0.3;
+pub(super) const JOINT_CORNER_JERK: f64 = 0.5;
+/// A move that the joints slow down below this share of the speed of its fastest part is divided.
+const EVEN_SPEED: f64 = 0.7;
+/// Shortest part of a divided move, mm or degrees.
+const SHORTEST_PART: f64 = 1.0;
 
 /// A checked move.
 #[derive(Debug, Clone)]
 pub(crate) struct Block {
     pub place: Place,
     pub path: Path,
+    pub is_rapid: bool,
     pub exact_stop: bool,
+    /// Whether the next block is the next part of the same move.
+    pub continues: bool,
+    /// Whether the joints keep it below its feed.
+    pub is_slowed: bool,
     /// Largest distance of a corner from the path, mm, if the program gives one.
     pub tolerance: Option<f64>,
     /// Limits along the path.
@@ -106,12 +120,51 @@ pub(super) fn format_pose(pose: &Coordinates, settings: &Settings) -> String {
     words.join(" ")
 }
 
-/// Checks a move and finds its limits.
+/// Checks a move and finds its limits. A move whose joints allow very different speeds, as near a
+/// singularity, is divided.
 pub(super) fn prepare(
     step: &Move,
     settings: &Settings,
     model: &impl MachineModel,
-) -> Result<Block, Problem> {
+) -> Result<Vec<Block>, Problem> {
+    let mut blocks = Vec::with_capacity(1);
+    divide(step, settings, model, &mut blocks)?;
+    if let Some((last, others)) = blocks.split_last_mut() {
+        last.exact_stop = step.exact_stop;
+        for block in others {
+            block.continues = true;
+        }
+    }
+    Ok(blocks)
+}
+
+fn divide(
+    step: &Move,
+    settings: &Settings,
+    model: &impl MachineModel,
+    blocks: &mut Vec<Block>,
+) -> Result<(), Problem> {
+    let (block, fastest) = examine(step, settings, model)?;
+    if block.along.speed >= EVEN_SPEED * fastest || block.path.length < 2.0 * SHORTEST_PART {
+        blocks.push(block);
+        return Ok(());
+    }
+    for path in step.path.halves() {
+        let half = Move {
+            path,
+            ..step.clone()
+        };
+        divide(&half, settings, model, blocks)?;
+    }
+    Ok(())
+}
+
+/// Returns the block of a move, and the speed that its fastest part allows.
+fn examine(
+    step: &Move,
+    settings: &Settings,
+    model: &impl MachineModel,
+) -> Result<(Block, f64), Problem> {
     let problem = |(what, remedy): (String, String)| Problem {
         place: step.place,
         what,
@@ -140,15 +193,20 @@ pub(super) fn prepare(
         limits.feed(feed, path.measure).map_err(problem)?;
     }
     let along = limits.along(path);
-    Ok(Block {
+    let fastest = limits.fastest.min(limits.speed).min(limits.rate_speed);
+    let block = Block {
         place: step.place,
         path: path.clone(),
-        exact_stop: step.exact_stop,
+        is_rapid: step.feed == Feed::Rapid,
+        exact_stop: false,
+        continues: false,
+        is_slowed: limits.speed < f64::INFINITY && limits.joint_speed < limits.speed,
         tolerance: step.tolerance,
         along,
         tangents,
         joint_tangents,
-    })
+    };
+    Ok((block, fastest))
 }
 
 /// Returns the number of samples of a path: at most 1 mm, 1 degree of a rotary axis and 10 degrees
@@ -169,16 +227,22 @@ fn intervals(path: &Path, kinds: &[AxisKind]) -> usize {
 /// Search for the limits of a move over its samples.
 struct Search<'a> {
     settings: &'a Settings,
-    /// Largest speed that the rates of pose and joints allow, and the axis that limits it: name,
-    /// unit, limit, rate per speed, and pose.
+    /// Largest speed that the rates of the pose allow, and the axis that limits it: its index, rate
+    /// per speed, and pose.
     rate_speed: f64,
-    slowest: (String, &'static str, f64, f64, Coordinates),
-    /// Largest speed that the curvature of the joints' paths allows.
-    curvature_speed: f64,
+    slowest: (usize, f64, Coordinates),
+    /// Largest speed that rates, accelerations and jerks of the joints allow, at their slowest and
+    /// at their fastest sample.
+    joint_speed: f64,
+    fastest: f64,
     acceleration: f64,
     jerk: f64,
+    /// Programmed speed.
     speed: f64,
-    before: Option<(f64, [f64; 6])>,
+    /// Length, and first and second derivatives of the joints, at the sample before.
+    before: Option<(f64, [f64; 6], [f64; 6])>,
+    /// Largest derivatives of each joint by length: first, second, third.
+    derivatives: [[f64; 3]; 6],
 }
 
 impl<'a> Search<'a> {
@@ -187,34 +251,25 @@ impl<'a> Search<'a> {
         Self {
             settings,
             rate_speed: infinite,
-            slowest: (String::new(), "", 0.0, 0.0, [0.0; 6]),
-            curvature_speed: infinite,
+            slowest: (0, 0.0, [0.0; 6]),
+            joint_speed: infinite,
+            fastest: 0.0,
             acceleration: infinite,
             jerk: infinite,
             speed: infinite,
             before: None,
+            derivatives: [[0.0; 3]; 6],
         }
     }
 
     fn sample(&mut self, s: f64, pose: &Coordinates, tangent: &Coordinates, joints: &[f64; 6]) {
         let settings = self.settings;
-        for (axis, tangent) in settings.pose.iter().zip(tangent) {
+        for (k, (axis, tangent)) in settings.pose.iter().zip(tangent).enumerate() {
             let part = tangent.abs();
             if part > 1e-12 {
                 if axis.rate / part < self.rate_speed {
-                    let unit = if axis.kind == AxisKind::Linear {
-                        "mm"
-                    } else {
-                        "deg"
-                    };
                     self.rate_speed = axis.rate / part;
-                    self.slowest = (
-                        format!("axis {}", axis.letter),
-                        unit,
-                        axis.rate,
-                        part,
-                        *pose,
-                    );
+                    self.slowest = (k, part, *pose);
                 }
                 self.acceleration = self
                     .acceleration
@@ -222,38 +277,56 @@ impl<'a> Search<'a> {
                 self.jerk = self.jerk.min(JERK_SHARE * axis.jerk / part);
             }
         }
+        let mut speed = f64::INFINITY;
+        let mut seconds = [0.0; 6];
         for (k, (axis, tangent)) in settings.joints.iter().zip(joints).enumerate() {
             let part = tangent.abs();
             if part > 1e-12 {
-                if axis.rate / part < self.rate_speed {
-                    self.rate_speed = axis.rate / part;
-                    self.slowest = (axis.name.clone(), axis.unit, axis.rate, part, *pose);
-                }
+                speed = speed.min(axis.rate / part);
                 self.acceleration = self
                     .acceleration
                     .min(JOINT_RAMP_SHARE * axis.acceleration / part);
             }
-            if let Some((at, rates)) = &self.before {
-                let curvature = ((joints[k] - rates[k]) / (s - at)).abs();
-                if curvature > 1e-12 {
-                    self.curvature_speed = self
-                        .curvature_speed
-                        .min((JOINT_CURVATURE_SHARE * axis.acceleration / curvature).sqrt());
+            let largest = &mut self.derivatives[k];
+            largest[0] = largest[0].max(part);
+            let Some((at, rates, before)) = &self.before else {
+                continue;
+            };
+            seconds[k] = (joints[k] - rates[k]) / (s - at);
+            let curvature = seconds[k].abs();
+            if curvature > 1e-12 {
+                largest[1] = largest[1].max(curvature);
+                speed = speed.min((JOINT_CURVATURE_SHARE * axis.acceleration / curvature).sqrt());
+            }
+            // The second derivative of the first interval is the first one.
+            if *at > 0.0 {
+                let third = ((seconds[k] - before[k]) / (s - at)).abs();
+                largest[2] = largest[2].max(third);
+                if third > 1e-9 {
+                    speed = speed.min(libm::cbrt(JOINT_SPEED_JERK * axis.jerk / third));
                 }
             }
         }
-        self.before = Some((s, *joints));
+        self.joint_speed = self.joint_speed.min(speed);
+        self.fastest = self.fastest.max(speed);
+        self.before = Some((s, *joints, seconds));
     }
 
     /// Applies the programmed feed, per minute.
     ///
     /// # Errors
     ///
-    /// Returns problem and remedy if the feed exceeds a rate.
+    /// Returns problem and remedy if the feed exceeds a rate of the pose. The joints lower it.
     fn feed(&mut self, feed: f64, measure: Measure) -> Result<(), (String, String)> {
         let speed = feed / 60.0;
         if speed > self.rate_speed {
-            let (name, unit, limit, part, pose) = &self.slowest;
+            let (index, part, pose) = &self.slowest;
+            let axis = &self.settings.pose[*index];
+            let unit = if axis.kind == AxisKind::Linear {
+                "mm"
+            } else {
+                "deg"
+            };
             let feed_unit = if measure == Measure::Tip {
                 "mm/min"
             } else {
@@ -262,9 +335,11 @@ impl<'a> Search<'a> {
             let largest = (self.rate_speed * 60.0 * 10.0).floor() / 10.0;
             return Err((
                 format!(
-                    "a feed of {feed} {feed_unit} needs {:.3} {unit}/s of {name} at {}, its limit is {limit:.3} {unit}/s",
+                    "a feed of {feed} {feed_unit} needs {:.3} {unit}/s of axis {} at {}, its limit is {:.3} {unit}/s",
                     speed * part,
-                    format_pose(pose, self.settings)
+                    axis.letter,
+                    format_pose(pose, self.settings),
+                    axis.rate
                 ),
                 format!("the largest feed for this block is {largest} {feed_unit}"),
             ));
@@ -275,7 +350,7 @@ impl<'a> Search<'a> {
 
     /// Returns the limits along the path.
     fn along(&self, path: &Path) -> Along {
-        let mut speed = self.speed.min(self.rate_speed).min(self.curvature_speed);
+        let mut speed = self.speed.min(self.rate_speed).min(self.joint_speed);
         let (mut acceleration, mut jerk) = (self.acceleration, self.jerk);
         if let Some(arc) = &path.arc {
             let axes = arc.plane.map(|k| &self.settings.pose[k]);
@@ -292,6 +367,17 @@ impl<'a> Search<'a> {
                 .min(TANGENTIAL_SHARE * plane_acceleration / share)
                 .min(ARC_ACROSS_JERK * plane_jerk / (3.0 * speed * curvature));
             jerk = jerk.min(ARC_RAMP_JERK * plane_jerk / share);
+        }
+        for (axis, [first, second, third]) in self.settings.joints.iter().zip(self.derivatives) {
+            let across = 3.0 * second * speed;
+            if across > 1e-9 {
+                acceleration = acceleration.min(JOINT_ACROSS_JERK * axis.jerk / across);
+            }
+            if first > 1e-12 {
+                let rest = JERK_SHARE * axis.jerk - across * acceleration;
+                let rest = rest - third * speed * speed * speed;
+                jerk = jerk.min(rest / first);
+            }
         }
         // One more period, for rounding.
         let hold = self.settings.shortest_span_s + f64::from(self.settings.period_us) * 1e-6;

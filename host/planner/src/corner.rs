@@ -5,8 +5,15 @@
 //! which is v times u2 less u1. The acceleration of the bump is a triangle from 0 over 2 dv / h to
 //! 0: jerk 4 dv / h^2, two cubics, largest deviation dv h / 12 at the corner, which is a sixth of
 //! the magnitude of the difference of u2 and u1 times the half-length d, v h / 2.
+//!
+//! A jump of curvature, k2 less k1, is a jump of acceleration da, v^2 times as large. A second bump
+//! cancels it: with x the time from the corner in half-durations, da (h/2)^2 phi(x). phi is odd,
+//! and its second derivative for x above 0 is linear from -1/2 with a slope m up to x1, then with
+//! the slope -m to 0 at 1. x1 = 2^(-2/3) and m = 1 / (4 x1 - 2) make it and its slope 0 at 1. The
+//! jerk is 2 m da / h, the acceleration at most 0.176 da beyond those of the paths, the deviation
+//! at most 0.0146 times k2 less k1 times d^2.
 
-use super::block::{ACCELERATION_SHARE, Block, JERK_SHARE, JOINT_RAMP_SHARE};
+use super::block::{ACCELERATION_SHARE, Block, JERK_SHARE, JOINT_CORNER_JERK, JOINT_RAMP_SHARE};
 use super::limits::Settings;
 use haptimill_gcode::{AxisKind, Coordinates};
 
@@ -17,6 +24,16 @@ const REACH_SHARE: f64 = 0.35;
 const SHARPEST_COSINE: f64 = -0.5;
 /// Share of the limits for a rounding next to an arc; the centripetal acceleration takes the rest.
 const ARC_SHARE: f64 = 0.45;
+/// Share of the jerk limit for the bump of a jump of curvature. With [`ARC_SHARE`] for a corner and
+/// the share of the arc itself it is below 1.
+const BEND_JERK_SHARE: f64 = 0.2;
+/// Share of the tolerance for the bump of a jump of curvature; the rest is for the corner.
+const BEND_TOLERANCE_SHARE: f64 = 0.1;
+/// m and x1 of the bump.
+pub(crate) const BEND_SLOPE: f64 = 0.851_207_191_959_657_4;
+pub(crate) const BEND_TURN: f64 = 0.793_700_525_984_1;
+/// Largest value of phi, rounded up.
+const BEND_VALUE: f64 = 0.0146;
 /// Directions that differ by less are equal: at 100 mm/s this is a tenth of the resolution of
 /// rates.
 const SAME_DIRECTION: f64 = 1e-7;
@@ -28,9 +45,13 @@ pub(crate) struct Corner {
     pub speed: f64,
     /// u2 - u1: change of velocity per unit of speed.
     pub change: Coordinates,
-    /// The duration of a rounding at speed v is at least v * `per_speed` and sqrt(v) * `per_root`.
+    /// k2 - k1: change of acceleration per square of speed.
+    pub bend: Coordinates,
+    /// The duration of a rounding at speed v is at least v * `per_speed`, sqrt(v) * `per_root` and
+    /// v^2 * `per_square`.
     per_speed: f64,
     per_root: f64,
+    per_square: f64,
     /// Largest v * h: from the tolerance and the lengths of the blocks.
     largest: f64,
     /// Preferred duration of a rounding.
@@ -43,8 +64,10 @@ impl Corner {
         Corner {
             speed: 0.0,
             change: [0.0; 6],
+            bend: [0.0; 6],
             per_speed: 0.0,
             per_root: 0.0,
+            per_square: 0.0,
             largest: 0.0,
             preferred: 0.0,
         }
@@ -53,6 +76,8 @@ impl Corner {
     /// Returns the junction between two blocks.
     pub(crate) fn between(before: &Block, after: &Block, settings: &Settings) -> Corner {
         let tolerance = match (before.tolerance, after.tolerance) {
+            // Parts of a move have no corner.
+            _ if before.continues => settings.tolerance_mm.max(1e-3),
             (Some(one), Some(other)) => one.min(other),
             (one, other) => one.or(other).unwrap_or(settings.tolerance_mm),
         };
@@ -99,12 +124,24 @@ impl Corner {
         for (k, axis) in settings.joints.iter().enumerate() {
             let change = (after.joint_tangents[0][k] - before.joint_tangents[1][k]).abs();
             if change > SAME_DIRECTION {
-                corner.need(change, JOINT_RAMP_SHARE * axis.acceleration, f64::INFINITY);
+                let jerk = JOINT_CORNER_JERK * axis.jerk;
+                corner.need(change, JOINT_RAMP_SHARE * axis.acceleration, jerk);
             }
         }
+        if is_arc {
+            corner.limit_bend(before, after, tolerance, settings);
+        }
+        let bends = corner.per_square > 0.0;
+        let share = if bends {
+            1.0 - BEND_TOLERANCE_SHARE
+        } else {
+            1.0
+        };
         for (squared, tolerance) in squared.iter().zip([tolerance, settings.tolerance_deg]) {
             if *squared > 0.0 {
-                corner.largest = corner.largest.min(12.0 * tolerance / squared.sqrt());
+                corner.largest = corner
+                    .largest
+                    .min(12.0 * share * tolerance / squared.sqrt());
             }
         }
         if corner.per_root > 0.0 {
@@ -115,8 +152,10 @@ impl Corner {
         if corner.per_speed > 0.0 {
             corner.speed = corner.speed.min((corner.largest / corner.per_speed).sqrt());
         }
-        if is_arc {
-            corner.limit_curvature_step(before, after, settings);
+        if corner.per_square > 0.0 {
+            corner.speed = corner
+                .speed
+                .min(libm::cbrt(corner.largest / corner.per_square));
         }
         corner
     }
@@ -128,18 +167,30 @@ impl Corner {
         self.per_root = self.per_root.max((4.0 * change / jerk).sqrt());
     }
 
-    fn limit_curvature_step(&mut self, before: &Block, after: &Block, settings: &Settings) {
+    /// Limits speed and length of the bump of a jump of curvature.
+    fn limit_bend(&mut self, before: &Block, after: &Block, tolerance: f64, settings: &Settings) {
         let (k1, k2) = (
             before.path.curvature(before.path.length),
             after.path.curvature(0.0),
         );
+        let mut squared = 0.0;
         for (k, axis) in settings.pose.iter().enumerate() {
-            let step = (k2[k] - k1[k]).abs();
-            if step > 0.0 {
-                self.speed = self
-                    .speed
-                    .min((settings.curvature_step * axis.acceleration / step).sqrt());
+            let step = k2[k] - k1[k];
+            if step == 0.0 {
+                continue;
             }
+            self.bend[k] = step;
+            squared += step * step;
+            let most = settings.curvature_step * axis.acceleration / step.abs();
+            self.speed = self.speed.min(most.sqrt());
+            let jerk = BEND_JERK_SHARE * axis.jerk;
+            self.per_square = self.per_square.max(2.0 * BEND_SLOPE * step.abs() / jerk);
+        }
+        if squared > 0.0 {
+            // The deviation grows with the square of the half-length.
+            let value = BEND_VALUE * squared.sqrt();
+            let half = (BEND_TOLERANCE_SHARE * tolerance / value).sqrt();
+            self.largest = self.largest.min(2.0 * half);
         }
     }
 
@@ -150,7 +201,9 @@ impl Corner {
 
     /// Returns the duration of the rounding at a speed, 0 without rounding.
     fn time(&self, speed: f64) -> f64 {
-        let least = (self.per_speed * speed).max(self.per_root * speed.sqrt());
+        let least = (self.per_speed * speed)
+            .max(self.per_root * speed.sqrt())
+            .max(self.per_square * speed * speed);
         if least <= 0.0 {
             return 0.0;
         }

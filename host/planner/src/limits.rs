@@ -22,7 +22,7 @@ pub struct PoseLimits {
     pub jerk: f64,
 }
 
-/// Limits of a joint, in its unit: mm/s and mm/s^2, or degrees.
+/// Limits of a joint, in its unit: mm/s, mm/s^2 and mm/s^3, or degrees.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointLimits {
     /// Name in messages ("x").
@@ -33,6 +33,32 @@ pub struct JointLimits {
     pub rate: f64,
     /// Largest acceleration.
     pub acceleration: f64,
+    /// Largest jerk.
+    pub jerk: f64,
+}
+
+/// Outputs of the machine that a program can set.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Outputs {
+    /// Index of the output of M8.
+    pub flood: Option<u8>,
+    /// Index of the output of M7.
+    pub mist: Option<u8>,
+    /// Whether a program may set each digital output. P of M62 to M65 is its index.
+    pub digital: Vec<bool>,
+    /// Analogue outputs. E of M67 and M68 is the index.
+    pub analogue: Vec<AnalogueOutput>,
+}
+
+/// An analogue output.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnalogueOutput {
+    /// Smallest and largest code.
+    pub codes: [i16; 2],
+    /// Codes per unit of the value Q.
+    pub per_unit: f64,
+    /// The unit in messages; may be empty.
+    pub unit: String,
 }
 
 /// Settings of the planner.
@@ -42,14 +68,16 @@ pub struct Settings {
     pub pose: Vec<PoseLimits>,
     /// Limits of the joints, in the machine's order, at most six.
     pub joints: Vec<JointLimits>,
+    /// Outputs; none by default.
+    pub outputs: Outputs,
     /// Control period, microseconds.
     pub period_us: u16,
     /// Largest distance of a blended corner from the programmed one, mm; 0 stops at every corner.
     pub tolerance_mm: f64,
     /// The same for the rotary coordinates, degrees.
     pub tolerance_deg: f64,
-    /// Largest step of the centripetal acceleration where the curvature changes (line into arc), as
-    /// a fraction of the acceleration limit. The jerk limit does not hold at that instant.
+    /// Largest change of the centripetal acceleration where the curvature changes (line into arc),
+    /// as a fraction of the acceleration limit, spread over the time that the jerk limit needs.
     pub curvature_step: f64,
     /// Longest segment duration during motion, seconds.
     pub longest_span_s: f64,
@@ -65,6 +93,7 @@ impl Settings {
         Settings {
             pose,
             joints,
+            outputs: Outputs::default(),
             period_us,
             tolerance_mm: 0.005,
             tolerance_deg: 0.005,
@@ -72,6 +101,13 @@ impl Settings {
             longest_span_s: 0.25,
             shortest_span_s: 0.005,
         }
+    }
+
+    /// Returns the jerk of a joint with this acceleration that rises as fast as the tip's: the
+    /// largest ratio of jerk to acceleration of the pose coordinates.
+    pub fn joint_jerk(pose: &[PoseLimits], acceleration: f64) -> f64 {
+        let ratio = |axis: &PoseLimits| axis.jerk / axis.acceleration;
+        acceleration * pose.iter().map(ratio).fold(0.0, f64::max)
     }
 
     /// Returns the kinds of the pose coordinates.
@@ -103,4 +139,14 @@ pub trait MachineModel {
     /// Returns the joint rates for `rates` of the pose, in which they are linear. Callers must pass
     /// a pose for which [`MachineModel::joints`] succeeds.
     fn joint_rates(&self, pose: &Coordinates, rates: &Coordinates) -> [f64; 6];
+}
+
+impl<T: MachineModel + ?Sized> MachineModel for &T {
+    fn joints(&self, pose: &Coordinates) -> Result<[f64; 6], PoseProblem> {
+        (**self).joints(pose)
+    }
+
+    fn joint_rates(&self, pose: &Coordinates, rates: &Coordinates) -> [f64; 6] {
+        (**self).joint_rates(pose, rates)
+    }
 }

@@ -5,40 +5,76 @@ use super::block::Block;
 use super::corner::Corner;
 use super::limits::Settings;
 
-/// Junctions of blocks without a standstill between them: corners and speeds, one more than blocks.
-pub(crate) struct Junctions {
+/// Blocks without a standstill between them, of which the first may be planned already.
+#[derive(Debug)]
+pub(crate) struct Run {
+    /// Blocks that are not planned.
+    pub blocks: Vec<Block>,
+    /// Corners before each of them, and a stop after the last one when they are planned.
     pub corners: Vec<Corner>,
+    /// Speeds at the corners; the first one is final.
     pub speeds: Vec<f64>,
+    /// Whether a part of the run is planned.
+    pub moves: bool,
+    /// Whether the last planned block is an arc.
+    pub follows_arc: bool,
 }
 
-impl Junctions {
-    /// Finds corners and speeds; the run begins and ends at standstill.
-    pub(crate) fn of(blocks: &[Block], settings: &Settings) -> Junctions {
-        let mut corners = Vec::with_capacity(blocks.len() + 1);
-        corners.push(Corner::stop());
-        corners.extend(
-            blocks
-                .windows(2)
-                .map(|pair| Corner::between(&pair[0], &pair[1], settings)),
-        );
-        corners.push(Corner::stop());
-        let speeds = corners.iter().map(|corner| corner.speed).collect();
-        let mut junctions = Junctions { corners, speeds };
+impl Default for Run {
+    fn default() -> Self {
+        Self {
+            blocks: Vec::new(),
+            corners: vec![Corner::stop()],
+            speeds: vec![0.0],
+            moves: false,
+            follows_arc: false,
+        }
+    }
+}
+
+impl Run {
+    /// Adds a block.
+    pub(crate) fn push(&mut self, block: Block, settings: &Settings) {
+        if let Some(before) = self.blocks.last() {
+            self.corners.push(Corner::between(before, &block, settings));
+        }
+        self.blocks.push(block);
+    }
+
+    /// Finds the speeds at all corners, so that the motion can stop after the last block.
+    pub(crate) fn plan(&mut self) {
+        let entry = self.speeds[0];
+        self.corners.truncate(self.blocks.len().max(1));
+        self.corners.push(Corner::stop());
+        self.speeds.clear();
+        self.speeds
+            .extend(self.corners.iter().map(|corner| corner.speed));
         // Backward pass: the entry speed of a block allows its deceleration. Forward pass: the exit
         // speed allows its acceleration. Lowering a speed in the forward pass keeps the result of
         // the backward pass: a smaller change of speed needs less length.
-        for (index, block) in blocks.iter().enumerate().rev() {
-            junctions.lower(block, index, index + 1);
+        for index in (0..self.blocks.len()).rev() {
+            self.lower(index, index, index + 1);
         }
-        for (index, block) in blocks.iter().enumerate() {
-            junctions.lower(block, index + 1, index);
+        // The run could stop in the look-ahead in which this speed was planned.
+        self.speeds[0] = entry;
+        for index in 0..self.blocks.len() {
+            self.lower(index, index + 1, index);
         }
-        junctions
+    }
+
+    /// Removes the first blocks, which are planned.
+    pub(crate) fn forget(&mut self, count: usize) {
+        self.blocks.drain(..count);
+        self.corners.drain(..count);
+        // The stop after the last block.
+        self.corners.truncate(self.blocks.len().max(1));
+        self.speeds.drain(..count);
     }
 
     /// Lowers the speed at junction `fast` to the largest one that the block can reach from the
     /// speed at its other end, `fixed`.
-    fn lower(&mut self, block: &Block, fast: usize, fixed: usize) {
+    fn lower(&mut self, block: usize, fast: usize, fixed: usize) {
+        let block = &self.blocks[block];
         let slow = self.speeds[fixed];
         let speed = self.speeds[fast];
         let room = block.path.length - self.corners[fixed].reach(slow);

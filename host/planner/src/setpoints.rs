@@ -1,14 +1,14 @@
 //! Setpoints: samples of the trajectory on whole control periods, in protocol units.
 
-use super::block::{Block, check_pose};
+use super::block::check_pose;
 use super::limits::{MachineModel, Settings};
-use super::trajectory::{Cursor, Knot, Piece, Trajectory};
+use super::planner::Planned;
+use super::trajectory::{CUBIC_ERROR_MM, Cursor, Knot, Trajectory};
 use haptimill_gcode::{AxisKind, Coordinates, Place, Problem};
 use haptimill_protocol::message::{Action, AxisValues, RATE_SHIFT};
 use haptimill_protocol::setpoint::Setpoint;
+use std::collections::VecDeque;
 
-/// Largest deviation of the cubic between setpoints from the trajectory: mm, degrees.
-const CUBIC_ERROR_MM: f64 = 1e-4;
 /// Longest standstill in one setpoint, periods.
 const LONGEST_REST: u64 = 60_000;
 
@@ -42,29 +42,44 @@ fn quantise_rates(rates: &Coordinates, settings: &Settings) -> AxisValues {
 }
 
 /// Makes setpoints while the trajectory grows.
-pub(crate) struct Emitter<'a> {
-    settings: &'a Settings,
+#[derive(Debug)]
+pub(crate) struct Emitter {
     period: f64,
+    /// Shortest segment, periods.
+    shortest: u64,
     cursor: Cursor,
     /// Period of the last setpoint.
     last: u64,
-    pub setpoints: Vec<Setpoint>,
-    /// Place of each setpoint in the program.
-    pub places: Vec<Place>,
-    /// Problems of setpoints.
-    pub problems: Vec<Problem>,
+    /// Period in which the run of motion begins.
+    begin: u64,
+    /// Knots of the run from the last setpoint on.
+    knots: VecDeque<(u64, Knot)>,
+    /// First piece whose knot was not looked at, and the piece at the last setpoint.
+    next_piece: usize,
+    span_piece: usize,
+    /// Setpoints that are made.
+    pub made: Vec<Planned>,
+    /// Their number since the start.
+    pub count: usize,
+    /// Largest rate of each joint at the setpoints.
+    pub peak_joint_rates: [f64; 6],
 }
 
-impl<'a> Emitter<'a> {
-    pub(crate) fn new(settings: &'a Settings) -> Self {
+impl Emitter {
+    pub(crate) fn new(settings: &Settings) -> Self {
+        let period = f64::from(settings.period_us) * 1e-6;
         Self {
-            settings,
-            period: f64::from(settings.period_us) * 1e-6,
+            period,
+            shortest: (settings.shortest_span_s / period).round() as u64,
             cursor: Cursor::default(),
             last: 0,
-            setpoints: Vec::new(),
-            places: Vec::new(),
-            problems: Vec::new(),
+            begin: 0,
+            knots: VecDeque::new(),
+            next_piece: 0,
+            span_piece: 0,
+            made: Vec::new(),
+            count: 0,
+            peak_joint_rates: [0.0; 6],
         }
     }
 
@@ -73,119 +88,187 @@ impl<'a> Emitter<'a> {
         self.last as f64 * self.period
     }
 
-    fn push(&mut self, at: u64, pose: &Coordinates, rates: &Coordinates, place: Place) {
+    fn push(
+        &mut self,
+        at: u64,
+        pose: &Coordinates,
+        rates: &Coordinates,
+        (place, is_rapid): (Place, bool),
+        settings: &Settings,
+    ) {
         let setpoint = Setpoint {
             // Durations are at most the longest standstill.
             periods: (at - self.last) as u16,
-            pose: quantise_pose(pose, self.settings),
-            rates: quantise_rates(rates, self.settings),
+            pose: quantise_pose(pose, settings),
+            rates: quantise_rates(rates, settings),
             action: Action::None,
         };
-        self.setpoints.push(setpoint);
-        self.places.push(place);
+        self.made.push(Planned {
+            setpoint,
+            place,
+            is_rapid,
+        });
+        self.count += 1;
         self.last = at;
     }
 
     /// Adds a standstill of at least one period.
-    pub(crate) fn rest(&mut self, pose: &Coordinates, seconds: f64, place: Place) {
+    pub(crate) fn rest(
+        &mut self,
+        pose: &Coordinates,
+        seconds: f64,
+        place: Place,
+        settings: &Settings,
+    ) {
         let mut left = ((seconds / self.period).round() as u64).max(1);
         while left > 0 {
             let now = left.min(LONGEST_REST);
-            self.push(self.last + now, pose, &[0.0; 6], place);
+            self.push(self.last + now, pose, &[0.0; 6], (place, true), settings);
             left -= now;
         }
     }
 
     /// Adds an action at standstill: to the last setpoint if it has none, otherwise to a new one.
-    pub(crate) fn act(&mut self, pose: &Coordinates, action: Action, place: Place) {
-        if self
-            .setpoints
-            .last()
-            .is_none_or(|setpoint| setpoint.action != Action::None)
-        {
-            self.rest(pose, 0.0, place);
+    /// The last setpoint must not be taken before.
+    pub(crate) fn act(
+        &mut self,
+        pose: &Coordinates,
+        action: Action,
+        place: Place,
+        settings: &Settings,
+    ) {
+        let last = self.made.last();
+        if last.is_none_or(|planned| planned.setpoint.action != Action::None) {
+            self.rest(pose, 0.0, place, settings);
         }
-        if let Some(setpoint) = self.setpoints.last_mut() {
-            setpoint.action = action;
+        if let Some(planned) = self.made.last_mut() {
+            planned.setpoint.action = action;
         }
     }
 
-    /// Adds the setpoints of a run of motion from the last setpoint to the standstill at `end`.
-    pub(crate) fn run(
+    /// Begins a run of motion, whose pieces follow those of the trajectory; returns its time.
+    pub(crate) fn begin(&mut self, trajectory: &Trajectory) -> f64 {
+        self.begin = self.last;
+        self.knots.clear();
+        self.knots.push_back((self.last, Knot::Step));
+        self.next_piece = trajectory.pieces.len() + 1;
+        self.span_piece = trajectory.pieces.len();
+        self.time()
+    }
+
+    /// Follows [`Trajectory::forget`], which removed so many pieces.
+    pub(crate) fn forget(&mut self, pieces: usize) {
+        self.next_piece = self.next_piece.saturating_sub(pieces);
+        self.span_piece = self.span_piece.saturating_sub(pieces);
+        self.cursor = Cursor::default();
+    }
+
+    /// Returns the period of the standstill at the end of a run.
+    fn end_of_run(&self, time: f64) -> u64 {
+        ((time / self.period).ceil() as u64).max(self.begin + 1)
+    }
+
+    /// Ends a run of motion without its setpoints.
+    pub(crate) fn skip(&mut self, time: f64, pose: &Coordinates, settings: &Settings) {
+        let end = self.end_of_run(time);
+        let nowhere = (Place::default(), true);
+        self.push(end, pose, &[0.0; 6], nowhere, settings);
+    }
+
+    /// Adds the setpoints of the run of motion as far as the trajectory goes, up to `time`; at its
+    /// `end`, up to its standstill.
+    ///
+    /// # Errors
+    ///
+    /// Returns the first setpoint that the machine cannot reach.
+    pub(crate) fn advance(
         &mut self,
         trajectory: &Trajectory,
-        blocks: &[Block],
-        first_piece: usize,
-        end: f64,
+        time: f64,
+        is_end: bool,
+        settings: &Settings,
         model: &impl MachineModel,
-    ) {
-        let begin = self.last;
-        let end = ((end / self.period).ceil() as u64).max(begin + 1);
-        let shortest = (self.settings.shortest_span_s / self.period).round() as u64;
-        let pieces = &trajectory.pieces[first_piece..];
-        let first_path = pieces.first().map_or(0, |piece| piece.path);
+    ) -> Result<(), Problem> {
+        let end = if is_end {
+            self.end_of_run(time)
+        } else {
+            (time / self.period).floor() as u64
+        };
+        self.add_knots(trajectory, end, is_end);
+        let ahead = if is_end { 2 } else { 3 };
+        let mut result = Ok(());
+        while self.knots.len() >= ahead {
+            let (from, to) = (self.knots[0].0, self.knots[1].0);
+            self.knots.pop_front();
+            let to_s = to as f64 * self.period;
+            // The shortest of the durations that the pieces allow.
+            let mut span = settings.longest_span_s;
+            while let Some(piece) = trajectory.pieces.get(self.span_piece) {
+                span = span.min(piece.longest);
+                let next = trajectory.pieces.get(self.span_piece + 1);
+                if next.is_none_or(|next| next.time > to_s) {
+                    break;
+                }
+                self.span_piece += 1;
+            }
+            let at_rest = is_end && to == end;
+            let made = self.subdivide(trajectory, [from, to], span, at_rest, settings, model);
+            result = result.and(made);
+        }
+        result
+    }
 
-        // A setpoint is at every knot, at least the shortest duration apart; a step of acceleration
-        // has priority over a change of jerk.
-        let mut knots: Vec<(u64, Knot)> = vec![(begin, Knot::Step)];
-        for piece in pieces
-            .iter()
-            .skip(1)
-            .filter(|piece| piece.knot != Knot::None)
-        {
+    /// A setpoint is at every knot, at least the shortest duration apart; a step of acceleration
+    /// has priority over a change of jerk. The last knot may still give way.
+    fn add_knots(&mut self, trajectory: &Trajectory, end: u64, is_end: bool) {
+        while let Some(piece) = trajectory.pieces.get(self.next_piece) {
             let at = (piece.time / self.period).round() as u64;
-            let (last, kind) = knots[knots.len() - 1];
-            if at + shortest > end {
+            let is_near_end = at + self.shortest > end;
+            if is_near_end && !is_end {
+                return;
+            }
+            self.next_piece += 1;
+            let Some(&(last, kind)) = self.knots.back() else {
+                return;
+            };
+            if piece.knot == Knot::None || is_near_end {
                 continue;
             }
-            if at >= last + shortest {
-                knots.push((at, piece.knot));
+            if at >= last + self.shortest {
+                self.knots.push_back((at, piece.knot));
             } else if piece.knot == Knot::Step && kind == Knot::Jerk && at > last {
-                knots.pop();
-                if at > knots[knots.len() - 1].0 {
-                    knots.push((at, piece.knot));
+                self.knots.pop_back();
+                if self.knots.back().is_some_and(|(before, _)| at > *before) {
+                    self.knots.push_back((at, piece.knot));
                 }
             }
         }
-        knots.push((end, Knot::Step));
-
-        let mut index = 0;
-        for pair in knots.windows(2) {
-            let (from, to) = (pair[0].0, pair[1].0);
-            // The shortest of the durations that the pieces allow.
-            let mut span = self.settings.longest_span_s;
-            while let Some(piece) = pieces.get(index) {
-                let block = &blocks[(piece.path - first_path) as usize];
-                let next = pieces
-                    .get(index + 1)
-                    .map_or(end as f64 * self.period, |next| next.time);
-                span = span.min(longest_on(piece, next - piece.time, block));
-                if next > to as f64 * self.period || index + 1 == pieces.len() {
-                    break;
-                }
-                index += 1;
-            }
-            self.subdivide(trajectory, from, to, span, to == end, model);
+        if is_end {
+            self.knots.push_back((end, Knot::Step));
         }
     }
 
     fn subdivide(
         &mut self,
         trajectory: &Trajectory,
-        from: u64,
-        to: u64,
+        [from, to]: [u64; 2],
         span: f64,
         at_rest: bool,
+        settings: &Settings,
         model: &impl MachineModel,
-    ) {
+    ) -> Result<(), Problem> {
         let periods = to - from;
         let most = ((span / self.period).floor() as u64).clamp(1, LONGEST_REST);
         let count = periods.div_ceil(most);
+        let mut result = Ok(());
         for index in 1..=count {
             let start = from + periods * (index - 1) / count;
             let at = from + periods * index / count;
-            self.join(trajectory, start, at, at_rest && index == count, model);
+            let at_rest = at_rest && index == count;
+            let made = self.join(trajectory, [start, at], at_rest, settings, model);
+            result = result.and(made);
         }
+        result
     }
 
     /// Adds one segment, or two halves if its cubic deviates from the trajectory because of an
@@ -193,37 +276,41 @@ impl<'a> Emitter<'a> {
     fn join(
         &mut self,
         trajectory: &Trajectory,
-        from: u64,
-        to: u64,
+        [from, to]: [u64; 2],
         at_rest: bool,
+        settings: &Settings,
         model: &impl MachineModel,
-    ) {
-        let shortest = (self.settings.shortest_span_s / self.period).round() as u64;
-        if to - from >= 2 * shortest.max(1) && !self.is_near(trajectory, from, to) {
+    ) -> Result<(), Problem> {
+        if to - from >= 2 * self.shortest.max(1) && !self.is_near(trajectory, from, to) {
             let middle = from + (to - from) / 2;
-            self.join(trajectory, from, middle, false, model);
-            self.join(trajectory, middle, to, at_rest, model);
-            return;
+            let first = self.join(trajectory, [from, middle], false, settings, model);
+            let second = self.join(trajectory, [middle, to], at_rest, settings, model);
+            return first.and(second);
         }
         let time = to as f64 * self.period;
         let (mut pose, mut rates) = trajectory.intended(&mut self.cursor, time);
         // Place of the motion towards the setpoint; a setpoint at a corner may be up to a period
         // late.
         let piece = trajectory.seek(&mut self.cursor, time - self.period);
-        let (place, path) = &trajectory.paths[piece.map_or(0, |piece| piece.path as usize)];
-        let place = *place;
+        let leg = trajectory.leg(piece.map_or(0, |piece| piece.path));
+        let place = leg.place;
         if at_rest {
             // The exact end, without the rounding errors of the phases.
-            (pose, rates) = (path.to, [0.0; 6]);
+            (pose, rates) = (leg.path.to, [0.0; 6]);
         }
-        if let Err((what, remedy)) = check_pose(&pose, self.settings, model) {
-            self.problems.push(Problem {
-                place,
-                what,
-                remedy,
-            });
+        let checked = check_pose(&pose, settings, model).map_err(|(what, remedy)| Problem {
+            place,
+            what,
+            remedy,
+        });
+        if checked.is_ok() {
+            let joint_rates = model.joint_rates(&pose, &rates);
+            for (peak, rate) in self.peak_joint_rates.iter_mut().zip(joint_rates) {
+                *peak = peak.max(rate.abs());
+            }
         }
-        self.push(to, &pose, &rates, place);
+        self.push(to, &pose, &rates, (place, leg.is_rapid), settings);
+        checked.map(|_| ())
     }
 
     /// Whether the cubic between two periods is near the trajectory, at seven samples.
@@ -243,23 +330,5 @@ impl<'a> Emitter<'a> {
                 (cubic - pose[k]).abs() <= CUBIC_ERROR_MM
             })
         })
-    }
-}
-
-/// Returns the longest segment duration on a piece for which the cubic stays near its arc.
-fn longest_on(piece: &Piece, duration: f64, block: &Block) -> f64 {
-    let fastest = piece
-        .speed
-        .max(piece.speed + duration * (piece.acceleration + 0.5 * duration * piece.jerk));
-    let acceleration = piece
-        .acceleration
-        .abs()
-        .max((piece.acceleration + duration * piece.jerk).abs());
-    let curvature = block.fourth_derivative(fastest, acceleration, piece.jerk.abs());
-    // Error of a cubic Hermite segment: T^4 / 384 times the fourth derivative.
-    if curvature > 0.0 {
-        libm::sqrt(libm::sqrt(384.0 * CUBIC_ERROR_MM / curvature))
-    } else {
-        f64::INFINITY
     }
 }

@@ -1,6 +1,11 @@
 //! Trajectory: the speed profile along the exact paths, and the roundings of the corners.
 
+use super::block::Block;
+use super::corner::{BEND_SLOPE, BEND_TURN};
 use haptimill_gcode::{Coordinates, Path, Place};
+
+/// Largest deviation of the cubic between setpoints from the trajectory: mm, degrees.
+pub(crate) const CUBIC_ERROR_MM: f64 = 1e-4;
 
 /// Reason for a setpoint at the beginning of a piece.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -9,7 +14,7 @@ pub(crate) enum Knot {
     None,
     /// The jerk changes.
     Jerk,
-    /// The acceleration jumps: a line meets an arc.
+    /// The jerk jumps farthest: a line meets an arc, or the motion begins or ends.
     Step,
 }
 
@@ -23,13 +28,29 @@ pub(crate) struct Piece {
     pub speed: f64,
     pub acceleration: f64,
     pub jerk: f64,
-    /// Index of the path.
+    /// Longest segment duration, seconds, for which the cubic stays near the path.
+    pub longest: f64,
+    /// Number of the path.
     pub path: u32,
     /// Reason for a setpoint at its start.
     pub knot: Knot,
 }
 
 impl Piece {
+    /// Returns the piece of a standstill at the end of a path.
+    pub(crate) fn resting(time: f64, path: u32, s: f64) -> Piece {
+        Piece {
+            time,
+            s,
+            speed: 0.0,
+            acceleration: 0.0,
+            jerk: 0.0,
+            longest: f64::INFINITY,
+            path,
+            knot: Knot::None,
+        }
+    }
+
     /// Returns length and speed `t` seconds after its start.
     pub(crate) fn along(&self, t: f64) -> (f64, f64) {
         let s = self.s + t * (self.speed + t * (0.5 * self.acceleration + t * self.jerk / 6.0));
@@ -43,15 +64,63 @@ impl Piece {
 pub(crate) struct Bump {
     pub time: f64,
     pub half: f64,
+    /// Jumps of rate and of acceleration.
     pub change: Coordinates,
+    pub bend: Coordinates,
+}
+
+impl Bump {
+    /// Adds the bump at a time to pose and rates.
+    fn add(&self, time: f64, pose: &mut Coordinates, rates: &mut Coordinates) {
+        let t = time - self.time;
+        let left = self.half - t.abs();
+        if left <= 0.0 {
+            return;
+        }
+        let value = left * left * left / (6.0 * self.half * self.half);
+        let slope = left * left / (2.0 * self.half * self.half);
+        let slope = if t < 0.0 { slope } else { -slope };
+        let (bend_value, bend_slope) = bend(t.abs() / self.half);
+        let bend_value = bend_value.copysign(t) * self.half * self.half;
+        let bend_slope = bend_slope * self.half;
+        for k in 0..6 {
+            pose[k] += value * self.change[k] + bend_value * self.bend[k];
+            rates[k] += slope * self.change[k] + bend_slope * self.bend[k];
+        }
+    }
+}
+
+/// Returns phi and its slope for x from 0 to 1, see [`super::corner`].
+fn bend(x: f64) -> (f64, f64) {
+    let (m, left) = (BEND_SLOPE, 1.0 - x);
+    if x > BEND_TURN {
+        return (m * left * left * left / 6.0, -0.5 * m * left * left);
+    }
+    let rest = 1.0 - BEND_TURN;
+    let slope = 0.5 * (BEND_TURN - m * BEND_TURN * BEND_TURN - m * rest * rest);
+    (
+        x * (slope + x * (-0.25 + x * m / 6.0)),
+        slope + x * (-0.5 + 0.5 * x * m),
+    )
+}
+
+/// A path with its place in the program.
+#[derive(Debug, Clone)]
+pub(crate) struct Leg {
+    pub place: Place,
+    pub path: Path,
+    /// Whether it is a rapid move.
+    pub is_rapid: bool,
 }
 
 /// The exact paths and the speed profile along them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Trajectory {
-    pub paths: Vec<(Place, Path)>,
+    pub paths: Vec<Leg>,
     pub pieces: Vec<Piece>,
     pub bumps: Vec<Bump>,
+    /// Number of the first path.
+    first_path: u32,
 }
 
 /// Position in a plan for evaluations in sequence: a step forward is cheap, other times need a
@@ -62,7 +131,51 @@ pub struct Cursor {
     bump: usize,
 }
 
+/// Returns the longest segment duration on a piece for which the cubic stays near its arc.
+pub(crate) fn longest_on(piece: &Piece, duration: f64, block: &Block) -> f64 {
+    let fastest = piece
+        .speed
+        .max(piece.speed + duration * (piece.acceleration + 0.5 * duration * piece.jerk));
+    let acceleration = piece
+        .acceleration
+        .abs()
+        .max((piece.acceleration + duration * piece.jerk).abs());
+    let curvature = block.fourth_derivative(fastest, acceleration, piece.jerk.abs());
+    // Error of a cubic Hermite segment: T^4 / 384 times the fourth derivative.
+    if curvature > 0.0 {
+        libm::sqrt(libm::sqrt(384.0 * CUBIC_ERROR_MM / curvature))
+    } else {
+        f64::INFINITY
+    }
+}
+
 impl Trajectory {
+    /// Returns a path by its number.
+    pub(crate) fn leg(&self, number: u32) -> &Leg {
+        &self.paths[(number - self.first_path) as usize]
+    }
+
+    /// Returns the number of the last path.
+    pub(crate) fn last_path(&self) -> u32 {
+        self.first_path + self.paths.len() as u32 - 1
+    }
+
+    /// Removes what ends before a time, and returns the number of removed pieces. Cursors are void
+    /// after it.
+    pub(crate) fn forget(&mut self, time: f64) -> usize {
+        let ended = self.pieces.partition_point(|piece| piece.time <= time);
+        let pieces = ended.saturating_sub(1);
+        self.pieces.drain(..pieces);
+        let ended = |bump: &Bump| bump.time + bump.half <= time;
+        let count = self.bumps.partition_point(ended);
+        self.bumps.drain(..count);
+        if let Some(piece) = self.pieces.first() {
+            self.paths.drain(..(piece.path - self.first_path) as usize);
+            self.first_path = piece.path;
+        }
+        pieces
+    }
+
     /// Returns the piece at a time.
     pub(crate) fn seek(&self, cursor: &mut Cursor, time: f64) -> Option<&Piece> {
         let after = |index: usize| {
@@ -90,7 +203,7 @@ impl Trajectory {
             return [0.0; 6];
         };
         let (s, _) = piece.along((time - piece.time).max(0.0));
-        self.paths[piece.path as usize].1.at(s)
+        self.leg(piece.path).path.at(s)
     }
 
     /// Returns pose and rates of the trajectory, with corners rounded.
@@ -99,7 +212,7 @@ impl Trajectory {
             return ([0.0; 6], [0.0; 6]);
         };
         let (s, speed) = piece.along((time - piece.time).max(0.0));
-        let path = &self.paths[piece.path as usize].1;
+        let path = &self.leg(piece.path).path;
         let mut pose = path.at(s);
         let mut rates = path.tangent(s).map(|part| part * speed);
         // Roundings do not overlap: only the one that has not ended matters.
@@ -111,18 +224,34 @@ impl Trajectory {
             cursor.bump = self.bumps.partition_point(ended);
         }
         if let Some(bump) = self.bumps.get(cursor.bump) {
-            let t = time - bump.time;
-            let left = bump.half - t.abs();
-            if left > 0.0 {
-                let value = left * left * left / (6.0 * bump.half * bump.half);
-                let slope = left * left / (2.0 * bump.half * bump.half);
-                let slope = if t < 0.0 { slope } else { -slope };
-                for k in 0..6 {
-                    pose[k] += value * bump.change[k];
-                    rates[k] += slope * bump.change[k];
-                }
-            }
+            bump.add(time, &mut pose, &mut rates);
         }
         (pose, rates)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The bump of a jump of curvature: continuous, slope and value end at 0, the second derivative
+    /// jumps by -1 at the corner, and its slope is within m.
+    #[test]
+    fn the_bend_cancels_a_jump_of_acceleration() {
+        let h = 1e-4;
+        let second = |x: f64| (bend(x + h).1 - bend(x - h).1) / (2.0 * h);
+        assert_eq!(bend(0.0).0, 0.0);
+        assert!(bend(1.0).0.abs() < 1e-15 && bend(1.0).1.abs() < 1e-15);
+        let (below, above) = (bend(BEND_TURN), bend(BEND_TURN + 1e-12));
+        assert!((below.0 - above.0).abs() < 1e-11 && (below.1 - above.1).abs() < 1e-11);
+        assert!((second(2.0 * h) + 0.5).abs() < 1e-3);
+        for step in 2..9998 {
+            let x = f64::from(step) * h;
+            let slope = (bend(x + h).0 - bend(x - h).0) / (2.0 * h);
+            assert!((slope - bend(x).1).abs() < 1e-6, "slope at {x}");
+            let third = (second(x + h) - second(x - h)) / (2.0 * h);
+            assert!(third.abs() <= BEND_SLOPE * 1.001, "jerk {third} at {x}");
+            assert!(second(x) < 0.1757 && bend(x).0 < 0.0146);
+        }
     }
 }

@@ -122,7 +122,7 @@ impl<L: Line> Arm<L> {
     pub fn check(machine: &MachineFile) -> Result<(), Error> {
         if !machine.is_master() {
             let what = format!(
-                "{}: not a haptic arm alone; write role = \"master\", as in machines/hand-master.toml",
+                "{}: not a haptic arm alone; write role = \"master\", as in machines/haptic-master.toml",
                 machine.file
             );
             return Err(Error::new(ErrorKind::BadInput, what));
@@ -158,7 +158,7 @@ impl<L: Line> Arm<L> {
         session.forget_axes();
         Ok(Self {
             session,
-            force_feedback: machine.config.haptic.as_ref().map(|arm| arm.reflection),
+            force_feedback: machine.config.haptic.as_ref().map(|arm| arm.feedback),
             origin_us: None,
             newest_period: None,
             telemetry: None,

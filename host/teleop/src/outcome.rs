@@ -31,9 +31,9 @@ pub struct Row {
 
 impl Row {
     /// Names of the columns of [`Row::to_csv`].
-    pub const HEAD: &str = "time_s,state,hand_x_mm,hand_y_mm,hand_z_mm,engaged,age_ms,\
-        wanted_x_mm,wanted_y_mm,wanted_z_mm,tool_x_mm,tool_y_mm,tool_z_mm,\
-        force_x_n,force_y_n,force_z_n,felt_x_n,felt_y_n,felt_z_n,\
+    pub const HEAD: &str = "time_s,state,master_x_mm,master_y_mm,master_z_mm,engaged,age_ms,\
+        commanded_x_mm,commanded_y_mm,commanded_z_mm,tool_x_mm,tool_y_mm,tool_z_mm,\
+        force_x_n,force_y_n,force_z_n,feedback_x_n,feedback_y_n,feedback_z_n,\
         reflected_x_n,reflected_y_n,reflected_z_n\n";
 
     /// The row as a line of CSV.
@@ -101,7 +101,7 @@ pub struct Outcome {
     /// Duration, s.
     pub duration_s: f64,
     /// Samples of the master that were sent to the machine.
-    pub words: u64,
+    pub samples_sent: u64,
     /// Feed holds of the machine.
     pub holds: Vec<HoldRecord>,
     /// Orders that were refused, and why.
@@ -113,7 +113,7 @@ pub struct Outcome {
     /// Largest magnitude of the force on the tool along x, y, z, N.
     pub largest_force_n: [f64; COMPONENTS],
     /// Largest magnitude of the force at the master, N.
-    pub largest_felt_n: [f64; COMPONENTS],
+    pub largest_feedback_n: [f64; COMPONENTS],
     /// Latency from the force measured at the tool to the force at the master.
     pub latency: Option<LatencyFigures>,
     /// The latency is exact to the period: both controllers are simulated.
@@ -121,7 +121,7 @@ pub struct Outcome {
     /// Round-trip time to the machine's controller, ms.
     pub machine_round_trip_ms: f64,
     /// Round-trip time to the master's controller, ms.
-    pub hand_round_trip_ms: f64,
+    pub master_round_trip_ms: f64,
     /// State of the machine's controller at the end.
     pub final_state: String,
     /// The position is known to be right.

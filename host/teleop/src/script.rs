@@ -28,7 +28,7 @@ pub enum Order {
     /// Complete the job.
     End,
     /// Clear the fault of the arm and enable its motors.
-    ResetHand,
+    ResetMaster,
     /// Set G_P.
     Scale(f64),
 }
@@ -46,7 +46,7 @@ pub enum OrderInput {
 }
 
 /// Syntax of the orders.
-pub const ORDERS: &str = "hold, resume, stop, end, reset-hand, or gp=SCALE (0.1 to 2)";
+pub const ORDERS: &str = "hold, resume, stop, end, reset-master, or gp=SCALE (0.1 to 2)";
 
 impl FromStr for Order {
     type Err = String;
@@ -57,7 +57,7 @@ impl FromStr for Order {
             "resume" => Ok(Self::Resume),
             "stop" => Ok(Self::Stop),
             "end" => Ok(Self::End),
-            "reset-hand" => Ok(Self::ResetHand),
+            "reset-master" => Ok(Self::ResetMaster),
             other => match other.strip_prefix("gp=").map(str::parse) {
                 Some(Ok(scale)) => Ok(Self::Scale(scale)),
                 _ => Err(format!("\"{other}\" is no order; write {ORDERS}")),

@@ -97,7 +97,7 @@ impl Column {
             "tool" => record.has(tool),
             "force_high" | "force_low" | "yielded" => record.has(flag::FORCE),
             "force_true" => record.has(flag::FORCE) && record.has(flag::TOOL_TRUE),
-            "hand" | "hand_force" | "hand_reflected" | "hand_wall" => {
+            "master" | "master_force" | "master_reflected" | "master_wall" => {
                 record.haptic_flags & flag::HAPTIC_KNOWN != 0
             }
             _ => true,
@@ -143,10 +143,10 @@ impl Column {
                 | "force_low"
                 | "yielded"
                 | "force_true"
-                | "hand"
-                | "hand_force"
-                | "hand_reflected"
-                | "hand_wall"
+                | "master"
+                | "master_force"
+                | "master_reflected"
+                | "master_wall"
         )
     }
 }
@@ -171,6 +171,10 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
             Field::Flag(flag::POSITION_KEPT),
         ),
     ];
+    if config.volumetric.is_some() {
+        let field = Field::Flag(flag::COMPENSATED);
+        all.push(Column::plain("compensated", "state", "", field));
+    }
     let pose: [(&'static str, Places); 3] = [
         ("commanded", Places::Positions(Quantity::Commanded)),
         ("programmed", Places::Positions(Quantity::Programmed)),
@@ -224,16 +228,16 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
     all.extend(io_columns(recording));
     if header.has_haptic_arm {
         all.extend(component_columns(
-            "hand",
+            "master",
             "mm",
             |record| &record.haptic.tip,
             1.0 / MM,
         ));
-        all.push(Column::plain("hand_held", "hand", "", Field::Clutch));
+        all.push(Column::plain("master_engaged", "master", "", Field::Clutch));
         let masters: [(&'static str, Forces); 3] = [
-            ("hand_force", |record| &record.haptic.force),
-            ("hand_reflected", |record| &record.haptic.reflected),
-            ("hand_wall", |record| &record.haptic.wall),
+            ("master_force", |record| &record.haptic.force),
+            ("master_reflected", |record| &record.haptic.reflected),
+            ("master_wall", |record| &record.haptic.wall),
         ];
         for (group, row) in masters {
             all.extend(component_columns(group, "n", row, NEWTON));

@@ -169,6 +169,8 @@ pub mod flag {
     pub const FAULT: u8 = 32;
     /// The machine has a force sensor.
     pub const FORCE: u8 = 64;
+    /// Volumetric compensation is in full effect.
+    pub const COMPENSATED: u8 = 128;
     /// Flag of the haptic arm: its values are valid. A controller behind a port reports them only
     /// on request.
     pub const HAPTIC_KNOWN: u32 = 1;
@@ -307,12 +309,13 @@ impl Record {
         self.drive = snapshot.drive;
         self.force = snapshot.force;
         self.io = snapshot.io;
-        self.haptic = snapshot.hand;
+        self.haptic = snapshot.haptic;
         self.haptic_flags |= flag::HAPTIC_KNOWN;
         for (set, flag) in [
             (snapshot.homed, flag::HOMED),
             (snapshot.position_kept, flag::POSITION_KEPT),
             (snapshot.fault, flag::FAULT),
+            (snapshot.compensated, flag::COMPENSATED),
         ] {
             self.flags = self.flags & !flag | if set { flag } else { 0 };
         }

@@ -1,7 +1,7 @@
 //! Export of a recording as MCAP, for Foxglove and PlotJuggler.
 //!
 //! Each group of columns is a channel: `/state`, `/pose/commanded`, `/joints/error`, `/drives`,
-//! `/force/high`, for a haptic arm `/hand`. A sample is a JSON message with a JSON schema, which
+//! `/force/high`, for a haptic arm `/master`. A sample is a JSON message with a JSON schema, which
 //! both programs read without a plug-in. Events are on `/events` as `foxglove.Log`. Times count
 //! from the power-on of the controller. Machine file, part program and configuration are
 //! attachments; versions and hash are metadata.
@@ -40,9 +40,9 @@ fn topic(group: &str) -> String {
         "force_high" => "/force/high".to_string(),
         "force_low" => "/force/low".to_string(),
         "force_true" => "/force/true".to_string(),
-        "hand_force" => "/hand/force".to_string(),
-        "hand_reflected" => "/hand/reflected".to_string(),
-        "hand_wall" => "/hand/wall".to_string(),
+        "master_force" => "/master/force".to_string(),
+        "master_reflected" => "/master/reflected".to_string(),
+        "master_wall" => "/master/wall".to_string(),
         other => format!("/{other}"),
     }
 }
@@ -82,7 +82,7 @@ fn schema(title: &str, fields: &[(String, Column)]) -> serde_json::Value {
     for (name, column) in fields {
         let kind = match (column.name.as_str(), column.unit) {
             ("state", _) => json!({"type": "string"}),
-            ("homed" | "position_kept" | "hand_held", _) => json!({"type": "boolean"}),
+            ("homed" | "position_kept" | "master_engaged", _) => json!({"type": "boolean"}),
             ("setpoint" | "line" | "spindle_rpm" | "period", _) => json!({"type": "integer"}),
             (_, "") => json!({"type": "number"}),
             (_, unit) => json!({"type": "number", "description": unit}),

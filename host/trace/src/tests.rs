@@ -116,7 +116,7 @@ proptest! {
             let read: Vec<Record> = recording.iter().unwrap().map(|record| record.unwrap()).collect();
             prop_assert_eq!(&read, &expected);
             prop_assert_eq!(recording.last().unwrap(), expected.last().copied());
-            let named = columns(&recording).iter().any(|column| column.name == "z_hand_reflected_n");
+            let named = columns(&recording).iter().any(|column| column.name == "z_master_reflected_n");
             prop_assert_eq!(named, has_haptic_arm);
         }
     }

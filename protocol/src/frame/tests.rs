@@ -129,9 +129,9 @@ proptest! {
         encode(header, &payload, theirs, &mut frame).unwrap();
         let mut decoder = FrameDecoder::new();
         decoder.set_session(ours);
-        let greeting = matches!(header, Header::Hello | Header::Welcome);
-        prop_assert_eq!(frames(&mut decoder, &frame).len(), usize::from(greeting));
-        prop_assert_eq!(decoder.bad_frames(), u32::from(!greeting));
+        let handshake = matches!(header, Header::Hello | Header::Welcome);
+        prop_assert_eq!(frames(&mut decoder, &frame).len(), usize::from(handshake));
+        prop_assert_eq!(decoder.bad_frames(), u32::from(!handshake));
     }
 }
 

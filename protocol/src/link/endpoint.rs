@@ -10,7 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// An endpoint of a link: [`Host`] or [`Controller`].
-pub trait Endpoint: greet::Greet {
+pub trait Endpoint: handshake::Handshake {
     /// Messages that it sends.
     type Outgoing: Serialize;
     /// Messages that it receives.
@@ -18,18 +18,22 @@ pub trait Endpoint: greet::Greet {
 }
 
 /// Sealed trait: callers cannot name its types.
-pub(super) mod greet {
+pub(super) mod handshake {
     use super::{Header, LinkState, Payload};
 
     /// Start of a session at an endpoint.
-    pub trait Greet: Default {
+    pub trait Handshake: Default {
         /// Takes a Hello or Welcome. Returns true when it may have opened a session.
         fn greeted(&mut self, header: Header, payload: &[u8]) -> bool;
         /// Returns the session that was just opened.
         fn accepted(&mut self) -> Option<u32>;
         /// Returns the header of a Hello or Welcome that is due, and writes its payload.
-        fn greeting(&mut self, now_us: u64, every_us: u32, payload: &mut Payload)
-        -> Option<Header>;
+        fn handshake_frame(
+            &mut self,
+            now_us: u64,
+            every_us: u32,
+            payload: &mut Payload,
+        ) -> Option<Header>;
         /// Returns the state while no session is open.
         fn closed(&self) -> LinkState;
     }
@@ -64,7 +68,7 @@ impl Endpoint for Host {
     type Incoming = Report;
 }
 
-impl greet::Greet for Host {
+impl handshake::Handshake for Host {
     fn greeted(&mut self, header: Header, payload: &[u8]) -> bool {
         let Phase::Opening { session, .. } = self.phase else {
             return false;
@@ -92,7 +96,12 @@ impl greet::Greet for Host {
         Some(session)
     }
 
-    fn greeting(&mut self, now_us: u64, every_us: u32, payload: &mut Payload) -> Option<Header> {
+    fn handshake_frame(
+        &mut self,
+        now_us: u64,
+        every_us: u32,
+        payload: &mut Payload,
+    ) -> Option<Header> {
         let Phase::Opening { session, next_us } = self.phase else {
             return None;
         };
@@ -163,7 +172,7 @@ impl Endpoint for Controller {
     type Incoming = Request;
 }
 
-impl greet::Greet for Controller {
+impl handshake::Handshake for Controller {
     fn greeted(&mut self, header: Header, payload: &[u8]) -> bool {
         if header == Header::Hello
             && let Ok(hello) = postcard::from_bytes::<Hello>(payload)
@@ -179,7 +188,7 @@ impl greet::Greet for Controller {
         None
     }
 
-    fn greeting(&mut self, _: u64, _: u32, payload: &mut Payload) -> Option<Header> {
+    fn handshake_frame(&mut self, _: u64, _: u32, payload: &mut Payload) -> Option<Header> {
         let welcome = self.welcome.take()?;
         payload.encode(&welcome).ok()?;
         Some(Header::Welcome)

@@ -106,6 +106,8 @@ pub enum Refusal {
     Compliant,
     /// Force control was requested while the force sensor is invalid.
     ForceSensor(ForceProblem),
+    /// The machine has no tables for volumetric compensation.
+    NoErrorTables,
     /// The machine has no haptic arm, or its tool cannot be led by one.
     NoMaster,
     /// A virtual fixture is so near the opposite one that the ball at the tip does not fit between
@@ -236,6 +238,7 @@ pub enum ConfigField {
     Follow,
     Input,
     Output,
+    Volumetric,
 }
 
 /// Reason why the controller stopped by itself; latched until reset.

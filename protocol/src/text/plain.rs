@@ -108,6 +108,7 @@ impl Display for ConfigField {
             Self::Follow => "teleoperation ([follow])",
             Self::Input => "inputs (a channel or function that is used twice, or a range)",
             Self::Output => "outputs (a channel or function that is used twice, or a range)",
+            Self::Volumetric => "volumetric compensation (size or slope of a table, or its range)",
         })
     }
 }
@@ -162,6 +163,7 @@ impl Command {
             Self::ForceSettings { .. } => "force settings",
             Self::SetOutput { .. } => "set output",
             Self::SetAnalogOutput { .. } => "set analog output",
+            Self::Compensation { .. } => "compensation",
             Self::ArmProbe { .. } => "arm probe",
         }
     }

@@ -120,6 +120,10 @@ impl Describe for Refusal {
                 f.write_str("force control is on and the force sensor is invalid: ")?;
                 problem.describe(axes, f)
             }
+            Self::NoErrorTables => f.write_str(
+                "the machine has no error tables; add a section [compensation] to the machine \
+                 file and configure the controller with it",
+            ),
             Self::NoMaster => f.write_str(
                 "the machine has no master; add the sections [haptic] or [follow] \
                  to the machine file and configure the controller with it",
@@ -219,6 +223,7 @@ impl ConfigProblem {
                 | ConfigField::Jerk
                 | ConfigField::Force
                 | ConfigField::Follow
+                | ConfigField::Volumetric
         )
     }
 }

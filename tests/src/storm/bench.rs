@@ -183,6 +183,7 @@ pub const fn name(command: &Command) -> &'static str {
         Command::SetOutput { .. } => "SetOutput",
         Command::SetAnalogOutput { .. } => "SetAnalogOutput",
         Command::ArmProbe { .. } => "ArmProbe",
+        Command::Compensation { .. } => "Compensation",
     }
 }
 

@@ -1,7 +1,7 @@
 //! Random commands with valid, boundary and absurd arguments.
 
 use super::rng::Rng;
-use haptimill_protocol::force::{ForceLoop, Gate};
+use haptimill_protocol::force::{EnableCondition, ForceLoop};
 use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose, VirtualFixture};
 use haptimill_protocol::message::{
     Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source,
@@ -43,12 +43,12 @@ fn values(rng: &mut Rng) -> AxisValues {
         .collect()
 }
 
-fn gate(rng: &mut Rng) -> Gate {
+fn enable_condition(rng: &mut Rng) -> EnableCondition {
     rng.choose(&[
-        Gate::AgainstMotion,
-        Gate::Any,
-        Gate::Positive,
-        Gate::Negative,
+        EnableCondition::AgainstMotion,
+        EnableCondition::Any,
+        EnableCondition::Positive,
+        EnableCondition::Negative,
     ])
 }
 
@@ -60,7 +60,7 @@ pub fn valid_loop(rng: &mut Rng) -> ForceLoop {
         damping: (rng.log_uniform(1.0, 40.0) * 65_536.0) as u32,
         limit: (rng.uniform(1.0, 20.0) * 1_048_576.0) as i32,
         rate: (rng.uniform(1.0, 20.0) * 1_048_576.0) as i32,
-        gate: gate(rng),
+        enable_condition: enable_condition(rng),
     }
 }
 
@@ -72,7 +72,7 @@ pub fn compliant_loop(rng: &mut Rng) -> ForceLoop {
         damping: (rng.uniform(4.0, 8.0) * 65_536.0) as u32,
         limit: 10 << 20,
         rate: 20 << 20,
-        gate: Gate::Any,
+        enable_condition: EnableCondition::Any,
     }
 }
 
@@ -204,7 +204,7 @@ pub fn any(rng: &mut Rng) -> Command {
                     damping: word(rng) as u32,
                     limit: word(rng),
                     rate: word(rng),
-                    gate: gate(rng),
+                    enable_condition: enable_condition(rng),
                 }
             };
             Command::ForceLoop {
@@ -266,7 +266,7 @@ pub fn refused(rng: &mut Rng) -> Command {
                 damping: 0,
                 limit: -1,
                 rate: 0,
-                gate: Gate::Any,
+                enable_condition: EnableCondition::Any,
             },
         },
     }

@@ -20,7 +20,7 @@ const LONGEST: Duration = Duration::from_secs(5);
 const TEXTS: [&str; 5] = [
     include_str!("../../../machines/h4.toml"),
     include_str!("../../../machines/h4-step.toml"),
-    include_str!("../../../machines/hand-master.toml"),
+    include_str!("../../../machines/haptic-master.toml"),
     include_str!("../../../examples/block.toml"),
     include_str!("../../../examples/teleop.toml"),
 ];

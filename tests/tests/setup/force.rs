@@ -7,7 +7,7 @@ use haptimill_hil_sim::process::{
     Area, Coefficients, CutterConfig, CuttingConfig, ElasticWall, WorkpieceConfig,
 };
 use haptimill_hil_sim::rig::Control;
-use haptimill_protocol::force::{ForceLoop, Gate};
+use haptimill_protocol::force::{EnableCondition, ForceLoop};
 use haptimill_protocol::message::{Action, AxisValues, Command, Event, State};
 use haptimill_protocol::setpoint::Setpoint;
 use haptimill_tests::Bench;
@@ -21,14 +21,14 @@ pub const PERIOD: f64 = 2e-4;
 pub const RPM: i16 = 5000;
 
 /// Settings of the machine file, with another enable condition and other gains.
-pub fn force_settings(mass: f64, damping: f64, gate: Gate) -> ForceLoop {
+pub fn force_settings(mass: f64, damping: f64, enable_condition: EnableCondition) -> ForceLoop {
     ForceLoop {
         desired: (5.0 * NEWTON) as i32,
         mass: (mass * NEWTON) as u32,
         damping: (damping * NEWTON) as u32,
         limit: (10.0 * MM) as i32,
         rate: (20.0 * MM) as i32,
-        gate,
+        enable_condition,
     }
 }
 

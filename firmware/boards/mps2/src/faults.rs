@@ -121,6 +121,6 @@ fn deeper(depth: u32) -> u32 {
 #[inline(never)]
 fn wide() {
     // Larger than the stack.
-    let mut room = [0_u8; 100 * 1024];
+    let mut room = [0_u8; 160 * 1024];
     black_box(&mut room);
 }

@@ -1,88 +1,76 @@
 //! Conformance suite of machine kinematics: every machine must pass it.
 //!
-//! A new machine needs one [`subject::Subject`], one row in the firmware's test
-//! `kinematics_conformance`, and one row here. The subject has reference values in f64 from the
-//! closure of its loops and not from the firmware's formulas. The counts here are those that a
-//! small chip without an f64 unit does in a second.
+//! A new machine needs a [`subject::Subject`] and its rows in the list of `subjects!`. The subject
+//! has reference values in f64 from the closure of its loops and not from the firmware's formulas.
+//! The list gives the checks of a chip here, and the tests with large counts in the firmware's test
+//! `kinematics_conformance`.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
 )]
 
 pub mod cartesian;
+pub mod facet;
 pub mod h4;
+pub mod scara;
 pub mod subject;
 pub mod suite;
 pub mod trunnion;
 
 use crate::Check;
 
-/// Number of poses and joint positions of a check on a chip.
-const COUNT: usize = 4000;
+/// The list of subjects: calls the macro `$rows` with a row for each.
+///
+/// A row is a name, a subject, the share of the natively tested poses, and the number of poses on a
+/// chip. A small chip without an f64 unit does 4000 poses in a second.
+#[macro_export]
+macro_rules! subjects {
+    ($rows:ident) => {
+        $rows! {
+            h4_reference: h4::Arm::new(h4::REFERENCE), 1.0, 4000;
+            h4_other: h4::Arm::new(h4::OTHER), 0.2, 1000;
+            cartesian_slides: cartesian::Slides::default(), 0.1, 1000;
+            trunnion_apart: trunnion::TrunnionMill::new(trunnion::APART), 0.5, 1000;
+            trunnion_meeting: trunnion::TrunnionMill::new(trunnion::MEETING), 0.1, 200;
+            facet_long: facet::Faceter::new(facet::LONG), 0.5, 1000;
+            facet_short: facet::Faceter::new(facet::SHORT), 0.1, 200;
+            scara_right: scara::Arm::new(scara::RIGHT), 0.2, 500;
+            scara_left: scara::Arm::new(scara::LEFT), 0.1, 200;
+        }
+    };
+}
 
-/// The checks of this module.
-pub const CHECKS: &[Check] = &[
-    Check {
-        name: "kinematics::h4_reference::inverse_is_the_closure_and_forward_turns_it_round",
-        run: || {
-            suite::inverse_against_closure(&h4::Arm::new(h4::REFERENCE), COUNT);
-        },
-    },
-    Check {
-        name: "kinematics::h4_reference::no_wrong_pose",
-        run: || {
-            suite::forward_is_certified(&h4::Arm::new(h4::REFERENCE), COUNT);
-        },
-    },
-    Check {
-        name: "kinematics::h4_reference::extremes",
-        run: || suite::extremes(&h4::Arm::new(h4::REFERENCE), COUNT),
-    },
-    Check {
-        name: "kinematics::h4_reference::derivatives",
-        run: || suite::derivatives_against_differences(&h4::Arm::new(h4::REFERENCE), COUNT / 50),
-    },
-    Check {
-        name: "kinematics::h4_other::inverse_is_the_closure_and_forward_turns_it_round",
-        run: || {
-            suite::inverse_against_closure(&h4::Arm::new(h4::OTHER), COUNT / 4);
-        },
-    },
-    Check {
-        name: "kinematics::h4_other::no_wrong_pose",
-        run: || {
-            suite::forward_is_certified(&h4::Arm::new(h4::OTHER), COUNT / 4);
-        },
-    },
-    Check {
-        name: "kinematics::cartesian::inverse_is_the_closure_and_forward_turns_it_round",
-        run: || {
-            suite::inverse_against_closure(&cartesian::Slides::default(), COUNT / 4);
-        },
-    },
-    Check {
-        name: "kinematics::cartesian::extremes",
-        run: || suite::extremes(&cartesian::Slides::default(), COUNT / 4),
-    },
-    Check {
-        name: "kinematics::trunnion::inverse_is_the_closure_and_forward_turns_it_round",
-        run: || {
-            let mill = trunnion::TrunnionMill::new(trunnion::APART);
-            suite::inverse_against_closure(&mill, COUNT / 4);
-        },
-    },
-    Check {
-        name: "kinematics::trunnion::extremes",
-        run: || {
-            let mill = trunnion::TrunnionMill::new(trunnion::APART);
-            suite::extremes(&mill, COUNT / 4);
-        },
-    },
-    Check {
-        name: "kinematics::trunnion::derivatives",
-        run: || {
-            let mill = trunnion::TrunnionMill::new(trunnion::APART);
-            suite::derivatives_against_differences(&mill, COUNT / 50);
-        },
-    },
-];
+/// Defines the checks of a chip.
+macro_rules! checks {
+    ($($name:ident: $subject:expr, $share:literal, $count:literal;)*) => {
+        /// The checks of this module.
+        pub const CHECKS: &[Check] = &[$(
+            Check {
+                name: concat!(
+                    "kinematics::",
+                    stringify!($name),
+                    "::inverse_matches_closure_and_forward_inverts_it"
+                ),
+                run: || {
+                    suite::inverse_against_closure(&$subject, $count);
+                },
+            },
+            Check {
+                name: concat!("kinematics::", stringify!($name), "::no_wrong_pose"),
+                run: || {
+                    suite::forward_is_certified(&$subject, $count);
+                },
+            },
+            Check {
+                name: concat!("kinematics::", stringify!($name), "::extremes"),
+                run: || suite::extremes(&$subject, $count),
+            },
+            Check {
+                name: concat!("kinematics::", stringify!($name), "::derivatives"),
+                run: || suite::derivatives_against_differences(&$subject, $count / 50),
+            },
+        )*];
+    };
+}
+
+subjects!(checks);

@@ -11,7 +11,7 @@
 //! tip is below 20 nm and that of a direction below 50 nrad (verified by a test); f32 would give
 //! 1.4 urad.
 //!
-//! A [`HandPose`] is only as good as the readings. Callers must obtain it from [`HapticArm::pose`]
+//! A [`ArmPose`] is only as good as the readings. Callers must obtain it from [`HapticArm::pose`]
 //! or [`HapticArm::find`], which check the sides of the platform.
 
 pub mod statics;
@@ -115,7 +115,7 @@ pub struct LegPose {
 
 /// Pose of the handle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct HandPose {
+pub struct ArmPose {
     /// The legs.
     pub legs: [LegPose; LEGS],
     /// The platform's centre, (3.10).
@@ -199,8 +199,8 @@ impl HapticArm {
     ///
     /// # Errors
     /// See [`ArmError`].
-    pub fn pose(&self, readings: &[LegReading; LEGS]) -> Result<HandPose, ArmError> {
-        let mut pose = HandPose::default();
+    pub fn pose(&self, readings: &[LegReading; LEGS]) -> Result<ArmPose, ArmError> {
+        let mut pose = ArmPose::default();
         self.find(readings, &mut pose)?;
         Ok(pose)
     }
@@ -210,7 +210,7 @@ impl HapticArm {
     ///
     /// # Errors
     /// See [`ArmError`].
-    pub fn find(&self, readings: &[LegReading; LEGS], pose: &mut HandPose) -> Result<(), ArmError> {
+    pub fn find(&self, readings: &[LegReading; LEGS], pose: &mut ArmPose) -> Result<(), ArmError> {
         let legs = self.legs.iter().zip(readings).zip(&mut pose.legs);
         for (index, ((stand, reading), leg)) in legs.enumerate() {
             if reading.slide.magnitude() > SLIDE_MAX.0 as u32 {

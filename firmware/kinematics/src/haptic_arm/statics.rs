@@ -27,7 +27,7 @@
 
 use haptimill_math::force::Force;
 
-use super::{HandPose, HapticArm, LEGS, Vector};
+use super::{ArmPose, HapticArm, LEGS, Vector};
 
 /// Force and moment on the operator's hand, about the platform's centre.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -45,7 +45,7 @@ impl Wrench {
     /// where it acts, and the passivity observer counts the power of the tip's motion
     /// (docs/control.md, force feedback).
     #[must_use]
-    pub fn at_tip(force: &[Force; 3], pose: &HandPose) -> Self {
+    pub fn at_tip(force: &[Force; 3], pose: &ArmPose) -> Self {
         let force = force.map(|part| part.0 as f32 * (1.0 / 65_536.0));
         let lever: [f32; 3] = core::array::from_fn(|axis| {
             pose.tip[axis].wrapping_sub(pose.centre[axis]) as f32 * (1.0 / 1_048_576.0)
@@ -104,7 +104,7 @@ impl HapticArm {
     #[inline(never)]
     pub fn efforts(
         &self,
-        pose: &HandPose,
+        pose: &ArmPose,
         wrench: &Wrench,
         limit: f32,
     ) -> Result<Efforts, Singular> {

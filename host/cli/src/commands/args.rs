@@ -9,7 +9,7 @@ use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::{MachineFile, stock};
 use haptimill_teleop::script::Script;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The machine file of a command without a port.
 #[derive(Debug, Clone, Args)]
@@ -40,6 +40,10 @@ pub struct BoardArg {
     /// --machine; only with the drives off
     #[arg(long, requires = "machine")]
     pub replace_machine: bool,
+    /// Geometric errors of the machine, which the controller compensates: an error file as
+    /// `haptimill calibrate laser` writes it
+    #[arg(long, requires = "machine", value_name = "FILE")]
+    pub errors: Option<PathBuf>,
 }
 
 impl BoardArg {
@@ -48,14 +52,32 @@ impl BoardArg {
     /// # Errors
     /// Every problem of the file.
     pub fn load(&self) -> Result<Chosen, CliError> {
+        let machine = load_machine(self.machine.as_ref())?;
+        let file = match &self.errors {
+            Some(path) => with_errors(&machine, path)?,
+            None => machine,
+        };
         Ok(Chosen {
-            file: load_machine(self.machine.as_ref())?,
+            file,
             named: self.machine.is_some(),
             replace: self.replace_machine,
             base: None,
             is_second: false,
         })
     }
+}
+
+/// Chain of a machine file without a section `[compensation]`: a table that moves along y, and a
+/// spindle along x, then z.
+const CHAIN: &str = "wYbXZt";
+
+/// The machine with the errors of a file, which its controller compensates.
+///
+/// # Errors
+/// The file cannot be read, or the controller would refuse its errors.
+pub(super) fn with_errors(machine: &MachineFile, path: &Path) -> Result<MachineFile, CliError> {
+    let text = haptimill_machine_file::read_text(path)?;
+    Ok(machine.with_errors(&path.display().to_string(), &text, CHAIN)?)
 }
 
 fn load_machine(path: Option<&PathBuf>) -> Result<MachineFile, CliError> {
@@ -183,7 +205,7 @@ impl StockArg {
         };
         let what = format!(
             "--stock {}: a simulated stock is for the simulator in this process; leave it out, \
-             and clamp the stock on the table",
+             and clamp the stock on the table, or give it to `haptimill sim serve`",
             path.display()
         );
         Err(CliError::new(Exit::Usage, what))
@@ -210,10 +232,10 @@ impl OperatorArg {
             return Ok(None);
         };
         let plant: PlantConfig = machine.plant()?;
-        if plant.hand.is_none() {
+        if plant.operator.is_none() {
             let what = format!(
-                "--operator: {}: has no sections [plant.haptic] and [plant.hand]; use \
-                 machines/hand-master.toml, or append machines/hand.toml",
+                "--operator: {}: has no sections [plant.haptic] and [plant.operator]; use \
+                 machines/haptic-master.toml, or append machines/haptic-arm.toml",
                 machine.file
             );
             return Err(CliError::new(Exit::Usage, what));

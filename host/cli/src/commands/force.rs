@@ -6,8 +6,8 @@ use super::{CliError, Exit};
 use clap::{Args, Subcommand};
 use haptimill_client::board::Need;
 use haptimill_client::session::{ForceLoopChanges, PortLine, Session};
-use haptimill_machine_file::GATES;
-use haptimill_protocol::force::{COMPONENTS, ForceLoop, ForceTelemetry, Gate};
+use haptimill_machine_file::ENABLE_CONDITIONS;
+use haptimill_protocol::force::{COMPONENTS, EnableCondition, ForceLoop, ForceTelemetry};
 
 /// Names of the force components.
 const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
@@ -55,7 +55,7 @@ pub struct SetArgs {
     pub rate: Option<f64>,
     /// Enable condition of the compliance: against_motion, any, positive or negative
     #[arg(long, value_name = "WHEN", value_parser = parse_gate)]
-    pub gate: Option<Gate>,
+    pub enable_condition: Option<EnableCondition>,
     #[command(flatten)]
     #[allow(missing_docs)]
     pub simple: SimpleArgs,
@@ -126,10 +126,10 @@ fn finite(text: &str) -> Result<f64, String> {
     }
 }
 
-fn parse_gate(text: &str) -> Result<Gate, String> {
-    let found = GATES.iter().find(|(word, _)| *word == text);
+fn parse_gate(text: &str) -> Result<EnableCondition, String> {
+    let found = ENABLE_CONDITIONS.iter().find(|(word, _)| *word == text);
     found
-        .map(|(_, gate)| *gate)
+        .map(|(_, enable_condition)| *enable_condition)
         .ok_or_else(|| "write against_motion, any, positive or negative".to_string())
 }
 
@@ -153,7 +153,7 @@ pub fn run(command: ForceCommand) -> Result<(), CliError> {
             let choice = ForceLoopChanges {
                 limit_mm: args.limit,
                 rate_mm_s: args.rate,
-                gate: args.gate,
+                enable_condition: args.enable_condition,
                 ..args.settings.choice()
             };
             session.change_force_loops(&args.axes.0, &choice)?;
@@ -226,7 +226,7 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     );
     row("limit", "mm", millimetres(loops.map(|x| x.limit)));
     row("rate limit", "mm/s", millimetres(loops.map(|x| x.rate)));
-    let [x, y, z] = loops.map(|settings| gate_name(settings.gate));
+    let [x, y, z] = loops.map(|settings| enable_condition_name(settings.enable_condition));
     print_line!("{:<14}x {x}, y {y}, z {z}", "enabled");
     let axes: Vec<&str> = axes_under_control(&force);
     let axes = if axes.is_empty() {
@@ -255,8 +255,10 @@ fn millimetres(values: [i32; COMPONENTS]) -> [f64; COMPONENTS] {
 }
 
 /// Name of an enable condition in the machine file and on the command line.
-fn gate_name(gate: Gate) -> &'static str {
-    let found = GATES.iter().find(|(_, known)| *known == gate);
+fn enable_condition_name(enable_condition: EnableCondition) -> &'static str {
+    let found = ENABLE_CONDITIONS
+        .iter()
+        .find(|(_, known)| *known == enable_condition);
     found.map_or("", |(word, _)| word)
 }
 
@@ -268,7 +270,7 @@ fn loop_to_json(settings: &ForceLoop) -> serde_json::Value {
         "damping_n_s_per_mm": f64::from(settings.damping) / 65_536.0,
         "limit_mm": f64::from(settings.limit) / 1_048_576.0,
         "rate_mm_s": f64::from(settings.rate) / 1_048_576.0,
-        "gate": gate_name(settings.gate),
+        "enable_condition": enable_condition_name(settings.enable_condition),
     })
 }
 

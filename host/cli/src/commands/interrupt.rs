@@ -14,6 +14,7 @@ pub fn flag() -> Arc<AtomicBool> {
         let shared = Arc::clone(&flag);
         let handler = move || {
             if shared.swap(true, Ordering::Relaxed) {
+                restore_terminal();
                 std::process::exit(i32::from(super::Exit::Stopped as u8));
             }
         };
@@ -26,4 +27,27 @@ pub fn flag() -> Arc<AtomicBool> {
         flag
     })
     .clone()
+}
+
+/// Settings of the terminal before a command changed them.
+#[cfg(unix)]
+static TERMINAL: std::sync::Mutex<Option<rustix::termios::Termios>> = std::sync::Mutex::new(None);
+
+/// Keeps the settings of the terminal for [`restore_terminal`].
+#[cfg(unix)]
+pub(super) fn keep_terminal(settings: rustix::termios::Termios) {
+    if let Ok(mut kept) = TERMINAL.lock() {
+        *kept = Some(settings);
+    }
+}
+
+/// Gives the terminal the settings that were kept.
+pub(super) fn restore_terminal() {
+    #[cfg(unix)]
+    if let Ok(mut kept) = TERMINAL.lock()
+        && let Some(settings) = kept.take()
+    {
+        let now = rustix::termios::OptionalActions::Now;
+        let _ = rustix::termios::tcsetattr(std::io::stdin(), now, &settings);
+    }
 }

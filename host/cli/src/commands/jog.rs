@@ -5,33 +5,47 @@ use super::board::file_of;
 use super::simple::{open, print_status};
 use super::{CliError, Exit};
 use clap::Args;
-use haptimill_client::session::{EMERGENCY_STOP, check_has_tool};
+use haptimill_client::board::Chosen;
+use haptimill_client::session::{EMERGENCY_STOP, NoObserver, check_has_tool, plan_straight_move};
+use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::scale::per_unit;
 use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
 use std::str::FromStr;
 
 const LONG: &str = "\
-Move pose coordinates at a rate for a time.
+Move pose coordinates at a rate for a time, or by a distance.
 
 Rates are in mm/s and degrees/s: `haptimill jog x=5 b=-2 --for 1.5`. AXIS is the name of a pose \
 coordinate in the machine file, or its letter in part programs; a wrong name lists those of the \
 machine. The controller clips the motion to the soft limits. It stops the machine when it receives \
-nothing from this command for --deadline milliseconds. Ctrl-C stops.";
+nothing from this command for --deadline milliseconds. Ctrl-C stops.
+
+`haptimill jog --by x=5` moves by a distance instead, in mm and degrees, along a straight line at \
+--feed. The machine must be homed. A move beyond a soft limit is refused.";
 
 /// Arguments of `haptimill jog`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Move pose coordinates at a rate for a time", long_about = LONG)]
+#[command(about = "Move pose coordinates at a rate for a time, or by a distance",
+          long_about = LONG)]
 pub struct JogArgs {
     /// Pose coordinates and rates, mm/s or deg/s
     #[arg(
         value_name = "AXIS=RATE",
-        required = true,
+        required_unless_present = "by",
+        conflicts_with = "by",
         allow_negative_numbers = true
     )]
     pub axes: Vec<AxisRate>,
+    /// Move by distances in mm or degrees instead, as x=5 or "x=5 y=-2"
+    #[arg(long, value_name = "AXIS=DISTANCE", num_args = 1.., allow_negative_numbers = true)]
+    pub by: Vec<AxisRate>,
+    /// With --by: feed in mm/min (deg/min where only rotary coordinates move)
+    #[arg(long, value_name = "FEED", default_value_t = 300.0, requires = "by")]
+    pub feed: f64,
     /// Duration of the jog
-    #[arg(long = "for", value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
+    #[arg(long = "for", value_name = "SECONDS", default_value_t = 1.0, conflicts_with = "by",
+          value_parser = seconds)]
     pub duration: f64,
     /// Dead-man time: the machine stops when the controller receives nothing for this long
     #[arg(long, value_name = "MS", default_value_t = 200, value_parser = clap::value_parser!(u16).range(1..=1000))]
@@ -82,6 +96,9 @@ const REPEAT: f64 = 0.3;
 /// See [`Exit`].
 pub fn run(args: JogArgs) -> Result<(), CliError> {
     let chosen = args.machine.load()?;
+    if !args.by.is_empty() {
+        return move_by(&args, &chosen);
+    }
     if chosen.named {
         rates(&args, &chosen.file)?;
     }
@@ -147,6 +164,68 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     Ok(())
 }
 
+/// The host's number of the job of a move by a distance.
+const MOVE_JOB: u32 = 2;
+
+/// Moves by distances along a straight line.
+fn move_by(args: &JogArgs, chosen: &Chosen) -> Result<(), CliError> {
+    check_feed(args.feed)?;
+    if chosen.named {
+        distances(&args.by, &chosen.file)?;
+    }
+    let mut session = open(&args.connect, &chosen.file)?;
+    let machine = file_of(chosen, &mut session)?;
+    let distances = distances(&args.by, &machine)?;
+    let from = session.status()?.commanded;
+    let mut to = session.model().to_engineering_units(&from);
+    for (value, distance) in to.iter_mut().zip(distances) {
+        *value += distance;
+    }
+    let to = session.model().to_axis_units(&to);
+    let plan = plan_straight_move(&machine, session.model(), &from, &to, Some(args.feed))?;
+    let end = session.run_job(MOVE_JOB, from, plan.setpoints, &mut NoObserver)?;
+    session.check_completed(&end)?;
+    print_status(&mut session, args.json)
+}
+
+/// Refuses a feed that is not above 0.
+///
+/// # Errors
+/// [`Exit::Usage`].
+pub(super) fn check_feed(feed: f64) -> Result<(), CliError> {
+    if feed.is_finite() && feed > 0.0 {
+        return Ok(());
+    }
+    let what = format!("--feed {feed}: write a feed above 0");
+    Err(CliError::new(Exit::Usage, what))
+}
+
+/// Distances of all pose coordinates, mm and degrees.
+fn distances(given: &[AxisRate], machine: &MachineFile) -> Result<Vec<f64>, CliError> {
+    check_has_tool(machine)?;
+    let mut distances = vec![0.0; machine.pose.len()];
+    for command in given {
+        let index = axis_index(machine, &command.axis)?;
+        let axis = &machine.pose[index];
+        let usage = |what: String| CliError::new(Exit::Usage, what);
+        if distances[index] != 0.0 {
+            let what = format!("{} is given twice; leave one out", axis.name);
+            return Err(usage(what));
+        }
+        // Half a turn at most: beyond it, a coordinate that wraps around would turn the other way.
+        let most = match axis.kind {
+            AxisKind::Rotary => 180.0,
+            AxisKind::Linear => 1e6,
+        };
+        if command.rate.abs() >= most {
+            let what = format!("{}={}: write less than {most}", command.axis, command.rate);
+            return Err(usage(what));
+        }
+        distances[index] = command.rate;
+    }
+    Ok(distances)
+}
+
 /// Rates of all pose coordinates in the units of the protocol.
 fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> {
     let mut rates: Vec<i32> = vec![0; machine.pose.len()];
@@ -179,7 +258,7 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
 ///
 /// # Errors
 /// [`Exit::Usage`].
-pub(super) fn axis_index(machine: &MachineFile, name: &str) -> Result<usize, CliError> {
+pub(crate) fn axis_index(machine: &MachineFile, name: &str) -> Result<usize, CliError> {
     let described = machine.config.model.descriptor().pose;
     let letters = described
         .iter()

@@ -10,8 +10,13 @@ macro_rules! print_line {
 
 pub mod args;
 mod board;
+pub mod calibrate;
 pub mod console;
+pub mod dnc;
+pub mod engrave;
+pub mod examples;
 pub(crate) mod exit;
+pub mod facet;
 pub mod force;
 
 pub(crate) mod interrupt;
@@ -19,11 +24,17 @@ mod io_status;
 pub mod jog;
 pub mod kin;
 pub mod machine;
+pub mod mdi;
 pub mod named_io;
 pub mod offset;
+pub(crate) mod operator_input;
 mod output;
 pub mod ports;
+pub mod preview;
+pub mod probe_cycle;
+mod probing;
 pub(crate) mod program;
+pub mod pulses;
 pub mod replay;
 pub mod run;
 pub mod scenario;
@@ -31,6 +42,7 @@ pub mod sim;
 pub mod simple;
 pub mod teleop;
 pub mod trace;
+pub mod watch;
 
 pub use exit::{CliError, EXIT_CODES, Exit};
 
@@ -63,6 +75,8 @@ Examples:
       run a part program in the simulator
   haptimill run part.ngc --check
       check a part program; nothing moves
+  haptimill preview part.ngc
+      write a page with its path in 3D; nothing moves
   haptimill run part.ngc --port /dev/ttyACM0 --out job7
       run it on a machine
   haptimill run examples/e7-slot.ngc --stock examples/block.toml
@@ -77,10 +91,16 @@ Examples:
       home it from another terminal
   haptimill jog x=5 z=-2 --for 1.5 --port /dev/ttyACM0
       jog at 5 and -2 mm/s for 1.5 s
+  haptimill jog --by x=10 --port /dev/ttyACM0
+      move x by 10 mm
+  haptimill mdi \"G0 X10\" \"G1 Y5 F300\" --port /dev/ttyACM0
+      run blocks; without blocks, at a prompt
   haptimill console --port /dev/ttyACM0 part.ngc
       operate the machine on a full screen
   haptimill teleop --master sim --stock examples/block.toml --spindle 5000
       teleoperation with the simulated master arm; cutting forces are fed back
+  haptimill facet run examples/round-brilliant.asc --width 6
+      cut a gem on the simulated faceting machine; the report shows it in 3D
   haptimill status --port /dev/ttyACM0 --json
       print the status of the machine for a script
   haptimill force tare --port /dev/ttyACM0
@@ -89,6 +109,8 @@ Examples:
       switch an output on for 10 s
   haptimill probe z=-20 --feed 60 --port /dev/ttyACM0
       move down until the probe has its contact, and print where
+  haptimill probe bore --reach 20 --set g54 --machine mill.toml --port /dev/ttyACM0
+      find the centre of a bore and make it the zero; see also probe edge, boss and tool
   haptimill machine init mill --out mill.toml
       write a machine-file template
   haptimill machine check mill.toml
@@ -127,11 +149,17 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Run(run::RunArgs),
+    Engrave(engrave::EngraveArgs),
+    Dnc(dnc::DncArgs),
     Jog(jog::JogArgs),
+    Mdi(mdi::MdiArgs),
     /// Home all axes
     Home(simple::HomeArgs),
     Console(console::ConsoleArgs),
     Teleop(teleop::TeleopArgs),
+    /// Cut a gem: check a design, plan its job, cut it in the simulator
+    #[command(subcommand)]
+    Facet(facet::FacetCommand),
     /// Print the status of the machine
     Status(simple::SimpleArgs),
     /// Switch the drives on; the commanded position becomes the measured one, nothing moves
@@ -145,6 +173,9 @@ enum Command {
     /// Run the experiments of the thesis in the simulator and compare them with its figures
     #[command(subcommand)]
     Scenario(scenario::ScenarioCommand),
+    /// Measure the geometric errors of the simulated machine
+    #[command(subcommand)]
+    Calibrate(calibrate::CalibrateCommand),
     /// Read and set the force sensor and the force control
     #[command(subcommand)]
     Force(force::ForceCommand),
@@ -161,7 +192,11 @@ enum Command {
     /// Print and set the work offsets of a machine
     #[command(subcommand)]
     Offset(offset::OffsetCommand),
+    Watch(watch::WatchArgs),
+    Examples(examples::ExamplesArgs),
     Ports(ports::PortsArgs),
+    Preview(preview::PreviewArgs),
+    Pulses(pulses::PulsesArgs),
     /// Read recordings: content, CSV, plots, MCAP, the first difference of two
     Trace(trace::TraceArgs),
     Replay(replay::ReplayArgs),
@@ -175,17 +210,23 @@ impl Command {
     fn is_json(&self) -> bool {
         match self {
             Self::Run(args) => args.json,
+            Self::Engrave(args) => args.json,
+            Self::Dnc(args) => args.run.json,
+            Self::Watch(args) => args.json,
             Self::Jog(args) => args.json,
+            Self::Mdi(args) => args.json,
             Self::Teleop(args) => args.json,
+            Self::Facet(command) => command.is_json(),
             Self::Home(args) => args.simple.json,
             Self::Status(args) | Self::Enable(args) | Self::Disable(args) | Self::Reset(args) => {
                 args.json
             }
             Self::Stop(args) => args.json,
             Self::Ports(args) => args.json,
+            Self::Pulses(args) => args.json,
             Self::Force(command) => command.is_json(),
             Self::Output(command) => command.is_json(),
-            Self::Probe(args) => args.json,
+            Self::Probe(args) => args.is_json(),
             Self::Machine(command) => command.is_json(),
             Self::Scenario(scenario::ScenarioCommand::Run(args)) => args.json,
             Self::Trace(args) => args.command.is_json(),
@@ -194,7 +235,10 @@ impl Command {
             | Self::Console(_)
             | Self::Sim(_)
             | Self::Kin(_)
-            | Self::Offset(_) => false,
+            | Self::Preview(_)
+            | Self::Offset(_)
+            | Self::Calibrate(_)
+            | Self::Examples(_) => false,
         }
     }
 }
@@ -258,9 +302,13 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
     use simple::SimpleCommand;
     match cli.command {
         Command::Run(args) => run::run(args),
+        Command::Engrave(args) => engrave::run(args),
+        Command::Dnc(args) => dnc::run(args),
         Command::Jog(args) => jog::run(args),
+        Command::Mdi(args) => mdi::run(args),
         Command::Console(args) => console::run(args),
         Command::Teleop(args) => teleop::run(args),
+        Command::Facet(command) => facet::run(command),
         Command::Home(args) => simple::home(args),
         Command::Status(args) => simple::run(SimpleCommand::Status, args),
         Command::Enable(args) => simple::run(SimpleCommand::Enable, args),
@@ -268,13 +316,18 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Stop(args) => simple::stop(args),
         Command::Reset(args) => simple::run(SimpleCommand::Reset, args),
         Command::Scenario(command) => scenario::run(command),
+        Command::Calibrate(command) => calibrate::run(command),
         Command::Force(command) => force::run(command),
         Command::Output(command) => named_io::run(command),
         Command::Probe(args) => named_io::probe(args),
         Command::Sim(SimCommand::Serve(args)) => sim::serve(args),
         Command::Machine(command) => machine::run(command),
         Command::Offset(command) => offset::run(command),
+        Command::Watch(args) => watch::run(&args),
+        Command::Examples(args) => examples::run(&args),
         Command::Ports(args) => ports::run(args),
+        Command::Preview(args) => preview::run(args),
+        Command::Pulses(args) => pulses::run(&args),
         Command::Trace(args) => trace::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Kin(KinCommand::Ik(args)) => kin::ik(args),

@@ -2,16 +2,16 @@
 
 use super::args::{BoardArg, ConnectArgs, seconds};
 use super::jog::AxisRate;
+use super::probe_cycle::{self, ProbeCycle};
+use super::probing::{Touch, find_input, probe_along};
 use super::simple::{open, print_status};
 use super::{CliError, Exit};
 use clap::{Args, Subcommand};
 use haptimill_client::board::Need;
-use haptimill_client::session::{
-    NoObserver, PortLine, Session, check_has_tool, plan_straight_move,
-};
+use haptimill_client::session::{check_has_tool, plan_straight_move};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::scale::per_unit;
-use haptimill_protocol::message::{AxisValues, Command, Event};
+use haptimill_protocol::message::{AxisValues, Command};
 
 /// Commands of outputs.
 #[derive(Debug, Clone, Subcommand)]
@@ -139,7 +139,10 @@ fn command_of(machine: &MachineFile, name: &str, value: &str) -> Result<(Command
 /// Arguments of `haptimill probe`.
 #[derive(Debug, Clone, Args)]
 #[command(
-    about = "Move to a position until the probe has its contact, and print where that was",
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    about = "Move to a position until the probe has its contact, and print where that was; \
+             probing cycles",
     long_about = "Move along a straight line to a position until the probe has its contact, and \
                   print where that was.\n\nThe machine must be homed and idle. It decelerates along \
                   its path at the contact, so the position must leave room beyond it. The \
@@ -147,6 +150,9 @@ fn command_of(machine: &MachineFile, name: &str, value: &str) -> Result<(Command
                   that ends without a contact is an error (exit code 8)."
 )]
 pub struct ProbeArgs {
+    /// A probing cycle instead of a single move
+    #[command(subcommand)]
+    pub cycle: Option<ProbeCycle>,
     /// Pose coordinates and their positions, mm or deg, as z=-20
     #[arg(
         value_name = "AXIS=POSITION",
@@ -168,60 +174,58 @@ pub struct ProbeArgs {
     pub machine: BoardArg,
     #[command(flatten)]
     #[allow(missing_docs)]
-    pub connect: ConnectArgs,
+    pub connect: Option<ConnectArgs>,
     /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
 }
 
-/// The host's number of the probing job.
-const PROBE_JOB: u32 = 2;
+impl ProbeArgs {
+    /// Whether standard output is JSON.
+    pub(super) fn is_json(&self) -> bool {
+        self.cycle.as_ref().map_or(self.json, ProbeCycle::is_json)
+    }
+}
 
 /// Probes.
 ///
 /// # Errors
 /// See [`Exit`].
 pub fn probe(args: ProbeArgs) -> Result<(), CliError> {
-    if !(args.feed.is_finite() && args.feed > 0.0) {
-        let what = format!("--feed {}: write a feed above 0", args.feed);
-        return Err(CliError::new(Exit::Usage, what));
+    if let Some(cycle) = &args.cycle {
+        return probe_cycle::run(cycle);
     }
+    let Some(connect) = &args.connect else {
+        let what = "probe: write --port PORT";
+        return Err(CliError::new(Exit::Usage, what));
+    };
+    super::jog::check_feed(args.feed)?;
     let chosen = args.machine.load()?;
     if chosen.named {
-        find_input(&args, &chosen.file)?;
+        find_input(&chosen.file, args.input.as_deref(), Touch::Probe)?;
     }
-    let mut session = open(&args.connect, &chosen.file)?;
+    let mut session = open(connect, &chosen.file)?;
     let machine = chosen
         .agree(&mut session, Need::File)?
         .unwrap_or(chosen.file);
     check_has_tool(&machine)?;
-    let input = find_input(&args, &machine)?;
+    let input = find_input(&machine, args.input.as_deref(), Touch::Probe)?;
     let start = session.status()?.commanded;
     let end = target(&args, &machine, &start)?;
     let plan = plan_straight_move(&machine, session.model(), &start, &end, Some(args.feed))?;
-    session.ask(Command::ArmProbe {
-        input,
-        active: !args.away,
-    })?;
-    let first = session.events.len();
-    let ended = session.run_job(PROBE_JOB, start, plan.setpoints, &mut NoObserver)?;
-    let found = contact(&session, first, machine.pose.len());
-    if ended.stopped || !ended.faults.is_empty() || found.is_none() {
-        session.check_completed(&ended)?;
-    }
-    let Some((measured, period)) = found else {
+    let Some(contact) = probe_along(&mut session, plan, input, args.away)? else {
         let name = &machine.io.inputs[usize::from(input)];
         let what = format!("the move ended without a contact of {name}");
         return Err(CliError::new(Exit::Command, what));
     };
-    let values = session.model().to_engineering_units(&measured);
+    let values = session.model().to_engineering_units(&contact.pose);
     let names = session.model().pose_names();
     let place = names.iter().zip(values).map(|(name, value)| (*name, value));
     if args.json {
         let measured: serde_json::Map<String, serde_json::Value> = place
             .map(|(name, value)| (name.to_string(), value.into()))
             .collect();
-        let value = serde_json::json!({ "contact": measured, "period": period });
+        let value = serde_json::json!({ "contact": measured, "period": contact.period });
         print_line!("{value:#}");
     } else {
         let text: String = place
@@ -230,54 +234,6 @@ pub fn probe(args: ProbeArgs) -> Result<(), CliError> {
         print_line!("contact at{text}");
     }
     Ok(())
-}
-
-/// The contact that the events report: pose in axis units, and control period.
-fn contact(session: &Session<PortLine>, first: usize, axes: usize) -> Option<(AxisValues, u64)> {
-    let mut pose: AxisValues = std::iter::repeat_n(0, axes).collect();
-    let mut found = None;
-    for (_, event) in &session.events[first..] {
-        match event {
-            Event::ProbedAt { axis, measured, .. } => {
-                if let Some(slot) = pose.get_mut(usize::from(*axis)) {
-                    *slot = *measured;
-                }
-            }
-            Event::Probed { period, .. } => found = Some(*period),
-            _ => {}
-        }
-    }
-    Some((pose, found?))
-}
-
-/// Index of the input that has the contact.
-fn find_input(args: &ProbeArgs, machine: &MachineFile) -> Result<u8, CliError> {
-    use haptimill_firmware::named_io::config::InputFunction;
-    let inputs = || machine.config.io.inputs.iter().zip(&machine.io.inputs);
-    let index = match &args.input {
-        Some(name) => inputs().position(|(it, known)| it.function.is_probe() && known == name),
-        None => inputs().position(|(it, _)| matches!(it.function, InputFunction::Probe(_))),
-    };
-    let probes: Vec<&str> = inputs()
-        .filter(|(it, _)| it.function.is_probe())
-        .map(|(_, name)| name.as_str())
-        .collect();
-    index.map(|index| index as u8).ok_or_else(|| {
-        let what = match &args.input {
-            Some(name) if !probes.is_empty() => format!(
-                "'{name}' is no probe and no tool setter; this machine has {}",
-                probes.join(", ")
-            ),
-            _ if !probes.is_empty() => {
-                format!("name the input with --input: {}", probes.join(", "))
-            }
-            _ => format!(
-                "{}: the machine has no probe; add a section [[input]] with function = \"probe\"",
-                machine.file
-            ),
-        };
-        CliError::new(Exit::Usage, what)
-    })
 }
 
 /// The end of the move, axis units.

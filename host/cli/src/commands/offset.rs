@@ -1,6 +1,11 @@
 //! `haptimill offset`: the work offsets of a machine file.
 
+use super::args::{BoardArg, ConnectArgs};
+use super::board::file_of;
 use super::exit::{CliError, Exit};
+use super::jog::{self, AxisRate};
+use super::probe_cycle::{kept_beside, set_origin};
+use super::simple::open;
 use clap::{Args, Subcommand};
 use haptimill_gcode::SYSTEM_NAMES;
 use haptimill_machine_file::MachineFile;
@@ -14,6 +19,29 @@ pub enum OffsetCommand {
     Show(ShowArgs),
     /// Set the origin of a work coordinate system, as `g54 x=12.5 y=0`, in machine coordinates
     Set(SetArgs),
+    /// Set the origin such that the present position gets these coordinates, as `g54 x=0 z=2`
+    Touch(TouchArgs),
+}
+
+/// Arguments of `haptimill offset touch`.
+#[derive(Debug, Clone, Args)]
+pub struct TouchArgs {
+    /// System: g54 to g59, g59.1 to g59.3
+    #[arg(value_name = "SYSTEM")]
+    pub system: String,
+    /// Coordinates that the present position gets, mm or degrees
+    #[arg(
+        value_name = "AXIS=VALUE",
+        required = true,
+        allow_negative_numbers = true
+    )]
+    pub values: Vec<AxisRate>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: BoardArg,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub connect: ConnectArgs,
 }
 
 /// Arguments of `haptimill offset show`.
@@ -54,7 +82,30 @@ pub fn run(command: OffsetCommand) -> Result<(), CliError> {
             Ok(())
         }
         OffsetCommand::Set(args) => set(&args),
+        OffsetCommand::Touch(args) => touch(&args),
     }
+}
+
+/// Makes the present position the place of given coordinates.
+fn touch(args: &TouchArgs) -> Result<(), CliError> {
+    let chosen = args.machine.load()?;
+    let mut session = open(&args.connect, &chosen.file)?;
+    let machine = file_of(&chosen, &mut session)?;
+    let file = kept_beside(&machine)?;
+    let status = session.status()?;
+    if !(status.homed && status.position_kept) {
+        let what = "offset touch: the machine is not homed; `haptimill home` homes it";
+        return Err(CliError::new(Exit::Command, what));
+    }
+    let here = session.model().to_engineering_units(&status.commanded);
+    let mut places = Vec::new();
+    for value in &args.values {
+        let axis = jog::axis_index(&machine, &value.axis)?;
+        places.push((axis, here[axis] - value.rate));
+    }
+    set_origin(&machine, &file, &args.system, &places)?;
+    print_line!("{} written", offsets_path(&file).display());
+    Ok(())
 }
 
 /// Returns the axes of a machine: the name of a letter, and its index in an offset.

@@ -1,13 +1,14 @@
 //! Loads a part program, checks it against the machine and plans it.
 
+use super::run::ChangeArgs;
 use super::{CliError, Exit};
 use haptimill_client::{Error, ErrorKind};
-use haptimill_gcode::{Place, file_name};
+use haptimill_gcode::{Interpreter, Notice, Place, Problem, Refused, Step, file_name};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::input;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_machine_file::work_data::WorkData;
-use haptimill_planner::Plan;
+use haptimill_planner::{CheckError, Figures, Plan};
 use haptimill_protocol::message::{Action, AxisValues};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -20,11 +21,32 @@ pub(crate) struct Planned {
     pub(crate) plan: Plan,
     /// Pauses of the program, by their setpoints.
     pub(crate) pauses: BTreeMap<u32, Pause>,
+    /// The approach of a program that begins in the middle.
+    pub(crate) approach: Option<String>,
     /// Words that change nothing on this machine, as lines of text.
     pub(crate) notices: Vec<String>,
     /// Number of lines of the file.
     #[cfg_attr(not(feature = "console"), allow(dead_code))]
     pub(crate) lines: u32,
+}
+
+/// A program that was checked from a start pose.
+#[derive(Debug)]
+pub(crate) struct Checked {
+    pub(crate) figures: Figures,
+    /// Words that change nothing on this machine, as lines of text.
+    pub(crate) notices: Vec<String>,
+}
+
+impl Planned {
+    /// The result of the check, and the approach.
+    pub(crate) fn into_checked(self) -> (Checked, Option<String>) {
+        let checked = Checked {
+            figures: self.plan.figures,
+            notices: self.notices,
+        };
+        (checked, self.approach)
+    }
 }
 
 /// A pause of a program (M0, M1).
@@ -109,6 +131,8 @@ pub(crate) struct PartProgram {
     language: LanguageArgs,
     /// Folder of the program, for called files.
     folder: PathBuf,
+    /// What is changed before it is planned.
+    changes: ChangeArgs,
 }
 
 impl PartProgram {
@@ -126,7 +150,14 @@ impl PartProgram {
             text,
             language,
             folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
+            changes: ChangeArgs::default(),
         })
+    }
+
+    /// Changes the program before it is planned.
+    #[must_use]
+    pub(crate) fn with_changes(self, changes: ChangeArgs) -> Self {
+        Self { changes, ..self }
     }
 
     /// Checks and plans the program from a start pose, with the work offsets and the tool table
@@ -140,20 +171,10 @@ impl PartProgram {
         model: &Model,
         start: &AxisValues,
     ) -> Result<Planned, CliError> {
-        let data =
-            WorkData::beside(machine).map_err(|error| CliError::new(Exit::BadInput, error))?;
-        let options = haptimill_gcode::Options {
-            optional_stop: self.language.optional_stop,
-            block_delete: self.language.block_delete,
-            no_decimal: self.language.no_decimal,
-            strict: self.language.strict,
-            offsets: data.offsets,
-            tools: data.tools,
-            folders: vec![self.folder.clone()],
-            ..program_options(machine, model.to_engineering_units(start))
-        };
-        let program = haptimill_gcode::read(&self.file, &self.text, &options)
+        let options = self.options(machine, model, start)?;
+        let mut program = haptimill_gcode::read(&self.file, &self.text, &options)
             .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused))?;
+        let approach = self.changes.apply(&mut program, &options)?;
         let plan = Plan::new(&program, &settings(machine), model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         // Each pause of the program has one setpoint, in the same order.
@@ -177,17 +198,104 @@ impl PartProgram {
         Ok(Planned {
             plan,
             pauses,
-            notices: program
-                .notices
-                .iter()
-                .map(|notice| {
-                    let Place { file, line, column } = notice.place;
-                    let name = file_name(&self.file, &program.called, file);
-                    format!("{name}:{line}:{column}: notice: {}", notice.what)
-                })
-                .collect(),
+            approach,
+            notices: self.describe_notices(&program.notices, &program.called),
             lines: program.lines,
         })
+    }
+
+    /// Checks the program from a start pose, and keeps nothing of it.
+    ///
+    /// # Errors
+    /// As [`PartProgram::plan`].
+    pub(crate) fn check(
+        &self,
+        machine: &MachineFile,
+        model: &Model,
+        start: &AxisValues,
+    ) -> Result<Checked, CliError> {
+        let options = self.options(machine, model, start)?;
+        let mut interpreter = Interpreter::new(std::io::Cursor::new(&self.text), &options);
+        let settings = settings(machine);
+        let checked = haptimill_planner::check(
+            &self.file,
+            &mut interpreter,
+            options.start,
+            &settings,
+            model,
+            |_| {},
+        );
+        let figures = checked.map_err(|error| match error {
+            CheckError::Unreadable(refused) => Error::refused(ErrorKind::BadInput, &refused),
+            CheckError::Impossible(refused) => Error::refused(ErrorKind::Refused, &refused),
+        })?;
+        Ok(Checked {
+            figures,
+            notices: self.describe_notices(interpreter.notices(), interpreter.called()),
+        })
+    }
+
+    /// Interprets the program from a start pose; each step goes to `take`, with the interpreter.
+    ///
+    /// # Errors
+    /// A mistake of the program, or the first error of `take`.
+    pub(crate) fn for_each_step(
+        &self,
+        options: &haptimill_gcode::Options,
+        mut take: impl FnMut(&Step) -> Result<(), Problem>,
+    ) -> Result<(), CliError> {
+        let mut interpreter = Interpreter::new(std::io::Cursor::new(&self.text), options);
+        while let Some(step) = interpreter.next() {
+            let (kind, taken) = match step {
+                Ok(step) => (ErrorKind::Refused, take(&step)),
+                Err(problem) => (ErrorKind::BadInput, Err(problem)),
+            };
+            if let Err(problem) = taken {
+                return Err(self.refuse(kind, problem, interpreter.called()));
+            }
+        }
+        Ok(())
+    }
+
+    /// The error of one problem.
+    pub(crate) fn refuse(&self, kind: ErrorKind, problem: Problem, called: &[String]) -> CliError {
+        let refused = Refused {
+            file: self.file.clone(),
+            called: called.to_vec(),
+            problems: vec![problem],
+            more: 0,
+        };
+        Error::refused(kind, &refused).into()
+    }
+
+    /// How the program is read, with the work offsets and the tool table beside the machine file.
+    pub(crate) fn options(
+        &self,
+        machine: &MachineFile,
+        model: &Model,
+        start: &AxisValues,
+    ) -> Result<haptimill_gcode::Options, CliError> {
+        let data =
+            WorkData::beside(machine).map_err(|error| CliError::new(Exit::BadInput, error))?;
+        Ok(haptimill_gcode::Options {
+            optional_stop: self.language.optional_stop,
+            block_delete: self.language.block_delete,
+            no_decimal: self.language.no_decimal,
+            strict: self.language.strict,
+            offsets: data.offsets,
+            tools: data.tools,
+            folders: vec![self.folder.clone()],
+            ..program_options(machine, model.to_engineering_units(start))
+        })
+    }
+
+    fn describe_notices(&self, notices: &[Notice], called: &[String]) -> Vec<String> {
+        let describe = |notice: &Notice| {
+            let Place { file, line, column } = notice.place;
+            let name = file_name(&self.file, called, file);
+            format!("{name}:{line}:{column}: notice: {}", notice.what)
+        };
+        notices.iter().map(describe).collect()
     }
 
     /// Refuses a program with pauses where standard input is no terminal, because a pause waits for

@@ -68,13 +68,51 @@ pub fn run(command: ScenarioCommand) -> Result<(), CliError> {
                     experiment.figures
                 );
             }
+            print_line!("{VOLUMETRIC:<5} volumetric errors, calibration, compensation, test piece");
             Ok(())
         }
         ScenarioCommand::Run(args) => run_named(&args),
     }
 }
 
+/// Name of the scenario that closes the loop of measurement and compensation.
+const VOLUMETRIC: &str = "vmc";
+
+/// Errors, calibration, compensation and test piece in one run (docs/volumetric.md).
+fn run_volumetric(args: &RunArgs) -> Result<(), CliError> {
+    use haptimill_calibration::{page, scenario};
+    let machine = match args.machine.machine {
+        Some(_) => args.machine.load()?,
+        None => scenario::machine()?,
+    };
+    let json = args.json;
+    let outcome = scenario::run(&machine, &interrupt::flag(), &mut |line| {
+        if !json {
+            print_line!("{line}");
+        }
+    })?;
+    let folder = args.out.join(VOLUMETRIC);
+    let index = folder.join("index.html");
+    write(&index, &page::page(&outcome))?;
+    let errors = haptimill_volumetric::file::write(
+        &outcome.calibration.errors,
+        &outcome.calibration.report(),
+    );
+    write(&folder.join("errors.csv"), &errors)?;
+    write(&folder.join("summary.json"), &scenario::summary(&outcome))?;
+    if json {
+        print_line!("{}", scenario::summary(&outcome).trim_end());
+    } else {
+        print_line!("{}", scenario::table(&outcome).trim_end());
+        print_line!("report      {}", index.display());
+    }
+    Ok(())
+}
+
 fn run_named(args: &RunArgs) -> Result<(), CliError> {
+    if args.name.eq_ignore_ascii_case(VOLUMETRIC) {
+        return run_volumetric(args);
+    }
     let machine = args.machine.load()?;
     let mut experiments = haptimill_experiments::all()?;
     if !args.name.eq_ignore_ascii_case("all") {

@@ -1,13 +1,16 @@
 //! `haptimill sim serve`: serves the simulated machine in real time on a pseudo-terminal or TCP
 //! port.
 
-use super::args::{MachineArg, OperatorArg, SimulatorArgs, seconds};
+use super::args::{MachineArg, OperatorArg, SimulatorArgs, StockArg, seconds};
 use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::Args;
 use haptimill_client::port::{TcpServer, Token, Transport};
 use haptimill_client::session;
+use haptimill_hil_sim::rig::{Control, Rig};
 use haptimill_machine_file::input;
+use haptimill_machine_file::model::Model;
+use haptimill_protocol::message::{AxisValues, State};
 use haptimill_teleop::script::ScriptedOperator;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -20,7 +23,8 @@ Serve the simulated machine in real time.
 
 The first line on standard output is the path of the pseudo-terminal, or the address of the TCP \
 port. Give it to another `haptimill` as --port. One host is served at a time. Ctrl-C ends the \
-command. The board is configured as the machine that is served.
+command. The board is configured as the machine that is served. A stock (--stock) is clamped when \
+the machine first stands at its home pose.
 
 An address that other computers can reach (any but 127.0.0.1 and ::1) requires a token, which is \
 the second line; hosts give it with --token or in HAPTIMILL_TOKEN. The connection is not encrypted: \
@@ -51,6 +55,9 @@ pub struct ServeArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub operator: OperatorArg,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub stock: StockArg,
     /// Start the board without a configuration; the first command needs --machine
     #[arg(long)]
     pub unconfigured: bool,
@@ -87,6 +94,8 @@ impl FromStr for Listen {
 pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     let machine = args.machine.load()?;
     let script = args.operator.load(&machine)?;
+    let mut stock = args.stock.load(&machine)?;
+    let home = Model::new(&machine).home(&machine);
     let mut operator = script.as_ref().map(ScriptedOperator::new);
     // The port limits the byte rate, so the simulated line in between has no rate limit.
     let faults = args.simulator.fault.clone();
@@ -125,6 +134,14 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
             }
             rig.step();
         }
+        // The stock is clamped at the present place of the tool, so the tool must be at its home.
+        if stock.is_some()
+            && is_home(&rig, home.as_ref())
+            && let Some(stock) = stock.take()
+        {
+            session::clamp(&mut rig, &stock)?;
+            eprintln!("the stock is clamped on the simulated table");
+        }
         rig.host_read(&mut outgoing);
         if !has_host {
             // A pseudo-terminal would buffer these bytes for the first host.
@@ -144,6 +161,15 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
     }
     drop(link);
     Ok(())
+}
+
+/// Whether the machine stands at its home pose after homing.
+fn is_home<C: Control>(rig: &Rig<C>, home: Option<&AxisValues>) -> bool {
+    let Some(snapshot) = rig.control().snapshot(rig.inputs()) else {
+        return false;
+    };
+    let stands = snapshot.homed && snapshot.state == State::Idle;
+    stands && home.is_some_and(|home| home.iter().eq(snapshot.commanded.iter().take(home.len())))
 }
 
 /// Longest wait for bytes between two readings of the clock.
@@ -196,8 +222,25 @@ impl Drop for Link {
     }
 }
 
+/// The token of a port, and whether it is new: an address that other computers can reach requires
+/// one.
+pub(super) fn token_of(
+    given: Option<Token>,
+    is_local: bool,
+) -> Result<(Option<Token>, bool), CliError> {
+    match given {
+        Some(token) => Ok((Some(token), false)),
+        None if is_local => Ok((None, false)),
+        None => {
+            let token = Token::random();
+            let token = token.map_err(|error| CliError::new(Exit::Internal, error))?;
+            Ok((Some(token), true))
+        }
+    }
+}
+
 /// Reads a token from the first line of a file.
-fn read_token(path: &Path) -> Result<Token, CliError> {
+pub(super) fn read_token(path: &Path) -> Result<Token, CliError> {
     let bad = |what: &dyn std::fmt::Display| {
         CliError::new(Exit::BadInput, format!("{}: {what}", path.display()))
     };
@@ -226,15 +269,7 @@ fn listen(args: &ServeArgs) -> Result<Served, CliError> {
             let token = args.token_file.as_deref().map(read_token).transpose()?;
             let port = TcpServer::listen(address)?;
             let local = port.address().is_ok_and(|at| at.ip().is_loopback());
-            let (token, new) = match token {
-                Some(token) => (Some(token), false),
-                None if local => (None, false),
-                None => {
-                    let token = Token::random();
-                    let token = token.map_err(|error| CliError::new(Exit::Internal, error))?;
-                    (Some(token), true)
-                }
-            };
+            let (token, new) = token_of(token, local)?;
             let Some(token) = token else {
                 return Ok((Box::new(port), None, None));
             };

@@ -5,6 +5,10 @@ use super::jogging::{KeyPhase, Mode};
 use super::keys::{Action, BINDINGS, Key};
 use super::recording::Recording;
 use super::view_model::{Confirm, LinkState, Overlay, Severity};
+use crate::commands::exit::{CliError, Exit};
+use crate::commands::jog::{AxisRate, axis_index};
+use crate::commands::probe_cycle::{kept_beside, set_origin};
+use haptimill_machine_file::work_data::offsets_path;
 use haptimill_protocol::message::{Command, Source, State};
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
@@ -18,7 +22,45 @@ const FORCE_STEP: i32 = 1 << 15;
 /// selected the file, pressed twice, starts nothing.
 const CONFIRM_DELAY_US: u64 = 400_000;
 
+/// Title of the prompt for a work offset.
+pub(super) const ZERO: &str = "Work offset: coordinates of the present position";
+
 impl App {
+    /// Makes the present position the place of coordinates, as `g54 x=0 z=2`.
+    fn set_zero(&mut self, text: &str) {
+        match self.zero_of(text) {
+            Ok(written) => self.notify(Severity::Info, written),
+            Err(error) => self.notify(Severity::Warning, error.message),
+        }
+    }
+
+    fn zero_of(&self, text: &str) -> Result<String, CliError> {
+        let usage = |what: String| CliError::new(Exit::Usage, format!("zero: {what}"));
+        let mut words = text.split_whitespace();
+        let system = words
+            .next()
+            .ok_or_else(|| usage("write a system and axes, as g54 x=0".to_string()))?;
+        let homed = self
+            .telemetry
+            .as_ref()
+            .is_some_and(|now| now.homed && now.position_kept);
+        let pose = self.standstill_pose().filter(|_| homed);
+        let pose = pose.ok_or_else(|| usage("the machine must be homed and idle".to_string()))?;
+        let here = self.model.to_engineering_units(&pose);
+        let mut origins = Vec::new();
+        for word in words {
+            let value: AxisRate = word.parse().map_err(usage)?;
+            let axis = axis_index(&self.machine, &value.axis)?;
+            origins.push((axis, here[axis] - value.rate));
+        }
+        if origins.is_empty() {
+            return Err(usage("name the axes, as g54 x=0 y=0".to_string()));
+        }
+        let file = kept_beside(&self.machine)?;
+        set_origin(&self.machine, &file, system, &origins)?;
+        Ok(format!("{} written", offsets_path(&file).display()))
+    }
+
     /// Handles an event of the terminal.
     pub(super) fn handle_input(&mut self, event: &Event) {
         match event {
@@ -128,6 +170,10 @@ impl App {
                     title: "Part program",
                     text,
                 });
+            }
+            Action::Zero => {
+                let text = "g54 x=0 y=0".to_string();
+                self.open(Overlay::Prompt { title: ZERO, text });
             }
             Action::Axes => self.open(Overlay::Axes { selected: 0 }),
             Action::Master => {
@@ -329,7 +375,9 @@ impl App {
             KeyCode::Esc => return,
             KeyCode::Char('c') if key.control => return,
             KeyCode::Enter => {
-                if !text.is_empty() {
+                if title == ZERO {
+                    self.set_zero(&text);
+                } else if !text.is_empty() {
                     self.check_program(&text);
                 }
                 return;

@@ -49,6 +49,8 @@ pub enum Action {
     OverrideDown,
     /// Select a part program.
     Program,
+    /// Set a work offset from the present position.
+    Zero,
     /// Select the source of each axis.
     Axes,
     /// Set the force loops.
@@ -221,6 +223,12 @@ pub const BINDINGS: &[Binding] = &[
         "p",
         Action::Program,
         "part program: select, check, run (asks first)",
+    ),
+    bind(
+        &[plain('z')],
+        "z",
+        Action::Zero,
+        "zero: make the present position the zero of a work offset",
     ),
     bind(
         &[plain('+'), plain('=')],

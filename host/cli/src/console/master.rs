@@ -189,7 +189,7 @@ impl Master {
     pub(super) fn from_machine(machine: &MachineFile) -> Option<Self> {
         let config = &machine.config;
         let arm = config.haptic.as_ref().map(|haptic| Arm {
-            feedback: Setting::new(haptic.reflection),
+            feedback: Setting::new(haptic.feedback),
             faces: [[Face::Unknown; 2]; COMPONENTS],
             stiffness: f64::from(haptic.wall.stiffness) / PER_EFFORT,
             max_push: f64::from(haptic.wall.most.0) / PER_EFFORT,

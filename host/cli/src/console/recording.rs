@@ -314,6 +314,7 @@ mod tests {
             bad_frames: 0,
             lost_bytes: 0,
             io: None,
+            compensation: None,
             force: Some(haptimill_protocol::force::ForceTelemetry {
                 high: [65_536; 3],
                 low: [0; 3],

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 const TITLE: &str = "Master: forces";
 
-/// Stiffness of the virtual fixture in machines/hand.toml, N/mm.
+/// Stiffness of the virtual fixture in machines/haptic-arm.toml, N/mm.
 const STIFFNESS: f64 = 0.35;
 
 /// Operator model: motion both ways along x for the duration of a test, with the clutch pressed.
@@ -216,7 +216,7 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
 fn failed_arm_is_reported_and_takes_no_fixture() {
     let folder = TestFolder::new();
     let machine_file = folder.machine_with(HAPTIC_ARM);
-    let trip = "hand-amplifiers-tripped at=1s";
+    let trip = "haptic-amplifiers-tripped at=1s";
     let terminal = console(
         &["--machine", &machine_file, "--fault", trip],
         Keyboard::Plain,
@@ -255,7 +255,10 @@ fn remote_master_machine_has_a_scale_and_a_master_board_its_forces() {
     terminal.press(UP);
     terminal.press_expect(b"+", "position scale 0.40");
     drop(terminal);
-    let terminal = console(&["--machine", "machines/hand-master.toml"], Keyboard::Plain);
+    let terminal = console(
+        &["--machine", "machines/haptic-master.toml"],
+        Keyboard::Plain,
+    );
     terminal.expect_state("DISABLED");
     terminal.press(b"e");
     terminal.press_expect(b"w", "motors on");

@@ -46,8 +46,11 @@ fn expect_small_errors(summary: &Value) {
         number(summary, "bytes_per_setpoint"),
         number(summary, "line_bytes_per_setpoint"),
     );
-    assert!(number(summary, "tool_error_rms_mm") <= 0.02, "{summary:#}");
-    assert!(number(summary, "tool_error_max_mm") <= 0.05, "{summary:#}");
+    assert!(
+        number(summary, "tool_error_rms_mm") <= 0.0015,
+        "{summary:#}"
+    );
+    assert!(number(summary, "tool_error_max_mm") <= 0.010, "{summary:#}");
     // An error of exactly 0 would mean that nothing was measured.
     assert!(number(summary, "tool_error_rms_mm") > 0.0005, "{summary:#}");
     assert!(number(summary, "following_error_max_mm") > 0.0 && number(summary, "setpoints") > 10.0);

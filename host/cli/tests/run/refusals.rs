@@ -49,7 +49,7 @@ fn program_mistakes_are_reported_by_line() {
     text += &refused(
         &folder,
         "too-fast.ngc",
-        "G21 G90\nG1 X60 Y60 F100\nG1 Y90 F2900\n",
+        "G21 G90\nG1 X60 Y60 F100\nG1 Y90 F6000\n",
         4,
     );
     text += &refused(

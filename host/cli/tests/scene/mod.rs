@@ -184,6 +184,11 @@ impl Running {
         self.errors.lock().unwrap().clone()
     }
 
+    /// Standard error so far.
+    pub fn errors(&self) -> String {
+        self.errors.lock().unwrap().clone()
+    }
+
     /// Waits until standard error contains `part`.
     #[track_caller]
     pub fn wait_for_error(&mut self, part: &str) {
@@ -305,6 +310,15 @@ impl SimServer {
     #[track_caller]
     pub fn status(&self) -> serde_json::Value {
         self.run_ok(&["status", "--json"]).json()
+    }
+}
+
+impl SimServer {
+    /// As [`SimServer::status`], of a machine that is not built in.
+    #[track_caller]
+    pub fn status_of(&self, machine: &str) -> serde_json::Value {
+        let ran = self.run_ok(&["status", "--json", "--machine", machine]);
+        ran.json()
     }
 }
 

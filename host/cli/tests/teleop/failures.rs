@@ -76,7 +76,7 @@ what = \"resume\"
     // Afterwards the tool follows the master again, from the present poses of both.
     assert_eq!(made[last + 1].state, State::Run);
     haptimill(&["replay", &folder.path("out/recording.hmr")]).expect_code(0);
-    haptimill(&["replay", &folder.path("out/hand.hmr")]).expect_code(0);
+    haptimill(&["replay", &folder.path("out/master.hmr")]).expect_code(0);
 }
 
 #[test]
@@ -112,7 +112,7 @@ what = \"resume\"
     );
     assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 2);
     expect_within_limits(&read_records(&folder.path("out/recording.hmr")));
-    expect_no_force_step(&read_records(&folder.path("out/hand.hmr")));
+    expect_no_force_step(&read_records(&folder.path("out/master.hmr")));
 }
 
 #[test]
@@ -150,8 +150,8 @@ fn stalled_link_holds_the_machine_and_late_samples_are_ignored() {
 #[test]
 fn failed_arm_is_disengaged_until_reset() {
     let folder = TestFolder::new();
-    let order = "\n[[order]]\nat_s = 3.0\nwhat = \"reset-hand\"\n";
-    let trip = ["--master-fault", "hand-amplifiers-tripped at=2s for=0.5s"];
+    let order = "\n[[order]]\nat_s = 3.0\nwhat = \"reset-master\"\n";
+    let trip = ["--master-fault", "haptic-amplifiers-tripped at=2s for=0.5s"];
     let said = run_script(
         &folder,
         "out",
@@ -180,8 +180,8 @@ fn failed_arm_is_disengaged_until_reset() {
     );
     assert!(x(4.0) < x(2.95) - 5.0, "{} {}", x(4.0), x(2.95));
     // The motors of the arm had no torque in between.
-    let hand = read_records(&folder.path("out/hand.hmr"));
-    let off = hand
+    let master = read_records(&folder.path("out/master.hmr"));
+    let off = master
         .iter()
         .filter(|record| (11_000..14_000).contains(&record.period));
     assert!(
@@ -208,14 +208,14 @@ fn exit_code_is_the_end_of_the_session() {
     }
     let trip = [
         "--master-fault",
-        "hand-amplifiers-tripped at=2s for=0.5s",
+        "haptic-amplifiers-tripped at=2s for=0.5s",
         "--for",
         "4",
     ];
     let said = run_script_to_code(6, &folder, "out", AWAY, &trip);
     assert_eq!(said["session"]["ended"], "haptic_fault");
     let because = said["session"]["because"].as_str().unwrap();
-    assert!(because.contains("`reset-hand`"), "{because}");
+    assert!(because.contains("`reset-master`"), "{because}");
     let cut = ["--master-fault", "link-cut at=2s", "--for", "5"];
     let said = run_script_to_code(5, &folder, "out", AWAY, &cut);
     assert_eq!(said["session"]["ended"], "master_lost");

@@ -25,7 +25,7 @@ ramp_s = 0.3
 fn wait_for_tool(folder: &TestFolder, x: f64) {
     let begun = std::time::Instant::now();
     loop {
-        let table = std::fs::read_to_string(folder.path("out/hand.csv")).unwrap_or_default();
+        let table = std::fs::read_to_string(folder.path("out/teleop.csv")).unwrap_or_default();
         // The last line may be written in part.
         let whole = table.rsplit_once('\n').map_or("", |(whole, _)| whole);
         let last = whole.lines().skip(1).last();
@@ -49,7 +49,7 @@ fn two_boards_over_ports_with_orders_on_standard_input() {
         "pty",
         &[
             "--machine",
-            "machines/hand-master.toml",
+            "machines/haptic-master.toml",
             "--operator",
             &script,
         ],
@@ -90,8 +90,8 @@ fn two_boards_over_ports_with_orders_on_standard_input() {
     let session = &said["session"];
     assert_eq!(session["ended"], "done");
     assert_eq!(session["latency_is_exact"], false);
-    assert!(number(session, "words") > 20.0);
-    let table = folder.read("out/hand.csv");
+    assert!(number(session, "samples_sent") > 20.0);
+    let table = folder.read("out/teleop.csv");
     let tool: Vec<f64> = table
         .lines()
         .skip(1)
@@ -135,8 +135,8 @@ fn line_that_is_not_text_is_refused_and_stop_still_works() {
     let folder = TestFolder::new();
     let device = folder.path("js0");
     let _stick = stick(&device);
-    let (out, hand) = (folder.path("out"), format!("joystick:{device}"));
-    let arguments = ["teleop", "--master", &hand, "--out", &out, "--for", "20"];
+    let (out, master) = (folder.path("out"), format!("joystick:{device}"));
+    let arguments = ["teleop", "--master", &master, "--out", &out, "--for", "20"];
     let (orders, mut input) = std::io::pipe().unwrap();
     let mut session = start_with(&arguments, Stdio::from(orders));
     session.wait_for_output("idle -> running");
@@ -166,17 +166,17 @@ fn wrong_device_is_refused_and_a_lost_one_is_reported() {
     let file = folder.file("file", "");
     for kind in ["joystick", "mouse3d"] {
         for path in ["/dev/null", "/dev/zero", &file, "/"] {
-            let hand = format!("{kind}:{path}");
-            let ran = haptimill(&["teleop", "--master", &hand, "--out", &out]).expect_code(5);
+            let master = format!("{kind}:{path}");
+            let ran = haptimill(&["teleop", "--master", &master, "--out", &out]).expect_code(5);
             assert!(ran.err.contains(&format!("{path}: no ")), "{}", ran.err);
             assert!(!Path::new(&out).exists());
         }
     }
     let device = folder.path("js0");
     let stick = stick(&device);
-    let hand = format!("joystick:{device}");
+    let master = format!("joystick:{device}");
     let mut session = start_with(
-        &["teleop", "--master", &hand, "--out", &out, "--for", "4"],
+        &["teleop", "--master", &master, "--out", &out, "--for", "4"],
         Stdio::null(),
     );
     session.wait_for_output("idle -> running");
@@ -195,10 +195,10 @@ fn joystick_moves_the_tool_while_its_button_is_pressed() {
     let device = folder.path("js0");
     let mut stick = stick(&device);
     let out = folder.path("out");
-    let hand = format!("joystick:{device}");
+    let master = format!("joystick:{device}");
     let mut session = start_with(
         &[
-            "teleop", "--master", &hand, "--out", &out, "--for", "5", "--speed", "10",
+            "teleop", "--master", &master, "--out", &out, "--for", "5", "--speed", "10",
         ],
         Stdio::null(),
     );
@@ -320,8 +320,14 @@ fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
         "{known} of {}",
         made.len()
     );
-    let ran =
-        haptimill(&["trace", "csv", &trace, "--columns", "z_hand_mm,hand_held"]).expect_code(0);
+    let ran = haptimill(&[
+        "trace",
+        "csv",
+        &trace,
+        "--columns",
+        "z_master_mm,master_engaged",
+    ])
+    .expect_code(0);
     assert!(
         ran.out
             .lines()
@@ -336,7 +342,7 @@ fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
 fn lost_arm_with_open_clutch_is_reported() {
     let folder = TestFolder::new();
     let machine = SimServer::on_tcp(&[]);
-    let mut arm = SimServer::on_tcp(&["--machine", "machines/hand-master.toml"]);
+    let mut arm = SimServer::on_tcp(&["--machine", "machines/haptic-master.toml"]);
     let out = folder.path("out");
     let mut session = start_with(
         &[
@@ -371,7 +377,7 @@ fn reconnected_arm_continues_after_resume() {
     let machine = SimServer::on_tcp(&[]);
     let more = [
         "--machine",
-        "machines/hand-master.toml",
+        "machines/haptic-master.toml",
         "--operator",
         &script,
     ];

@@ -43,9 +43,9 @@ fn run_script_to_code(
     script: &str,
     more: &[&str],
 ) -> Value {
-    let hand = format!("script:{}", folder.file("script.toml", script));
+    let master = format!("script:{}", folder.file("script.toml", script));
     let out = folder.path(out);
-    let session = ["teleop", "--master", &hand, "--out", &out, "--json"];
+    let session = ["teleop", "--master", &master, "--out", &out, "--json"];
     haptimill(&[&session, more].concat())
         .expect_code(code)
         .json()
@@ -93,15 +93,15 @@ fn expect_within_limits(read_records: &[Record]) {
 
 /// Checks that the fed-back force changes by at most 0.05 N per period: at contact, at the clutch,
 /// at orders, and when the link is lost and restored.
-fn expect_no_force_step(hand: &[Record]) {
-    let step = hand
+fn expect_no_force_step(master: &[Record]) {
+    let step = master
         .windows(2)
         .flat_map(|pair| (0..3).map(|axis| pair[1].haptic.force[axis] - pair[0].haptic.force[axis]))
         .map(i32::abs)
         .max()
         .unwrap();
     // The force reached at least 0.5 N.
-    let most = hand.iter().flat_map(|record| record.haptic.force);
+    let most = master.iter().flat_map(|record| record.haptic.force);
     assert!(most.map(i32::abs).max().unwrap() > 1 << 15);
     assert!(
         step <= 65_536 / 20 + 1,
@@ -122,12 +122,12 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     let (one, other) = (session("one"), session("other"));
     assert_eq!(one, other);
     assert_eq!(one, folder.summary("one"));
-    for file in ["recording.hmr", "hand.hmr", "hand.csv", "trace.csv"] {
+    for file in ["recording.hmr", "master.hmr", "teleop.csv", "trace.csv"] {
         let read = |out: &str| std::fs::read(folder.path(&format!("{out}/{file}"))).unwrap();
         assert!(read("one") == read("other"), "{file}");
     }
     // The recordings of both controllers replay equal.
-    for file in ["recording.hmr", "hand.hmr"] {
+    for file in ["recording.hmr", "master.hmr"] {
         let said = haptimill(&["replay", &folder.path(&format!("one/{file}")), "--json"])
             .expect_code(0)
             .json();
@@ -142,7 +142,7 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     assert_eq!(session["position_kept"], true);
     // The tool cut, and the force was fed back within the limits of the law; the oscillation damper
     // adds to it.
-    let felt = session["largest_felt_n"][2].as_f64().unwrap();
+    let felt = session["largest_feedback_n"][2].as_f64().unwrap();
     let force = session["largest_force_n"][2].as_f64().unwrap();
     assert!(force > 2.0 && felt > 0.4, "{force} N, {felt} N");
     let latency = &session["latency"];
@@ -153,8 +153,9 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     );
     println!("no delay: {latency}");
     // The arm's recording has the reported values of the master.
-    let trace = folder.path("one/hand.hmr");
-    let columns = "time_s,?_hand_mm,hand_held,?_hand_force_n,?_hand_reflected_n,?_hand_wall_n";
+    let trace = folder.path("one/master.hmr");
+    let columns =
+        "time_s,?_master_mm,master_engaged,?_master_force_n,?_master_reflected_n,?_master_wall_n";
     let ran = haptimill(&[
         "trace",
         "csv",
@@ -189,11 +190,11 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     );
     assert_eq!(most(13), 0.0);
     let info = haptimill(&["trace", "info", &trace]).expect_code(0);
-    assert!(info.out.contains("x_hand_reflected_n"), "{}", info.out);
+    assert!(info.out.contains("x_master_reflected_n"), "{}", info.out);
 
     let made = read_records(&folder.path("one/recording.hmr"));
     expect_within_limits(&made);
-    expect_no_force_step(&read_records(&folder.path("one/hand.hmr")));
+    expect_no_force_step(&read_records(&folder.path("one/master.hmr")));
     let lowest = made.iter().map(|record| record.tool[2]).min().unwrap();
     let depth = 21.232 - f64::from(lowest) / MM;
     assert!((0.7..1.6).contains(&depth), "{depth} mm deep");
@@ -210,7 +211,7 @@ fn tool_follows_the_scale_and_link_delay_is_measured() {
             &["--scale", scale, "--delay", delay, "--for", "6"],
         );
         assert_eq!(said["session"]["holds"].as_array().unwrap().len(), 0);
-        let table = folder.read("out/hand.csv");
+        let table = folder.read("out/teleop.csv");
         let row = |line: &str| -> Vec<f64> {
             line.split(',')
                 .map(|value| value.parse().unwrap_or(f64::NAN))
@@ -225,14 +226,14 @@ fn tool_follows_the_scale_and_link_delay_is_measured() {
             |column: usize| last.iter().map(|row| row[column]).sum::<f64>() / 200.0 - first[column];
         let scale: f64 = scale.parse().unwrap();
         for axis in 0..3 {
-            let (hand, tool) = (way(2 + axis), way(7 + axis));
+            let (master, tool) = (way(2 + axis), way(7 + axis));
             assert!(
-                (tool - scale * hand).abs() < 0.15 * scale,
-                "{axis}: {tool} of {hand}"
+                (tool - scale * master).abs() < 0.15 * scale,
+                "{axis}: {tool} of {master}"
             );
         }
         assert!(way(2) < -30.0);
-        let trip = number(&said["session"], "hand_round_trip_ms");
+        let trip = number(&said["session"], "master_round_trip_ms");
         let delay: f64 = delay.parse().unwrap();
         assert!(
             (2.0 * delay..2.0 * delay + 3.0).contains(&trip),
@@ -304,7 +305,7 @@ what = \"end\"
         2,
         "there is no axis 'w'; this machine has x, y, z, theta, alpha",
     );
-    let master = ["--machine", "machines/hand-master.toml"];
+    let master = ["--machine", "machines/haptic-master.toml"];
     refused(
         &[&["--master", "sim"], &master[..]].concat(),
         3,

@@ -4,12 +4,14 @@
 //! one thread can serve a transport and everything else. Bytes that [`Transport::write`] accepted
 //! are not delivered yet: the link above acknowledges what arrived.
 
+mod observers;
 mod serial;
 mod serve;
 mod tcp;
 mod token;
 
-pub use serial::{SerialTransport, list};
+pub use observers::Observers;
+pub use serial::{Flow, SerialTransport, list};
 #[cfg(unix)]
 pub use serve::PtyServer;
 pub use serve::TcpServer;

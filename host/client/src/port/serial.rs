@@ -5,6 +5,17 @@ use serialport::{ErrorKind, SerialPort, SerialPortType};
 use std::io::ErrorKind as IoKind;
 use std::time::Duration;
 
+/// Flow control of a serial line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Flow {
+    /// None: the receiver must be fast enough.
+    None,
+    /// The characters XOFF and XON stop and start the sender.
+    XonXoff,
+    /// The lines RTS and CTS stop and start the sender.
+    RtsCts,
+}
+
 /// A serial port, locked against other programs.
 pub struct SerialTransport {
     name: String,
@@ -37,6 +48,24 @@ impl SerialTransport {
             port,
             wait,
         })
+    }
+
+    /// Opens the line of a CAM computer, with flow control.
+    ///
+    /// # Errors
+    /// As [`SerialTransport::open`].
+    pub fn open_with_flow(path: &str, baud: u32, flow: Flow) -> Result<Self, PortError> {
+        let mut transport = Self::open(path, baud)?;
+        let control = match flow {
+            Flow::None => serialport::FlowControl::None,
+            Flow::XonXoff => serialport::FlowControl::Software,
+            Flow::RtsCts => serialport::FlowControl::Hardware,
+        };
+        transport
+            .port
+            .set_flow_control(control)
+            .map_err(|error| open_error(path, &error))?;
+        Ok(transport)
     }
 
     fn wait(&mut self, wait: Duration) -> Result<(), PortError> {

@@ -179,7 +179,7 @@ impl TcpServer {
             }
             Err(error) => !is_quiet(&error),
         };
-        let known = self.check_token(&candidate.received);
+        let known = check_token(self.token.as_ref(), &candidate.received);
         if let Ok(Some(from)) = known
             && UrgentDetector::new().push_all(&candidate.received[from..])
         {
@@ -217,40 +217,40 @@ impl TcpServer {
         }
     }
 
-    /// The offset of the protocol in the first bytes of a connection; `None` while its token is not
-    /// complete.
-    ///
-    /// # Errors
-    /// The token is missing or wrong.
-    fn check_token(&self, received: &[u8]) -> Result<Option<usize>, ()> {
-        let Some(token) = &self.token else {
-            return Ok(Some(0));
-        };
-        match received
-            .iter()
-            .take(LONGEST_LINE)
-            .position(|byte| *byte == b'\n')
-        {
-            Some(end) => {
-                let given = received[..end].strip_prefix(TOKEN_PREFIX).ok_or(())?;
-                let given: [u8; 32] = Sha256::digest(given).into();
-                // In constant time.
-                let differ = given.iter().zip(token).fold(0, |all, (a, b)| all | (a ^ b));
-                (std::hint::black_box(differ) == 0)
-                    .then_some(Some(end + 1))
-                    .ok_or(())
-            }
-            None if received.len() >= LONGEST_LINE => Err(()),
-            None => Ok(None),
-        }
-    }
-
     fn drop_host(&mut self) {
         self.early.clear();
         if let Some(mut host) = self.host.take() {
             // A host that sends nothing does not read either.
             let _ = host.write(CLOSED, Duration::ZERO);
         }
+    }
+}
+
+/// The offset of the data in the first bytes of a connection; `None` while its token is not
+/// complete. A port without a token has data only.
+///
+/// # Errors
+/// The token is missing or wrong.
+pub(super) fn check_token(token: Option<&[u8; 32]>, received: &[u8]) -> Result<Option<usize>, ()> {
+    let Some(token) = token else {
+        return Ok(Some(0));
+    };
+    match received
+        .iter()
+        .take(LONGEST_LINE)
+        .position(|byte| *byte == b'\n')
+    {
+        Some(end) => {
+            let given = received[..end].strip_prefix(TOKEN_PREFIX).ok_or(())?;
+            let given: [u8; 32] = Sha256::digest(given).into();
+            // In constant time.
+            let differ = given.iter().zip(token).fold(0, |all, (a, b)| all | (a ^ b));
+            (std::hint::black_box(differ) == 0)
+                .then_some(Some(end + 1))
+                .ok_or(())
+        }
+        None if received.len() >= LONGEST_LINE => Err(()),
+        None => Ok(None),
     }
 }
 

@@ -5,7 +5,7 @@ use crate::{Error, ErrorKind};
 use haptimill_firmware::force::ForceConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, to_i32, to_u32};
-use haptimill_protocol::force::{ForceLoop, Gate};
+use haptimill_protocol::force::{EnableCondition, ForceLoop};
 use haptimill_protocol::message::{Command, Event, Telemetry};
 
 /// Changes to the force loop of an axis; absent values stay as they are.
@@ -22,7 +22,7 @@ pub struct ForceLoopChanges {
     /// Largest compliant velocity, mm/s.
     pub rate_mm_s: Option<f64>,
     /// Enable condition.
-    pub gate: Option<Gate>,
+    pub enable_condition: Option<EnableCondition>,
 }
 
 impl ForceLoopChanges {
@@ -38,7 +38,7 @@ impl ForceLoopChanges {
             damping: self.damping.map_or(default.damping, gain),
             limit: self.limit_mm.map_or(default.limit, length),
             rate: self.rate_mm_s.map_or(default.rate, length),
-            gate: self.gate.unwrap_or(default.gate),
+            enable_condition: self.enable_condition.unwrap_or(default.enable_condition),
         }
     }
 }
@@ -50,7 +50,7 @@ impl ForceLoopChanges {
 pub fn find_force_config(machine: &MachineFile) -> Result<&ForceConfig, Error> {
     machine.config.force.as_ref().ok_or_else(|| {
         let model = machine.config.model.descriptor();
-        let what = if model.has_guided_tool() {
+        let what = if model.has_force_axes() {
             "the machine has no force sensor; add a section [force], as in machines/h4.toml".into()
         } else {
             format!(

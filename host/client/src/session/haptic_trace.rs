@@ -51,14 +51,14 @@ impl HapticTrace {
     #[must_use]
     pub fn to_csv(&self, every: usize) -> String {
         const VECTORS: [&str; 9] = [
-            "hand_mm",
-            "hand_mm_s",
+            "master_mm",
+            "master_mm_s",
             "desired_mm",
             "tool_mm",
             "yielded_mm",
             "high_n",
             "reflected_n",
-            "hand_n",
+            "master_n",
             "part_n",
         ];
         let mut text = String::from("time_s");
@@ -152,7 +152,7 @@ impl HapticTraceRecorder {
             high: three(&snapshot.force.high).map(|raw: f64| raw / NEWTON),
             low: three(&snapshot.force.low).map(|raw: f64| raw / NEWTON),
             reflected: [fx, fy, fz],
-            push: truth.hand,
+            push: truth.operator,
             contact: truth.contact,
             pace: truth.pace,
             done: truth.done,

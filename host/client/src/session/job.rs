@@ -51,6 +51,12 @@ pub trait JobObserver {
 
     /// An input holds the job, as `what` says. The job may resume when the input is released.
     fn held_by_input(&mut self, what: &str);
+
+    /// Whether the operator wants the job to hold along its path; called repeatedly while it runs.
+    /// The job then waits for [`JobObserver::may_resume`].
+    fn wants_hold(&mut self) -> bool {
+        false
+    }
 }
 
 /// Observes nothing and resumes at once.
@@ -235,6 +241,10 @@ impl JobRun {
         if session.is_interrupted() && !self.is_stopped {
             self.is_stopped = true;
             session.stop();
+        }
+        if self.pause == Pause::None && !self.is_stopped && observer.wants_hold() {
+            session.client.request(Command::Hold);
+            self.pause = Pause::Reached;
         }
         while let Some((_, event)) = session.events.get(self.next_event) {
             self.next_event += 1;

@@ -1,6 +1,6 @@
 //! The line between a session and its controller.
 
-use crate::port::{self, PortError, PortSpec, Transport};
+use crate::port::{self, Observers, PortError, PortSpec, Transport};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
@@ -8,6 +8,8 @@ use super::JobRecording;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::snapshot::Snapshot;
 use haptimill_hil_sim::process::CuttingConfig;
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::Model;
 use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
 use haptimill_protocol::message::Telemetry;
 use haptimill_trace::Recorder;
@@ -165,6 +167,13 @@ pub struct PortLine {
     /// Bytes that the port has not accepted yet.
     waiting: Vec<u8>,
     recording: Option<JobRecording>,
+    observed: Option<Observed>,
+}
+
+/// Observers, and the machine of which they get reports.
+struct Observed {
+    observers: Observers,
+    model: Model,
 }
 
 impl PortLine {
@@ -193,7 +202,40 @@ impl PortLine {
             started_at: Instant::now(),
             waiting: Vec::new(),
             recording: None,
+            observed: None,
         }
+    }
+
+    /// Passes reports and events on to observers, one JSON object per line: the keys are `period`,
+    /// `state`, `homed`, `position_kept`, `line` of the program, `path_rate`, `commanded` and
+    /// `measured` (mm, degrees); or `period`, `level` and `event`.
+    pub fn observe(&mut self, observers: Observers, machine: &MachineFile) {
+        let model = Model::new(machine);
+        self.observed = Some(Observed { observers, model });
+    }
+
+    /// The report of a telemetry frame for observers.
+    fn report(&self, model: &Model, telemetry: &Telemetry) -> String {
+        let pose = |values| -> serde_json::Value {
+            let values = model.unwound_pose(values, telemetry);
+            let names = model.pose_names().into_iter().zip(values);
+            names
+                .map(|(name, value)| (name.to_string(), value))
+                .collect()
+        };
+        let line = self.recording.as_ref();
+        let line = line.and_then(|recording| recording.line_of(telemetry.setpoint));
+        serde_json::json!({
+            "period": telemetry.period,
+            "state": telemetry.state.to_string().trim_start_matches("in "),
+            "homed": telemetry.homed,
+            "position_kept": telemetry.position_kept,
+            "line": line,
+            "path_rate": f64::from(telemetry.path_rate) / 65_535.0,
+            "commanded": pose(&telemetry.commanded),
+            "measured": pose(&telemetry.measured),
+        })
+        .to_string()
     }
 }
 
@@ -217,6 +259,9 @@ impl Line for PortLine {
         let mut buffer = [0; 4096];
         let count = port.read(&mut buffer, WAIT)?;
         received.extend_from_slice(&buffer[..count]);
+        if let Some(observed) = &mut self.observed {
+            observed.observers.advance();
+        }
         Ok(now_us)
     }
 
@@ -272,6 +317,13 @@ impl Line for PortLine {
         if let Some(recording) = &mut self.recording {
             recording.add_telemetry(telemetry);
         }
+        if let Some(mut observed) = self.observed.take() {
+            if observed.observers.has_any() {
+                let report = self.report(&observed.model, telemetry);
+                observed.observers.send(&report);
+            }
+            self.observed = Some(observed);
+        }
     }
 
     fn record_master(&mut self, master: &MasterTelemetry) {
@@ -283,6 +335,10 @@ impl Line for PortLine {
     fn record_event(&mut self, period: u64, level: u8, text: &str) {
         if let Some(recording) = &mut self.recording {
             recording.add_event(period, level, text);
+        }
+        if let Some(observed) = &mut self.observed {
+            let event = serde_json::json!({ "period": period, "level": level, "event": text });
+            observed.observers.send(&event.to_string());
         }
     }
 }

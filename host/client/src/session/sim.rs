@@ -254,6 +254,12 @@ impl<C: Control> Line for SimLine<C> {
 }
 
 impl JobRecording {
+    /// The line of the program of the motion towards a setpoint.
+    pub(super) fn line_of(&self, setpoint: u32) -> Option<u32> {
+        let plan = self.plan.as_ref()?;
+        Some(plan.line_of(setpoint as usize))
+    }
+
     /// A recording of the job of a plan.
     #[must_use]
     pub fn new(recorder: Recorder, plan: Arc<Plan>, machine: &MachineFile) -> Self {
@@ -333,6 +339,7 @@ impl JobRecording {
             (telemetry.position_kept, flag::POSITION_KEPT),
             (!telemetry.measured.is_empty(), flag::TOOL_MEASURED),
             (telemetry.fault.is_some(), flag::FAULT),
+            (telemetry.compensation == Some(100), flag::COMPENSATED),
         ];
         record.flags = flags
             .iter()

@@ -33,6 +33,14 @@ pub(super) fn first_time(values: &[Point], condition: impl Fn(f64) -> bool) -> f
     first.map_or(f64::NAN, |(time, _)| *time)
 }
 
+/// Time in which the values rise from 10 to 90 % of the way from the first to the largest one.
+pub(super) fn change_time(values: &[Point]) -> f64 {
+    let start = values.first().map_or(f64::NAN, |(_, value)| *value);
+    let way = largest(values) - start;
+    let reach = |part: f64| first_time(values, |value| value >= start + part * way);
+    reach(0.9) - reach(0.1)
+}
+
 /// Time of the largest value times a sign.
 pub(super) fn time_of_max(values: &[Point], sign: f64) -> f64 {
     let best = values

@@ -124,6 +124,7 @@ pub fn settings() -> Settings {
         unit: "mm",
         rate: 120.0,
         acceleration: 1500.0,
+        jerk: 37_500.0,
     };
     Settings::new(
         vec![
@@ -143,6 +144,7 @@ pub fn settings() -> Settings {
                 unit: "deg",
                 rate: 45.0,
                 acceleration: 200.0,
+                jerk: 5000.0,
             },
         ],
         200,

@@ -6,3 +6,4 @@ mod h4;
 mod properties;
 mod refusals;
 mod spans;
+mod stream;

@@ -1,7 +1,7 @@
 //! Properties of plans of random programs.
 
 use crate::h4::{H4, HOME, settings};
-use crate::spans::{Span, spans, unit};
+use crate::spans::{Cubic, Span, spans, unit};
 use haptimill_gcode::{Coordinates, Options, Program, Step, read};
 use haptimill_planner::{Cursor, MachineModel, Plan, Settings};
 use proptest::prelude::*;
@@ -135,20 +135,32 @@ fn check_limits(plan: &Plan, settings: &Settings, text: &str) {
                 largest <= axis.acceleration + acceleration,
                 "acceleration {largest} of {k} over {t} s in {place:?}\n{text}"
             );
-            // Between a line and an arc the acceleration steps; half a period of the step is in the
-            // adjacent span.
-            let stepped =
-                6.0 * settings.curvature_step * axis.acceleration * 0.5 * plan.period_s / (t * t);
-            let arcs = if text.contains("G2 ") || text.contains("G3 ") {
-                stepped
-            } else {
-                0.0
-            };
             let found = cubic.jerk().abs();
             assert!(
-                found <= axis.jerk + jerk + arcs,
+                found <= axis.jerk + jerk,
                 "jerk {found} of {k} over {t} s at {} in {place:?}\n{text}",
                 span.start
+            );
+        }
+    }
+}
+
+/// Checks that the mean accelerations of neighbouring spans differ by no more than the jerk limit
+/// allows in the time between their middles: a step of acceleration between two spans is no jerk of
+/// either.
+fn check_steps(plan: &Plan, settings: &Settings, text: &str) {
+    for pair in spans(plan).windows(2) {
+        for (k, axis) in settings.pose.iter().enumerate() {
+            let [before, after] = [&pair[0].axes[k], &pair[1].axes[k]];
+            let mean = |cubic: &Cubic| (cubic.v[1] - cubic.v[0]) / cubic.t;
+            let rate = 256.0 * unit(k);
+            let rounding = rate / before.t + rate / after.t;
+            let most = axis.jerk * 0.5 * (before.t + after.t) + rounding;
+            let step = (mean(after) - mean(before)).abs();
+            assert!(
+                step <= most,
+                "acceleration of {k} steps by {step}, {most} allowed, at {}\n{text}",
+                pair[1].start
             );
         }
     }
@@ -270,6 +282,7 @@ fn check_spans(plan: &Plan, settings: &Settings) {
 fn check(text: &str, settings: &Settings) {
     let (program, plan) = plan(text, settings);
     check_limits(&plan, settings, text);
+    check_steps(&plan, settings, text);
     check_motion(&plan, settings, text);
     check_ends(&program, &plan, settings, text);
     check_spans(&plan, settings);
@@ -299,6 +312,33 @@ proptest! {
         check(&text, &settings());
     }
 
+    /// The planned rates, differentiated numerically, keep the jerk limits of tip and joints,
+    /// where a line meets an arc as well.
+    #[test]
+    fn contours_keep_the_jerk_limits_everywhere(text in contour()) {
+        let settings = settings();
+        let (_, plan) = plan(&text, &settings);
+        let mut cursor = Cursor::default();
+        let h = 5e-4;
+        let mut t = h;
+        while t < plan.figures.duration_s - h {
+            let motion = [t - h, t, t + h].map(|t| plan.intended(&mut cursor, t));
+            let second = |values: [f64; 3]| {
+                (values[2] - 2.0 * values[1] + values[0]).abs() / (h * h)
+            };
+            for (k, axis) in settings.pose.iter().enumerate() {
+                let jerk = second([0, 1, 2].map(|n| motion[n].1[k]));
+                prop_assert!(jerk <= axis.jerk * 1.01, "{} {jerk} at {t}\n{text}", axis.letter);
+            }
+            let rates = motion.map(|(pose, rates)| H4.joint_rates(&pose, &rates));
+            for (k, joint) in settings.joints.iter().enumerate() {
+                let jerk = second([0, 1, 2].map(|n| rates[n][k]));
+                prop_assert!(jerk <= joint.jerk * 1.01, "{} {jerk} at {t}\n{text}", joint.name);
+            }
+            t += h;
+        }
+    }
+
     /// The joint positions, differentiated numerically, keep their limits.
     #[test]
     fn joints_keep_their_limits(text in polyline()) {
@@ -314,6 +354,11 @@ proptest! {
                 let acceleration = (l[2][k] - 2.0 * l[1][k] + l[0][k]).abs() / (h * h);
                 prop_assert!(rate <= joint.rate * 1.001, "{} {rate} at {t}\n{text}", joint.name);
                 prop_assert!(acceleration <= joint.acceleration * 1.01, "{} {acceleration} at {t}\n{text}", joint.name);
+            }
+            let l: Vec<[f64; 6]> = [-1.5, -0.5, 0.5, 1.5].iter().map(|&n| H4.joints(&plan.intended(&mut cursor, (t + n * h).max(0.0)).0).expect("checked")).collect();
+            for (k, joint) in settings.joints.iter().enumerate() {
+                let jerk = (l[3][k] - 3.0 * l[2][k] + 3.0 * l[1][k] - l[0][k]).abs() / (h * h * h);
+                prop_assert!(jerk <= joint.jerk * 1.02, "{} jerk {jerk} at {t}\n{text}", joint.name);
             }
             t += 7.3 * h;
         }

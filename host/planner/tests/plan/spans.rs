@@ -1,6 +1,7 @@
 //! The cubics that the controller interpolates between setpoints, computed from the integers alone.
 
 use haptimill_planner::Plan;
+use haptimill_protocol::setpoint::Setpoint;
 
 /// The cubic from one setpoint to the next, in one coordinate.
 #[derive(Debug, Clone, Copy)]
@@ -66,12 +67,17 @@ pub struct Span {
 
 /// All spans of a plan.
 pub fn spans(plan: &Plan) -> Vec<Span> {
-    let mut pose: Vec<i32> = plan.start.to_vec();
+    spans_of(&plan.start, &plan.setpoints, plan.period_s)
+}
+
+/// All spans of setpoints.
+pub fn spans_of(start: &[i32], setpoints: &[Setpoint], period_s: f64) -> Vec<Span> {
+    let mut pose: Vec<i32> = start.to_vec();
     let mut rates = vec![0i32; pose.len()];
     let mut period = 0u64;
     let mut spans = Vec::new();
-    for setpoint in &plan.setpoints {
-        let t = f64::from(setpoint.periods) * plan.period_s;
+    for setpoint in setpoints {
+        let t = f64::from(setpoint.periods) * period_s;
         let axes = std::array::from_fn(|k| Cubic {
             t,
             p: [
@@ -84,7 +90,7 @@ pub fn spans(plan: &Plan) -> Vec<Span> {
             ],
         });
         spans.push(Span {
-            start: period as f64 * plan.period_s,
+            start: period as f64 * period_s,
             axes,
         });
         pose = setpoint.pose.to_vec();

@@ -98,7 +98,7 @@ impl<L: JobLine> Teleop<'_, L> {
             }
         };
         keep_largest(&mut self.outcome.largest_force_n, &newtons);
-        keep_largest(&mut self.outcome.largest_felt_n, &master_force.force);
+        keep_largest(&mut self.outcome.largest_feedback_n, &master_force.force);
         let three = |values: &[f64]| {
             std::array::from_fn(|axis| values.get(axis).copied().unwrap_or_default())
         };

@@ -36,7 +36,7 @@ impl<L: JobLine> Teleop<'_, L> {
             Err(_) if is_stale => true,
             Err(_) => client.send_master_pose(pose, u8::MAX).is_ok(),
         };
-        self.outcome.words += u64::from(is_sent);
+        self.outcome.samples_sent += u64::from(is_sent);
         if is_sent && is_stale {
             self.stale.count += 1;
             self.stale.oldest_ms = self.stale.oldest_ms.max(age_ms);
@@ -80,7 +80,7 @@ impl<L: JobLine> Teleop<'_, L> {
             count, oldest_ms, ..
         } = self.stale;
         if count > 0 {
-            let effect = if count == self.outcome.words {
+            let effect = if count == self.outcome.samples_sent {
                 "; the tool was not moved"
             } else {
                 ""
@@ -88,7 +88,7 @@ impl<L: JobLine> Teleop<'_, L> {
             self.outcome.notes.push(format!(
                 "{count} of {} samples of the master were too late, up to {oldest_ms} ms old; \
                  the limit is {} ms{effect}; {}",
-                self.outcome.words,
+                self.outcome.samples_sent,
                 self.options.stale_ms,
                 StaleSamples::REMEDY
             ));
@@ -100,7 +100,7 @@ impl<L: JobLine> Teleop<'_, L> {
             (MasterStatus::Disabled(reason), _) => (
                 Ended::HapticFault,
                 format!(
-                    "the master is disabled: {reason}; remove the cause, then order `reset-hand`"
+                    "the master is disabled: {reason}; remove the cause, then order `reset-master`"
                 ),
             ),
             (MasterStatus::Waiting(reason), _) => (

@@ -358,7 +358,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         self.outcome.latency = self.latency.figures();
         self.outcome.latency_is_exact = self.has_machine_snapshot && self.has_arm_snapshot;
         self.outcome.machine_round_trip_ms = ms(self.session.client().link().round_trip_us());
-        self.outcome.hand_round_trip_ms = ms(self.master.round_trip_us());
+        self.outcome.master_round_trip_ms = ms(self.master.round_trip_us());
         self.outcome.final_state = format!("{:?}", status.state);
         self.outcome.position_kept = status.position_kept;
         Ok(self.outcome)

@@ -33,7 +33,7 @@ impl<L: JobLine> Teleop<'_, L> {
     pub(super) fn execute(&mut self, order: Order, report: &mut Report<'_>) {
         match order {
             Order::Hold => self.request(Command::Hold, "hold"),
-            Order::ResetHand => self.master.reset(),
+            Order::ResetMaster => self.master.reset(),
             Order::Stop => {
                 self.is_ending = true;
                 self.outcome.ended = Ended::Stopped;

@@ -50,7 +50,8 @@ pub const REPORTED: f64 = 1.02;
 pub const CUBIC: f64 = 24.0;
 /// Periods from a request to its answer on a clean, fast line.
 pub const ANSWER: u64 = 5000;
-/// Accuracy of the controller's joints, in mm or degrees: 0.1 um (firmware/kinematics/src/h4).
+/// Accuracy of the controller's joints, in mm or degrees: 0.1 um
+/// (firmware/kinematics/src/machines/h4).
 pub const ARITHMETIC: f64 = 1e-4;
 /// Rod length residual of the commanded joints at the commanded pose, in mm.
 pub const RESIDUAL: f64 = 2e-4;

@@ -3,7 +3,7 @@
 use super::super::bench::StormBench;
 use super::super::units::MM;
 use super::{CheckResult, Checks};
-use haptimill_protocol::force::Gate;
+use haptimill_protocol::force::EnableCondition;
 use haptimill_protocol::message::State;
 
 /// Limits of the compliant displacement, and how long each axis was pressed.
@@ -65,7 +65,8 @@ impl Checks {
             let pressed = truth.force[axis];
             let complies = force.mask() & (1 << axis) != 0
                 && matches!(state, State::Run)
-                && settings.is_some_and(|settings| settings.gate == Gate::Any)
+                && settings
+                    .is_some_and(|settings| settings.enable_condition == EnableCondition::Any)
                 && force.condition().is_none()
                 && force.conditioner().tared()
                 && self.is_fault_free(bench);

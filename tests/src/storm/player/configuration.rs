@@ -93,7 +93,7 @@ fn mutate(config: &mut Config, rng: &mut Rng) {
         4 => config.supervision.missed_periods = half,
         5 => config.supervision.illegal_transitions = half,
         6 => config.homing.rate.0 = word,
-        7 => config.homing.table_rate.0 = word,
+        7 => config.homing.rotary_rate.0 = word,
         8 | 9 => {
             if let Model::H4(geometry) = &mut config.model {
                 match rng.below(6) {
@@ -142,7 +142,7 @@ fn mutate_joint(axis: &mut JointAxis, (word, half, wide): (i32, u16, i64), rng: 
             4 => encoder.per_count = -encoder.per_count,
             6 => encoder.following.0 = word,
             7 => encoder.following_lag = word as u32,
-            8 => encoder.still.0 = word,
+            8 => encoder.stuck_distance.0 = word,
             10 => encoder.index.0 = word,
             11 => encoder.index_pitch.0 = word,
             12 => encoder.index_slack = half,

@@ -2,6 +2,7 @@
 
 use crate::commands::{CliError, Exit};
 use clap::Args;
+use haptimill_machine_file::keys::sections;
 use haptimill_machine_keys::page::listing;
 
 const LONG: &str = "\
@@ -24,7 +25,7 @@ pub struct KeysArgs {
 /// # Errors
 /// [`Exit::Usage`]: there is no such section.
 pub(super) fn run(args: &KeysArgs) -> Result<(), CliError> {
-    let text = listing(&args.section);
+    let text = listing(&args.section, &sections());
     if text.is_empty() {
         let section = &args.section;
         return Err(CliError::new(

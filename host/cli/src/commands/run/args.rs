@@ -1,5 +1,6 @@
 //! Arguments of `haptimill run`.
 
+use super::changes::ChangeArgs;
 use crate::commands::args::{BoardArg, PortArgs, SimulatorArgs, StockArg, check_baud};
 use crate::commands::force::{ForceArgs, ForceAxes, parse_axes};
 use crate::commands::program::LanguageArgs;
@@ -25,7 +26,8 @@ writes to DIR
 Ctrl-C stops the machine along its path; the recording is kept.
 
 At M0 the machine waits for Enter, so a program with M0 needs a terminal or --skip-pauses. M1 is \
-passed without --optional-stop.
+passed without --optional-stop. On a terminal with a port Space or p holds the machine along its \
+path, Enter continues.
 
 --stock, --seed and --fault are for a simulated machine (--port sim or pil:...).";
 
@@ -84,6 +86,17 @@ pub struct RunArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub language: LanguageArgs,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub changes: ChangeArgs,
+    /// Serve observers on tcp:HOST:PORT (port 0 takes a free one): they get every report and
+    /// command nothing (`haptimill watch`); only on a machine behind a port
+    #[arg(long, value_name = "ADDRESS")]
+    pub serve: Option<PortSpec>,
+    /// With --serve: file with the token of the observers [default: a new token for an address that
+    /// other computers can reach]
+    #[arg(long, value_name = "FILE", requires = "serve")]
+    pub token_file: Option<PathBuf>,
     /// Emulated board: firmware image to run instead of the one that is built
     #[arg(long, value_name = "FILE")]
     pub image: Option<PathBuf>,
@@ -112,6 +125,9 @@ pub struct RunArgs {
     /// Print no progress bar
     #[arg(long)]
     pub quiet: bool,
+    /// Print nothing on standard output, for a command that prints a result of its own.
+    #[arg(skip)]
+    pub silent: bool,
 }
 
 impl RunArgs {
@@ -134,6 +150,16 @@ impl RunArgs {
                 }
                 Some(_) => {}
             }
+        }
+        if !self.check {
+            let is_simulated = self.port.is_simulated();
+            self.changes.check(is_simulated, self.skips_pauses())?;
+        }
+        if self.serve.is_some() && self.port.is_simulated() {
+            return usage(
+                "--serve is for a machine behind a port: the simulator in this process does not \
+                 run in real time; use `haptimill sim serve` and --port",
+            );
         }
         if self.mcap && !MCAP {
             return Err(CliError::new(Exit::Usage, RecordingError::NoMcap));

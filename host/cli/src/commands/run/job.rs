@@ -4,6 +4,7 @@ use super::args::RunArgs;
 use super::progress::ProgressDisplay;
 use super::results::{self, ResultFolder};
 use crate::commands::force::ForceAxes;
+use crate::commands::operator_input::Input;
 use crate::commands::program::{PartProgram, Planned};
 use crate::commands::{CliError, Exit};
 use haptimill_client::Error;
@@ -16,7 +17,7 @@ use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
 use haptimill_report::Outcome;
 use haptimill_trace::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, IsTerminal as _, Write};
 use std::sync::Arc;
 
 /// Time between two telemetry frames of a haptic arm behind a port, microseconds.
@@ -58,6 +59,7 @@ impl Job<'_> {
             session.go_home(self.machine, &self.home)?;
             (self.home.clone(), planned)
         };
+        self.ask_approach(&mut session, &planned)?;
         if let Some(stock) = &self.stock {
             session.line_mut().clamp(stock)?;
         }
@@ -76,6 +78,29 @@ impl Job<'_> {
             Some(before) => result.and(before.restore(&mut session)),
             None => result,
         }
+    }
+
+    /// Shows the approach of a program that begins in the middle, and asks for it.
+    fn ask_approach<L: JobLine>(
+        &self,
+        session: &mut Session<L>,
+        planned: &Planned,
+    ) -> Result<(), CliError> {
+        let Some(approach) = &planned.approach else {
+            return Ok(());
+        };
+        self.args.print_message(approach);
+        if self.args.changes.yes || self.args.port.is_simulated() {
+            return Ok(());
+        }
+        let mut input = Input::terminal();
+        let answer = input.line(session, "Move there and run? [y/N] ")?;
+        let answer = answer.unwrap_or_default();
+        if matches!(answer.trim(), "y" | "Y" | "yes") {
+            return Ok(());
+        }
+        let what = "the approach was declined; nothing moved towards it";
+        Err(CliError::new(Exit::Stopped, what))
     }
 
     /// Sets the force control: settings, zero of the sensor without contact, then the axes.
@@ -189,7 +214,9 @@ impl Job<'_> {
         for fault in missed {
             eprintln!("--fault \"{fault}\" was not injected: the run ended at {end_s:.2} s");
         }
-        if self.args.json {
+        if self.args.silent {
+            // The caller prints its own result.
+        } else if self.args.json {
             let json = serde_json::to_string_pretty(&summary)
                 .map_err(|error| CliError::new(Exit::Internal, error))?;
             print_line!("{json}");
@@ -218,6 +245,17 @@ impl Job<'_> {
         }
         session.check_completed(end)
     }
+}
+
+/// Refuses a start in the middle that has to be asked for where nobody can answer.
+pub(super) fn check_can_ask(args: &RunArgs, planned: &Planned) -> Result<(), CliError> {
+    let asks = planned.approach.is_some() && !args.changes.yes && !args.port.is_simulated();
+    if asks && (args.json || !std::io::stdin().is_terminal()) {
+        let what = "--from-line asks before the approach, and there is no terminal to answer on; \
+                    look at it with --check, then add --yes";
+        return Err(CliError::new(Exit::Usage, what));
+    }
+    Ok(())
 }
 
 /// The force control before a run that has settings of its own: they end with the run.

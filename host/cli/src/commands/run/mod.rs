@@ -1,17 +1,19 @@
 //! `haptimill run`: runs a part program and writes the report.
 
 mod args;
+mod changes;
 mod emulated;
 pub(super) mod job;
+mod keys;
 mod progress;
 pub(super) mod results;
 
 use super::board::file_of;
-use super::program::{PartProgram, Planned};
-use super::{CliError, Exit};
+use super::program::{Checked, PartProgram, Planned};
+use super::{CliError, Exit, sim};
 use crate::commands::interrupt;
 use haptimill_client::client::Options;
-use haptimill_client::port::PortSpec;
+use haptimill_client::port::{Observers, PortSpec};
 use haptimill_client::session::{self, PortLine, Session, SimLine};
 use haptimill_machine_file::model::Model;
 use haptimill_report::count;
@@ -20,6 +22,7 @@ use results::ResultFolder;
 
 pub use args::RunArgs;
 pub(super) use args::{bytes_per_s, faults_help};
+pub use changes::ChangeArgs;
 
 /// Runs a part program.
 ///
@@ -34,19 +37,29 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     }
     let model = Model::new(&machine);
     let home = session::find_home_pose(&machine, &model)?;
-    let program = PartProgram::load(&args.program, args.language)?;
+    let program = PartProgram::load(&args.program, args.language)?.with_changes(args.changes);
+    if args.check {
+        let (checked, approach) = if args.changes.is_none() {
+            (program.check(&machine, &model, &home)?, None)
+        } else {
+            program.plan(&machine, &model, &home)?.into_checked()
+        };
+        args.stock.load(&machine)?;
+        print_check(&args, &program, &checked);
+        if let Some(approach) = approach {
+            args.print_message(&approach);
+        }
+        return Ok(());
+    }
     let planned = program.plan(&machine, &model, &home)?;
     for notice in &planned.notices {
         args.print_message(notice);
     }
     let stock = args.stock.load(&machine)?;
-    if args.check {
-        print_check(&args, &program, &planned);
-        return Ok(());
-    }
     if !args.skips_pauses() {
         program.check_pauses(&planned)?;
     }
+    job::check_can_ask(&args, &planned)?;
     results::check_space(
         &args.out_dir(),
         args.recording_bytes(&machine, planned.plan.figures.duration_s),
@@ -77,6 +90,11 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         PortSpec::Emulated(board) => emulated::run(job, planned, *board),
         spec => {
             let baud = args.port.baud_or_default();
+            let observers = args
+                .serve
+                .as_ref()
+                .map(|address| serve_observers(&args, address))
+                .transpose()?;
             let line = PortLine::opened(spec, baud)?;
             let serial = matches!(spec, PortSpec::Serial(_));
             let options = paced_options(serial.then_some(baud));
@@ -86,6 +104,9 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             // The command ends here if the board is configured as another machine.
             let machine = file_of(&chosen, &mut session)?;
             job.home = session::find_home_pose(&machine, session.model())?;
+            if let Some(observers) = observers {
+                session.line_mut().observe(observers, &machine);
+            }
             let job = Job {
                 machine: &machine,
                 ..job
@@ -95,26 +116,60 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     }
 }
 
+/// Opens the port of the observers, and prints its address and a new token.
+fn serve_observers(args: &RunArgs, address: &PortSpec) -> Result<Observers, CliError> {
+    let PortSpec::Tcp(address) = address else {
+        let what = format!("--serve {address}: write tcp:HOST:PORT");
+        return Err(CliError::new(Exit::Usage, what));
+    };
+    let given = args
+        .token_file
+        .as_deref()
+        .map(sim::read_token)
+        .transpose()?;
+    let observers = Observers::listen(address)?;
+    let is_local = observers.address().is_ok_and(|at| at.ip().is_loopback());
+    let (token, is_new) = sim::token_of(given, is_local)?;
+    // Standard output may be the summary as JSON.
+    eprintln!("observers  {}", observers.name());
+    let Some(token) = token else {
+        return Ok(observers);
+    };
+    if is_new {
+        eprintln!("token      {}", token.reveal());
+    }
+    Ok(observers.with_token(&token))
+}
+
 /// Prints the result of `--check`.
-fn print_check(args: &RunArgs, program: &PartProgram, planned: &Planned) {
-    let plan = &planned.plan;
+fn print_check(args: &RunArgs, program: &PartProgram, checked: &Checked) {
+    let figures = &checked.figures;
     if args.json {
         let value = serde_json::json!({
             "program": program.name,
-            "blocks": plan.figures.blocks,
-            "setpoints": plan.setpoints.len(),
-            "path_length_mm": plan.figures.path_length_mm,
-            "duration_s": plan.figures.duration_s / args.path_rate(),
+            "blocks": figures.blocks,
+            "slowed_blocks": figures.slowed,
+            "path_length_mm": figures.path_length_mm,
+            "duration_s": figures.duration_s / args.path_rate(),
         });
         print_line!("{value:#}");
     }
+    for notice in &checked.notices {
+        args.print_message(notice);
+    }
+    if figures.slowed > 0 {
+        args.print_message(&format!(
+            "{}: the joints keep {} below the feed",
+            program.name,
+            count(figures.slowed, "block")
+        ));
+    }
     args.print_message(&format!(
-        "{}: no problem; {}, {}, {:.1} mm, {}",
+        "{}: no problem; {}, {:.1} mm, {}",
         program.name,
-        count(plan.figures.blocks, "block"),
-        count(plan.setpoints.len(), "setpoint"),
-        plan.figures.path_length_mm,
-        args.describe_duration(plan.figures.duration_s)
+        count(figures.blocks, "block"),
+        figures.path_length_mm,
+        args.describe_duration(figures.duration_s)
     ));
 }
 

@@ -1,6 +1,7 @@
 //! Progress of a job on the terminal: bar, line, remaining time, pauses.
 
 use super::args::RunArgs;
+use super::keys::{Keys, is_enter, is_hold};
 use crate::commands::program::Pause;
 use haptimill_client::session::JobObserver;
 use haptimill_planner::Plan;
@@ -27,6 +28,8 @@ pub(super) struct ProgressDisplay {
     /// The line of the present pause.
     paused_at: Option<u32>,
     enter_pressed: Arc<AtomicBool>,
+    /// The keys of a terminal, on a machine behind a port.
+    keys: Option<Keys>,
 }
 
 impl ProgressDisplay {
@@ -59,6 +62,9 @@ impl ProgressDisplay {
             line: 0,
             paused_at: None,
             enter_pressed: Arc::new(AtomicBool::new(false)),
+            keys: (shown && !args.port.is_simulated())
+                .then(Keys::open)
+                .flatten(),
         }
     }
 
@@ -115,7 +121,18 @@ impl JobObserver for ProgressDisplay {
         }
     }
 
+    fn wants_hold(&mut self) -> bool {
+        let holds = self.keys.as_mut().is_some_and(|keys| keys.take(is_hold));
+        if holds {
+            self.wait_for_enter(self.line, "held by the operator");
+        }
+        holds
+    }
+
     fn may_resume(&mut self) -> bool {
+        if self.keys.as_mut().is_some_and(|keys| keys.take(is_enter)) {
+            self.enter_pressed.store(true, Ordering::Relaxed);
+        }
         let resumes = self.skips_pauses || self.enter_pressed.swap(false, Ordering::Relaxed);
         if resumes {
             self.paused_at = None;
@@ -138,6 +155,10 @@ impl ProgressDisplay {
         self.paused_at = Some(line);
         self.enter_pressed.store(false, Ordering::Relaxed);
         // An Enter before the pause must not end it.
+        if let Some(keys) = &mut self.keys {
+            keys.clear();
+            return;
+        }
         #[cfg(unix)]
         let _ = rustix::termios::tcflush(std::io::stdin(), rustix::termios::QueueSelector::IFlush);
         let enter_pressed = Arc::clone(&self.enter_pressed);

@@ -145,8 +145,8 @@ fn remove_results(dir: &Path) -> std::io::Result<()> {
         haptimill_report::TRACE_FILE,
         haptimill_report::SUMMARY_FILE,
         haptimill_report::REPORT_FILE,
-        "hand.csv",
-        "hand.hmr",
+        "teleop.csv",
+        "master.hmr",
     ] {
         let old = dir.join(name);
         if old.exists() {

@@ -28,12 +28,12 @@ The machine is the built-in one in the simulator, or behind --port. With a scrip
 everything runs in virtual time, and every run is bit-identical.
 
 Orders are read from standard input, one per line, unless the master is a script: hold, resume, \
-stop, end, reset-hand, gp=SCALE. If the newest master sample is older than stale_ms (50), the \
+stop, end, reset-master, gp=SCALE. If the newest master sample is older than stale_ms (50), the \
 machine decelerates along its path and holds. `resume` continues from the present poses of master \
 and tool. Ctrl-C stops.
 
-The command writes to DIR: recording.hmr (`haptimill replay`, `trace`), trace.csv, hand.csv (every \
-report: master, tool, forces) and summary.json; with a simulated arm also hand.hmr, the recording \
+The command writes to DIR: recording.hmr (`haptimill replay`, `trace`), trace.csv, teleop.csv (every \
+report: master, tool, forces) and summary.json; with a simulated arm also master.hmr, the recording \
 of its controller.
 
 --stock, --seed and --fault are for the simulated machine.";
@@ -54,7 +54,7 @@ pub struct TeleopArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub port: PortArgs,
-    /// Machine file of the haptic arm [default: machines/hand-master.toml, built in]
+    /// Machine file of the haptic arm [default: machines/haptic-master.toml, built in]
     #[arg(long, value_name = "FILE")]
     pub master_machine: Option<PathBuf>,
     /// Replace the configuration of the arm's board by the one of --master-machine where the names

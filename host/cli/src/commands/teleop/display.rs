@@ -10,7 +10,7 @@ pub(super) fn describe(outcome: &Outcome) -> String {
     let mut text = format!(
         "teleoperation for {:.2} s with {} master samples; {} holds; {}\n",
         outcome.duration_s,
-        outcome.words,
+        outcome.samples_sent,
         outcome.holds.len(),
         outcome.final_state
     );
@@ -26,7 +26,7 @@ pub(super) fn describe(outcome: &Outcome) -> String {
     text += &format!(
         "largest force on the tool {} N, fed back to the master {} N\n",
         three(&outcome.largest_force_n),
-        three(&outcome.largest_felt_n)
+        three(&outcome.largest_feedback_n)
     );
     if let Some(latency) = &outcome.latency {
         let how = if outcome.latency_is_exact {
@@ -42,7 +42,7 @@ pub(super) fn describe(outcome: &Outcome) -> String {
     }
     text + &format!(
         "round trips: machine {:.1} ms, master {:.1} ms\n",
-        outcome.machine_round_trip_ms, outcome.hand_round_trip_ms
+        outcome.machine_round_trip_ms, outcome.master_round_trip_ms
     )
 }
 

@@ -26,7 +26,7 @@ const MACHINE_REPORT_BYTES: u32 = 170;
 const MASTER_REPORT_BYTES: u32 = 85;
 
 /// The recording of the arm's controller.
-const MASTER_RECORDING_FILE: &str = "hand.hmr";
+const MASTER_RECORDING_FILE: &str = "master.hmr";
 
 /// Teleoperates the machine.
 ///

@@ -22,7 +22,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 /// The table of reports.
-const TABLE_FILE: &str = "hand.csv";
+const TABLE_FILE: &str = "teleop.csv";
 
 /// A teleoperation session.
 pub(super) struct TeleopSession<'a> {

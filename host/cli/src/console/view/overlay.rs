@@ -2,6 +2,7 @@
 
 use super::panels::wrapped;
 use super::{master, style_of};
+use crate::console::input::ZERO;
 use crate::console::keys::BINDINGS;
 use crate::console::view_model::{Confirm, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::PER_EFFORT;
@@ -75,7 +76,8 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
             // The end of a long name stays visible.
             let hidden = text.chars().count().saturating_sub(width.saturating_sub(2));
             let tail: String = text.chars().skip(hidden).collect();
-            let help = highlighted("Enter checks it, Esc cancels, Ctrl-U clears");
+            let action = if *title == ZERO { "sets" } else { "checks" };
+            let help = highlighted(format!("Enter {action} it, Esc cancels, Ctrl-U clears"));
             (*title, vec![Line::raw(format!("{tail}_")), help])
         }
         Overlay::Axes { selected } => (

@@ -34,7 +34,7 @@ impl App {
         };
         if let (State::Fault, Some(fault)) = (telemetry.state, &self.fault) {
             let message = self.session.describe(fault);
-            return alarm(format!("FAULT: {message}. Key: x resets"));
+            return alarm(format!("FAULT (x resets): {message}"));
         }
         if !self.session.is_configured() && telemetry.state != State::EmergencyStop {
             return (

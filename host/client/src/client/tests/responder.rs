@@ -198,6 +198,7 @@ impl Responder {
             bad_frames: self.link.counters().bad_frames,
             force: None,
             io: None,
+            compensation: None,
             lost_bytes: 0,
         }
     }

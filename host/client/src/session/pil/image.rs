@@ -27,7 +27,7 @@ pub fn image(board: Board) -> Result<PathBuf, Error> {
 /// There are no sources and no image, or the build failed.
 pub fn image_for(board: Board, machine: &MachineFile) -> Result<PathBuf, Error> {
     match &machine.config.haptic {
-        Some(_) if std::env::var_os("HAPTIMILL_IMAGE").is_none() => build(board, Some("hand")),
+        Some(_) if std::env::var_os("HAPTIMILL_IMAGE").is_none() => build(board, Some("haptics")),
         _ => image(board),
     }
 }

@@ -1,0 +1,5 @@
+//! What boards share.
+
+#![no_std]
+
+pub mod step_words;

@@ -1,0 +1,201 @@
+//! Words for a step generator in a programmable I/O block (PIO of the RP2350), fed by DMA.
+//!
+//! A word is a wait, and the pulse at its end if there is one. In each control period the words of
+//! a joint add up to exactly the period. The state machines therefore run on without being told
+//! when a period begins, and the times of all pulses have one constant offset to the controller's.
+//!
+//! | bits | |
+//! | --- | --- |
+//! | 0 | level of the direction line, from the start of the word |
+//! | 1 | a pulse ends the word |
+//! | 2 to 31 | `x`, turns of the waiting loop less one |
+//!
+//! A tick of the step clock is a turn of the waiting loop: two cycles, because each turn also looks
+//! at the emergency stop. A word takes `x + 3` ticks, and one with a pulse the width of the pulse
+//! more; the pulse rises `x + 3` ticks after the start of the word:
+//!
+//! ```text
+//! .side_set 1                  the step line
+//!     out pins, 1    side 0    direction
+//!     out y, 1       side 0    a pulse ends the word
+//!     out x, 30      side 0
+//! wait:
+//!     jmp pin, stop  side 0    the emergency stop is open
+//!     jmp x--, wait  side 0
+//!     jmp !y, start  side 0
+//!     mov y, isr     side 1    the pulse: y + 2 cycles
+//! high:
+//!     jmp y--, high  side 1
+//! .wrap
+//! stop:
+//!     jmp stop       side 0    until the processor restarts the state machine
+//! ```
+
+use haptimill_firmware::io::StepSegment;
+
+/// The program above, assembled for the address 0.
+pub const PROGRAM: [u16; 9] = [
+    0x6001, // out pins, 1
+    0x6041, // out y, 1
+    0x603E, // out x, 30
+    0x00C8, // jmp pin, 8
+    0x0043, // jmp x--, 3
+    0x0060, // jmp !y, 0
+    0xB046, // mov y, isr      side 1
+    0x1087, // jmp y--, 7      side 1
+    0x0008, // jmp 8
+];
+
+/// Address of the last instruction before the program begins again.
+pub const WRAP: u32 = 7;
+
+/// Address at which a state machine stays after an emergency stop.
+pub const STOP: u32 = 8;
+
+/// Addresses at which a word was begun and its pulse was not: a state machine that is stopped there
+/// has still to emit it.
+pub const BEFORE_PULSE: core::ops::RangeInclusive<u32> = 1..=6;
+
+/// Addresses at which a part of a word is in the output shift register.
+pub const SHIFTING: core::ops::RangeInclusive<u32> = 1..=2;
+
+/// Cycles of the state machine in a tick.
+pub const CYCLES_PER_TICK: u32 = 2;
+
+/// Ticks of a word without a pulse and with `x` = 0, and from the start of a word to its pulse.
+pub const LEAST: u32 = 3;
+
+/// Shortest pulse, ticks.
+pub const LEAST_WIDTH: u16 = 2;
+
+/// Least set-up and hold times of the direction, ticks: within them the line changes.
+pub const LEAST_SETUP: u16 = 3;
+
+/// Largest number of words of a joint in a period.
+pub const MOST: usize = 512;
+
+/// Value of the state machine's ISR for pulses of `width` ticks, at least [`LEAST_WIDTH`].
+#[must_use]
+pub const fn width_register(width: u16) -> u32 {
+    let width = if width < LEAST_WIDTH {
+        LEAST_WIDTH
+    } else {
+        width
+    };
+    width as u32 * CYCLES_PER_TICK - 2
+}
+
+/// A segment does not fit into the period or the buffer. It is not emitted: the joint has lost its
+/// position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Unfit;
+
+/// Encoder of the words of a joint.
+#[derive(Debug, Clone)]
+pub struct StepWords {
+    period: i32,
+    width: i32,
+    /// Ticks by which the last word ends before the start of the next period; negative after it.
+    early: i32,
+    up: bool,
+}
+
+impl StepWords {
+    /// Words for periods of `period` ticks and pulses of `width` ticks, from the start of a period.
+    #[must_use]
+    pub const fn new(period: u32, width: u16) -> Self {
+        Self {
+            period: period as i32,
+            width: if width < LEAST_WIDTH {
+                LEAST_WIDTH
+            } else {
+                width
+            } as i32,
+            early: 0,
+            up: false,
+        }
+    }
+
+    /// Width of the pulses, ticks.
+    #[must_use]
+    pub const fn width(&self) -> u16 {
+        self.width as u16
+    }
+
+    /// A word that only waits, at least [`LEAST`] ticks.
+    #[must_use]
+    pub const fn wait(&self, ticks: u32) -> u32 {
+        let turns = ticks.saturating_sub(LEAST);
+        turns << 2 | self.up as u32
+    }
+
+    /// Writes the words of a period, and returns their number. Requires of the segment what
+    /// [`StepSegment`] promises for a pulse of `width` ticks or more, and set-up and hold times of
+    /// [`LEAST_SETUP`] or more.
+    ///
+    /// # Errors
+    /// [`Unfit`]; then the words are those of a period without steps.
+    pub fn fill(&mut self, segment: &StepSegment, words: &mut [u32; MOST]) -> Result<usize, Unfit> {
+        let before = (self.early, self.up);
+        let result = self.encode(segment, words);
+        if result.is_err() {
+            (self.early, self.up) = before;
+            // A period is always longer than a word, so this cannot fail.
+            return self.encode(&StepSegment::default(), words).and(Err(Unfit));
+        }
+        result
+    }
+
+    #[inline]
+    fn encode(&mut self, segment: &StepSegment, words: &mut [u32; MOST]) -> Result<usize, Unfit> {
+        let count = usize::from(segment.count.unsigned_abs());
+        // A word more for a change of the direction, and one for the rest of the period.
+        if count + 2 > MOST {
+            return Err(Unfit);
+        }
+        let mut used = 0;
+        // Start of the next word, ticks from the start of the period.
+        let mut start = -self.early;
+        if count > 0 {
+            let up = segment.count > 0;
+            if up != self.up {
+                // Until the direction may change; the pulses are as late.
+                let least = LEAST as i32;
+                words[0] = self.wait((least - start).unsigned_abs());
+                used = 1;
+                start = if least - start < least {
+                    start + least
+                } else {
+                    least
+                };
+                self.up = up;
+            }
+            let pulse = 0b10 | u32::from(up);
+            let mut at = i32::try_from(segment.delay).map_err(|_| Unfit)?;
+            let mut interval = i32::try_from(segment.interval).map_err(|_| Unfit)?;
+            for word in &mut words[used..used + count] {
+                let turns = at - start;
+                if turns < 0 {
+                    return Err(Unfit);
+                }
+                *word = turns.unsigned_abs() << 2 | pulse;
+                start = at + LEAST as i32 + self.width;
+                at = at.checked_add(interval).ok_or(Unfit)?;
+                interval = interval.checked_add(segment.ramp).ok_or(Unfit)?;
+            }
+            used += count;
+            if start > self.period + LEAST as i32 {
+                return Err(Unfit);
+            }
+        }
+        let rest = self.period - start;
+        if rest >= LEAST as i32 {
+            words[used] = self.wait(rest.unsigned_abs());
+            used += 1;
+            self.early = 0;
+        } else {
+            self.early = rest;
+        }
+        Ok(used)
+    }
+}

@@ -1,0 +1,417 @@
+//! Measurement of the 21 errors with a laser: drives each axis to its targets through the
+//! controller, reads the instruments, and identifies the error functions.
+//!
+//! Every axis runs along its line through the origin of the work, five times in each direction. One
+//! drive of the machine serves all set-ups of the instruments; their noise is independent.
+//!
+//! What the instruments cannot know is not in the tables:
+//! - An offset. Positioning and angles are zero at the origin.
+//! - The slope of a straightness: an optical straight edge is aligned with the axis, so the line of
+//!   least squares is removed. The angles between the axes come from a square.
+//!
+//! A table of errors therefore equals the truth up to a motion of the whole work. The square stands
+//! on the table, and its readings contain what the rotations of the table do on their arms; that
+//! part is taken off.
+
+use crate::drive::Machine;
+use crate::laser::{Channel, Environment, Laser, LaserOptions};
+use crate::noise::Noise;
+use crate::observed::Sample;
+use crate::targets::{Deviations, Positioning, RUNS, evaluate, targets};
+use haptimill_client::{Error, ErrorKind};
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::machines::GeometryConfig;
+use haptimill_hil_sim::machines::carriage_errors::CarriageErrors;
+use haptimill_machine_file::MachineFile;
+use haptimill_volumetric::errors::{
+    Axis, ErrorSet, Function, Kind, Shape, Squareness, Table, interpolate,
+};
+use haptimill_volumetric::gdt::fit_line;
+use std::fmt::Write as _;
+
+/// How to measure.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plan {
+    /// Nominal interval of the targets, mm.
+    pub interval: f64,
+    /// Feed between targets, mm/s.
+    pub feed: f64,
+    /// Wait at a target, and the part of it over which readings are averaged, seconds.
+    pub wait: f64,
+    /// See `wait`.
+    pub window: f64,
+    /// The instruments.
+    pub laser: LaserOptions,
+}
+
+impl Default for Plan {
+    fn default() -> Self {
+        Self {
+            interval: 20.0,
+            feed: 100.0,
+            wait: 0.6,
+            window: 0.2,
+            laser: LaserOptions::default(),
+        }
+    }
+}
+
+/// A measured function of an axis: readings at every target.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// The function.
+    pub function: Function,
+    /// Readings upwards, by target and run, mm or radians.
+    pub up: Vec<Deviations>,
+    /// The same downwards.
+    pub down: Vec<Deviations>,
+    /// Result of ISO 230-2.
+    pub result: Positioning,
+}
+
+/// A measured axis.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredAxis {
+    /// The axis.
+    pub axis: Axis,
+    /// Target positions, mm.
+    pub targets: Vec<f64>,
+    /// Its functions. Roll is missing without an instrument for it.
+    pub functions: Vec<Measured>,
+    /// Mean readings of the indicator at the square by target: deviations of the tool from the line
+    /// in x, y and z, mm.
+    pub square: Vec<[f64; 3]>,
+}
+
+/// A calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    /// The axes.
+    pub axes: Vec<MeasuredAxis>,
+    /// The identified errors.
+    pub errors: ErrorSet,
+    /// The instruments and their environment.
+    pub options: LaserOptions,
+    /// Volumetric compensation was in effect during the measurement, percent of its fade.
+    pub compensation: Option<u8>,
+}
+
+/// Drives the machine to all targets and identifies its errors.
+///
+/// # Errors
+/// The machine is not homed or not simulated, or a run fails; nothing moves then.
+pub fn calibrate(
+    machine: &mut Machine,
+    file: &MachineFile,
+    plan: &Plan,
+    mut progress: impl FnMut(&str),
+) -> Result<Calibration, Error> {
+    let status = machine.status()?;
+    if !status.homed || !status.position_kept {
+        let what = "a machine that is not homed cannot be measured: home it first; nothing moved";
+        return Err(Error::new(ErrorKind::Command, what));
+    }
+    let mut truth = truth_of(file)?;
+    let mut axes = Vec::new();
+    for axis in Axis::ALL {
+        let limits = &file.pose[axis.index()];
+        let mut noise = Noise::new(plan.laser.seed, axis.index() as u64);
+        let targets = targets((limits.low, limits.high), plan.interval, &mut noise);
+        progress(&format!(
+            "{} axis: {} targets, {RUNS} runs in both directions",
+            axis.letter(),
+            targets.len()
+        ));
+        let visited = visit_all(machine, axis, &targets, (limits.low, limits.high), plan)?;
+        axes.push(read_axis(axis, &targets, &visited, &mut truth, plan));
+    }
+    let errors = identify(&axes);
+    Ok(Calibration {
+        axes,
+        errors,
+        options: plan.laser,
+        compensation: status.compensation,
+    })
+}
+
+/// Errors of the carriages of the simulated machine, which the instruments see.
+fn truth_of(file: &MachineFile) -> Result<CarriageErrors, Error> {
+    let plant: PlantConfig = file.plant()?;
+    let errors = match &plant.geometry {
+        Some(GeometryConfig::Cartesian(config)) => {
+            CarriageErrors::parse(&config.errors, config.error_model)
+                .ok()
+                .flatten()
+        }
+        _ => None,
+    };
+    errors.ok_or_else(|| {
+        let what = format!(
+            "{}: the simulated machine has no errors to measure; add `errors` to \
+             [plant.geometry.cartesian]",
+            file.file
+        );
+        Error::new(ErrorKind::BadInput, what)
+    })
+}
+
+/// The machine at every target: run by run, upwards and then downwards, in the order of the visits.
+fn visit_all(
+    machine: &mut Machine,
+    axis: Axis,
+    targets: &[f64],
+    (low, high): (f64, f64),
+    plan: &Plan,
+) -> Result<Vec<Sample>, Error> {
+    let place = |at: f64| {
+        let mut place = [0.0; 3];
+        place[axis.index()] = at;
+        place
+    };
+    // A target is reached from beyond the target before it, also the first one of a run.
+    let mut cycle = vec![place(low)];
+    cycle.extend(targets.iter().map(|at| place(*at)));
+    cycle.push(place(high));
+    cycle.extend(targets.iter().rev().map(|at| place(*at)));
+    let mut all = Vec::new();
+    for _ in 0..RUNS {
+        let stood = machine.visit(&cycle, plan.feed, plan.wait, plan.window)?;
+        let count = targets.len();
+        all.extend_from_slice(&stood[1..=count]);
+        all.extend(stood[count + 2..].iter().rev());
+    }
+    Ok(all)
+}
+
+fn read_axis(
+    axis: Axis,
+    targets: &[f64],
+    visited: &[Sample],
+    truth: &mut CarriageErrors,
+    plan: &Plan,
+) -> MeasuredAxis {
+    let count = targets.len();
+    let all = Function::all().filter(|function| function.moving == axis);
+    let mut functions: Vec<Measured> = all
+        .map(|function| Measured {
+            function,
+            up: vec![Vec::new(); count],
+            down: vec![Vec::new(); count],
+            result: Positioning::default(),
+        })
+        .collect();
+    let mut square = vec![[0.0; 3]; count];
+    for (pass, samples) in visited.chunks(count).enumerate() {
+        let upwards = pass % 2 == 0;
+        let mut laser = Laser::new(&plan.laser, 100 * axis.index() as u64 + pass as u64);
+        for (target, sample) in samples.iter().enumerate() {
+            let at = sample.carriages[axis.index()];
+            let errors = truth.of_carriage(axis.index(), at, upwards);
+            for measured in &mut functions {
+                let function = measured.function;
+                let mut value = errors[function.index() % 6];
+                let channel = match function.kind() {
+                    Kind::Positioning => {
+                        // The carriage itself may be off its target.
+                        value += at - targets[target];
+                        Channel::Linear
+                    }
+                    Kind::Straightness => Channel::Straightness,
+                    Kind::Roll => Channel::Roll,
+                    _ => Channel::Angle,
+                };
+                let path = targets[target] - targets[0];
+                if let Ok(reading) = laser.read(channel, value, path) {
+                    let column = if upwards {
+                        &mut measured.up
+                    } else {
+                        &mut measured.down
+                    };
+                    column[target].push(reading);
+                }
+            }
+            for (component, sum) in square[target].iter_mut().enumerate() {
+                let ideal = if component == axis.index() {
+                    targets[target]
+                } else {
+                    0.0
+                };
+                let off = sample.tool[component] - ideal;
+                *sum += laser.read_square(off) / (2 * RUNS) as f64;
+            }
+        }
+    }
+    functions.retain(|measured| measured.up.iter().all(|runs| !runs.is_empty()));
+    for measured in &mut functions {
+        measured.result = evaluate(&measured.up, &measured.down);
+    }
+    MeasuredAxis {
+        axis,
+        targets: targets.to_vec(),
+        functions,
+        square,
+    }
+}
+
+/// Means over all runs in both directions at each target.
+fn means(measured: &Measured) -> Vec<f64> {
+    let targets = measured.up.iter().zip(&measured.down);
+    targets
+        .map(|(up, down)| {
+            let all = up.iter().chain(down);
+            all.sum::<f64>() / (up.len() + down.len()) as f64
+        })
+        .collect()
+}
+
+/// The error functions from the readings of all axes.
+#[must_use]
+pub fn identify(axes: &[MeasuredAxis]) -> ErrorSet {
+    let mut set = ErrorSet::default();
+    for measured in axes {
+        for function in &measured.functions {
+            let mut values = means(function);
+            let nodes = &measured.targets;
+            if function.function.kind() == Kind::Straightness {
+                values = without_line(nodes, &values);
+            } else {
+                let offset = interpolate(nodes, &values, 0.0);
+                values.iter_mut().for_each(|value| *value -= offset);
+            }
+            let table = Table::both(nodes.clone(), values);
+            set.set(function.function, Shape::Table(table));
+        }
+        // A roll that nobody measured is zero.
+        for function in Function::all().filter(|function| function.moving == measured.axis) {
+            if !matches!(set.function(function), Shape::Table(_)) {
+                let zeros = vec![0.0; measured.targets.len()];
+                set.set(
+                    function,
+                    Shape::Table(Table::both(measured.targets.clone(), zeros)),
+                );
+            }
+        }
+    }
+    set.squareness = squareness(axes, &set);
+    set
+}
+
+fn without_line(nodes: &[f64], values: &[f64]) -> Vec<f64> {
+    let points: Vec<[f64; 2]> = nodes.iter().zip(values).map(|(u, v)| [*u, *v]).collect();
+    fit_line(&points).map_or_else(|_| values.to_vec(), |line| line.residuals)
+}
+
+fn slope(nodes: &[f64], values: impl Iterator<Item = f64>) -> f64 {
+    let points: Vec<[f64; 2]> = nodes
+        .iter()
+        .copied()
+        .zip(values)
+        .map(<[f64; 2]>::from)
+        .collect();
+    fit_line(&points).map_or(0.0, |line| line.slope)
+}
+
+/// Squareness errors from the indicator at the square, less what the table's rotations, which are
+/// in the tables, do on the line along y.
+fn squareness(axes: &[MeasuredAxis], set: &ErrorSet) -> Squareness {
+    let [x, y, z] = axes else {
+        return Squareness::default();
+    };
+    let line = |axis: &MeasuredAxis, component: usize| {
+        slope(
+            &axis.targets,
+            axis.square.iter().map(|reading| reading[component]),
+        )
+    };
+    let on_arm = |direction| {
+        let function = Function {
+            moving: Axis::Y,
+            direction,
+            rotates: true,
+        };
+        let shape = set.function(function);
+        let values = y
+            .targets
+            .iter()
+            .map(|at| at * shape.value(*at, Default::default()));
+        slope(&y.targets, values)
+    };
+    Squareness {
+        c0y: -(line(x, 1) + line(y, 0)) - on_arm(Axis::Z),
+        b0z: line(x, 2) + line(z, 0),
+        a0z: on_arm(Axis::X) - (line(y, 2) + line(z, 1)),
+    }
+}
+
+impl Calibration {
+    /// Conditions and results as text.
+    #[must_use]
+    pub fn report(&self) -> String {
+        let mut text = String::new();
+        let Environment {
+            air_c,
+            pressure_hpa,
+            humidity_percent,
+            machine_c,
+        } = self.options.environment;
+        let compensation = match self.compensation {
+            None => "the machine has none".to_string(),
+            Some(0) => "off".to_string(),
+            Some(percent) => format!("ON ({percent} %): these are the errors that it leaves"),
+        };
+        let wavelength = if self.options.corrects_wavelength {
+            "corrected by sensors".to_string()
+        } else {
+            let ppm = self.options.environment.wavelength_change() * 1e6;
+            format!("NOT corrected: readings are off by {:.2} ppm", -ppm)
+        };
+        let roll = if self.options.roll.is_some() {
+            "by another instrument than the laser"
+        } else {
+            "not measured, taken as 0"
+        };
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            text,
+            "machine     unloaded; volumetric compensation {compensation}\n\
+             air         {air_c} deg C, {pressure_hpa} hPa, {humidity_percent} %; wavelength \
+             {wavelength}\n\
+             roll        {roll}"
+        );
+        if (machine_c - 20.0).abs() > 1e-9 {
+            let per_metre = self.options.environment.expansion_uncertainty(1000.0) * 1e3;
+            let _ = writeln!(
+                text,
+                "WARNING     the machine has {machine_c} deg C and not 20; the coefficient of \
+                 expansion adds an uncertainty of +-{per_metre:.1} um per metre"
+            );
+        }
+        let _ = writeln!(
+            text,
+            "\nISO 230-2            A        R        B        E        M"
+        );
+        for axis in &self.axes {
+            for measured in &axis.functions {
+                let (function, result) = (measured.function, &measured.result);
+                let unit = function.file_unit();
+                let _ = writeln!(
+                    text,
+                    "{function} {:<5} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8.3}",
+                    function.unit(),
+                    result.accuracy / unit,
+                    result.repeatability / unit,
+                    result.reversal / unit,
+                    result.systematic / unit,
+                    result.range / unit,
+                );
+            }
+        }
+        for (name, value) in Squareness::NAMES
+            .iter()
+            .zip(self.errors.squareness.values())
+        {
+            let _ = writeln!(text, "{name} urad {:>8.3}", value * 1e6);
+        }
+        text
+    }
+}

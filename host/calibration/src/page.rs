@@ -1,0 +1,242 @@
+//! The page of the scenario.
+
+use crate::cut::MPE_P;
+use crate::scenario::{FEEDS, Outcome, State, Volume};
+use haptimill_report::chart::{COLOURS, Chart, Line};
+use haptimill_report::markup::{card, escape, put};
+use haptimill_viewer::{Layer, Map, Scale, Scene, Shape, Values};
+use haptimill_volumetric::Vector;
+use haptimill_volumetric::part::{Features, SIDES};
+
+/// Factor of the drawn length of an error arrow: 1 um is 4 mm.
+const MAGNIFY: f32 = 4000.0;
+
+const MORE_STYLE: &str = "
+th{text-align:left;padding:7px 14px;border-bottom:1px solid #d5dae0;font-weight:600;color:#3b4754;font-size:13px}
+td.n,th.n{text-align:right;white-space:nowrap}.bad{color:#b04a00}pre{background:#fff;border:1px solid #e0e4e9;border-radius:8px;padding:12px;overflow-x:auto;font-size:12px}";
+
+/// The whole page.
+#[must_use]
+pub fn page(outcome: &Outcome) -> String {
+    let mut body = String::from(
+        "<h1>A vertical mill that knows its own errors</h1><p class=\"sub\">21 geometric \
+         errors in the simulated machine, measured by a simulated laser through the controller's \
+         protocol, compensated by the controller, proven on the test piece A160 of ISO 10791-7 and \
+         on the circle test of ISO 230-4.</p>",
+    );
+    volumes(&mut body, outcome);
+    body.push_str("<h2>Error of the tool over the part</h2>");
+    card(
+        &mut body,
+        "Arrows: error of the tool at standstill, 1 um drawn as 4 mm. Switch the states on and off.",
+        &scene(&outcome.states).fragment(),
+    );
+    characteristics(&mut body, &outcome.states);
+    body.push_str("<h2>Profiles of the sides of the square</h2><div class=\"pair\">");
+    for (index, side) in SIDES.iter().enumerate() {
+        let caption =
+            format!("Side {side}: deviation along the normal; tolerance of straightness 10 um");
+        card(&mut body, &caption, &profile(&outcome.states, index).svg());
+    }
+    body.push_str("</div>");
+    circles(&mut body, &outcome.states);
+    body.push_str("<h2>Calibration</h2><pre>");
+    body.push_str(&escape(&outcome.calibration.report()));
+    body.push_str("</pre>");
+    haptimill_viewer::page(
+        "A vertical mill that knows its own errors",
+        &format!("{}{MORE_STYLE}", haptimill_report::markup::STYLE),
+        &body,
+    )
+}
+
+fn volumes(body: &mut String, outcome: &Outcome) {
+    body.push_str(
+        "<h2>Volumetric error over 9 x 9 x 3 points, at standstill</h2><table><tr><th>state</th>\
+         <th class=\"n\">largest, um</th><th class=\"n\">rms, um</th>\
+         <th class=\"n\">largest without the motion of the whole work, um</th></tr>",
+    );
+    let mut row = |name: &str, volume: &Volume| {
+        let (sizes, rest) = (volume.sizes(), volume.without_motion().sizes());
+        put(
+            body,
+            format_args!(
+                "<tr><td>{name}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.3}</td>\
+                 <td class=\"n\">{:.3}</td></tr>",
+                sizes.largest * 1e3,
+                sizes.rms * 1e3,
+                rest.largest * 1e3
+            ),
+        );
+    };
+    for state in &outcome.states {
+        row(state.name, &state.volume);
+    }
+    let [before, after] = &outcome.worn;
+    row("worn machine (errors x 10), no compensation", before);
+    row("worn machine, exact tables", after);
+    body.push_str("</table>");
+}
+
+/// Arrows of the error field of each state.
+#[must_use]
+pub fn scene(states: &[State]) -> Scene {
+    let largest = states
+        .first()
+        .map_or(0.0, |state| state.volume.sizes().largest * 1e3);
+    let layers = states.iter().enumerate().map(|(index, state)| {
+        let flat = |vectors: &[Vector]| -> Vec<[f32; 3]> {
+            vectors
+                .iter()
+                .map(|v| [v.x as f32, v.y as f32, v.z as f32])
+                .collect()
+        };
+        let shape = Shape::Arrows {
+            points: flat(&state.volume.points),
+            vectors: flat(&state.volume.errors),
+            magnify: MAGNIFY,
+            width: 1.5,
+        };
+        let values = state
+            .volume
+            .errors
+            .iter()
+            .map(|error| (error.norm() * 1e3) as f32);
+        Layer {
+            name: state.name.to_string(),
+            colour: COLOURS[index % COLOURS.len()].to_string(),
+            values: Some(Values {
+                values: values.collect(),
+                scale: Scale {
+                    label: "error, um".to_string(),
+                    low: 0.0,
+                    high: largest,
+                    map: Map::Sequential,
+                },
+            }),
+            visible: index == 0,
+            shape,
+        }
+    });
+    Scene {
+        layers: layers.collect(),
+        ..Scene::default()
+    }
+}
+
+fn characteristics(body: &mut String, states: &[State]) {
+    let Some(first) = states.first() else {
+        return;
+    };
+    body.push_str(
+        "<h2>Test piece</h2><p class=\"sub\">um. Without noise of the measuring machine; in brackets \
+         with its noise and set-up errors, mean of 3 runs. Tolerances are proposals except the \
+         straightness of the square.</p><table><tr><th>characteristic</th>",
+    );
+    for state in states {
+        put(body, format_args!("<th class=\"n\">{}</th>", state.name));
+    }
+    body.push_str("<th class=\"n\">minimum zone before</th><th class=\"n\">tolerance</th></tr>");
+    for (index, [row, _]) in first.rows.iter().enumerate() {
+        put(body, format_args!("<tr><td>{}</td>", escape(&row.name)));
+        for state in states {
+            let [exact, read] = &state.rows[index];
+            let beyond = row
+                .tolerance
+                .is_some_and(|tolerance| exact.value > tolerance);
+            put(
+                body,
+                format_args!(
+                    "<td class=\"n{}\">{:.3} ({:.2})</td>",
+                    if beyond { " bad" } else { "" },
+                    exact.value * 1e3,
+                    read.value * 1e3
+                ),
+            );
+        }
+        let um = |value: Option<f64>| value.map_or(String::new(), |v| format!("{:.3}", v * 1e3));
+        put(
+            body,
+            format_args!(
+                "<td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
+                um(row.zone),
+                row.tolerance
+                    .map_or(String::new(), |tolerance| format!("{:.0}", tolerance * 1e3))
+            ),
+        );
+    }
+    put(
+        body,
+        format_args!(
+            "</table><p class=\"sub\">A value below MPE_P = {:.1} um is below what the measuring \
+             machine is specified for.</p>",
+            MPE_P * 1e3
+        ),
+    );
+}
+
+/// Deviation of a side along its normal, um, for each state.
+fn profile(states: &[State], side: usize) -> Chart {
+    let nominal = haptimill_volumetric::part::probe_points();
+    let line = |(index, state): (usize, &State)| {
+        let surface: &Features<Vector> = state.surface.as_ref()?;
+        let points = nominal.sides[side].iter().zip(&surface.sides[side]);
+        let along = |point: &Vector| {
+            if side.is_multiple_of(2) {
+                point.x
+            } else {
+                point.y
+            }
+        };
+        let piece = points.map(|(point, cut)| {
+            (
+                along(&point.surface),
+                (cut - point.surface).dot(&point.normal) * 1e3,
+            )
+        });
+        Some(Line {
+            label: state.name.to_string(),
+            colour: COLOURS[index % COLOURS.len()],
+            width: 1.6,
+            pieces: vec![piece.collect()],
+        })
+    };
+    Chart {
+        x_label: "along the side, mm".to_string(),
+        y_label: "deviation, um".to_string(),
+        lines: states.iter().enumerate().filter_map(line).collect(),
+        width: 520.0,
+        height: 260.0,
+        equal: false,
+        from_zero: true,
+        backdrop: None,
+    }
+}
+
+fn circles(body: &mut String, states: &[State]) {
+    body.push_str(
+        "<h2>Circle test, 100 mm, with the dynamics of the machine</h2><table><tr><th>state</th>\
+         <th class=\"n\">feed, mm/s</th><th class=\"n\">G ccw, um</th><th class=\"n\">G cw, um</th>\
+         <th class=\"n\">H, um</th><th class=\"n\">F max, um</th><th class=\"n\">F min, um</th>\
+         <th class=\"n\">squareness, urad</th></tr>",
+    );
+    for state in states {
+        for (feed, circle) in FEEDS.iter().zip(&state.circles) {
+            let [ccw, cw] = circle.deviation.map(|value| value * 1e3);
+            let [most, least] = circle.radial.map(|value| value * 1e3);
+            put(
+                body,
+                format_args!(
+                    "<tr><td>{}</td><td class=\"n\">{feed}</td><td class=\"n\">{ccw:.2}</td>\
+                     <td class=\"n\">{cw:.2}</td><td class=\"n\">{:.2}</td>\
+                     <td class=\"n\">{most:.2}</td><td class=\"n\">{least:.2}</td>\
+                     <td class=\"n\">{:.1}</td></tr>",
+                    state.name,
+                    circle.hysteresis * 1e3,
+                    circle.squareness * 1e6
+                ),
+            );
+        }
+    }
+    body.push_str("</table>");
+}

@@ -1,0 +1,409 @@
+//! The whole loop in one run: errors in the machine, measured by the laser, compensated by the
+//! controller, and what became of the volume, of the test piece and of the circle test.
+
+use crate::ball_bar::{self, CircleResult, CircleTest};
+use crate::calibrate::{Calibration, Plan, calibrate};
+use crate::cut::{Cmm, PROGRAM, surface};
+use crate::drive::{Machine, SLOW};
+use haptimill_client::{Error, ErrorKind};
+use haptimill_machine_file::MachineFile;
+use haptimill_volumetric::Vector;
+use haptimill_volumetric::errors::ErrorSet;
+use haptimill_volumetric::file::{self, Limits};
+use haptimill_volumetric::grid::{Grid, Sizes};
+use haptimill_volumetric::part::{Features, Row};
+use std::fmt::Write as _;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// The machine of the scenario, and its errors.
+pub const MACHINE: &str = include_str!("../../../machines/vmc3.toml");
+
+/// Name of [`MACHINE`] in messages.
+pub const MACHINE_NAME: &str = "machines/vmc3.toml (built in)";
+
+/// Chain of [`MACHINE`].
+pub const CHAIN: &str = "wYbXZt";
+
+/// Nodes of exact tables: one every 10 mm along x, fewer along y and z.
+const NODES: [usize; 3] = [66, 64, 62];
+
+/// Feeds of the circle test, mm/s.
+pub const FEEDS: [f64; 3] = [10.0, 30.0, 60.0];
+
+/// Feed and waits between the points of the grid.
+const GRID_FEED: f64 = 100.0;
+const GRID_WAIT: f64 = 1.2;
+const GRID_WINDOW: f64 = 0.3;
+
+/// The tool at standstill over the grid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Volume {
+    /// Points, mm.
+    pub points: Vec<Vector>,
+    /// Errors of the tool at standstill, mm.
+    pub errors: Vec<Vector>,
+}
+
+impl Volume {
+    /// Sizes of the errors.
+    #[must_use]
+    pub fn sizes(&self) -> Sizes {
+        Sizes::of(self.errors.iter().copied())
+    }
+
+    /// The error of a model over points.
+    #[must_use]
+    pub fn of(points: Vec<Vector>, error: impl Fn(Vector) -> Vector) -> Self {
+        let errors = points.iter().map(|point| error(*point)).collect();
+        Self { points, errors }
+    }
+
+    /// The errors without the motion of the whole work that fits them best: no instrument knows it.
+    #[must_use]
+    pub fn without_motion(&self) -> Self {
+        let mut matrix = [[0.0; 6]; 6];
+        let mut right = [0.0; 6];
+        let rows = self.points.iter().zip(&self.errors);
+        for (point, error) in rows {
+            for axis in 0..3 {
+                let row = motion_row(*point, axis);
+                for (i, a) in row.iter().enumerate() {
+                    for (j, b) in row.iter().enumerate() {
+                        matrix[i][j] += a * b;
+                    }
+                    right[i] += a * error[axis];
+                }
+            }
+        }
+        let motion = solve(matrix, right);
+        let rest = self.points.iter().zip(&self.errors).map(|(point, error)| {
+            Vector::from_fn(|axis, _| {
+                let row = motion_row(*point, axis);
+                let moved: f64 = row.iter().zip(&motion).map(|(a, b)| a * b).sum();
+                error[axis] - moved
+            })
+        });
+        Self {
+            points: self.points.clone(),
+            errors: rest.collect(),
+        }
+    }
+}
+
+/// Effect of a unit of each translation, and of each rotation in 1/100 mm, on one coordinate.
+fn motion_row(point: Vector, axis: usize) -> [f64; 6] {
+    let mut row = [0.0; 6];
+    row[axis] = 1.0;
+    for about in 0..3 {
+        let mut unit = Vector::zeros();
+        unit[about] = 0.01;
+        row[3 + about] = unit.cross(&point)[axis];
+    }
+    row
+}
+
+/// Solves symmetric equations by elimination.
+fn solve(mut matrix: [[f64; 6]; 6], mut right: [f64; 6]) -> [f64; 6] {
+    for column in 0..6 {
+        for row in column + 1..6 {
+            let factor = matrix[row][column] / matrix[column][column];
+            let pivot = matrix[column];
+            for (value, pivot) in matrix[row].iter_mut().zip(pivot) {
+                *value -= factor * pivot;
+            }
+            right[row] -= factor * right[column];
+        }
+    }
+    let mut result = [0.0; 6];
+    for row in (0..6).rev() {
+        let known: f64 = (row + 1..6)
+            .map(|column| matrix[row][column] * result[column])
+            .sum();
+        result[row] = (right[row] - known) / matrix[row][row];
+    }
+    result
+}
+
+/// What one state of the controller gives.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// Name of the state.
+    pub name: &'static str,
+    /// The volume.
+    pub volume: Volume,
+    /// The cut surface of the test piece; `None` where it was not cut.
+    pub surface: Option<Features<Vector>>,
+    /// Its characteristics by the coordinate measuring machine without noise, and with it.
+    pub rows: Vec<[Row; 2]>,
+    /// The circle tests, by feed.
+    pub circles: Vec<CircleResult>,
+}
+
+/// Result of the scenario.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// Without compensation, with exact tables, with measured ones.
+    pub states: Vec<State>,
+    /// Errors ten times as large, without compensation and with exact tables.
+    pub worn: [Volume; 2],
+    /// The calibration.
+    pub calibration: Calibration,
+}
+
+/// The machine of the scenario.
+///
+/// # Errors
+/// Problems of the built-in file.
+pub fn machine() -> Result<MachineFile, Error> {
+    Ok(MachineFile::parse(MACHINE_NAME, MACHINE)?)
+}
+
+/// Its errors.
+///
+/// # Errors
+/// Problems of the built-in file.
+pub fn truth(machine: &MachineFile) -> Result<(String, ErrorSet), Error> {
+    use haptimill_hil_sim::config::PlantConfig;
+    use haptimill_hil_sim::machines::GeometryConfig;
+    let plant: PlantConfig = machine.plant()?;
+    let Some(GeometryConfig::Cartesian(config)) = &plant.geometry else {
+        let what = format!("{}: the simulated machine has no carriages", machine.file);
+        return Err(Error::new(ErrorKind::BadInput, what));
+    };
+    let errors = file::read(&config.errors, &Limits::default()).map_err(|problem| {
+        Error::new(ErrorKind::BadInput, format!("{}: {problem}", machine.file))
+    })?;
+    Ok((config.errors.clone(), errors))
+}
+
+/// Travel of the first three coordinates, mm.
+#[must_use]
+pub fn travel(machine: &MachineFile) -> [(f64, f64); 3] {
+    core::array::from_fn(|axis| {
+        let limits = machine.pose.get(axis);
+        limits.map_or((0.0, 0.0), |limits| (limits.low, limits.high))
+    })
+}
+
+/// The machine with exact tables of its own errors.
+///
+/// # Errors
+/// The controller refuses the tables.
+pub fn with_exact_tables(machine: &MachineFile) -> Result<MachineFile, Error> {
+    let (_, errors) = truth(machine)?;
+    let tables = errors.tabulated(&travel(machine), NODES);
+    let text = file::write(&tables, "exact tables");
+    Ok(machine.with_errors("exact tables", &text, CHAIN)?)
+}
+
+/// The machine with errors that are `by` times as large.
+///
+/// # Errors
+/// The errors cannot be read.
+pub fn worn(machine: &MachineFile, by: f64) -> Result<MachineFile, Error> {
+    let (text, errors) = truth(machine)?;
+    let scaled = file::write(
+        &errors.scaled(by).tabulated(&travel(machine), NODES),
+        "worn",
+    );
+    let file = format!("{} worn", machine.file);
+    Ok(MachineFile::parse(
+        &file,
+        &machine.text.replace(text.trim_end(), scaled.trim_end()),
+    )?)
+}
+
+/// Drives a machine over the grid.
+///
+/// # Errors
+/// The run fails.
+pub fn measure_volume(machine: &mut Machine, grid: &Grid) -> Result<Volume, Error> {
+    let points = grid.points();
+    let targets: Vec<[f64; 3]> = points
+        .iter()
+        .map(|point| [point.x, point.y, point.z])
+        .collect();
+    let stood = machine.visit(&targets, GRID_FEED, GRID_WAIT, GRID_WINDOW)?;
+    let errors = stood.iter().zip(&points);
+    let errors = errors
+        .map(|(sample, point)| Vector::from_fn(|axis, _| sample.tool[axis] - point[axis]))
+        .collect();
+    Ok(Volume { points, errors })
+}
+
+/// Waits until the compensation of a machine with tables is in full effect.
+fn ready(file: &MachineFile, interrupted: &Arc<AtomicBool>) -> Result<Machine, Error> {
+    let mut machine = Machine::new(file, SLOW, interrupted)?;
+    if file.config.volumetric.is_some() {
+        machine.compensate(true)?;
+    }
+    Ok(machine)
+}
+
+fn measure_state(
+    name: &'static str,
+    machine: &mut Machine,
+    progress: &mut dyn FnMut(&str),
+) -> Result<State, Error> {
+    progress(&format!("{name}: grid of 9 x 9 x 3 points"));
+    let volume = measure_volume(machine, &Grid::part())?;
+    progress(&format!("{name}: test piece"));
+    let samples = machine.run("a160.ngc", PROGRAM)?;
+    let cut = surface(&samples)?;
+    let exact = Cmm::ideal().measure(&cut)?;
+    let rows = exact.into_iter().zip(Cmm::default().measure(&cut)?);
+    let rows = rows.map(<[Row; 2]>::from).collect();
+    progress(&format!("{name}: circle tests"));
+    let mut circles = Vec::new();
+    for feed in FEEDS {
+        circles.push(ball_bar::run(machine, &CircleTest::at(feed))?);
+    }
+    Ok(State {
+        name,
+        volume,
+        surface: Some(cut),
+        rows,
+        circles,
+    })
+}
+
+/// Runs the scenario on a machine.
+///
+/// # Errors
+/// A run fails.
+pub fn run(
+    file: &MachineFile,
+    interrupted: &Arc<AtomicBool>,
+    progress: &mut dyn FnMut(&str),
+) -> Result<Outcome, Error> {
+    let mut machine = ready(file, interrupted)?;
+    let before = measure_state("no compensation", &mut machine, progress)?;
+    progress("calibration");
+    let calibration = calibrate(&mut machine, file, &Plan::default(), |line| progress(line))?;
+    let mut machine = ready(&with_exact_tables(file)?, interrupted)?;
+    let exact = measure_state("exact tables", &mut machine, progress)?;
+    let text = file::write(&calibration.errors, "measured");
+    let mut machine = ready(
+        &file.with_errors("measured errors", &text, CHAIN)?,
+        interrupted,
+    )?;
+    let measured = measure_state("measured tables", &mut machine, progress)?;
+    progress("worn machine: grid");
+    let worn_file = worn(file, 10.0)?;
+    let grid = Grid::part();
+    let worn_before = measure_volume(&mut ready(&worn_file, interrupted)?, &grid)?;
+    let worn_after = measure_volume(
+        &mut ready(&with_exact_tables(&worn_file)?, interrupted)?,
+        &grid,
+    )?;
+    Ok(Outcome {
+        states: vec![before, exact, measured],
+        worn: [worn_before, worn_after],
+        calibration,
+    })
+}
+
+/// The numbers of the scenario as text.
+#[must_use]
+pub fn table(outcome: &Outcome) -> String {
+    let mut text = String::from("volumetric error at standstill, um        largest      rms\n");
+    // Writing to a string does not fail.
+    let mut row = |name: &str, sizes: Sizes| {
+        let (largest, rms) = (sizes.largest * 1e3, sizes.rms * 1e3);
+        let _ = writeln!(text, "{name:<40} {largest:>8.3} {rms:>8.3}");
+    };
+    for state in &outcome.states {
+        row(state.name, state.volume.sizes());
+    }
+    if let Some(measured) = outcome.states.last() {
+        row(
+            "  without the motion of the work",
+            measured.volume.without_motion().sizes(),
+        );
+    }
+    row("worn machine, no compensation", outcome.worn[0].sizes());
+    row("worn machine, exact tables", outcome.worn[1].sizes());
+    let _ = write!(text, "\n{:<48}", "test piece, um");
+    for state in &outcome.states {
+        let _ = write!(text, " {:>16}", state.name);
+    }
+    let rows = outcome.states.first().map_or(0, |state| state.rows.len());
+    for index in 0..rows {
+        let name = &outcome.states[0].rows[index][0].name;
+        let _ = write!(text, "\n{name:<48}");
+        for state in &outcome.states {
+            let _ = write!(text, " {:>16.3}", state.rows[index][0].value * 1e3);
+        }
+    }
+    let _ = writeln!(
+        text,
+        "\n\ncircle test, um                          feed    G ccw     G cw        H"
+    );
+    for state in &outcome.states {
+        for (feed, circle) in FEEDS.iter().zip(&state.circles) {
+            let [ccw, cw] = circle.deviation.map(|value| value * 1e3);
+            let hysteresis = circle.hysteresis * 1e3;
+            let name = state.name;
+            let _ = writeln!(
+                text,
+                "{name:<40} {feed:>4} {ccw:>8.2} {cw:>8.2} {hysteresis:>8.2}"
+            );
+        }
+    }
+    text
+}
+
+/// The numbers of the scenario as JSON, um and urad.
+#[must_use]
+pub fn summary(outcome: &Outcome) -> String {
+    let sizes = |volume: &Volume| {
+        let (sizes, rest) = (volume.sizes(), volume.without_motion().sizes());
+        serde_json::json!({
+            "largest_um": sizes.largest * 1e3,
+            "rms_um": sizes.rms * 1e3,
+            "largest_without_motion_um": rest.largest * 1e3,
+        })
+    };
+    let states: Vec<_> = outcome
+        .states
+        .iter()
+        .map(|state| {
+            let rows: Vec<_> = state
+                .rows
+                .iter()
+                .map(|[exact, read]| {
+                    serde_json::json!({
+                        "name": exact.name,
+                        "value_um": exact.value * 1e3,
+                        "measured_um": read.value * 1e3,
+                        "tolerance_um": exact.tolerance.map(|tolerance| tolerance * 1e3),
+                    })
+                })
+                .collect();
+            let circles: Vec<_> = FEEDS
+                .iter()
+                .zip(&state.circles)
+                .map(|(feed, circle)| {
+                    serde_json::json!({
+                        "feed_mm_s": feed,
+                        "deviation_um": circle.deviation.map(|value| value * 1e3),
+                        "hysteresis_um": circle.hysteresis * 1e3,
+                        "squareness_urad": circle.squareness * 1e6,
+                    })
+                })
+                .collect();
+            serde_json::json!({
+                "name": state.name,
+                "volume": sizes(&state.volume),
+                "test_piece": rows,
+                "circles": circles,
+            })
+        })
+        .collect();
+    let all = serde_json::json!({
+        "states": states,
+        "worn": outcome.worn.iter().map(sizes).collect::<Vec<_>>(),
+    });
+    format!("{all:#}\n")
+}

@@ -1,0 +1,221 @@
+//! Instruments: targets and evaluation of ISO 230-2, laser, circle test, measuring machine.
+
+use haptimill_calibration::ball_bar::{CircleTest, evaluate as evaluate_circle};
+use haptimill_calibration::cut::{Cmm, MPE_P, mpe_e};
+use haptimill_calibration::laser::{Channel, Environment, Laser, LaserOptions};
+use haptimill_calibration::noise::Noise;
+use haptimill_calibration::observed::Sample;
+use haptimill_calibration::targets::{RUNS, evaluate, mean_and_deviation, targets};
+use haptimill_volumetric::Vector;
+use haptimill_volumetric::chain::Model;
+use haptimill_volumetric::errors::{ErrorSet, Squareness};
+use haptimill_volumetric::part::probe_points;
+
+fn deviation(values: &[f64]) -> f64 {
+    mean_and_deviation(values).1
+}
+
+/// Row 13: five targets a metre at least, the interval of 250 mm beyond 2 m, a random part of 30 %
+/// of the interval at each target, within the travel.
+#[test]
+fn target_positions() {
+    for (low, high, interval) in [
+        (-325.0, 325.0, 20.0),
+        (0.0, 1000.0, 900.0),
+        (0.0, 3000.0, 50.0),
+    ] {
+        for seed in 0..50 {
+            let places = targets((low, high), interval, &mut Noise::new(seed, 0));
+            let travel = high - low;
+            if travel <= 2000.0 {
+                assert!(places.len() as f64 >= 5.0 * travel / 1000.0);
+            }
+            assert!(places.windows(2).all(|pair| pair[0] < pair[1]));
+            assert!(low <= places[0] && places[places.len() - 1] <= high);
+            let spans = places.len() - 1;
+            let margin = 0.3 / (spans as f64 + 0.6);
+            let pitch = travel * (1.0 - 2.0 * margin) / spans as f64;
+            for (index, place) in places.iter().enumerate() {
+                let even = low + travel * margin + pitch * index as f64;
+                assert!((place - even).abs() <= 0.3 * pitch + 1e-6);
+            }
+            if travel > 2000.0 {
+                assert!((200.0..260.0).contains(&pitch), "{pitch}");
+            }
+        }
+    }
+    let one = targets((-325.0, 325.0), 20.0, &mut Noise::new(1, 0));
+    let other = targets((-325.0, 325.0), 20.0, &mut Noise::new(2, 0));
+    assert_ne!(one, other);
+}
+
+/// The evaluation of ISO 230-2 against numbers computed by hand.
+#[test]
+fn evaluation() {
+    let up = vec![vec![1.0, 2.0, 3.0], vec![0.0, 0.0, 0.0]];
+    let down = vec![vec![4.0, 5.0, 6.0], vec![-1.0, -1.0, -1.0]];
+    let result = evaluate(&up, &down);
+    // Means 2 and 5, 0 and -1; deviations 1 and 1, 0 and 0.
+    assert_eq!(result.reversal, 3.0);
+    assert_eq!(result.repeatability, 7.0);
+    assert_eq!(result.accuracy, 7.0 - -1.0);
+    assert_eq!(result.systematic, 6.0);
+    assert_eq!(result.range, 3.5 - -0.5);
+}
+
+/// Rows 14 to 16: readings scatter as the data sheet says, about the truth.
+#[test]
+fn noise_of_the_channels() {
+    let options = LaserOptions::default();
+    let readings = |channel, truth, path| -> Vec<f64> {
+        let read = |run| {
+            Laser::new(&options, run)
+                .read(channel, truth, path)
+                .unwrap()
+        };
+        (0..4000).map(read).collect()
+    };
+    let check = |channel, truth: f64, path, two: f64| {
+        let all = readings(channel, truth, path);
+        let (mean, s) = mean_and_deviation(&all);
+        assert!((mean - truth).abs() < two / 20.0, "{channel:?} {mean}");
+        assert!((2.0 * s / two - 1.0).abs() < 0.06, "{channel:?} {s}");
+    };
+    let linear = (0.05e-3_f64.powi(2) + (0.7e-6 * 500.0_f64).powi(2)).sqrt();
+    check(Channel::Linear, 2e-3, 500.0, linear);
+    check(Channel::Straightness, 0.0, 0.0, 0.5e-3);
+    check(Channel::Angle, 0.0, 0.0, 0.5e-6);
+    check(Channel::Roll, 3e-6, 0.0, 1e-6);
+}
+
+/// Row 17: no laser measures roll.
+#[test]
+fn roll_needs_its_own_instrument() {
+    let options = LaserOptions {
+        roll: None,
+        ..LaserOptions::default()
+    };
+    let refused = Laser::new(&options, 0)
+        .read(Channel::Roll, 1e-6, 0.0)
+        .unwrap_err();
+    assert!(
+        refused
+            .to_string()
+            .contains("a laser does not measure roll")
+    );
+}
+
+/// Row 19: a kelvin without correction is 0.93 ppm.
+#[test]
+fn refractive_index() {
+    let warm = Environment {
+        air_c: 21.0,
+        ..Environment::default()
+    };
+    assert!((warm.wavelength_change() - 0.93e-6).abs() < 1e-12);
+    let options = LaserOptions {
+        environment: warm,
+        corrects_wavelength: false,
+        ..LaserOptions::ideal()
+    };
+    let read = |options: &LaserOptions| {
+        Laser::new(options, 0)
+            .read(Channel::Linear, 0.0, 500.0)
+            .unwrap()
+    };
+    assert!((read(&options) + 0.465e-3).abs() < 1e-9);
+    let corrected = LaserOptions {
+        corrects_wavelength: true,
+        ..options
+    };
+    assert_eq!(read(&corrected), 0.0);
+    // Row 18: 2 um per metre and kelvin.
+    let hot = Environment {
+        machine_c: 23.0,
+        ..Environment::default()
+    };
+    assert!((hot.expansion_uncertainty(1000.0) - 6e-3).abs() < 1e-12);
+}
+
+/// Row 20: the mean of five runs scatters less by the root of five.
+#[test]
+fn runs_are_averaged() {
+    let options = LaserOptions::default();
+    let mean = |first: u64| {
+        let runs = (0..RUNS as u64).map(|run| {
+            Laser::new(&options, first + run)
+                .read(Channel::Straightness, 0.0, 0.0)
+                .unwrap()
+        });
+        runs.sum::<f64>() / RUNS as f64
+    };
+    let means: Vec<f64> = (0..2000).map(|set| mean(10 * set)).collect();
+    let ratio = 0.25e-3 / deviation(&means);
+    assert!((ratio / 5.0_f64.sqrt() - 1.0).abs() < 0.05, "{ratio}");
+}
+
+/// A circle of a machine whose only error is a squareness, and whose path is exact: the test finds
+/// the angle, and twice its effect on the radius as deviation.
+#[test]
+fn circle_test_finds_squareness() {
+    let mut set = ErrorSet::default();
+    set.squareness = Squareness {
+        c0y: 25e-6,
+        ..Squareness::default()
+    };
+    let test = CircleTest {
+        noise: 0.0,
+        ..CircleTest::at(30.0)
+    };
+    let mut samples = Vec::new();
+    for direction in [1.0, -1.0] {
+        for step in 0..=7200 {
+            let angle = direction * f64::from(step) / 3600.0 * std::f64::consts::TAU + 3.0;
+            let commanded = [100.0 * angle.cos(), 100.0 * angle.sin(), 0.0, 0.0, 0.0, 0.0];
+            let place = Vector::new(commanded[0], commanded[1], 0.0);
+            let error = Model::default().error(&set, place);
+            let tool = std::array::from_fn(|axis| {
+                commanded[axis] + if axis < 3 { error[axis] } else { 0.0 }
+            });
+            samples.push(Sample {
+                time: 0.0,
+                commanded,
+                tool,
+                carriages: commanded,
+            });
+        }
+    }
+    let result = evaluate_circle(&samples, &test).unwrap();
+    assert!((result.squareness - 25e-6).abs() < 0.1e-6, "{result:?}");
+    // The radius changes by +-c0y r / 2.
+    assert!((result.deviation[0] - 2.5e-3).abs() < 0.01e-3);
+    assert!(result.hysteresis < 0.05e-3);
+    // Half of the circle is no circle test.
+    assert!(evaluate_circle(&samples[..1500], &test).is_none());
+}
+
+/// Rows 23 and 24: without errors and noise nothing deviates; with noise and set-up errors the
+/// points scatter, and the characteristics stay near zero because they do not depend on the set-up.
+#[test]
+fn measuring_machine() {
+    let exact = probe_points().map(|point| point.surface);
+    for row in Cmm::ideal().measure(&exact).unwrap() {
+        assert!(row.value.abs() < 1e-9, "{row:?}");
+    }
+    let runs = Cmm::default().probe(&exact);
+    assert_eq!((runs.len(), runs[0].sides[0].len()), (3, 15));
+    assert!(runs[0].sides[0] != runs[1].sides[0]);
+    for row in Cmm::default().measure(&exact).unwrap() {
+        assert!(row.value.abs() < 4e-3, "{row:?}");
+    }
+    // A set-up error without noise leaves nothing.
+    let turned = Cmm {
+        noise: [0.0; 2],
+        ..Cmm::default()
+    };
+    for row in turned.measure(&exact).unwrap() {
+        assert!(row.value.abs() < 1e-6, "{row:?}");
+    }
+    // Row 40: capability.
+    assert!((mpe_e(160.0) - 2.38e-3).abs() < 1e-9 && MPE_P < mpe_e(1.0));
+}

@@ -1,0 +1,238 @@
+//! Statistics of the thesis: its two tables, the published fits of them, and the replay of its
+//! experiment with the noise of its measuring machine.
+
+use haptimill_calibration::comparison::{SideTable, Trend, compare};
+use haptimill_calibration::noise::Noise;
+use haptimill_calibration::statistics::{
+    Spline, choose_degree, class, fit_polynomial, pearson, t_of_correlation,
+};
+use haptimill_calibration::targets::mean_and_deviation;
+use haptimill_volumetric::Vector;
+use haptimill_volumetric::chain::Model;
+use haptimill_volumetric::errors::{ClosedForm, ErrorSet, Function, Kind, Shape};
+use haptimill_volumetric::file::{self, Limits};
+use haptimill_volumetric::gdt::{fit_line, range};
+
+const X: &str = include_str!("../../volumetric/tests/data/table_4_1_cmm_x_side.csv");
+const Y: &str = include_str!("../../volumetric/tests/data/table_4_2_cmm_y_side.csv");
+
+fn table(text: &str) -> SideTable {
+    SideTable::read(text, 3, 15).unwrap()
+}
+
+fn errors() -> ErrorSet {
+    let text = include_str!("../../volumetric/data/vmc3_errors.csv");
+    file::read(text, &Limits::default()).unwrap()
+}
+
+fn close(value: f64, expected: f64, tolerance: f64) {
+    assert!((value - expected).abs() <= tolerance, "{value} {expected}");
+}
+
+/// Row 26, 27, 28: profiles, tolerance, standard deviations.
+#[test]
+fn straightness_of_the_tables() {
+    for (text, mean, deviations) in [
+        (X, 2.424, [0.992, 0.760, 0.732]),
+        (Y, 1.412, [0.464, 0.503, 0.476]),
+    ] {
+        let table = table(text);
+        let straightness = range(&table.profile()) * 1e3;
+        close(straightness, mean, 0.01);
+        assert!(straightness < 10.0);
+        for (run, expected) in table.runs.iter().zip(deviations) {
+            let points: Vec<[f64; 2]> = table
+                .positions
+                .iter()
+                .zip(run)
+                .map(|(u, v)| [*u, *v])
+                .collect();
+            let (_, deviation) = mean_and_deviation(&fit_line(&points).unwrap().residuals);
+            close(deviation * 1e3, expected, 0.001);
+        }
+        // An injected step of 12 um fails the tolerance of 10 um.
+        let mut worse = table.clone();
+        worse.runs.iter_mut().for_each(|run| run[7] += 0.012);
+        assert!(range(&worse.profile()) > 0.010);
+    }
+}
+
+/// Row 29: R squared of the degrees, and the choice of degree 3.
+#[test]
+fn polynomials() {
+    let x = table(X);
+    let profile = x.profile();
+    for (degree, r_squared) in [(2, 0.820), (3, 0.905), (4, 0.906), (5, 0.909), (6, 0.930)] {
+        let fitted = fit_polynomial(&x.positions, &profile, degree).unwrap();
+        close(fitted.r_squared, r_squared, 0.001);
+    }
+    let chosen = choose_degree(&x.positions, &profile, 6).unwrap();
+    assert_eq!(chosen.coefficients.len(), 4);
+    for (power, expected) in [
+        (3, -3.4586e-9),
+        (2, 3.9851e-7),
+        (1, 1.1552e-5),
+        (0, -7.4389e-4),
+    ] {
+        close(chosen.coefficient(power) / expected, 1.0, 1e-3);
+    }
+    let y = table(Y);
+    for (degree, r_squared) in [(2, 0.050), (3, 0.424), (4, 0.520), (5, 0.607), (6, 0.631)] {
+        let fitted = fit_polynomial(&y.positions, &y.profile(), degree).unwrap();
+        close(fitted.r_squared, r_squared, 0.001);
+    }
+}
+
+/// Row 30: the spline goes through its nodes and has natural ends; a line stays a line.
+#[test]
+fn spline() {
+    let u: Vec<f64> = (-7..=7).map(|step| 10.0 * f64::from(step)).collect();
+    let v: Vec<f64> = u.iter().map(|u| (u / 30.0).sin()).collect();
+    let spline = Spline::new(&u, &v).unwrap();
+    for (u, v) in u.iter().zip(&v) {
+        close(spline.value(*u), *v, 1e-12);
+    }
+    assert!(spline.ends().iter().all(|end| end.abs() < 1e-15));
+    close(spline.value(12.3), (12.3_f64 / 30.0).sin(), 1e-3);
+    let line: Vec<f64> = u.iter().map(|u| 2.0 * u + 1.0).collect();
+    close(Spline::new(&u, &line).unwrap().value(3.21), 7.42, 1e-9);
+    assert!(Spline::new(&[1.0, 1.0], &[0.0, 0.0]).is_none());
+}
+
+/// Rows 31 and 32: known correlations, classes, and t for n = 15.
+#[test]
+fn correlation() {
+    close(pearson(&[1.0, 2.0, 3.0], &[2.0, 4.0, 6.0]), 1.0, 1e-12);
+    close(pearson(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]), -1.0, 1e-12);
+    close(
+        pearson(&[1.0, 2.0, 3.0, 4.0], &[1.0, -1.0, -1.0, 1.0]),
+        0.0,
+        1e-12,
+    );
+    assert_eq!(pearson(&[1.0, 1.0], &[1.0, 2.0]), 0.0);
+    assert_eq!(
+        [0.2, 0.5, -0.8, 0.95].map(class),
+        ["low", "medium", "high", "very high"]
+    );
+    close(t_of_correlation(0.84_f64.sqrt(), 15), 8.26, 0.005);
+    close(t_of_correlation(0.36_f64.sqrt(), 15), 2.70, 0.005);
+}
+
+/// Profile of a side of the model, without its line; `x` is the side along x at y = -80.
+fn side(errors: &ErrorSet, model: Model, positions: &[f64], x: bool) -> Vec<f64> {
+    let points: Vec<[f64; 2]> = positions
+        .iter()
+        .map(|u| {
+            let point = if x {
+                Vector::new(*u, -80.0, -30.0)
+            } else {
+                Vector::new(-80.0, *u, -30.0)
+            };
+            let error = model.error(errors, point);
+            [*u, if x { error.y } else { error.x }]
+        })
+        .collect();
+    fit_line(&points).unwrap().residuals
+}
+
+/// Row 33 and section 5 of the specification: the experiment replayed 4000 times with the noise of
+/// the measuring machine stays in the bands; row 42: errors ten times as large correlate almost
+/// perfectly.
+#[test]
+fn replay() {
+    let errors = errors();
+    let straightness = errors.without(|function| function.kind() != Kind::Straightness);
+    for (text, x, noise, band) in [
+        (X, true, 0.455e-3, [0.81, 0.90, 0.95]),
+        (Y, false, 0.389e-3, [0.41, 0.66, 0.84]),
+    ] {
+        let table = table(text);
+        let model = Model::thesis();
+        let truth = side(&straightness, model, &table.positions, x);
+        let mut source = Noise::new(3, u64::from(x));
+        let mut values: Vec<f64> = (0..4000)
+            .map(|_| {
+                let read: Vec<[f64; 2]> = table
+                    .positions
+                    .iter()
+                    .zip(&truth)
+                    .map(|(u, v)| {
+                        let mean = (0..3).map(|_| source.normal(noise)).sum::<f64>() / 3.0;
+                        [*u, v + mean]
+                    })
+                    .collect();
+                let residuals = fit_line(&read).unwrap().residuals;
+                pearson(&truth, &residuals).powi(2)
+            })
+            .collect();
+        values.sort_by(f64::total_cmp);
+        for (part, expected) in [0.05, 0.5, 0.95].into_iter().zip(band) {
+            close(values[(part * 4000.0) as usize], expected, 0.015);
+        }
+        let worn: Vec<f64> = truth
+            .iter()
+            .map(|v| 10.0 * v + source.normal(noise) / 1.7)
+            .collect();
+        assert!(pearson(&truth, &worn).powi(2) > 0.99);
+        let trend = if x {
+            Trend::Polynomial(3)
+        } else {
+            Trend::Spline
+        };
+        let line = compare("X", &table.positions, &truth, &table.profile(), trend).unwrap();
+        println!("{line}");
+        assert!(line.r_squared > if x { 0.8 } else { 0.5 });
+    }
+}
+
+/// Row 34: which errors the straightness of a side depends on.
+#[test]
+fn omission() {
+    let errors = errors();
+    let u: Vec<f64> = (-7..=7).map(|step| 10.0 * f64::from(step)).collect();
+    let values =
+        |set: &ErrorSet| [true, false].map(|x| range(&side(set, Model::thesis(), &u, x)) * 1e3);
+    let [x, y] = values(&errors);
+    close(x, 2.31, 0.01);
+    close(y, 0.80, 0.01);
+    let [x, y] = values(&errors.without(|function| function.kind() == Kind::Straightness));
+    close(x, 0.11, 0.01);
+    close(y, 0.11, 0.01);
+    // Positioning drops out, and so do constant angles.
+    let [x, y] = values(&errors.without(|function| function.kind() == Kind::Positioning));
+    close(x, 2.31, 0.01);
+    close(y, 0.80, 0.01);
+    let mut level = errors.clone();
+    for (name, mean) in [
+        ("EBX", 3e-6),
+        ("ECX", 11e-6),
+        ("EAY", 5e-6),
+        ("ECY", 8.5e-6),
+    ] {
+        let function = Function::of_name(name).unwrap();
+        let Shape::ClosedForm(form) = *level.function(function) else {
+            unreachable!()
+        };
+        let form = ClosedForm {
+            mean: form.mean - mean,
+            ..form
+        };
+        level.set(function, Shape::ClosedForm(form));
+    }
+    let [x, y] = values(&level);
+    close(x, 2.31, 0.01);
+    close(y, 0.80, 0.01);
+}
+
+/// A table with missing rows or values is refused.
+#[test]
+fn incomplete_tables() {
+    let missing: Vec<&str> = X.lines().take(15).collect();
+    let problem = SideTable::read(&missing.join("\n"), 3, 15)
+        .unwrap_err()
+        .to_string();
+    assert!(problem.contains("has 12 of 15 rows"), "{problem}");
+    let gap = X.replace("-79.9996,-80.0102", ",-80.0102");
+    let problem = SideTable::read(&gap, 3, 15).unwrap_err().to_string();
+    assert!(problem.starts_with("line 4: value 4 is \"\""), "{problem}");
+}

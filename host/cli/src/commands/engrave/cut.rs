@@ -1,0 +1,175 @@
+//! Cuts the plate on the simulated machine.
+
+use super::super::{CliError, Exit, run};
+use super::args::EngraveArgs;
+use clap::Parser;
+use haptimill_engrave::drawing::Drawing;
+use haptimill_engrave::plate::{Plate, PlateReport};
+use haptimill_engrave::preview::area;
+use haptimill_machine_file::MachineFile;
+use haptimill_trace::{Recording, flag};
+use std::ffi::OsString;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Distance of the points of the compared surface, as a part of the tool's diameter.
+const CELL: f64 = 1.0 / 20.0;
+
+/// Deviation of the tool from its commanded position at the end, at standstill, above which steps
+/// are lost, mm. A lost electrical turn is ten steps of the engraver: 0.05 mm in x and y.
+const LOST_MM: f64 = 0.008;
+
+/// Thickness of the plate below the floor of the cut, mm.
+const BELOW: f64 = 2.0;
+
+/// The plate after the run.
+pub(super) struct Cut {
+    /// Its surface against the drawing.
+    pub(super) surface: PlateReport,
+    /// True minus commanded position of the tool at the end, mm.
+    pub(super) off_mm: [f64; 3],
+}
+
+impl Cut {
+    /// Whether the machine is not where its controller takes it to be.
+    pub(super) fn lost_steps(&self) -> bool {
+        self.off_mm.iter().any(|off| off.abs() > LOST_MM)
+    }
+
+    /// Describes it.
+    pub(super) fn lost(&self) -> String {
+        let [x, y, z] = self.off_mm;
+        let at = format!("at the end the tool is {x:.4}, {y:.4}, {z:.4} mm off");
+        if self.lost_steps() {
+            format!("lost: {at}; lower the feed or the acceleration, or take less depth at once")
+        } else {
+            format!("none lost: {at}")
+        }
+    }
+}
+
+/// The arguments of `haptimill run`, as that command reads them.
+#[derive(Debug, Parser)]
+struct RunLine {
+    #[command(flatten)]
+    args: run::RunArgs,
+}
+
+/// Runs the part program on the simulated machine with a plate on its table, and cuts a plate along
+/// the true path of the tool.
+///
+/// # Errors
+/// See [`Exit`].
+pub(super) fn cut(
+    args: &EngraveArgs,
+    machine: &MachineFile,
+    drawing: &Drawing,
+) -> Result<Cut, CliError> {
+    let program = args.out();
+    let mut folder = program.clone();
+    folder.set_extension("out");
+    let write = |name: &str, text: String| -> Result<PathBuf, CliError> {
+        let path = folder.join(name);
+        let done = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&path, text));
+        done.map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))?;
+        Ok(path)
+    };
+    let machine_path = write("machine.toml", with_tool(&machine.text, args.tool))?;
+    let stock_path = write("stock.toml", stock(args, drawing))?;
+    let words: [OsString; 9] = [
+        "run".into(),
+        program.into(),
+        "--machine".into(),
+        machine_path.into(),
+        "--stock".into(),
+        stock_path.into(),
+        "--out".into(),
+        folder.clone().into(),
+        "--quiet".into(),
+    ];
+    let mut line =
+        RunLine::try_parse_from(words).map_err(|error| CliError::new(Exit::Internal, error))?;
+    line.args.silent = args.json;
+    run::run(line.args)?;
+    measure(
+        args,
+        drawing,
+        &folder.join(haptimill_report::RECORDING_FILE),
+    )
+}
+
+/// The machine file with the radius of the job's tool.
+fn with_tool(text: &str, tool_mm: f64) -> String {
+    let mut section = "";
+    let mut out = String::with_capacity(text.len() + 16);
+    for line in text.lines() {
+        if line.starts_with('[') {
+            section = line.trim_end();
+        }
+        if section == "[plant.cutter]" && line.starts_with("radius_mm") {
+            let _ = writeln!(out, "radius_mm = {:?}", tool_mm / 2.0);
+        } else {
+            out.push_str(line);
+            out.push('\n');
+        }
+    }
+    out
+}
+
+/// The stock file of the plate.
+fn stock(args: &EngraveArgs, drawing: &Drawing) -> String {
+    let [low, high] = area(drawing, &args.options());
+    // The simulator's map costs time; the forces need no finer one.
+    let cell = (args.tool / 10.0).max((high[0] - low[0]).max(high[1] - low[1]) / 1000.0);
+    let span = |axis: usize| ((high[axis] - low[axis]) / cell).ceil() * cell;
+    let (x, y) = (low[0] + span(0), low[1] + span(1));
+    let area = format!(
+        "{{ x_min = {:?}, x_max = {x:?}, y_min = {:?}, y_max = {y:?} }}",
+        low[0], low[1]
+    );
+    format!(
+        "top_mm = 0.0\nbottom_mm = {:?}\nstock = {area}\nmap = {area}\ncell_mm = {cell:?}\n",
+        -args.depth - BELOW
+    )
+}
+
+/// Cuts a plate along the recorded true path of the tool and compares it with the drawing.
+fn measure(args: &EngraveArgs, drawing: &Drawing, path: &Path) -> Result<Cut, CliError> {
+    let failed = |error: &dyn std::fmt::Display| {
+        CliError::new(Exit::Internal, format!("{}: {error}", path.display()))
+    };
+    let recording = Recording::open(path).map_err(|error| failed(&error))?;
+    let units = recording.pose_units();
+    let options = args.options();
+    let mut plate = Plate::new(area(drawing, &options), args.tool * CELL);
+    let step = args.tool * CELL / 4.0;
+    let mut last: Option<[f64; 3]> = None;
+    let mut off_mm = [0.0; 3];
+    for record in recording.iter().map_err(|error| failed(&error))? {
+        let record = record.map_err(|error| failed(&error))?;
+        if !record.has(flag::TOOL_TRUE) {
+            continue;
+        }
+        let at: [f64; 3] = std::array::from_fn(|axis| f64::from(record.tool[axis]) * units[axis]);
+        off_mm =
+            std::array::from_fn(|axis| at[axis] - f64::from(record.commanded[axis]) * units[axis]);
+        match last {
+            Some(from) => {
+                let moved = (0..3)
+                    .map(|axis| (at[axis] - from[axis]).powi(2))
+                    .sum::<f64>()
+                    .sqrt();
+                if moved < step && (at[2] - from[2]).abs() < 1e-4 {
+                    continue;
+                }
+                plate.sweep(args.tool / 2.0, from, at);
+            }
+            None => plate.sweep(args.tool / 2.0, at, at),
+        }
+        last = Some(at);
+    }
+    Ok(Cut {
+        surface: plate.compare(drawing, &options),
+        off_mm,
+    })
+}

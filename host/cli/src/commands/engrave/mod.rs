@@ -1,0 +1,349 @@
+//! `haptimill engrave`: from a drawing to a part program.
+
+mod args;
+mod cut;
+
+use super::{CliError, Exit};
+use haptimill_client::Located;
+use haptimill_engrave::drawing::{Drawing, LayerChoice, Problem};
+use haptimill_engrave::gcode::{Rates, program};
+use haptimill_engrave::geometry::Point;
+use haptimill_engrave::job::{Job, check_area, plan};
+use haptimill_engrave::kurbo::Affine;
+use haptimill_engrave::plate::PlateReport;
+use haptimill_engrave::preview::{self, Speeds};
+use haptimill_engrave::read::text::Font;
+use haptimill_engrave::read::{ReadOptions, read};
+use haptimill_engrave::toolpath::Lengths;
+use haptimill_machine_file::{MachineFile, input};
+use std::path::Path;
+use std::time::Instant;
+
+pub use args::EngraveArgs;
+use args::{OriginName, Place};
+
+/// Largest drawing, bytes.
+const DRAWING_BYTES: u64 = 512 << 20;
+
+/// The machine of a job without --machine.
+const ENGRAVER: (&str, &str) = (
+    "machines/engraver.toml",
+    include_str!("../../../../../machines/engraver.toml"),
+);
+
+/// The problems of a drawing as an error of the command.
+fn refuse(file: &Path, exit: Exit, problems: &[Problem]) -> CliError {
+    const SHOWN: usize = 20;
+    let file = file.display().to_string();
+    let mut lines: Vec<String> = problems
+        .iter()
+        .take(SHOWN)
+        .map(|problem| format!("{file}: {problem}"))
+        .collect();
+    if problems.len() > SHOWN {
+        lines.push(format!("{file}: and {} more", problems.len() - SHOWN));
+    }
+    let mut error = CliError::new(exit, lines.join("\n"));
+    error.problems = problems
+        .iter()
+        .map(|problem| Located {
+            file: file.clone(),
+            line: problem.line,
+            column: 1,
+            message: problem.message.clone(),
+            remedy: problem.remedy.clone(),
+        })
+        .collect();
+    error
+}
+
+/// Reads and places the drawing.
+fn load(args: &EngraveArgs) -> Result<Drawing, CliError> {
+    let bad = |path: &Path, what: &dyn std::fmt::Display| {
+        CliError::new(Exit::BadInput, format!("{}: {what}", path.display()))
+    };
+    let bytes =
+        input::read(&args.drawing, DRAWING_BYTES).map_err(|what| bad(&args.drawing, &what))?;
+    let font_bytes = match &args.font {
+        None => None,
+        Some(path) => Some(input::read(path, DRAWING_BYTES).map_err(|what| bad(path, &what))?),
+    };
+    let font = match (&font_bytes, &args.font) {
+        (Some(bytes), Some(path)) => Some(Font::new(bytes).map_err(|what| bad(path, &what))?),
+        _ => None,
+    };
+    let options = ReadOptions {
+        unit_mm: args.unit,
+        font: font.as_ref(),
+        skip_text: args.skip_text,
+    };
+    let refused = |problems: &[Problem]| refuse(&args.drawing, Exit::BadInput, problems);
+    let mut drawing = read(&bytes, &options).map_err(|problem| refused(&[problem]))?;
+    if !drawing.problems.is_empty() {
+        return Err(refused(&drawing.problems));
+    }
+    let choice = LayerChoice {
+        only: args.layer.clone(),
+        without: args.without_layer.clone(),
+    };
+    drawing
+        .select_layers(&choice)
+        .map_err(|problem| refused(&[problem]))?;
+    if args.scale != 1.0 {
+        drawing.transform(Affine::scale(args.scale));
+    }
+    if let Some([low, high]) = drawing.bounds() {
+        let from = match args.origin {
+            OriginName::Drawing => [0.0; 2],
+            OriginName::LowerLeft => low,
+            OriginName::Centre => [
+                f64::midpoint(low[0], high[0]),
+                f64::midpoint(low[1], high[1]),
+            ],
+        };
+        let Place(to) = args.at;
+        if from != to {
+            drawing.transform(Affine::translate((to[0] - from[0], to[1] - from[1])));
+        }
+    }
+    Ok(drawing)
+}
+
+/// Area and rapid rate of the machine's first two coordinates.
+fn area(machine: &MachineFile) -> Result<([Point; 2], f64), CliError> {
+    let axis = |name: &str| machine.pose.iter().find(|axis| axis.name == name);
+    let (Some(x), Some(y)) = (axis("x"), axis("y")) else {
+        let what = format!("{}: the machine has no coordinates x and y", machine.file);
+        return Err(CliError::new(Exit::BadInput, what));
+    };
+    Ok(([[x.low, y.low], [x.high, y.high]], x.rate.min(y.rate)))
+}
+
+/// Times of a job without acceleration, s.
+struct Times {
+    cut: f64,
+    air: f64,
+    lifts: f64,
+}
+
+impl Times {
+    fn of(lengths: &Lengths, args: &EngraveArgs, rapid_mm_s: f64) -> Self {
+        let stroke = args.lift + args.depth;
+        Self {
+            cut: lengths.cut_mm / (args.feed / 60.0),
+            air: lengths.air_mm / rapid_mm_s,
+            lifts: lengths.lifts as f64 * (stroke / (args.plunge / 60.0) + stroke / rapid_mm_s),
+        }
+    }
+
+    fn total(&self) -> f64 {
+        self.cut + self.air + self.lifts
+    }
+}
+
+/// Writes the part program of a drawing.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn run(args: EngraveArgs) -> Result<(), CliError> {
+    args.check()?;
+    let machine = match &args.machine {
+        Some(path) => MachineFile::load(path)?,
+        None => MachineFile::parse(ENGRAVER.0, ENGRAVER.1)?,
+    };
+    let (area, rapid) = area(&machine)?;
+    let drawing = load(&args)?;
+    let begin = Instant::now();
+    let refused = |problems: Vec<Problem>| refuse(&args.drawing, Exit::BadInput, &problems);
+    let job = plan(&drawing, &args.options()).map_err(refused)?;
+    let analysis_s = begin.elapsed().as_secs_f64();
+    let outside = format!("the area of {}", machine.config.name);
+    check_area(&job, &drawing, area, &outside)
+        .map_err(|problems| refuse(&args.drawing, Exit::Refused, &problems))?;
+    let lengths = job.toolpath.lengths([0.0; 2]);
+    let rates = Rates {
+        feed: args.feed,
+        plunge: args.plunge,
+        speed: args.speed,
+        lift_mm: args.lift,
+    };
+    let name = args
+        .drawing
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy();
+    let title = [
+        format!(
+            "{name}: {} with a tool of {} mm, {} mm deep",
+            args.operation.name(),
+            args.tool,
+            args.depth
+        ),
+        format!(
+            "cut {:.1} mm, air {:.1} mm, {} lifts",
+            lengths.cut_mm, lengths.air_mm, lengths.lifts
+        ),
+    ];
+    let text = program(&job.toolpath, rates, [0.0; 2], &title);
+    let out = args.out();
+    std::fs::write(&out, &text)
+        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", out.display())))?;
+    let times = Times::of(&lengths, &args, rapid);
+    let rows: Vec<preview::Row> = job
+        .candidates
+        .iter()
+        .map(|one| {
+            let with = Lengths {
+                air_mm: one.air_mm,
+                lifts: one.lifts,
+                ..lengths
+            };
+            let total = Times::of(&with, &args, rapid).total();
+            (one.name.clone(), one.air_mm, one.lifts, total)
+        })
+        .collect();
+    if let Some(path) = &args.preview {
+        let speeds = Speeds {
+            feed: args.feed / 60.0,
+            plunge: args.plunge / 60.0,
+            rapid,
+            lift_mm: args.lift,
+        };
+        let page = preview::html(&title[0], &drawing, &job, &args.options(), speeds, &rows);
+        std::fs::write(path, page)
+            .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))?;
+    }
+    if !args.json {
+        print_text(&args, &drawing, &job, &lengths, &times, &rows);
+    }
+    let surface = if args.run {
+        Some(cut::cut(&args, &machine, &drawing)?)
+    } else {
+        None
+    };
+    if args.json {
+        print_json(
+            &args,
+            &drawing,
+            &job,
+            &lengths,
+            &times,
+            analysis_s,
+            surface.as_ref(),
+        );
+    } else if let Some(cut) = &surface {
+        print_surface(cut);
+    }
+    match surface {
+        Some(cut) if cut.lost_steps() => Err(CliError::new(Exit::Fault, cut.lost()).reported()),
+        _ => Ok(()),
+    }
+}
+
+fn print_text(
+    args: &EngraveArgs,
+    drawing: &Drawing,
+    job: &Job,
+    lengths: &Lengths,
+    times: &Times,
+    rows: &[preview::Row],
+) {
+    for notice in drawing.notices.iter().chain(&job.notices) {
+        eprintln!("{}: {notice}", args.drawing.display());
+    }
+    print_line!(
+        "{}: {} entities, {} paths",
+        args.drawing.display(),
+        drawing.entities.len(),
+        drawing.paths.len()
+    );
+    print_line!(
+        "{:<42} {:>12} {:>7} {:>10}",
+        "order",
+        "air mm",
+        "lifts",
+        "time s"
+    );
+    for (name, air_mm, lifts, time_s) in rows {
+        print_line!("{name:<42} {air_mm:>12.3} {lifts:>7} {time_s:>10.1}");
+    }
+    let proven = if job.proven {
+        ", proven to be the shortest order"
+    } else {
+        ""
+    };
+    print_line!(
+        "cut {:.1} mm in {:.1} s, air {:.1} mm in {:.1} s, {} lifts in {:.1} s, {} links{proven}",
+        lengths.cut_mm,
+        times.cut,
+        lengths.air_mm,
+        times.air,
+        lengths.lifts,
+        times.lifts,
+        job.links
+    );
+    print_line!("program     {}", args.out().display());
+    if let Some(path) = &args.preview {
+        print_line!("preview     {}", path.display());
+    }
+}
+
+fn print_surface(cut: &cut::Cut) {
+    let PlateReport {
+        band_mm,
+        asked_mm2,
+        unreachable_mm2,
+        uncut_mm2,
+        over_cut_mm2,
+        ..
+    } = cut.surface;
+    print_line!(
+        "surface     {asked_mm2:.1} mm2 asked for, {unreachable_mm2:.1} mm2 out of the tool's reach"
+    );
+    print_line!(
+        "            {uncut_mm2:.2} mm2 uncut, {over_cut_mm2:.2} mm2 over-cut (beyond {band_mm:.3} \
+         mm of the edges)"
+    );
+    print_line!(
+        "depth       {:.3} mm asked for; {:.3} least, {:.3} mean, {:.3} greatest",
+        cut.surface.depth_mm,
+        cut.surface.least_depth_mm,
+        cut.surface.mean_depth_mm,
+        cut.surface.greatest_depth_mm
+    );
+    print_line!("steps       {}", cut.lost());
+}
+
+fn print_json(
+    args: &EngraveArgs,
+    drawing: &Drawing,
+    job: &Job,
+    lengths: &Lengths,
+    times: &Times,
+    analysis_s: f64,
+    cut: Option<&cut::Cut>,
+) {
+    let value = serde_json::json!({
+        "drawing": args.drawing.display().to_string(),
+        "program": args.out().display().to_string(),
+        "entities": drawing.entities.len(),
+        "paths": drawing.paths.len(),
+        "notices": drawing.notices.iter().chain(&job.notices).collect::<Vec<_>>(),
+        "orders": job.candidates,
+        "proven": job.proven,
+        "cut_mm": lengths.cut_mm,
+        "air_mm": lengths.air_mm,
+        "lifts": lengths.lifts,
+        "links": job.links,
+        "time_s": {
+            "cut": times.cut,
+            "air": times.air,
+            "lifts": times.lifts,
+            "total": times.total(),
+            "analysis": analysis_s,
+        },
+        "surface": cut.map(|cut| &cut.surface),
+        "off_mm": cut.map(|cut| cut.off_mm),
+    });
+    print_line!("{value:#}");
+}

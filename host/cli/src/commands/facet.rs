@@ -1,0 +1,485 @@
+//! `haptimill facet`: from a gem design to a cut stone.
+
+use super::{CliError, Exit, interrupt};
+use clap::{Args, Subcommand, ValueEnum};
+use haptimill_facet::{
+    Cutting, Design, Gem, Job, JobSettings, Lap, Mode, Reading, Rough, RunOptions, calibrate, cut,
+    read, report,
+};
+use haptimill_hil_sim::process::grinding::HardSpot;
+use haptimill_machine_file::{MachineFile, input};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+const CHECK_LONG: &str = "\
+Check a gem design. It is cut, plane by plane, out of its rough; a facet that cannot be cut is \
+refused by line and name, as is a design that does not close or is larger than the rough.
+
+Designs are GemCad ASCII files (.asc), or lists of facets (.toml, .csv) with depths in mm; \
+docs/faceting.md has both formats.";
+
+const RUN_LONG: &str = "\
+Cut a gem in the simulator. All facets of a side are ground on one lap after the other, then the \
+stone is turned over. The folder of results gets
+  report.html  the stone in 3D, facets and meet points against the design, times and forces
+  stone.json   the same figures
+  job.ngc      the job as one part program
+
+With --by force the stone yields where the force exceeds that of the lap, and sinks to its depth as \
+material is removed; with --by feed the feed of the lap takes it there; --by both does both.";
+
+/// Commands of `haptimill facet`.
+#[derive(Debug, Clone, Subcommand)]
+pub enum FacetCommand {
+    /// Check a gem design, and print its facets, size and meet points
+    #[command(long_about = CHECK_LONG)]
+    Check(CheckArgs),
+    /// Write the job of a design as a part program
+    Plan(PlanArgs),
+    /// Cut a gem in the simulator
+    #[command(long_about = RUN_LONG)]
+    Run(Box<RunArgs>),
+    /// Compute the lengths of the arm from three readings of its tip
+    Calibrate(CalibrateArgs),
+}
+
+impl FacetCommand {
+    /// Whether standard output is JSON.
+    #[must_use]
+    pub fn is_json(&self) -> bool {
+        match self {
+            Self::Check(args) => args.json,
+            Self::Run(args) => args.json,
+            Self::Plan(_) => false,
+            Self::Calibrate(args) => args.json,
+        }
+    }
+}
+
+/// A design and its rough.
+#[derive(Debug, Clone, Args)]
+pub struct DesignArgs {
+    /// Gem design (.asc, .toml, .csv)
+    #[arg(value_name = "DESIGN")]
+    pub design: PathBuf,
+    /// Width of the stone, the smaller one of x and y; a list has its size in mm
+    #[arg(long, value_name = "MM", default_value_t = 6.0, value_parser = millimetres)]
+    pub width: f64,
+    /// Rough, a round preform [default: 8 % larger than the stone]
+    #[arg(long, value_name = "DIAMETERxHEIGHT", value_parser = rough)]
+    pub rough: Option<Rough>,
+}
+
+/// Laps of a job.
+#[derive(Debug, Clone, Args)]
+pub struct JobArgs {
+    /// Laps, a TOML file of `[[lap]]` [default: 260, 1200 and polish for quartz]
+    #[arg(long, value_name = "FILE")]
+    pub laps: Option<PathBuf>,
+    /// How facets are ground
+    #[arg(long, value_enum, default_value = "feed")]
+    pub by: By,
+}
+
+/// How facets are ground.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum By {
+    /// By feed to the depth
+    Feed,
+    /// By force; a facet that misses its depth is an error
+    Force,
+    /// By feed, with the force held
+    Both,
+}
+
+/// Arguments of `haptimill facet check`.
+#[derive(Debug, Clone, Args)]
+pub struct CheckArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub design: DesignArgs,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `haptimill facet plan`.
+#[derive(Debug, Clone, Args)]
+pub struct PlanArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub design: DesignArgs,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub job: JobArgs,
+    /// Part program; - is standard output
+    #[arg(short, long, value_name = "FILE", default_value = "-")]
+    pub out: PathBuf,
+}
+
+/// Arguments of `haptimill facet run`.
+#[derive(Debug, Clone, Args)]
+pub struct RunArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub design: DesignArgs,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub job: JobArgs,
+    /// Machine file [default: the built-in faceting machine]
+    #[arg(long, value_name = "FILE")]
+    pub machine: Option<PathBuf>,
+    /// Folder for the results [default: the design's name with .out]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Seed of the simulated machine
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Run-out of the laps
+    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = small)]
+    pub run_out: f64,
+    /// Volume that a lap loses for a volume of the stone
+    #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = small)]
+    pub wear: f64,
+    /// Hard ball in the stone: centre x,y,z, radius, and its part of the removal
+    #[arg(long, value_name = "X,Y,Z,RADIUS,PART", allow_hyphen_values = true, value_parser = hard_spot)]
+    pub hard_spot: Option<HardSpot>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Print no progress
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Arguments of `haptimill facet calibrate`.
+#[derive(Debug, Clone, Args)]
+pub struct CalibrateArgs {
+    /// Tip at theta2 = 0: p_x, and p_z less d1 if it was read
+    #[arg(long, value_name = "X[,Z]", allow_hyphen_values = true, value_parser = reading)]
+    pub at_0: Reading,
+    /// Tip at theta2 = 90 degrees
+    #[arg(long, value_name = "X[,Z]", allow_hyphen_values = true, value_parser = reading)]
+    pub at_90: Reading,
+    /// Tip at theta2 = 180 degrees
+    #[arg(long, value_name = "X[,Z]", allow_hyphen_values = true, value_parser = reading)]
+    pub at_180: Reading,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+fn numbers(text: &str, separator: char) -> Result<Vec<f64>, String> {
+    text.split(separator)
+        .map(|part| match part.trim().parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            _ => Err(format!("\"{part}\" is no number")),
+        })
+        .collect()
+}
+
+fn millimetres(text: &str) -> Result<f64, String> {
+    match numbers(text, ' ')?[..] {
+        [value] if (0.5..=60.0).contains(&value) => Ok(value),
+        _ => Err("write 0.5 to 60 mm".to_string()),
+    }
+}
+
+fn small(text: &str) -> Result<f64, String> {
+    match numbers(text, ' ')?[..] {
+        [value] if (0.0..=1.0).contains(&value) => Ok(value),
+        _ => Err("write 0 to 1".to_string()),
+    }
+}
+
+fn rough(text: &str) -> Result<Rough, String> {
+    match numbers(text, 'x')?[..] {
+        [diameter_mm, height_mm]
+            if (0.5..=100.0).contains(&diameter_mm) && (0.5..=60.0).contains(&height_mm) =>
+        {
+            Ok(Rough {
+                diameter_mm,
+                height_mm,
+            })
+        }
+        _ => Err("write DIAMETERxHEIGHT in mm, at most 100x60".to_string()),
+    }
+}
+
+fn hard_spot(text: &str) -> Result<HardSpot, String> {
+    match numbers(text, ',')?[..] {
+        [x, y, z, radius_mm, part] if radius_mm > 0.0 && part > 0.0 && part <= 1.0 => {
+            Ok(HardSpot {
+                centre: [x, y, z],
+                radius_mm,
+                part,
+            })
+        }
+        _ => Err("write X,Y,Z,RADIUS,PART; radius above 0, part above 0 to 1".to_string()),
+    }
+}
+
+fn reading(text: &str) -> Result<Reading, String> {
+    match numbers(text, ',')?[..] {
+        [x] => Ok(Reading { x, z: None }),
+        [x, z] => Ok(Reading { x, z: Some(z) }),
+        _ => Err("write X or X,Z in mm".to_string()),
+    }
+}
+
+/// The built-in machine file.
+const MACHINE: &str = include_str!("../../../../machines/facet.toml");
+
+/// Runs a command.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn run(command: FacetCommand) -> Result<(), CliError> {
+    match command {
+        FacetCommand::Check(args) => check(&args),
+        FacetCommand::Plan(args) => plan(&args),
+        FacetCommand::Run(args) => grind(&args),
+        FacetCommand::Calibrate(args) => print_lengths(&args),
+    }
+}
+
+fn bad(message: impl std::fmt::Display) -> CliError {
+    CliError::new(Exit::BadInput, message)
+}
+
+fn read_design(path: &Path) -> Result<Design, CliError> {
+    let file = path.display().to_string();
+    let text = input::read(path, input::SETTINGS_BYTES)
+        .map_err(|error| bad(format!("{file}: {error}")))?;
+    read(&file, &text).map_err(bad)
+}
+
+fn gem(args: &DesignArgs) -> Result<Gem, CliError> {
+    let design = read_design(&args.design)?;
+    let file = args.design.display().to_string();
+    Gem::new(&file, design, args.width, args.rough).map_err(bad)
+}
+
+fn settings(args: &JobArgs) -> Result<JobSettings, CliError> {
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Laps {
+        lap: Vec<Lap>,
+    }
+    let mut settings = JobSettings {
+        mode: match args.by {
+            By::Feed => Mode::Feed,
+            By::Force => Mode::Force,
+            By::Both => Mode::Both,
+        },
+        ..JobSettings::default()
+    };
+    if let Some(path) = &args.laps {
+        let file = path.display();
+        let text = input::read(path, input::SETTINGS_BYTES)
+            .map_err(|error| bad(format!("{file}: {error}")))?;
+        let text = String::from_utf8_lossy(&text);
+        let laps: Laps = toml::from_str(&text).map_err(|error| {
+            let offset = error.span().map_or(0, |span| span.start);
+            let line = 1 + text.get(..offset).map_or(0, |it| it.matches('\n').count());
+            bad(format!("{file}:{line}: {}", error.message()))
+        })?;
+        settings.laps = laps.lap;
+        if let Some(problem) = settings.problem() {
+            return Err(bad(format!("{file}: {problem}")));
+        }
+    }
+    Ok(settings)
+}
+
+fn check(args: &CheckArgs) -> Result<(), CliError> {
+    let gem = gem(&args.design)?;
+    let ends = |axis: usize| {
+        let mut direction = [0.0; 3];
+        direction[axis] = 1.0;
+        gem.body.reach(direction) + gem.body.reach(direction.map(|value| -value))
+    };
+    let gain = gem.meets.iter().map(|meet| meet.gain).fold(0.0, f64::max);
+    if args.json {
+        let facets = gem.design.facets.iter().map(|facet| {
+            json!({
+                "name": facet.name, "line": facet.line, "stage": facet.stage.name(),
+                "angle_deg": facet.angle_deg, "azimuth_deg": gem.design.azimuth_deg(facet.index),
+                "index": facet.index, "depth_mm": facet.distance * gem.scale_mm,
+            })
+        });
+        let value = json!({
+            "title": gem.design.title, "gear": gem.design.gear,
+            "size_mm": [ends(0), ends(1), ends(2)], "yield": gem.yield_part(),
+            "volume_mm3": gem.body.volume(), "meet_points": gem.meets.len(), "gain": gain,
+            "facets": facets.collect::<Vec<_>>(),
+        });
+        print_line!("{value:#}");
+        return Ok(());
+    }
+    let facets = gem.body.faces().len();
+    print_line!(
+        "{}: no problem; {facets} facets on a wheel of {} teeth",
+        args.design.design.display(),
+        gem.design.gear
+    );
+    print_line!(
+        "size        {:.3} x {:.3} x {:.3} mm, {:.3} mm^3, {:.1} % of the rough of {:.3} x {:.3} mm",
+        ends(0),
+        ends(1),
+        ends(2),
+        gem.body.volume(),
+        100.0 * gem.yield_part(),
+        gem.rough.diameter_mm,
+        gem.rough.height_mm
+    );
+    print_line!(
+        "meet points {}; a depth error of 1 um moves one by up to {gain:.1} um, so 0.02 mm need \
+         {:.1} um",
+        gem.meets.len(),
+        20.0 / gain
+    );
+    Ok(())
+}
+
+fn planned(design: &DesignArgs, job: &JobArgs) -> Result<(Gem, Job), CliError> {
+    let gem = gem(design)?;
+    let job = Job::new(&gem, settings(job)?).map_err(bad)?;
+    Ok((gem, job))
+}
+
+fn written(path: &Path, text: &str) -> Result<(), CliError> {
+    std::fs::write(path, text)
+        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))
+}
+
+fn plan(args: &PlanArgs) -> Result<(), CliError> {
+    let (gem, job) = planned(&args.design, &args.job)?;
+    let text = job.program(&gem.design.title);
+    if args.out.as_os_str() == "-" {
+        print_line!("{}", text.trim_end());
+        return Ok(());
+    }
+    written(&args.out, &text)
+}
+
+fn grind(args: &RunArgs) -> Result<(), CliError> {
+    let (gem, job) = planned(&args.design, &args.job)?;
+    let machine = match &args.machine {
+        Some(path) => MachineFile::load(path)?,
+        None => MachineFile::parse("facet.toml", MACHINE)?,
+    };
+    let dir = args.out.clone().unwrap_or_else(|| {
+        let name = args.design.design.file_stem().unwrap_or_default();
+        PathBuf::from(name).with_extension("out")
+    });
+    std::fs::create_dir_all(&dir)
+        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", dir.display())))?;
+    let options = RunOptions {
+        seed: args.seed,
+        run_out_mm: args.run_out,
+        wear: args.wear,
+        hard_spot: args.hard_spot,
+        interrupted: interrupt::flag(),
+        ..RunOptions::default()
+    };
+    let bar = if args.quiet || args.json {
+        indicatif::ProgressBar::hidden()
+    } else {
+        indicatif::ProgressBar::new(0)
+    };
+    let cutting = cut(&gem, &job, &machine, &options, &mut |done, of| {
+        bar.set_length(of as u64);
+        bar.set_position(done as u64);
+    })?;
+    bar.finish_and_clear();
+    let figures = figures(&gem, &cutting);
+    written(&dir.join("report.html"), &report(&gem, &job, &cutting))?;
+    written(&dir.join("stone.json"), &format!("{figures:#}\n"))?;
+    written(&dir.join("job.ngc"), &job.program(&gem.design.title))?;
+    if args.json {
+        print_line!("{figures:#}");
+        return Ok(());
+    }
+    let measured = &cutting.measured;
+    let seconds: f64 = cutting.operations.iter().map(|it| it.seconds).sum();
+    print_line!(
+        "{}: {} facets in {:.1} min of the machine, {:.1} % of the rough",
+        args.design.design.display(),
+        measured.facets.len(),
+        seconds / 60.0,
+        100.0 * measured.yield_part
+    );
+    print_line!(
+        "largest error: angle {:.4} deg, depth {:.4} mm, meet point {:.4} mm",
+        measured.worst_angle_deg(),
+        measured.worst_depth_mm(),
+        measured.worst_meet_mm()
+    );
+    if !measured.missing.is_empty() || measured.strange > 0 {
+        print_line!(
+            "{} facets are missing, {} faces are no facet",
+            measured.missing.len(),
+            measured.strange
+        );
+    }
+    print_line!("report      {}", dir.join("report.html").display());
+    Ok(())
+}
+
+fn figures(gem: &Gem, cutting: &Cutting) -> serde_json::Value {
+    let measured = &cutting.measured;
+    let name = |facet: usize| gem.design.facets[facet].name.clone();
+    let facets = measured.facets.iter().map(|it| {
+        json!({
+            "name": name(it.facet), "normal_deg": it.error_deg, "angle_deg": it.angle_deg,
+            "azimuth_deg": it.azimuth_deg, "depth_mm": it.depth_mm, "proud_mm": it.proud_mm,
+            "area_mm2": it.area_mm2,
+        })
+    });
+    let meets = measured.meets.iter().map(|it| {
+        let meet = &gem.meets[it.meet];
+        json!({ "at_mm": meet.at, "gain": meet.gain, "error_mm": it.error_mm })
+    });
+    let operations = cutting.operations.iter().map(|it| {
+        let force = &it.force;
+        json!({
+            "pass": it.pass, "facet": name(it.facet), "seconds": it.seconds, "sweeps": it.sweeps,
+            "peak_n": force.peak_n, "mean_n": force.mean_n, "turns": force.turns,
+            "least_turn_n": force.least_turn_n, "most_turn_n": force.most_turn_n,
+        })
+    });
+    json!({
+        "angle_deg": measured.worst_angle_deg(), "depth_mm": measured.worst_depth_mm(),
+        "meet_mm": measured.worst_meet_mm(), "yield": measured.yield_part,
+        "volume_mm3": measured.volume_mm3, "strange": measured.strange,
+        "missing": measured.missing.iter().map(|it| name(*it)).collect::<Vec<_>>(),
+        "facets": facets.collect::<Vec<_>>(), "meet_points": meets.collect::<Vec<_>>(),
+        "operations": operations.collect::<Vec<_>>(), "wear_mm": cutting.wear,
+    })
+}
+
+/// A reading that differs by more than this from the lengths is reported, mm.
+const RESIDUAL_MM: f64 = 0.01;
+
+fn print_lengths(args: &CalibrateArgs) -> Result<(), CliError> {
+    let found = calibrate(args.at_0, args.at_90, args.at_180);
+    if args.json {
+        let value = json!({
+            "l2": found.l2, "l3": found.l3, "l4": found.l4, "residual_mm": found.residual,
+        });
+        print_line!("{value:#}");
+        return Ok(());
+    }
+    print_line!("[kinematics]");
+    print_line!("l2 = {:.6}", found.l2);
+    print_line!("l3 = {:.6}", found.l3);
+    print_line!("l4 = {:.6}", found.l4);
+    if found.residual > RESIDUAL_MM {
+        eprintln!(
+            "the readings differ by up to {:.4} mm from these lengths; measure again",
+            found.residual
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,349 @@
+//! Changes of a program before it is planned: a start in the middle, a dry run, single blocks.
+
+use crate::commands::{CliError, Exit};
+use haptimill_gcode::{AxisKind, Coordinates, Feed, Move, Options, Path, Place, Program, Step};
+use std::fmt::Write as _;
+
+/// Dwell after the start of the spindle in an approach, seconds.
+const SPINDLE_UP_S: f64 = 5.0;
+
+/// Feed of the way down of an approach to a rapid move, mm/min.
+const DOWN_FEED: f64 = 300.0;
+
+/// Options that change what a program does.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct ChangeArgs {
+    /// Begin with line N: the lines before it set modes, offsets and tools, and move nothing. The
+    /// approach is shown and asked: up to the highest Z before line N, over the start of line N,
+    /// spindle on, down at feed
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub from_line: Option<u32>,
+    /// With --from-line: do not ask
+    #[arg(long, requires = "from_line")]
+    pub yes: bool,
+    /// Dry run: spindle, coolant and outputs stay as they are; --lift raises the path. Required
+    /// with it behind a port
+    #[arg(long)]
+    pub dry: bool,
+    /// With --dry: raise every position of the program by this distance along Z
+    #[arg(long, value_name = "MM", requires = "dry", value_parser = lift)]
+    pub lift: Option<f64>,
+    /// Single block: pause after every block; only on a machine behind a port
+    #[arg(long)]
+    pub single: bool,
+}
+
+fn lift(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.0..=1e4).contains(&value) => Ok(value),
+        _ => Err("write 0 to 10000 mm".to_string()),
+    }
+}
+
+impl ChangeArgs {
+    /// Whether the program stays as it is.
+    pub(super) const fn is_none(&self) -> bool {
+        self.from_line.is_none() && !self.dry && !self.single
+    }
+
+    /// Refuses options that contradict each other on this port.
+    ///
+    /// # Errors
+    /// [`Exit::Usage`].
+    pub(super) fn check(&self, is_simulated: bool, skips_pauses: bool) -> Result<(), CliError> {
+        let usage = |what: &str| Err(CliError::new(Exit::Usage, what));
+        if self.dry && self.lift.is_none() && !is_simulated {
+            return usage(
+                "--dry moves the machine without its spindle; add --lift MM to raise the path \
+                 above the part, or --lift 0 on an empty table",
+            );
+        }
+        if self.single && is_simulated {
+            return usage(
+                "--single waits for an operator, and the simulator in this process does not run \
+                 in real time; use `haptimill sim serve` and --port",
+            );
+        }
+        if self.single && skips_pauses {
+            return usage("--single pauses after every block, and --skip-pauses passes pauses");
+        }
+        Ok(())
+    }
+
+    /// Changes a program; returns the description of the approach of --from-line.
+    ///
+    /// # Errors
+    /// The line is beyond the end of the program.
+    pub(in crate::commands) fn apply(
+        &self,
+        program: &mut Program,
+        options: &Options,
+    ) -> Result<Option<String>, CliError> {
+        let frame = Frame::of(options);
+        let approach = match self.from_line {
+            Some(line) => Some(frame.begin_at(program, line)?),
+            None => None,
+        };
+        if self.dry {
+            frame.make_dry(program, self.lift.unwrap_or(0.0));
+        }
+        if self.single {
+            pause_between_blocks(program);
+        }
+        Ok(approach)
+    }
+}
+
+/// The coordinates of a machine.
+struct Frame {
+    kinds: Vec<AxisKind>,
+    letters: Vec<char>,
+    z: Option<usize>,
+}
+
+impl Frame {
+    fn of(options: &Options) -> Self {
+        let letters: Vec<char> = options.axes.iter().map(|axis| axis.letter).collect();
+        Self {
+            kinds: options.kinds(),
+            z: letters.iter().position(|letter| *letter == 'Z'),
+            letters,
+        }
+    }
+
+    fn leg(&self, place: Place, from: Coordinates, to: Coordinates, feed: Feed) -> Option<Step> {
+        let path = Path::line(&self.kinds, from, to)?;
+        Some(Step::Move(Move {
+            place,
+            path,
+            feed,
+            exact_stop: true,
+            tolerance: None,
+        }))
+    }
+
+    /// Replaces the steps before a line by an approach, and describes it.
+    fn begin_at(&self, program: &mut Program, line: u32) -> Result<String, CliError> {
+        let is_at = |step: &Step| step.place().file == 0 && step.place().line >= line;
+        let Some(first) = program.steps.iter().position(is_at) else {
+            let last = program.steps.last().map_or(0, |step| step.place().line);
+            let what = format!(
+                "{}: nothing is to be done from line {line} on; the last block that does \
+                 something is in line {last}",
+                program.file
+            );
+            return Err(CliError::new(Exit::BadInput, what));
+        };
+        let rest = program.steps.split_off(first);
+        let before = std::mem::take(&mut program.steps);
+        let place = rest[0].place();
+        let (mut rpm, mut tool, mut at) = (0, None, program.start);
+        let mut top = self.z.map_or(0.0, |z| program.start[z]);
+        for step in &before {
+            match step {
+                Step::Move(step) | Step::Probe { step, .. } => {
+                    at = step.path.to;
+                    if let Some(z) = self.z {
+                        top = top.max(step.path.from[z]).max(step.path.to[z]);
+                    }
+                }
+                Step::Spindle { rpm: speed, .. } => rpm = *speed,
+                Step::ToolChange { tool: number, .. } => tool = Some(*number),
+                _ => {}
+            }
+        }
+        let feed = rest.iter().find_map(|step| match step {
+            Step::Move(Move {
+                feed: Feed::PerMinute(feed),
+                path,
+                ..
+            }) if path.tip_length() > 0.0 => Some(*feed),
+            _ => None,
+        });
+        let down = feed.unwrap_or(DOWN_FEED).min(DOWN_FEED);
+        let (mut up, mut over) = (program.start, at);
+        if let Some(z) = self.z {
+            (up[z], over[z]) = (top, top);
+        }
+        let steps = &mut program.steps;
+        steps.extend(self.leg(place, program.start, up, Feed::Rapid));
+        steps.extend(self.leg(place, up, over, Feed::Rapid));
+        if rpm != 0 {
+            steps.push(Step::Spindle { place, rpm });
+            steps.push(Step::Dwell {
+                place,
+                seconds: SPINDLE_UP_S,
+            });
+        }
+        steps.extend(self.leg(place, over, at, Feed::PerMinute(down)));
+        steps.extend(rest);
+        let mut text = format!("from line {}, at", place.line);
+        for (letter, value) in self.letters.iter().zip(at) {
+            let _ = write!(text, " {letter}{value:.3}");
+        }
+        let _ = write!(text, " of the machine. Approach:");
+        if self.z.is_some() {
+            let _ = write!(text, " up to Z{top:.3}, over the place,");
+        }
+        match rpm {
+            0 => text.push_str(" spindle off,"),
+            rpm => {
+                let _ = write!(text, " spindle {rpm} rev/min for {SPINDLE_UP_S} s,");
+            }
+        }
+        let _ = write!(text, " then there at {down:.0} mm/min.");
+        if let Some(tool) = tool {
+            let _ = write!(text, " Tool {tool} must be in the spindle.");
+        }
+        Ok(text)
+    }
+
+    /// Removes spindle, coolant and outputs, and raises the path.
+    fn make_dry(&self, program: &mut Program, lift: f64) {
+        program.steps.retain(|step| {
+            !matches!(
+                step,
+                Step::Spindle { .. } | Step::Coolant { .. } | Step::Output { .. }
+            )
+        });
+        let Some(z) = self.z.filter(|_| lift > 0.0) else {
+            return;
+        };
+        for step in &mut program.steps {
+            if let Step::Move(step) | Step::Probe { step, .. } = step {
+                let path = &mut step.path;
+                path.from[z] += lift;
+                path.to[z] += lift;
+                if let Some(arc) = &mut path.arc {
+                    for (axis, centre) in arc.plane.iter().zip(&mut arc.centre) {
+                        *centre += if *axis == z { lift } else { 0.0 };
+                    }
+                }
+            }
+        }
+        let is_move = |step: &Step| matches!(step, Step::Move(_) | Step::Probe { .. });
+        if let Some(first) = program.steps.iter().position(is_move) {
+            let place = program.steps[first].place();
+            let mut up = program.start;
+            up[z] += lift;
+            if let Some(step) = self.leg(place, program.start, up, Feed::Rapid) {
+                program.steps.insert(first, step);
+            }
+        }
+    }
+}
+
+/// Inserts a pause before every block but the first.
+fn pause_between_blocks(program: &mut Program) {
+    let mut paused = Vec::with_capacity(2 * program.steps.len());
+    let mut last: Option<(u16, u32)> = None;
+    for step in program.steps.drain(..) {
+        let place = step.place();
+        let block = (place.file, place.line);
+        let pauses = matches!(paused.last(), Some(Step::Pause { .. }));
+        if last.is_some_and(|last| last != block) && !pauses {
+            paused.push(Step::Pause { place });
+        }
+        last = Some(block);
+        paused.push(step);
+    }
+    program.steps = paused;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = "G21 G90\nS500 M3\nG0 Z5\nG0 X10\nG1 Z-1 F100\nX20\nG2 Y10 J5\nM30\n";
+
+    fn program() -> (Program, Options) {
+        let options = Options::h4([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+        let program = haptimill_gcode::read("p.ngc", TEXT.as_bytes(), &options);
+        (program.expect("a program"), options)
+    }
+
+    fn ends(program: &Program) -> Vec<(u32, Coordinates)> {
+        let moves = program.steps.iter().filter_map(|step| match step {
+            Step::Move(step) => Some((step.place.line, step.path.to)),
+            _ => None,
+        });
+        moves.collect()
+    }
+
+    #[test]
+    fn a_start_in_the_middle_approaches_from_above() {
+        let (mut program, options) = program();
+        let whole = ends(&program);
+        let change = ChangeArgs {
+            from_line: Some(6),
+            ..ChangeArgs::default()
+        };
+        let text = change.apply(&mut program, &options).expect("an approach");
+        let text = text.expect("a description");
+        assert!(text.contains("X10.000 Y0.000 Z-1.000"), "{text}");
+        assert!(text.contains("up to Z5.000"), "{text}");
+        assert!(text.contains("spindle 500 rev/min"), "{text}");
+        let ends = ends(&program);
+        let z = [ends[0].1, ends[1].1, ends[2].1].map(|end| (end[0], end[2]));
+        assert_eq!(z, [(0.0, 5.0), (10.0, 5.0), (10.0, -1.0)]);
+        // From there on the program is the same.
+        assert_eq!(ends[3..], whole[3..]);
+        let spindle = |step: &Step| matches!(step, Step::Spindle { rpm: 500, .. });
+        assert_eq!(program.steps.iter().filter(|step| spindle(step)).count(), 1);
+        // The path has no gap.
+        let mut at = program.start;
+        for step in &program.steps {
+            if let Step::Move(step) = step {
+                assert_eq!(step.path.from, at);
+                at = step.path.to;
+            }
+        }
+    }
+
+    #[test]
+    fn a_line_beyond_the_end_is_refused() {
+        let (mut program, options) = program();
+        let change = ChangeArgs {
+            from_line: Some(900),
+            ..ChangeArgs::default()
+        };
+        let refused = change.apply(&mut program, &options).expect_err("refused");
+        assert!(refused.message.contains("is in line 8"), "{refused}");
+    }
+
+    #[test]
+    fn a_dry_run_is_the_same_path_higher_without_spindle() {
+        let (mut program, options) = program();
+        let whole = ends(&program);
+        let change = ChangeArgs {
+            dry: true,
+            lift: Some(7.5),
+            ..ChangeArgs::default()
+        };
+        change.apply(&mut program, &options).expect("changed");
+        let ends = ends(&program);
+        assert_eq!(ends[0].1[2], 8.5);
+        assert_eq!(ends.len(), whole.len() + 1);
+        for (dry, wet) in ends[1..].iter().zip(&whole) {
+            assert_eq!(dry.1[2], wet.1[2] + 7.5);
+            assert_eq!(dry.1[..2], wet.1[..2]);
+        }
+        let spindle = |step: &Step| matches!(step, Step::Spindle { .. });
+        assert!(!program.steps.iter().any(spindle));
+    }
+
+    #[test]
+    fn single_block_pauses_between_blocks() {
+        let (mut program, options) = program();
+        let blocks: std::collections::BTreeSet<u32> =
+            program.steps.iter().map(|step| step.place().line).collect();
+        let change = ChangeArgs {
+            single: true,
+            ..ChangeArgs::default()
+        };
+        change.apply(&mut program, &options).expect("changed");
+        let pauses = |step: &&Step| matches!(step, Step::Pause { .. });
+        let pauses = program.steps.iter().filter(pauses).count();
+        assert_eq!(pauses, blocks.len() - 1);
+    }
+}

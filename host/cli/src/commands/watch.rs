@@ -1,0 +1,93 @@
+//! `haptimill watch`: observes a machine that another process commands.
+
+use super::{CliError, Exit};
+use crate::commands::interrupt;
+use clap::Args;
+use haptimill_client::port::{PortError, PortSpec, TcpTransport, Transport as _};
+use std::io::Write as _;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+/// Arguments of `haptimill watch`.
+#[derive(Debug, Clone, Args)]
+#[command(
+    about = "Observe a run that another process commands",
+    long_about = "Observe a run that another process commands: `haptimill run part.ngc --port PORT \
+                  --serve tcp:127.0.0.1:7100` serves any number of observers, and `haptimill watch \
+                  --from tcp:127.0.0.1:7100` is one. An observer cannot command the machine. It \
+                  ends with the run, or with Ctrl-C."
+)]
+pub struct WatchArgs {
+    /// The address of --serve, as tcp:HOST:PORT
+    #[arg(long, value_name = "ADDRESS")]
+    pub from: PortSpec,
+    /// Print every report as it comes, one JSON object per line, for a file or another program
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Longest wait between two looks at Ctrl-C.
+const POLL: Duration = Duration::from_millis(100);
+
+/// Longest line, bytes.
+const LONGEST: usize = 1 << 16;
+
+/// Prints what the commanding process passes on.
+///
+/// # Errors
+/// The address cannot be reached, or requires a token.
+pub fn run(args: &WatchArgs) -> Result<(), CliError> {
+    let PortSpec::Tcp(address) = &args.from else {
+        let what = format!("{}: write tcp:HOST:PORT", args.from);
+        return Err(CliError::new(Exit::Usage, what));
+    };
+    let interrupted = interrupt::flag();
+    let mut port = TcpTransport::connect(address)?;
+    let mut lines = Vec::new();
+    let mut buffer = [0; 4096];
+    let mut shown = String::new();
+    while !interrupted.load(Ordering::Relaxed) {
+        match port.read(&mut buffer, POLL) {
+            Ok(count) => lines.extend_from_slice(&buffer[..count]),
+            // The run has ended.
+            Err(PortError::Gone { .. }) => return Ok(()),
+            Err(error) => return Err(error.into()),
+        }
+        while let Some(end) = lines.iter().position(|byte| *byte == b'\n') {
+            let line: Vec<u8> = lines.drain(..=end).collect();
+            let line = String::from_utf8_lossy(&line);
+            if args.json {
+                print_line!("{}", line.trim_end());
+            } else if let Some(text) = describe(&line, &mut shown) {
+                print_line!("{text}");
+            }
+            let _ = std::io::stdout().flush();
+        }
+        if lines.len() > LONGEST {
+            let what = format!("{}: this is not an address of --serve", args.from);
+            return Err(CliError::new(Exit::Port, what));
+        }
+    }
+    Ok(())
+}
+
+/// A report as a line of text; none for one that equals the last.
+fn describe(line: &str, shown: &mut String) -> Option<String> {
+    let report: serde_json::Value = serde_json::from_str(line).ok()?;
+    if let Some(event) = report["event"].as_str() {
+        return Some(event.to_string());
+    }
+    let position = report["commanded"].as_object()?.iter();
+    let position: String = position
+        .filter_map(|(name, value)| Some(format!("  {name} {:.3}", value.as_f64()?)))
+        .collect();
+    let line = match report["line"].as_u64() {
+        Some(line) => format!(", line {line}"),
+        None => String::new(),
+    };
+    let text = format!("{}{line}{position}", report["state"].as_str()?);
+    (*shown != text).then(|| {
+        shown.clone_from(&text);
+        text
+    })
+}

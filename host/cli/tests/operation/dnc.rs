@@ -1,0 +1,70 @@
+//! `haptimill dnc`: programs over a pseudo-terminal in place of the serial line.
+
+use crate::scene::{TestFolder, number, start};
+use haptimill_client::port::{PtyServer, Transport as _};
+use std::time::Duration;
+
+/// Sends bytes on the line.
+fn send(line: &mut PtyServer, mut bytes: &[u8]) {
+    while !bytes.is_empty() {
+        let count = line.write(bytes, Duration::from_millis(100)).unwrap();
+        bytes = &bytes[count..];
+    }
+}
+
+#[test]
+fn a_program_comes_over_a_line_and_runs() {
+    let folder = TestFolder::new();
+    let (file, out) = (folder.path("came.ngc"), folder.path("out"));
+    let mut line = PtyServer::open().unwrap();
+    let name = line.name().to_string();
+    let mut dnc = start(&[
+        "dnc", &file, "--line", &name, "--flow", "xon", "--out", &out,
+    ]);
+    dnc.wait_for_output("receiving");
+    send(&mut line, b"\0\0%\r\nN1 G21 G90\r\nN2 G1 X-5 F60");
+    // In the middle of a block, for less than the silence.
+    std::thread::sleep(Duration::from_millis(300));
+    send(&mut line, b"0\r\nN3 X0 (M30)\r\nM30\r\n%\r\n\0");
+    dnc.end().expect_code(0);
+    let summary = folder.summary("out");
+    assert_eq!(summary["completed"], true, "{summary:#}");
+    assert!(
+        (number(&summary, "path_length_mm") - 10.0).abs() < 0.01,
+        "{summary:#}"
+    );
+    assert!(
+        folder
+            .read("came.ngc")
+            .starts_with("%\r\nN1 G21 G90\r\nN2 G1 X-5 F600\r\n")
+    );
+}
+
+#[test]
+fn a_line_that_is_cut_names_the_last_block_and_nothing_moves() {
+    let folder = TestFolder::new();
+    let (file, out) = (folder.path("came.ngc"), folder.path("out"));
+    let mut line = PtyServer::open().unwrap();
+    let name = line.name().to_string();
+    let dnc = [
+        "dnc",
+        &file,
+        "--line",
+        &name,
+        "--silence",
+        "0.5",
+        "--out",
+        &out,
+    ];
+    let mut dnc = start(&dnc);
+    dnc.wait_for_output("receiving");
+    send(&mut line, b"%\nN10 G0 X1\nN20 X2\nN30 X");
+    let cut = dnc.end().expect_code(5);
+    assert!(
+        cut.err.contains("last block was line 3, N20 X2;"),
+        "{}",
+        cut.err
+    );
+    assert!(cut.err.contains("nothing moved"), "{}", cut.err);
+    assert!(!std::path::Path::new(&out).exists());
+}

@@ -1,0 +1,12 @@
+//! Commands of an operator on a served simulator: blocks, jogs by a distance, probing cycles,
+//! programs from a line on, over a serial line and from post-processors.
+#![cfg(unix)]
+
+mod dnc;
+mod mdi;
+mod observers;
+mod posts;
+mod probing;
+mod run;
+#[path = "../scene/mod.rs"]
+mod scene;

@@ -1,0 +1,119 @@
+//! `haptimill mdi` and `jog --by` on a served simulator.
+
+use crate::scene::{SimServer, TestFolder, number, start_with};
+use std::process::Stdio;
+
+fn commanded(value: &serde_json::Value, name: &str) -> f64 {
+    number(&value["commanded"], name)
+}
+
+fn near(value: f64, expected: f64) -> bool {
+    (value - expected).abs() < 1e-4
+}
+
+#[test]
+fn blocks_move_the_machine_and_keep_their_modes() {
+    let served = SimServer::on_tcp(&[]);
+    let refused = served.run(&["mdi", "G0 X1"]).expect_code(8);
+    assert!(refused.err.contains("not homed"), "{}", refused.err);
+    served.run_ok(&["home"]);
+    let moved = served.run_ok(&["mdi", "G91 G20", "G1 F20 X0.1", "Y-0.1", "--json"]);
+    let moved = moved.json();
+    assert!(near(commanded(&moved, "x"), 2.54), "{moved:#}");
+    assert!(near(commanded(&moved, "y"), -2.54), "{moved:#}");
+    // A mistake names its place, and nothing moves.
+    let refused = served.run(&["mdi", "G1 X5"]).expect_code(3);
+    assert!(refused.err.starts_with("mdi:1:"), "{}", refused.err);
+    assert!(refused.err.contains("feed"), "{}", refused.err);
+    let refused = served.run(&["mdi", "G0 X3", "G0 X500"]).expect_code(4);
+    assert!(refused.err.contains("mdi:2:"), "{}", refused.err);
+    let status = served.status();
+    assert!(near(commanded(&status, "x"), 3.0), "{status:#}");
+    assert!(near(commanded(&status, "y"), -2.54), "{status:#}");
+}
+
+#[test]
+fn blocks_come_from_standard_input() {
+    let served = SimServer::on_tcp(&[]);
+    served.run_ok(&["home"]);
+    let folder = TestFolder::new();
+    let lines = folder.file("lines", "#1=4 G91\n\nG0 X#1\nG0 X#1\nG0 X9999\nG0 Y1\n");
+    let input = Stdio::from(std::fs::File::open(lines).unwrap());
+    let ran = start_with(&["mdi", "--port", &served.port], input).end();
+    // A script ends at the block that is refused.
+    let ran = ran.expect_code(4);
+    assert!(ran.out.contains("X8.0000 Y0.0000"), "{}", ran.out);
+    assert!(ran.out.contains("G0 G17 G21 G91"), "{}", ran.out);
+    let status = served.status();
+    assert!(near(commanded(&status, "x"), 8.0), "{status:#}");
+    assert!(near(commanded(&status, "y"), 0.0), "{status:#}");
+}
+
+#[test]
+fn an_offset_of_a_block_is_kept_beside_the_machine_file() {
+    let folder = TestFolder::new();
+    let machine = folder.machine_with("");
+    let served = SimServer::on_tcp(&["--machine", &machine]);
+    let on = ["--machine", &machine];
+    served.run_ok(&[&["home"], &on[..]].concat());
+    served.run_ok(&[&["mdi", "G0 X5", "G10 L20 P1 X1"], &on[..]].concat());
+    let kept = folder.read("own.offsets.toml");
+    assert!(kept.contains("[g54]\nx = 4.0"), "{kept}");
+    let ran = served.run_ok(&[&["mdi", "G54 G0 X0", "--json"], &on[..]].concat());
+    assert!(near(commanded(&ran.json(), "x"), 4.0), "{}", ran.out);
+    // A damaged file is refused, with the name of its backup.
+    served.run_ok(&[&["mdi", "G10 L2 P2 Y1"], &on[..]].concat());
+    folder.file("own.offsets.toml", "[g54\nx = 1");
+    let refused = served.run(&[&["mdi", "G0 X0"], &on[..]].concat());
+    let refused = refused.expect_code(3);
+    assert!(
+        refused.err.contains("own.offsets.toml.bak"),
+        "{}",
+        refused.err
+    );
+}
+
+#[test]
+fn a_probe_block_finds_the_simulated_block() {
+    let machine = "machines/mill3-servo.toml";
+    let served = SimServer::on_tcp(&["--machine", machine]);
+    let on = ["--machine", machine];
+    served.run_ok(&[&["home"], &on[..]].concat());
+    // The top of the block is Z0.
+    let above = ["mdi", "G0 Z50", "G0 X120 Y75", "G0 Z10"];
+    served.run_ok(&[&above[..], &on[..]].concat());
+    let probe = ["mdi", "G38.2 Z-20 F120", "G90 G0 Z[#5063+5]"];
+    let found = served.run_ok(&[&probe[..], &on[..]].concat());
+    assert!(found.out.starts_with("contact at  x 1"), "{}", found.out);
+    let z = commanded(&served.status_of(machine), "z");
+    assert!((z - 5.0).abs() < 0.05, "{z} in {}", found.out);
+    let missed = served.run(&[&["mdi", "G38.2 Z30 F600"], &on[..]].concat());
+    let missed = missed.expect_code(8);
+    assert!(
+        missed.err.contains("without a change of probe"),
+        "{}",
+        missed.err
+    );
+}
+
+#[test]
+fn a_jog_by_a_distance_is_exact() {
+    let served = SimServer::on_tcp(&[]);
+    served.run(&["jog", "--by", "x=5"]).expect_code(8);
+    served.run_ok(&["home"]);
+    let moved = served
+        .run_ok(&["jog", "--by", "x=5", "y=-2.5", "--json"])
+        .json();
+    assert!(near(commanded(&moved, "x"), 5.0), "{moved:#}");
+    assert!(near(commanded(&moved, "y"), -2.5), "{moved:#}");
+    let moved = served
+        .run_ok(&["jog", "--by", "x=-5", "--feed", "600", "--json"])
+        .json();
+    assert!(near(commanded(&moved, "x"), 0.0), "{moved:#}");
+    served.run(&["jog", "--by", "x=500"]).expect_code(4);
+    served.run(&["jog", "--by", "q=5"]).expect_code(2);
+    served.run(&["jog", "x=5", "--by", "y=5"]).expect_code(2);
+    served
+        .run(&["jog", "--by", "x=5", "--feed", "0"])
+        .expect_code(2);
+}

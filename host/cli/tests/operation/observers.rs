@@ -1,0 +1,99 @@
+//! `run --serve` and `haptimill watch`: observers of a machine that another process commands.
+
+use crate::scene::{Running, SimServer, TestFolder, start};
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+
+/// The address that a run prints.
+fn address_of(run: &mut Running) -> String {
+    run.wait_for_error("observers  ");
+    let errors = run.errors();
+    let line = errors
+        .lines()
+        .find_map(|line| line.strip_prefix("observers  "));
+    line.unwrap().to_string()
+}
+
+#[test]
+fn any_number_of_observers_see_a_run_and_command_nothing() {
+    let served = SimServer::on_tcp(&[]);
+    served.run_ok(&["home"]);
+    let folder = TestFolder::new();
+    let part = folder.file("part.ngc", "G21 G90 F300\nG1 X10\nG1 X0\nG1 X5\nM30\n");
+    let out = folder.path("out");
+    let serve = [
+        "--serve",
+        "tcp:127.0.0.1:0",
+        "--out",
+        &out,
+        "--port",
+        &served.port,
+    ];
+    let mut run = start(&[&["run", &part], &serve[..]].concat());
+    let address = address_of(&mut run);
+    let watch = || start(&["watch", "--json", "--from", &address]);
+    let (first, second) = (watch(), watch());
+    // One that talks, one that never reads, one that leaves at once.
+    let host = address.strip_prefix("tcp:").unwrap();
+    let mut rude = TcpStream::connect(host).unwrap();
+    rude.write_all(&[0, 0x18, 0, b'x']).unwrap();
+    let silent = TcpStream::connect(host).unwrap();
+    drop(TcpStream::connect(host).unwrap());
+    run.end().expect_code(0);
+    assert_eq!(folder.summary("out")["completed"], true);
+    for observer in [first, second] {
+        let seen = observer.end().expect_code(0);
+        let reports: Vec<serde_json::Value> = seen
+            .out
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        let lines: Vec<u64> = reports
+            .iter()
+            .filter_map(|it| it["line"].as_u64())
+            .collect();
+        assert!(reports.len() > 50, "{}", seen.out);
+        assert!(lines.contains(&2) && lines.contains(&3), "{lines:?}");
+        assert!(
+            reports.iter().any(|it| it["state"] == "running"),
+            "{}",
+            seen.out
+        );
+    }
+    let mut text = Vec::new();
+    let _ = rude.read_to_end(&mut text);
+    drop(silent);
+    assert!(String::from_utf8_lossy(&text).contains("commanded"));
+}
+
+#[test]
+fn observers_need_the_token_of_the_run() {
+    let served = SimServer::on_tcp(&[]);
+    served.run_ok(&["home"]);
+    let folder = TestFolder::new();
+    let part = folder.file("part.ngc", "G21 G90 F300\nG1 X10\nG1 X0\nM30\n");
+    let token = folder.file("token", "0123456789abcdef\n");
+    let out = folder.path("out");
+    let run = [
+        "run",
+        &part,
+        "--serve",
+        "tcp:127.0.0.1:0",
+        "--token-file",
+        &token,
+        "--out",
+        &out,
+    ];
+    let mut run = start(&[&run[..], &["--port", &served.port]].concat());
+    let address = address_of(&mut run);
+    let denied = start(&["watch", "--from", &address]).end().expect_code(5);
+    assert!(denied.err.contains("token"), "{}", denied.err);
+    let watch = ["watch", "--from", &address, "--token", "0123456789abcdef"];
+    let seen = start(&watch).end().expect_code(0);
+    assert!(seen.out.contains("running, line"), "{}", seen.out);
+    run.end().expect_code(0);
+    let refused = start(&["run", &part, "--serve", "tcp:127.0.0.1:0"])
+        .end()
+        .expect_code(2);
+    assert!(refused.err.contains("sim serve"), "{}", refused.err);
+}

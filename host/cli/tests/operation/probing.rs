@@ -1,0 +1,146 @@
+//! `haptimill probe edge`, `boss` and `tool` at the block and the tool setter of the simulator.
+
+use crate::scene::{RunResult, SimServer, TestFolder, number, root};
+use haptimill_machine_file::work_data::WorkData;
+
+/// A served mill with the block 100..140 x 60..95 up to Z0, and a setter up to Z20. Its ball has a
+/// radius of 1 mm.
+struct Scene {
+    folder: TestFolder,
+    machine: String,
+    served: SimServer,
+}
+
+impl Scene {
+    fn new() -> Self {
+        let folder = TestFolder::new();
+        let text = std::fs::read(root().join("machines/mill3-servo.toml")).unwrap();
+        let machine = folder.file("mill.toml", text);
+        let served = SimServer::on_tcp(&["--machine", &machine]);
+        let scene = Self {
+            folder,
+            machine,
+            served,
+        };
+        scene.run(&["home"]).expect_code(0);
+        scene
+    }
+
+    fn run(&self, command: &[&str]) -> RunResult {
+        let on = ["--machine", &self.machine];
+        self.served.run(&[command, &on[..]].concat())
+    }
+
+    fn kept(&self) -> WorkData {
+        WorkData::load(std::path::Path::new(&self.machine)).unwrap()
+    }
+
+    fn run_ok(&self, command: &[&str]) -> RunResult {
+        self.run(command).expect_code(0)
+    }
+}
+
+#[test]
+fn edges_and_centres_become_the_zero_of_a_work_offset() {
+    let scene = Scene::new();
+    scene.run_ok(&["mdi", "G0 Z50", "G0 X122 Y75", "G0 Z6"]);
+    let top = ["probe", "edge", "z=-20", "--radius", "0", "--set", "g54"];
+    scene.run_ok(&[&top[..], &["--to", "2"]].concat());
+    let z = scene.kept().offsets.systems[0].origin[2];
+    assert!((z + 2.0).abs() < 0.02, "{z}");
+
+    // From beside the middle: the cycle finds the middle all the same.
+    let boss = [
+        "probe", "boss", "--size", "40x35", "--depth", "8", "--radius", "1",
+    ];
+    let more = [
+        "--search-feed",
+        "1500",
+        "--clearance",
+        "4",
+        "--set",
+        "g55",
+        "--json",
+    ];
+    let found = scene.run_ok(&[&boss[..], &more[..]].concat()).json();
+    for (name, expected) in [
+        ("x", 120.0),
+        ("y", 77.5),
+        ("size_x", 40.0),
+        ("size_y", 35.0),
+    ] {
+        let value = number(&found, name);
+        assert!((value - expected).abs() < 0.03, "{name} in {found:#}");
+    }
+    let status = scene.served.status_of(&scene.machine);
+    assert!(
+        (number(&status["commanded"], "x") - 120.0).abs() < 0.02,
+        "{status:#}"
+    );
+    let offsets = scene.kept().offsets;
+    assert!(
+        (offsets.systems[1].origin[1] - 77.5).abs() < 0.02,
+        "{offsets:?}"
+    );
+    assert_eq!(offsets.systems[0].origin[2], z);
+
+    // Nothing within reach: an error, and the probe is back at its start.
+    let missed = scene
+        .run(&["probe", "edge", "z=-2", "--radius", "0"])
+        .expect_code(8);
+    assert!(
+        missed.err.contains("without a contact of probe"),
+        "{}",
+        missed.err
+    );
+    let status = scene.served.status_of(&scene.machine);
+    assert!(
+        (number(&status["commanded"], "z") - 6.0).abs() < 1e-4,
+        "{status:#}"
+    );
+}
+
+#[test]
+fn a_tool_is_measured_into_the_tool_table() {
+    let scene = Scene::new();
+    scene
+        .folder
+        .file("mill.tools.toml", "[t3]\nz = 5.0\ndiameter = 4.0\n");
+    scene.run_ok(&["mdi", "G0 Z60", "G0 X-130 Y-85", "G0 Z28"]);
+    let measure = ["probe", "tool", "--tool", "3", "--height", "-10"];
+    scene.run_ok(&measure);
+    let tool = scene.kept().tools[&3];
+    assert!((tool.offset[2] - 30.0).abs() < 0.02, "{tool:?}");
+    assert_eq!(tool.diameter, 4.0);
+    // A damaged table is refused with its backup before anything moves.
+    scene.folder.file("mill.tools.toml", "[t3");
+    let refused = scene.run(&measure).expect_code(3);
+    assert!(
+        refused.err.contains("mill.tools.toml.bak"),
+        "{}",
+        refused.err
+    );
+}
+
+#[test]
+fn cycles_refuse_what_they_cannot_use() {
+    let served = SimServer::on_tcp(&[]);
+    served.run_ok(&["home"]);
+    let no_probe = served
+        .run(&["probe", "edge", "z=-2", "--radius", "0"])
+        .expect_code(2);
+    assert!(no_probe.err.contains("has no probe"), "{}", no_probe.err);
+    let scene = Scene::new();
+    let edge = |axis: &str| {
+        let ran = scene.run(&["probe", "edge", axis, "--radius", "0"]);
+        ran.expect_code(2).err
+    };
+    assert!(edge("q=1").contains("no axis 'q'"));
+    assert!(edge("z=0").contains("longest way"));
+    scene
+        .run(&["probe", "bore", "--reach", "-1"])
+        .expect_code(2);
+    scene
+        .run(&["probe", "boss", "--size", "0", "--depth", "2"])
+        .expect_code(2);
+}

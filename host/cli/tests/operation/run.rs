@@ -1,0 +1,105 @@
+//! `haptimill run` from a line on, dry and block by block; zeros; a served stock.
+
+use crate::scene::{SimServer, TestFolder, haptimill, number, start};
+
+const PART: &str = "G21 G90\nS500 M3\nG0 Z30\nG0 X10\nG1 Z20 F600\nX20\nY5\nG0 Z30\nM30\n";
+
+#[test]
+fn a_program_begins_in_the_middle() {
+    let folder = TestFolder::new();
+    let part = folder.file("part.ngc", PART);
+    let whole = haptimill(&["run", &part, "--check", "--json"])
+        .expect_code(0)
+        .json();
+    let check = haptimill(&["run", &part, "--check", "--from-line", "6"]).expect_code(0);
+    assert!(
+        check.out.contains("from line 6, at X10.000 Y0.000 Z20.000"),
+        "{}",
+        check.out
+    );
+    assert!(check.out.contains("spindle 500 rev/min"), "{}", check.out);
+    let out = folder.path("out");
+    haptimill(&["run", &part, "--from-line", "6", "--out", &out]).expect_code(0);
+    let summary = folder.summary("out");
+    assert_eq!(summary["completed"], true, "{summary:#}");
+    assert_eq!(number(&whole, "blocks"), 6.0, "{whole:#}");
+    // Behind a port the approach is asked, and nobody can answer here.
+    let served = SimServer::on_tcp(&[]);
+    served.run_ok(&["home"]);
+    let run = ["run", &part, "--from-line", "6", "--out", &out];
+    let refused = served.run(&run).expect_code(2);
+    assert!(refused.err.contains("add --yes"), "{}", refused.err);
+    let ran = served.run_ok(&[&run[..], &["--yes"]].concat());
+    assert!(ran.out.contains("Approach: up to Z30.000"), "{}", ran.out);
+    let beyond = haptimill(&["run", &part, "--from-line", "60"]).expect_code(3);
+    assert!(
+        beyond.err.contains("nothing is to be done from line 60"),
+        "{}",
+        beyond.err
+    );
+}
+
+#[test]
+fn a_dry_run_behind_a_port_names_its_height() {
+    let folder = TestFolder::new();
+    let part = folder.file("part.ngc", PART);
+    let served = SimServer::on_tcp(&[]);
+    let run = ["run", &part, "--dry", "--out", &folder.path("out")];
+    let refused = served.run(&run).expect_code(2);
+    assert!(refused.err.contains("--lift"), "{}", refused.err);
+    served.run_ok(&[&run[..], &["--lift", "5"]].concat());
+    let status = served.status();
+    assert!(
+        (number(&status["commanded"], "z") - 35.0).abs() < 1e-4,
+        "{status:#}"
+    );
+    // Without a terminal nobody can press Enter after each block.
+    let single = ["run", &part, "--single", "--out", &folder.path("out")];
+    let refused = served.run(&single).expect_code(2);
+    assert!(refused.err.contains("no terminal"), "{}", refused.err);
+    haptimill(&single).expect_code(2);
+}
+
+#[test]
+fn the_present_position_becomes_a_zero() {
+    let folder = TestFolder::new();
+    let machine = folder.machine_with("");
+    let served = SimServer::on_tcp(&["--machine", &machine]);
+    let on = ["--machine", &machine];
+    let touch = [&["offset", "touch", "g55", "x=1", "y=-2"], &on[..]].concat();
+    let refused = served.run(&touch).expect_code(8);
+    assert!(refused.err.contains("not homed"), "{}", refused.err);
+    served.run_ok(&[&["home"], &on[..]].concat());
+    served.run_ok(&[&["jog", "--by", "x=5"], &on[..]].concat());
+    served.run_ok(&touch);
+    let kept = folder.read("own.offsets.toml");
+    assert!(kept.contains("[g55]\nx = 4.0\ny = 2.0\n"), "{kept}");
+    let built_in = SimServer::on_tcp(&[]);
+    built_in.run_ok(&["home"]);
+    let refused = built_in
+        .run(&["offset", "touch", "g54", "x=0"])
+        .expect_code(2);
+    assert!(refused.err.contains("--machine"), "{}", refused.err);
+}
+
+#[test]
+fn a_served_machine_gets_a_stock_after_homing() {
+    let mut served = SimServer::on_tcp(&["--stock", "examples/block.toml"]);
+    served.run_ok(&["home"]);
+    served.process.wait_for_error("the stock is clamped");
+}
+
+#[test]
+fn examples_are_written_out_once() {
+    let folder = TestFolder::new();
+    let listed = start(&["examples"]).end().expect_code(0);
+    assert!(listed.out.contains("e11-circle.ngc"), "{}", listed.out);
+    let out = folder.path("");
+    haptimill(&["examples", "e7-slot.ngc", "--out", &out]).expect_code(0);
+    folder.file("examples/e7-slot.ngc", "mine");
+    let again = haptimill(&["examples", "--out", &out]).expect_code(0);
+    assert!(again.out.contains("exists and is kept"), "{}", again.out);
+    assert_eq!(folder.read("examples/e7-slot.ngc"), "mine");
+    assert!(folder.read("examples/block.toml").len() > 100);
+    haptimill(&["examples", "nothing.ngc"]).expect_code(2);
+}

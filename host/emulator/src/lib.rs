@@ -1,0 +1,8 @@
+//! Runs images of boards with an RP2350 in an emulator, cycle by cycle, with their pins.
+//!
+//! The emulator is `rp2350-emu` with the repairs of `patches/`. `tests/` has their tests, but none
+//! for the D registers of the FPU. It does not show misses of the flash cache, the two cycles of
+//! the input synchronisers of the PIO, and contention on the bus. Times of code are lower bounds;
+//! times of pulses do not depend on code. No image of a board exists yet.
+
+pub mod chip;

@@ -1,0 +1,119 @@
+//! Repairs of the emulator, with a few instructions or registers of the chip.
+
+use haptimill_emulator::chip::Chip;
+
+const RAM: u32 = 0x2000_0000;
+const CODE: u32 = 0x1000_0100;
+
+/// A chip that runs these half words, with the address of the RAM in r0.
+fn chip(code: &[u16]) -> Chip {
+    let mut flash = vec![0xFF; 0x100];
+    flash[..4].copy_from_slice(&(RAM + 0x8000).to_le_bytes());
+    flash[4..8].copy_from_slice(&(CODE | 1).to_le_bytes());
+    // r0 = RAM, then the code, then an endless loop.
+    let all = [0x2001_u16, 0x0740].iter().chain(code).chain(&[0xE7FE]);
+    flash.extend(all.flat_map(|half| half.to_le_bytes()));
+    flash.resize(0x1000, 0xFF);
+    Chip::new(&flash).unwrap()
+}
+
+fn run(code: &[u16], cycles: u32) -> Chip {
+    let mut chip = chip(code);
+    for _ in 0..cycles {
+        chip.cycle().unwrap();
+    }
+    chip
+}
+
+#[test]
+fn interrupts_are_masked_and_unmasked() {
+    // cpsid i; mrs r1, primask; mrs r2, faultmask; cpsie i; mrs r3, primask
+    let code = [
+        0xB672, 0xF3EF, 0x8110, 0xF3EF, 0x8213, 0xB662, 0xF3EF, 0x8310,
+    ];
+    let chip = run(&code, 200);
+    assert_eq!(chip.core_register(1), 1, "primask is set");
+    assert_eq!(chip.core_register(2), 0, "faultmask is not");
+    assert_eq!(chip.core_register(3), 0, "primask is cleared");
+}
+
+#[test]
+fn load_acquire_and_store_release_are_executed() {
+    // movs r1, #7; stl r1, [r0]; lda r2, [r0]; ldab r3, [r0]
+    let chip = run(
+        &[0x2107, 0xE8C0, 0x1FAF, 0xE8D0, 0x2FAF, 0xE8D0, 0x3F8F],
+        200,
+    );
+    assert_eq!((chip.core_register(2), chip.core_register(3)), (7, 7));
+}
+
+#[test]
+fn the_watchdog_counts_ticks_and_not_cycles() {
+    let mut chip = chip(&[]);
+    // 12 cycles of the reference a tick, load 100, enabled.
+    chip.set_register(0x4010_8034, 12);
+    chip.set_register(0x4010_8030, 1);
+    chip.set_register(0x400D_8004, 100);
+    chip.set_register(0x400D_8000, 1 << 30);
+    for _ in 0..600 {
+        chip.cycle().unwrap();
+    }
+    let left = chip.register(0x400D_8000) & 0xFF_FFFF;
+    assert!((1..100).contains(&left), "{left}");
+}
+
+#[test]
+fn state_machines_of_two_blocks_start_in_the_same_cycle() {
+    let mut chip = chip(&[]);
+    // Nothing is in reset.
+    chip.set_register(0x4002_0000, 0);
+    // A program of jumps to the next instruction in both blocks.
+    // After one write their addresses are equal.
+    for block in [0x5020_0000, 0x5030_0000] {
+        for at in 0..31 {
+            chip.set_register(block + 0x48 + 4 * at, at + 1);
+        }
+        chip.set_register(block + 0xC8, 1 << 16);
+    }
+    chip.set_register(0x5020_0000, 1 | 1 << 24 | 1 << 20);
+    for _ in 0..17 {
+        chip.cycle().unwrap();
+    }
+    let first = chip.register(0x5020_00D4);
+    assert_ne!(first, 0);
+    assert_eq!(chip.register(0x5030_00D4), first);
+}
+
+#[test]
+fn a_decrement_of_zero_wraps() {
+    let mut chip = chip(&[]);
+    // Nothing is in reset.
+    chip.set_register(0x4002_0000, 0);
+    // jmp x--, 1; mov isr, x; push; jmp 3
+    for (at, word) in [0x0041, 0xA0C1, 0x8020, 0x0003].into_iter().enumerate() {
+        chip.set_register(0x5020_0048 + 4 * at as u32, word);
+    }
+    chip.set_register(0x5020_00C8, 1 << 16);
+    chip.set_register(0x5020_00CC, 31 << 12);
+    chip.set_register(0x5020_0000, 1);
+    for _ in 0..20 {
+        chip.cycle().unwrap();
+    }
+    assert_eq!(chip.register(0x5020_0020), u32::MAX);
+}
+
+#[test]
+fn the_uart_receives_and_sends() {
+    let mut chip = chip(&[]);
+    // Divider 1, FIFOs, enabled.
+    chip.set_register(0x4007_0024, 1);
+    chip.set_register(0x4007_002C, 0x70);
+    chip.set_register(0x4007_0030, 0x301);
+    chip.receive(&[0x5A]);
+    chip.set_register(0x4007_0000, 0xA5);
+    for _ in 0..20_000 {
+        chip.cycle().unwrap();
+    }
+    assert_eq!(chip.register(0x4007_0000) & 0xFF, 0x5A);
+    assert_eq!(chip.take_sent(), [0xA5]);
+}

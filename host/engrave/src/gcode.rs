@@ -1,0 +1,186 @@
+//! Tool paths as part programs (RS274/NGC).
+
+use crate::geometry::{Point, Segment};
+use crate::toolpath::{Cut, Step, Toolpath};
+use std::fmt::Write as _;
+
+/// Numbers of the program.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rates {
+    /// Feed along the paths, mm/min.
+    pub feed: f64,
+    /// Feed of plunges, mm/min.
+    pub plunge: f64,
+    /// Spindle speed, rev/min.
+    pub speed: f64,
+    /// Z of lifted moves, mm above the plate.
+    pub lift_mm: f64,
+}
+
+/// Decimals of coordinates: 0.1 um.
+const DECIMALS: i32 = 4;
+
+/// Radius below which an arc is written as a line: the rounding of its centre would show.
+const SMALLEST_RADIUS: f64 = 0.005;
+
+/// Radius above which an arc is written as lines of its chords, mm.
+const LARGEST_RADIUS: f64 = 20_000.0;
+
+fn number(value: f64) -> String {
+    let text = format!("{value:.*}", DECIMALS as usize);
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" {
+        "0".into()
+    } else {
+        text.into()
+    }
+}
+
+fn rounded(value: f64) -> i64 {
+    (value * 10f64.powi(DECIMALS)).round() as i64
+}
+
+struct Writer {
+    text: String,
+    /// Position in units of the last decimal.
+    at: [i64; 3],
+    rates: Rates,
+    feed: f64,
+}
+
+impl Writer {
+    fn set_feed(&mut self, feed: f64) {
+        if self.feed != feed {
+            let _ = write!(self.text, " F{}", number(feed));
+            self.feed = feed;
+        }
+    }
+
+    /// A straight move to a point, if it is one after rounding.
+    fn line(&mut self, word: &str, to: Point, z: f64, feed: Option<f64>) {
+        let target = [rounded(to[0]), rounded(to[1]), rounded(z)];
+        if target == self.at {
+            return;
+        }
+        self.text.push_str(word);
+        for (axis, (letter, value)) in [('X', to[0]), ('Y', to[1]), ('Z', z)].iter().enumerate() {
+            if target[axis] != self.at[axis] {
+                let _ = write!(self.text, " {letter}{}", number(*value));
+            }
+        }
+        if let Some(feed) = feed {
+            self.set_feed(feed);
+        }
+        self.text.push('\n');
+        self.at = target;
+    }
+
+    fn along(&mut self, segment: &Segment, z: f64) {
+        let feed = self.rates.feed;
+        let target = [rounded(segment.to[0]), rounded(segment.to[1]), rounded(z)];
+        let Some(arc) = segment.arc() else {
+            self.line("G1", segment.to, z, Some(feed));
+            return;
+        };
+        if target[..2] == self.at[..2] || arc.radius < SMALLEST_RADIUS {
+            self.line("G1", segment.to, z, Some(feed));
+            return;
+        }
+        if arc.radius > LARGEST_RADIUS {
+            let count = crate::geometry::chords(&arc, 0.0005);
+            let above = self.at[2] as f64 / 10f64.powi(DECIMALS);
+            for k in 1..=count {
+                let part = k as f64 / count as f64;
+                self.line(
+                    "G1",
+                    arc.point(part),
+                    above + (z - above) * part,
+                    Some(feed),
+                );
+            }
+            return;
+        }
+        self.text
+            .push_str(if arc.sweep > 0.0 { "G3" } else { "G2" });
+        let _ = write!(
+            self.text,
+            " X{} Y{}",
+            number(segment.to[0]),
+            number(segment.to[1])
+        );
+        if target[2] != self.at[2] {
+            let _ = write!(self.text, " Z{}", number(z));
+        }
+        // The centre from the written start, so that its rounding does not add up.
+        let unit = 10f64.powi(-DECIMALS);
+        let i = arc.centre[0] - self.at[0] as f64 * unit;
+        let j = arc.centre[1] - self.at[1] as f64 * unit;
+        let _ = write!(self.text, " I{} J{}", number(i), number(j));
+        self.set_feed(feed);
+        self.text.push('\n');
+        self.at = target;
+    }
+
+    fn cut(&mut self, cut: &Cut) {
+        let lift = self.rates.lift_mm;
+        let z = |writer: &Self| writer.at[2] as f64 / 10f64.powi(DECIMALS);
+        let present = z(self);
+        self.line("G0", cut.start, present, None);
+        let plunge = self.rates.plunge;
+        self.line("G1", cut.start, cut.z, Some(plunge));
+        let mut at = cut.start;
+        for step in &cut.steps {
+            match step {
+                Step::Along(segment, z) => {
+                    self.along(segment, *z);
+                    at = segment.to;
+                }
+                Step::Vertical(z) => self.line("G1", at, *z, Some(plunge)),
+            }
+        }
+        self.line("G0", at, lift, None);
+    }
+}
+
+/// Writes a tool path as a part program. `title` lines become comments at its head. The top of the
+/// plate is Z0, the tool starts and ends above `reference`.
+#[must_use]
+pub fn program(toolpath: &Toolpath, rates: Rates, reference: Point, title: &[String]) -> String {
+    let mut writer = Writer {
+        text: String::new(),
+        at: [i64::MAX; 3],
+        rates,
+        feed: f64::NAN,
+    };
+    for line in title {
+        let plain: String = line
+            .chars()
+            .map(|one| {
+                if one.is_control() || one == '(' || one == ')' {
+                    ' '
+                } else {
+                    one
+                }
+            })
+            .collect();
+        let _ = writeln!(writer.text, "; {plain}");
+    }
+    writer.text.push_str("G21 G17 G90 G94\n");
+    if rates.speed > 0.0 {
+        let _ = writeln!(writer.text, "S{} M3", number(rates.speed));
+    }
+    let lift = rates.lift_mm;
+    let _ = writeln!(writer.text, "G0 Z{}", number(lift));
+    writer.at[2] = rounded(lift);
+    writer.line("G0", reference, lift, None);
+    for cut in &toolpath.cuts {
+        writer.cut(cut);
+    }
+    writer.line("G0", reference, lift, None);
+    writer.text.push_str(if rates.speed > 0.0 {
+        "M5\nM2\n"
+    } else {
+        "M2\n"
+    });
+    writer.text
+}

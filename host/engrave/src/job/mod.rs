@@ -1,0 +1,353 @@
+//! From a drawing to a tool path.
+
+mod options;
+mod outline;
+
+pub use options::{Operation, Options, Ordering, Side};
+
+use crate::drawing::{Drawing, Problem};
+use crate::geometry::{Path, Point};
+use crate::order::edges::{self, Condition, Ends};
+use crate::order::{Effort, order_paths};
+use crate::shape::clear::{ClearOptions, clear};
+use crate::shape::{Clearing, Region, Strand};
+use crate::toolpath::{Cut, Depths, Step, Toolpath, cut_path, levels};
+use outline::{outline, with_leads};
+use serde::Serialize;
+
+/// Air distance of one order.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Candidate {
+    /// What the order is.
+    pub name: String,
+    /// Air distance from the reference and back, mm.
+    pub air_mm: f64,
+    /// Number of lifted moves.
+    pub lifts: usize,
+}
+
+/// A job that is ready to be written.
+#[derive(Debug, Clone, Default)]
+pub struct Job {
+    /// The tool path.
+    pub toolpath: Toolpath,
+    /// Orders side by side; the first is the order of the file.
+    pub candidates: Vec<Candidate>,
+    /// Whether the order is proven to be the shortest.
+    pub proven: bool,
+    /// Gaps that are cut through.
+    pub links: usize,
+    /// What the person should know.
+    pub notices: Vec<String>,
+}
+
+/// Plans a job.
+///
+/// # Errors
+/// Every problem of the drawing for this operation.
+pub fn plan(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
+    options.check().map_err(|problem| vec![problem])?;
+    match options.operation {
+        Operation::Outline => outline(drawing, options),
+        Operation::Pocket => pocket(drawing, options),
+        Operation::Drill => drill(drawing, options),
+    }
+}
+
+fn nothing(what: &str) -> Vec<Problem> {
+    vec![Problem::general(
+        format!("the drawing has no {what}"),
+        "check the layers and the notices about what was left out",
+    )]
+}
+
+fn chained(drawing: &Drawing, options: &Options) -> Vec<Path> {
+    crate::chain::chain(drawing.paths.clone(), options.join_mm)
+}
+
+/// Notes or refuses what the tool is too wide for.
+fn note_lost(
+    region: &Region,
+    reached: &Region,
+    drawing: &Drawing,
+    options: &Options,
+    job: &mut Job,
+) -> Result<(), Vec<Problem>> {
+    let mut problems = Vec::new();
+    let kept = reached.loops();
+    for one in region.loops() {
+        let entity = &drawing.entities[one.entity];
+        if !kept.iter().any(|path| path.entity == one.entity) && kept.is_empty() {
+            problems.push(Problem::of(
+                entity,
+                format!(
+                    "a tool of {} mm does not fit into its contour",
+                    options.tool_mm
+                ),
+                "use a thinner tool with --tool",
+            ));
+        } else if !kept.iter().any(|path| path.entity == one.entity) {
+            job.notices.push(format!(
+                "{entity}: no pass of its own: a tool of {} mm is too wide beside it, or passes \
+                 of other contours cover it",
+                options.tool_mm
+            ));
+        }
+    }
+    if problems.is_empty() {
+        Ok(())
+    } else {
+        Err(problems)
+    }
+}
+
+fn measured(toolpath: &Toolpath, name: &str, options: &Options) -> Candidate {
+    let lengths = toolpath.lengths(options.reference);
+    Candidate {
+        name: name.into(),
+        air_mm: lengths.air_mm,
+        lifts: lengths.lifts,
+    }
+}
+
+fn file_order(paths: &[Path], options: &Options) -> Candidate {
+    let ends: Vec<Ends> = paths
+        .iter()
+        .filter_map(|path| {
+            Some(Ends {
+                start: path.start()?,
+                end: path.end()?,
+            })
+        })
+        .collect();
+    let order: Vec<usize> = (0..ends.len()).collect();
+    let (air_mm, lifts) = edges::air(&ends, &order, options.reference);
+    Candidate {
+        name: Condition::File.name().into(),
+        air_mm,
+        lifts,
+    }
+}
+
+fn pocket(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
+    if drawing.paths.is_empty() {
+        return Err(nothing("contours to clear"));
+    }
+    let region = Region::of(drawing, &chained(drawing, options))?;
+    let mut job = Job::default();
+    let reached = region.inset(options.tool_mm / 2.0);
+    note_lost(&region, &reached, drawing, options, &mut job)?;
+    let clearing = ClearOptions {
+        clearing: options.clearing,
+        tool_mm: options.tool_mm,
+        allowance_mm: options.finish_mm,
+        spacing_mm: options.tool_mm * options.overlap,
+        angle_deg: options.angle_deg,
+    };
+    let strands = clear(&region, &clearing, options.reference);
+    let plain = ClearOptions {
+        clearing: Clearing::OneWay,
+        ..clearing
+    };
+    let one_way = clear(&region, &plain, options.reference);
+    let depths = Depths {
+        tabs: None,
+        ..options.depths()
+    };
+    for (index, &z) in depths.levels.iter().enumerate() {
+        let above = if index == 0 {
+            0.0
+        } else {
+            depths.levels[index - 1]
+        };
+        for strand in &strands {
+            job.links += strand.links;
+            job.toolpath
+                .cuts
+                .push(cut_strand(strand, above, z, depths.slope));
+        }
+    }
+    if options.finish_mm > 0.0 {
+        let loops: Vec<Path> = reached
+            .loops()
+            .into_iter()
+            .map(|path| {
+                if options.conventional {
+                    path.reversed()
+                } else {
+                    path
+                }
+            })
+            .collect();
+        let at = job.toolpath.cuts.last().map_or(options.reference, Cut::end);
+        let floor = Depths {
+            levels: vec![-options.depth_mm],
+            slope: None,
+            tabs: None,
+        };
+        for path in order_paths(&loops, at, Effort::default()).apply(&loops) {
+            job.toolpath.cuts.push(with_leads(
+                &path,
+                &floor,
+                options,
+                &reached,
+                &mut job.notices,
+            ));
+        }
+    }
+    job.notices.dedup();
+    let ends = |strands: &[Strand]| -> Vec<Ends> {
+        strands
+            .iter()
+            .map(|one| Ends {
+                start: one.start(),
+                end: one.end(),
+            })
+            .collect()
+    };
+    let one_way = ends(&one_way);
+    let order: Vec<usize> = (0..one_way.len()).collect();
+    let (air_mm, lifts) = edges::air(&one_way, &order, options.reference);
+    job.candidates.push(Candidate {
+        name: "one-way rows, not linked".into(),
+        air_mm,
+        lifts,
+    });
+    job.candidates
+        .push(measured(&job.toolpath, "chosen", options));
+    Ok(job)
+}
+
+/// Cuts a strand at one depth, with a ramp at its start if there is one.
+fn cut_strand(strand: &Strand, above: f64, z: f64, slope: Option<f64>) -> Cut {
+    let path = Path::from_segments(&strand.segments, strand.entity);
+    match slope {
+        None => cut_path(
+            &path,
+            &Depths {
+                levels: vec![z],
+                slope: None,
+                tabs: None,
+            },
+        ),
+        Some(slope) => {
+            // A ramp from the floor of the pass above.
+            let depths = Depths {
+                levels: vec![z - above],
+                slope: Some(slope),
+                tabs: None,
+            };
+            let mut cut = cut_path(&path, &depths);
+            cut.z += above;
+            for step in &mut cut.steps {
+                match step {
+                    Step::Along(_, depth) | Step::Vertical(depth) => *depth += above,
+                }
+            }
+            cut
+        }
+    }
+}
+
+fn drill(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
+    let mut job = Job::default();
+    let point = |at: Point, entity: usize| Path {
+        vertices: vec![crate::geometry::Vertex { at, bulge: 0.0 }],
+        closed: false,
+        entity,
+    };
+    let mut holes: Vec<Path> = drawing
+        .points
+        .iter()
+        .map(|&(at, entity)| point(at, entity))
+        .collect();
+    let mut others = 0;
+    for path in &drawing.paths {
+        match drawing.circle_centre(path) {
+            Some(centre) => holes.push(point(centre, path.entity)),
+            None => others += 1,
+        }
+    }
+    if holes.is_empty() {
+        return Err(nothing("points or circles to drill"));
+    }
+    if others > 0 {
+        job.notices.push(format!(
+            "{others} paths are neither points nor circles: not drilled"
+        ));
+    }
+    job.candidates.push(file_order(&holes, options));
+    let tour = order_paths(&holes, options.reference, Effort::default());
+    job.proven = tour.proven;
+    let depths = levels(options.depth_mm, options.step_mm);
+    for hole in tour.apply(&holes) {
+        let start = hole.start().unwrap_or_default();
+        // Between two passes the tool comes up to the surface and clears the chips.
+        let mut steps = Vec::new();
+        for &z in &depths[1..] {
+            steps.extend([Step::Vertical(0.0), Step::Vertical(z)]);
+        }
+        job.toolpath.cuts.push(Cut {
+            start,
+            z: depths[0],
+            steps,
+            entity: hole.entity,
+        });
+    }
+    let chosen = measured(&job.toolpath, "shortest found", options);
+    job.candidates.push(chosen);
+    Ok(job)
+}
+
+/// Refuses a job of which a part is outside an area (low and high corner, mm).
+///
+/// # Errors
+/// Each entity with a path of the tool outside.
+pub fn check_area(
+    job: &Job,
+    drawing: &Drawing,
+    [low, high]: [Point; 2],
+    name: &str,
+) -> Result<(), Vec<Problem>> {
+    let mut problems: Vec<Problem> = Vec::new();
+    let mut seen = vec![false; drawing.entities.len()];
+    for cut in &job.toolpath.cuts {
+        let mut bounds = [cut.start, cut.start];
+        for step in &cut.steps {
+            if let Step::Along(segment, _) = step {
+                let [l, h] = segment.bounds();
+                for axis in 0..2 {
+                    bounds[0][axis] = bounds[0][axis].min(l[axis]);
+                    bounds[1][axis] = bounds[1][axis].max(h[axis]);
+                }
+            }
+        }
+        let within = (0..2).all(|axis| {
+            bounds[0][axis] >= low[axis] - 1e-6 && bounds[1][axis] <= high[axis] + 1e-6
+        });
+        if !within && !std::mem::replace(&mut seen[cut.entity], true) {
+            problems.push(Problem::of(
+                &drawing.entities[cut.entity],
+                format!(
+                    "the tool runs from {:.3}, {:.3} to {:.3}, {:.3}, outside of {name}: {}, {} \
+                     to {}, {}",
+                    bounds[0][0],
+                    bounds[0][1],
+                    bounds[1][0],
+                    bounds[1][1],
+                    low[0],
+                    low[1],
+                    high[0],
+                    high[1]
+                ),
+                "move the drawing with --origin or --at, scale it with --scale, or check its unit \
+                 with --unit",
+            ));
+        }
+    }
+    if problems.is_empty() {
+        Ok(())
+    } else {
+        Err(problems)
+    }
+}

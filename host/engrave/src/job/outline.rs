@@ -1,0 +1,258 @@
+//! Outlines: on the paths of the drawing, or beside its contours.
+
+use super::nothing;
+use super::{Candidate, Job, Options, Ordering, Side, chained, file_order, measured, note_lost};
+use crate::drawing::{Drawing, Problem};
+use crate::geometry::{Path, Point, Segment, distance};
+use crate::order::edges::{self, Condition, Ends};
+use crate::order::{Effort, order_paths};
+use crate::shape::Region;
+use crate::toolpath::{Cut, Depths, Step, cut_path, leads};
+
+/// Largest number of entities for which the greedy conditions are computed beside another order;
+/// their time grows with its square.
+const GREEDY_LIMIT: usize = 3_000;
+
+pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
+    if drawing.paths.is_empty() {
+        return Err(nothing("paths to trace"));
+    }
+    if options.side == Side::On {
+        return Ok(trace(drawing, options));
+    }
+    let region = Region::of(drawing, &chained(drawing, options))?;
+    let sign = if options.side == Side::Inside {
+        1.0
+    } else {
+        -1.0
+    };
+    let radius = options.tool_mm / 2.0;
+    let finished = region.inset(sign * radius);
+    let mut job = Job::default();
+    note_lost(&region, &finished, drawing, options, &mut job)?;
+    // The material that stays is on the right of the tool (climb) or on its left.
+    let material_left = (options.side == Side::Outside) != options.conventional;
+    let direct = |path: Path| if material_left { path.reversed() } else { path };
+    let mut passes = Vec::new();
+    if options.finish_mm > 0.0 {
+        passes.push(region.inset(sign * (radius + options.finish_mm)).loops());
+    }
+    passes.push(finished.loops());
+    let mut at = options.reference;
+    for (pass, loops) in passes.iter().enumerate() {
+        let paths: Vec<Path> = loops.iter().cloned().map(direct).collect();
+        let last = pass + 1 == passes.len();
+        let mut depths = options.depths();
+        if last && passes.len() > 1 {
+            depths.levels = vec![-options.depth_mm];
+        }
+        // Inner contours first: the part must not come loose before they are cut.
+        for level in by_depth(&paths) {
+            let tour = order_paths(&level, at, Effort::default());
+            for path in tour.apply(&level) {
+                let cut = with_leads(&path, &depths, options, &finished, &mut job.notices);
+                at = cut.end();
+                job.toolpath.cuts.push(cut);
+            }
+        }
+    }
+    job.notices.dedup();
+    let file: Vec<Path> = passes.iter().flatten().cloned().collect();
+    job.candidates = vec![file_order(&file, options)];
+    job.candidates
+        .push(measured(&job.toolpath, "inner contours first", options));
+    Ok(job)
+}
+
+/// Groups closed paths by the number of others around them, the innermost first.
+fn by_depth(paths: &[Path]) -> Vec<Vec<Path>> {
+    let boxes: Vec<_> = paths.iter().map(Path::bounds).collect();
+    let around = |index: usize| {
+        let Some([low, high]) = boxes[index] else {
+            return 0;
+        };
+        let holds = |other: &Option<[Point; 2]>| {
+            other.is_some_and(|[l, h]| {
+                l[0] < low[0] && l[1] < low[1] && h[0] > high[0] && h[1] > high[1]
+            })
+        };
+        boxes.iter().filter(|other| holds(other)).count()
+    };
+    let depths: Vec<usize> = (0..paths.len()).map(around).collect();
+    let deepest = depths.iter().copied().max().unwrap_or(0);
+    let level = |depth: usize| {
+        let all = paths.iter().zip(&depths).filter(|(_, at)| **at == depth);
+        all.map(|(path, _)| path.clone()).collect::<Vec<_>>()
+    };
+    (0..=deepest)
+        .rev()
+        .map(level)
+        .filter(|level| !level.is_empty())
+        .collect()
+}
+
+/// Cuts a closed path, with leads where they stay in the waste: at its start, else in the middle of
+/// one of its longest segments.
+pub(super) fn with_leads(
+    path: &Path,
+    depths: &Depths,
+    options: &Options,
+    allowed: &Region,
+    notices: &mut Vec<String>,
+) -> Cut {
+    const TRIES: usize = 8;
+    let Some(radius) = options.lead_mm else {
+        return cut_path(path, depths);
+    };
+    let mut longest: Vec<(f64, usize)> = path
+        .segments()
+        .enumerate()
+        .map(|(index, one)| (one.length(), index))
+        .collect();
+    longest.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let starts = longest
+        .iter()
+        .take(TRIES)
+        .map(|&(_, index)| path.rotated(index, 0.5));
+    // The waste is on the other side of the tool than the material.
+    let waste_left = !options.conventional;
+    let found = std::iter::once(path.clone())
+        .chain(starts)
+        .find_map(|path| {
+            let leads = leads(&path, radius, waste_left)?;
+            let clear = |segment: &Segment, from: f64, to: f64| {
+                let points: Vec<Point> = (0..=8)
+                    .map(|k| segment.point(from + (to - from) * f64::from(k) / 8.0))
+                    .collect();
+                !points
+                    .windows(2)
+                    .any(|pair| allowed.is_left_between(pair[0], pair[1]))
+            };
+            (clear(&leads.into, 0.0, 0.98) && clear(&leads.out, 0.02, 1.0)).then_some((path, leads))
+        });
+    let Some((path, leads)) = found else {
+        notices.push("some contours have no room for a lead: the tool plunges on them".into());
+        return cut_path(path, depths);
+    };
+    let cut = cut_path(&path, depths);
+    let mut steps = vec![Step::Along(leads.into, cut.z)];
+    steps.extend(cut.steps);
+    let floor = depths.levels.last().copied().unwrap_or(cut.z);
+    let end = steps.iter().rev().find_map(|step| match step {
+        Step::Along(segment, _) => Some(segment.to),
+        Step::Vertical(_) => None,
+    });
+    // After a ramp the contour ends where the ramp did.
+    if end.is_some_and(|end| distance(end, leads.out.from) < 1e-6) {
+        steps.push(Step::Along(leads.out, floor));
+    }
+    Cut {
+        start: leads.into.from,
+        steps,
+        ..cut
+    }
+}
+
+/// Traces the paths of the drawing with the tool's centre on them.
+fn trace(drawing: &Drawing, options: &Options) -> Job {
+    let mut job = Job::default();
+    let chains = chained(drawing, options);
+    let commands: Vec<Path> = drawing.paths.iter().flat_map(single_commands).collect();
+    let ends: Vec<Ends> = commands
+        .iter()
+        .filter_map(|path| {
+            Some(Ends {
+                start: path.start()?,
+                end: path.end()?,
+            })
+        })
+        .collect();
+    let shown = if options.ordering == Ordering::Greedy || ends.len() <= GREEDY_LIMIT {
+        &Condition::ALL[..]
+    } else {
+        &Condition::ALL[..1]
+    };
+    let orders: Vec<edges::Ordered> = shown
+        .iter()
+        .map(|&one| edges::order(&ends, one, options.reference))
+        .collect();
+    for one in &orders {
+        let name = one.condition.name().to_string();
+        job.candidates.push(Candidate {
+            name,
+            air_mm: one.air_mm,
+            lifts: one.lifts,
+        });
+    }
+    let depths = options.depths();
+    let cuts: Vec<Cut> = match options.ordering {
+        Ordering::Short => {
+            let tour = order_paths(&chains, options.reference, Effort::default());
+            job.proven = tour.proven;
+            tour.apply(&chains)
+                .iter()
+                .map(|path| cut_path(path, &depths))
+                .collect()
+        }
+        Ordering::Greedy | Ordering::File => {
+            let file = |best: &edges::Ordered, next: &edges::Ordered| next.air_mm < best.air_mm;
+            let mut best = &orders[0];
+            if options.ordering == Ordering::Greedy {
+                for next in &orders[1..] {
+                    if file(best, next) {
+                        best = next;
+                    }
+                }
+            }
+            let ordered = best.order.iter().map(|&index| &commands[index]);
+            join_continuous(ordered)
+                .iter()
+                .map(|path| cut_path(path, &depths))
+                .collect()
+        }
+    };
+    job.toolpath.cuts = cuts;
+    let name = match options.ordering {
+        Ordering::Short => "chains, reversed and started anywhere",
+        Ordering::Greedy => "chosen: best of the above",
+        Ordering::File => "chosen: file order",
+    };
+    let chosen = measured(&job.toolpath, name, options);
+    job.candidates.push(chosen);
+    job
+}
+
+/// A path as commands of one line or arc each; a circle is one command.
+fn single_commands(path: &Path) -> Vec<Path> {
+    if path.closed && path.vertices.len() == 2 {
+        return vec![path.clone()];
+    }
+    path.segments()
+        .map(|segment| Path::from_segments(&[segment], path.entity))
+        .collect()
+}
+
+/// Joins commands that begin where the one before ends.
+fn join_continuous<'p>(commands: impl Iterator<Item = &'p Path>) -> Vec<Path> {
+    let mut out: Vec<Path> = Vec::new();
+    for command in commands {
+        let follows = out.last().is_some_and(|last| {
+            let ends = last.end().zip(command.start());
+            !last.closed
+                && !command.closed
+                && ends.is_some_and(|(a, b)| distance(a, b) <= edges::CONTINUOUS)
+        });
+        match out.last_mut() {
+            Some(last) if follows => {
+                if let (Some(joint), Some(first)) =
+                    (last.vertices.last_mut(), command.vertices.first())
+                {
+                    joint.bulge = first.bulge;
+                    last.vertices.extend_from_slice(&command.vertices[1..]);
+                }
+            }
+            _ => out.push(command.clone()),
+        }
+    }
+    out
+}

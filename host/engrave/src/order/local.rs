@@ -1,0 +1,577 @@
+//! Local search on a closed tour of pieces: 2-opt and or-opt with neighbour lists, and repeated
+//! local kicks.
+//!
+//! A piece has two ends; a piece that is a point has them in the same place. The tour is an array
+//! of pieces. Both moves keep the inner lengths of pieces, so only gaps between pieces count.
+
+use super::neighbours::Grid;
+use crate::geometry::Point;
+use std::collections::VecDeque;
+
+/// Longest segment that or-opt moves, pieces.
+const SEGMENT: usize = 3;
+
+/// Longest part of the tour that a kick exchanges, pieces.
+const KICK: usize = 30;
+
+/// Smallest gain that counts, mm.
+const GAIN: f64 = 1e-7;
+
+/// A change of the array, for undoing it.
+#[derive(Debug, Clone, Copy)]
+enum Change {
+    /// `count` places from `first` reversed.
+    Reversed { first: usize, count: usize },
+    /// `count` places from `first` rotated to the left by `by`.
+    Rotated {
+        first: usize,
+        count: usize,
+        by: usize,
+    },
+}
+
+/// A tour with its search.
+pub struct Search<'e> {
+    /// Ends of the pieces: 2k and 2k + 1 are those of piece k.
+    ends: &'e [Point],
+    /// Pieces in their order.
+    order: Vec<u32>,
+    /// Place of each piece.
+    place: Vec<u32>,
+    /// Whether a piece runs from its second end to its first.
+    flipped: Vec<bool>,
+    /// Nearest ends of other pieces, nearest first, `width` for each end.
+    near: Vec<u32>,
+    width: usize,
+    queue: VecDeque<u32>,
+    queued: Vec<bool>,
+    changes: Vec<Change>,
+    logging: bool,
+}
+
+#[inline]
+fn gap(a: Point, b: Point) -> f64 {
+    let (x, y) = (a[0] - b[0], a[1] - b[1]);
+    (x * x + y * y).sqrt()
+}
+
+/// Nearest ends of other pieces for every end; `u32::MAX` where there are fewer.
+pub fn near_ends(ends: &[Point], width: usize) -> Vec<u32> {
+    let grid = Grid::new(ends);
+    let mut near = vec![u32::MAX; ends.len() * width];
+    let mut found = Vec::new();
+    for (end, &at) in ends.iter().enumerate() {
+        grid.nearest(at, width, &|other| other / 2 != end / 2, &mut found);
+        for (slot, &(_, other)) in near[end * width..].iter_mut().zip(&found) {
+            *slot = other;
+        }
+    }
+    near
+}
+
+impl<'e> Search<'e> {
+    /// Starts with a tour: pieces and whether each is flipped.
+    pub fn new(ends: &'e [Point], tour: &[(u32, bool)], near: Vec<u32>, width: usize) -> Self {
+        let count = tour.len();
+        let mut search = Self {
+            ends,
+            order: Vec::with_capacity(count),
+            place: vec![0; count],
+            flipped: vec![false; count],
+            near,
+            width,
+            queue: (0..count as u32).collect(),
+            queued: vec![true; count],
+            changes: Vec::new(),
+            logging: false,
+        };
+        for (place, &(piece, flipped)) in tour.iter().enumerate() {
+            search.order.push(piece);
+            search.place[piece as usize] = place as u32;
+            search.flipped[piece as usize] = flipped;
+        }
+        // The queue follows the tour, so that neighbours are close in memory.
+        search.queue = search.order.iter().copied().collect();
+        search
+    }
+
+    /// The tour, from piece 0 on.
+    pub fn tour(&self) -> Vec<(u32, bool)> {
+        let count = self.order.len();
+        let first = self.place[0] as usize;
+        (0..count)
+            .map(|k| {
+                let piece = self.order[(first + k) % count];
+                (piece, self.flipped[piece as usize])
+            })
+            .collect()
+    }
+
+    #[inline]
+    fn start(&self, piece: u32) -> Point {
+        self.ends[2 * piece as usize + usize::from(self.flipped[piece as usize])]
+    }
+
+    #[inline]
+    fn end(&self, piece: u32) -> Point {
+        self.ends[2 * piece as usize + usize::from(!self.flipped[piece as usize])]
+    }
+
+    #[inline]
+    fn at(&self, place: usize) -> u32 {
+        let count = self.order.len();
+        self.order[if place >= count { place - count } else { place }]
+    }
+
+    #[inline]
+    fn next(&self, piece: u32) -> u32 {
+        self.at(self.place[piece as usize] as usize + 1)
+    }
+
+    #[inline]
+    fn previous(&self, piece: u32) -> u32 {
+        self.at(self.place[piece as usize] as usize + self.order.len() - 1)
+    }
+
+    /// Number of steps forward from one piece to another.
+    #[inline]
+    fn steps(&self, from: u32, to: u32) -> usize {
+        let (from, to) = (
+            self.place[from as usize] as usize,
+            self.place[to as usize] as usize,
+        );
+        if to >= from {
+            to - from
+        } else {
+            to + self.order.len() - from
+        }
+    }
+
+    fn push(&mut self, piece: u32) {
+        if !self.queued[piece as usize] {
+            self.queued[piece as usize] = true;
+            self.queue.push_back(piece);
+        }
+    }
+
+    fn put(&mut self, place: usize, piece: u32) {
+        self.order[place] = piece;
+        self.place[piece as usize] = place as u32;
+    }
+
+    fn reverse_places(&mut self, first: usize, count: usize) {
+        let total = self.order.len();
+        let (mut low, mut high) = (first % total, (first + count + total - 1) % total);
+        for _ in 0..count / 2 {
+            let (a, b) = (self.order[low], self.order[high]);
+            self.put(low, b);
+            self.put(high, a);
+            self.flipped[a as usize] ^= true;
+            self.flipped[b as usize] ^= true;
+            low = if low + 1 == total { 0 } else { low + 1 };
+            high = if high == 0 { total - 1 } else { high - 1 };
+        }
+        if count % 2 == 1 {
+            self.flipped[self.order[low] as usize] ^= true;
+        }
+        if self.logging {
+            self.changes.push(Change::Reversed { first, count });
+        }
+    }
+
+    /// Reverses the pieces from `from` on to `to`, or all others, which is the same tour.
+    fn reverse(&mut self, from: u32, to: u32) {
+        let total = self.order.len();
+        let first = self.place[from as usize] as usize;
+        let count = self.steps(from, to) + 1;
+        if 2 * count <= total {
+            self.reverse_places(first, count);
+        } else {
+            self.reverse_places((first + count) % total, total - count);
+        }
+    }
+
+    /// Rotates `count` places from `first` to the left by `by`.
+    fn rotate(&mut self, first: usize, count: usize, by: usize) {
+        let total = self.order.len();
+        let index = |k: usize| (first + k) % total;
+        // The shorter part is kept aside while the longer one shifts.
+        if by <= count - by {
+            let aside: Vec<u32> = (0..by).map(|k| self.order[index(k)]).collect();
+            for k in 0..count - by {
+                self.put(index(k), self.order[index(k + by)]);
+            }
+            for (k, piece) in aside.into_iter().enumerate() {
+                self.put(index(count - by + k), piece);
+            }
+        } else {
+            let aside: Vec<u32> = (by..count).map(|k| self.order[index(k)]).collect();
+            for k in (0..by).rev() {
+                self.put(index(count - by + k), self.order[index(k)]);
+            }
+            for (k, piece) in aside.into_iter().enumerate() {
+                self.put(index(k), piece);
+            }
+        }
+        if self.logging {
+            self.changes.push(Change::Rotated { first, count, by });
+        }
+    }
+
+    fn undo(&mut self) {
+        self.logging = false;
+        while let Some(change) = self.changes.pop() {
+            match change {
+                Change::Reversed { first, count } => self.reverse_places(first, count),
+                Change::Rotated { first, count, by } => self.rotate(first, count, count - by),
+            }
+        }
+    }
+
+    /// Moves the pieces from `from` on to `to` between `after` and the piece behind it.
+    fn move_between(&mut self, from: u32, to: u32, after: u32, reversed: bool) {
+        let total = self.order.len();
+        let length = self.steps(from, to) + 1;
+        let first = self.place[from as usize] as usize;
+        if reversed {
+            self.reverse_places(first, length);
+        }
+        // Pieces between the segment and its new place, forwards.
+        let ahead = (self.place[after as usize] as usize + total - (first + length - 1)) % total;
+        let behind = total - length - ahead;
+        if ahead <= behind {
+            self.rotate(first, length + ahead, length);
+        } else {
+            self.rotate((first + total - behind) % total, length + behind, behind);
+        }
+    }
+
+    /// Runs the search until no piece in the queue improves. Returns the gain, mm.
+    pub fn improve(&mut self) -> f64 {
+        let mut gain = 0.0;
+        while let Some(piece) = self.queue.pop_front() {
+            self.queued[piece as usize] = false;
+            while let Some(better) = self.improve_piece(piece) {
+                gain += better;
+            }
+        }
+        gain
+    }
+
+    fn improve_piece(&mut self, a: u32) -> Option<f64> {
+        for forward in [true, false] {
+            let other = if forward {
+                self.next(a)
+            } else {
+                self.previous(a)
+            };
+            if other == a {
+                return None;
+            }
+            let (x, present) = if forward {
+                (self.end(a), gap(self.end(a), self.start(other)))
+            } else {
+                (self.start(a), gap(self.end(other), self.start(a)))
+            };
+            let flipped = self.flipped[a as usize];
+            let id = 2 * a as usize + usize::from(if forward { !flipped } else { flipped });
+            for slot in 0..self.width {
+                let near = self.near[id * self.width + slot];
+                if near == u32::MAX {
+                    break;
+                }
+                let new = gap(x, self.ends[near as usize]);
+                if new >= present - GAIN {
+                    break;
+                }
+                let c = near / 2;
+                let round = self.ends[2 * c as usize] == self.ends[2 * c as usize + 1];
+                let is_end = (near % 2 == 1) != self.flipped[c as usize];
+                let same = is_end == forward;
+                let gain = if same || round {
+                    self.two_opt(a, other, c, forward, present - new)
+                } else {
+                    None
+                };
+                if gain.is_some() {
+                    return gain;
+                }
+                for reversed in [false, true] {
+                    // Unreversed, the end of one piece meets the start of the other.
+                    if !round && reversed != same {
+                        continue;
+                    }
+                    let gain = self
+                        .pull(a, other, c, forward, reversed, present - new)
+                        .or_else(|| {
+                            self.push_segment(a, other, c, forward, reversed, present - new)
+                        });
+                    if gain.is_some() {
+                        return gain;
+                    }
+                }
+            }
+        }
+        None
+    }
+
+    /// Connects the ends (forwards) or the starts of `a` and `c`.
+    fn two_opt(&mut self, a: u32, b: u32, c: u32, forward: bool, saved: f64) -> Option<f64> {
+        let d = if forward {
+            self.next(c)
+        } else {
+            self.previous(c)
+        };
+        let gain = if forward {
+            saved + gap(self.end(c), self.start(d)) - gap(self.start(b), self.start(d))
+        } else {
+            saved + gap(self.end(d), self.start(c)) - gap(self.end(b), self.end(d))
+        };
+        if gain <= GAIN {
+            return None;
+        }
+        if forward {
+            self.reverse(b, c);
+        } else {
+            self.reverse(c, b);
+        }
+        for piece in [a, b, c, d] {
+            self.push(piece);
+        }
+        Some(gain)
+    }
+
+    /// Moves a segment that begins with `c` between `a` and its neighbour `b`.
+    fn pull(
+        &mut self,
+        a: u32,
+        b: u32,
+        c: u32,
+        forward: bool,
+        reversed: bool,
+        saved: f64,
+    ) -> Option<f64> {
+        // The segment extends from c away from the end that meets a.
+        let onward = forward != reversed;
+        let mut last = c;
+        for _ in 0..SEGMENT {
+            if last == a || last == b {
+                return None;
+            }
+            let (first, end) = if onward { (c, last) } else { (last, c) };
+            let (p, n) = (self.previous(first), self.next(end));
+            if p == n {
+                return None;
+            }
+            let removed = gap(self.end(p), self.start(first)) + gap(self.end(end), self.start(n))
+                - gap(self.end(p), self.start(n));
+            // The far end of the segment meets b.
+            let far = if onward {
+                self.end(last)
+            } else {
+                self.start(last)
+            };
+            let near_b = if forward { self.start(b) } else { self.end(b) };
+            let gain = saved + removed - gap(far, near_b);
+            if gain > GAIN {
+                let after = if forward { a } else { b };
+                self.move_between(first, end, after, reversed);
+                for piece in [a, b, c, last, p, n] {
+                    self.push(piece);
+                }
+                return Some(gain);
+            }
+            last = if onward { n } else { p };
+        }
+        None
+    }
+
+    /// Moves a segment that begins with `a` next to `c`; the gap between `a` and `b` goes.
+    fn push_segment(
+        &mut self,
+        a: u32,
+        b: u32,
+        c: u32,
+        forward: bool,
+        reversed: bool,
+        saved: f64,
+    ) -> Option<f64> {
+        // The neighbour of c between which and c the segment goes.
+        let before = forward != reversed;
+        let d = if before {
+            self.previous(c)
+        } else {
+            self.next(c)
+        };
+        let opened = if before {
+            gap(self.end(d), self.start(c))
+        } else {
+            gap(self.end(c), self.start(d))
+        };
+        let mut last = a;
+        for _ in 0..SEGMENT {
+            if last == c || last == d || last == b {
+                return None;
+            }
+            let (first, end) = if forward { (last, a) } else { (a, last) };
+            let (p, n) = (self.previous(first), self.next(end));
+            if p == n || c == b && d == a {
+                return None;
+            }
+            let far = if forward {
+                self.start(last)
+            } else {
+                self.end(last)
+            };
+            let beyond = if forward {
+                gap(self.end(p), self.start(last)) - gap(self.end(p), self.start(b))
+            } else {
+                gap(self.end(last), self.start(n)) - gap(self.end(b), self.start(n))
+            };
+            let near_d = if before { self.end(d) } else { self.start(d) };
+            let gain = saved + opened + beyond - gap(far, near_d);
+            if gain > GAIN {
+                let after = if before { d } else { c };
+                self.move_between(first, end, after, reversed);
+                for piece in [a, b, c, d, p, n, last] {
+                    self.push(piece);
+                }
+                return Some(gain);
+            }
+            last = if forward { p } else { n };
+        }
+        None
+    }
+
+    /// Exchanges two short neighbouring parts at a place, improves around them, and keeps the
+    /// result if it is no longer. Returns the gain, mm.
+    pub fn kick(&mut self, random: &mut Random) -> f64 {
+        let total = self.order.len();
+        if total < 8 {
+            return 0.0;
+        }
+        let longest = KICK.min((total - 2) / 2);
+        let first = random.below(total);
+        let (one, two) = (1 + random.below(longest), 1 + random.below(longest));
+        let joints = [total - 1, one - 1, one + two - 1];
+        let before = self.gaps(first, joints);
+        self.changes.clear();
+        self.logging = true;
+        self.rotate(first, one + two, one);
+        // Either part may also turn around.
+        let turn = random.below(4);
+        if turn & 1 != 0 {
+            self.reverse_places(first, two);
+        }
+        if turn & 2 != 0 {
+            self.reverse_places((first + two) % total, one);
+        }
+        let joints = [total - 1, two - 1, one + two - 1];
+        let after = self.gaps(first, joints);
+        for joint in joints {
+            for k in [joint, joint + 1] {
+                self.push(self.order[(first + k) % total]);
+            }
+        }
+        let gain = before - after + self.improve();
+        if gain < 0.0 {
+            self.undo();
+            return 0.0;
+        }
+        self.logging = false;
+        gain
+    }
+
+    /// Length of the gaps behind three places after `first`, mm.
+    fn gaps(&self, first: usize, places: [usize; 3]) -> f64 {
+        let total = self.order.len();
+        let gap_behind = |k: usize| {
+            let (a, b) = (
+                self.order[(first + k) % total],
+                self.order[(first + k + 1) % total],
+            );
+            gap(self.end(a), self.start(b))
+        };
+        places.into_iter().map(gap_behind).sum()
+    }
+
+    /// Length of all gaps, mm.
+    #[cfg(test)]
+    pub fn length(&self) -> f64 {
+        (0..self.order.len())
+            .map(|k| gap(self.end(self.at(k)), self.start(self.at(k + 1))))
+            .sum()
+    }
+}
+
+/// Seeded random numbers (SplitMix64).
+pub struct Random(pub u64);
+
+impl Random {
+    /// A number below `limit`.
+    pub fn below(&mut self, limit: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^= z >> 31;
+        ((u128::from(z) * limit as u128) >> 64) as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
+
+    /// Every gain that the search reports is that of the tour, and every piece stays in it once.
+    fn check(points: &[Point], kicks: usize) -> Result<(), TestCaseError> {
+        let count = points.len() / 2;
+        let ends = &points[..2 * count];
+        let tour: Vec<(u32, bool)> = (0..count as u32).map(|piece| (piece, false)).collect();
+        let near = near_ends(ends, 6);
+        let mut search = Search::new(ends, &tour, near, 6);
+        let mut length = search.length();
+        length -= search.improve();
+        prop_assert!(
+            (length - search.length()).abs() < 1e-6,
+            "{length} {}",
+            search.length()
+        );
+        let mut random = Random(1);
+        for _ in 0..kicks {
+            length -= search.kick(&mut random);
+            prop_assert!((length - search.length()).abs() < 1e-6);
+        }
+        let mut pieces: Vec<u32> = search.tour().iter().map(|one| one.0).collect();
+        pieces.sort_unstable();
+        prop_assert_eq!(pieces, (0..count as u32).collect::<Vec<_>>());
+        Ok(())
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig {
+            rng_seed: RngSeed::Fixed(1),
+            failure_persistence: None,
+            ..ProptestConfig::default()
+        })]
+
+        #[test]
+        fn gains_are_true(
+            points in prop::collection::vec(prop::array::uniform2(-50.0..50.0), 2..160),
+        ) {
+            check(&points, 20)?;
+        }
+
+        #[test]
+        fn gains_are_true_for_points(
+            points in prop::collection::vec(prop::array::uniform2(-50.0..50.0), 2..60),
+            bits in prop::collection::vec(any::<bool>(), 60),
+        ) {
+            let ends: Vec<Point> = points.iter().zip(&bits)
+                .flat_map(|(&at, &round)| [at, if round { at } else { [at[1], at[0]] }]).collect();
+            check(&ends, 20)?;
+        }
+    }
+}

@@ -1,0 +1,15 @@
+//! The order in which paths are cut.
+//!
+//! [`edges`] has the four greedy conditions and the file order of the thesis, [`rows`] its rules
+//! for the hatch rows of a pocket. [`tour`] is the order that the program uses: paths may be
+//! reversed, closed paths may start anywhere.
+
+pub mod edges;
+mod exact;
+mod local;
+mod neighbours;
+pub mod rows;
+mod start;
+pub mod tour;
+
+pub use tour::{Effort, Placed, Tour, order_paths};

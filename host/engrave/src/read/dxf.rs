@@ -1,0 +1,599 @@
+//! Reader of ASCII DXF: group codes, sections, layers, blocks.
+//!
+//! The general DXF library of the ecosystem swallows entity kinds that it does not know and states
+//! no lines, so an engraving could miss a part of the drawing without a word. This reader keeps the
+//! line, handle and layer of every entity and reports each kind that it leaves out.
+
+use super::dxf_entity::{self, Record};
+use super::{ENTITY_LIMIT, ReadOptions};
+use crate::curves::{TOLERANCE, map_path, map_point};
+use crate::drawing::{Drawing, Entity, Problem};
+use crate::geometry::{Path, Point};
+use kurbo::Affine;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, HashMap};
+
+const DAMAGED: &str = "the file is damaged; save the drawing again as ASCII DXF";
+
+/// Deepest nesting of blocks.
+const DEPTH: usize = 16;
+
+/// A group code with its value.
+#[derive(Debug, Clone, Copy)]
+pub struct Pair<'a> {
+    pub code: i32,
+    pub value: &'a [u8],
+    pub line: usize,
+}
+
+impl<'a> Pair<'a> {
+    /// The value as text. Files before 2007 may have a code page of one byte a character.
+    pub fn text(&self) -> Cow<'a, str> {
+        match std::str::from_utf8(self.value) {
+            Ok(text) => Cow::Borrowed(text),
+            Err(_) => Cow::Owned(self.value.iter().map(|&byte| char::from(byte)).collect()),
+        }
+    }
+
+    pub fn word(&self) -> &'a str {
+        std::str::from_utf8(self.value).unwrap_or("?").trim()
+    }
+}
+
+/// Reads pairs; the latest one can be put back.
+struct Pairs<'a> {
+    bytes: &'a [u8],
+    line: usize,
+    back: Option<Pair<'a>>,
+}
+
+impl<'a> Pairs<'a> {
+    fn next_line(&mut self) -> Option<&'a [u8]> {
+        if self.bytes.is_empty() {
+            return None;
+        }
+        let end = self
+            .bytes
+            .iter()
+            .position(|&byte| byte == b'\n' || byte == b'\r');
+        let (line, rest) = match end {
+            None => (self.bytes, &[][..]),
+            Some(end) if self.bytes[end..].starts_with(b"\r\n") => {
+                (&self.bytes[..end], &self.bytes[end + 2..])
+            }
+            Some(end) => (&self.bytes[..end], &self.bytes[end + 1..]),
+        };
+        self.bytes = rest;
+        self.line += 1;
+        Some(line)
+    }
+
+    fn next(&mut self) -> Result<Option<Pair<'a>>, Problem> {
+        if let Some(pair) = self.back.take() {
+            return Ok(Some(pair));
+        }
+        let Some(code) = self.next_line() else {
+            return Ok(None);
+        };
+        let line = self.line;
+        let word = code.trim_ascii();
+        if word.is_empty() && self.bytes.trim_ascii().is_empty() {
+            return Ok(None);
+        }
+        let code = std::str::from_utf8(word)
+            .ok()
+            .and_then(|word| word.parse::<i32>().ok());
+        let Some(code) = code.filter(|code| (-5..=1071).contains(code)) else {
+            let shown: String = String::from_utf8_lossy(word).chars().take(40).collect();
+            let what = format!("'{shown}' is not a group code of a DXF file");
+            return Err(Problem::at_line(line, what, DAMAGED));
+        };
+        let Some(value) = self.next_line() else {
+            let what = format!("the file ends after group code {code}");
+            return Err(Problem::at_line(line, what, DAMAGED));
+        };
+        Ok(Some(Pair { code, value, line }))
+    }
+
+    /// The pairs up to the next group code 0.
+    fn rest_of_record(&mut self, pairs: &mut Vec<Pair<'a>>) -> Result<(), Problem> {
+        pairs.clear();
+        while let Some(pair) = self.next()? {
+            if pair.code == 0 {
+                self.back = Some(pair);
+                break;
+            }
+            pairs.push(pair);
+        }
+        Ok(())
+    }
+}
+
+/// A layer of the tables.
+#[derive(Default, Clone)]
+struct Layer {
+    hidden: bool,
+}
+
+/// What an entity draws.
+#[derive(Default)]
+pub struct Shapes {
+    pub paths: Vec<Path>,
+    pub points: Vec<Point>,
+}
+
+/// A reference to a block.
+#[derive(Clone)]
+pub struct Insert {
+    pub block: String,
+    /// Maps of its copies.
+    pub maps: Vec<Affine>,
+}
+
+/// What a record turned out to be.
+pub enum Read {
+    Shapes(Shapes),
+    Insert(Insert),
+    /// Left out, with the reason.
+    LeftOut(String),
+}
+
+/// An entity with what it draws.
+struct Item {
+    entity: Entity,
+    hidden: bool,
+    read: Read,
+}
+
+#[derive(Default)]
+struct Block {
+    base: Point,
+    items: Vec<Item>,
+}
+
+struct Reader<'a, 'o> {
+    pairs: Pairs<'a>,
+    options: &'o ReadOptions<'o>,
+    layers: HashMap<String, Layer>,
+    blocks: HashMap<String, Block>,
+    unit: Option<i64>,
+    metric: Option<i64>,
+    drawing: Drawing,
+    left_out: BTreeMap<String, Vec<Entity>>,
+    hidden: usize,
+    paper: usize,
+    /// Whether the file stated Z coordinates other than 0.
+    flattened: usize,
+}
+
+/// Reads a DXF drawing.
+pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
+    let mut reader = Reader {
+        pairs: Pairs {
+            bytes,
+            line: 0,
+            back: None,
+        },
+        options,
+        layers: HashMap::new(),
+        blocks: HashMap::new(),
+        unit: None,
+        metric: None,
+        drawing: Drawing::default(),
+        left_out: BTreeMap::new(),
+        hidden: 0,
+        paper: 0,
+        flattened: 0,
+    };
+    reader.file()?;
+    reader.finish()
+}
+
+impl<'a> Reader<'a, '_> {
+    fn file(&mut self) -> Result<(), Problem> {
+        let mut record = Vec::new();
+        let mut sections = 0;
+        while let Some(pair) = self.pairs.next()? {
+            if pair.code == 999 {
+                continue;
+            }
+            match (pair.code, pair.word()) {
+                (0, "SECTION") => {
+                    sections += 1;
+                    let name = self.pairs.next()?.filter(|pair| pair.code == 2);
+                    let Some(name) = name else {
+                        return Err(Problem::at_line(
+                            pair.line,
+                            "a section has no name",
+                            DAMAGED,
+                        ));
+                    };
+                    self.section(name.word(), &mut record)?;
+                }
+                (0, "EOF") => return self.sections(sections),
+                (code, word) => {
+                    let what = format!("group {code} with '{word}' stands outside of a section");
+                    return Err(Problem::at_line(pair.line, what, DAMAGED));
+                }
+            }
+        }
+        self.drawing
+            .notices
+            .push("the file has no EOF; all of its sections are complete".into());
+        self.sections(sections)
+    }
+
+    fn sections(&self, sections: usize) -> Result<(), Problem> {
+        if sections == 0 {
+            return Err(Problem::general(
+                "the file is neither a DXF nor an SVG",
+                "pass an ASCII DXF or an SVG drawing",
+            ));
+        }
+        Ok(())
+    }
+
+    fn section(&mut self, name: &str, record: &mut Vec<Pair<'a>>) -> Result<(), Problem> {
+        let begin = self.pairs.line;
+        if name == "HEADER" {
+            return self.header(begin);
+        }
+        let mut block: Option<(String, Block)> = None;
+        while let Some(pair) = self.pairs.next()? {
+            if pair.code != 0 {
+                if name == "ENTITIES" || name == "BLOCKS" {
+                    let what = format!("group {} stands before the first entity", pair.code);
+                    return Err(Problem::at_line(pair.line, what, DAMAGED));
+                }
+                continue;
+            }
+            let kind = pair.word();
+            if kind == "ENDSEC" {
+                return Ok(());
+            }
+            if kind == "EOF" || kind == "SECTION" {
+                break;
+            }
+            self.pairs.rest_of_record(record)?;
+            match (name, kind) {
+                ("TABLES", "LAYER") => self.layer(record),
+                ("BLOCKS", "BLOCK") => {
+                    let value = |code| record.iter().find(|pair| pair.code == code);
+                    let number = |code| {
+                        value(code)
+                            .and_then(|pair| pair.word().parse().ok())
+                            .unwrap_or(0.0)
+                    };
+                    let name = value(2).map_or_else(String::new, |pair| pair.text().trim().into());
+                    let base = [number(10), number(20)];
+                    block = Some((
+                        name.to_uppercase(),
+                        Block {
+                            base,
+                            items: Vec::new(),
+                        },
+                    ));
+                }
+                ("BLOCKS", "ENDBLK") => {
+                    if let Some((name, block)) = block.take() {
+                        self.blocks.insert(name, block);
+                    }
+                }
+                ("BLOCKS", _) => {
+                    if let Some(item) = self.entity(kind, pair.line, record)?
+                        && let Some((_, block)) = &mut block
+                    {
+                        block.items.push(item);
+                    }
+                }
+                ("ENTITIES", _) => {
+                    if let Some(item) = self.entity(kind, pair.line, record)? {
+                        self.place(&item, Affine::IDENTITY, None, &mut Vec::new())?;
+                    }
+                }
+                _ => {}
+            }
+        }
+        Err(Problem::at_line(
+            self.pairs.line,
+            format!("the file ends inside section {name}, which begins at line {begin}"),
+            "the file is truncated; save or copy the drawing again",
+        ))
+    }
+
+    fn header(&mut self, begin: usize) -> Result<(), Problem> {
+        let mut variable = "";
+        while let Some(pair) = self.pairs.next()? {
+            match (pair.code, variable) {
+                (0, _) if pair.word() == "ENDSEC" => return Ok(()),
+                (9, _) => variable = pair.word(),
+                (70, "$INSUNITS") => self.unit = pair.word().parse().ok(),
+                (70, "$MEASUREMENT") => self.metric = pair.word().parse().ok(),
+                _ => {}
+            }
+        }
+        Err(Problem::at_line(
+            self.pairs.line,
+            format!("the file ends inside section HEADER, which begins at line {begin}"),
+            "the file is truncated; save or copy the drawing again",
+        ))
+    }
+
+    fn layer(&mut self, record: &[Pair]) {
+        let value = |code| record.iter().find(|pair| pair.code == code);
+        let number = |code| value(code).and_then(|pair| pair.word().parse::<i64>().ok());
+        if let Some(name) = value(2) {
+            let hidden = number(62).is_some_and(|colour| colour < 0)
+                || number(70).is_some_and(|flags| flags & 1 != 0);
+            self.layers
+                .insert(name.text().trim().to_uppercase(), Layer { hidden });
+        }
+    }
+
+    /// Reads one entity; `None` for parts of others that are read with them.
+    fn entity(
+        &mut self,
+        kind: &str,
+        line: usize,
+        pairs: &mut Vec<Pair<'a>>,
+    ) -> Result<Option<Item>, Problem> {
+        let record = Record { kind, line, pairs };
+        let entity = record.entity();
+        let hidden = record.integer(60).is_ok_and(|value| value == Some(1));
+        if record.integer(67).is_ok_and(|value| value == Some(1)) {
+            self.paper += 1;
+            self.skip_parts(kind, pairs)?;
+            return Ok(None);
+        }
+        if kind == "SEQEND" || kind == "VERTEX" {
+            return Ok(None);
+        }
+        if record.has_height() {
+            self.flattened += 1;
+        }
+        let read = if kind == "POLYLINE" {
+            let head: Vec<Pair> = pairs.clone();
+            let mut vertices = Vec::new();
+            self.parts("VERTEX", pairs, &mut vertices)?;
+            let head = Record {
+                kind,
+                line,
+                pairs: &head,
+            };
+            dxf_entity::polyline(&head, &vertices)
+        } else {
+            dxf_entity::read(&record, self.options)
+        };
+        match read {
+            Ok(read) => Ok(Some(Item {
+                entity,
+                hidden,
+                read,
+            })),
+            Err(problem) => {
+                self.drawing.problems.push(problem);
+                Ok(None)
+            }
+        }
+    }
+
+    /// Reads the records of this kind up to SEQEND.
+    fn parts(
+        &mut self,
+        kind: &str,
+        pairs: &mut Vec<Pair<'a>>,
+        parts: &mut Vec<(usize, Vec<Pair<'a>>)>,
+    ) -> Result<(), Problem> {
+        while let Some(pair) = self.pairs.next()? {
+            let word = pair.word();
+            if word != kind && word != "SEQEND" {
+                self.pairs.back = Some(pair);
+                return Ok(());
+            }
+            self.pairs.rest_of_record(pairs)?;
+            if word == "SEQEND" {
+                return Ok(());
+            }
+            parts.push((pair.line, pairs.clone()));
+        }
+        Ok(())
+    }
+
+    fn skip_parts(&mut self, kind: &str, pairs: &mut Vec<Pair<'a>>) -> Result<(), Problem> {
+        if kind == "POLYLINE" {
+            self.parts("VERTEX", pairs, &mut Vec::new())?;
+        }
+        Ok(())
+    }
+
+    /// Adds an entity to the drawing under a map; `outer` is the entity of the block reference.
+    fn place(
+        &mut self,
+        item: &Item,
+        map: Affine,
+        outer: Option<&Entity>,
+        names: &mut Vec<String>,
+    ) -> Result<(), Problem> {
+        let mut entity = item.entity.clone();
+        if let Some(outer) = outer {
+            // An entity of a block on layer 0 is on the layer of its reference.
+            if entity.layer == "0" {
+                entity.layer.clone_from(&outer.layer);
+            }
+            entity.kind = format!("{} (in {})", entity.kind, outer.kind);
+        }
+        let layer = self.layers.get(&entity.layer.to_uppercase());
+        if item.hidden || layer.is_some_and(|layer| layer.hidden) {
+            self.hidden += 1;
+            return Ok(());
+        }
+        match &item.read {
+            Read::LeftOut(reason) => {
+                self.left_out
+                    .entry(reason.clone())
+                    .or_default()
+                    .push(entity);
+            }
+            Read::Shapes(shapes) => {
+                let index = self.drawing.add_entity(entity);
+                if index > ENTITY_LIMIT {
+                    return Err(Problem::general(
+                        format!("the drawing has more than {ENTITY_LIMIT} entities"),
+                        "split the drawing",
+                    ));
+                }
+                for path in &shapes.paths {
+                    let mut path = if map == Affine::IDENTITY {
+                        path.clone()
+                    } else {
+                        map_path(map, path, TOLERANCE)
+                    };
+                    path.entity = index;
+                    self.drawing.paths.push(path);
+                }
+                for &at in &shapes.points {
+                    self.drawing.points.push((map_point(map, at), index));
+                }
+            }
+            Read::Insert(insert) => self.insert(insert, &entity, map, names)?,
+        }
+        Ok(())
+    }
+
+    fn insert(
+        &mut self,
+        insert: &Insert,
+        entity: &Entity,
+        map: Affine,
+        names: &mut Vec<String>,
+    ) -> Result<(), Problem> {
+        let name = insert.block.to_uppercase();
+        if names.contains(&name) || names.len() >= DEPTH {
+            self.drawing.problems.push(Problem::of(
+                entity,
+                format!(
+                    "block {} contains itself or is nested too deep",
+                    insert.block
+                ),
+                "explode the block in the drawing program",
+            ));
+            return Ok(());
+        }
+        // The block leaves the table while its entities are placed.
+        let Some(block) = self.blocks.remove(&name) else {
+            self.drawing.problems.push(Problem::of(
+                entity,
+                format!("the file has no block {}", insert.block),
+                "bind external references, or explode the block in the drawing program",
+            ));
+            return Ok(());
+        };
+        names.push(name.clone());
+        let mut outer = entity.clone();
+        outer.kind = entity
+            .kind
+            .replacen("INSERT", &format!("INSERT {}", insert.block), 1);
+        if let Some(handle) = &entity.handle {
+            outer.kind = format!("{} handle {handle}", outer.kind);
+        }
+        let base = Affine::translate((-block.base[0], -block.base[1]));
+        let mut result = Ok(());
+        'copies: for copy in &insert.maps {
+            for item in &block.items {
+                result = self.place(item, map * *copy * base, Some(&outer), names);
+                if result.is_err() {
+                    break 'copies;
+                }
+            }
+        }
+        names.pop();
+        self.blocks.insert(name, block);
+        result
+    }
+
+    fn finish(mut self) -> Result<Drawing, Problem> {
+        let scale = self.millimetres()?;
+        let drawing = &mut self.drawing;
+        for (reason, entities) in &self.left_out {
+            let shown: Vec<String> = entities.iter().take(3).map(ToString::to_string).collect();
+            let more = match entities.len() {
+                0..=3 => String::new(),
+                count => format!("; and {} more", count - 3),
+            };
+            drawing
+                .notices
+                .push(format!("left out, {reason}: {}{more}", shown.join("; ")));
+        }
+        let mut count = |count: usize, what: &str| {
+            if count > 0 {
+                drawing.notices.push(format!("{count} entities {what}"));
+            }
+        };
+        count(
+            self.hidden,
+            "left out: they are invisible, or their layer is off or frozen",
+        );
+        count(self.paper, "left out: they are in paper space");
+        count(
+            self.flattened,
+            "have a Z other than 0: their projection on the plane is used",
+        );
+        if scale != 1.0 {
+            drawing.transform(Affine::scale(scale));
+        }
+        Ok(self.drawing)
+    }
+
+    /// Millimetres per unit.
+    fn millimetres(&mut self) -> Result<f64, Problem> {
+        if let Some(unit) = self.options.unit_mm {
+            return Ok(unit);
+        }
+        match (self.unit, self.metric) {
+            (None | Some(0), Some(0)) => {
+                self.drawing.notices.push(
+                    "the drawing states no unit, but English measurement: 1 unit is taken as \
+                     1 inch; --unit mm sets millimetres"
+                        .into(),
+                );
+                Ok(25.4)
+            }
+            (None | Some(0), _) => {
+                self.drawing.notices.push(
+                    "the drawing states no unit ($INSUNITS): 1 unit is taken as 1 mm; --unit inch \
+                     sets inches"
+                        .into(),
+                );
+                Ok(1.0)
+            }
+            (Some(unit), _) => millimetres_of(unit).ok_or_else(|| {
+                Problem::general(
+                    format!("the drawing's unit ($INSUNITS) is {unit}, which is not known"),
+                    "state the unit with --unit mm or --unit inch",
+                )
+            }),
+        }
+    }
+}
+
+/// Millimetres per unit of a value of `$INSUNITS`.
+fn millimetres_of(unit: i64) -> Option<f64> {
+    Some(match unit {
+        1 | 21 => 25.4,
+        2 => 304.8,
+        3 => 1_609_344.0,
+        4 => 1.0,
+        5 => 10.0,
+        6 => 1000.0,
+        7 => 1e6,
+        8 => 25.4e-6,
+        9 => 25.4e-3,
+        10 => 914.4,
+        12 => 1e-6,
+        13 => 1e-3,
+        14 => 100.0,
+        15 => 1e4,
+        16 => 1e5,
+        _ => return None,
+    })
+}

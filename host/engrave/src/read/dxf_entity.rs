@@ -1,0 +1,477 @@
+//! Entities of a DXF drawing as paths.
+
+use super::dxf::{Insert, Pair, Read, Shapes};
+use super::dxf_text;
+use super::nurbs::Nurbs;
+use super::{COORDINATE_LIMIT, ENTITY_LIMIT, ReadOptions};
+use crate::curves::{TOLERANCE, fit_ellipse, map_path};
+use crate::drawing::{Entity, Problem};
+use crate::geometry::{Path, Point, Segment, Vertex, distance};
+use kurbo::Affine;
+use std::f64::consts::TAU;
+
+/// Largest radius of an arc, mm.
+const RADIUS_LIMIT: f64 = 1e6;
+
+/// The pairs of an entity.
+pub struct Record<'p, 'a> {
+    pub kind: &'p str,
+    pub line: usize,
+    pub pairs: &'p [Pair<'a>],
+}
+
+impl<'a> Record<'_, 'a> {
+    pub fn value(&self, code: i32) -> Option<&Pair<'a>> {
+        self.pairs.iter().find(|pair| pair.code == code)
+    }
+
+    pub fn entity(&self) -> Entity {
+        let text = |code| self.value(code).map(|pair| pair.text().trim().to_string());
+        Entity {
+            kind: self.kind.to_string(),
+            handle: text(5).or_else(|| text(105)),
+            layer: text(8).unwrap_or_else(|| "0".into()),
+            line: self.line,
+        }
+    }
+
+    fn parse(&self, pair: &Pair) -> Result<f64, Problem> {
+        let word = pair.word();
+        let number = word.parse::<f64>().ok().filter(|value| value.is_finite());
+        number.ok_or_else(|| {
+            let what = format!(
+                "group {} in line {} is '{word}' and not a finite number",
+                pair.code, pair.line
+            );
+            Problem::of(&self.entity(), what, "repair or delete the entity")
+        })
+    }
+
+    /// A number, if the code is there.
+    pub fn number(&self, code: i32) -> Result<Option<f64>, Problem> {
+        self.value(code).map(|pair| self.parse(pair)).transpose()
+    }
+
+    pub fn or(&self, code: i32, default: f64) -> Result<f64, Problem> {
+        Ok(self.number(code)?.unwrap_or(default))
+    }
+
+    fn need(&self, code: i32) -> Result<f64, Problem> {
+        self.number(code)?.ok_or_else(|| {
+            let what = format!("group {code} is missing");
+            Problem::of(&self.entity(), what, "repair or delete the entity")
+        })
+    }
+
+    pub fn integer(&self, code: i32) -> Result<Option<i64>, Problem> {
+        Ok(self.number(code)?.map(|value| value as i64))
+    }
+
+    /// A point with these codes for x and y.
+    pub fn point(&self, x: i32, y: i32) -> Result<Point, Problem> {
+        self.within([self.need(x)?, self.need(y)?])
+    }
+
+    fn within(&self, at: Point) -> Result<Point, Problem> {
+        if at.iter().all(|value| value.abs() <= COORDINATE_LIMIT) {
+            return Ok(at);
+        }
+        let what = format!(
+            "the point {}, {} is farther than {COORDINATE_LIMIT} from the origin",
+            at[0], at[1]
+        );
+        Err(Problem::of(
+            &self.entity(),
+            what,
+            "move the entity, or delete it",
+        ))
+    }
+
+    pub fn refuse(&self, what: impl std::fmt::Display, remedy: &str) -> Problem {
+        Problem::of(&self.entity(), what, remedy)
+    }
+
+    /// Whether a Z or an elevation other than 0 is stated.
+    pub fn has_height(&self) -> bool {
+        self.pairs.iter().any(|pair| {
+            matches!(pair.code, 30 | 31 | 38)
+                && pair
+                    .word()
+                    .parse::<f64>()
+                    .is_ok_and(|value| value.abs() > 1e-9)
+        })
+    }
+
+    /// Map of the entity's own plane to the drawing plane, by its extrusion direction.
+    pub fn plane(&self) -> Result<Affine, Problem> {
+        let normal = [self.or(210, 0.0)?, self.or(220, 0.0)?, self.or(230, 1.0)?];
+        if normal[0].abs() > 1e-6 || normal[1].abs() > 1e-6 || normal[2] == 0.0 {
+            return Err(self.refuse(
+                "its plane is tilted against the drawing plane",
+                "flatten the drawing in the drawing program",
+            ));
+        }
+        Ok(if normal[2] < 0.0 {
+            Affine::FLIP_X
+        } else {
+            Affine::IDENTITY
+        })
+    }
+}
+
+/// Reads an entity, except POLYLINE, which has records of its own.
+pub fn read(record: &Record, options: &ReadOptions) -> Result<Read, Problem> {
+    let paths = match record.kind {
+        "LINE" => {
+            let (from, to) = (record.point(10, 20)?, record.point(11, 21)?);
+            vec![Path::from_segments(
+                &[Segment {
+                    from,
+                    to,
+                    bulge: 0.0,
+                }],
+                0,
+            )]
+        }
+        "ARC" => vec![arc(record)?],
+        "CIRCLE" => {
+            let path = Path::circle(record.point(10, 20)?, radius(record)?, 0);
+            vec![map_path(record.plane()?, &path, TOLERANCE)]
+        }
+        "LWPOLYLINE" => return light_polyline(record),
+        "ELLIPSE" => vec![ellipse(record)?],
+        "SPLINE" => vec![spline(record)?],
+        "SOLID" | "TRACE" => vec![solid(record)?],
+        "POINT" => {
+            let points = vec![record.point(10, 20)?];
+            return Ok(Read::Shapes(Shapes {
+                paths: Vec::new(),
+                points,
+            }));
+        }
+        "INSERT" => return insert(record).map(Read::Insert),
+        "TEXT" | "MTEXT" | "ATTRIB" => return dxf_text::read(record, options),
+        // The text of a definition shows only where a block is inserted, as ATTRIB.
+        "ATTDEF" => return Ok(Read::Shapes(Shapes::default())),
+        kind => return Ok(Read::LeftOut(format!("{kind} is not a path"))),
+    };
+    Ok(shapes(paths))
+}
+
+/// Paths with a length; without one there is nothing to cut.
+fn shapes(paths: Vec<Path>) -> Read {
+    if paths.iter().all(|path| path.length() <= 1e-9) {
+        return Read::LeftOut("it has no length".into());
+    }
+    Read::Shapes(Shapes {
+        paths,
+        points: Vec::new(),
+    })
+}
+
+fn radius(record: &Record) -> Result<f64, Problem> {
+    let radius = record.need(40)?;
+    if radius > 0.0 && radius <= RADIUS_LIMIT {
+        return Ok(radius);
+    }
+    let what = format!("its radius is {radius}; it must be above 0 and at most {RADIUS_LIMIT}");
+    Err(record.refuse(what, "repair or delete the entity"))
+}
+
+fn arc(record: &Record) -> Result<Path, Problem> {
+    let (centre, radius) = (record.point(10, 20)?, radius(record)?);
+    let (from, to) = (record.need(50)?.to_radians(), record.need(51)?.to_radians());
+    let mut sweep = (to - from).rem_euclid(TAU);
+    if sweep < 1e-12 {
+        sweep = TAU;
+    }
+    let at = |angle: f64| {
+        [
+            centre[0] + radius * angle.cos(),
+            centre[1] + radius * angle.sin(),
+        ]
+    };
+    // The bulge of a nearly full turn is too large to be exact.
+    let pieces = if sweep > 1.6 * std::f64::consts::PI {
+        2
+    } else {
+        1
+    };
+    let bulge = (sweep / f64::from(pieces) / 4.0).tan();
+    let segments: Vec<Segment> = (0..pieces)
+        .map(|k| {
+            let part = |k: i32| from + sweep * f64::from(k) / f64::from(pieces);
+            Segment {
+                from: at(part(k)),
+                to: at(part(k + 1)),
+                bulge,
+            }
+        })
+        .collect();
+    let mut path = Path::from_segments(&segments, 0);
+    if sweep > TAU - 1e-9 {
+        path.vertices.pop();
+        path.closed = true;
+    }
+    Ok(map_path(record.plane()?, &path, TOLERANCE))
+}
+
+/// Checks the bulge of a segment and makes the path.
+fn bulged(record: &Record, mut vertices: Vec<Vertex>, closed: bool) -> Result<Read, Problem> {
+    vertices.dedup_by(|next, before| {
+        let same = next.at == before.at;
+        if same {
+            // A segment without length keeps the bulge of the segment after it.
+            before.bulge = next.bulge;
+        }
+        same
+    });
+    let mut closed = closed;
+    if vertices.len() > 2 && closed && vertices[0].at == vertices[vertices.len() - 1].at {
+        vertices.pop();
+    }
+    if vertices.len() < 2 {
+        return Ok(Read::LeftOut("it has no length".into()));
+    }
+    if !closed && vertices.len() > 3 && vertices[0].at == vertices[vertices.len() - 1].at {
+        // Drawn shut without the flag.
+        vertices.pop();
+        closed = true;
+    }
+    let path = Path {
+        vertices,
+        closed,
+        entity: 0,
+    };
+    for (index, segment) in path.segments().enumerate() {
+        if let Some(arc) = segment.arc()
+            && (arc.radius > RADIUS_LIMIT || !arc.radius.is_finite())
+        {
+            let what = format!(
+                "the bulge {:e} after vertex {} is an arc with the radius {:.3e}",
+                segment.bulge,
+                index + 1,
+                arc.radius
+            );
+            return Err(record.refuse(what, "draw this segment again"));
+        }
+        if segment.bulge.abs() > 50.0 {
+            let what = format!(
+                "the bulge {:e} after vertex {} is a full turn within {:.2} degrees",
+                segment.bulge,
+                index + 1,
+                360.0 - 4.0 * segment.bulge.abs().atan().to_degrees()
+            );
+            return Err(record.refuse(what, "draw this segment as a circle"));
+        }
+    }
+    Ok(shapes(vec![map_path(record.plane()?, &path, TOLERANCE)]))
+}
+
+fn light_polyline(record: &Record) -> Result<Read, Problem> {
+    let closed = record.integer(70)?.is_some_and(|flags| flags & 1 != 0);
+    let mut vertices: Vec<Vertex> = Vec::new();
+    for pair in record.pairs {
+        match pair.code {
+            10 => vertices.push(Vertex {
+                at: [record.parse(pair)?, f64::NAN],
+                bulge: 0.0,
+            }),
+            20 | 42 => {
+                let value = record.parse(pair)?;
+                let Some(vertex) = vertices.last_mut() else {
+                    let what = format!("group {} stands before the first vertex", pair.code);
+                    return Err(record.refuse(what, "repair or delete the entity"));
+                };
+                if pair.code == 20 {
+                    vertex.at[1] = value;
+                } else {
+                    vertex.bulge = value;
+                }
+            }
+            _ => {}
+        }
+    }
+    for (index, vertex) in vertices.iter().enumerate() {
+        if vertex.at[1].is_nan() {
+            let what = format!("vertex {} has no group 20", index + 1);
+            return Err(record.refuse(what, "repair or delete the entity"));
+        }
+        record.within(vertex.at)?;
+    }
+    if let Some(count) = record.integer(90)?
+        && count != vertices.len() as i64
+    {
+        let what = format!("it announces {count} vertices and has {}", vertices.len());
+        return Err(record.refuse(what, "repair or delete the entity"));
+    }
+    bulged(record, vertices, closed)
+}
+
+/// Reads a POLYLINE with the records of its vertices.
+pub fn polyline(record: &Record, parts: &[(usize, Vec<Pair>)]) -> Result<Read, Problem> {
+    let flags = record.integer(70)?.unwrap_or(0);
+    if flags & (16 | 64) != 0 {
+        return Ok(Read::LeftOut("POLYLINE is a mesh".into()));
+    }
+    let mut vertices = Vec::new();
+    for (line, pairs) in parts {
+        let part = Record {
+            kind: "VERTEX",
+            line: *line,
+            pairs,
+        };
+        // Control points of a spline frame are not on the curve.
+        if part.integer(70)?.unwrap_or(0) & 16 != 0 {
+            continue;
+        }
+        vertices.push(Vertex {
+            at: part.point(10, 20)?,
+            bulge: part.or(42, 0.0)?,
+        });
+    }
+    bulged(record, vertices, flags & 1 != 0)
+}
+
+fn ellipse(record: &Record) -> Result<Path, Problem> {
+    let centre = record.point(10, 20)?;
+    let major = [record.need(11)?, record.need(21)?];
+    let ratio = record.need(40)?;
+    if major == [0.0, 0.0] || !(ratio > 0.0 && ratio <= 1.000_001) {
+        let what = format!("an axis has no length, or the ratio {ratio} is not within 0 to 1");
+        return Err(record.refuse(what, "repair or delete the entity"));
+    }
+    let side = if record.or(230, 1.0)? < 0.0 {
+        -ratio
+    } else {
+        ratio
+    };
+    let map = Affine::new([
+        major[0],
+        major[1],
+        -major[1] * side,
+        major[0] * side,
+        centre[0],
+        centre[1],
+    ]);
+    let (from, to) = (record.or(41, 0.0)?, record.or(42, TAU)?);
+    let mut sweep = (to - from).rem_euclid(TAU);
+    if sweep < 1e-9 {
+        sweep = TAU;
+    }
+    let mut segments = Vec::new();
+    fit_ellipse(
+        map,
+        [0.0, 0.0],
+        1.0,
+        [from, from + sweep],
+        TOLERANCE,
+        &mut segments,
+    );
+    let mut path = Path::from_segments(&segments, 0);
+    if sweep > TAU - 1e-9 {
+        path.vertices.pop();
+        path.closed = true;
+    }
+    Ok(path)
+}
+
+fn spline(record: &Record) -> Result<Path, Problem> {
+    let numbers = |code: i32| -> Result<Vec<f64>, Problem> {
+        let all = record.pairs.iter().filter(|pair| pair.code == code);
+        all.map(|pair| record.parse(pair)).collect()
+    };
+    let (xs, ys) = (numbers(10)?, numbers(20)?);
+    if xs.is_empty() {
+        return Err(record.refuse(
+            "it has fit points only, and no control points",
+            "save the drawing with control points, or convert the spline to a polyline",
+        ));
+    }
+    if xs.len() != ys.len() {
+        return Err(record.refuse(
+            "a control point lacks x or y",
+            "repair or delete the entity",
+        ));
+    }
+    let points: Vec<Point> = xs.into_iter().zip(ys).map(|(x, y)| [x, y]).collect();
+    for &at in &points {
+        record.within(at)?;
+    }
+    let mut weights = numbers(41)?;
+    if weights.is_empty() {
+        weights = vec![1.0; points.len()];
+    }
+    let degree = record.integer(71)?.unwrap_or(3).clamp(0, 100) as usize;
+    let nurbs = Nurbs {
+        degree,
+        knots: numbers(40)?,
+        points,
+        weights,
+    };
+    if let Some(what) = nurbs.mistake() {
+        return Err(record.refuse(what, "repair or delete the entity"));
+    }
+    let mut segments = Vec::new();
+    nurbs.fit(TOLERANCE, &mut segments);
+    let mut path = Path::from_segments(&segments, 0);
+    let meets = path
+        .start()
+        .zip(path.end())
+        .is_some_and(|(a, b)| distance(a, b) < 1e-6);
+    if meets && path.vertices.len() > 2 {
+        path.vertices.pop();
+        path.closed = true;
+    }
+    Ok(path)
+}
+
+/// Outline of a filled triangle or quadrangle. Its third and fourth corner are crossed.
+fn solid(record: &Record) -> Result<Path, Problem> {
+    let mut corners = vec![record.point(10, 20)?, record.point(11, 21)?];
+    let third = record.point(12, 22)?;
+    let fourth = if record.value(13).is_some() {
+        record.point(13, 23)?
+    } else {
+        third
+    };
+    corners.push(fourth);
+    corners.push(third);
+    corners.dedup();
+    Ok(map_path(
+        record.plane()?,
+        &Path::polygon(&corners, 0),
+        TOLERANCE,
+    ))
+}
+
+fn insert(record: &Record) -> Result<Insert, Problem> {
+    let name = record.value(2).map(|pair| pair.text().trim().to_string());
+    let Some(block) = name.filter(|name| !name.is_empty()) else {
+        return Err(record.refuse("it names no block", "repair or delete the entity"));
+    };
+    let at = record.point(10, 20)?;
+    let scale = [record.or(41, 1.0)?, record.or(42, 1.0)?];
+    let angle = record.or(50, 0.0)?.to_radians();
+    let count = |code| -> Result<i64, Problem> { Ok(record.integer(code)?.unwrap_or(1).max(1)) };
+    let (columns, rows) = (count(70)?, count(71)?);
+    if columns.saturating_mul(rows) > ENTITY_LIMIT as i64 {
+        let what = format!("it is an array of {columns} x {rows} copies");
+        return Err(record.refuse(what, "make the array smaller"));
+    }
+    let (dx, dy) = (record.or(44, 0.0)?, record.or(45, 0.0)?);
+    let plane = record.plane()?;
+    let mut maps = Vec::new();
+    for row in 0..rows {
+        for column in 0..columns {
+            maps.push(
+                plane
+                    * Affine::translate((at[0], at[1]))
+                    * Affine::rotate(angle)
+                    * Affine::translate((dx * column as f64, dy * row as f64))
+                    * Affine::scale_non_uniform(scale[0], scale[1]),
+            );
+        }
+    }
+    Ok(Insert { block, maps })
+}

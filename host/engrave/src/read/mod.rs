@@ -1,0 +1,71 @@
+//! Readers of drawing files.
+
+mod dxf;
+mod dxf_entity;
+mod dxf_text;
+mod nurbs;
+mod svg;
+mod svg_style;
+pub mod text;
+
+use crate::drawing::{Drawing, Problem};
+use text::Font;
+
+/// Largest number of entities after blocks are expanded.
+pub const ENTITY_LIMIT: usize = 4_000_000;
+
+/// Largest coordinate, mm.
+pub const COORDINATE_LIMIT: f64 = 1e6;
+
+/// What the caller states about a drawing.
+#[derive(Default)]
+pub struct ReadOptions<'a> {
+    /// Millimetres per unit of the drawing; `None` for the unit that the file states.
+    pub unit_mm: Option<f64>,
+    /// Font of text; without one a text is a problem.
+    pub font: Option<&'a Font<'a>>,
+    /// Whether text without a font is left out with a notice instead of being a problem.
+    pub skip_text: bool,
+}
+
+/// Reads a drawing. The content decides between DXF and SVG, not the name.
+///
+/// # Errors
+/// The first mistake after which the rest of the file cannot be read. Mistakes of single entities
+/// are in [`Drawing::problems`].
+pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
+    let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    if start.starts_with(b"AutoCAD Binary DXF") {
+        return Err(Problem::general(
+            "the file is a binary DXF",
+            "save the drawing as ASCII DXF",
+        ));
+    }
+    if start.starts_with(b"AC10") {
+        return Err(Problem::general(
+            "the file is a DWG",
+            "save the drawing as ASCII DXF",
+        ));
+    }
+    if start.starts_with(&[0x1f, 0x8b]) {
+        return Err(Problem::general(
+            "the file is compressed",
+            "unpack it (an .svgz with gunzip) and pass the result",
+        ));
+    }
+    let first = start.iter().find(|byte| !byte.is_ascii_whitespace());
+    match first {
+        None => Err(Problem::general(
+            "the file is empty",
+            "pass a DXF or SVG drawing",
+        )),
+        Some(b'<') => svg::read(start, options),
+        Some(_) => dxf::read(start, options),
+    }
+}
+
+/// The problem of text that cannot become outlines.
+fn text_remedy() -> &'static str {
+    "add --font FILE.ttf, convert the text to paths in the drawing program, or leave it out with \
+     --skip-text"
+}

@@ -1,0 +1,8 @@
+//! Regions between closed paths: nesting, offsets, hatch rows, clearing.
+
+pub mod clear;
+mod crossing;
+pub mod region;
+
+pub use clear::{Clearing, Strand};
+pub use region::Region;

@@ -1,0 +1,300 @@
+//! A region: what closed paths enclose, with the islands in them.
+
+use super::crossing::{crosses, crossings_at};
+use crate::drawing::{Drawing, Problem};
+use crate::geometry::{Path, Point, Segment, Vertex};
+use cavalier_contours::polyline::{
+    PlineOrientation, PlineSource, PlineSourceMut, PlineVertex, Polyline,
+};
+use cavalier_contours::shape_algorithms::{Shape, ShapeOffsetOptions};
+
+/// Vertices nearer than this are one, mm.
+const SAME: f64 = 1e-5;
+
+/// Material between outer boundaries and islands. Boundaries run counter-clockwise, islands
+/// clockwise, so the material is on the left.
+pub struct Region {
+    shape: Shape<f64>,
+}
+
+/// The library's polyline of a path. Its arcs reach half a turn, so longer ones are halved.
+fn polyline(path: &Path) -> Polyline<f64> {
+    let mut out = Polyline::new_closed();
+    for segment in path.segments() {
+        let halves = if segment.bulge.abs() > 1.0 {
+            let (first, second) = segment.split(0.5);
+            vec![first, second]
+        } else {
+            vec![segment]
+        };
+        for half in halves {
+            out.add_vertex(PlineVertex::new(half.from[0], half.from[1], half.bulge));
+        }
+    }
+    out.set_userdata_values([path.entity as u64]);
+    out.remove_repeat_pos(SAME).unwrap_or(out)
+}
+
+fn path_of(polyline: &Polyline<f64>) -> Path {
+    let vertices = polyline
+        .iter_vertexes()
+        .map(|v| Vertex {
+            at: [v.x, v.y],
+            bulge: v.bulge,
+        })
+        .collect();
+    let entity = polyline.get_userdata_values().next().unwrap_or(0) as usize;
+    Path {
+        vertices,
+        closed: true,
+        entity,
+    }
+}
+
+impl Region {
+    /// The region of the closed paths of a drawing: a path inside of an odd number of others is an
+    /// island.
+    ///
+    /// # Errors
+    /// Open paths, paths that cross themselves, paths that cross or cover each other.
+    pub fn of(drawing: &Drawing, paths: &[Path]) -> Result<Self, Vec<Problem>> {
+        let mut problems = Vec::new();
+        let mut loops = Vec::new();
+        for path in paths {
+            let entity = drawing.entity(path);
+            if !path.closed {
+                let ends = path.start().zip(path.end());
+                let gap = ends.map_or(0.0, |(a, b)| crate::geometry::distance(a, b));
+                problems.push(Problem::of(
+                    entity,
+                    format!("its contour is open, with {gap:.4} mm between its ends"),
+                    "close it, or join ends that are farther apart with --join MM",
+                ));
+                continue;
+            }
+            let mut polyline = polyline(path);
+            if polyline.vertex_count() < 2 {
+                continue;
+            }
+            if polyline.scan_for_self_intersect() {
+                problems.push(Problem::of(
+                    entity,
+                    "its contour crosses or touches itself",
+                    "separate it into simple contours",
+                ));
+                continue;
+            }
+            if polyline.orientation() != PlineOrientation::CounterClockwise {
+                polyline.invert_direction_mut();
+            }
+            loops.push(polyline);
+        }
+        find_crossings(drawing, &loops, &mut problems);
+        if !problems.is_empty() {
+            return Err(problems);
+        }
+        Ok(Self::nested(loops))
+    }
+
+    /// Turns the loops inside of an odd number of others around.
+    fn nested(mut loops: Vec<Polyline<f64>>) -> Self {
+        let bounds: Vec<_> = loops.iter().map(PlineSource::extents).collect();
+        let inner: Vec<bool> = (0..loops.len())
+            .map(|index| {
+                let at = loops[index].at(0).pos();
+                let around = (0..loops.len()).filter(|&other| {
+                    let inside_box = bounds[other].is_some_and(|one| {
+                        at.x > one.min_x && at.x < one.max_x && at.y > one.min_y && at.y < one.max_y
+                    });
+                    other != index && inside_box && loops[other].winding_number(at) != 0
+                });
+                around.count() % 2 == 1
+            })
+            .collect();
+        for (one, inner) in loops.iter_mut().zip(inner) {
+            if inner {
+                one.invert_direction_mut();
+            }
+        }
+        Self {
+            shape: Shape::from_plines(loops),
+        }
+    }
+
+    /// The region made smaller by a distance all around, mm; larger if it is negative. Outside
+    /// corners of a larger region are round. Islands and gaps that vanish are left out.
+    #[must_use]
+    pub fn inset(&self, distance: f64) -> Self {
+        if distance == 0.0 {
+            return Self {
+                shape: self.shape.clone(),
+            };
+        }
+        Self {
+            shape: self
+                .shape
+                .parallel_offset(distance, &ShapeOffsetOptions::default()),
+        }
+    }
+
+    /// The region under a map that keeps circles and is no mirror.
+    #[must_use]
+    pub fn turned(&self, map: kurbo::Affine) -> Self {
+        let tolerance = crate::curves::TOLERANCE;
+        let image = |path: &Path| polyline(&crate::curves::map_path(map, path, tolerance));
+        Self {
+            shape: Shape::from_plines(self.loops().iter().map(image)),
+        }
+    }
+
+    /// Whether nothing is left.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.shape.ccw_plines.is_empty()
+    }
+
+    fn polylines(&self) -> impl Iterator<Item = &Polyline<f64>> {
+        let all = self.shape.ccw_plines.iter().chain(&self.shape.cw_plines);
+        all.map(|one| &one.polyline)
+    }
+
+    /// Boundaries, then islands. The material is on their left.
+    #[must_use]
+    pub fn loops(&self) -> Vec<Path> {
+        self.polylines().map(path_of).collect()
+    }
+
+    /// Whether a point is inside.
+    #[must_use]
+    pub fn contains(&self, at: Point) -> bool {
+        let at = cavalier_contours::core::math::Vector2::new(at[0], at[1]);
+        self.polylines()
+            .map(|one| one.winding_number(at))
+            .sum::<i32>()
+            != 0
+    }
+
+    /// Index of the innermost boundary around a point.
+    #[must_use]
+    pub fn part_of(&self, at: Point) -> Option<usize> {
+        let at = cavalier_contours::core::math::Vector2::new(at[0], at[1]);
+        let around = self
+            .shape
+            .ccw_plines
+            .iter()
+            .enumerate()
+            .filter(|(_, one)| one.polyline.winding_number(at) != 0);
+        around
+            .min_by(|a, b| a.1.polyline.area().total_cmp(&b.1.polyline.area()))
+            .map(|(index, _)| index)
+    }
+
+    /// Whether the straight way between two points inside leaves the region.
+    #[must_use]
+    pub fn is_left_between(&self, a: Point, b: Point) -> bool {
+        let low = [a[0].min(b[0]), a[1].min(b[1])];
+        let high = [a[0].max(b[0]), a[1].max(b[1])];
+        let mut crossed = false;
+        for one in self.shape.ccw_plines.iter().chain(&self.shape.cw_plines) {
+            one.spatial_index
+                .visit_query(low[0], low[1], high[0], high[1], &mut |index: usize| {
+                    let (p, q) = (one.polyline.at(index), {
+                        let next = one.polyline.next_wrapping_index(index);
+                        one.polyline.at(next)
+                    });
+                    let segment = Segment {
+                        from: [p.x, p.y],
+                        to: [q.x, q.y],
+                        bulge: p.bulge,
+                    };
+                    crossed |= crosses(a, b, &segment);
+                });
+            if crossed {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Horizontal rows through the region at all multiples of `spacing` (mm), from the top, each
+    /// from left to right, with the index of its part.
+    #[must_use]
+    pub fn rows(&self, spacing: f64) -> Vec<([Point; 2], usize)> {
+        let loops = self.loops();
+        let segments: Vec<Segment> = loops.iter().flat_map(Path::segments).collect();
+        // Segments by the rows that they reach.
+        let row = |y: f64| (y / spacing).floor() as i64;
+        let boxes: Vec<[Point; 2]> = segments.iter().map(Segment::bounds).collect();
+        let low = boxes.iter().map(|one| row(one[0][1])).min().unwrap_or(0);
+        let high = boxes
+            .iter()
+            .map(|one| row(one[1][1]) + 1)
+            .max()
+            .unwrap_or(-1);
+        let count = usize::try_from(high - low + 1).unwrap_or(0);
+        let mut reached: Vec<Vec<usize>> = vec![Vec::new(); count];
+        for (index, one) in boxes.iter().enumerate() {
+            for k in row(one[0][1])..=row(one[1][1]) + 1 {
+                reached[(k - low) as usize].push(index);
+            }
+        }
+        let mut rows = Vec::new();
+        let mut xs = Vec::new();
+        for k in (low..=high).rev() {
+            let y = k as f64 * spacing;
+            xs.clear();
+            for &index in &reached[(k - low) as usize] {
+                crossings_at(&segments[index], y, &mut xs);
+            }
+            xs.sort_by(f64::total_cmp);
+            for pair in xs.chunks_exact(2) {
+                if pair[1] - pair[0] > SAME {
+                    let middle = [f64::midpoint(pair[0], pair[1]), y];
+                    let part = self.part_of(middle).unwrap_or(0);
+                    rows.push(([[pair[0], y], [pair[1], y]], part));
+                }
+            }
+        }
+        rows
+    }
+}
+
+/// Finds loops that cross or cover each other.
+fn find_crossings(drawing: &Drawing, loops: &[Polyline<f64>], problems: &mut Vec<Problem>) {
+    let mut order: Vec<(usize, _)> = loops
+        .iter()
+        .enumerate()
+        .filter_map(|(k, one)| Some((k, one.extents()?)))
+        .collect();
+    order.sort_by(|a, b| a.1.min_x.total_cmp(&b.1.min_x));
+    for (place, (index, one)) in order.iter().enumerate() {
+        for (other, two) in &order[place + 1..] {
+            if two.min_x > one.max_x {
+                break;
+            }
+            if two.min_y > one.max_y || two.max_y < one.min_y {
+                continue;
+            }
+            let meets = loops[*index].find_intersects(&loops[*other]);
+            let at = meets.basic_intersects.first().map(|one| one.point);
+            let at = at.or_else(|| meets.overlapping_intersects.first().map(|one| one.point1));
+            if let Some(at) = at {
+                let entity = |index: usize| {
+                    let entity = loops[index].get_userdata_values().next().unwrap_or(0);
+                    &drawing.entities[entity as usize]
+                };
+                let what = format!(
+                    "its contour meets that of {} at {:.3}, {:.3}",
+                    entity(*other),
+                    at.x,
+                    at.y
+                );
+                problems.push(Problem::of(
+                    entity(*index),
+                    what,
+                    "unite the contours in the drawing program, or choose layers with --layer",
+                ));
+            }
+        }
+    }
+}

@@ -1,0 +1,402 @@
+//! Tool paths with depths, ramps, leads and tabs.
+
+use crate::geometry::{Path, Point, Segment, distance};
+use serde::Serialize;
+
+/// A step of a cut.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Step {
+    /// Along a segment; Z changes evenly to its end value, mm.
+    Along(Segment, f64),
+    /// Straight up or down to this Z, mm.
+    Vertical(f64),
+}
+
+/// A cut between two lifted moves. The tool comes down to `z` at the start of its first step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cut {
+    /// Where the tool comes down.
+    pub start: Point,
+    /// Z to which it plunges, mm.
+    pub z: f64,
+    /// Steps.
+    pub steps: Vec<Step>,
+    /// Entity of the drawing.
+    pub entity: usize,
+}
+
+impl Cut {
+    /// Where the tool comes up.
+    #[must_use]
+    pub fn end(&self) -> Point {
+        let ends = self.steps.iter().rev().find_map(|step| match step {
+            Step::Along(segment, _) => Some(segment.to),
+            Step::Vertical(_) => None,
+        });
+        ends.unwrap_or(self.start)
+    }
+
+    /// Length along the segments, mm.
+    #[must_use]
+    pub fn length(&self) -> f64 {
+        let lengths = self.steps.iter().map(|step| match step {
+            Step::Along(segment, _) => segment.length(),
+            Step::Vertical(_) => 0.0,
+        });
+        lengths.sum()
+    }
+}
+
+/// Cuts in their order.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Toolpath {
+    /// The cuts.
+    pub cuts: Vec<Cut>,
+}
+
+/// Lengths of a tool path.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Lengths {
+    /// Along the cuts, mm.
+    pub cut_mm: f64,
+    /// Lifted, from and to the reference included, mm.
+    pub air_mm: f64,
+    /// Number of times that the tool goes down.
+    pub lifts: usize,
+}
+
+impl Toolpath {
+    /// Lengths from `reference` and back to it.
+    #[must_use]
+    pub fn lengths(&self, reference: Point) -> Lengths {
+        let mut lengths = Lengths::default();
+        let mut at = reference;
+        for cut in &self.cuts {
+            lengths.cut_mm += cut.length();
+            lengths.air_mm += distance(at, cut.start);
+            lengths.lifts += 1;
+            at = cut.end();
+        }
+        lengths.air_mm += distance(at, reference);
+        lengths
+    }
+}
+
+/// Holding tabs of a contour.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Tabs {
+    /// Number on each closed contour.
+    pub count: usize,
+    /// Width of a tab, mm.
+    pub width_mm: f64,
+    /// Height above the floor of the cut, mm.
+    pub height_mm: f64,
+}
+
+/// Depths of cuts along a path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Depths {
+    /// Z of each pass, from the top, mm; all below 0.
+    pub levels: Vec<f64>,
+    /// Slope of ramps (depth for a unit of length); `None` plunges.
+    pub slope: Option<f64>,
+    /// Tabs of closed contours, and the diameter of the tool that leaves them, mm.
+    pub tabs: Option<(Tabs, f64)>,
+}
+
+/// Z of passes to a depth with at most `step` each, mm. All passes have the same step.
+#[must_use]
+pub fn levels(depth_mm: f64, step_mm: f64) -> Vec<f64> {
+    let count = (depth_mm / step_mm - 1e-9).ceil().max(1.0);
+    (1..=count as usize)
+        .map(|k| -depth_mm * k as f64 / count)
+        .collect()
+}
+
+/// Cuts a path in all of its depths. A closed path goes around once for each depth. An open one
+/// goes to and fro without a lift.
+#[must_use]
+pub fn cut_path(path: &Path, depths: &Depths) -> Cut {
+    let mut path = path.clone();
+    let start = path.start().unwrap_or_default();
+    let entity = path.entity;
+    let mut steps = Vec::new();
+    let mut above = 0.0;
+    let first = match depths.slope {
+        Some(_) => 0.0,
+        None => depths.levels.first().copied().unwrap_or(0.0),
+    };
+    for &z in &depths.levels {
+        match depths.slope {
+            Some(slope) if path.closed => path = ramp_around(&path, above, z, slope, &mut steps),
+            Some(slope) => ramp_to_and_fro(&path, above, z, slope, &mut steps),
+            None if above < 0.0 => steps.push(Step::Vertical(z)),
+            None => {}
+        }
+        match &depths.tabs {
+            Some((tabs, tool)) if path.closed => {
+                around_tabs(&path, z, depths, tabs, *tool, &mut steps)
+            }
+            _ => steps.extend(path.segments().map(|segment| Step::Along(segment, z))),
+        }
+        if !path.closed {
+            path = path.reversed();
+        }
+        above = z;
+    }
+    Cut {
+        start,
+        z: first,
+        steps,
+        entity,
+    }
+}
+
+/// Descends along a closed path and returns the path from the point where the depth is reached.
+fn ramp_around(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<Step>) -> Path {
+    let mut left = (from - to) / slope;
+    let mut z = from;
+    for index in (0..path.segment_count()).cycle() {
+        let segment = path.segment(index);
+        let length = segment.length();
+        if length >= left - 1e-9 {
+            let part = (left / length).min(1.0);
+            if part >= 1.0 - 1e-9 {
+                steps.push(Step::Along(segment, to));
+                return path.rotated((index + 1) % path.segment_count(), 0.0);
+            }
+            let (ramp, _) = segment.split(part);
+            steps.push(Step::Along(ramp, to));
+            return path.rotated(index, part);
+        }
+        left -= length;
+        z -= length * slope;
+        steps.push(Step::Along(segment, z));
+    }
+    path.clone()
+}
+
+/// Descends along an open path and back, as often as needed, to its start.
+fn ramp_to_and_fro(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<Step>) {
+    let needed = (from - to) / slope;
+    let length = path.length();
+    if length <= 0.0 {
+        steps.push(Step::Vertical(to));
+        return;
+    }
+    let trips = (needed / (2.0 * length)).ceil().max(1.0);
+    // Length of one way, and the depth along it.
+    let way = needed / (2.0 * trips);
+    let mut out = Vec::new();
+    let mut left = way;
+    for segment in path.segments() {
+        let length = segment.length();
+        if length >= left {
+            if left > 1e-9 {
+                out.push(segment.split((left / length).min(1.0)).0);
+            }
+            break;
+        }
+        left -= length;
+        out.push(segment);
+    }
+    let mut z = from;
+    for _ in 0..trips as usize {
+        let back: Vec<Segment> = out.iter().rev().map(Segment::reversed).collect();
+        for segment in out.iter().chain(&back) {
+            z = (z - segment.length() * slope).max(to);
+            steps.push(Step::Along(*segment, z));
+        }
+    }
+    if z > to {
+        steps.push(Step::Vertical(to));
+    }
+}
+
+/// Goes around a closed path and lifts over its tabs.
+fn around_tabs(
+    path: &Path,
+    z: f64,
+    depths: &Depths,
+    tabs: &Tabs,
+    tool: f64,
+    steps: &mut Vec<Step>,
+) {
+    let floor = depths.levels.last().copied().unwrap_or(z);
+    let top = floor + tabs.height_mm;
+    let total = path.length();
+    let half = (tabs.width_mm + tool) / 2.0;
+    let fits = tabs.count as f64 * 2.0 * half < total;
+    if z >= top || !fits || tabs.count == 0 {
+        steps.extend(path.segments().map(|segment| Step::Along(segment, z)));
+        return;
+    }
+    // The first tab is half a distance of tabs behind the start.
+    let pitch = total / tabs.count as f64;
+    let centres = (0..tabs.count).map(|k| (k as f64 + 0.5) * pitch);
+    let bounds: Vec<f64> = centres.flat_map(|at| [at - half, at + half]).collect();
+    let mut next = bounds.iter().peekable();
+    let (mut passed, mut present) = (0.0, z);
+    for segment in path.segments() {
+        let mut rest = segment;
+        let mut length = rest.length();
+        while let Some(&&bound) = next.peek() {
+            if bound > passed + length {
+                break;
+            }
+            let (before, after) = rest.split(((bound - passed) / length).clamp(0.0, 1.0));
+            steps.push(Step::Along(before, present));
+            present = if present == z { top } else { z };
+            steps.push(Step::Vertical(present));
+            length -= bound - passed;
+            passed = bound;
+            rest = after;
+            next.next();
+        }
+        passed += length;
+        steps.push(Step::Along(rest, present));
+    }
+}
+
+/// Arcs that lead onto a closed contour and off it, tangent to it, on the side of the waste.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Leads {
+    /// The arc towards the start of the contour.
+    pub into: Segment,
+    /// The arc away from it.
+    pub out: Segment,
+}
+
+/// Leads at the start of a contour. `waste_left` says on which side of the motion the waste is.
+#[must_use]
+pub fn leads(path: &Path, radius: f64, waste_left: bool) -> Option<Leads> {
+    if path.segment_count() == 0 {
+        return None;
+    }
+    let first = path.segment(0);
+    let last = path.segment(path.segment_count() - 1);
+    let at = first.from;
+    let quarter = |direction: Point, sign: f64| {
+        let side = if waste_left { 1.0 } else { -1.0 };
+        let waste = [-direction[1] * side, direction[0] * side];
+        [
+            at[0] + radius * (waste[0] + sign * direction[0]),
+            at[1] + radius * (waste[1] + sign * direction[1]),
+        ]
+    };
+    let bulge = (std::f64::consts::FRAC_PI_8).tan() * if waste_left { 1.0 } else { -1.0 };
+    Some(Leads {
+        into: Segment {
+            from: quarter(first.direction(0.0), -1.0),
+            to: at,
+            bulge,
+        },
+        out: Segment {
+            from: at,
+            to: quarter(last.direction(1.0), 1.0),
+            bulge,
+        },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square() -> Path {
+        Path::polygon(&[[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]], 0)
+    }
+
+    fn depths(levels: Vec<f64>) -> Depths {
+        Depths {
+            levels,
+            slope: None,
+            tabs: None,
+        }
+    }
+
+    #[test]
+    fn passes_have_equal_steps() {
+        assert_eq!(levels(1.0, 0.4).len(), 3);
+        assert_eq!(levels(1.0, 0.5), [-0.5, -1.0]);
+        assert_eq!(levels(1.0, 5.0), [-1.0]);
+    }
+
+    #[test]
+    fn a_ramp_reaches_its_depth_and_a_full_turn_follows() {
+        let ramped = Depths {
+            slope: Some(0.1),
+            ..depths(vec![-0.5, -1.0])
+        };
+        let cut = cut_path(&square(), &ramped);
+        assert_eq!(cut.z, 0.0);
+        // Each pass: 5 mm of ramp and 40 mm at the depth.
+        assert!((cut.length() - 90.0).abs() < 1e-9, "{}", cut.length());
+        let (mut z, mut at) = (cut.z, cut.start);
+        for step in &cut.steps {
+            let Step::Along(segment, to) = step else {
+                panic!("{step:?}")
+            };
+            assert!(distance(at, segment.from) < 1e-9);
+            assert!((z - to) / segment.length() <= 0.1 + 1e-9);
+            (z, at) = (*to, segment.to);
+        }
+        assert_eq!(z, -1.0);
+    }
+
+    #[test]
+    fn an_open_path_goes_to_and_fro() {
+        let line = Path::from_segments(
+            &[Segment {
+                from: [0.0, 0.0],
+                to: [10.0, 0.0],
+                bulge: 0.0,
+            }],
+            0,
+        );
+        let cut = cut_path(&line, &depths(vec![-0.5, -1.0]));
+        assert_eq!(cut.end(), [0.0, 0.0]);
+        let ramped = Depths {
+            slope: Some(0.01),
+            ..depths(vec![-1.0])
+        };
+        let cut = cut_path(&line, &ramped);
+        assert!((cut.length() - 110.0).abs() < 1e-6, "{}", cut.length());
+        assert_eq!(cut.end(), [10.0, 0.0]);
+    }
+
+    #[test]
+    fn tabs_keep_their_width_under_the_tool() {
+        let tabs = Tabs {
+            count: 4,
+            width_mm: 2.0,
+            height_mm: 0.4,
+        };
+        let tabbed = Depths {
+            tabs: Some((tabs, 1.0)),
+            ..depths(vec![-0.5, -1.0])
+        };
+        let cut = cut_path(&square(), &tabbed);
+        let lifted: f64 = cut
+            .steps
+            .iter()
+            .filter_map(|step| match step {
+                Step::Along(segment, z) if (*z + 0.6).abs() < 1e-9 => Some(segment.length()),
+                _ => None,
+            })
+            .sum();
+        // Width of the tabs and the diameter of the tool, four times, in the last pass only.
+        assert!((lifted - 4.0 * 3.0).abs() < 1e-9, "{lifted}");
+        assert!((cut.length() - 80.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn leads_are_tangent_to_the_contour() {
+        let leads = leads(&square(), 1.0, false).unwrap();
+        // Counter-clockwise, waste on the right: below the square.
+        assert!(distance(leads.into.from, [-1.0, -1.0]) < 1e-12);
+        let direction = leads.into.direction(1.0);
+        assert!(distance(direction, [1.0, 0.0]) < 1e-12);
+        assert!(distance(leads.out.direction(0.0), [0.0, -1.0]) < 1e-12);
+    }
+}

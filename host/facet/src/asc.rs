@@ -1,0 +1,251 @@
+//! GemCad ASCII files.
+//!
+//! ```text
+//! GemCad 5.0
+//! g 96 0.0                      teeth of the index wheel, position of azimuth 0
+//! y 8 y                         order of the symmetry, mirror
+//! I 1.54                        refractive index
+//! H Title
+//! a -41.0 0.95 3 n P1 9 15 G Cut to a point
+//! a 0 0.4 96 n T
+//! F Footnote
+//! ```
+//!
+//! A line `a` is a tier: angle, distance, positions of the wheel. `n NAME` names the facet of the
+//! position before it, and those after it up to the next name. `G` begins a note. A tier may go on
+//! in the next line. A semicolon begins a comment.
+
+use crate::design::{Design, Tier};
+use crate::problem::Problems;
+
+/// Reads a file.
+pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
+    let mut reader = Reader {
+        design: Design::empty(),
+        tier: None,
+        has_gear: false,
+        problems,
+    };
+    for (number, line) in text.lines().enumerate() {
+        reader.line(number + 1, line.trim());
+    }
+    reader.end_tier();
+    let Reader {
+        design, has_gear, ..
+    } = reader;
+    if !has_gear {
+        let what = "the index wheel is missing";
+        problems.report(0, None, what, "write a line `g 96 0.0` before the facets");
+    }
+    if design.facets.is_empty() {
+        problems.report(
+            0,
+            None,
+            "the design has no facet",
+            "write lines `a ANGLE DISTANCE INDEX`",
+        );
+    }
+    Some(design)
+}
+
+struct Reader<'a> {
+    design: Design,
+    tier: Option<Tier>,
+    has_gear: bool,
+    problems: &'a mut Problems,
+}
+
+/// The keyword of a line and the rest; a number may follow the keyword without a space.
+fn keyword(line: &str) -> (&str, &str) {
+    let end = line.find(char::is_whitespace).unwrap_or(line.len());
+    let (word, rest) = line.split_at(end);
+    let mut letters = word.chars();
+    let glued = letters.next().is_some_and(|first| "gyIa".contains(first))
+        && letters
+            .next()
+            .is_some_and(|next| next.is_ascii_digit() || "+-.".contains(next));
+    if glued {
+        line.split_at(1)
+    } else {
+        (word, rest.trim_start())
+    }
+}
+
+impl Reader<'_> {
+    fn line(&mut self, number: usize, line: &str) {
+        if line.is_empty() || line.starts_with(';') {
+            return;
+        }
+        if line
+            .get(..6)
+            .is_some_and(|word| word.eq_ignore_ascii_case("gemcad"))
+        {
+            return;
+        }
+        let (word, rest) = keyword(line);
+        match word {
+            "g" => self.gear(number, rest),
+            "y" => self.symmetry(number, rest),
+            "I" => {
+                if let Some(value) = self.number(number, rest.split_whitespace().next(), "I") {
+                    let design = &mut self.design;
+                    design.set_refractive_index(value, number, self.problems);
+                }
+            }
+            "H" if self.design.title.is_empty() => self.design.title = rest.to_string(),
+            "H" | "F" => {
+                self.end_tier();
+                self.design.remarks.push(rest.to_string());
+            }
+            "a" => {
+                self.end_tier();
+                let mut tokens = rest.split_whitespace();
+                let angle = self.number(number, tokens.next(), "the angle of a facet");
+                let distance = self.number(number, tokens.next(), "the distance of a facet");
+                if let (Some(angle_deg), Some(distance)) = (angle, distance) {
+                    self.tier = Some(Tier {
+                        line: number,
+                        angle_deg,
+                        distance,
+                        ..Tier::default()
+                    });
+                    self.positions(number, after_words(rest, 2));
+                }
+            }
+            "G" | "n" if self.tier.is_some() => self.positions(number, line),
+            _ if word.starts_with(|first: char| first.is_ascii_digit()) && self.tier.is_some() => {
+                self.positions(number, line);
+            }
+            _ => {
+                let what = format!("\"{word}\" begins no line of a GemCad file");
+                self.problems.report(
+                    number,
+                    None,
+                    what,
+                    "lines begin with g, y, I, H, a, F; a comment with a semicolon",
+                );
+            }
+        }
+    }
+
+    fn gear(&mut self, line: usize, rest: &str) {
+        let mut words = rest.split_whitespace();
+        self.has_gear = true;
+        if !self.design.facets.is_empty() || self.tier.is_some() {
+            let what = "the index wheel changes after a facet";
+            self.problems
+                .report(line, None, what, "write it once, before the facets");
+            return;
+        }
+        if let Some(teeth) = self.number(line, words.next(), "g") {
+            self.design.set_gear(teeth, line, self.problems);
+        }
+        if let Some(word) = words.next()
+            && let Some(at) = self.number(line, Some(word), "g")
+        {
+            self.design.reference = at;
+        }
+    }
+
+    fn symmetry(&mut self, line: usize, rest: &str) {
+        let mut words = rest.split_whitespace();
+        if let Some(order) = self.number(line, words.next(), "y") {
+            self.design.symmetry.order = order.max(0.0) as u32;
+        }
+        self.design.symmetry.mirror = words
+            .next()
+            .is_some_and(|word| word.starts_with(['y', 'Y']));
+    }
+
+    /// Reads positions, names and the note of the present tier.
+    fn positions(&mut self, line: usize, text: &str) {
+        let Some(mut tier) = self.tier.take() else {
+            return;
+        };
+        let mut rest = text.trim_start();
+        while !rest.is_empty() {
+            let word = rest.split_whitespace().next().unwrap_or_default();
+            let after = rest[word.len()..].trim_start();
+            match word {
+                "G" => {
+                    if !tier.note.is_empty() {
+                        tier.note.push(' ');
+                    }
+                    tier.note.push_str(after.trim_end());
+                    break;
+                }
+                "n" => {
+                    let name = after.split_whitespace().next().unwrap_or_default();
+                    match tier.indices.last_mut() {
+                        Some((_, slot)) if !name.is_empty() => *slot = Some(name.to_string()),
+                        _ => {
+                            let what = "`n` names no facet";
+                            self.problems.report(line, None, what, "write INDEX n NAME");
+                        }
+                    }
+                    rest = after[name.len()..].trim_start();
+                    continue;
+                }
+                _ if word.starts_with(';') => break,
+                _ => {
+                    if let Some(index) = self.number(line, Some(word), "a position of the wheel") {
+                        tier.indices.push((index, None));
+                    }
+                }
+            }
+            rest = after;
+        }
+        self.tier = Some(tier);
+    }
+
+    fn end_tier(&mut self) {
+        let Some(mut tier) = self.tier.take() else {
+            return;
+        };
+        if tier.indices.is_empty() {
+            if tier.angle_deg != 0.0 {
+                let what = "a facet has no position of the wheel";
+                self.problems.report(
+                    tier.line,
+                    None,
+                    what,
+                    "write its indices after the distance",
+                );
+                return;
+            }
+            tier.indices.push((0.0, None));
+        }
+        let begins = |text: &str, with: &str| {
+            text.get(..with.len())
+                .is_some_and(|start| start.eq_ignore_ascii_case(with))
+        };
+        let named = tier.indices.iter().find_map(|(_, name)| name.as_deref());
+        tier.preform =
+            begins(&tier.note, "preform") || named.is_some_and(|name| begins(name, "pf"));
+        self.design.add(tier, self.problems);
+    }
+
+    fn number(&mut self, line: usize, word: Option<&str>, of: &str) -> Option<f64> {
+        let word = word.unwrap_or_default();
+        match word.parse::<f64>() {
+            Ok(value) if value.is_finite() => Some(value),
+            _ => {
+                let what = format!("\"{word}\" is no number for {of}");
+                self.problems
+                    .report(line, None, what, "write a decimal number");
+                None
+            }
+        }
+    }
+}
+
+/// The text behind this many words.
+fn after_words(text: &str, count: usize) -> &str {
+    let mut rest = text;
+    for _ in 0..count {
+        rest = rest.trim_start();
+        let end = rest.find(char::is_whitespace).unwrap_or(rest.len());
+        rest = &rest[end..];
+    }
+    rest
+}

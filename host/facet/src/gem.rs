@@ -1,0 +1,299 @@
+//! The gem of a design: the design cut out of its rough.
+
+use crate::design::{Design, Facet, Stage};
+use crate::problem::{Problems, Refused};
+use haptimill_hil_sim::polyhedron::{Cut, Plane, Polyhedron};
+use haptimill_hil_sim::vector::{Vector, cross, dot, length, minus, plus, times};
+
+/// Tag of the faces of the rough.
+pub const ROUGH: usize = usize::MAX;
+
+/// Vertices nearer than this are one meet point, mm. Designs are written with five to eight
+/// decimals.
+const MEET_MM: f64 = 2e-4;
+
+/// The stone before it is cut: a round preform about the spin axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rough {
+    /// Diameter, mm.
+    pub diameter_mm: f64,
+    /// Height, mm.
+    pub height_mm: f64,
+}
+
+/// A point in which facets of the gem meet.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeetPoint {
+    /// Position, mm.
+    pub at: Vector,
+    /// Numbers of its facets.
+    pub facets: Vec<usize>,
+    /// Largest displacement of the point, mm, when each facet is off by at most 1 mm in depth. It
+    /// is large where facets meet at shallow angles.
+    pub gain: f64,
+}
+
+/// A design cut out of its rough, in mm.
+#[derive(Debug, Clone)]
+pub struct Gem {
+    /// The design.
+    pub design: Design,
+    /// Millimetres of a unit of the design.
+    pub scale_mm: f64,
+    /// The rough.
+    pub rough: Rough,
+    /// Height of the middle of the rough in the frame of the design, mm.
+    pub rough_middle_mm: f64,
+    /// The finished stone; the tag of a face is the number of its facet.
+    pub body: Polyhedron,
+    /// Meet points.
+    pub meets: Vec<MeetPoint>,
+}
+
+/// Sides of the rough.
+const SIDES: usize = 64;
+
+/// Part of the size by which the rough is larger where it is not given.
+const ALLOWANCE: f64 = 1.08;
+
+impl Gem {
+    /// Cuts a design of this width, mm, out of its rough. A list in mm has its own size. Without a
+    /// rough it is a little larger than the stone.
+    ///
+    /// # Errors
+    /// Every facet that cannot be cut, by line and name.
+    pub fn new(
+        file: &str,
+        design: Design,
+        width_mm: f64,
+        rough: Option<Rough>,
+    ) -> Result<Self, Refused> {
+        let mut problems = Problems::new(file);
+        let gem = Self::cut(design, width_mm, rough, &mut problems);
+        problems.finish(gem)
+    }
+
+    fn cut(
+        design: Design,
+        width_mm: f64,
+        rough: Option<Rough>,
+        problems: &mut Problems,
+    ) -> Option<Self> {
+        let most = design
+            .facets
+            .iter()
+            .map(|facet| facet.distance.abs())
+            .fold(1e-3, f64::max);
+        let reach = 100.0 * most;
+        let mut ideal = Polyhedron::block([-reach; 3], [reach; 3], ROUGH);
+        for (number, facet) in design.facets.iter().enumerate() {
+            ideal.cut(design.plane(facet), number);
+        }
+        if ideal.is_empty() {
+            let what = "the facets leave nothing of the stone";
+            problems.report(
+                0,
+                None,
+                what,
+                "check the distances; all are from one origin",
+            );
+            return None;
+        }
+        if ideal.faces().iter().any(|face| face.tag == ROUGH) {
+            let what = "the facets do not close the stone";
+            problems.report(
+                0,
+                None,
+                what,
+                "add the facets that are missing, often table or girdle",
+            );
+            return None;
+        }
+        let ends =
+            |direction: Vector| [-ideal.reach(times(direction, -1.0)), ideal.reach(direction)];
+        let [left, right] = ends([1.0, 0.0, 0.0]);
+        let [front, back] = ends([0.0, 1.0, 0.0]);
+        let scale_mm = if design.is_in_mm {
+            1.0
+        } else {
+            width_mm / (right - left).min(back - front)
+        };
+        let [low, high] = ends([0.0, 0.0, 1.0]).map(|end| end * scale_mm);
+        let widest = ideal
+            .vertices()
+            .iter()
+            .map(|at| scale_mm * libm::hypot(at[0], at[1]))
+            .fold(0.0, f64::max);
+        let given = rough.is_some();
+        let rough = rough.unwrap_or(Rough {
+            diameter_mm: 2.0 * widest * ALLOWANCE,
+            height_mm: (high - low) * ALLOWANCE,
+        });
+        let mut gem = Self {
+            design,
+            scale_mm,
+            rough,
+            rough_middle_mm: 0.5 * (low + high),
+            body: Polyhedron::block([-1.0; 3], [1.0; 3], ROUGH),
+            meets: Vec::new(),
+        };
+        gem.body = gem.rough_body();
+        gem.cut_facets(problems);
+        let left = gem.body.faces().iter().any(|face| face.tag == ROUGH);
+        if left && !gem.body.is_empty() {
+            let what = format!(
+                "the design is larger than the rough: it is {:.3} mm wide and {:.3} mm high, the \
+                 rough {:.3} x {:.3} mm",
+                2.0 * widest,
+                high - low,
+                rough.diameter_mm,
+                rough.height_mm
+            );
+            let remedy = if given {
+                "take a larger rough, or a smaller --width"
+            } else {
+                "check the distances of the facets"
+            };
+            problems.report(0, None, what, remedy);
+        }
+        gem.meets = meet_points(&gem.body);
+        Some(gem)
+    }
+
+    /// The rough in the frame of the design.
+    #[must_use]
+    pub fn rough_body(&self) -> Polyhedron {
+        let half = 0.5 * self.rough.height_mm;
+        let heights = [self.rough_middle_mm - half, self.rough_middle_mm + half];
+        Polyhedron::prism(SIDES, self.rough.diameter_mm, heights, ROUGH)
+    }
+
+    /// Cuts the facets in their order, and reports those that cannot be cut.
+    fn cut_facets(&mut self, problems: &mut Problems) {
+        for (number, facet) in self.design.facets.iter().enumerate() {
+            let plane = plane_mm(&self.design, facet, self.scale_mm);
+            let before: Vec<usize> = self.body.faces().iter().map(|face| face.tag).collect();
+            match self.body.cut(plane, number) {
+                Cut::Cut => {}
+                Cut::Missed => {
+                    let what = match self.twin(facet, number) {
+                        Some(twin) => format!("is the plane of facet {}", twin.name),
+                        None => "the plane misses the stone".to_string(),
+                    };
+                    let remedy = "lower its distance, or remove it";
+                    problems.report(facet.line, Some(&facet.name), what, remedy);
+                    continue;
+                }
+                Cut::Nothing => {
+                    let what = "the plane cuts the whole stone away";
+                    problems.report(facet.line, Some(&facet.name), what, "raise its distance");
+                    return;
+                }
+            }
+            let after = |tag: usize| self.body.faces().iter().any(|face| face.tag == tag);
+            for gone in before
+                .into_iter()
+                .filter(|tag| *tag != ROUGH && !after(*tag))
+            {
+                let lost = &self.design.facets[gone];
+                if lost.stage == Stage::Preform {
+                    continue;
+                }
+                let what = format!("is wholly cut away by facet {}", facet.name);
+                let remedy = "lower its distance, remove it, or name it preform";
+                problems.report(lost.line, Some(&lost.name), what, remedy);
+            }
+        }
+    }
+
+    /// An earlier facet of the same plane.
+    fn twin(&self, facet: &Facet, number: usize) -> Option<&Facet> {
+        let normal = self.design.normal(facet);
+        self.design.facets[..number].iter().find(|other| {
+            length(minus(self.design.normal(other), normal)) < 1e-7
+                && (other.distance - facet.distance).abs() < 1e-7
+        })
+    }
+
+    /// Plane of a facet, mm.
+    #[must_use]
+    pub fn plane(&self, number: usize) -> Plane {
+        plane_mm(&self.design, &self.design.facets[number], self.scale_mm)
+    }
+
+    /// Part of the rough that becomes the stone.
+    #[must_use]
+    pub fn yield_part(&self) -> f64 {
+        self.body.volume() / self.rough_body().volume()
+    }
+}
+
+fn plane_mm(design: &Design, facet: &Facet, scale_mm: f64) -> Plane {
+    let plane = design.plane(facet);
+    Plane {
+        distance: plane.distance * scale_mm,
+        ..plane
+    }
+}
+
+/// The meet points of a body: its vertices, where those that nearly coincide are one point.
+fn meet_points(body: &Polyhedron) -> Vec<MeetPoint> {
+    let mut points: Vec<MeetPoint> = Vec::new();
+    for (index, at) in body.vertices().iter().enumerate() {
+        let facets = body
+            .faces()
+            .iter()
+            .filter(|face| face.ring.contains(&index));
+        let facets: Vec<usize> = facets.map(|face| face.tag).collect();
+        let near = |point: &&mut MeetPoint| length(minus(point.at, *at)) < MEET_MM;
+        match points.iter_mut().find(near) {
+            Some(point) => point.facets.extend(facets),
+            None => points.push(MeetPoint {
+                at: *at,
+                facets,
+                gain: 0.0,
+            }),
+        }
+    }
+    for point in &mut points {
+        point.facets.sort_unstable();
+        point.facets.dedup();
+        point.gain = gain(body, &point.facets);
+    }
+    points
+}
+
+/// Largest displacement of a vertex of three of these facets when each is off by 1 in depth.
+///
+/// A triple counts if its vertex can appear on the stone: three facets that are off become a vertex
+/// when the other facets of the point lie a little deeper. Every triple of the point can, so the
+/// largest of all triples is the bound.
+fn gain(body: &Polyhedron, facets: &[usize]) -> f64 {
+    let normals: Vec<Vector> = facets
+        .iter()
+        .filter_map(|tag| body.faces().iter().find(|face| face.tag == *tag))
+        .map(|face| face.plane.normal)
+        .collect();
+    let mut most = 0.0_f64;
+    for (i, a) in normals.iter().enumerate() {
+        for (j, b) in normals.iter().enumerate().skip(i + 1) {
+            for c in &normals[j + 1..] {
+                let columns = [cross(*b, *c), cross(*c, *a), cross(*a, *b)];
+                let volume = dot(*a, columns[0]);
+                // Planes through one line have no point of their own.
+                if volume.abs() < 1e-3 {
+                    continue;
+                }
+                for signs in 0..4 {
+                    let sign = |i: usize| if signs >> i & 1 == 1 { -1.0 } else { 1.0 };
+                    let sum = plus(
+                        times(columns[0], sign(0)),
+                        plus(times(columns[1], sign(1)), columns[2]),
+                    );
+                    most = most.max(length(sum) / volume.abs());
+                }
+            }
+        }
+    }
+    most
+}

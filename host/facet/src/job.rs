@@ -1,0 +1,431 @@
+//! The job that cuts a gem: stages, laps, and for each facet a part program.
+//!
+//! All facets of a side are ground on one lap, then on the next finer one, which takes off the
+//! stock that the one before left. Between two facets the stone retracts to a height at which
+//! nothing of it can touch the lap, whatever its angle; there it spins, tilts, and moves to the
+//! place on the lap. It approaches in z alone, so no other facet comes near the lap before its own
+//! does.
+
+use crate::design::{Side, Stage};
+use crate::gem::Gem;
+use core::fmt::Write as _;
+use haptimill_hil_sim::polyhedron::{Plane, Polyhedron};
+use haptimill_hil_sim::vector::{Vector, length};
+use serde::Deserialize;
+
+/// A lap of the job.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Lap {
+    /// Name: its grit.
+    pub name: String,
+    /// Speed, rev/min; negative counter-clockwise.
+    pub rpm: f64,
+    /// Depth that it leaves for the next lap, mm.
+    pub stock_mm: f64,
+    /// Feed into the stone, mm/s.
+    pub feed_mm_s: f64,
+    /// Pressure of the stone on the lap under force control, N.
+    pub force_n: f64,
+    /// Time at the final depth in which the stone sparks out, s.
+    pub spark_out_s: f64,
+    /// Preston's coefficient of the simulated lap, mm^2/N.
+    pub preston_mm2_n: f64,
+}
+
+/// How facets are ground.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Mode {
+    /// By feed to the depth.
+    #[default]
+    Feed,
+    /// By force: the stone is lowered to the depth at 0.15 mm/s, yields where the force
+    /// exceeds its setpoint, and sinks as material is removed; the facet ends at the depth.
+    Force,
+    /// By the feed of the lap, and the stone yields where the force exceeds its setpoint.
+    Both,
+}
+
+impl Mode {
+    /// Whether the force is controlled.
+    #[must_use]
+    pub const fn has_force(self) -> bool {
+        matches!(self, Self::Force | Self::Both)
+    }
+}
+
+/// Speed at which the stone is lowered by force, mm/s.
+const FORCE_FEED: f64 = 0.15;
+
+/// Settings of a job.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JobSettings {
+    /// Laps from coarse to fine.
+    pub laps: Vec<Lap>,
+    /// How facets are ground.
+    pub mode: Mode,
+    /// Distance of the stone from the centre of the lap, mm.
+    pub radius_mm: f64,
+    /// Width of the sweep over the lap, mm.
+    pub sweep_mm: f64,
+    /// Speed of the sweep, mm/s.
+    pub sweep_mm_s: f64,
+    /// Distance of the stone from the lap at the retracted height, mm.
+    pub clearance_mm: f64,
+}
+
+impl Default for JobSettings {
+    /// Three laps for quartz. The coefficients are chosen.
+    fn default() -> Self {
+        let lap = |name: &str, stock, feed, force, spark_out, preston| Lap {
+            name: name.to_string(),
+            rpm: 600.0,
+            stock_mm: stock,
+            feed_mm_s: feed,
+            force_n: force,
+            spark_out_s: spark_out,
+            preston_mm2_n: preston,
+        };
+        Self {
+            laps: vec![
+                lap("260", 0.05, 0.08, 4.0, 0.5, 4e-5),
+                lap("1200", 0.006, 0.02, 3.0, 2.0, 8e-6),
+                lap("polish", 0.0, 0.004, 2.0, 5.0, 4e-6),
+            ],
+            mode: Mode::Feed,
+            radius_mm: 45.0,
+            sweep_mm: 10.0,
+            sweep_mm_s: 20.0,
+            clearance_mm: 2.0,
+        }
+    }
+}
+
+impl JobSettings {
+    /// Problems of the settings, with the remedy.
+    #[must_use]
+    pub fn problem(&self) -> Option<String> {
+        let Some(last) = self.laps.last() else {
+            return Some("the job has no lap; add one".to_string());
+        };
+        for lap in &self.laps {
+            for (key, value, low, high) in [
+                ("rpm", lap.rpm.abs(), 1.0, 32_767.0),
+                ("stock_mm", lap.stock_mm, 0.0, 5.0),
+                ("feed_mm_s", lap.feed_mm_s, 1e-4, 5.0),
+                ("force_n", lap.force_n, 0.5, 100.0),
+                ("spark_out_s", lap.spark_out_s, 0.0, 120.0),
+                ("preston_mm2_n", lap.preston_mm2_n, 1e-9, 1.0),
+            ] {
+                if !(low..=high).contains(&value) {
+                    let name = &lap.name;
+                    return Some(format!(
+                        "lap {name}: {key} is {value}; write {low} to {high}"
+                    ));
+                }
+            }
+        }
+        let falls = |pair: &[Lap]| pair[1].stock_mm < pair[0].stock_mm;
+        if let Some(pair) = self.laps.windows(2).find(|pair| !falls(pair)) {
+            let (before, name) = (&pair[0].name, &pair[1].name);
+            return Some(format!(
+                "lap {name} leaves as much stock as lap {before} before it; lower its stock_mm"
+            ));
+        }
+        (last.stock_mm != 0.0).then(|| {
+            let name = &last.name;
+            format!("lap {name} is the last one and leaves stock; write stock_mm = 0")
+        })
+    }
+}
+
+/// How the stone sits on the dop: as in the design, or turned over about x for the pavilion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mount {
+    /// Side that is cut.
+    pub side: Side,
+}
+
+const RADIAN: f64 = core::f64::consts::PI / 180.0;
+
+/// Largest index of the first branch, degrees; beyond, the other one is taken.
+const BRANCH_DEG: f64 = 160.0;
+
+impl Mount {
+    /// Images of x, y and z of the design in the frame of the tip, and the other way round.
+    #[must_use]
+    pub const fn axes(&self) -> [Vector; 3] {
+        let flip = match self.side {
+            Side::Pavilion => -1.0,
+            Side::Crown => 1.0,
+        };
+        [[1.0, 0.0, 0.0], [0.0, flip, 0.0], [0.0, 0.0, flip]]
+    }
+
+    /// Angle and index of the machine that put a normal of the design on the lap, degrees: the
+    /// angle of the facet with 180 degrees less its azimuth, or both negative.
+    #[must_use]
+    pub fn pose(&self, normal: Vector) -> [f64; 2] {
+        let axes = self.axes();
+        let turned: Vector = core::array::from_fn(|i| axes[i][i] * normal[i]);
+        let across = libm::hypot(turned[0], turned[1]);
+        let angle = libm::atan2(across, turned[2]) / RADIAN;
+        if across < 1e-12 {
+            return [angle, 0.0];
+        }
+        let azimuth = libm::atan2(turned[1], turned[0]) / RADIAN;
+        let index = 180.0 - azimuth;
+        let index = index - 360.0 * libm::round(index / 360.0);
+        if index.abs() > BRANCH_DEG {
+            [-angle, -azimuth]
+        } else {
+            [angle, index]
+        }
+    }
+}
+
+/// A facet on a lap.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Operation {
+    /// Number of the facet.
+    pub facet: usize,
+    /// Number of the lap.
+    pub lap: usize,
+    /// Stage.
+    pub stage: Stage,
+    /// Part program from the retracted height to the end of the facet.
+    pub grind: String,
+    /// Part program of one more sweep at the depth.
+    pub sweep: String,
+    /// Part program back to the retracted height.
+    pub retract: String,
+    /// Height of the tip at the end of the facet, mm.
+    pub depth_mm: f64,
+}
+
+/// Facets that are ground on one lap from one side.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pass {
+    /// How the stone sits on the dop.
+    pub mount: Mount,
+    /// Number of the lap.
+    pub lap: usize,
+    /// Facets in their order.
+    pub operations: Vec<Operation>,
+}
+
+/// A job.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    /// Settings.
+    pub settings: JobSettings,
+    /// Passes in their order.
+    pub passes: Vec<Pass>,
+    /// Height at which the stone is clear of the lap, mm.
+    pub retracted_mm: f64,
+}
+
+impl Job {
+    /// Plans the job of a gem.
+    ///
+    /// # Errors
+    /// A problem of the settings, with its remedy.
+    pub fn new(gem: &Gem, settings: JobSettings) -> Result<Self, String> {
+        if let Some(problem) = settings.problem() {
+            return Err(problem);
+        }
+        let mut stone = gem.rough_body();
+        let reach = stone.vertices().iter().map(|at| length(*at));
+        let retracted_mm = reach.fold(0.0, f64::max) + settings.clearance_mm;
+        let mut passes = Vec::new();
+        let mut sides: Vec<Side> = Vec::new();
+        for facet in &gem.design.facets {
+            if !sides.contains(&facet.side) {
+                sides.push(facet.side);
+            }
+        }
+        for side in sides {
+            let mount = Mount { side };
+            for (number, lap) in settings.laps.iter().enumerate() {
+                let mut operations = Vec::new();
+                for (facet, of) in gem.design.facets.iter().enumerate() {
+                    // A preform is shaped on the first lap only.
+                    let is_over = of.stage == Stage::Preform && number > 0;
+                    if of.side != side || is_over {
+                        continue;
+                    }
+                    let stock = if of.stage == Stage::Preform {
+                        0.0
+                    } else {
+                        lap.stock_mm
+                    };
+                    let plane = gem.plane(facet);
+                    let goal = Plane {
+                        distance: plane.distance + stock,
+                        ..plane
+                    };
+                    let above = stone.reach(goal.normal);
+                    if above <= goal.distance {
+                        continue;
+                    }
+                    stone.cut(goal, facet);
+                    let at = Place {
+                        settings: &settings,
+                        lap,
+                        retracted: retracted_mm,
+                        start: above + APPROACH_MM,
+                        goal: goal.distance,
+                    };
+                    operations.push(Operation {
+                        facet,
+                        lap: number,
+                        stage: of.stage,
+                        depth_mm: goal.distance,
+                        grind: at.grind(&of.name, mount.pose(goal.normal)),
+                        sweep: at.sweep(),
+                        retract: at.retract(),
+                    });
+                }
+                if !operations.is_empty() {
+                    passes.push(Pass {
+                        mount,
+                        lap: number,
+                        operations,
+                    });
+                }
+            }
+        }
+        Ok(Self {
+            settings,
+            passes,
+            retracted_mm,
+        })
+    }
+
+    /// The whole job as one part program, which pauses for each lap and for the transfer.
+    #[must_use]
+    pub fn program(&self, title: &str) -> String {
+        let plain = |text: &str| text.replace(['(', ')', '\n', '\r'], " ");
+        let mut text = format!("({})\n", plain(title));
+        let mut side = None;
+        for pass in &self.passes {
+            let lap = plain(&self.settings.laps[pass.lap].name);
+            if side.is_some_and(|side| side != pass.mount.side) {
+                text.push_str("M0 (MSG, transfer: turn the stone over on a new dop)\n");
+            }
+            side = Some(pass.mount.side);
+            let _ = writeln!(text, "M0 (MSG, put on lap {lap})");
+            for operation in &pass.operations {
+                text.push_str(&operation.grind);
+                text.push_str(&operation.retract);
+            }
+        }
+        text.push_str("M30\n");
+        text
+    }
+
+    /// The rough as it sits on the dop for a mount, in the frame of the tip.
+    #[must_use]
+    pub fn mounted(stone: &Polyhedron, mount: &Mount) -> Polyhedron {
+        stone.moved(&mount.axes(), [0.0; 3])
+    }
+}
+
+/// Distance of the stone from the lap at which the feed begins, mm.
+const APPROACH_MM: f64 = 0.05;
+
+/// Heights of the tip for a facet on a lap, mm.
+struct Place<'a> {
+    settings: &'a JobSettings,
+    lap: &'a Lap,
+    retracted: f64,
+    /// Where the feed begins.
+    start: f64,
+    /// Where the facet is done.
+    goal: f64,
+}
+
+impl Place<'_> {
+    /// Inner and outer end of the sweep.
+    fn ends(&self) -> [f64; 2] {
+        let half = 0.5 * self.settings.sweep_mm;
+        [
+            self.settings.radius_mm - half,
+            self.settings.radius_mm + half,
+        ]
+    }
+
+    /// Feed of the sweep, mm/min.
+    fn feed(&self) -> f64 {
+        60.0 * self.settings.sweep_mm_s
+    }
+
+    fn grind(&self, name: &str, [angle, index]: [f64; 2]) -> String {
+        let name = name.replace(['(', ')'], " ");
+        let lap = self.lap;
+        let spindle = if lap.rpm < 0.0 { "M4" } else { "M3" };
+        let [inner, outer] = self.ends();
+        let Self {
+            retracted,
+            start,
+            goal,
+            ..
+        } = self;
+        let mut text = format!("(facet {name}, lap {})\n", lap.name);
+        let _ = writeln!(text, "G21 G90 G94");
+        let _ = writeln!(text, "G0 Z{retracted:.4}");
+        let _ = writeln!(text, "S{:.0} {spindle}", lap.rpm.abs());
+        let _ = writeln!(text, "G0 C{index:.6}");
+        let _ = writeln!(text, "G0 A{angle:.6}");
+        let _ = writeln!(text, "G0 X{inner:.4} Y0");
+        let _ = writeln!(text, "G0 Z{start:.5}");
+        // The path is nearly that of the sweep, and so is its feed.
+        let feed = self.feed();
+        let sweep_s = self.settings.sweep_mm / self.settings.sweep_mm_s;
+        let feed_mm_s = match self.settings.mode {
+            Mode::Force => FORCE_FEED,
+            Mode::Feed | Mode::Both => lap.feed_mm_s,
+        };
+        let plunge_s = (start - goal) / feed_mm_s;
+        let strokes = (libm::ceil(0.5 * plunge_s / sweep_s).max(1.0) as u32) * 2;
+        let idle = 2 * libm::ceil(0.5 * lap.spark_out_s / sweep_s) as u32;
+        for stroke in 1..=strokes + idle {
+            let x = if stroke % 2 == 1 { outer } else { inner };
+            let part = f64::from(stroke.min(strokes)) / f64::from(strokes);
+            let z = start + (goal - start) * part;
+            let _ = writeln!(text, "G1 X{x:.4} Z{z:.5} F{feed:.1}");
+        }
+        text
+    }
+
+    fn sweep(&self) -> String {
+        let ([inner, outer], feed) = (self.ends(), self.feed());
+        format!("G21 G90 G94\nG1 X{outer:.4} F{feed:.1}\nG1 X{inner:.4}\n")
+    }
+
+    fn retract(&self) -> String {
+        format!("G21 G90\nG0 Z{:.4}\n", self.retracted)
+    }
+}
+
+/// Angle between two unit vectors, degrees.
+#[must_use]
+pub fn angle_between(a: Vector, b: Vector) -> f64 {
+    let sum = length([a[0] + b[0], a[1] + b[1], a[2] + b[2]]);
+    let difference = length([a[0] - b[0], a[1] - b[1], a[2] - b[2]]);
+    2.0 * libm::atan2(difference, sum) / RADIAN
+}
+
+/// A normal as angle from the plane of the girdle and azimuth, degrees.
+#[must_use]
+pub fn angles(normal: Vector) -> [f64; 2] {
+    let across = libm::hypot(normal[0], normal[1]);
+    let angle = libm::atan2(across, normal[2].abs()) / RADIAN;
+    [angle, libm::atan2(normal[1], normal[0]) / RADIAN]
+}
+
+/// A body in the frame of the design, from the frame of the tip.
+#[must_use]
+pub fn in_design(stone: &Polyhedron, mount: &Mount) -> Polyhedron {
+    stone.moved(&mount.axes(), [0.0; 3])
+}

@@ -1,0 +1,181 @@
+//! The measured stone: facet by facet and point by point against the design.
+
+use crate::gem::Gem;
+use crate::job::{angle_between, angles};
+use haptimill_hil_sim::polyhedron::{Face, Polyhedron};
+use haptimill_hil_sim::process::grinding::Ground;
+use haptimill_hil_sim::vector::{length, minus};
+
+/// A facet of the stone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FacetResult {
+    /// Number of the facet.
+    pub facet: usize,
+    /// Angle between its normal and that of the design, degrees.
+    pub error_deg: f64,
+    /// Measured less designed angle, degrees.
+    pub angle_deg: f64,
+    /// Measured less designed azimuth, degrees; 0 for a facet of angle 0.
+    pub azimuth_deg: f64,
+    /// Measured less designed distance along the normal, mm.
+    pub depth_mm: f64,
+    /// Area, mm^2.
+    pub area_mm2: f64,
+    /// Height of a hard spot above it, mm.
+    pub proud_mm: f64,
+}
+
+/// A meet point of the stone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeetResult {
+    /// Number of the point in the gem.
+    pub meet: usize,
+    /// Largest distance of a vertex of its facets from it, mm; `None` if the stone has none.
+    pub error_mm: Option<f64>,
+}
+
+/// A measured stone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// Facets that the stone has.
+    pub facets: Vec<FacetResult>,
+    /// Numbers of facets of the design that it lacks.
+    pub missing: Vec<usize>,
+    /// Faces that are no facet of the design: of the rough, or cut by mistake.
+    pub strange: usize,
+    /// Meet points.
+    pub meets: Vec<MeetResult>,
+    /// Volume, mm^3.
+    pub volume_mm3: f64,
+    /// Part of the rough that became the stone.
+    pub yield_part: f64,
+}
+
+/// A face belongs to a facet whose normal is nearer than this, degrees.
+const NEAR_DEG: f64 = 1.0;
+/// And whose plane is nearer than this, mm.
+const NEAR_MM: f64 = 0.2;
+
+impl Measured {
+    /// Measures a stone in the frame of the design.
+    #[must_use]
+    pub fn new(gem: &Gem, stone: &Polyhedron, ground: &[Ground]) -> Self {
+        let mut facets: Vec<FacetResult> = Vec::new();
+        let mut strange = 0;
+        // The facet of each face.
+        let owners: Vec<Option<usize>> =
+            stone.faces().iter().map(|face| owner(gem, face)).collect();
+        for (face, owner) in stone.faces().iter().zip(&owners) {
+            let Some(facet) = *owner else {
+                strange += 1;
+                continue;
+            };
+            if facets.iter().any(|other| other.facet == facet) {
+                strange += 1;
+                continue;
+            }
+            let plane = gem.plane(facet);
+            let [angle, azimuth] = angles(face.plane.normal);
+            let [angle_then, azimuth_then] = angles(plane.normal);
+            let turn = azimuth - azimuth_then;
+            let is_flat = gem.design.facets[facet].angle_deg == 0.0;
+            facets.push(FacetResult {
+                facet,
+                error_deg: angle_between(face.plane.normal, plane.normal),
+                angle_deg: angle - angle_then,
+                azimuth_deg: if is_flat {
+                    0.0
+                } else {
+                    turn - 360.0 * libm::round(turn / 360.0)
+                },
+                depth_mm: depth(stone, face, &plane),
+                area_mm2: stone.area(face),
+                proud_mm: ground.get(face.tag).map_or(0.0, |ground| ground.proud_mm),
+            });
+        }
+        facets.sort_by_key(|result| result.facet);
+        let has = |facet: usize| facets.iter().any(|result| result.facet == facet);
+        let goal = gem.body.faces().iter().map(|face| face.tag);
+        let mut missing: Vec<usize> = goal.filter(|facet| !has(*facet)).collect();
+        missing.sort_unstable();
+        let meets = (0..gem.meets.len())
+            .map(|meet| MeetResult {
+                meet,
+                error_mm: meet_error(gem, meet, stone, &owners),
+            })
+            .collect();
+        Self {
+            missing,
+            strange,
+            meets,
+            volume_mm3: stone.volume(),
+            yield_part: stone.volume() / gem.rough_body().volume(),
+            facets,
+        }
+    }
+
+    /// Largest angle between a facet and its design, degrees.
+    #[must_use]
+    pub fn worst_angle_deg(&self) -> f64 {
+        self.facets
+            .iter()
+            .map(|facet| facet.error_deg)
+            .fold(0.0, f64::max)
+    }
+
+    /// Largest error of depth, mm.
+    #[must_use]
+    pub fn worst_depth_mm(&self) -> f64 {
+        self.facets
+            .iter()
+            .map(|facet| facet.depth_mm.abs())
+            .fold(0.0, f64::max)
+    }
+
+    /// Largest error of a meet point, mm; infinite if the stone lacks one.
+    #[must_use]
+    pub fn worst_meet_mm(&self) -> f64 {
+        let error = |meet: &MeetResult| meet.error_mm.unwrap_or(f64::INFINITY);
+        self.meets.iter().map(error).fold(0.0, f64::max)
+    }
+}
+
+/// The facet of the gem to which a face belongs.
+fn owner(gem: &Gem, face: &Face) -> Option<usize> {
+    let near = |tag: &usize| {
+        let plane = gem.plane(*tag);
+        let turn = angle_between(plane.normal, face.plane.normal);
+        let away = (plane.distance - face.plane.distance).abs();
+        (turn < NEAR_DEG && away < NEAR_MM).then_some(turn)
+    };
+    gem.body
+        .faces()
+        .iter()
+        .map(|face| face.tag)
+        .filter_map(|tag| near(&tag).map(|turn| (turn, tag)))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, tag)| tag)
+}
+
+/// Mean height of the corners of a face above a plane, mm.
+fn depth(stone: &Polyhedron, face: &Face, plane: &haptimill_hil_sim::polyhedron::Plane) -> f64 {
+    let sum: f64 = stone.corners(face).map(|at| plane.height(at)).sum();
+    sum / face.ring.len() as f64
+}
+
+/// Largest distance from a meet point to a vertex of the stone between facets of the point only.
+fn meet_error(gem: &Gem, meet: usize, stone: &Polyhedron, owners: &[Option<usize>]) -> Option<f64> {
+    let point = &gem.meets[meet];
+    let mut worst: Option<f64> = None;
+    for (index, at) in stone.vertices().iter().enumerate() {
+        let around = stone.faces().iter().zip(owners);
+        let mut around = around.filter(|(face, _)| face.ring.contains(&index));
+        let belongs =
+            around.all(|(_, owner)| owner.is_some_and(|facet| point.facets.contains(&facet)));
+        if belongs {
+            let error = length(minus(*at, point.at));
+            worst = Some(worst.map_or(error, |worst| worst.max(error)));
+        }
+    }
+    worst
+}

@@ -1,0 +1,298 @@
+//! The report of a stone: a page with the stone in 3D, the facets against the design, and the job.
+
+use crate::gem::Gem;
+use crate::job::{Job, Mode};
+use crate::run::Cutting;
+use core::fmt::Write as _;
+use haptimill_hil_sim::polyhedron::Polyhedron;
+use haptimill_viewer::{Layer, Map, Scale, Scene, Shape, page};
+
+const CSS: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;margin:24px auto;\
+padding:0 16px;color:#1d2733}h1{font-size:24px}h2{font-size:18px;margin-top:32px}\
+table{border-collapse:collapse;font-size:13px}td,th{padding:2px 10px;text-align:right;\
+border-bottom:1px solid #e3e6ea}td:first-child,th:first-child{text-align:left}\
+.sum{display:flex;flex-wrap:wrap;gap:24px}.sum div{min-width:120px}.sum b{display:block;\
+font-size:20px}.over{color:#a3191f;font-weight:600}";
+
+/// Bounds of a good stone.
+const ANGLE_DEG: f64 = 0.02;
+const MEET_MM: f64 = 0.02;
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+}
+
+/// The report page.
+#[must_use]
+pub fn report(gem: &Gem, job: &Job, cutting: &Cutting) -> String {
+    let measured = &cutting.measured;
+    let design = &gem.design;
+    let title = if design.title.is_empty() {
+        "Stone"
+    } else {
+        &design.title
+    };
+    let mut body = String::new();
+    let _ = write!(body, "<h1>{}</h1>", escape(title));
+    let seconds: f64 = cutting.operations.iter().map(|it| it.seconds).sum();
+    let _ = write!(
+        body,
+        "<div class=sum><div><b>{}</b>facets</div><div><b>{:.4} deg</b>largest angle error</div>\
+         <div><b>{:.1} um</b>largest depth error</div><div><b>{}</b>largest meet error</div>\
+         <div><b>{:.1} %</b>of the rough</div><div><b>{:.2} ct</b>quartz</div>\
+         <div><b>{}</b>on the machine</div></div>",
+        measured.facets.len(),
+        measured.worst_angle_deg(),
+        1e3 * measured.worst_depth_mm(),
+        micrometres(measured.worst_meet_mm()),
+        1e2 * measured.yield_part,
+        // 2.65 g/cm^3; a carat is 0.2 g.
+        measured.volume_mm3 * 2.65e-3 / 0.2,
+        minutes(seconds)
+    );
+    problems(&mut body, gem, cutting);
+    let _ = write!(body, "<h2>The stone</h2>{}", scene(gem, cutting).fragment());
+    facets(&mut body, gem, cutting);
+    meets(&mut body, gem, cutting);
+    stages(&mut body, job, cutting);
+    page(title, CSS, &body)
+}
+
+fn micrometres(mm: f64) -> String {
+    if mm.is_finite() {
+        format!("{:.1} um", 1e3 * mm)
+    } else {
+        "missing".to_string()
+    }
+}
+
+fn minutes(seconds: f64) -> String {
+    format!(
+        "{:.0} min {:02.0} s",
+        (seconds / 60.0).floor(),
+        seconds % 60.0
+    )
+}
+
+fn problems(body: &mut String, gem: &Gem, cutting: &Cutting) {
+    let measured = &cutting.measured;
+    if !measured.missing.is_empty() {
+        let names: Vec<&str> = measured
+            .missing
+            .iter()
+            .map(|facet| gem.design.facets[*facet].name.as_str())
+            .collect();
+        let names = escape(&names.join(", "));
+        let _ = write!(body, "<p class=over>The stone lacks facets: {names}.</p>");
+    }
+    if measured.strange > 0 {
+        let _ = write!(
+            body,
+            "<p class=over>{} faces of the stone are no facet of the design.</p>",
+            measured.strange
+        );
+    }
+}
+
+/// Triangles of a body, flat for each face, with a value for each face.
+fn triangles(body: &Polyhedron, value: impl Fn(usize) -> f32) -> (Shape, Vec<f32>) {
+    let (mut points, mut triangles, mut values) = (Vec::new(), Vec::new(), Vec::new());
+    for (number, face) in body.faces().iter().enumerate() {
+        let first = points.len() as u32;
+        for at in body.corners(face) {
+            points.push(at.map(|value| value as f32));
+            values.push(value(number));
+        }
+        for corner in 2..face.ring.len() as u32 {
+            triangles.push([first, first + corner - 1, first + corner]);
+        }
+    }
+    let shape = Shape::Mesh {
+        points,
+        triangles,
+        opacity: 1.0,
+    };
+    (shape, values)
+}
+
+/// Edges of a body.
+fn edges(body: &Polyhedron, width: f32) -> Shape {
+    let (mut points, mut starts) = (Vec::new(), Vec::new());
+    for face in body.faces() {
+        starts.push(points.len() as u32);
+        let mut ring: Vec<[f32; 3]> = body
+            .corners(face)
+            .map(|at| at.map(|value| value as f32))
+            .collect();
+        ring.extend(ring.first().copied());
+        points.extend(ring);
+    }
+    Shape::Lines {
+        points,
+        starts,
+        times: Vec::new(),
+        lines: Vec::new(),
+        width,
+    }
+}
+
+fn scene(gem: &Gem, cutting: &Cutting) -> Scene {
+    let stone = &cutting.stone;
+    let measured = &cutting.measured;
+    let depth = |number: usize| {
+        let plane = stone.faces()[number].plane;
+        let near = measured.facets.iter().min_by(|a, b| {
+            let away =
+                |facet: usize| crate::job::angle_between(gem.plane(facet).normal, plane.normal);
+            away(a.facet).total_cmp(&away(b.facet))
+        });
+        near.map_or(0.0, |facet| (1e3 * facet.depth_mm) as f32)
+    };
+    let (mesh, values) = triangles(stone, depth);
+    let most = (1e3 * measured.worst_depth_mm()).max(0.1);
+    let scale = Scale {
+        label: "depth error, um".into(),
+        low: -most,
+        high: most,
+        map: Map::Diverging,
+    };
+    let plain = triangles(stone, |_| 0.0).0;
+    let mut errors = Layer::new("depth errors", "#9db8d2", mesh).with_values(values, scale);
+    errors.visible = false;
+    let rough = Layer {
+        visible: false,
+        ..Layer::new("rough", "#b9a27a", edges(&gem.rough_body(), 1.0))
+    };
+    Scene {
+        layers: vec![
+            Layer::new("stone", "#a8c8e4", plain),
+            Layer::new("edges", "#16324f", edges(stone, 1.6)),
+            errors,
+            Layer {
+                visible: false,
+                ..Layer::new("design", "#a3191f", edges(&gem.body, 1.0))
+            },
+            rough,
+        ],
+        view: Some([-35.0, 28.0]),
+        ..Scene::default()
+    }
+}
+
+fn class(is_over: bool) -> &'static str {
+    if is_over { " class=over" } else { "" }
+}
+
+fn facets(body: &mut String, gem: &Gem, cutting: &Cutting) {
+    body.push_str(
+        "<h2>Facets</h2><p>Measured less designed. The error of the normal is the angle between \
+         both.</p><table><tr><th>facet<th>stage<th>angle, deg<th>error, deg<th>azimuth, deg\
+         <th>normal, deg<th>depth, um<th>hard spot, um<th>area, mm^2",
+    );
+    for result in &cutting.measured.facets {
+        let facet = &gem.design.facets[result.facet];
+        let _ = write!(
+            body,
+            "<tr><td>{}<td>{}<td>{:.2}<td>{:+.4}<td>{:+.4}<td{}>{:.4}<td>{:+.2}<td>{:.2}<td>{:.3}",
+            escape(&facet.name),
+            facet.stage.name(),
+            facet.angle_deg,
+            result.angle_deg,
+            result.azimuth_deg,
+            class(result.error_deg > ANGLE_DEG),
+            result.error_deg,
+            1e3 * result.depth_mm,
+            1e3 * result.proud_mm,
+            result.area_mm2
+        );
+    }
+    body.push_str("</table>");
+}
+
+fn meets(body: &mut String, gem: &Gem, cutting: &Cutting) {
+    body.push_str(
+        "<h2>Meet points</h2><p>Largest distance of a vertex of the stone from the point. The gain \
+         is the way of the point when its facets are off by 1 um in depth.</p>\
+         <table><tr><th>facets<th>x, mm<th>y, mm<th>z, mm<th>gain<th>error, um",
+    );
+    for result in &cutting.measured.meets {
+        let meet = &gem.meets[result.meet];
+        let names: Vec<&str> = meet
+            .facets
+            .iter()
+            .filter_map(|facet| gem.design.facets.get(*facet))
+            .map(|facet| facet.name.as_str())
+            .collect();
+        let [x, y, z] = meet.at;
+        let error = result.error_mm.unwrap_or(f64::INFINITY);
+        let _ = write!(
+            body,
+            "<tr><td>{}<td>{x:.3}<td>{y:.3}<td>{z:.3}<td>{:.1}<td{}>{}",
+            escape(&names.join(" ")),
+            meet.gain,
+            class(error > MEET_MM),
+            micrometres(error)
+        );
+    }
+    body.push_str("</table>");
+}
+
+fn stages(body: &mut String, job: &Job, cutting: &Cutting) {
+    let mode = match job.settings.mode {
+        Mode::Feed => "by feed",
+        Mode::Force => "by force to the depth",
+        Mode::Both => "by feed, with the force held",
+    };
+    let _ = write!(
+        body,
+        "<h2>Job</h2><p>Ground {mode}. Forces are those of the contact with the most turns of the \
+         lap; turns are means over whole turns of its middle half.</p><table><tr><th>lap\
+         <th>side<th>stage<th>facets<th>time<th>peak, N<th>least turn, N<th>largest turn, N"
+    );
+    for (number, pass) in job.passes.iter().enumerate() {
+        let mut stages: Vec<crate::Stage> = Vec::new();
+        for operation in &pass.operations {
+            if !stages.contains(&operation.stage) {
+                stages.push(operation.stage);
+            }
+        }
+        for stage in stages {
+            let of_stage = |facet: usize| {
+                pass.operations
+                    .iter()
+                    .any(|operation| operation.facet == facet && operation.stage == stage)
+            };
+            let done = cutting
+                .operations
+                .iter()
+                .filter(|it| it.pass == number && of_stage(it.facet));
+            let (mut count, mut seconds) = (0, 0.0);
+            let (mut peak, mut least, mut most) = (0.0_f64, f64::INFINITY, 0.0_f64);
+            for operation in done {
+                count += 1;
+                seconds += operation.seconds;
+                peak = peak.max(operation.force.peak_n);
+                least = least.min(operation.force.least_turn_n);
+                most = most.max(operation.force.most_turn_n);
+            }
+            if count == 0 {
+                continue;
+            }
+            let side = match pass.mount.side {
+                crate::Side::Pavilion => "pavilion",
+                crate::Side::Crown => "crown",
+            };
+            let _ = write!(
+                body,
+                "<tr><td>{}<td>{side}<td>{}<td>{count}<td>{}<td>{peak:.2}<td>{least:.2}\
+                 <td>{most:.2}",
+                escape(&job.settings.laps[pass.lap].name),
+                stage.name(),
+                minutes(seconds)
+            );
+        }
+    }
+    body.push_str("</table>");
+}

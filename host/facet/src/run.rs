@@ -1,0 +1,289 @@
+//! Cuts a gem on the simulated machine: the job over the link, operation by operation, with the
+//! stone and the laps in the plant.
+
+use crate::gem::Gem;
+use crate::job::{Job, Lap, Mode, Mount, Operation, in_design};
+use crate::measure::Measured;
+use haptimill_client::client::Options;
+use haptimill_client::session::{
+    ForceLoopChanges, NoObserver, Session, SimLine, commissioned, find_home_pose, rig,
+};
+use haptimill_client::{Error, ErrorKind};
+use haptimill_hil_sim::polyhedron::Polyhedron;
+use haptimill_hil_sim::process::LapConfig;
+use haptimill_hil_sim::process::grinding::{ForceStatistics, Grinding, Ground, HardSpot};
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_planner::Plan;
+use haptimill_protocol::message::AxisValues;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// Axis of force control: z of the lap.
+const HEIGHT: u8 = 2;
+
+/// Further sweeps of a facet under force control, at most.
+const MAX_SWEEPS: u32 = 60;
+
+/// Longest time in which the stone returns from a displacement, microseconds.
+const RETURN_US: u64 = 30_000_000;
+
+/// A facet under force control is done when the stone yields less, mm.
+const DONE_MM: f64 = 5e-4;
+
+/// Options of a run.
+#[derive(Debug, Clone, Default)]
+pub struct RunOptions {
+    /// Seed of the simulated machine.
+    pub seed: Option<u64>,
+    /// Run-out of each lap, mm.
+    pub run_out_mm: f64,
+    /// Volume that a lap loses for a volume of the stone.
+    pub wear: f64,
+    /// A hard spot, in the frame of the design.
+    pub hard_spot: Option<HardSpot>,
+    /// Only the operations of these facets; empty for all.
+    pub only: Vec<usize>,
+    /// Set by the user to stop.
+    pub interrupted: Arc<AtomicBool>,
+}
+
+/// Result of an operation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OperationResult {
+    /// Number of the pass.
+    pub pass: usize,
+    /// Number of the facet.
+    pub facet: usize,
+    /// Time, s.
+    pub seconds: f64,
+    /// Further sweeps under force control.
+    pub sweeps: u32,
+    /// Force on the stone.
+    pub force: ForceStatistics,
+}
+
+/// A stone that was cut.
+#[derive(Debug, Clone)]
+pub struct Cutting {
+    /// The stone in the frame of the design; tags are numbers in `ground`.
+    pub stone: Polyhedron,
+    /// Facets as they left the lap.
+    pub ground: Vec<Ground>,
+    /// Measurement.
+    pub measured: Measured,
+    /// Operations.
+    pub operations: Vec<OperationResult>,
+    /// Wear of the last lap by radius, mm.
+    pub wear: Vec<f64>,
+}
+
+/// The machine in the simulator.
+struct Bench<'a> {
+    session: Session<SimLine>,
+    machine: &'a MachineFile,
+    job: u32,
+}
+
+fn lap_config(lap: &Lap, options: &RunOptions) -> LapConfig {
+    LapConfig {
+        preston_mm2_n: lap.preston_mm2_n,
+        run_out_mm: options.run_out_mm,
+        wear: options.wear,
+        ..LapConfig::default()
+    }
+}
+
+fn refused<E: ToString>(problems: Vec<E>) -> Error {
+    let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
+    Error::new(ErrorKind::BadInput, problems.join("\n"))
+}
+
+impl Bench<'_> {
+    /// Runs a part program from where the machine stands.
+    fn run(&mut self, text: &str) -> Result<(), Error> {
+        let start: AxisValues = self.session.status()?.commanded;
+        let model = Model::new(self.machine);
+        let options = program_options(self.machine, model.to_engineering_units(&start));
+        let program = haptimill_gcode::read("facet.ngc", text.as_bytes(), &options)
+            .map_err(|refused| Error::refused(ErrorKind::Internal, &refused))?;
+        let plan = Plan::new(&program, &settings(self.machine), &model)
+            .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
+        self.job += 1;
+        let end = self
+            .session
+            .run_job(self.job, start, plan.setpoints, &mut NoObserver)?;
+        self.session.check_completed(&end)
+    }
+
+    fn grinding(&mut self) -> Result<&mut Grinding, Error> {
+        let plant = self.session.line_mut().rig_mut().plant_mut();
+        plant
+            .process_mut()
+            .and_then(|process| process.grinding_mut())
+            .ok_or_else(|| Error::new(ErrorKind::Internal, "the simulated machine has no lap"))
+    }
+
+    /// How far the stone yields under force control, mm.
+    fn yielded_mm(&mut self) -> Result<f64, Error> {
+        let status = self.session.status()?;
+        let force = status.force.as_ref();
+        let raw = force.map_or(0, |force| force.yielded[usize::from(HEIGHT)]);
+        Ok(f64::from(raw) / f64::from(1 << 20))
+    }
+
+    /// Grinds a facet; returns the further sweeps. A facet that does not reach its depth under
+    /// force control is an error.
+    fn operate(&mut self, operation: &Operation, mode: Mode, name: &str) -> Result<u32, Error> {
+        self.run(&operation.grind)?;
+        let mut sweeps = 0;
+        while mode.has_force() && sweeps < MAX_SWEEPS && self.yielded_mm()?.abs() > DONE_MM {
+            self.run(&operation.sweep)?;
+            sweeps += 1;
+        }
+        let left = if mode.has_force() {
+            self.yielded_mm()?.abs()
+        } else {
+            0.0
+        };
+        self.run(&operation.retract)?;
+        if left > DONE_MM {
+            let what = format!(
+                "{name} is not at its depth after {sweeps} sweeps: the stone still yields by \
+                 {left:.4} mm; raise force_n of the lap, lower its stock, or grind by feed"
+            );
+            return Err(Error::new(ErrorKind::Stopped, what));
+        }
+        Ok(sweeps)
+    }
+}
+
+/// Cuts a gem. `progress` gets the number of operations that are done, and of all.
+///
+/// # Errors
+/// The machine file has no simulated machine that can grind, or the machine stopped.
+pub fn cut(
+    gem: &Gem,
+    job: &Job,
+    machine: &MachineFile,
+    options: &RunOptions,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<Cutting, Error> {
+    let model = Model::new(machine);
+    let home = find_home_pose(machine, &model)?;
+    let rig = rig(machine, options.seed, None, Vec::new())?;
+    // The controller is configured before, so nothing is logged from its power-on.
+    let rig = commissioned(rig, machine).map_err(|(_, error)| error)?;
+    let line = SimLine::new(rig);
+    let interrupted = Arc::clone(&options.interrupted);
+    let mut session = Session::new(line, machine, Options::default(), interrupted);
+    session.connect(1)?;
+    session.configure(machine)?;
+    session.enable()?;
+    session.go_home(machine, &home)?;
+    let mut bench = Bench {
+        session,
+        machine,
+        job: 2,
+    };
+    let chosen =
+        |operation: &&Operation| options.only.is_empty() || options.only.contains(&operation.facet);
+    let all = job.passes.iter().flat_map(|pass| &pass.operations);
+    let total = all.filter(chosen).count();
+    let mut operations = Vec::new();
+    let mut stone = gem.rough_body();
+    let mut mount: Option<Mount> = None;
+    for (number, pass) in job.passes.iter().enumerate() {
+        let lap = &job.settings.laps[pass.lap];
+        if let Some(before) = mount {
+            let grinding = bench.grinding()?;
+            grinding
+                .set_lap(lap_config(lap, options))
+                .map_err(refused)?;
+            if before != pass.mount {
+                let design = in_design(grinding.stone(), &before);
+                grinding.set_stone(Job::mounted(&design, &pass.mount));
+            }
+        } else {
+            let mounted = Job::mounted(&stone, &pass.mount);
+            let grinding = Grinding::new(lap_config(lap, options), mounted).map_err(refused)?;
+            let plant = bench.session.line_mut().rig_mut().plant_mut();
+            let Some(process) = plant.process_mut() else {
+                let what = "the simulated machine has no spindle; add [plant.spindle]";
+                return Err(Error::new(ErrorKind::BadInput, what));
+            };
+            process.set_grinding(Some(grinding));
+        }
+        if mount != Some(pass.mount) {
+            let axes = pass.mount.axes();
+            let spot = options.hard_spot.map(|spot| HardSpot {
+                centre: core::array::from_fn(|i| (0..3).map(|k| axes[k][i] * spot.centre[k]).sum()),
+                ..spot
+            });
+            bench.grinding()?.set_hard_spot(spot);
+        }
+        mount = Some(pass.mount);
+        bench.set_force(job.settings.mode, lap)?;
+        for operation in pass.operations.iter().filter(chosen) {
+            let from = bench.session.now_us();
+            let before = bench.grinding()?.ground().len();
+            let name = &gem.design.facets[operation.facet].name;
+            let sweeps = bench.operate(operation, job.settings.mode, name)?;
+            let seconds = (bench.session.now_us() - from) as f64 * 1e-6;
+            let grinding = bench.grinding()?;
+            let longest = grinding.ground()[before..]
+                .iter()
+                .max_by_key(|ground| ground.force.turns);
+            operations.push(OperationResult {
+                pass: number,
+                facet: operation.facet,
+                seconds,
+                sweeps,
+                force: longest.map_or(ForceStatistics::default(), |ground| ground.force),
+            });
+            progress(operations.len(), total);
+        }
+    }
+    let grinding = bench.grinding()?;
+    grinding.lift_off();
+    let ground = grinding.ground().to_vec();
+    let wear = grinding.wear().to_vec();
+    if let Some(mount) = mount {
+        stone = in_design(grinding.stone(), &mount);
+    }
+    Ok(Cutting {
+        measured: Measured::new(gem, &stone, &ground),
+        stone,
+        ground,
+        operations,
+        wear,
+    })
+}
+
+impl Bench<'_> {
+    /// Sets the force control of a lap, with the stone in the air.
+    fn set_force(&mut self, mode: Mode, lap: &Lap) -> Result<(), Error> {
+        if self.machine.config.force.is_none() {
+            if !mode.has_force() {
+                return Ok(());
+            }
+            let what = "the machine has no force sensor; grind by feed";
+            return Err(Error::new(ErrorKind::BadInput, what));
+        }
+        self.session.set_force_mask(&[])?;
+        // The stone returns from its displacement before the sensor gets its zero.
+        let by = self.session.now_us() + RETURN_US;
+        while self.yielded_mm()? != 0.0 && self.session.now_us() < by {}
+        self.session.tare()?;
+        if mode.has_force() {
+            let changes = ForceLoopChanges {
+                desired_n: Some(lap.force_n),
+                ..ForceLoopChanges::default()
+            };
+            self.session
+                .set_force_loops(self.machine, &[HEIGHT], &changes)?;
+            self.session.set_force_mask(&[HEIGHT])?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,400 @@
+//! Designs: the examples, formats, and what is refused.
+
+use haptimill_facet::{Gem, Job, JobSettings, Rough, Stage, read};
+use haptimill_hil_sim::polyhedron::Plane;
+use haptimill_hil_sim::vector::{length, minus};
+use proptest::prelude::*;
+
+fn example(name: &str) -> Vec<u8> {
+    let path = format!("{}/../../examples/{name}", env!("CARGO_MANIFEST_DIR"));
+    std::fs::read(path).unwrap()
+}
+
+fn gem(name: &str) -> Gem {
+    let design = read(name, &example(name)).unwrap_or_else(|refused| panic!("{refused}"));
+    Gem::new(name, design, 6.0, None).unwrap_or_else(|refused| panic!("{refused}"))
+}
+
+fn count(gem: &Gem, stage: Stage) -> usize {
+    gem.design
+        .facets
+        .iter()
+        .filter(|facet| facet.stage == stage)
+        .count()
+}
+
+#[test]
+fn the_round_brilliant_has_57_facets_and_its_meets() {
+    let gem = gem("round-brilliant.asc");
+    assert_eq!(count(&gem, Stage::Girdle), 16);
+    assert_eq!(count(&gem, Stage::Pavilion), 24);
+    assert_eq!(count(&gem, Stage::Crown), 32);
+    assert_eq!(count(&gem, Stage::Table), 1);
+    assert_eq!(gem.body.faces().len(), 57 + 16);
+    // The culet: eight mains in one point.
+    let lowest = gem
+        .meets
+        .iter()
+        .min_by(|a, b| a.at[2].total_cmp(&b.at[2]))
+        .unwrap();
+    assert_eq!(lowest.facets.len(), 8);
+    // The table is an octagon; a kite, two stars and the table meet at its corners.
+    let table = gem.design.facets.len() - 1;
+    let corners = gem.meets.iter().filter(|meet| meet.facets.contains(&table));
+    let corners: Vec<usize> = corners.map(|meet| meet.facets.len()).collect();
+    assert_eq!(corners, [4; 8]);
+    let four = gem
+        .meets
+        .iter()
+        .filter(|meet| meet.facets.len() == 4)
+        .count();
+    assert!(four >= 24, "{four} points of four facets");
+    let (left, right) = (
+        gem.body.reach([-1.0, 0.0, 0.0]),
+        gem.body.reach([1.0, 0.0, 0.0]),
+    );
+    // The corners of the girdle of 16 sides are farther out than its sides.
+    assert!((left + right - 6.0).abs() < 1e-3, "{left} {right}");
+}
+
+#[test]
+fn the_other_examples_are_of_other_symmetry() {
+    let pentagon = gem("pentagon.asc");
+    assert_eq!(pentagon.design.symmetry.order, 5);
+    assert_eq!(pentagon.body.faces().len(), 36 + 10);
+    let step = gem("step-cut.toml");
+    assert_eq!(step.design.gear, 64);
+    assert_eq!(step.body.faces().len(), step.design.facets.len());
+    assert!(step.yield_part() > 0.2 && step.yield_part() < 0.6);
+}
+
+/// Rotations of the symmetry map the vertices onto each other.
+#[test]
+fn the_gems_have_the_symmetry_that_they_state() {
+    for name in ["round-brilliant.asc", "pentagon.asc", "step-cut.toml"] {
+        let gem = gem(name);
+        let turn = core::f64::consts::TAU / f64::from(gem.design.symmetry.order);
+        let (s, c) = turn.sin_cos();
+        for at in gem.body.vertices() {
+            let turned = [c * at[0] - s * at[1], s * at[0] + c * at[1], at[2]];
+            let near = gem
+                .body
+                .vertices()
+                .iter()
+                .any(|other| length(minus(*other, turned)) < 1e-5);
+            assert!(near, "{name}: {at:?}");
+        }
+    }
+}
+
+const SMALL: &str = "GemCad 5.0\ng 64 0.0\ny 4 y\nI 1.54\nH Small\n\
+a -90 1.0 0 n G 16 32 48\na -45 0.72 0 n P 16 32 48 G to a point\n\
+a 40 0.70 0 n C 16 32 48\na 0 0.3 0 n T\nF end\n";
+
+fn small() -> haptimill_facet::Design {
+    read("small.asc", SMALL.as_bytes()).unwrap()
+}
+
+/// CRLF, tabs, comments, a mark, keywords without spaces, a tier over several lines, Latin-1.
+#[test]
+fn odd_files_of_gemcad_are_read() {
+    let odd = "\u{feff}; a comment\r\ngemcad 4.51\r\ng64\t0.0\r\n y  4   y \r\nI 1.54\r\nH Small\r\n\r\n\
+        a  -90\t 1.0   0   n  G  16\r\n  32 48\r\na-45 0.72 0 n P 16 32\r\n48\r\nG to a\r\nG point\r\n\
+        a 40 0.70 0 16 32 48 n C ; the crown\r\na 0 0.3 n T\r\n";
+    let refused = read("odd.asc", odd.as_bytes()).unwrap_err();
+    // `n` behind no index names no facet.
+    assert_eq!(refused.problems.len(), 1, "{refused}");
+    let design = read("odd.asc", odd.replace("0.3 n T", "0.3").as_bytes()).unwrap();
+    let plain = small();
+    assert_eq!(design.facets.len(), plain.facets.len());
+    for (odd, plain) in design.facets.iter().zip(&plain.facets) {
+        assert_eq!((odd.angle_deg, odd.index), (plain.angle_deg, plain.index));
+        assert_eq!((odd.side, odd.stage), (plain.side, plain.stage));
+    }
+    assert_eq!(design.facets[4].note, "to a point");
+    assert_eq!(design.facets[8].name, "C@0");
+    let latin = SMALL.replace("Small", "Gr\u{fc}n");
+    let bytes: Vec<u8> = latin.chars().map(|letter| letter as u32 as u8).collect();
+    assert_eq!(read("latin.asc", &bytes).unwrap().title, "Gr\u{fc}n");
+}
+
+/// A list of the same facets makes the same stone.
+#[test]
+fn lists_and_gemcad_files_make_the_same_stone() {
+    let mut csv = String::from("# gear = 64\n# symmetry = 4\nangle,index,depth,name,note\n");
+    let mut toml = String::from("gear = 64\nsymmetry = 4\n");
+    let mut over = false;
+    let plain = small();
+    for facet in &plain.facets {
+        let below = facet.side == haptimill_facet::Side::Pavilion;
+        if !below && !over {
+            over = true;
+            csv.push_str("transfer\n");
+            toml.push_str("[[facet]]\ntransfer = true\n");
+        }
+        let angle = if below {
+            -facet.angle_deg
+        } else {
+            facet.angle_deg
+        };
+        let (name, index, depth) = (&facet.name, facet.index, facet.distance);
+        csv.push_str(&format!("{angle:?},{index},{depth},{name},\n"));
+        toml.push_str(&format!(
+            "[[facet]]\nname = \"{name}\"\nangle = {angle:?}\nindex = {index:?}\ndepth = {depth:?}\n"
+        ));
+    }
+    let width = 2.0;
+    let one = Gem::new("a", plain, width, None).unwrap();
+    for (name, text) in [("a.csv", csv), ("a.toml", toml)] {
+        let design = read(name, text.as_bytes()).unwrap_or_else(|refused| panic!("{refused}"));
+        let other = Gem::new(name, design, width, None).unwrap();
+        assert!((one.body.volume() - other.body.volume()).abs() < 1e-9);
+    }
+}
+
+fn problem(name: &str, text: &str) -> String {
+    let refused = match read(name, text.as_bytes()) {
+        Err(refused) => refused,
+        Ok(design) => {
+            let rough = Rough {
+                diameter_mm: 14.0,
+                height_mm: 12.0,
+            };
+            Gem::new(name, design, 6.0, Some(rough)).expect_err("a problem")
+        }
+    };
+    refused.to_string()
+}
+
+#[test]
+fn what_cannot_be_cut_is_refused_by_line_and_facet() {
+    let with = |from: &str, to: &str| {
+        assert!(SMALL.contains(from));
+        problem("small.asc", &SMALL.replace(from, to))
+    };
+    for (from, to, expected) in [
+        (
+            "a -45 ",
+            "a -145 ",
+            "small.asc:7: facet P: an angle of -145 deg is impossible",
+        ),
+        (
+            "a -45 ",
+            "a x ",
+            "small.asc:7: \"x\" is no number for the angle of a facet",
+        ),
+        (
+            "48 G to",
+            "65 G to",
+            "small.asc:7: facet P@65: index 65 is off the wheel of 64 teeth",
+        ),
+        (
+            "g 64 0.0",
+            "g 31 0.0",
+            "small.asc:2: an index wheel of 31 teeth",
+        ),
+        ("g 64 0.0\n", "", "small.asc: the index wheel is missing"),
+        (
+            "0.70 0 n C",
+            "5.0 0 n C",
+            "small.asc:8: facet C@0: the plane misses the stone",
+        ),
+        (
+            "0.72 ",
+            "-3.0 ",
+            "small.asc: the facets leave nothing of the stone",
+        ),
+        (
+            "a 0 0.3 0 n T\n",
+            "a 40 0.70 0 n D\na 0 0.3 0 n T\n",
+            "facet D@0: is the plane of facet C@0",
+        ),
+        (
+            "a 0 0.3 0 n T\n",
+            "a 0 0.3 0 n T\na 0 0.2 0 n U\n",
+            "small.asc:9: facet T@0: is wholly cut away by facet U@0",
+        ),
+        (
+            "a 0 0.3 0 n T\n",
+            "a 0 0.3 0 n T\na -44 0.7 0 n Q\n",
+            "small.asc:10: facet Q@0: is cut from a side",
+        ),
+        (
+            "a -45 0.72 0 n P 16 32 48 G to a point\n",
+            "",
+            "small.asc: the facets do not close the stone",
+        ),
+        ("I 1.54", "I 15", "small.asc:4: a refractive index of 15"),
+        ("y 4 y", "q 4 y", "small.asc:3: \"q\" begins no line"),
+        (
+            "a 40 0.70 0 n C 16 32 48",
+            "a 40 0.70",
+            "small.asc:8: a facet has no position of the wheel",
+        ),
+    ] {
+        let problem = with(from, to);
+        assert!(problem.contains(expected), "{from:?} -> {to:?}:\n{problem}");
+    }
+    assert!(problem("a.gem", "").contains("is no design"));
+    assert!(problem("a.csv", "# gear = 64\n-45,0\n").contains("a.csv:2: the row has 2 cells"));
+    assert!(problem("a.toml", "gear = 64\nangel = 1\n").contains("a.toml:2:"));
+}
+
+#[test]
+fn a_list_needs_its_transfer() {
+    let text = String::from_utf8(example("step-cut.toml")).unwrap();
+    let without = text.replace("[[facet]]\ntransfer = true\n", "");
+    let line = 1 + without[..without.find("name = \"C1a\"").unwrap()]
+        .matches('\n')
+        .count()
+        - 1;
+    let found = problem("step.toml", &without);
+    let expected = format!("step.toml:{line}: facet C1a@0: is on the other side of the girdle");
+    assert!(found.contains(&expected), "{found}");
+    let twice = text.replacen(
+        "transfer = true\n",
+        "transfer = true\n\n[[facet]]\ntransfer = true\n",
+        1,
+    );
+    assert!(read("step.toml", twice.as_bytes()).is_ok());
+    let early = text.replacen(
+        "[[facet]]\nname = \"P1a\"",
+        "[[facet]]\ntransfer = true\n\n[[facet]]\nname = \"P1a\"",
+        1,
+    );
+    assert!(problem("step.toml", &early).contains("is not between two sides"));
+}
+
+#[test]
+fn a_design_larger_than_its_rough_is_refused() {
+    let rough = Rough {
+        diameter_mm: 5.9,
+        height_mm: 9.0,
+    };
+    let name = "round-brilliant.asc";
+    let design = read(name, &example(name)).unwrap();
+    let refused = Gem::new(name, design.clone(), 6.0, Some(rough)).unwrap_err();
+    assert!(
+        refused.to_string().contains("larger than the rough"),
+        "{refused}"
+    );
+    let rough = Rough {
+        diameter_mm: 6.5,
+        height_mm: 9.0,
+    };
+    assert!(Gem::new(name, design, 6.0, Some(rough)).is_ok());
+}
+
+proptest! {
+    /// Any bytes: a design or problems, no panic.
+    #[test]
+    fn any_text_is_read_or_refused(text in "(g 96 0\n)?([agyIHFn;] ?[-0-9. nG\r\n,#=]{0,40}\n){0,12}") {
+        for name in ["a.asc", "a.csv", "a.toml"] {
+            if let Ok(design) = read(name, text.as_bytes()) {
+                let _ = Gem::new(name, design, 6.0, None);
+            }
+        }
+    }
+
+    /// Distances and angles that are off by a little change the volume by a little.
+    #[test]
+    fn a_small_change_is_a_small_change(by in -1e-6..1e-6_f64) {
+        let mut design = small();
+        for facet in &mut design.facets {
+            facet.distance += by;
+        }
+        let one = Gem::new("a", small(), 2.0, None).unwrap();
+        let other = Gem::new("a", design, 2.0, None).unwrap();
+        prop_assert!((one.body.volume() - other.body.volume()).abs() < 1e-4);
+    }
+}
+
+/// No part of the stone is on the lap before its facet is: at the retracted height whatever the
+/// angle, and at the start of the feed with the angle of the facet.
+#[test]
+fn no_facet_is_touched_by_the_approach_of_another() {
+    for name in ["round-brilliant.asc", "pentagon.asc", "step-cut.toml"] {
+        let gem = gem(name);
+        let job = Job::new(&gem, JobSettings::default()).unwrap();
+        let mut stone = gem.rough_body();
+        let mut count = 0;
+        for operation in job.passes.iter().flat_map(|pass| &pass.operations) {
+            for vertex in stone.vertices() {
+                assert!(length(*vertex) < job.retracted_mm - 1.9);
+            }
+            let heights: Vec<f64> = operation
+                .grind
+                .split_whitespace()
+                .filter_map(|word| word.strip_prefix('Z')?.parse().ok())
+                .collect();
+            let plane = Plane {
+                distance: operation.depth_mm,
+                ..gem.plane(operation.facet)
+            };
+            // Retracted, then straight down to the start of the feed, then never up again.
+            assert!((heights[0] - job.retracted_mm).abs() < 1e-3);
+            assert!(heights[1] > stone.reach(plane.normal) + 0.04);
+            assert!(heights.windows(2).all(|pair| pair[1] <= pair[0]));
+            let last = heights.last().unwrap();
+            assert!((last - operation.depth_mm).abs() < 1e-4);
+            stone.cut(plane, operation.facet);
+            count += 1;
+        }
+        // Every facet on every lap.
+        assert_eq!(count, 3 * gem.design.facets.len());
+        // Eight decimals of a design leave slivers, which depend on the order.
+        assert!((stone.volume() - gem.body.volume()).abs() < 1e-5);
+    }
+}
+
+/// Angle and index of the machine put the normal of a facet on the lap, and stay off the ends of
+/// the spin.
+#[test]
+fn the_mounts_put_each_facet_on_the_lap() {
+    for name in ["round-brilliant.asc", "pentagon.asc", "step-cut.toml"] {
+        let gem = gem(name);
+        let job = Job::new(&gem, JobSettings::default()).unwrap();
+        for pass in &job.passes {
+            for operation in &pass.operations {
+                let normal = gem.plane(operation.facet).normal;
+                let [angle, index] = pass.mount.pose(normal);
+                assert!((-90.0..=90.0).contains(&angle), "{angle}");
+                assert!(index.abs() <= 160.0, "{name}: {index}");
+                // The tip in the lap frame: turned by the spin, then tilted; z of the lap is
+                // against z of the tip where the dop points down.
+                let axes = pass.mount.axes();
+                let v: [f64; 3] =
+                    std::array::from_fn(|i| (0..3).map(|k| axes[k][i] * normal[k]).sum());
+                let (s3, c3) = index.to_radians().sin_cos();
+                let (s2, c2) = angle.to_radians().sin_cos();
+                let spun = [c3 * v[0] - s3 * v[1], s3 * v[0] + c3 * v[1], v[2]];
+                let tilted = [
+                    c2 * spun[0] + s2 * spun[2],
+                    spun[1],
+                    c2 * spun[2] - s2 * spun[0],
+                ];
+                assert!(length(minus(tilted, [0.0, 0.0, 1.0])) < 1e-9, "{tilted:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn laps_that_leave_stock_are_refused() {
+    let gem = gem("pentagon.asc");
+    let mut settings = JobSettings::default();
+    settings.laps.swap(0, 1);
+    assert!(
+        Job::new(&gem, settings.clone())
+            .unwrap_err()
+            .contains("as much stock")
+    );
+    settings.laps.truncate(1);
+    assert!(
+        Job::new(&gem, settings.clone())
+            .unwrap_err()
+            .contains("write stock_mm = 0")
+    );
+    settings.laps.clear();
+    assert!(Job::new(&gem, settings).unwrap_err().contains("no lap"));
+}

@@ -1,0 +1,228 @@
+//! The section `[compensation]`: error tables for the controller, from the text of an error file
+//! (docs/volumetric.md).
+
+use super::document::Section;
+use super::scale::{PER_MM, to_i32};
+use super::{MachineFile, Problems};
+use haptimill_firmware::config::PoseAxis;
+use haptimill_firmware::config::volumetric::{
+    ERROR_AXES, ERROR_VALUES, ERRORS, ErrorAxis, VolumetricConfig,
+};
+use haptimill_machine_keys::controller::compensation as keys;
+use haptimill_math::Coordinate;
+use haptimill_volumetric::errors::{Approach, Axis, ErrorSet, Function, Shape};
+use haptimill_volumetric::file::{self, Limits};
+
+/// Largest number of nodes of an axis: all tables together have room for three such axes.
+pub const MOST_NODES: usize = ERROR_VALUES / ERRORS / ERROR_AXES;
+
+/// Reads the section; `travel` has the soft limits of the first three coordinates, mm.
+pub(super) fn read(section: &Section<'_, '_>, pose: &[PoseAxis]) -> Option<VolumetricConfig> {
+    let chain = section.text("chain", "write the bodies from w to t, such as \"wYbXZt\"");
+    let arms = chain.and_then(|chain| {
+        let arms = arms(chain);
+        if arms.is_none() {
+            let what = format!("\"{chain}\" is no chain of w, X, Y, Z, b and t");
+            section.report("chain", what, "write it from w to t, such as \"wYbXZt\"");
+        }
+        arms
+    });
+    let text = section.text("errors", "write the text of an error file");
+    let points = [
+        keys::x_measured_at_mm,
+        keys::y_measured_at_mm,
+        keys::z_measured_at_mm,
+    ];
+    let measured_at = points.map(|key| point(section, key.name));
+    section.finish();
+    let (arms, text) = (arms?, text?);
+    let travel = travel(pose)?;
+    let limits = Limits {
+        travel: Some(travel),
+        ..Limits::default()
+    };
+    match file::read(text, &limits) {
+        Ok(errors) => Some(config(&errors, &travel, arms, measured_at)),
+        Err(problem) => {
+            let place = match problem.line {
+                0 => String::new(),
+                line => format!("line {line} of the text: "),
+            };
+            section.report("errors", format!("{place}{}", problem.what), problem.remedy);
+            None
+        }
+    }
+}
+
+fn point(section: &Section<'_, '_>, key: &'static str) -> [f64; 3] {
+    if section.has(key) {
+        section.numbers(key, super::document::real(-1000.0, 1000.0, "mm"))
+    } else {
+        [0.0; 3]
+    }
+}
+
+/// Soft limits of the first three coordinates, mm; `None` where there are fewer.
+fn travel(pose: &[PoseAxis]) -> Option<[(f64, f64); ERROR_AXES]> {
+    let limits = pose.iter().map(|axis| {
+        let mm = |place: Coordinate| f64::from(place.0) / PER_MM;
+        (mm(axis.low), mm(axis.high))
+    });
+    let limits: Vec<_> = limits.take(ERROR_AXES).collect();
+    limits.try_into().ok()
+}
+
+/// Coordinates of the arm of each axis, one bit each: where the tool is, seen from its carriage. On
+/// the side of the tool these are the axes between it and the tool, on the side of the workpiece
+/// also the axis itself.
+fn arms(chain: &str) -> Option<[u8; ERROR_AXES]> {
+    let letters: Vec<char> = chain
+        .chars()
+        .filter(|letter| !letter.is_whitespace())
+        .collect();
+    let bodies = letters.strip_prefix(&['w'])?.strip_suffix(&['t'])?;
+    let base = bodies.iter().position(|body| *body == 'b')?;
+    let place = |axis: Axis| bodies.iter().position(|body| *body == axis.letter());
+    if bodies.len() != ERROR_AXES + 1 {
+        return None;
+    }
+    let mut arms = [0; ERROR_AXES];
+    for axis in Axis::ALL {
+        let here = place(axis)?;
+        for other in Axis::ALL {
+            let there = place(other)?;
+            let moves_tool = there > here || (there == here && here < base);
+            arms[axis.index()] |= u8::from(moves_tool) << other.index();
+        }
+    }
+    Some(arms)
+}
+
+/// Nodes of an axis: those of its tables, where all six share evenly spaced ones over the travel;
+/// otherwise as many as there is room for.
+fn nodes_of(errors: &ErrorSet, moving: Axis, (low, high): (f64, f64)) -> usize {
+    let functions: Vec<Function> = Function::all()
+        .filter(|function| function.moving == moving)
+        .collect();
+    let table = |function: Function| match errors.function(function) {
+        Shape::Table(table) => Some(&table.nodes),
+        Shape::ClosedForm(_) => None,
+    };
+    let shared = functions.first().copied().and_then(table);
+    let even = shared.filter(|nodes| {
+        let pitch = (high - low) / (nodes.len().max(2) - 1) as f64;
+        let places = nodes.iter().enumerate();
+        let even = places
+            .into_iter()
+            .all(|(index, node)| (node - low - pitch * index as f64).abs() < 1e-4);
+        let same = functions
+            .iter()
+            .all(|function| table(*function) == Some(*nodes));
+        even && same && (2..=MOST_NODES).contains(&nodes.len())
+    });
+    even.map_or(MOST_NODES, Vec::len)
+}
+
+fn config(
+    errors: &ErrorSet,
+    travel: &[(f64, f64); ERROR_AXES],
+    arms: [u8; ERROR_AXES],
+    measured_at: [[f64; 3]; ERROR_AXES],
+) -> VolumetricConfig {
+    let counts = Axis::ALL.map(|axis| nodes_of(errors, axis, travel[axis.index()]));
+    let mut raw: Vec<f64> = Vec::new();
+    let mut axes = Vec::new();
+    for axis in Axis::ALL {
+        let ((low, high), count) = (travel[axis.index()], counts[axis.index()]);
+        let pitch = (high - low) / (count - 1) as f64;
+        for node in 0..count {
+            let at = low + pitch * node as f64;
+            let functions = Function::all().filter(|function| function.moving == axis);
+            // nm of mm, nrad of rad. A pair of directions counts with its mean.
+            raw.extend(functions.map(|function| {
+                let unit = if function.rotates { 1e9 } else { 1e6 };
+                errors.function(function).value(at, Approach::Any) * unit
+            }));
+        }
+        // Rounded up: the last node must not fall short of the travel.
+        let units = (pitch * PER_MM).ceil();
+        axes.push(ErrorAxis {
+            first: Coordinate(to_i32(low * PER_MM)),
+            pitch: Coordinate(to_i32(units)),
+            nodes: u8::try_from(count).unwrap_or(u8::MAX),
+            arm: arms[axis.index()],
+            measured_at: measured_at[axis.index()].map(|mm| Coordinate(to_i32(mm * PER_MM))),
+        });
+    }
+    let largest = raw
+        .iter()
+        .fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    let shift = (0..=5_u8).find(|shift| largest / f64::from(1_u32 << shift) <= 32767.0);
+    let shift = shift.unwrap_or(5);
+    let scale = f64::from(1_u32 << shift);
+    VolumetricConfig {
+        axes: axes
+            .try_into()
+            .unwrap_or_else(|_| core::array::from_fn(|_| no_axis())),
+        values: raw
+            .iter()
+            .map(|value| (value / scale).round() as i16)
+            .collect(),
+        shift,
+        squareness: errors.squareness.values().map(|angle| to_i32(angle * 1e9)),
+    }
+}
+
+/// An axis that the controller refuses.
+const fn no_axis() -> ErrorAxis {
+    ErrorAxis {
+        first: Coordinate(0),
+        pitch: Coordinate(0),
+        nodes: 0,
+        arm: 0,
+        measured_at: [Coordinate(0); ERROR_AXES],
+    }
+}
+
+impl MachineFile {
+    /// Returns the machine with these errors in its section `[compensation]`, which it gets if it
+    /// has none; `chain` is then its chain. `name` is the name of the error file in messages.
+    ///
+    /// # Errors
+    ///
+    /// Returns the problems of the extended file.
+    pub fn with_errors(&self, name: &str, errors: &str, chain: &str) -> Result<Self, Problems> {
+        let file = format!("{} with {name}", self.file);
+        let text = match self.text.parse::<toml_edit::DocumentMut>() {
+            Ok(mut document) => {
+                let section = document.entry("compensation").or_insert(toml_edit::table());
+                if let Some(table) = section.as_table_like_mut() {
+                    if !table.contains_key("chain") {
+                        table.insert("chain", toml_edit::value(chain));
+                    }
+                    table.insert("errors", toml_edit::value(errors));
+                }
+                document.to_string()
+            }
+            // The text was read before, so this does not happen.
+            Err(_) => self.text.clone(),
+        };
+        Self::parse(&file, &text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::arms;
+
+    /// Arms of the chains of common mills: bit 0 is x, bit 1 y, bit 2 z.
+    #[test]
+    fn arms_of_chains() {
+        assert_eq!(arms("wYbXZt"), Some([0b100, 0b111, 0b000]));
+        assert_eq!(arms("w X Y b Z t"), Some([0b111, 0b110, 0b000]));
+        assert_eq!(arms("wbXYZt"), Some([0b110, 0b100, 0b000]));
+        for wrong in ["", "wXYZt", "wXYbt", "wXXbZt", "XYbZ", "wXYbZQt"] {
+            assert_eq!(arms(wrong), None, "{wrong}");
+        }
+    }
+}

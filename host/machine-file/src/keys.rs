@@ -1,0 +1,54 @@
+//! The table of keys of machine files, with those of all models.
+
+use super::models;
+use haptimill_kinematics::DESCRIPTORS;
+use haptimill_kinematics::descriptor::AxisKind;
+use haptimill_machine_keys::{Key, Section};
+
+/// All sections, in the order of a machine file. Sections of one path follow each other.
+#[must_use]
+pub fn sections() -> Vec<Section> {
+    let mut sections = Vec::new();
+    for section in haptimill_machine_keys::sections() {
+        if section.path == "plant.joint" {
+            sections.extend(models::sections().map(|[_, plant]| plant));
+        }
+        sections.push(*section);
+        if section.path == "kinematics" {
+            sections.extend(models::sections().map(|[kinematics, _]| kinematics));
+        }
+    }
+    sections
+}
+
+/// The keys of the section at a path without list indices, such as `joint.drive`; empty for a
+/// section without keys in the table.
+pub fn keys_of(path: &str) -> impl Iterator<Item = &'static Key> {
+    sections()
+        .into_iter()
+        .filter(move |section| section.path == path)
+        .flat_map(|section| section.keys)
+}
+
+/// Names and kinds of the coordinates and joints of a model, as a sentence; empty for an unknown
+/// model.
+#[must_use]
+pub fn axes_of(model: &str) -> String {
+    let Some(machine) = DESCRIPTORS.iter().find(|it| it.code == model) else {
+        return String::new();
+    };
+    let list = |axes: &[(&str, AxisKind)]| {
+        let of_kind = |kind| -> Vec<&str> {
+            let axes = axes.iter().filter(|axis| axis.1 == kind);
+            axes.map(|axis| axis.0).collect()
+        };
+        let kinds = [(AxisKind::Linear, "linear"), (AxisKind::Rotary, "rotary")];
+        let kinds = kinds.map(|(kind, word)| (of_kind(kind), word));
+        let kinds = kinds.iter().filter(|(names, _)| !names.is_empty());
+        let texts = kinds.map(|(names, word)| format!("{} ({word})", names.join(", ")));
+        texts.collect::<Vec<_>>().join(", ")
+    };
+    let pose: Vec<_> = machine.pose.iter().map(|it| (it.name, it.kind)).collect();
+    let joints: Vec<_> = machine.joints.iter().map(|it| (it.name, it.kind)).collect();
+    format!("Coordinates: {}. Joints: {}.", list(&pose), list(&joints))
+}

@@ -1,0 +1,142 @@
+//! Plan: the whole trajectory of a program.
+
+use super::limits::{MachineModel, Settings};
+use super::planner::{Keep, Planner};
+use super::setpoints::quantise_pose;
+use super::trajectory::{Cursor, Trajectory};
+use haptimill_gcode::{Coordinates, LISTED_PROBLEMS, Place, Problem, Program, Refused};
+use haptimill_protocol::message::AxisValues;
+use haptimill_protocol::setpoint::Setpoint;
+
+/// A checked trajectory.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// Start pose, axis units.
+    pub start: AxisValues,
+    /// Setpoints; the last one is at standstill.
+    pub setpoints: Vec<Setpoint>,
+    /// Control period, seconds.
+    pub period_s: f64,
+    /// Figures of the plan.
+    pub figures: Figures,
+    places: Vec<Place>,
+    trajectory: Trajectory,
+}
+
+/// Figures of a plan.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Figures {
+    /// Duration, seconds, without pauses.
+    pub duration_s: f64,
+    /// Length of the programmed path of the tool tip in the workpiece, mm, rapid moves included.
+    pub path_length_mm: f64,
+    /// Number of moves.
+    pub blocks: usize,
+    /// Number of moves that the joints keep below their feed.
+    pub slowed: usize,
+    /// Number of setpoints; 0 in a check.
+    pub setpoints: usize,
+    /// Largest path speed of the tip, mm/s.
+    pub peak_tip_mm_s: f64,
+    /// Largest rate of each joint at the setpoints, mm/s or deg/s; 0 in a check.
+    pub peak_joint_rates: [f64; 6],
+}
+
+impl Plan {
+    /// Plans a program.
+    ///
+    /// # Errors
+    ///
+    /// Returns every problem with the place of its block: reach, stroke, singularity, soft limits,
+    /// feed.
+    pub fn new(
+        program: &Program,
+        settings: &Settings,
+        model: &impl MachineModel,
+    ) -> Result<Plan, Refused> {
+        let mut planner = Planner::keeping(program.start, settings.clone(), model, Keep::All);
+        let mut problems = Problems::default();
+        problems.note(planner.check_start());
+        for step in &program.steps {
+            problems.note(planner.step(step));
+        }
+        problems.note(planner.finish(program.lines));
+        problems.take(&program.file, &program.called)?;
+        let (setpoints, places) = planner
+            .made()
+            .map(|planned| (planned.setpoint, planned.place))
+            .unzip();
+        Ok(Plan {
+            start: quantise_pose(&program.start, settings),
+            setpoints,
+            period_s: f64::from(settings.period_us) * 1e-6,
+            figures: planner.figures(),
+            places,
+            trajectory: planner.into_trajectory(),
+        })
+    }
+
+    /// Returns the programmed pose at a time, on the exact lines and arcs, mm and degrees. For
+    /// calls in sequence; see [`Cursor`].
+    pub fn programmed(&self, cursor: &mut Cursor, time_s: f64) -> Coordinates {
+        self.trajectory.programmed(cursor, time_s)
+    }
+
+    /// Returns pose and rates of the trajectory, with its corners rounded: mm, degrees, and per
+    /// second.
+    pub fn intended(&self, cursor: &mut Cursor, time_s: f64) -> (Coordinates, Coordinates) {
+        self.trajectory.intended(cursor, time_s)
+    }
+
+    /// Returns the place in the program of the motion towards a setpoint; the last one for a number
+    /// beyond the end.
+    pub fn place_of(&self, setpoint: usize) -> Place {
+        self.places
+            .get(setpoint)
+            .or(self.places.last())
+            .copied()
+            .unwrap_or_default()
+    }
+
+    /// Returns the line of the program of the motion towards a setpoint.
+    pub fn line_of(&self, setpoint: usize) -> u32 {
+        self.place_of(setpoint).line
+    }
+}
+
+/// Problems of a program, of which the first are listed.
+#[derive(Debug, Default)]
+pub(crate) struct Problems {
+    listed: Vec<Problem>,
+    more: usize,
+}
+
+impl Problems {
+    pub(crate) fn note(&mut self, result: Result<(), Problem>) {
+        match result {
+            Ok(()) => {}
+            Err(problem) if self.listed.len() < LISTED_PROBLEMS => self.listed.push(problem),
+            Err(_) => self.more += 1,
+        }
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.listed.is_empty()
+    }
+
+    /// # Errors
+    ///
+    /// The problems, if there is one.
+    pub(crate) fn take(mut self, file: &str, called: &[String]) -> Result<(), Refused> {
+        if self.listed.is_empty() {
+            return Ok(());
+        }
+        self.listed.sort_by_key(|problem| problem.place);
+        Err(Refused {
+            file: file.to_owned(),
+            called: called.to_vec(),
+            problems: self.listed,
+            more: self.more,
+        })
+    }
+}

@@ -1,0 +1,436 @@
+//! Planner: from steps to setpoints, as a stream.
+
+use super::block::{self, Block};
+use super::corner::Corner;
+use super::limits::{MachineModel, Settings};
+use super::lookahead::Run;
+use super::outputs;
+use super::plan::Figures;
+use super::profile::Phase;
+use super::setpoints::Emitter;
+use super::trajectory::{Bump, Knot, Leg, Piece, Trajectory, longest_on};
+use haptimill_gcode::{Coordinates, Measure, Move, Path, Place, Problem, Step};
+use haptimill_protocol::message::Action;
+use haptimill_protocol::setpoint::Setpoint;
+
+/// Largest change of rate without rounding: the resolution of the setpoints (2^-12 mm/s, 2^-24
+/// turn/s).
+const NO_CORNER: f64 = 2e-5;
+
+/// Largest change of acceleration without a bump, mm/s^2 or deg/s^2.
+const NO_BEND: f64 = 1e-3;
+
+/// Longest plan, seconds: a hundred hours.
+const LONGEST_PLAN_S: f64 = 360_000.0;
+
+/// Blocks of the look-ahead, when a part of them is planned; the rest is planned again with the
+/// blocks that follow.
+const FULL_WINDOW: usize = 8192;
+/// The first one, so that a stream starts early.
+const FIRST_WINDOW: usize = 256;
+
+/// A setpoint with its place in the program.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Planned {
+    /// Setpoint.
+    pub setpoint: Setpoint,
+    /// Place of the motion towards it.
+    pub place: Place,
+    /// Whether that is a rapid move; true for a standstill.
+    pub is_rapid: bool,
+}
+
+/// What a planner keeps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Keep {
+    /// Neither setpoints nor trajectory.
+    Nothing,
+    /// Setpoints, until they are taken.
+    Setpoints,
+    /// Setpoints and the whole trajectory.
+    All,
+}
+
+/// Planner of a stream of steps.
+///
+/// A step that the machine cannot do is refused; later steps are then checked, but not planned.
+/// [`Planner::finish`] ends the motion before it at standstill.
+#[derive(Debug)]
+pub struct Planner<M> {
+    settings: Settings,
+    model: M,
+    keep: Keep,
+    trajectory: Trajectory,
+    emitter: Emitter,
+    run: Run,
+    /// Blocks of the look-ahead when the next part of them is planned.
+    window: usize,
+    /// Time of the end of the last planned block.
+    time: f64,
+    /// End of the last step.
+    at: Coordinates,
+    /// Whether a step was refused.
+    refused: bool,
+    /// Whether the program has ended.
+    ended: bool,
+    figures: Figures,
+}
+
+impl<M: MachineModel> Planner<M> {
+    /// Creates a planner of a program that starts at a pose, mm and degrees.
+    pub fn new(start: Coordinates, settings: Settings, model: M) -> Self {
+        Self {
+            window: FIRST_WINDOW,
+            ..Self::keeping(start, settings, model, Keep::Setpoints)
+        }
+    }
+
+    pub(crate) fn keeping(start: Coordinates, settings: Settings, model: M, keep: Keep) -> Self {
+        // Path 0 is the start pose, so that every time has a path.
+        let standing = Path {
+            from: start,
+            to: start,
+            arc: None,
+            length: 1.0,
+            measure: Measure::Tip,
+        };
+        let mut trajectory = Trajectory::default();
+        trajectory.paths.push(Leg {
+            place: Place::default(),
+            path: standing,
+            is_rapid: true,
+        });
+        trajectory.pieces.push(Piece::resting(0.0, 0, 1.0));
+        Self {
+            emitter: Emitter::new(&settings),
+            settings,
+            model,
+            keep,
+            trajectory,
+            run: Run::default(),
+            window: FULL_WINDOW,
+            time: 0.0,
+            at: start,
+            refused: false,
+            ended: false,
+            figures: Figures::default(),
+        }
+    }
+
+    /// Checks that the machine can be at the start pose.
+    ///
+    /// # Errors
+    ///
+    /// Returns why not.
+    pub fn check_start(&mut self) -> Result<(), Problem> {
+        block::check_pose(&self.at, &self.settings, &self.model).map_err(|(what, _)| {
+            self.refused = true;
+            Problem {
+                place: Place {
+                    line: 1,
+                    column: 1,
+                    ..Place::default()
+                },
+                what: format!("the machine cannot be at the start of the program: {what}"),
+                remedy: "home the machine".into(),
+            }
+        })?;
+        Ok(())
+    }
+
+    /// Adds a step.
+    ///
+    /// # Errors
+    ///
+    /// Returns what the machine cannot do, with the place of the block.
+    pub fn step(&mut self, step: &Step) -> Result<(), Problem> {
+        let (mut first, mut second, mut seconds) = (Action::None, Action::None, 0.0);
+        match step {
+            Step::Move(step) => return self.add(step),
+            Step::Message { .. } => return Ok(()),
+            Step::Dwell { seconds: dwell, .. } => seconds = *dwell,
+            Step::Spindle { rpm, .. } => first = Action::Spindle(*rpm),
+            // The operator changes the tool during a pause.
+            Step::Pause { .. } | Step::ToolChange { .. } => first = Action::Pause,
+            Step::Coolant { mist, flood, .. } => {
+                [first, second] = outputs::coolant(&self.settings.outputs, *flood, *mist);
+            }
+            Step::Output { number, value, .. } => {
+                let action = outputs::action(&self.settings.outputs, *number, *value);
+                first = action.map_err(|(what, remedy)| {
+                    self.refused = true;
+                    Problem {
+                        place: step.place(),
+                        what,
+                        remedy,
+                    }
+                })?;
+            }
+            Step::Probe { .. } | Step::Wait { .. } => {
+                self.refused = true;
+                return Err(Problem {
+                    place: step.place(),
+                    what: "a job has no probe moves (G38) and no waits for inputs (M66)".into(),
+                    remedy: "remove it, or probe with `haptimill mdi`".into(),
+                });
+            }
+        }
+        let place = step.place();
+        if self.refused {
+            return Ok(());
+        }
+        let stopped = self.stop();
+        if matches!(step, Step::Dwell { .. }) {
+            self.emitter.rest(&self.at, seconds, place, &self.settings);
+        }
+        for action in [first, second] {
+            if action != Action::None {
+                self.emitter.act(&self.at, action, place, &self.settings);
+            }
+        }
+        self.forget();
+        stopped
+    }
+
+    /// Ends the program, or what of it was not refused, at standstill. `line` is the last one of
+    /// the program.
+    ///
+    /// # Errors
+    ///
+    /// Returns a pose of the last motion that the machine cannot reach.
+    pub fn finish(&mut self, line: u32) -> Result<(), Problem> {
+        let stopped = self.stop();
+        if self.emitter.count == 0 {
+            let end = Place {
+                line,
+                column: 1,
+                ..Place::default()
+            };
+            self.emitter.rest(&self.at, 0.0, end, &self.settings);
+        }
+        self.forget();
+        self.ended = true;
+        stopped
+    }
+
+    /// Takes the setpoints that are made; before the end all but the last one, which may get the
+    /// next action.
+    pub fn made(&mut self) -> std::vec::Drain<'_, Planned> {
+        let count =
+            self.emitter.made.len() - usize::from(!self.ended && !self.emitter.made.is_empty());
+        self.emitter.made.drain(..count)
+    }
+
+    /// Returns the figures of what is planned.
+    pub fn figures(&self) -> Figures {
+        Figures {
+            duration_s: self.emitter.time(),
+            setpoints: if self.keep == Keep::Nothing {
+                0
+            } else {
+                self.emitter.count
+            },
+            peak_joint_rates: self.emitter.peak_joint_rates,
+            ..self.figures
+        }
+    }
+
+    pub(crate) fn into_trajectory(self) -> Trajectory {
+        self.trajectory
+    }
+
+    fn add(&mut self, step: &Move) -> Result<(), Problem> {
+        let blocks = block::prepare(step, &self.settings, &self.model)
+            .inspect_err(|_| self.refused = true)?;
+        if self.refused {
+            return Ok(());
+        }
+        self.at = step.path.to;
+        self.figures.slowed += usize::from(blocks.iter().any(|block| block.is_slowed));
+        for block in blocks {
+            self.run.push(block, &self.settings);
+        }
+        if self.run.blocks.len() < self.window {
+            return Ok(());
+        }
+        let count = self.run.blocks.len() / 2;
+        self.window = (2 * self.window).min(FULL_WINDOW);
+        self.run.plan();
+        self.lay_blocks(count)?;
+        let made = self.emit(false);
+        self.forget();
+        made
+    }
+
+    /// Plans the blocks of the look-ahead up to a standstill.
+    fn stop(&mut self) -> Result<(), Problem> {
+        let count = self.run.blocks.len();
+        if count == 0 && !self.run.moves {
+            return Ok(());
+        }
+        self.run.plan();
+        self.lay_blocks(count)?;
+        self.run = Run::default();
+        let path = self.trajectory.last_path();
+        let length = self.trajectory.leg(path).path.length;
+        let made = self.emit(true);
+        self.trajectory
+            .pieces
+            .push(Piece::resting(self.time, path, length));
+        made
+    }
+
+    /// Makes the setpoints of the planned blocks.
+    fn emit(&mut self, is_end: bool) -> Result<(), Problem> {
+        if self.keep != Keep::Nothing {
+            let (settings, model) = (&self.settings, &self.model);
+            let emitter = &mut self.emitter;
+            return emitter
+                .advance(&self.trajectory, self.time, is_end, settings, model)
+                .inspect_err(|_| self.refused = true);
+        }
+        if is_end {
+            self.emitter.skip(self.time, &self.at, &self.settings);
+        }
+        Ok(())
+    }
+
+    /// Removes what nobody needs any more.
+    fn forget(&mut self) {
+        match self.keep {
+            Keep::All => {}
+            Keep::Nothing => {
+                self.trajectory.forget(self.time);
+                // The next action may be that of the last setpoint.
+                let last = self.emitter.made.len().saturating_sub(1);
+                self.emitter.made.drain(..last);
+            }
+            Keep::Setpoints => {
+                // The next setpoint begins at the last one; a place is that of a period before.
+                let period = f64::from(self.settings.period_us) * 1e-6;
+                let from = self.emitter.time() - 2.0 * period;
+                self.emitter.forget(self.trajectory.forget(from));
+            }
+        }
+    }
+
+    fn lay_blocks(&mut self, count: usize) -> Result<(), Problem> {
+        if !self.run.moves {
+            self.time = self.emitter.begin(&self.trajectory);
+            self.run.moves = true;
+        }
+        let blocks = std::mem::take(&mut self.run.blocks);
+        for (index, block) in blocks[..count].iter().enumerate() {
+            self.lay(block, index);
+            if self.time > LONGEST_PLAN_S {
+                self.refused = true;
+                self.run = Run::default();
+                return Err(Problem {
+                    place: block.place,
+                    what: "at its feeds the program takes more than 100 hours up to here".into(),
+                    remedy: "write higher feeds, or divide the program".into(),
+                });
+            }
+        }
+        self.run.blocks = blocks;
+        self.run.forget(count);
+        Ok(())
+    }
+
+    /// Adds the pieces of a block and the rounding at its end.
+    fn lay(&mut self, block: &Block, index: usize) {
+        let speeds = [self.run.speeds[index], self.run.speeds[index + 1]];
+        let corners = [&self.run.corners[index], &self.run.corners[index + 1]];
+        let [into, out] = speeds;
+        let reach = [corners[0].reach(into), corners[1].reach(out)];
+        self.trajectory.paths.push(Leg {
+            place: block.place,
+            path: block.path.clone(),
+            is_rapid: block.is_rapid,
+        });
+        let path = self.trajectory.last_path();
+        self.figures.path_length_mm += block.path.tip_length();
+        self.figures.blocks += usize::from(!block.continues);
+
+        let is_rounded = |corner: &Corner, speed: f64| {
+            let above = |parts: &Coordinates, factor: f64, least: f64| {
+                parts.iter().any(|part| part.abs() * factor > least)
+            };
+            above(&corner.change, speed, NO_CORNER) || above(&corner.bend, speed * speed, NO_BEND)
+        };
+        let rounded = [is_rounded(corners[0], into), is_rounded(corners[1], out)];
+        let mut phases = Vec::with_capacity(9);
+        let steady = |length: f64, speed: f64| Phase {
+            duration: length / speed,
+            acceleration: 0.0,
+            jerk: 0.0,
+        };
+        if reach[0] > 0.0 {
+            phases.push(steady(reach[0], into));
+        }
+        let peak = block.along.phases(
+            block.path.length - reach[0] - reach[1],
+            into,
+            out,
+            &mut phases,
+        );
+        if reach[1] > 0.0 {
+            phases.push(steady(reach[1], out));
+        }
+        if block.path.tip_length() > 0.0 {
+            self.figures.peak_tip_mm_s = self.figures.peak_tip_mm_s.max(peak);
+        }
+        let is_arc = block.path.arc.is_some();
+        let bends = is_arc || self.run.follows_arc;
+        self.run.follows_arc = is_arc;
+        let (mut s, mut speed) = (0.0, into);
+        let last = phases.len() - 1;
+        for (number, phase) in phases.iter().enumerate() {
+            let Phase {
+                duration,
+                acceleration,
+                jerk,
+            } = *phase;
+            let steady_before = self
+                .trajectory
+                .pieces
+                .last()
+                .is_some_and(|piece| piece.jerk == 0.0);
+            // A rounding begins in the last phase of its block, has its middle between the blocks,
+            // and ends in the first phase of the next block.
+            let rounding = (rounded[0] && number <= 1) || (rounded[1] && number == last);
+            let knot = if number == 0 && bends {
+                Knot::Step
+            } else if rounding || !steady_before || jerk != 0.0 {
+                Knot::Jerk
+            } else {
+                Knot::None
+            };
+            let mut piece = Piece {
+                time: self.time,
+                s,
+                speed,
+                acceleration,
+                jerk,
+                longest: f64::INFINITY,
+                path,
+                knot,
+            };
+            self.time += duration;
+            piece.longest = longest_on(&piece, self.time - piece.time, block);
+            self.trajectory.pieces.push(piece);
+            s += duration * (speed + duration * (0.5 * acceleration + duration * jerk / 6.0));
+            speed += duration * (acceleration + 0.5 * duration * jerk);
+        }
+        if rounded[1] {
+            let change = corners[1].change.map(|part| part * out);
+            let bend = corners[1].bend.map(|part| part * out * out);
+            self.trajectory.bumps.push(Bump {
+                time: self.time,
+                half: reach[1] / out,
+                change,
+                bend,
+            });
+        }
+    }
+}

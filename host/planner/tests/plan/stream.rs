@@ -1,0 +1,159 @@
+//! The planner as a stream: the same motion as a plan, in bounded memory.
+
+use crate::h4::{H4, HOME, settings};
+use crate::spans::{spans_of, unit};
+use haptimill_gcode::{Interpreter, Options, Program, Step, read};
+use haptimill_planner::{CheckError, Plan, Planned, Planner, check};
+use std::io::Cursor;
+
+/// A spiral of short blocks, with a dwell and a spindle command on the way.
+fn spiral(blocks: u32) -> String {
+    let mut text = String::from("G0 X0 Y0 Z25\nM3 S1000\nG1 F900\n");
+    for k in 0..blocks {
+        let angle = f64::from(k) * 0.01;
+        let radius = 5.0 + 30.0 * f64::from(k) / f64::from(blocks);
+        text += &format!(
+            "X{:.4} Y{:.4}\n",
+            radius * angle.cos(),
+            radius * angle.sin()
+        );
+        if k == blocks / 3 {
+            text += "G4 P0.5\nM3 S2000\n";
+        }
+    }
+    text
+}
+
+fn program(text: &str) -> Program {
+    read("test.ngc", text.as_bytes(), &Options::h4(HOME)).expect("readable")
+}
+
+/// Setpoints of a stream, and the most that waited at once.
+fn stream(program: &Program) -> (Vec<Planned>, usize) {
+    let mut planner = Planner::new(program.start, settings(), H4);
+    let (mut made, mut most) = (Vec::new(), 0);
+    let mut take = |planner: &mut Planner<H4>| {
+        let before = made.len();
+        made.extend(planner.made());
+        most = most.max(made.len() - before);
+    };
+    planner.check_start().expect("the start is reachable");
+    for step in &program.steps {
+        planner.step(step).expect("possible");
+        take(&mut planner);
+    }
+    planner.finish(program.lines).expect("possible");
+    take(&mut planner);
+    (made, most)
+}
+
+fn setpoints(made: &[Planned]) -> Vec<haptimill_protocol::setpoint::Setpoint> {
+    made.iter()
+        .map(|planned| planned.setpoint.clone())
+        .collect()
+}
+
+/// A program within the first look-ahead has the same bits as a plan.
+#[test]
+fn a_short_stream_is_the_plan() {
+    let program = program(&spiral(200));
+    let plan = Plan::new(&program, &settings(), &H4).expect("plannable");
+    let (made, _) = stream(&program);
+    assert_eq!(setpoints(&made), plan.setpoints);
+    for (index, planned) in made.iter().enumerate() {
+        assert_eq!(planned.place, plan.place_of(index));
+    }
+}
+
+/// Across the ends of the look-ahead the limits hold, and nothing is lost or waits.
+#[test]
+fn a_long_stream_keeps_the_limits() {
+    let blocks = 40_000;
+    let program = program(&spiral(blocks));
+    let plan = Plan::new(&program, &settings(), &H4).expect("plannable");
+    let (made, most) = stream(&program);
+    let settings = settings();
+    let made = setpoints(&made);
+    for (number, span) in spans_of(&plan.start, &made, plan.period_s)
+        .iter()
+        .enumerate()
+    {
+        for (k, (cubic, axis)) in span.axes.iter().zip(&settings.pose).enumerate() {
+            let t = cubic.t;
+            // Half a unit at each end: of the pose, and of the rate (256 units).
+            let (step, rate) = (unit(k), 128.0 * unit(k));
+            let rounding = 12.0 * step / (t * t * t) + 12.0 * rate / (t * t);
+            assert!(cubic.peak_rate() <= axis.rate + rate + step / t);
+            let [a, b] = cubic.acceleration();
+            let largest = axis.acceleration + 6.0 * step / (t * t) + 6.0 * rate / t;
+            assert!(
+                a.abs().max(b.abs()) <= largest,
+                "acceleration of {k} in {number}"
+            );
+            assert!(
+                cubic.jerk().abs() <= axis.jerk + rounding,
+                "jerk of {k} in {number}"
+            );
+        }
+    }
+    let last = made.last().expect("a setpoint");
+    assert_eq!(last, plan.setpoints.last().expect("a setpoint"));
+    assert!(last.rates.iter().all(|rate| *rate == 0));
+    let actions = |all: &[haptimill_protocol::setpoint::Setpoint]| {
+        let is_action = |setpoint: &&haptimill_protocol::setpoint::Setpoint| {
+            setpoint.action != haptimill_protocol::message::Action::None
+        };
+        all.iter().filter(is_action).count()
+    };
+    assert_eq!(actions(&made), actions(&plan.setpoints));
+    // A shorter look-ahead at the start costs little time.
+    let time = |all: &[haptimill_protocol::setpoint::Setpoint]| {
+        all.iter().map(|it| f64::from(it.periods)).sum::<f64>() * plan.period_s
+    };
+    assert!((time(&made) / time(&plan.setpoints) - 1.0).abs() < 0.002);
+    assert!(
+        most < made.len() / 3,
+        "{most} of {} setpoints waited",
+        made.len()
+    );
+}
+
+/// A check has the figures of the plan, and sees every step.
+#[test]
+fn a_check_has_the_figures_of_the_plan() {
+    let text = spiral(20_000);
+    let program = program(&text);
+    let plan = Plan::new(&program, &settings(), &H4).expect("plannable");
+    let options = Options::h4(HOME);
+    let mut interpreter = Interpreter::new(Cursor::new(text.as_bytes()), &options);
+    let mut moves = 0;
+    let figures = check("t", &mut interpreter, HOME, &settings(), &H4, |step| {
+        moves += usize::from(matches!(step, Step::Move(_)));
+    })
+    .expect("possible");
+    assert_eq!(figures.blocks, plan.figures.blocks);
+    assert_eq!(moves, figures.blocks);
+    assert_eq!(figures.path_length_mm, plan.figures.path_length_mm);
+    assert!((figures.duration_s - plan.figures.duration_s).abs() < 1e-9);
+    assert_eq!(figures.setpoints, 0);
+}
+
+/// Problems of reading come before those of the machine; each has its line.
+#[test]
+fn a_check_reports_problems_of_reading_first() {
+    let problems = |text: &str| {
+        let options = Options::h4(HOME);
+        let mut interpreter = Interpreter::new(Cursor::new(text.as_bytes()), &options);
+        check("t", &mut interpreter, HOME, &settings(), &H4, |_| {}).expect_err("refused")
+    };
+    let CheckError::Impossible(refused) = problems("G0 X1000\nX0\nG1 X1 F600\nX-999\n") else {
+        panic!("readable");
+    };
+    let lines = refused.problems.iter().map(|it| it.place.line);
+    assert_eq!(lines.collect::<Vec<_>>(), [1, 2, 4]);
+    let CheckError::Unreadable(refused) = problems("G0 X1000\nG7777\n") else {
+        panic!("unreadable");
+    };
+    assert_eq!(refused.problems.len(), 1);
+    assert_eq!(refused.problems[0].place.line, 2);
+}

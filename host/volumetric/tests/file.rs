@@ -1,0 +1,114 @@
+//! Files that cannot be used, each with the line and a remedy.
+
+use haptimill_volumetric::errors::{Function, Squareness};
+use haptimill_volumetric::file::{Limits, TABLE_HEADER, read};
+
+/// A valid file: every function from -100 to 100 mm in steps of 100.
+fn lines() -> Vec<String> {
+    let mut lines = vec![TABLE_HEADER.to_string()];
+    for function in Function::all() {
+        for position in ["-100", "0", "100"] {
+            lines.push(format!("{function},{position},,1.5,{}", function.unit()));
+        }
+    }
+    lines.extend(Squareness::NAMES.map(|name| format!("{name},,,5,urad")));
+    lines
+}
+
+fn limits() -> Limits {
+    Limits {
+        travel: Some([(-100.0, 100.0); 3]),
+        ..Limits::default()
+    }
+}
+
+fn refused(change: impl Fn(&mut Vec<String>)) -> String {
+    let mut lines = lines();
+    change(&mut lines);
+    read(&lines.join("\n"), &limits()).unwrap_err().to_string()
+}
+
+#[test]
+fn names_round_trip() {
+    assert!(read(&lines().join("\n"), &limits()).is_ok());
+    let all: Vec<Function> = Function::all().collect();
+    assert_eq!(all.len(), 18);
+    for (index, function) in all.iter().enumerate() {
+        assert_eq!(function.index(), index);
+        assert_eq!(Function::of_name(&function.to_string()), Some(*function));
+    }
+    // 3 positioning, 6 straightness, 9 rotations, 3 squareness.
+    use haptimill_volumetric::errors::Kind::*;
+    let count = |kind| {
+        all.iter()
+            .filter(|function| function.kind() == kind)
+            .count()
+    };
+    assert_eq!(
+        [Positioning, Straightness, Roll, Pitch, Yaw].map(count),
+        [3, 6, 3, 3, 3]
+    );
+    let name = |name: &str| Function::of_name(name).unwrap().kind();
+    assert_eq!([name("EAX"), name("EBX"), name("ECX")], [Roll, Pitch, Yaw]);
+    assert_eq!([name("EAY"), name("EBY"), name("ECY")], [Pitch, Roll, Yaw]);
+}
+
+#[test]
+fn problems_name_line_and_remedy() {
+    type Change = fn(&mut Vec<String>);
+    let cases: [(Change, &str); 13] = [
+        (|l| l[0] = "a,b".into(), "line 1: the header"),
+        (|l| l[2] = "EXX,0,,,um".into(), "line 3: EXX has a gap"),
+        (
+            |l| l[2] = "EXX,0,,1.5,urad".into(),
+            "line 3: EXX is a translation",
+        ),
+        (|l| l[2] = "EXX,0,,1.5,inch".into(), "write um, mm or nm"),
+        (|l| l.swap(2, 3), "line 4: EXX has 0 mm after 100 mm; sort"),
+        (
+            |l| l[2] = "EXX,0,,400,um".into(),
+            "line 3: EXX changes by 3.985 um per mm",
+        ),
+        (
+            |l| l[2] = "EXX,0,,1.5,mm".into(),
+            "line 3: EXX is 1500.0000 um",
+        ),
+        (
+            |l| l[3] = "EXX,120,,1.5,um".into(),
+            "the travel is -100 to 100 mm",
+        ),
+        (|l| drop(l.drain(1..4)), "EXX has no line"),
+        (
+            |l| l[2] = "EQQ,0,,1,um".into(),
+            "line 3: \"EQQ\" is no error",
+        ),
+        (|l| l[2] = "EXX,zero,,1,um".into(), "position_mm = \"zero\""),
+        (
+            |l| l[2] = "EXX,0,up,1,um".into(),
+            "EXX has lines with and without",
+        ),
+        (|l| drop(l.pop()), "EA0Z has no line"),
+    ];
+    for (change, expected) in cases {
+        let message = refused(change);
+        assert!(message.contains(expected), "{message}\n  {expected}");
+    }
+    let gap = Limits {
+        gap: 50.0,
+        ..limits()
+    };
+    let message = read(&lines().join("\n"), &gap).unwrap_err().to_string();
+    assert!(
+        message.contains("line 3: EXX has a gap of 100 mm"),
+        "{message}"
+    );
+    let wide = Limits {
+        travel: Some([(-400.0, 400.0); 3]),
+        ..limits()
+    };
+    let message = read(&lines().join("\n"), &wide).unwrap_err().to_string();
+    assert!(
+        message.contains("covers -100 to 100 mm of the travel -400"),
+        "{message}"
+    );
+}

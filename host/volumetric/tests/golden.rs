@@ -1,0 +1,120 @@
+//! The error model and the evaluators against values that a program in Python computed from the
+//! same error set: 28 characteristics of the test piece, three ways.
+
+use haptimill_volumetric::Vector;
+use haptimill_volumetric::chain::{Arms, Model};
+use haptimill_volumetric::errors::ErrorSet;
+use haptimill_volumetric::file::{self, Limits};
+use haptimill_volumetric::grid::{Grid, Sizes, compensated, reached};
+use haptimill_volumetric::part::{characteristics, probe_points};
+
+fn errors() -> ErrorSet {
+    file::read(include_str!("../data/vmc3_errors.csv"), &Limits::default()).unwrap()
+}
+
+const PHYSICAL: Model = Model::Physical(Arms {
+    x_height: 0.0,
+    table_point: Vector::new(0.0, 0.0, 0.0),
+    tool: Vector::new(0.0, 0.0, -228.3009),
+    measured_tool: Vector::new(0.0, 0.0, -228.3009),
+});
+
+/// Every characteristic within 0.001 um of its golden value.
+#[test]
+fn characteristics_of_the_test_piece() {
+    let errors = errors();
+    let rows_of = |model: Model, corrected: bool| {
+        let error = |point| model.error(&errors, point);
+        let points = probe_points().map(|point| {
+            let centre = point.tool_centre();
+            let commanded = if corrected {
+                compensated(centre, error)
+            } else {
+                centre
+            };
+            point.cut_by(reached(commanded, error))
+        });
+        characteristics(&points).unwrap()
+    };
+    let columns = [
+        rows_of(Model::thesis(), false),
+        rows_of(PHYSICAL, false),
+        rows_of(PHYSICAL, true),
+    ];
+    let text = include_str!("data/golden_a160_gdt.csv");
+    let mut reader = csv::ReaderBuilder::new()
+        .comment(Some(b'#'))
+        .from_reader(text.as_bytes());
+    let mut count = 0;
+    for (index, record) in reader.records().enumerate() {
+        let record = record.unwrap();
+        for (column, rows) in columns.iter().enumerate() {
+            let expected: f64 = record[column + 1].parse().unwrap();
+            let row = &rows[index];
+            assert_eq!(row.name, &record[0]);
+            let value = row.value * 1e3;
+            let difference = (value - expected).abs();
+            assert!(
+                difference < 0.001,
+                "{} {column}: {value} {expected}",
+                row.name
+            );
+        }
+        count += 1;
+    }
+    assert_eq!((count, columns[0].len()), (28, 28));
+}
+
+/// One point in both models.
+#[test]
+fn one_point() {
+    let errors = errors();
+    let point = Vector::new(70.0, -80.0, -10.0);
+    for (model, expected) in [
+        (Model::thesis(), [0.4253, 2.7701, -1.1598]),
+        (PHYSICAL, [3.1437, 1.1817, -0.5239]),
+    ] {
+        let error = model.error(&errors, point) * 1e3;
+        let difference = (error - Vector::from(expected)).amax();
+        assert!(difference < 1e-4, "{error} {expected:?}");
+    }
+}
+
+/// The largest error over the grid, and what one pass of compensation leaves of it.
+#[test]
+fn grid() {
+    let errors = errors();
+    for (model, before, after) in [(Model::thesis(), 5.35, 0.22e-3), (PHYSICAL, 4.81, 0.19e-3)] {
+        let error = |point| model.error(&errors, point);
+        let points = Grid::part().points();
+        assert_eq!(points.len(), 9 * 9 * 3);
+        let raw = Sizes::of(points.iter().map(|point| reached(*point, error) - point));
+        let left = points
+            .iter()
+            .map(|point| reached(compensated(*point, error), error) - point);
+        let left = Sizes::of(left);
+        assert!((raw.largest * 1e3 - before).abs() < 0.005, "{raw:?}");
+        assert!((left.largest * 1e3 - after).abs() < 0.01e-3, "{left:?}");
+    }
+}
+
+/// Tables with nodes every 10 mm keep the closed forms within the sagitta of their sines.
+#[test]
+fn tables_follow_the_forms() {
+    let errors = errors();
+    let travel = [(-325.0, 325.0), (-250.0, 250.0), (-150.0, 300.0)];
+    let tables = errors.tabulated(&travel, [66, 51, 46]);
+    let text = file::write(&tables, "a test");
+    let limits = Limits {
+        travel: Some(travel),
+        ..Limits::default()
+    };
+    let read = file::read(&text, &limits).unwrap();
+    for point in Grid::part().points() {
+        let exact = PHYSICAL.error(&errors, point);
+        // 0.394 um with 100 mm: 100 / 8 (2 pi / 100)^2 0.394 = 0.0194 um at most in a table.
+        assert!((PHYSICAL.error(&tables, point) - exact).amax() < 40e-6);
+        // A file has four decimals.
+        assert!((PHYSICAL.error(&read, point) - PHYSICAL.error(&tables, point)).amax() < 0.5e-6);
+    }
+}

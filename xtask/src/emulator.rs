@@ -1,0 +1,108 @@
+//! The emulator of boards with an RP2350: takes the pinned packages from the registry, applies the
+//! project's repairs, and tests them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Packages that are repaired, with their versions; each has a patch `NAME-VERSION.patch`.
+const PACKAGES: [(&str, &str); 2] = [("rp2350-emu", "0.2.6"), ("picoem-common", "0.2.2")];
+
+/// Folder of the program.
+const FOLDER: &str = "host/emulator";
+
+/// Repairs the emulator, and runs the tests of the repairs.
+///
+/// # Errors
+/// A package cannot be fetched, a patch does not fit, or a test fails.
+pub fn emulator(root: &Path) -> Result<(), String> {
+    let folder = root.join(FOLDER);
+    repair(root, &folder)?;
+    let mut cargo = crate::cargo();
+    cargo
+        .current_dir(&folder)
+        .args(["test", "--release", "--locked"]);
+    succeed(&mut cargo)
+}
+
+/// Puts the repaired sources into `target/patched/`, unless they are there already.
+fn repair(root: &Path, folder: &Path) -> Result<(), String> {
+    let patched = folder.join("target/patched");
+    for (name, version) in PACKAGES {
+        let package = format!("{name}-{version}");
+        let patch = folder.join("patches").join(format!("{package}.patch"));
+        let text = fs::read(&patch).map_err(|error| format!("{}: {error}", patch.display()))?;
+        let target = patched.join(&package);
+        let applied = target.join("applied.patch");
+        if fs::read(&applied).is_ok_and(|before| before == text) {
+            continue;
+        }
+        let source = source(root, name, version)?;
+        if target.exists() {
+            fs::remove_dir_all(&target)
+                .map_err(|error| format!("{}: {error}", target.display()))?;
+        }
+        copy(&source, &target)?;
+        let mut git = Command::new("git");
+        git.current_dir(&target).arg("apply").arg(&patch);
+        succeed(&mut git)?;
+        fs::write(&applied, text).map_err(|error| format!("{}: {error}", applied.display()))?;
+    }
+    Ok(())
+}
+
+/// Folder of the sources of a package of the registry.
+fn source(root: &Path, name: &str, version: &str) -> Result<PathBuf, String> {
+    let scratch = root.join("target/emulator-sources").join(name);
+    let problem = |error| format!("{}: {error}", scratch.display());
+    fs::create_dir_all(scratch.join("src")).map_err(problem)?;
+    fs::write(scratch.join("src/lib.rs"), "").map_err(problem)?;
+    let manifest = format!(
+        "[package]\nname = \"sources\"\nversion = \"0.0.0\"\n[workspace]\n[dependencies]\n{name} = \"={version}\"\n"
+    );
+    fs::write(scratch.join("Cargo.toml"), manifest).map_err(problem)?;
+    let output = crate::cargo()
+        .current_dir(&scratch)
+        .args(["metadata", "--format-version", "1"])
+        .output()
+        .map_err(|error| format!("cargo cannot be started: {error}"))?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let end = format!("{name}-{version}/Cargo.toml");
+    let found = text
+        .split('"')
+        .find(|word| word.ends_with(&end))
+        .and_then(|manifest| Path::new(manifest).parent());
+    found.map(Path::to_path_buf).ok_or_else(|| {
+        format!(
+            "the package {name} {version} cannot be fetched: {}",
+            String::from_utf8_lossy(&output.stderr)
+        )
+    })
+}
+
+/// Copies a folder.
+fn copy(from: &Path, to: &Path) -> Result<(), String> {
+    let problem = |error| format!("{}: {error}", from.display());
+    fs::create_dir_all(to).map_err(|error| format!("{}: {error}", to.display()))?;
+    for entry in fs::read_dir(from).map_err(problem)? {
+        let entry = entry.map_err(problem)?;
+        let (path, target) = (entry.path(), to.join(entry.file_name()));
+        if entry.file_type().map_err(problem)?.is_dir() {
+            copy(&path, &target)?;
+        } else {
+            let copied = fs::copy(&path, &target);
+            copied.map_err(|error| format!("{}: {error}", path.display()))?;
+        }
+    }
+    Ok(())
+}
+
+/// Runs a command that must succeed.
+fn succeed(command: &mut Command) -> Result<(), String> {
+    let name = command.get_program().to_string_lossy().into_owned();
+    match command.status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(format!("{name} failed ({status})")),
+        Err(error) => Err(format!("{name} cannot be started: {error}")),
+    }
+}
