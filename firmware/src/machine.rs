@@ -122,9 +122,21 @@ impl Machine {
         if large_step {
             self.detect_jumps(u32::from(inputs.missed) + 1);
         }
+        if inputs.missed != 0 {
+            self.skip_periods(inputs);
+        }
         self.measure_pose();
         self.measure_haptics(&inputs.haptic);
         self.measure_io(inputs);
+    }
+
+    /// Accounts for missed periods in the rates of the joints.
+    #[cold]
+    #[inline(never)]
+    fn skip_periods(&mut self, inputs: &Inputs) {
+        for (joint, counted) in self.joints.iter_mut().zip(&inputs.axes) {
+            joint.skip(inputs.missed, counted.counts);
+        }
     }
 
     /// Levels of the named inputs; the position of this period for a probe that takes its level.

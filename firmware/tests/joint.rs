@@ -243,6 +243,38 @@ fn enable_does_not_move_the_joint() {
     }
 }
 
+/// A slide that creeps during missed periods is braked for its mean rate. A derivative of the whole
+/// motion over one period would be 16,000 N/(m/s) * 0.42 m/s = 6,700 N, far above the limit.
+#[test]
+fn missed_periods_do_not_kick() {
+    let mut joint = JointDrive::new(&axis(torque(), 0.0), 200).expect("valid");
+    let mut inputs = AxisInputs::default();
+    joint.measure(&inputs, 0);
+    let still = JointCommand {
+        coordinate: joint.enable(),
+        ..JointCommand::default()
+    };
+    let period = |joint: &mut JointDrive, inputs: &AxisInputs, number: u32, missed: u16| {
+        joint.measure(inputs, number * 200_000);
+        if missed != 0 {
+            joint.skip(missed, inputs.counts);
+        }
+        f64::from(drive_to(joint, &still).effort.0) / NEWTON
+    };
+    for number in 1..5 {
+        assert!(period(&mut joint, &inputs, number, 0).abs() < 0.01);
+    }
+    // 67 counts of 1.25 um in 356 periods: 84 um, 1.18 mm/s.
+    inputs.counts += 67;
+    let kp = 40.0 * 40_000.0 * 67.0 * 1.25e-6;
+    let kd = 40.0 * 400.0 * 67.0 * 1.25e-6 / (356.0 * 200e-6);
+    let effort = period(&mut joint, &inputs, 360, 355);
+    assert!(
+        effort < -kp + 0.5 && effort > -kp - kd,
+        "{effort} {kp} {kd}"
+    );
+}
+
 #[test]
 fn reference_set_in_motion_does_not_jump() {
     for servo in [torque(), steps()] {

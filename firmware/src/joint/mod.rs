@@ -407,6 +407,24 @@ impl JointDrive {
         jumped
     }
 
+    /// Accounts for `missed` periods before the present one, after [`JointDrive::measure`]. The
+    /// motor moved during all of them. The rate of the following error takes the mean motion of
+    /// one period, not the whole: the derivative term would act on a rate that never was.
+    #[cold]
+    #[inline(never)]
+    pub fn skip(&mut self, missed: u16, counter: i32) {
+        let Output::Torque { law, .. } = &mut self.output else {
+            return;
+        };
+        let before = counter.wrapping_sub(self.measurement.moved);
+        let before = self.encoder.coordinate_at(before);
+        let moved = difference(self.kind, self.measurement.motor, before);
+        let mean = i64::from(moved.0) / (i64::from(missed) + 1);
+        law.shift(Coordinate(haptimill_math::reciprocal::saturate(
+            mean - i64::from(moved.0),
+        )));
+    }
+
     /// References the joint to the power-on counts. The joint was set to its preset now; it stood
     /// at the preset at power-on and has moved by `counted` since. Returns false if the counter
     /// jumped.

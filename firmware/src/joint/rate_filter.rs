@@ -105,6 +105,11 @@ impl RateFilter {
         self.state = (signal as i64) << FRACTION;
     }
 
+    /// Shifts past and present of the signal: the next change does not contain `by`.
+    pub fn shift(&mut self, by: i32) {
+        self.state = total(self.state, i64::from(by) << FRACTION);
+    }
+
     /// Processes the signal of a period. Returns its low-passed change since the previous period,
     /// with [`CHANGE_FRACTION`]; within +-2^56.
     #[inline]

@@ -152,6 +152,11 @@ impl ServoLaw {
         self.disturbance.reset();
     }
 
+    /// Takes a change of the error out of its rate: it happened over several periods.
+    pub fn shift(&mut self, by: Coordinate) {
+        self.error_rate.shift(by.0);
+    }
+
     /// Returns the effort of a period and whether it was clamped at the limit.
     #[inline(always)]
     pub fn effort(
