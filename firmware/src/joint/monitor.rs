@@ -392,6 +392,13 @@ impl JointMonitor {
         }
         last_count.peak = last_count.peak.max(along);
         if distance(config, sample.measured, last_count.measured) > stuck_distance(encoder) {
+            if difference(config, sample.measured, last_count.measured).signum()
+                != i64::from(direction)
+            {
+                // The joint still moves against the command: friction has yet to change its sign.
+                *last_count = begun;
+                return None;
+            }
             let fade = needed.saturating_sub(along) / FADE;
             let needed = last_count.peak.max(needed.saturating_sub(fade));
             *last_count = LastCount {

@@ -32,9 +32,9 @@ pub const RUNAWAY: [f64; 2] = [4.0, 4.0];
 pub const FOLLOWING: [f64; 2] = [0.20, 0.12];
 /// Distance of a healthy slide from its target after a second at standstill.
 ///
-/// A slide that moved by less than its play has an unknown flank. Half of both plays (18 um
-/// compensated, 10 um real) is 14 um. Uncompensated friction of 8 N is 5 um at 1600 N/mm.
-pub const REST: [f64; 2] = [0.019, 0.025];
+/// A slide that moved by less than its lost motion has an unknown flank. Half of both (25.8 um
+/// compensated, 25.8 um real) is 25.8 um. The integrator ignores 1.5 counts, which are 1.9 um.
+pub const REST: [f64; 2] = [0.028, 0.025];
 /// The same for a slide whose motion ended with more than [`LASTING`] periods below [`KNEE`].
 ///
 /// Its friction of 40 N is not compensated and is 25 um (firmware/src/joint/friction.rs); half of
