@@ -2,12 +2,12 @@
 
 use super::super::bench::StormBench;
 use super::super::episode::{Theme, joint_of};
-use super::super::units::joint_unit;
+use super::super::units::{self, joint_unit};
 use super::{CheckResult, Checks, bounds, jump_threshold};
-use haptimill_firmware::config::Drive;
+use haptimill_firmware::config::{AxisKind, Drive};
 use haptimill_hil_sim::fault::{FaultKind, Switch};
 use haptimill_protocol::force::ForceProblem;
-use haptimill_protocol::message::{Event, Fault, PoseError, State};
+use haptimill_protocol::message::{Event, Fault, HomingProblem, PoseError, State};
 
 /// A cause of faults that is not an injected device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -145,6 +145,11 @@ impl Checks {
             Fault::Pose(PoseError::OutOfStroke { axis, .. }) => {
                 self.leaves_stroke(bench, usize::from(*axis))
             }
+            // A search that meets the end of the workspace on both sides.
+            Fault::Homing {
+                problem: HomingProblem::Workspace,
+                ..
+            } => self.is_near_workspace_end(bench),
             // Soft limits of a setpoint are checked at its end only: the cubic may leave them.
             // A machine that was pushed with its drives off may stand beyond a soft limit.
             Fault::SoftLimit { axis } => {
@@ -191,6 +196,44 @@ impl Checks {
             place.map_or(0.0, |place| (low - place).max(place - high))
         };
         self.job.leaves_between(beyond, bounds::ARITHMETIC)
+    }
+
+    /// Returns whether a pose within 1 mm or 3 degrees of the commanded one, in one coordinate, has
+    /// a joint beyond its stroke or is out of reach.
+    fn is_near_workspace_end(&self, bench: &StormBench) -> bool {
+        let Some(machine) = bench.controller().machine() else {
+            return false;
+        };
+        let beyond = |pose: &[f64; 6]| {
+            machine
+                .config
+                .joints
+                .iter()
+                .enumerate()
+                .any(|(joint, limits)| {
+                    let [low, high] =
+                        [limits.low, limits.high].map(|end| f64::from(end.0) / joint_unit(joint));
+                    let place = self.kinematics.joint(pose, joint);
+                    place.is_none_or(|place| !(low..high).contains(&place))
+                })
+        };
+        let pose = self.previous.pose;
+        machine
+            .config
+            .pose
+            .iter()
+            .enumerate()
+            .any(|(axis, limits)| {
+                let step = match limits.kind {
+                    AxisKind::Linear => units::MM,
+                    AxisKind::Rotary => 3.0 * units::DEGREE,
+                };
+                [-step, step].iter().any(|step| {
+                    let mut near = pose;
+                    near[axis] += step;
+                    beyond(&near)
+                })
+            })
     }
 
     /// Returns whether a rotor may have been locked at the dead point of its detent.
