@@ -307,7 +307,7 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
 fn set_compensation(core: &mut Core, on: bool) -> Done {
     let machine = core.configured()?;
     let compensation = machine.compensation.as_mut();
-    compensation.ok_or(Refusal::NoErrorTables)?.want(on);
+    compensation.ok_or(Refusal::NoErrorTables)?.request(on);
     Ok(())
 }
 

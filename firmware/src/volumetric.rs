@@ -79,7 +79,7 @@ struct Error {
 #[derive(Debug, Default)]
 pub struct Compensation {
     /// The host wants it.
-    wanted: bool,
+    requested: bool,
     /// The fade goes towards 1.
     rises: bool,
     /// Periods of the fade so far, and of a whole fade.
@@ -101,7 +101,7 @@ impl Compensation {
     #[inline(never)]
     pub fn new(config: &VolumetricConfig, period_us: u16) -> Self {
         Self {
-            wanted: true,
+            requested: true,
             fade: FADE_US / u32::from(period_us.max(1)),
             reciprocals: core::array::from_fn(|axis| {
                 let pitch = i64::from(config.axes[axis].pitch.0.max(1));
@@ -113,14 +113,14 @@ impl Compensation {
     }
 
     /// Asks for compensation, or for none. It fades.
-    pub const fn want(&mut self, wanted: bool) {
-        self.wanted = wanted;
+    pub const fn request(&mut self, requested: bool) {
+        self.requested = requested;
     }
 
     /// Whether the host wants compensation.
     #[must_use]
-    pub const fn is_wanted(&self) -> bool {
-        self.wanted
+    pub const fn is_requested(&self) -> bool {
+        self.requested
     }
 
     /// Constants, for the integrity check.
@@ -156,11 +156,11 @@ impl Compensation {
         self.faded = 0;
     }
 
-    /// One period of the fade: towards 1 where compensation is wanted and `allowed`, otherwise
+    /// One period of the fade: towards 1 where compensation is requested and `allowed`, otherwise
     /// towards 0.
     #[inline]
     pub const fn advance(&mut self, allowed: bool) {
-        self.rises = self.wanted && allowed;
+        self.rises = self.requested && allowed;
         if !self.rises {
             self.faded = self.faded.saturating_sub(1);
         } else if self.faded < self.fade {

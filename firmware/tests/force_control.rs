@@ -218,25 +218,25 @@ fn wrong_sensor_sign_is_detected_in_the_first_contact() {
         ] {
             for sign in [1.0, -1.0] {
                 let mut rig = Rig::new(&config(sign, &settings(1.0, 5.0, enable_condition)));
-                let mut told = None;
+                let mut reported = None;
                 for _ in 0..(6.0 / speed / STEP) as usize {
                     let force = wall(&rig, stiffness);
                     if let Some(condition) = rig.period(force, -speed) {
-                        told = Some((condition, force));
+                        reported = Some((condition, force));
                         break;
                     }
                 }
                 if sign > 0.0 {
                     assert!(
-                        !matches!(told, Some((ForceProblem::WrongSign { .. }, _))),
-                        "{enable_condition:?} {stiffness} {told:?}"
+                        !matches!(reported, Some((ForceProblem::WrongSign { .. }, _))),
+                        "{enable_condition:?} {stiffness} {reported:?}"
                     );
                 } else {
-                    let Some((ForceProblem::WrongSign { component: 0 }, force)) = told else {
-                        panic!("{enable_condition:?} {stiffness} {speed} {told:?}")
+                    let Some((ForceProblem::WrongSign { component: 0 }, force)) = reported else {
+                        panic!("{enable_condition:?} {stiffness} {speed} {reported:?}")
                     };
                     println!(
-                        "{enable_condition:?}, {stiffness} N/mm at {speed} mm/s: told at {force:.1} N"
+                        "{enable_condition:?}, {stiffness} N/mm at {speed} mm/s: reported at {force:.1} N"
                     );
                     assert!(
                         force < 50.0,

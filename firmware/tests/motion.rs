@@ -307,7 +307,7 @@ proptest! {
         for point in &points[delivered..] {
             program.push(point).expect("accepted");
         }
-        let late = program.take_late().expect("told");
+        let late = program.take_late().expect("reported");
         prop_assert_eq!(late.setpoint, delivered as u32);
         prop_assert!(late.periods as usize >= gap, "{} {}", late.periods, gap);
         program.end(points.len() as u32).expect("at rest");

@@ -174,7 +174,7 @@ proptest! {
         let full = error(&config, p);
         let mut before: Option<PoseCommand> = None;
         for on in [true, false] {
-            compensation.want(on);
+            compensation.request(on);
             for _ in 0..5000 {
                 compensation.advance(true);
                 let out = *compensation.correct(&config, &still, PERIOD_US);

@@ -155,11 +155,14 @@ fn exchange(errors: u64, count: u32) {
         queue: 256,
     };
     host.open(99, 0);
-    let (mut asked, mut heard, mut told, mut noted) = (0, 0, 0, 0);
+    let (mut sent, mut received, mut reports_sent, mut reports_received) = (0, 0, 0, 0);
     let mut now_us = 0;
-    while heard < count || noted < count {
+    while received < count || reports_received < count {
         now_us += 200;
-        assert!(now_us < 60_000_000, "{heard} and {noted} of {count}");
+        assert!(
+            now_us < 60_000_000,
+            "{received} and {reports_received} of {count}"
+        );
         let mut room = [0; 16];
         let mut out = [0; 128];
         let given = host.transmit(now_us, &mut out);
@@ -172,36 +175,36 @@ fn exchange(errors: u64, count: u32) {
         let arrived = back.take(&mut room);
         host.receive(now_us, &room[..arrived]);
         while let Some(request) = controller.poll_message() {
-            let expected = Command::JobEnd { count: heard };
-            assert_eq!((request.id, request.command), (heard as u8, expected));
-            heard += 1;
+            let expected = Command::JobEnd { count: received };
+            assert_eq!((request.id, request.command), (received as u8, expected));
+            received += 1;
         }
         while let Some(report) = host.poll_message() {
             let event = Event::JobDone {
-                job: noted,
-                setpoints: !noted,
+                job: reports_received,
+                setpoints: !reports_received,
             };
-            let period = u64::from(noted);
+            let period = u64::from(reports_received);
             assert_eq!(report, Report::Event { period, event });
-            noted += 1;
+            reports_received += 1;
         }
         if host.state(now_us) != LinkState::Open {
             continue;
         }
         let request = Request {
-            id: asked as u8,
-            command: Command::JobEnd { count: asked },
+            id: sent as u8,
+            command: Command::JobEnd { count: sent },
         };
-        if asked < count && host.send(&request).is_ok() {
-            asked += 1;
+        if sent < count && host.send(&request).is_ok() {
+            sent += 1;
         }
         let event = Event::JobDone {
-            job: told,
-            setpoints: !told,
+            job: reports_sent,
+            setpoints: !reports_sent,
         };
-        let period = u64::from(told);
-        if told < count && controller.send(&Report::Event { period, event }).is_ok() {
-            told += 1;
+        let period = u64::from(reports_sent);
+        if reports_sent < count && controller.send(&Report::Event { period, event }).is_ok() {
+            reports_sent += 1;
         }
     }
     let bad = host.counters().bad_frames + controller.counters().bad_frames;

@@ -259,9 +259,9 @@ mod tests {
         // is already damped is not damped again.
         let rates = [Rate(10 << 20); 3];
         let got = swings.damp(&rates, &[0, WHOLE, WHOLE / 2], &[0, 0, WHOLE / 4]);
-        for (force, want) in got.into_iter().zip([3.0, 0.0, 0.75]) {
+        for (force, expected) in got.into_iter().zip([3.0, 0.0, 0.75]) {
             let force = -f64::from(force.0) / 65_536.0;
-            assert!((force - want).abs() < 0.01, "{force} {want}");
+            assert!((force - expected).abs() < 0.01, "{force} {expected}");
         }
     }
 

@@ -144,7 +144,7 @@ impl SwitchSearch {
         let back_off = i64::from(config.back_off.0);
         let release = i64::from(config.release.0);
         let gone = (self.moved - self.begun).abs();
-        let want = match self.phase {
+        let requested = match self.phase {
             Phase::Start => {
                 self.waited += 1;
                 if self.waited > 2 * steady(seen.period_us) {
@@ -200,7 +200,7 @@ impl SwitchSearch {
             Phase::Retreat => -towards * rate,
             Phase::Done => 0,
         };
-        self.drive(want, config, seen.period_us);
+        self.drive(requested, config, seen.period_us);
         Ok(())
     }
 
@@ -237,12 +237,12 @@ impl SwitchSearch {
         }
     }
 
-    /// Moves by one period, with the rate going to `want`.
-    fn drive(&mut self, want: i64, config: &SwitchHome, period_us: u16) {
+    /// Moves by one period, with the rate going to `requested`.
+    fn drive(&mut self, requested: i64, config: &SwitchHome, period_us: u16) {
         let period = i64::from(period_us);
         // The unit of an acceleration is 2^8 axis units per second squared.
         let most = (i64::from(config.acceleration.0) * 256 * period / 1_000_000).max(1);
-        self.change = (want - self.rate).clamp(-most, most);
+        self.change = (requested - self.rate).clamp(-most, most);
         let before = self.rate;
         self.rate += self.change;
         self.part += (before + self.rate) * period;

@@ -43,11 +43,11 @@ impl Keys {
         while self.pressed.try_recv().is_ok() {}
     }
 
-    /// Takes all pressed keys; whether one of them is wanted.
-    pub(super) fn take(&mut self, is_wanted: impl Fn(u8) -> bool) -> bool {
+    /// Takes all pressed keys; whether one of them matches.
+    pub(super) fn take(&mut self, matches: impl Fn(u8) -> bool) -> bool {
         let mut found = false;
         while let Ok(key) = self.pressed.try_recv() {
-            found |= is_wanted(key);
+            found |= matches(key);
         }
         found
     }
