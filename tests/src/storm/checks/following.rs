@@ -1,7 +1,7 @@
 //! Following error: runaways, unreported errors, and the lag of a healthy machine.
 
 use super::super::bench::StormBench;
-use super::super::units::{class, joint_unit};
+use super::super::units::{PERIOD, class, joint_unit};
 use super::position::is_position_known;
 use super::{Cause, CheckResult, Checks, bounds};
 use haptimill_protocol::message::State;
@@ -15,6 +15,13 @@ pub(super) struct FollowingRecord {
     pub standstill: u32,
     /// Periods of motion since the joint was last faster than [`bounds::KNEE`].
     slow_motion: [u32; 6],
+    /// Commanded travel of each joint since it last reversed, in mm or degrees, with its sign.
+    travel: [f64; 6],
+    /// Rate of each joint in the period before, mm/s or degrees/s.
+    rates: [f64; 6],
+    /// The joint was decelerated so hard, since it last reversed, that its slide may have coasted
+    /// across the play.
+    coasted: [bool; 6],
     /// Periods with a following error above its limit, by joint.
     unreported: [u32; 6],
     /// Periods far from the target, by joint.
@@ -38,9 +45,20 @@ impl Checks {
         };
     }
 
-    /// Counts the periods of motion in which friction is not compensated in full.
-    pub(super) fn count_slow_motion(&mut self, joint: usize) {
-        let rate = self.previous.joint_rates[joint].abs() / joint_unit(joint);
+    /// Counts the periods of motion in which friction is not compensated in full, and the travel
+    /// since the last reversal.
+    pub(super) fn count_motion(&mut self, joint: usize) {
+        let rate = self.previous.joint_rates[joint] / joint_unit(joint);
+        let travel = &mut self.following.travel[joint];
+        if rate * *travel < 0.0 {
+            *travel = 0.0;
+            self.following.coasted[joint] = false;
+        }
+        *travel += rate * PERIOD;
+        let before = core::mem::replace(&mut self.following.rates[joint], rate);
+        let braking = (before.abs() - rate.abs()) / PERIOD;
+        self.following.coasted[joint] |= braking > bounds::COASTING;
+        let rate = rate.abs();
         let slow = &mut self.following.slow_motion[joint];
         if rate > bounds::KNEE {
             *slow = 0;
@@ -140,10 +158,12 @@ impl Checks {
         if self.following.standstill > 5000 && self.following.homed_and_on {
             self.record_largest(["rest mm", "rest deg"][class(joint)], far);
             let slow = self.following.slow_motion[joint] > bounds::LASTING;
-            let most = if class(joint) == 0 && slow {
-                bounds::REST_SLOW
-            } else {
-                bounds::REST[class(joint)]
+            let crossed = self.following.travel[joint].abs() > bounds::CROSSING
+                && !self.following.coasted[joint];
+            let most = match class(joint) {
+                0 if slow => bounds::REST_SLOW,
+                0 if !crossed => bounds::REST_UNKNOWN_FLANK,
+                class => bounds::REST[class],
             };
             if far > most {
                 violated!(

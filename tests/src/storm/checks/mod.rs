@@ -199,7 +199,7 @@ impl Checks {
         self.count_standstill(bench);
         for (joint, reading) in machine.joints().enumerate() {
             let unit = joint_unit(joint);
-            self.count_slow_motion(joint);
+            self.count_motion(joint);
             self.check_position(bench, joint, f64::from(reading.measured.0) / unit)?;
             self.check_reported_error(bench, joint, reading.measured.0)?;
             self.check_following(bench, joint, f64::from(reading.commanded.0) / unit)?;
