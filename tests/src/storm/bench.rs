@@ -122,6 +122,43 @@ pub struct StormBench {
     inject: Vec<u8>,
 }
 
+/// Inputs and outputs of the machine with step motors. The safe level of each output is 0.
+const STEP_IO: &str = r#"
+[[input]]
+name = "probe"
+function = "probe"
+channel = 0
+active = "high"
+filter_ms = 0
+contact = "fault"
+
+[[output]]
+name = "coolant"
+function = "coolant"
+channel = 0
+active = "high"
+safe = "off"
+without_host = "safe"
+
+[[output]]
+name = "clamp"
+function = "tool_clamp"
+channel = 1
+active = "low"
+safe = "on"
+without_host = "keep"
+
+[[analog_output]]
+name = "laser"
+channel = 0
+unit = "V"
+full_scale = 10.0
+low = 0.0
+high = 9.0
+safe = 0.0
+without_host = "safe"
+"#;
+
 /// Returns the machine file of a kind.
 #[must_use]
 pub fn machine(kind: MachineKind) -> &'static MachineFile {
@@ -129,9 +166,10 @@ pub fn machine(kind: MachineKind) -> &'static MachineFile {
     let files = FILES.get_or_init(|| {
         let torque = MachineFile::built_in().expect("sound");
         let step = include_str!("../../../machines/h4-step.toml");
+        let step = format!("{step}{STEP_IO}");
         [
             torque.clone(),
-            MachineFile::parse("machines/h4-step.toml", step).expect("sound"),
+            MachineFile::parse("machines/h4-step.toml", &step).expect("sound"),
             torque.with_haptic_arm().expect("sound"),
             torque.with_follow().expect("sound"),
             MachineFile::built_in_master().expect("sound"),

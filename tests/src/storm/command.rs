@@ -146,7 +146,7 @@ pub fn any(rng: &mut Rng) -> Command {
             })
             .collect()
     };
-    match rng.below(34) {
+    match rng.below(39) {
         0 => Command::Ping,
         1 => Command::Enable,
         2 => Command::Disable,
@@ -219,6 +219,22 @@ pub fn any(rng: &mut Rng) -> Command {
         30 => force_feedback(rng),
         31 => virtual_fixture(rng),
         32 => Command::PositionScale { scale: half(rng) },
+        33 => Command::SetOutput {
+            output: rng.choose(&[0, 0, 1, 1, 2, 255]),
+            on: rng.chance(0.6),
+        },
+        34 => Command::SetAnalogOutput {
+            output: rng.choose(&[0, 0, 0, 1, 255]),
+            code: half(rng) as i16,
+        },
+        35 => Command::ArmProbe {
+            input: rng.choose(&[0, 0, 0, 1, 255]),
+            active: rng.chance(0.8),
+        },
+        36 => Command::Compensation {
+            on: rng.chance(0.5),
+        },
+        37 => Command::MasterTelemetry { every: half(rng) },
         _ => Command::MasterPose {
             epoch: half(rng),
             age_ms: byte(rng),

@@ -3,7 +3,7 @@
 use super::super::bench::StormBench;
 use super::{CheckResult, Checks};
 use haptimill_firmware::config::Drive;
-use haptimill_firmware::io::{DriveCommand, HapticOutputs};
+use haptimill_firmware::io::{ANALOG, DriveCommand, HapticOutputs};
 use haptimill_firmware::machine::Machine;
 use haptimill_protocol::message::{Fault, State};
 
@@ -53,6 +53,19 @@ impl Checks {
                 bench,
                 "emergency stop",
                 "the circuit is open in state {state:?}"
+            );
+        }
+        let latched = matches!(state, State::Fault | State::EmergencyStop);
+        if latched
+            && !self.foreign_configuration
+            && (outputs.digital != 0 || outputs.analog != [0; ANALOG])
+        {
+            violated!(
+                bench,
+                "outputs not safe",
+                "state {state:?}, digital {:#b}, analog {:?}",
+                outputs.digital,
+                outputs.analog
             );
         }
         if (state == State::Fault) != safety.fault().is_some() && state != State::EmergencyStop {
