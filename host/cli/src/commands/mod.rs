@@ -18,6 +18,7 @@ pub mod examples;
 pub(crate) mod exit;
 pub mod facet;
 pub mod force;
+pub mod identify;
 
 pub(crate) mod interrupt;
 mod io_status;
@@ -42,6 +43,7 @@ pub mod sim;
 pub mod simple;
 pub mod teleop;
 pub mod trace;
+pub mod tune;
 pub mod watch;
 
 pub use exit::{CliError, EXIT_CODES, Exit};
@@ -121,6 +123,10 @@ Examples:
       rewrite a machine file of an earlier format
   haptimill offset set g54 x=12.5 y=-3 --machine mill.toml
       set the origin of a work coordinate system
+  haptimill identify --machine mill.toml --port /dev/ttyACM0 --baud 2000000
+      measure inertia, friction and resonance, and write them into the machine file
+  haptimill tune --machine mill.toml
+      propose gains from it, with margins and step responses
   haptimill replay e11-circle.out/recording.hmr
       replay a job through a new controller and compare bit by bit
   haptimill trace plot e11-circle.out/recording.hmr 'l?_joint_error_mm'
@@ -176,6 +182,8 @@ enum Command {
     /// Measure the geometric errors of the simulated machine
     #[command(subcommand)]
     Calibrate(calibrate::CalibrateCommand),
+    Identify(identify::IdentifyArgs),
+    Tune(tune::TuneArgs),
     /// Read and set the force sensor and the force control
     #[command(subcommand)]
     Force(force::ForceCommand),
@@ -238,6 +246,8 @@ impl Command {
             | Self::Preview(_)
             | Self::Offset(_)
             | Self::Calibrate(_)
+            | Self::Identify(_)
+            | Self::Tune(_)
             | Self::Examples(_) => false,
         }
     }
@@ -317,6 +327,8 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Reset(args) => simple::run(SimpleCommand::Reset, args),
         Command::Scenario(command) => scenario::run(command),
         Command::Calibrate(command) => calibrate::run(command),
+        Command::Identify(args) => identify::run(args),
+        Command::Tune(args) => tune::run(&args),
         Command::Force(command) => force::run(command),
         Command::Output(command) => named_io::run(command),
         Command::Probe(args) => named_io::probe(args),

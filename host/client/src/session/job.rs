@@ -394,8 +394,12 @@ impl<L: Line> Session<L> {
     }
 
     /// Control periods between two telemetry frames for an operator or during a job: 20 ms, and on
-    /// a slow line as many as take a quarter of the bandwidth.
+    /// a slow line as many as take a quarter of the bandwidth; the interval of
+    /// [`Session::keep_telemetry`] while telemetry is kept.
     pub fn telemetry_periods(&self) -> u16 {
+        if let Some((every, _)) = &self.telemetry_log {
+            return *every;
+        }
         let period_us = self
             .client
             .controller()

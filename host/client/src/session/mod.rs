@@ -43,7 +43,7 @@ use crate::client::{Client, ClientState, JobEnding, Notification, Options, Reque
 use crate::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
-use haptimill_protocol::message::{Command, Event, Fault, Refusal, State};
+use haptimill_protocol::message::{Command, Event, Fault, Refusal, State, Telemetry};
 use haptimill_protocol::text::Describe;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -109,6 +109,8 @@ pub struct Session<L> {
     interrupted: Arc<AtomicBool>,
     /// Bandwidth of the line, bytes per second; 0 for no limit.
     line_rate: u32,
+    /// Telemetry of jobs that is kept, and its interval in periods.
+    telemetry_log: Option<(u16, Vec<Telemetry>)>,
 }
 
 impl<L: Line> Session<L> {
@@ -142,7 +144,20 @@ impl<L: Line> Session<L> {
             refusal: None,
             configured: None,
             interrupted,
+            telemetry_log: None,
         }
+    }
+
+    /// Keeps the telemetry of the jobs from now on, one frame every `every` control periods.
+    pub fn keep_telemetry(&mut self, every: u16) {
+        self.telemetry_log = Some((every, Vec::new()));
+    }
+
+    /// The telemetry since [`Session::keep_telemetry`] or the last call.
+    pub fn take_telemetry(&mut self) -> Vec<Telemetry> {
+        let log = self.telemetry_log.as_mut();
+        log.map(|(_, frames)| std::mem::take(frames))
+            .unwrap_or_default()
     }
 
     /// The line.
@@ -207,8 +222,12 @@ impl<L: Line> Session<L> {
                 Notification::Event { period, event } => self.events.push((period, event)),
                 Notification::Job(ending) => self.ending = Some(ending),
                 Notification::Refused(refusal) => self.refusal = Some(refusal),
-                Notification::Connected(_) | Notification::Telemetry(_) | Notification::Lost(_) => {
+                Notification::Telemetry(telemetry) => {
+                    if let Some((_, frames)) = &mut self.telemetry_log {
+                        frames.push(*telemetry);
+                    }
                 }
+                Notification::Connected(_) | Notification::Lost(_) => {}
             }
         }
         match &self.lost {

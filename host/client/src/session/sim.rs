@@ -146,6 +146,13 @@ impl<C: Control> SimLine<C> {
         }
     }
 
+    /// Keeps no I/O log: nothing of this line will be recorded.
+    #[must_use]
+    pub fn unrecorded(mut self) -> Self {
+        self.io_log = None;
+        self
+    }
+
     /// Starts a haptic trace.
     pub fn begin_haptic_trace(&mut self) {
         self.haptic_trace = Some(HapticTraceRecorder::default());

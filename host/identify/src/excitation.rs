@@ -1,0 +1,248 @@
+//! Motions along a line: moves at a constant rate, and sines on top of a constant rate.
+//!
+//! The sines ride on a rate that never changes its sign. Coulomb friction is then a constant and
+//! the flanks of the screw stay in contact, so effort and motion at a frequency have the ratio of
+//! the linear plant.
+
+use crate::line::{Geometry, Line};
+use haptimill_client::{Error, ErrorKind};
+use haptimill_protocol::setpoint::Setpoint;
+use std::f64::consts::{PI, TAU};
+
+/// Longest segment in motion, seconds.
+const SPAN: f64 = 0.01;
+
+/// Segments in one cycle of a low sine. A cubic that is not quite a sine does no harm, because
+/// effort and motion are measured.
+pub const PER_CYCLE: f64 = 8.0;
+/// Shortest segment, seconds: the controller takes a setpoint in several control periods.
+pub const SHORTEST: f64 = 1.2e-3;
+
+/// Time in which a sine swells and dies away, seconds.
+pub const TAPER: f64 = 0.15;
+
+/// Time after the start of a constant rate that is not measured, seconds.
+const SETTLE: f64 = 0.25;
+
+/// A time of a motion that is measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Window {
+    /// Seconds since the start of the motion.
+    pub from: f64,
+    /// Its end.
+    pub to: f64,
+    /// Rate along the line, which it has without the sine.
+    pub rate: f64,
+    /// Frequency of the sine, Hz; 0 without one.
+    pub frequency: f64,
+}
+
+/// A sine.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Burst {
+    /// Hz.
+    pub frequency: f64,
+    /// Amplitude of the commanded acceleration, mm/s^2 or deg/s^2.
+    pub acceleration: f64,
+}
+
+/// Setpoints of a motion, and what of it is measured.
+#[derive(Debug, Default)]
+pub struct Motion {
+    /// The setpoints.
+    pub setpoints: Vec<Setpoint>,
+    /// The measured times.
+    pub windows: Vec<Window>,
+}
+
+/// Builds a motion along a line.
+pub struct Builder<'a> {
+    geometry: &'a Geometry<'a>,
+    line: &'a Line,
+    period: f64,
+    motion: Motion,
+    /// Periods, and the place on the line.
+    now: u64,
+    place: f64,
+}
+
+impl<'a> Builder<'a> {
+    /// A motion that begins at a place of the line, with control periods of `period` seconds.
+    #[must_use]
+    pub fn new(geometry: &'a Geometry<'a>, line: &'a Line, period: f64, place: f64) -> Self {
+        Self {
+            geometry,
+            line,
+            period,
+            motion: Motion::default(),
+            now: 0,
+            place,
+        }
+    }
+
+    fn time(&self) -> f64 {
+        self.now as f64 * self.period
+    }
+
+    /// Adds the way `way(t)` with the rate `rate(t)`, in `duration` seconds, in segments of `span`.
+    fn add(
+        &mut self,
+        duration: f64,
+        span: f64,
+        at: impl Fn(f64) -> (f64, f64),
+    ) -> Result<(), Error> {
+        let periods = (duration / self.period).round().max(1.0) as u64;
+        let longest = ((span / self.period).floor() as u64).max(1);
+        let count = periods.div_ceil(longest);
+        let (start, place) = (self.now, self.place);
+        for index in 1..=count {
+            let end = periods * index / count;
+            let (way, rate) = at(end as f64 * self.period);
+            let length = (start + end - self.now) as u16;
+            let setpoint = self
+                .geometry
+                .setpoint(self.line, length, place + way, rate)?;
+            self.motion.setpoints.push(setpoint);
+            self.now = start + end;
+            self.place = place + way;
+        }
+        Ok(())
+    }
+
+    /// Changes the rate smoothly.
+    fn ramp(&mut self, from: f64, to: f64) -> Result<(), Error> {
+        let duration = self.ramp_time(to - from);
+        self.add(duration, SPAN, |t| {
+            let part = t / duration;
+            let way = from * t + (to - from) * (t - duration / PI * (PI * part).sin()) / 2.0;
+            (way, from + (to - from) * (1.0 - (PI * part).cos()) / 2.0)
+        })
+    }
+
+    fn ramp_time(&self, change: f64) -> f64 {
+        // Half of what the machine may do: its limits are those of a perfect loop.
+        (PI * change.abs() / self.line.acceleration).max(0.05)
+    }
+
+    /// Stands still.
+    ///
+    /// # Errors
+    /// The machine cannot reach the place.
+    pub fn rest(&mut self, seconds: f64) -> Result<(), Error> {
+        self.add(seconds, 1.0, |_| (0.0, 0.0))
+    }
+
+    /// Moves to a place at a rate. The time at the rate is measured, where it is long enough.
+    ///
+    /// # Errors
+    /// The machine cannot reach the place.
+    pub fn move_to(&mut self, place: f64, rate: f64) -> Result<(), Error> {
+        let way = place - self.place;
+        // A short way has a lower rate: two ramps are rate * ramp time long.
+        let mut rate = rate.abs();
+        while rate * self.ramp_time(rate) > 0.8 * way.abs() && rate > 1e-3 {
+            rate *= 0.8;
+        }
+        if way.abs() < 1e-9 {
+            return Ok(());
+        }
+        let signed = rate * way.signum();
+        self.ramp(0.0, signed)?;
+        let cruise = (place - self.place).abs() / rate - self.ramp_time(rate) / 2.0;
+        let from = self.time() + SETTLE;
+        self.add(cruise, 0.1, |t| (signed * t, signed))?;
+        if cruise > 2.0 * SETTLE {
+            self.motion.windows.push(Window {
+                from,
+                to: self.time(),
+                rate: signed,
+                frequency: 0.0,
+            });
+        }
+        self.ramp(signed, 0.0)?;
+        // The last ramp ends within a period's way.
+        let rest = place - self.place;
+        let duration = 0.05;
+        self.add(duration, duration, |_| (rest, 0.0))
+    }
+
+    /// Moves to and fro between the ends of the line at `rate`, with the sines on top, each for
+    /// `seconds` and its tapers, in segments of at least `shortest` seconds.
+    ///
+    /// # Errors
+    /// The machine cannot reach a place.
+    pub fn sweep(
+        &mut self,
+        bursts: &[Burst],
+        rate: f64,
+        seconds: f64,
+        shortest: f64,
+    ) -> Result<(), Error> {
+        let (low, high) = (self.line.low + 1.0, self.line.high - 1.0);
+        let one = rate * (seconds + 2.0 * TAPER);
+        let mut waiting = bursts;
+        while !waiting.is_empty() {
+            let forward = self.place < (low + high) / 2.0;
+            let target = if forward { high } else { low };
+            let ramps = rate * self.ramp_time(rate) + rate * SETTLE;
+            let room = (target - self.place).abs() - ramps;
+            if room < one {
+                let what = format!(
+                    "a line of {:.0} mm or degrees is too short for an excitation at {rate:.1} per \
+                     second; lengthen --travel",
+                    high - low
+                );
+                return Err(Error::new(ErrorKind::Refused, what));
+            }
+            let count = ((room / one).floor() as usize).clamp(1, waiting.len());
+            let (now, later) = waiting.split_at(count);
+            waiting = later;
+            let signed = if forward { rate } else { -rate };
+            self.ramp(0.0, signed)?;
+            self.add(SETTLE, 0.1, |t| (signed * t, signed))?;
+            for burst in now {
+                self.burst(*burst, signed, seconds, shortest)?;
+            }
+            self.ramp(signed, 0.0)?;
+            self.rest(0.05)?;
+        }
+        Ok(())
+    }
+
+    fn burst(&mut self, burst: Burst, rate: f64, seconds: f64, shortest: f64) -> Result<(), Error> {
+        let omega = TAU * burst.frequency;
+        let total = seconds + 2.0 * TAPER;
+        let span = (1.0 / (PER_CYCLE * burst.frequency)).clamp(shortest, SPAN.max(shortest));
+        let amplitude = burst.acceleration / (omega * omega);
+        let start = self.time();
+        self.add(total, span, |t| {
+            // The envelope, and its slope.
+            let edge = t.min(total - t).clamp(0.0, TAPER);
+            let sign = if t < total / 2.0 { 1.0 } else { -1.0 };
+            let (sine, cosine) = (PI * edge / TAPER).sin_cos();
+            let envelope = (1.0 - cosine) / 2.0;
+            let slope = if edge < TAPER {
+                sign * PI / TAPER * sine / 2.0
+            } else {
+                0.0
+            };
+            let way = amplitude * envelope * (omega * t).sin();
+            let speed =
+                amplitude * (slope * (omega * t).sin() + envelope * omega * (omega * t).cos());
+            (rate * t + way, rate + speed)
+        })?;
+        self.motion.windows.push(Window {
+            from: start + TAPER,
+            to: start + TAPER + seconds,
+            rate,
+            frequency: burst.frequency,
+        });
+        Ok(())
+    }
+
+    /// The motion, and the place where it ends.
+    #[must_use]
+    pub fn finish(self) -> (Motion, f64) {
+        (self.motion, self.place)
+    }
+}

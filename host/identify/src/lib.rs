@@ -1,0 +1,26 @@
+//! Identification of the joints of a machine through its controller, and gains from the result.
+//!
+//! The measurement uses the protocol alone: setpoints of jobs, and telemetry with the counts and
+//! the drive command of each frame. It works the same on a board and on the simulated machine, and
+//! never reads the section `[plant]` of a machine file.
+//!
+//! - [`line`](mod@line): where a joint can move.
+//! - [`excitation`]: constant rates, and sines on top of a constant rate.
+//! - [`measure`]: friction, and the response at a frequency, by least squares.
+//! - [`two_mass`]: the model of a joint, and its fit to the response.
+//! - [`identify`]: the sequence on a machine.
+//! - [`servo_loop`], [`tune`]: margins of gains, and the proposal.
+//! - [`record`], [`edit`], [`page`]: the results as a file, in the machine file, as a page.
+
+pub mod complex;
+pub mod edit;
+pub mod excitation;
+pub mod identify;
+pub mod least_squares;
+pub mod line;
+pub mod measure;
+pub mod page;
+pub mod record;
+pub mod servo_loop;
+pub mod tune;
+pub mod two_mass;
