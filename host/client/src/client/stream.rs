@@ -4,7 +4,8 @@ use super::requests::Requests;
 use super::{ClientError, RequestError, Ticket};
 use haptimill_protocol::link::HostLink;
 use haptimill_protocol::message::{
-    AxisValues, Command, Event, Refusal, Request, SETPOINT_BATCH, SetpointBatch, Telemetry, Welcome,
+    AxisValues, Command, Event, Refusal, Request, SETPOINT_BATCH, SetpointBatch, State, Telemetry,
+    Welcome,
 };
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder, SetpointError};
 use std::fmt;
@@ -105,6 +106,10 @@ pub(super) struct Stream {
     credit: u32,
     reached: u32,
     end: Option<Ticket>,
+    /// Program time of the last telemetry, if the motion stood then.
+    standing: Option<u32>,
+    /// The motion has begun and stands: the controller waits for setpoints.
+    starved: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -150,6 +155,8 @@ impl Stream {
             credit: u32::from(welcome.queue),
             reached: 0,
             end: None,
+            standing: None,
+            starved: false,
         }
     }
 
@@ -239,6 +246,10 @@ impl Stream {
         if matches!(self.phase, Phase::Streaming | Phase::Ending) {
             self.credit = self.credit.max(telemetry.credit);
             self.reached = telemetry.setpoint;
+            let begun = telemetry.state == State::Run && telemetry.program_periods > 0;
+            let standing = (begun && telemetry.path_rate == 0).then_some(telemetry.program_periods);
+            self.starved = standing.is_some() && standing == self.standing;
+            self.standing = standing;
         }
     }
 
@@ -273,21 +284,23 @@ impl Stream {
         Ok(())
     }
 
-    /// The next batch: a full one, or fewer setpoints at the end of the job. It is empty when all
-    /// are sent, and `None` when the credit is used up.
+    /// The next batch: a full one, or fewer setpoints at the end of the job and where the
+    /// controller waits for a full queue before it resumes an underrun. It is empty when all are
+    /// sent, and `None` when the credit is used up.
     fn next_batch(&mut self) -> Result<Option<SetpointBatch>, JobEnding> {
         if let Some(batch) = self.ready.take() {
             return Ok(Some(batch));
         }
         let free = self.credit.saturating_sub(self.sent) as usize;
-        if free < self.batch && self.setpoints.peek().is_some() {
+        let least = if self.starved { 1 } else { self.batch };
+        if free < least && self.setpoints.peek().is_some() {
             return Ok(None);
         }
         let mut batch = SetpointBatch {
             first: self.sent,
             items: Default::default(),
         };
-        for setpoint in self.setpoints.by_ref().take(self.batch) {
+        for setpoint in self.setpoints.by_ref().take(self.batch.min(free)) {
             let delta = self
                 .coder
                 .encode(&setpoint)

@@ -218,3 +218,51 @@ fn without_reconnection_a_lost_port_ends_the_session() {
     let error = session.step().unwrap_err();
     assert!(error.kind == ErrorKind::Port && error.message.contains("unplugged"));
 }
+
+/// Setpoints so short that a full queue lasts no longer than braking: the controller stops for want
+/// of setpoints, and resumes when the queue is full. The host must fill its last places, which are
+/// fewer than a batch.
+#[test]
+fn a_starved_job_with_short_segments_resumes() {
+    use haptimill_protocol::setpoint::Setpoint;
+    let machine = MachineFile::built_in().unwrap();
+    let line = SimLine::new(rig(&machine, None, None, Vec::new()).unwrap()).unrecorded();
+    let mut session = Session::new(line, &machine, Options::default(), Arc::default());
+    session.connect(1).unwrap();
+    session.configure(&machine).unwrap();
+    session.enable().unwrap();
+    let home = find_home_pose(&machine, session.model()).unwrap();
+    session.go_home(&machine, &home).unwrap();
+    session.keep_telemetry(5);
+    // 0.1 s up to 10 mm/s, 5 s at it, 0.1 s down, in segments of 5 periods of 0.2 ms.
+    const MM: f64 = 1_048_576.0;
+    let mut x = f64::from(home[0]);
+    let mut setpoints = Vec::new();
+    let mut add = |periods: u16, mean: f64, rate: f64| {
+        x += mean * f64::from(periods) * 2e-4 * MM;
+        let mut pose = home.clone();
+        pose[0] = x as i32;
+        setpoints.push(Setpoint {
+            periods,
+            pose,
+            rates: [(rate * MM / 256.0) as i32, 0, 0, 0, 0]
+                .into_iter()
+                .collect(),
+            ..Setpoint::default()
+        });
+    };
+    add(500, 5.0, 10.0);
+    for _ in 0..5000 {
+        add(5, 10.0, 10.0);
+    }
+    add(500, 5.0, 0.0);
+    let mut run = JobRun::start(&mut session, 7, home, setpoints);
+    for _ in 0..400_000 {
+        if let JobStatus::Ended(end) = run.advance(&mut session, &mut NoObserver).unwrap() {
+            session.check_completed(&end).unwrap();
+            return;
+        }
+        session.step().unwrap();
+    }
+    panic!("stands still: {:?}", session.client().job());
+}
