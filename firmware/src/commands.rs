@@ -143,24 +143,14 @@ fn activate(
     if core.safety.drives_on() {
         return Err(Refusal::State(core.safety.state()));
     }
-    let staged = server.staged();
-    if staged.len() != usize::from(length) || crc32(staged) != crc {
-        return Err(Refusal::ConfigCheck);
-    }
-    let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
-    // CRC and schema match, so an unreadable part is one that this controller was built without.
-    let unreadable = if HAPTICS {
-        ConfigField::Encoding
-    } else {
-        ConfigField::Haptic
-    };
-    let (config, rest) =
-        postcard::take_from_bytes::<Config>(staged).map_err(|_| problem(unreadable))?;
-    if !rest.is_empty() {
-        return Err(problem(ConfigField::Encoding));
-    }
+    let mut config = None;
+    decode(server.staged(), length, crc, &mut config)?;
+    let config = config.as_ref().ok_or(Refusal::ConfigCheck)?;
     if config.period_us != core.period_us {
-        return Err(problem(ConfigField::Period));
+        return Err(Refusal::Config(ConfigProblem {
+            field: ConfigField::Period,
+            axis: None,
+        }));
     }
     let positions = core.machine.as_ref().map(Machine::positions);
     let master = core
@@ -183,6 +173,29 @@ fn activate(
     if let (Some(positions), false) = (&master, at_preset) {
         machine.take_over_haptics(positions);
     }
+    Ok(())
+}
+
+/// Decodes the staged configuration into `decoded`. A frame of its own, and no configuration in the
+/// result, keep copies of it off the stack while the machine is built.
+#[inline(never)]
+fn decode(staged: &[u8], length: u16, crc: u32, decoded: &mut Option<Config>) -> Done {
+    if staged.len() != usize::from(length) || crc32(staged) != crc {
+        return Err(Refusal::ConfigCheck);
+    }
+    let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
+    // CRC and schema match, so an unreadable part is one that this controller was built without.
+    let unreadable = if HAPTICS {
+        ConfigField::Encoding
+    } else {
+        ConfigField::Haptic
+    };
+    let (config, rest) =
+        postcard::take_from_bytes::<Config>(staged).map_err(|_| problem(unreadable))?;
+    if !rest.is_empty() {
+        return Err(problem(ConfigField::Encoding));
+    }
+    *decoded = Some(config);
     Ok(())
 }
 

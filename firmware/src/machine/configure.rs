@@ -65,10 +65,10 @@ impl Machine {
     /// # Errors
     /// The first problem of the configuration.
     pub fn new(config: Config, crc: u32, inputs: &Inputs) -> Result<Self, ConfigProblem> {
-        let joints = Self::joints_of(&config, inputs)?;
+        Self::check_joints(&config)?;
         let design = Self::force_of(&config)?;
-        let mut machine = Self::bare(config, crc);
-        machine.configure(joints, design, inputs);
+        let mut machine = Self::bare(&config, crc);
+        machine.configure(design, inputs);
         Ok(machine)
     }
 
@@ -82,53 +82,58 @@ impl Machine {
     #[inline(never)]
     pub fn install(
         slot: &mut Option<Self>,
-        config: Config,
+        config: &Config,
         crc: u32,
         inputs: &Inputs,
     ) -> Result<(), ConfigProblem> {
-        let joints = Self::joints_of(&config, inputs)?;
-        let design = Self::force_of(&config)?;
+        Self::check_joints(config)?;
+        let design = Self::force_of(config)?;
         Self::install_bare(slot, config, crc);
         if let Some(machine) = slot {
-            machine.configure(joints, design, inputs);
+            machine.configure(design, inputs);
         }
         Ok(())
     }
 
-    /// Checks the configuration and creates its joints, at their presets.
+    /// Checks the configuration, and that its joints can be created.
     #[cold]
     #[inline(never)]
-    fn joints_of(
-        config: &Config,
-        inputs: &Inputs,
-    ) -> Result<Vec<JointDrive, MAX_AXES>, ConfigProblem> {
+    fn check_joints(config: &Config) -> Result<(), ConfigProblem> {
         config.check()?;
-        let mut joints = Vec::new();
         for (index, axis) in config.joints.iter().enumerate() {
-            let problem = ConfigProblem {
+            JointDrive::new(axis, config.period_us).map_err(|_| ConfigProblem {
                 field: ConfigField::Drive,
                 axis: Some(index as u8),
-            };
-            let mut joint = JointDrive::new(axis, config.period_us).map_err(|_| problem)?;
-            joint.measure(&inputs.axes[index], inputs.time_ns);
-            let counter = joint.counter(&inputs.axes[index]);
-            joint.set_reference(counter, axis.preset);
-            joints.push(joint).map_err(|_| problem)?;
+            })?;
         }
-        Ok(joints)
+        Ok(())
+    }
+
+    /// Creates the joints, at their presets. [`Machine::check_joints`] has found no problem.
+    #[cold]
+    #[inline(never)]
+    fn create_joints(&mut self, inputs: &Inputs) {
+        for (axis, inputs_of_axis) in self.config.joints.iter().zip(&inputs.axes) {
+            let Ok(mut joint) = JointDrive::new(axis, self.config.period_us) else {
+                return;
+            };
+            joint.measure(inputs_of_axis, inputs.time_ns);
+            joint.set_reference(joint.counter(inputs_of_axis), axis.preset);
+            let _ = self.joints.push(joint);
+        }
     }
 
     /// Moves a new machine into the slot. The machine is built on the stack first; a function of
     /// its own keeps that frame free of anything else.
     #[cold]
     #[inline(never)]
-    fn install_bare(slot: &mut Option<Self>, config: Config, crc: u32) {
+    fn install_bare(slot: &mut Option<Self>, config: &Config, crc: u32) {
         *slot = Some(Self::bare(config, crc));
     }
 
     /// A machine without joints and motion.
     #[inline(always)]
-    fn bare(config: Config, crc: u32) -> Self {
+    fn bare(config: &Config, crc: u32) -> Self {
         Self {
             kinematics: config.kinematics(),
             motion: Motion::default(),
@@ -153,20 +158,15 @@ impl Machine {
             next_part: 0,
             locking: None,
             counter_fault: None,
-            config,
+            config: config.clone(),
             crc,
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn configure(
-        &mut self,
-        joints: Vec<JointDrive, MAX_AXES>,
-        design: Option<Design>,
-        inputs: &Inputs,
-    ) {
-        self.joints = joints;
+    fn configure(&mut self, design: Option<Design>, inputs: &Inputs) {
+        self.create_joints(inputs);
         self.wrapping = self.config.wrapping_joints();
         self.configure_force(design);
         self.configure_haptics(&inputs.haptic);
