@@ -27,7 +27,9 @@ const FOR_SPEED: [&str; 2] = [
 ];
 
 /// All boards.
-pub const BOARDS: &[Board] = &[Board {
+pub const BOARDS: &[Board] = &[MPS2, PICO2];
+
+const MPS2: Board = Board {
     name: "mps2",
     folder: "firmware/boards/mps2",
     target: "thumbv7em-none-eabihf",
@@ -46,7 +48,18 @@ pub const BOARDS: &[Board] = &[Board {
     ],
     flash: 256 * 1024,
     ram: 64 * 1024,
-}];
+};
+
+/// The whole image is copied into the RAM, code and constants too.
+const PICO2: Board = Board {
+    name: "pico2",
+    folder: "firmware/boards/pico2",
+    target: "thumbv8m.main-none-eabihf",
+    binary: "haptimill-pico2",
+    others: &[],
+    flash: 384 * 1024,
+    ram: 384 * 1024,
+};
 
 /// Debian's toolchain, which includes the sources of the core library.
 const DEBIAN_CARGO: &str = "/usr/bin/cargo";
@@ -122,7 +135,7 @@ impl Toolchain {
                 }
                 let linker_of_target = format!(
                     "CARGO_TARGET_{}_LINKER",
-                    target.to_uppercase().replace('-', "_")
+                    target.to_uppercase().replace(['-', '.'], "_")
                 );
                 cargo
                     .env("RUSTC", DEBIAN_RUSTC)

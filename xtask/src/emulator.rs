@@ -44,7 +44,12 @@ fn repair(root: &Path, folder: &Path) -> Result<(), String> {
         }
         copy(&source, &target)?;
         let mut git = Command::new("git");
-        git.current_dir(&target).arg("apply").arg(&patch);
+        // Inside a repository `git apply` would skip files without a word: their paths are not
+        // those of the repository.
+        git.current_dir(&target)
+            .env("GIT_CEILING_DIRECTORIES", &patched)
+            .arg("apply")
+            .arg(&patch);
         succeed(&mut git)?;
         fs::write(&applied, text).map_err(|error| format!("{}: {error}", applied.display()))?;
     }

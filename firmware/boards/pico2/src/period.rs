@@ -1,0 +1,219 @@
+//! The control period.
+//!
+//! SysTick begins it: it hands the pulses over, latches the inputs, and exchanges bytes with the
+//! host. It then pends PendSV, which calls the controller and makes the words of the next period.
+//! While PendSV still computes, SysTick counts a missed period and leaves the data alone.
+
+use crate::clocks::CYCLES_PER_US;
+use crate::pins::{self, JOINTS, Levels};
+use crate::record::{self, Cycles};
+use crate::registers::{DWT, SYSTICK, read, write};
+use crate::serial::{Bytes, Rings, Wire};
+use crate::steps::{Batch, Engine, Filler, requirements};
+use crate::{PERIOD_US, ending};
+use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicBool, Ordering};
+use cortex_m::peripheral::SCB;
+use cortex_m::peripheral::scb::SystemHandler;
+use cortex_m_rt::exception;
+use haptimill_firmware::controller::Controller;
+use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
+
+/// Cycles of a control period.
+pub const PERIOD_CYCLES: u32 = CYCLES_PER_US * PERIOD_US as u32;
+
+/// Data of SysTick.
+struct Front {
+    engine: Engine,
+    wire: Wire,
+    period: u64,
+    missed: u16,
+}
+
+/// Data of PendSV, and of SysTick while PendSV does not run.
+struct Back {
+    controller: Controller,
+    inputs: Inputs,
+    outputs: Outputs,
+    bytes: Bytes,
+    filler: Filler,
+    /// Buffer for the words of the next period.
+    buffer: usize,
+    batch: Option<Batch>,
+    /// Joints that this board cannot drive, one bit each.
+    wrong: u8,
+}
+
+/// Data of the handlers, set up before they run.
+struct Shared<T>(UnsafeCell<MaybeUninit<T>>);
+
+// SAFETY: `start` writes it before SysTick is enabled. From then on only SysTick uses `FRONT`, and
+// `BACK` belongs to PendSV while `BUSY` is set and to SysTick otherwise.
+unsafe impl<T> Sync for Shared<T> {}
+
+impl<T> Shared<T> {
+    const fn new() -> Self {
+        Self(UnsafeCell::new(MaybeUninit::uninit()))
+    }
+
+    /// # Safety
+    /// See `Sync`: the caller owns the data now, and `start` has written it.
+    #[allow(
+        clippy::mut_from_ref,
+        reason = "that is what the cell is for; see Safety"
+    )]
+    unsafe fn get(&self) -> &mut T {
+        // SAFETY: the caller guarantees it.
+        unsafe { (*self.0.get()).assume_init_mut() }
+    }
+}
+
+static FRONT: Shared<Front> = Shared::new();
+static BACK: Shared<Back> = Shared::new();
+static RINGS: Shared<Rings> = Shared::new();
+/// PendSV computes.
+static BUSY: AtomicBool = AtomicBool::new(false);
+
+/// Starts the control periods.
+pub fn start() {
+    let Some(mut core) = cortex_m::Peripherals::take() else {
+        return;
+    };
+    core.DCB.enable_trace();
+    core.DWT.enable_cycle_counter();
+    // SysTick runs, without its interrupt: the pulses start in step with it.
+    write(SYSTICK, 0x4, PERIOD_CYCLES - 1);
+    write(SYSTICK, 0x8, 0);
+    write(SYSTICK, 0x0, 0b101);
+    // SAFETY: no handler runs yet, and this function runs once.
+    unsafe {
+        (*RINGS.0.get()).write(Rings::new());
+        let (wire, bytes) = RINGS.get().split();
+        put(&mut *BACK.0.get(), bytes);
+        (*FRONT.0.get()).write(Front {
+            engine: Engine::start(),
+            wire,
+            period: 0,
+            missed: 0,
+        });
+        // SysTick may interrupt PendSV.
+        core.SCB.set_priority(SystemHandler::SysTick, 0x20);
+        core.SCB.set_priority(SystemHandler::PendSV, 0xE0);
+    }
+    write(SYSTICK, 0x0, 0b111);
+}
+
+/// Creates the data in place: on the stack the controller would be the largest object.
+#[inline(never)]
+fn put(place: &mut MaybeUninit<Back>, bytes: Bytes) {
+    place.write(Back {
+        controller: Controller::new(PERIOD_US),
+        inputs: Inputs::default(),
+        outputs: Outputs::default(),
+        bytes,
+        filler: Filler::new(),
+        buffer: 0,
+        batch: None,
+        wrong: 0,
+    });
+}
+
+/// Cycles since the start of the period.
+#[inline(always)]
+fn elapsed() -> u32 {
+    (PERIOD_CYCLES - 1).wrapping_sub(read(SYSTICK, 0x8))
+}
+
+/// Present count of the cycle counter.
+#[inline(always)]
+pub fn cycles() -> u32 {
+    read(DWT, 0x4)
+}
+
+#[exception]
+fn SysTick() {
+    let late = elapsed();
+    // SAFETY: only this handler uses it.
+    let front = unsafe { FRONT.get() };
+    let busy = BUSY.load(Ordering::Acquire);
+    // SAFETY: the data belong to this handler while PendSV does not run.
+    let mut back = (!busy).then(|| unsafe { BACK.get() });
+    let batch = back.as_mut().and_then(|back| back.batch.take());
+    front.engine.begin(batch, late);
+    let levels = Levels::read();
+    front.wire.exchange();
+    match back {
+        None => front.missed = front.missed.saturating_add(1),
+        Some(back) => {
+            apply(front, &back.outputs);
+            latch(front, back, levels);
+            front.missed = 0;
+            back.buffer = front.engine.free();
+            BUSY.store(true, Ordering::Release);
+            SCB::set_pendsv();
+        }
+    }
+    front.period += 1;
+}
+
+/// Applies the outputs of the call before, besides the pulses.
+fn apply(front: &mut Front, outputs: &Outputs) {
+    let on = outputs
+        .axes
+        .iter()
+        .any(|command| *command != DriveCommand::Off);
+    pins::enable_drives(on && !front.engine.is_stopped());
+    if !on {
+        front.engine.forgive();
+    }
+    pins::set_spindle(outputs.spindle_rpm);
+    pins::set_outputs(outputs.digital);
+}
+
+/// Latches the inputs of the period.
+fn latch(front: &Front, back: &mut Back, levels: Levels) {
+    let inputs = &mut back.inputs;
+    inputs.period = front.period;
+    inputs.missed = front.missed;
+    inputs.time_ns = (front.period as u32).wrapping_mul(u32::from(PERIOD_US) * 1000);
+    let broken = front.engine.lost() | back.wrong;
+    for joint in 0..JOINTS {
+        let axis = &mut inputs.axes[joint];
+        axis.steps = front.engine.emitted(joint);
+        axis.home = levels.home(joint);
+    }
+    for (joint, axis) in inputs.axes.iter_mut().enumerate() {
+        axis.drive_ready = levels.drives_ready() && broken >> joint & 1 == 0;
+    }
+    inputs.digital = levels.digital();
+    inputs.emergency_stop = levels.emergency_stop() || front.engine.is_stopped();
+}
+
+#[exception]
+fn PendSV() {
+    let mut profile = Cycles::begin(cycles());
+    // SAFETY: the data belong to this handler while `BUSY` is set.
+    let back = unsafe { BACK.get() };
+    let Back {
+        controller,
+        inputs,
+        outputs,
+        bytes,
+        filler,
+        ..
+    } = back;
+    bytes.waiting.take(inputs);
+    inputs.transmit_room = bytes.room();
+    outputs.transmit.clear();
+    controller.tick(inputs, outputs, &mut profile);
+    bytes.send(&outputs.transmit);
+    let (widths, wrong) = requirements(controller.machine());
+    back.wrong = wrong;
+    back.batch = Some(filler.fill(back.buffer, &outputs.axes, &widths));
+    profile.end(cycles());
+    record::write(&back.inputs, &back.outputs, &profile);
+    ending::feed_watchdog();
+    pins::pump();
+    BUSY.store(false, Ordering::Release);
+}

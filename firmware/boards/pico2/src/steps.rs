@@ -1,0 +1,398 @@
+//! Pulses of the drives: one PIO state machine a joint, fed by one DMA channel with the words of
+//! [`step_words`](haptimill_board_common::step_words).
+//!
+//! At the start of a control period [`Engine::begin`] hands over the words that [`Filler::fill`]
+//! made in the period before. The state machines run [`LEAD`] cycles behind SysTick, with up to
+//! eight words in their FIFO, so the hand-over does not delay a pulse. In a missed period each
+//! joint gets one word that waits for the period: the pulses of later periods keep their times.
+//!
+//! The emergency stop ends the pulses in the state machines. [`Engine::begin`] finds it, counts the
+//! steps that did not leave, and starts the state machines again when the circuit is closed.
+
+use crate::clocks::CYCLES_PER_US;
+use crate::pins::{self, JOINTS, Levels};
+use crate::registers::{DMA, PIO, SYSTICK, clear, read, write};
+use crate::{PERIOD_US, period::PERIOD_CYCLES};
+use core::cell::UnsafeCell;
+use haptimill_board_common::step_words::{
+    CYCLES_PER_TICK, LEAST_WIDTH, MOST, PROGRAM, STOP, StepWords, WRAP, width_register,
+};
+use haptimill_firmware::config::Drive;
+use haptimill_firmware::io::{DriveCommand, StepSegment};
+use haptimill_firmware::machine::Machine;
+use haptimill_protocol::message::MAX_AXES;
+
+/// Ticks of the step clock in a microsecond; a machine file must have the same.
+pub const TICKS_PER_US: u32 = CYCLES_PER_US / CYCLES_PER_TICK;
+const PERIOD_TICKS: u32 = TICKS_PER_US * PERIOD_US as u32;
+
+/// Cycles from SysTick to the first word of a period.
+const LEAD: u32 = 750;
+/// Cycles after SysTick at which the hand-over is too late.
+const TOO_LATE: u32 = 500;
+/// Periods with a closed emergency stop after which the state machines start again.
+const CLOSED: u16 = 50;
+
+/// Buffers: of this period, the one before, and the next one.
+const BUFFERS: usize = 3;
+
+/// Words that the DMA reads.
+struct Words {
+    buffers: UnsafeCell<[[[u32; MOST]; JOINTS]; BUFFERS]>,
+    gaps: UnsafeCell<[u32; JOINTS]>,
+}
+
+// SAFETY: `Filler` writes the buffer that it was given, which neither `Engine` nor the DMA uses
+// until it comes back in a `Batch`. Only `Engine` uses the gaps.
+unsafe impl Sync for Words {}
+
+static WORDS: Words = Words {
+    buffers: UnsafeCell::new([[[0; MOST]; JOINTS]; BUFFERS]),
+    gaps: UnsafeCell::new([0; JOINTS]),
+};
+
+/// Block and state machine of a joint: four joints in the first block.
+const fn place(joint: usize) -> (usize, usize) {
+    (joint / 4, joint % 4)
+}
+
+/// Words of a control period.
+#[derive(Clone, Copy)]
+pub struct Batch {
+    buffer: usize,
+    used: [u16; JOINTS],
+    steps: [i16; JOINTS],
+    /// Word of each joint that only waits for a period.
+    gaps: [u32; JOINTS],
+    widths: [u16; JOINTS],
+    /// Joints whose steps did not fit, one bit each.
+    unfit: u8,
+}
+
+/// Makes words; the side of the controller.
+pub struct Filler {
+    encoders: [StepWords; JOINTS],
+}
+
+impl Filler {
+    /// Nothing is emitted yet.
+    pub const fn new() -> Self {
+        Self {
+            encoders: [const { StepWords::new(PERIOD_TICKS, LEAST_WIDTH) }; JOINTS],
+        }
+    }
+
+    /// Words of these commands, in a buffer that [`Engine::free`] gave.
+    pub fn fill(
+        &mut self,
+        buffer: usize,
+        commands: &[DriveCommand; MAX_AXES],
+        widths: &[u16; JOINTS],
+    ) -> Batch {
+        let mut batch = Batch {
+            buffer,
+            used: [0; JOINTS],
+            steps: [0; JOINTS],
+            gaps: [0; JOINTS],
+            widths: *widths,
+            unfit: 0,
+        };
+        // SAFETY: see `Words`.
+        let words = unsafe { &mut (*WORDS.buffers.get())[buffer] };
+        for joint in 0..JOINTS {
+            let encoder = &mut self.encoders[joint];
+            if encoder.width() != widths[joint] {
+                *encoder = StepWords::new(PERIOD_TICKS, widths[joint]);
+            }
+            let segment = match commands[joint] {
+                DriveCommand::Steps(segment) => segment,
+                DriveCommand::Off | DriveCommand::Torque(_) => StepSegment::default(),
+            };
+            let used = encoder.fill(&segment, &mut words[joint]);
+            match used {
+                Ok(used) => {
+                    batch.used[joint] = used as u16;
+                    batch.steps[joint] = segment.count;
+                }
+                Err(_) => {
+                    // The words are those of a period without steps.
+                    batch.used[joint] = 1;
+                    batch.unfit |= 1 << joint;
+                }
+            }
+            batch.gaps[joint] = encoder.wait(PERIOD_TICKS);
+        }
+        batch
+    }
+}
+
+/// Widths of the pulses of a machine; and the joints that this board cannot drive, one bit each.
+pub fn requirements(machine: Option<&Machine>) -> ([u16; JOINTS], u8) {
+    let mut widths = [LEAST_WIDTH; JOINTS];
+    let mut wrong = 0;
+    let joints = machine.map_or(&[][..], |machine| &machine.config.joints[..]);
+    for (joint, axis) in joints.iter().enumerate() {
+        match &axis.drive {
+            Drive::Steps {
+                ticks_per_us,
+                pulse,
+                ..
+            } if joint < JOINTS
+                && u32::from(*ticks_per_us) == TICKS_PER_US
+                && axis.encoder.is_none() =>
+            {
+                widths[joint] = (*pulse).max(LEAST_WIDTH);
+            }
+            _ => wrong |= 1 << joint,
+        }
+    }
+    (widths, wrong)
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum State {
+    Running,
+    /// The emergency stop ended the pulses; periods since its circuit was closed.
+    Stopped(u16),
+}
+
+/// Hands words over to the state machines; the side of SysTick.
+pub struct Engine {
+    state: State,
+    widths: [u16; JOINTS],
+    /// Batches of this period and the one before.
+    batches: [Option<Batch>; 2],
+    emitted: [i32; JOINTS],
+    /// Joints that lost steps since the last enable, one bit each.
+    lost: u8,
+}
+
+impl Engine {
+    /// Prepares state machines, DMA and pins, and starts the state machines.
+    pub fn start() -> Self {
+        for block in PIO {
+            write(block, 0x0, 0);
+            for (at, word) in PROGRAM.iter().enumerate() {
+                write(block, 0x48 + 4 * at, u32::from(*word));
+            }
+        }
+        let mut engine = Self {
+            state: State::Running,
+            widths: [LEAST_WIDTH; JOINTS],
+            batches: [None; 2],
+            emitted: [0; JOINTS],
+            lost: 0,
+        };
+        engine.restart();
+        for joint in 0..JOINTS {
+            pins::give_to_pio(joint, place(joint).0);
+        }
+        engine
+    }
+
+    /// A buffer that is free until its batch is handed over.
+    pub fn free(&self) -> usize {
+        let taken = |buffer| {
+            let mut batches = self.batches.iter().flatten();
+            batches.any(|batch| batch.buffer == buffer)
+        };
+        (0..BUFFERS).find(|buffer| !taken(*buffer)).unwrap_or(0)
+    }
+
+    /// Steps of each joint so far, with those of the period that begins now excluded.
+    pub const fn emitted(&self, joint: usize) -> i32 {
+        self.emitted[joint]
+    }
+
+    /// The emergency stop has ended the pulses.
+    pub fn is_stopped(&self) -> bool {
+        self.state != State::Running
+    }
+
+    /// Joints that lost steps, one bit each.
+    pub const fn lost(&self) -> u8 {
+        self.lost
+    }
+
+    /// The drives are off: lost steps do not matter, because the joints will be homed again.
+    pub const fn forgive(&mut self) {
+        self.lost = 0;
+    }
+
+    /// Begins a period with these words; without them it has no steps. `late` are the cycles since
+    /// SysTick.
+    pub fn begin(&mut self, batch: Option<Batch>, late: u32) {
+        // What was handed over before has been emitted, unless the emergency stop ended it.
+        if let Some(before) = self.batches[0] {
+            for joint in 0..JOINTS {
+                self.emitted[joint] = self.emitted[joint].wrapping_add(before.steps[joint].into());
+            }
+        }
+        match self.state {
+            State::Running if (0..JOINTS).any(has_stopped) => {
+                self.stop();
+                self.batches = [None; 2];
+            }
+            State::Running => match batch {
+                Some(batch) if batch.widths != self.widths || late > TOO_LATE => {
+                    self.lose(&batch);
+                    self.widths = batch.widths;
+                    self.restart();
+                    self.batches = [None; 2];
+                }
+                Some(batch) => {
+                    self.lost |= batch.unfit;
+                    let done = self.hand_over(&batch);
+                    self.batches = [done.then_some(batch), self.batches[0]];
+                }
+                None => {
+                    self.batches = [None, self.batches[0]];
+                    for joint in 0..JOINTS {
+                        // SAFETY: only this function uses the gaps; an address is taken here.
+                        trigger(joint, unsafe { &raw const (*WORDS.gaps.get())[joint] }, 1);
+                    }
+                }
+            },
+            State::Stopped(closed) => {
+                self.state = if Levels::read().emergency_stop() {
+                    State::Stopped(0)
+                } else if closed < CLOSED {
+                    State::Stopped(closed + 1)
+                } else {
+                    self.restart();
+                    State::Running
+                };
+                if let Some(batch) = batch {
+                    self.lose(&batch);
+                }
+            }
+        }
+    }
+
+    /// The steps of a batch are not emitted.
+    fn lose(&mut self, batch: &Batch) {
+        for joint in 0..JOINTS {
+            if batch.steps[joint] != 0 {
+                self.lost |= 1 << joint;
+            }
+        }
+    }
+
+    /// Gives the words to the DMA. False if it still has words of the period before.
+    fn hand_over(&mut self, batch: &Batch) -> bool {
+        for joint in 0..JOINTS {
+            // SAFETY: see `Words`; an address is taken here.
+            let words = unsafe { &raw const (*WORDS.buffers.get())[batch.buffer][joint] };
+            if !trigger(joint, words.cast(), u32::from(batch.used[joint])) {
+                self.lose(batch);
+                return false;
+            }
+        }
+        // SAFETY: only this module uses the gaps, and the DMA has read those of the last period.
+        unsafe { *WORDS.gaps.get() = batch.gaps };
+        true
+    }
+
+    /// Ends the DMA after an emergency stop, and takes the steps that did not leave off the sum.
+    fn stop(&mut self) {
+        self.state = State::Stopped(0);
+        for joint in 0..JOINTS {
+            let (block, machine) = place(joint);
+            let channel = 0x40 * joint;
+            let left = read(DMA, channel + 0x8) & 0x0FFF_FFFF;
+            let queued = read(PIO[block], 0xC) >> (8 * machine) & 0xF;
+            clear(DMA, channel + 0x10, 1);
+            write(DMA, 0x464, 1 << joint);
+            while read(DMA, channel + 0x10) >> 26 & 1 != 0 {}
+            // A state machine stops before the pulse of its word, so this word did not leave.
+            let mut unsent = (left + queued + 1) as usize;
+            let mut steps = 0_i32;
+            for batch in self.batches.iter().flatten() {
+                let used = usize::from(batch.used[joint]);
+                let from = used - unsent.min(used);
+                unsent -= used - from;
+                // SAFETY: see `Words`.
+                let words = unsafe { &(&(*WORDS.buffers.get())[batch.buffer])[joint][from..used] };
+                let pulses = words.iter().filter(|word| **word & 2 != 0).count() as i32;
+                steps += pulses * i32::from(batch.steps[joint].signum());
+            }
+            self.emitted[joint] = self.emitted[joint].wrapping_sub(steps);
+        }
+    }
+
+    /// Starts the state machines with the present widths; the next period begins in time.
+    fn restart(&mut self) {
+        for block in PIO {
+            write(block, 0x0, 0);
+        }
+        for joint in 0..JOINTS {
+            let (block, machine) = place(joint);
+            let (block, own) = (PIO[block], 0xC8 + 0x18 * machine);
+            let step = pins::FIRST_STEP + 2 * joint as u32;
+            let execute = |instruction: u16| write(block, own + 0x10, u32::from(instruction));
+            write(block, own, 1 << 16);
+            // Wrap from the last instruction to the first; JMP PIN tests the emergency stop.
+            write(block, own + 0x4, pins::EMERGENCY_STOP << 24 | WRAP << 12);
+            // Both sizes of the FIFO in turn, which empties it; without autopull at first.
+            write(block, own + 0x8, 0);
+            write(block, own + 0x8, 1 << 30 | 1 << 19);
+            // One side-set pin, two set pins, one output pin.
+            let pins = 1 << 29 | 2 << 26 | 1 << 20 | step << 10 | step << 5 | (step + 1);
+            write(block, own + 0x14, pins);
+            // Restart of the state machine and of its clock divider.
+            write(block, 0x0, 0x11 << (4 + machine));
+            write(
+                block,
+                0x10 + 4 * machine,
+                width_register(self.widths[joint]),
+            );
+            execute(0xE000); // set pins, 0
+            execute(0xE083); // set pindirs, 3
+            execute(0x80A0); // pull
+            execute(0xA0C7); // mov isr, osr
+            execute(0x6060); // out null, 32
+            execute(0x0000); // jmp 0
+            write(block, own + 0x8, 1 << 30 | 1 << 19 | 1 << 17);
+            let channel = 0x40 * joint;
+            write(DMA, channel + 0x4, (block + 0x10 + 4 * machine) as u32);
+            let request = 8 * place(joint).0 as u32 + machine as u32;
+            // Enabled, high priority, words, reading onwards, chained to itself, quiet.
+            let control = 0b1_1011 | (joint as u32) << 13 | request << 17 | 1 << 23;
+            write(DMA, channel + 0x10, control);
+            // SAFETY: only this module uses the gaps, and no DMA reads them now.
+            unsafe { (*WORDS.gaps.get())[joint] = (PERIOD_TICKS - 3) << 2 };
+        }
+        // The first word lasts to the start of the next period.
+        let left = read(SYSTICK, 0x8) + LEAD;
+        let first = (left / CYCLES_PER_TICK).saturating_sub(3) << 2;
+        for joint in 0..JOINTS {
+            let (block, machine) = place(joint);
+            write(PIO[block], 0x10 + 4 * machine, first);
+        }
+        // All state machines of both blocks in the same cycle.
+        let second = (1 << (JOINTS - 4)) - 1;
+        write(PIO[0], 0x0, 0xF | 1 << 24 | second << 20);
+    }
+}
+
+/// The state machine of a joint has seen the emergency stop.
+fn has_stopped(joint: usize) -> bool {
+    let (block, machine) = place(joint);
+    read(PIO[block], 0xD4 + 0x18 * machine) == STOP
+}
+
+/// Gives words to the DMA of a joint. False if it still has others.
+fn trigger(joint: usize, words: *const u32, count: u32) -> bool {
+    let channel = 0x40 * joint;
+    // The last words of a period enter the FIFO within a few cycles.
+    for _ in 0..16 {
+        if read(DMA, channel + 0x10) >> 26 & 1 == 0 {
+            write(DMA, channel + 0x8, count);
+            write(DMA, channel + 0x3C, words as u32);
+            return true;
+        }
+    }
+    false
+}
+
+const _: () = assert!(PERIOD_CYCLES == PERIOD_TICKS * CYCLES_PER_TICK);
