@@ -77,7 +77,7 @@ impl Default for JointCondition {
 #[derive(Debug, Clone)]
 enum Drive {
     Torque { per_code: f64, limit: f64 },
-    Steps(Stepper),
+    Steps(Box<Stepper>),
 }
 
 #[derive(Debug, Clone)]
@@ -183,7 +183,7 @@ impl Plant {
                         limit: drive.limit,
                     },
                     DriveConfig::Steps(drive) => {
-                        Drive::Steps(Stepper::new(joint, drive, start, period_us))
+                        Drive::Steps(Box::new(Stepper::new(joint, drive, start, period_us)))
                     }
                 },
                 encoder: joint.encoder.as_ref().map(|encoder| {
@@ -375,6 +375,21 @@ impl Plant {
             seen.limit_low = joint.level(Kind::LimitLow as usize);
             seen.limit_high = joint.level(Kind::LimitHigh as usize);
             seen.drive_ready = !joint.condition.drive_tripped && !self.emergency_stop;
+        }
+    }
+
+    /// Adds a pulse that was seen on the step line of a board, at this time of the coming period,
+    /// in the order of the times. The outputs of the period enable the drive with a segment without
+    /// steps. A joint without a step drive has no such line.
+    pub fn add_pulse(&mut self, axis: usize, time_ns: u64, up: bool) {
+        let Some(joint) = self.joints.get_mut(axis) else {
+            return;
+        };
+        if let (Drive::Steps(stepper), DriveConfig::Steps(drive)) =
+            (&mut joint.drive, &joint.config.drive)
+        {
+            let tick = time_ns * u64::from(drive.ticks_per_us) / 1000;
+            stepper.add_pulse(tick as i64, up);
         }
     }
 

@@ -15,6 +15,8 @@ pub struct Board {
     binary: &'static str,
     /// Images other than the product's: name, feature, and additional cargo arguments.
     others: &'static [(&'static str, &'static str, &'static [&'static str])],
+    /// Its boot ROM takes UF2 files.
+    pub has_uf2: bool,
     /// Largest flash and static RAM of an image, bytes.
     flash: u64,
     ram: u64,
@@ -46,6 +48,7 @@ const MPS2: Board = Board {
         ("checks", "checks", &[]),
         ("logging", "defmt", &[]),
     ],
+    has_uf2: false,
     flash: 256 * 1024,
     ram: 64 * 1024,
 };
@@ -57,6 +60,7 @@ const PICO2: Board = Board {
     target: "thumbv8m.main-none-eabihf",
     binary: "haptimill-pico2",
     others: &[],
+    has_uf2: true,
     flash: 384 * 1024,
     ram: 384 * 1024,
 };
@@ -222,6 +226,25 @@ impl Board {
     /// Builds the product image.
     pub fn build(&self, root: &Path, quiet: bool) -> Result<PathBuf, String> {
         self.cargo(root, quiet, self.binary, &[])
+    }
+
+    /// Builds the product image, checks its memory map, and writes it as a UF2 file beside the ELF
+    /// file. Returns its path.
+    ///
+    /// # Errors
+    /// The board has no boot ROM that takes UF2 files, or the image is wrong.
+    pub fn uf2(&self, root: &Path) -> Result<PathBuf, String> {
+        if !self.has_uf2 {
+            return Err(format!("the board {} takes no UF2 files", self.name));
+        }
+        let image = self.build(root, true)?;
+        let bytes = fs::read(&image).map_err(|error| format!("{}: {error}", image.display()))?;
+        let flash =
+            crate::uf2::check(&bytes).map_err(|error| format!("{}: {error}", image.display()))?;
+        let path = image.with_extension("uf2");
+        fs::write(&path, crate::uf2::file(&flash))
+            .map_err(|error| format!("{}: {error}", path.display()))?;
+        Ok(path)
     }
 
     /// Builds any image by its name.

@@ -11,17 +11,23 @@ const PACKAGES: [(&str, &str); 2] = [("rp2350-emu", "0.2.6"), ("picoem-common", 
 /// Folder of the program.
 const FOLDER: &str = "host/emulator";
 
-/// Repairs the emulator, and runs the tests of the repairs.
+/// Board whose image runs in the emulator.
+const BOARD: &str = "pico2";
+
+/// Repairs the emulator, and runs the tests of the repairs and of the image of the board.
 ///
 /// # Errors
-/// A package cannot be fetched, a patch does not fit, or a test fails.
+/// A package cannot be fetched, a patch does not fit, the image cannot be built, or a test fails.
 pub fn emulator(root: &Path) -> Result<(), String> {
     let folder = root.join(FOLDER);
     repair(root, &folder)?;
+    let board = crate::named(BOARD)?;
+    let image = board.uf2(root)?;
     let mut cargo = crate::cargo();
     cargo
         .current_dir(&folder)
-        .args(["test", "--release", "--locked"]);
+        .env("HAPTIMILL_IMAGE", &image)
+        .args(["test", "--release", "--locked", "--", "--nocapture"]);
     succeed(&mut cargo)
 }
 

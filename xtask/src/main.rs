@@ -8,6 +8,7 @@ mod names;
 mod planted;
 mod provide;
 mod storm;
+mod uf2;
 
 use board::Board;
 use lint::lint;
@@ -25,11 +26,12 @@ Developer tasks of the project.
   cargo xtask test --native-only   the same without boards and emulated runs; lists what it skipped
   cargo xtask keys                 rewrite the tables of docs/machine-files.md from the table of keys
   cargo xtask lint                 list comments and prose longer than 100 columns, and general code that names a machine
-  cargo xtask board NAME           build the image of a board (mps2), print its size, check it against the budget
+  cargo xtask board NAME           build the image of a board (mps2, pico2), print its size, check it against the budget
+  cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
   cargo xtask board NAME --image   build the image and print only its path
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: hand, faults, checks, logging)
   cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
-  cargo xtask emulator             repair the emulator of the RP2350 (host/emulator) and test the repairs
+  cargo xtask emulator             repair the emulator of the RP2350 (host/emulator), test the repairs, and run the image of the Pico 2 with a simulated mill
   cargo xtask machines             do everything with every machine file and rewrite docs/machines.md
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
   cargo xtask storm [OPTION ...]   run random episodes against all checks, by seed (docs/storm.md; --help lists the options)
@@ -173,6 +175,7 @@ fn main() -> ExitCode {
         }),
         ["lint"] => lint(&root()).and(names::lint(&root())),
         ["board", name] => board(name),
+        ["board", name, "--uf2"] => uf2(name),
         ["board", name, "--image"] => image(name, None),
         ["board", name, "--image", other] => image(name, Some(other)),
         ["instructions"] => instructions(),
@@ -217,6 +220,9 @@ fn test() -> Result<(), String> {
         }
         let image = board.build(&root(), false)?;
         board.measure(&image)?;
+        if board.has_uf2 {
+            board.uf2(&root())?;
+        }
     }
     // The tests are slow, and parallel ones slow each other down: they run one at a time.
     emulated("emulated runs", "emulated*", "--test-threads=1", &[])
@@ -236,6 +242,15 @@ fn board(name: &str) -> Result<(), String> {
     let image = board.build(&root(), false)?;
     board.measure(&image)?;
     println!("{}", image.display());
+    if board.has_uf2 {
+        println!("{}", board.uf2(&root())?.display());
+    }
+    Ok(())
+}
+
+/// Builds the product image of a board as a UF2 file and prints its path.
+fn uf2(name: &str) -> Result<(), String> {
+    println!("{}", named(name)?.uf2(&root())?.display());
     Ok(())
 }
 

@@ -14,6 +14,7 @@
 
 use crate::joint::{JointConfig, StepDrive};
 use haptimill_firmware::io::StepSegment;
+use std::collections::VecDeque;
 
 /// Violation of the pulse timing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,6 +80,8 @@ pub struct Stepper {
     /// Pulses of the current period, with times in ticks.
     segment: StepSegment,
     next: i64,
+    /// Pulses that were seen on the line of a board: tick of the current period, and direction.
+    seen_pulses: VecDeque<(i64, bool)>,
     report: PulseReport,
 }
 
@@ -129,6 +132,7 @@ impl Stepper {
             last_pulse: None,
             segment: StepSegment::default(),
             next: 0,
+            seen_pulses: VecDeque::new(),
             report: PulseReport::default(),
         }
     }
@@ -171,6 +175,12 @@ impl Stepper {
         }
     }
 
+    /// Adds a pulse that was seen on the line of a board, at this tick of the current period, in
+    /// the order of the ticks. Its timing is not checked here.
+    pub fn add_pulse(&mut self, tick: i64, up: bool) {
+        self.seen_pulses.push_back((tick, up));
+    }
+
     /// Emits the remaining pulses of the period and moves to the next period.
     pub fn end(&mut self) {
         self.advance_to(self.period_ticks);
@@ -188,6 +198,14 @@ impl Stepper {
 
     /// Emits the pulses that start before this tick of the period.
     fn advance_to(&mut self, tick: i64) {
+        while let Some(&(at, up)) = self.seen_pulses.front()
+            && at < tick
+        {
+            self.seen_pulses.pop_front();
+            let step = if up { 1 } else { -1 };
+            self.emitted = self.emitted.wrapping_add(step);
+            self.seen += i64::from(step);
+        }
         while self.next < i64::from(self.segment.count).abs() {
             let k = self.next;
             let leaves = i64::from(self.segment.delay)

@@ -20,9 +20,17 @@ impl Chip {
     /// # Errors
     /// The emulator cannot be built.
     pub fn new(flash: &[u8]) -> Result<Self, String> {
-        // Cores and PIO take turns after each cycle, or edges would be lost.
+        Self::with_quantum(flash, 1)
+    }
+
+    /// As [`Chip::new`]; cores and devices take turns after this number of cycles. Edges within it
+    /// are lost, and the times of all others are rounded up to its end.
+    ///
+    /// # Errors
+    /// The emulator cannot be built.
+    pub fn with_quantum(flash: &[u8], cycles: u32) -> Result<Self, String> {
         let mut emulator = EmulatorBuilder::new(Config::default())
-            .step_quantum(1)
+            .step_quantum(cycles)
             .build()
             .map_err(|error| error.to_string())?;
         emulator.load_flash(flash);
@@ -46,7 +54,7 @@ impl Chip {
         self.emulator.bus.gpio_external_in.store(levels, Relaxed);
     }
 
-    /// Runs a cycle; returns the levels of all pins.
+    /// Runs a quantum, one cycle in [`Chip::new`]; returns the levels of all pins.
     ///
     /// # Errors
     /// The emulator cannot go on.
@@ -63,6 +71,12 @@ impl Chip {
     /// Writes a register of a device.
     pub fn set_register(&mut self, address: u32, value: u32) {
         self.emulator.mmio_write32(address, value);
+    }
+
+    /// Reads a word of the RAM.
+    #[must_use]
+    pub fn memory(&mut self, address: u32) -> u32 {
+        self.emulator.peek(address)
     }
 
     /// A register of the first core.

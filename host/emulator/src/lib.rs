@@ -3,6 +3,10 @@
 //! The emulator is `rp2350-emu` with the repairs of `patches/`. `tests/` has their tests, but none
 //! for the D registers of the FPU. It does not show misses of the flash cache, the two cycles of
 //! the input synchronisers of the PIO, and contention on the bus. Times of code are lower bounds;
-//! times of pulses do not depend on code. No image of a board exists yet.
+//! times of pulses do not depend on code. It does not model pads and functions of pins: a pin that
+//! an image forgot to assign works here.
 
 pub mod chip;
+pub mod image;
+pub mod pico2;
+pub mod record;

@@ -48,6 +48,17 @@ fn load_acquire_and_store_release_are_executed() {
 }
 
 #[test]
+fn systick_fires_when_it_reaches_zero_in_steps_of_one_cycle() {
+    // r1 = SysTick; reload 9, value 0, enabled; 40 times nop; ldr r3, [r1]
+    let mut code = vec![0xF24E, 0x0110, 0xF2CE, 0x0100];
+    code.extend([0x2209, 0x604A, 0x2200, 0x608A, 0x2205, 0x600A]);
+    code.extend([0xBF00; 40]);
+    code.push(0x680B);
+    let chip = run(&code, 300);
+    assert_eq!(chip.core_register(3) >> 16, 1, "COUNTFLAG");
+}
+
+#[test]
 fn the_watchdog_counts_ticks_and_not_cycles() {
     let mut chip = chip(&[]);
     // 12 cycles of the reference a tick, load 100, enabled.
@@ -116,4 +127,11 @@ fn the_uart_receives_and_sends() {
     }
     assert_eq!(chip.register(0x4007_0000) & 0xFF, 0x5A);
     assert_eq!(chip.take_sent(), [0xA5]);
+    // The FIFO keeps 32 bytes that nobody takes.
+    chip.receive(&[7; 40]);
+    for _ in 0..20_000 {
+        chip.cycle().unwrap();
+    }
+    let taken = (0..40).filter(|_| chip.register(0x4007_0000) & 0xFF == 7);
+    assert_eq!(taken.count(), 32);
 }

@@ -1,5 +1,5 @@
-//! Pins of the Pico 2. All inputs are active high at the pin and pulled up, so that a broken wire is
-//! an active switch; a normally closed contact to ground is inactive.
+//! Pins of the Pico 2. All inputs are active high at the pin and pulled up, so that a broken wire
+//! is an active switch; a normally closed contact to ground is inactive.
 //!
 //! | pin | direction | |
 //! | --- | --- | --- |

@@ -1,0 +1,261 @@
+//! A Pico 2 with its pins wired to a simulated machine.
+
+use crate::chip::{CLOCK_HZ, Chip};
+use crate::record::{self, JOINTS, Period};
+use haptimill_client::port::PortError;
+use haptimill_client::session::{JobLine, JobRecording, Line};
+use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
+use haptimill_hil_sim::plant::Plant;
+use haptimill_pulses::Signal;
+use haptimill_trace::Recorder;
+
+/// Pins, as in `firmware/boards/pico2/src/pins.rs`.
+const FIRST_STEP: u32 = 2;
+const ENABLE: u32 = 12;
+const EMERGENCY_STOP: u32 = 14;
+const FIRST_HOME: u32 = 15;
+const INPUTS: [u32; 2] = [20, 27];
+const ALARM: u32 = 28;
+const CYCLES_PER_US: u64 = CLOCK_HZ / 1_000_000;
+
+/// Control periods within which an image must have started.
+const BOOT_PERIODS: u32 = 500;
+
+/// Femtoseconds of a number of cycles, rounded down by less than one.
+fn femtoseconds(cycles: u64) -> i64 {
+    (i128::from(cycles) * 20_000_000 / 3) as i64
+}
+
+/// Lines that the board drives, since the start.
+#[derive(Debug, Clone, Default)]
+pub struct Lines {
+    /// Step lines of the joints.
+    pub step: [Signal; JOINTS],
+    /// Direction lines of the joints.
+    pub direction: [Signal; JOINTS],
+    /// Enable line of the drives.
+    pub enable: Signal,
+}
+
+/// A Pico 2 with a machine.
+pub struct Pico2 {
+    chip: Chip,
+    plant: Plant,
+    period_us: u32,
+    levels: u32,
+    /// Level of the emergency stop, besides that of the machine.
+    emergency_stop: bool,
+    /// Lines that the board drove.
+    pub lines: Lines,
+    /// Steps of each joint, by its lines.
+    pub steps: [i64; JOINTS],
+    /// Control periods of the board.
+    pub periods: Vec<Period>,
+    last: u32,
+}
+
+impl Pico2 {
+    /// A board with these contents of its flash. The period is that of the machine.
+    ///
+    /// # Errors
+    /// The emulator cannot be built.
+    pub fn new(flash: &[u8], plant: Plant) -> Result<Self, String> {
+        let mut board = Self {
+            // A tick of the step clock is two cycles, so no edge is lost or rounded differently
+            // from the others.
+            chip: Chip::with_quantum(flash, 2)?,
+            period_us: u32::from(plant.period_us()),
+            plant,
+            levels: 0,
+            emergency_stop: false,
+            lines: Lines::default(),
+            steps: [0; JOINTS],
+            periods: Vec::new(),
+            last: u32::MAX,
+        };
+        board.drive_inputs();
+        board.boot()?;
+        Ok(board)
+    }
+
+    /// Runs the image until its first control period has ended.
+    fn boot(&mut self) -> Result<(), String> {
+        for _ in 0..BOOT_PERIODS {
+            let end = self.chip.cycles() + u64::from(self.period_us) * CYCLES_PER_US;
+            while self.chip.cycles() < end {
+                self.chip.cycle()?;
+            }
+            if self.chip.memory(record::ADDRESS + 4) != 0 {
+                self.read_record();
+                return Ok(());
+            }
+        }
+        Err(format!(
+            "the image has run no control period after {} ms; its processor is at {:#010x}",
+            BOOT_PERIODS * self.period_us / 1000,
+            self.chip.address()
+        ))
+    }
+
+    /// Opens or closes the emergency stop.
+    pub fn set_emergency_stop(&mut self, open: bool) {
+        self.emergency_stop = open;
+        self.plant.set_emergency_stop(open);
+        self.drive_inputs();
+    }
+
+    /// The machine.
+    #[must_use]
+    pub const fn plant(&self) -> &Plant {
+        &self.plant
+    }
+
+    /// The chip.
+    pub const fn chip(&mut self) -> &mut Chip {
+        &mut self.chip
+    }
+
+    /// Cycles since the start.
+    #[must_use]
+    pub fn cycles(&self) -> u64 {
+        self.chip.cycles()
+    }
+
+    /// Runs a number of cycles with the machine at rest; returns the cycle of the last rising edge
+    /// of a step line.
+    ///
+    /// # Errors
+    /// The emulator cannot go on.
+    pub fn run_cycles(&mut self, cycles: u64) -> Result<Option<u64>, String> {
+        let mut last = None;
+        let end = self.chip.cycles() + cycles;
+        while self.chip.cycles() < end {
+            let before = self.steps;
+            let levels = self.chip.cycle()?;
+            if levels != self.levels {
+                self.note(levels, u64::MAX);
+                if self.steps != before {
+                    last = Some(self.chip.cycles());
+                }
+            }
+        }
+        Ok(last)
+    }
+
+    /// Runs a control period of chip and machine.
+    ///
+    /// # Errors
+    /// The emulator cannot go on.
+    pub fn run_period(&mut self) -> Result<(), String> {
+        let start = self.chip.cycles();
+        let end = start + u64::from(self.period_us) * CYCLES_PER_US;
+        while self.chip.cycles() < end {
+            let levels = self.chip.cycle()?;
+            if levels != self.levels {
+                self.note(levels, start);
+            }
+            // More often than the shortest period handler: no record is overwritten unseen.
+            if self.chip.cycles() % 512 < 2 {
+                self.read_record();
+            }
+        }
+        let mut outputs = Outputs::default();
+        if self.levels >> ENABLE & 1 != 0 {
+            let on = DriveCommand::Steps(StepSegment::default());
+            outputs.axes[..self.plant.axes()].fill(on);
+        }
+        self.plant.advance(&outputs);
+        self.drive_inputs();
+        Ok(())
+    }
+
+    /// Keeps the record of the last control period, if it is a new one.
+    fn read_record(&mut self) {
+        if self.chip.memory(record::ADDRESS) == self.last {
+            return;
+        }
+        let mut words = [0; record::WORDS];
+        for (word, at) in words.iter_mut().zip((record::ADDRESS..).step_by(4)) {
+            *word = self.chip.memory(at);
+        }
+        self.last = words[0];
+        self.periods.push(Period::decode(&words, self.period_us));
+    }
+
+    /// Notes the changes of the lines; `start` is the first cycle of the machine's period.
+    fn note(&mut self, levels: u32, start: u64) {
+        let changed = levels ^ self.levels;
+        self.levels = levels;
+        let now = self.chip.cycles();
+        let time = femtoseconds(now);
+        if changed >> ENABLE & 1 != 0 {
+            self.lines.enable.changes.push(time);
+        }
+        for joint in 0..JOINTS {
+            let pin = FIRST_STEP + 2 * joint as u32;
+            if changed >> (pin + 1) & 1 != 0 {
+                self.lines.direction[joint].changes.push(time);
+            }
+            if changed >> pin & 1 == 0 {
+                continue;
+            }
+            self.lines.step[joint].changes.push(time);
+            if levels >> pin & 1 != 0 {
+                let up = levels >> (pin + 1) & 1 != 0;
+                self.steps[joint] += if up { 1 } else { -1 };
+                if start <= now {
+                    let time_ns = (now - start) * 1000 / CYCLES_PER_US;
+                    self.plant.add_pulse(joint, time_ns, up);
+                }
+            }
+        }
+    }
+
+    /// Drives the input pins of the board with the switches of the machine.
+    fn drive_inputs(&mut self) {
+        let mut inputs = Inputs::default();
+        self.plant.latch(&mut inputs);
+        let mut mask = 1 << EMERGENCY_STOP | 1 << ALARM;
+        let mut levels = 0;
+        let mut set = |pin: u32, high: bool| {
+            mask |= 1 << pin;
+            levels |= u32::from(high) << pin;
+        };
+        set(EMERGENCY_STOP, inputs.emergency_stop || self.emergency_stop);
+        for joint in 0..JOINTS {
+            set(FIRST_HOME + joint as u32, inputs.axes[joint].home);
+        }
+        let alarm = inputs.axes[..self.plant.axes()]
+            .iter()
+            .any(|axis| !axis.drive_ready);
+        set(ALARM, alarm && !inputs.emergency_stop);
+        for (channel, pin) in INPUTS.into_iter().enumerate() {
+            set(pin, inputs.digital >> channel & 1 != 0);
+        }
+        self.chip.drive(mask, levels);
+    }
+}
+
+impl Line for Pico2 {
+    fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
+        self.chip.receive(transmit);
+        self.run_period().map_err(|reason| PortError::Failed {
+            name: self.name(),
+            reason,
+        })?;
+        received.extend(self.chip.take_sent());
+        Ok(self.chip.cycles() / CYCLES_PER_US)
+    }
+
+    fn name(&self) -> String {
+        "emu:pico2".to_string()
+    }
+}
+
+impl JobLine for Pico2 {
+    fn begin_recording(&mut self, _: JobRecording) {}
+
+    fn end_recording(&mut self) -> Option<Recorder> {
+        None
+    }
+}

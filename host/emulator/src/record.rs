@@ -1,0 +1,81 @@
+//! The record of the last control period that an image keeps in its RAM; its layout is in
+//! `firmware/boards/pico2/src/record.rs`.
+
+use haptimill_firmware::io::{DriveCommand, Inputs, StepSegment};
+use haptimill_firmware::profiler::STAGES;
+
+/// Address of the record.
+pub const ADDRESS: u32 = 0x2002_0000;
+/// Words of the record.
+pub const WORDS: usize = 60;
+/// Joints of the board.
+pub const JOINTS: usize = 5;
+
+/// A control period of a board.
+#[derive(Debug, Clone)]
+pub struct Period {
+    /// What the controller was given.
+    pub inputs: Inputs,
+    /// What it commanded.
+    pub commands: [DriveCommand; JOINTS],
+    /// Cycles of its stages.
+    pub stages: [u32; STAGES],
+    /// Cycles from the end of the controller to the end of the words for the PIO.
+    pub words: u32,
+}
+
+impl Period {
+    /// Decodes a record; `period_us` is the control period of the image.
+    #[must_use]
+    pub fn decode(words: &[u32; WORDS], period_us: u32) -> Self {
+        let mut inputs = Inputs {
+            period: u64::from(words[0]),
+            missed: words[1] as u16,
+            transmit_room: (words[1] >> 16) as u16,
+            time_ns: words[0].wrapping_mul(period_us * 1000),
+            emergency_stop: words[2] >> 16 & 1 != 0,
+            urgent: words[2] >> 17 & 1 != 0,
+            digital: words[3] & 0xFFFF,
+            waiting: (words[4] >> 16) as u16,
+            lost_bytes: words[5] as u16,
+            ..Inputs::default()
+        };
+        let count = (words[4] & 0xFFFF) as usize;
+        let bytes = words[6..22].iter().flat_map(|word| word.to_le_bytes());
+        for byte in bytes.take(count) {
+            // The record has room for no more bytes than the inputs.
+            let _ = inputs.received.push(byte);
+        }
+        for (axis, seen) in inputs.axes.iter_mut().enumerate() {
+            seen.drive_ready = words[2] >> (8 + axis) & 1 != 0;
+            if axis < JOINTS {
+                seen.home = words[2] >> axis & 1 != 0;
+                seen.steps = words[22 + axis] as i32;
+            }
+        }
+        let commands = core::array::from_fn(|joint| {
+            let at = 28 + 4 * joint;
+            match words[27] >> joint & 1 {
+                0 => DriveCommand::Off,
+                _ => DriveCommand::Steps(StepSegment {
+                    count: words[at] as i32 as i16,
+                    delay: words[at + 1],
+                    interval: words[at + 2],
+                    ramp: words[at + 3] as i32,
+                }),
+            }
+        });
+        Self {
+            inputs,
+            commands,
+            stages: core::array::from_fn(|stage| words[48 + stage]),
+            words: words[59],
+        }
+    }
+
+    /// Cycles of the whole period handler.
+    #[must_use]
+    pub fn cycles(&self) -> u32 {
+        self.stages.iter().sum::<u32>() + self.words
+    }
+}
