@@ -74,10 +74,6 @@ const WORDS: &[(&str, &str)] = &[
     ("hil-sim/src/plant.rs", "slides"),
     // An angle of the haptic arm.
     ("host/machine-keys/src/plant.rs", "theta2"),
-    // The axes of the part programs of tests.
-    ("host/gcode/src/lib.rs", "h4"),
-    ("host/gcode/src/lib.rs", "theta"),
-    ("host/gcode/src/lib.rs", "alpha"),
 ];
 
 /// Checks all sources below `root`.

@@ -266,7 +266,7 @@ mod tests {
     use crate::Path;
 
     fn dialog() -> Dialog {
-        Dialog::new(&Options::h4(Coordinates::default()))
+        Dialog::new(&Options::of_letters("XYZBA", Coordinates::default()))
     }
 
     fn run(dialog: &mut Dialog, line: &str) -> Result<Vec<Path>, Problem> {

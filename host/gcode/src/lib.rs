@@ -118,22 +118,19 @@ pub struct Options {
 }
 
 impl Options {
-    /// Returns the axes of the H-4 arm with its table: X, Y, Z, B (tool tilt theta), A (table
-    /// alpha).
-    pub fn h4(start: Coordinates) -> Options {
-        let axis = |letter, kind| ProgramAxis {
+    /// Returns the options of a machine whose coordinates have these letters, in this order; A, B
+    /// and C are rotary. M1 pauses.
+    pub fn of_letters(letters: &str, start: Coordinates) -> Options {
+        let axis = |letter| ProgramAxis {
             letter,
-            kind,
+            kind: match letter {
+                'A' | 'B' | 'C' => AxisKind::Rotary,
+                _ => AxisKind::Linear,
+            },
             wraps: false,
         };
         Options {
-            axes: vec![
-                axis('X', AxisKind::Linear),
-                axis('Y', AxisKind::Linear),
-                axis('Z', AxisKind::Linear),
-                axis('B', AxisKind::Rotary),
-                axis('A', AxisKind::Rotary),
-            ],
+            axes: letters.chars().map(axis).collect(),
             start,
             optional_stop: true,
             ..Options::default()

@@ -178,39 +178,6 @@ impl Path {
         }
         curvature
     }
-
-    /// Returns the length at which the path is nearest to `point` in its first three coordinates,
-    /// searched from `near`.
-    pub fn nearest(&self, point: &Coordinates, near: f64) -> f64 {
-        let mut s = near;
-        if let Some(arc) = &self.arc {
-            // Angle about the centre, on the turn nearest to the start of the search.
-            let angle = libm::atan2(
-                point[arc.plane[1]] - arc.centre[1],
-                point[arc.plane[0]] - arc.centre[0],
-            );
-            let expected = arc.angle + arc.sweep * near / self.length;
-            let turns = libm::round((expected - angle) / std::f64::consts::TAU);
-            s = (angle + turns * std::f64::consts::TAU - arc.angle) / arc.sweep * self.length;
-            s = s.clamp(0.0, self.length);
-        }
-        // Newton's method on the squared distance: one step on a line or flat arc, a few on a
-        // helix.
-        for _ in 0..4 {
-            let (here, tangent, curvature) = (self.at(s), self.tangent(s), self.curvature(s));
-            let (mut slope, mut second) = (0.0, 0.0);
-            for k in 0..3 {
-                let off = here[k] - point[k];
-                slope += off * tangent[k];
-                second += tangent[k] * tangent[k] + off * curvature[k];
-            }
-            if second <= 0.0 {
-                break;
-            }
-            s = (s - slope / second).clamp(0.0, self.length);
-        }
-        s
-    }
 }
 
 /// Returns the squared length over the linear coordinates outside `skip`, and the largest turn of a

@@ -4,7 +4,7 @@ use super::*;
 use proptest::prelude::*;
 
 fn options() -> Options {
-    Options::h4([0.0; 6])
+    Options::of_letters("XYZBA", [0.0; 6])
 }
 
 fn moves(text: &str) -> Vec<Move> {
@@ -352,21 +352,6 @@ proptest! {
         }
         let last = path.at(path.length);
         prop_assert!((last[0] - x1).abs() < 1e-11 && (last[1] - y1).abs() < 1e-11);
-    }
-
-    /// The nearest point of a path is no farther than any sampled point.
-    #[test]
-    fn nearest_is_nearest(px in -20.0..20.0f64, py in -20.0..20.0f64, pz in -3.0..3.0f64, z in -5.0..5.0f64) {
-        prop_assume!(px.hypot(py - 10.0) > 1.0);
-        let path = &moves(&format!("G3 X10 Y10 Z{z} J10 F100"))[0].path;
-        let off = |s: f64| {
-            let at = path.at(s);
-            ((at[0] - px).powi(2) + (at[1] - py).powi(2) + (at[2] - pz).powi(2)).sqrt()
-        };
-        let sampled = (0..=400).map(|i| path.length * f64::from(i) / 400.0).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap();
-        // The search starts nearby, as it does for a contour error.
-        let found = path.nearest(&[px, py, pz, 0.0, 0.0, 0.0], sampled);
-        prop_assert!(off(found) <= off(sampled) + 1e-9, "{} at {found}, {} at {sampled}", off(found), off(sampled));
     }
 
     /// Any text in the alphabet of part programs is read or refused, twice with the same result.

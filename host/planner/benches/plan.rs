@@ -9,7 +9,7 @@ use haptimill_planner::{Cursor, Plan};
 use std::hint::black_box;
 
 fn benchmarks(criterion: &mut Criterion) {
-    let options = Options::h4(h4::HOME);
+    let options = Options::of_letters("XYZBA", h4::HOME);
     let settings = h4::settings();
     let text = |name: &str| {
         std::fs::read(format!(

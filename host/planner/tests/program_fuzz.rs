@@ -26,7 +26,7 @@ const SEEDS: [&[u8]; 8] = [
 
 /// Reads and plans a program. Returns whether it was planned.
 fn run(text: &[u8]) -> bool {
-    match read("fuzz.ngc", text, &Options::h4(h4::HOME)) {
+    match read("fuzz.ngc", text, &Options::of_letters("XYZBA", h4::HOME)) {
         Err(refused) => {
             assert!((1..=LISTED_PROBLEMS).contains(&refused.problems.len()));
             assert!(refused.to_string().starts_with("fuzz.ngc:"));

@@ -173,7 +173,7 @@ fn parse(which: usize, bytes: &[u8]) -> Option<String> {
             .err()
             .map(|error| error.to_string()),
         5..=7 => {
-            let options = Options::h4([0.0, 0.0, 21.232, 0.0, 0.0, 0.0]);
+            let options = Options::of_letters("XYZBA", [0.0, 0.0, 21.232, 0.0, 0.0, 0.0]);
             read("storm.ngc", bytes, &options)
                 .err()
                 .map(|refused| refused.to_string())

@@ -8,8 +8,8 @@ use haptimill_planner::{Cursor, Plan};
 fn plan(name: &str) -> (Program, Plan) {
     let path = format!("{}/../../examples/{name}", env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read(&path).expect("the example is there");
-    let program =
-        read(name, &text, &Options::h4(HOME)).unwrap_or_else(|refused| panic!("{refused}"));
+    let program = read(name, &text, &Options::of_letters("XYZBA", HOME))
+        .unwrap_or_else(|refused| panic!("{refused}"));
     let plan = Plan::new(&program, &settings(), &H4).unwrap_or_else(|refused| panic!("{refused}"));
     (program, plan)
 }

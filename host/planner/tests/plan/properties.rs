@@ -7,7 +7,11 @@ use haptimill_planner::{Cursor, MachineModel, Plan, Settings};
 use proptest::prelude::*;
 
 fn program(text: &str) -> Program {
-    match read("test.ngc", text.as_bytes(), &Options::h4(HOME)) {
+    match read(
+        "test.ngc",
+        text.as_bytes(),
+        &Options::of_letters("XYZBA", HOME),
+    ) {
         Ok(program) => program,
         Err(refused) => panic!("{refused}\n{text}"),
     }

@@ -6,8 +6,12 @@ use haptimill_planner::{Outputs, Plan, Settings};
 use haptimill_protocol::message::Action;
 
 fn plan(text: &str) -> Result<Plan, String> {
-    let program = read("part.ngc", text.as_bytes(), &Options::h4(HOME))
-        .map_err(|refused| refused.to_string())?;
+    let program = read(
+        "part.ngc",
+        text.as_bytes(),
+        &Options::of_letters("XYZBA", HOME),
+    )
+    .map_err(|refused| refused.to_string())?;
     Plan::new(&program, &settings(), &H4).map_err(|refused| refused.to_string())
 }
 
@@ -39,7 +43,12 @@ fn a_slow_joint_lowers_the_feed() {
     let mut settings = settings();
     settings.joints[2].rate = 5.0;
     for (text, slowed) in [("G1 X30 F600", 1), ("G1 X30 F240", 0), ("G0 X30", 0)] {
-        let program = read("part.ngc", text.as_bytes(), &Options::h4(HOME)).expect("read");
+        let program = read(
+            "part.ngc",
+            text.as_bytes(),
+            &Options::of_letters("XYZBA", HOME),
+        )
+        .expect("read");
         let figures = Plan::new(&program, &settings, &H4)
             .expect("limited")
             .figures;
@@ -56,7 +65,12 @@ fn a_slow_joint_lowers_the_feed() {
 fn the_feed_falls_near_a_singularity_only() {
     for mode in ["G64", "G61"] {
         let text = format!("{mode} G0 X0 Y0 Z60\nG1 Y-60 Z-20 F3000\n");
-        let program = read("part.ngc", text.as_bytes(), &Options::h4(HOME)).expect("read");
+        let program = read(
+            "part.ngc",
+            text.as_bytes(),
+            &Options::of_letters("XYZBA", HOME),
+        )
+        .expect("read");
         let Ok(plan) = Plan::new(&program, &settings(), &H4) else {
             panic!("{:?}", Plan::new(&program, &settings(), &H4).map(|_| ()));
         };
@@ -158,7 +172,7 @@ fn outputs_are_actions_in_order() {
     let options = Options {
         coolant: true,
         outputs: true,
-        ..Options::h4(HOME)
+        ..Options::of_letters("XYZBA", HOME)
     };
     let settings = Settings {
         outputs: Outputs {

@@ -25,7 +25,12 @@ fn spiral(blocks: u32) -> String {
 }
 
 fn program(text: &str) -> Program {
-    read("test.ngc", text.as_bytes(), &Options::h4(HOME)).expect("readable")
+    read(
+        "test.ngc",
+        text.as_bytes(),
+        &Options::of_letters("XYZBA", HOME),
+    )
+    .expect("readable")
 }
 
 /// Setpoints of a stream, and the most that waited at once.
@@ -124,7 +129,7 @@ fn a_check_has_the_figures_of_the_plan() {
     let text = spiral(20_000);
     let program = program(&text);
     let plan = Plan::new(&program, &settings(), &H4).expect("plannable");
-    let options = Options::h4(HOME);
+    let options = Options::of_letters("XYZBA", HOME);
     let mut interpreter = Interpreter::new(Cursor::new(text.as_bytes()), &options);
     let mut moves = 0;
     let figures = check("t", &mut interpreter, HOME, &settings(), &H4, |step| {
@@ -142,7 +147,7 @@ fn a_check_has_the_figures_of_the_plan() {
 #[test]
 fn a_check_reports_problems_of_reading_first() {
     let problems = |text: &str| {
-        let options = Options::h4(HOME);
+        let options = Options::of_letters("XYZBA", HOME);
         let mut interpreter = Interpreter::new(Cursor::new(text.as_bytes()), &options);
         check("t", &mut interpreter, HOME, &settings(), &H4, |_| {}).expect_err("refused")
     };

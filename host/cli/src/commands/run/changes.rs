@@ -257,7 +257,7 @@ mod tests {
     const TEXT: &str = "G21 G90\nS500 M3\nG0 Z5\nG0 X10\nG1 Z-1 F100\nX20\nG2 Y10 J5\nM30\n";
 
     fn program() -> (Program, Options) {
-        let options = Options::h4([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+        let options = Options::of_letters("XYZBA", [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
         let program = haptimill_gcode::read("p.ngc", TEXT.as_bytes(), &options);
         (program.expect("a program"), options)
     }
