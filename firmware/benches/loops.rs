@@ -44,6 +44,7 @@ fn axis(drive: Drive) -> JointAxis {
         }),
         active_low: 0,
         keeps_position: false,
+        gantry: None,
     }
 }
 

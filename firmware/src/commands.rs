@@ -249,7 +249,7 @@ fn home(core: &mut Core) -> Done {
         return Err(Refusal::PresetLost);
     }
     machine.check_inputs(false)?;
-    machine.begin_homing();
+    machine.begin_homing(core.safety.homed() && core.safety.position_kept());
     core.safety.set_homed(false);
     core.job.stopping = false;
     core.safety.enter(State::Homing);

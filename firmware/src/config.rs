@@ -38,7 +38,7 @@ pub struct Config {
     pub model: Model,
     /// Pose coordinates, in the order of the model.
     pub pose: Vec<PoseAxis, MAX_AXES>,
-    /// Joints, in the order of the model.
+    /// Joints, in the order of the model; then the second motors of gantries.
     pub joints: Vec<JointAxis, MAX_AXES>,
     /// Deceleration of stops along the path.
     pub stopping: Stopping,
@@ -82,7 +82,8 @@ impl Config {
     /// Kinematics of this machine, with the limits of its joints.
     #[must_use]
     pub fn kinematics(&self) -> BoundedKinematics {
-        let limits = self.joints.iter().map(|joint| JointLimits {
+        let joints = self.joints.iter().filter(|joint| joint.gantry.is_none());
+        let limits = joints.map(|joint| JointLimits {
             low: joint.low,
             high: joint.high,
             rate: joint.rate,
@@ -163,6 +164,18 @@ pub struct JointAxis {
     /// Open loop only: the joint cannot move while its drive is off, and the drive keeps its
     /// electrical angle. Otherwise the position is lost with the drives off.
     pub keeps_position: bool,
+    /// The joint is no joint of the model but the second motor of a gantry.
+    pub gantry: Option<GantryAxis>,
+}
+
+/// Second motor of a gantry: it gets the joint motion of the first one.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct GantryAxis {
+    /// Joint of the first motor, a joint of the model.
+    pub of: u8,
+    /// Largest racking: distance of the second motor from the first one, and during homing the
+    /// difference of their motions.
+    pub racking: Coordinate,
 }
 
 /// How a joint finds its reference.
@@ -235,6 +248,12 @@ impl SwitchInput {
 }
 
 impl JointAxis {
+    /// Whether the joint has no encoder: its position is the count of the emitted steps.
+    #[must_use]
+    pub const fn is_open_loop(&self) -> bool {
+        self.encoder.is_none()
+    }
+
     /// The active switches, by their [bits](SwitchInput::bit).
     #[must_use]
     #[inline]

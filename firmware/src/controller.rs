@@ -257,6 +257,7 @@ impl Core {
             if let Err(error) = machine.solve() {
                 self.safety.raise(Fault::Pose(error));
             }
+            machine.follow_gantries(known);
             if let Some(joint) = machine.joint_beyond_rate() {
                 self.safety.raise(Fault::JointRate {
                     setpoint: machine.motion.program.reached(),

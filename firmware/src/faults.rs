@@ -183,6 +183,7 @@ fn check_joints(core: &mut Core, inputs: &Inputs, late: bool) {
     };
     if let Some(fault) = hardware(machine, inputs, core.safety.homed())
         .or_else(|| machine.supervise(inputs.missed != 0))
+        .or_else(|| machine.racked(core.safety.homed()))
     {
         // After missed periods a large change of the counts is legitimate.
         let jumped = matches!(fault, Fault::EncoderIllegal { .. });
@@ -213,7 +214,7 @@ pub(crate) fn hardware(machine: &Machine, inputs: &Inputs, homed: bool) -> Optio
     if !machine.has_only_plain_switches() {
         return machine.hardware_fault(&inputs.axes, homed);
     }
-    let axes = inputs.axes.get(..machine.axes())?;
+    let axes = inputs.axes.get(..machine.joint_count())?;
     let healthy = |axis: &AxisInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
     if axes.iter().fold(true, |all, axis| all & healthy(axis)) {
         return None;

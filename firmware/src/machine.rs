@@ -7,6 +7,7 @@ mod compliance;
 mod configure;
 mod correction;
 mod enable;
+mod gantry;
 mod joint_rates;
 pub mod masters;
 mod switches;
@@ -24,6 +25,7 @@ use crate::safety::homing::Homing;
 use crate::volumetric::Compensation;
 use configure::PARTS;
 pub use configure::{EncoderScaling, PositionSnapshot};
+use gantry::Gantries;
 use haptimill_kinematics::BoundedKinematics;
 use haptimill_kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
 use haptimill_math::Coordinate;
@@ -64,6 +66,8 @@ pub struct Machine {
     switches: Switches,
     /// No switch needs [`Machine::hardware_fault`].
     plain_switches: bool,
+    /// Second motors of gantries.
+    gantries: Gantries,
     /// Force sensor and force control, on a machine that has them.
     pub force: Option<ForceControl>,
     /// The haptic arm or the remote master, and the mapping to the tool.
@@ -97,10 +101,17 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Number of axes.
+    /// Number of pose coordinates, and of the joints of the model.
     #[must_use]
     #[inline]
     pub fn axes(&self) -> usize {
+        self.config.pose.len()
+    }
+
+    /// Number of joints, with the second motors of gantries.
+    #[must_use]
+    #[inline]
+    pub fn joint_count(&self) -> usize {
         self.joints.len()
     }
 
@@ -327,7 +338,7 @@ impl Machine {
     #[inline]
     pub fn joint_beyond_rate(&self) -> Option<usize> {
         let rates = self.target.rates.iter().zip(self.kinematics.rates());
-        let mut joints = rates.take(self.joints.len());
+        let mut joints = rates.take(self.axes());
         // Above half a turn per second the sum is more than a rate can be.
         joints.position(|(rate, limit)| {
             rate.0.unsigned_abs() > limit.0.unsigned_abs() + (limit.0.unsigned_abs() >> 5)
@@ -408,7 +419,7 @@ impl Machine {
     /// The commanded pose as values of a message.
     #[must_use]
     pub fn commanded_values(&self) -> AxisValues {
-        self.values(|index| self.motion.commanded().pose.0[index].0)
+        self.values(self.axes(), |index| self.motion.commanded().pose.0[index].0)
     }
 
     /// Fills in pose and joints of a telemetry sample. The measured pose is empty when the forward
@@ -416,14 +427,16 @@ impl Machine {
     pub fn fill_telemetry(&self, inputs: &Inputs, sample: &mut Telemetry) {
         sample.commanded = self.commanded_values();
         if let Some(pose) = self.measured_pose() {
-            sample.measured = self.values(|index| pose.0[index].0);
+            sample.measured = self.values(self.axes(), |index| pose.0[index].0);
         }
-        sample.joints = self.values(|index| self.measured.0[index].0);
+        let joints = self.joint_count();
+        sample.joints = self.values(joints, |index| self.measured.0[index].0);
         if self.wrapping != 0 {
-            sample.turns = self.values(|index| self.turns[index]);
+            sample.turns = self.values(joints, |index| self.turns[index]);
         }
-        sample.following_error =
-            self.values(|index| self.joints[index].servo_output().following_error.0);
+        sample.following_error = self.values(joints, |index| {
+            self.joints[index].servo_output().following_error.0
+        });
         sample.drive = self.drive_values(inputs);
         sample.open_loop = self.open_loop();
         sample.compensation = self.compensation.as_ref().map(Compensation::percent);
@@ -439,7 +452,7 @@ impl Machine {
     /// Drive commands: DAC codes, or steps emitted.
     #[must_use]
     pub fn drive_values(&self, inputs: &Inputs) -> AxisValues {
-        self.values(|index| self.command(inputs, index))
+        self.values(self.joint_count(), |index| self.command(inputs, index))
     }
 
     fn command(&self, inputs: &Inputs, index: usize) -> i32 {
@@ -452,7 +465,7 @@ impl Machine {
 
     /// State of each joint in this period, for recorders.
     pub fn joints(&self) -> impl Iterator<Item = JointSnapshot> + '_ {
-        (0..self.axes()).map(|index| JointSnapshot {
+        (0..self.joint_count()).map(|index| JointSnapshot {
             measured: self.measured.0[index],
             commanded: self.target.joints.0[index],
             following_error: self.joints[index].servo_output().following_error,
@@ -466,7 +479,7 @@ impl Machine {
         &self.target
     }
 
-    fn values(&self, value: impl Fn(usize) -> i32) -> AxisValues {
-        (0..self.axes()).map(value).collect()
+    fn values(&self, count: usize, value: impl Fn(usize) -> i32) -> AxisValues {
+        (0..count.min(MAX_AXES)).map(value).collect()
     }
 }

@@ -166,6 +166,9 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
         Outcome::Failed(fault) => core.safety.raise(fault),
         Outcome::Found(corrections) => match machine.apply_homing(&corrections, inputs) {
             Ok(()) => {
+                for event in machine.homing_events() {
+                    core.safety.push_event(event);
+                }
                 core.safety.set_homed(true);
                 core.finish_at_standstill();
             }

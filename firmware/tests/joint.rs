@@ -82,6 +82,7 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
         }),
         active_low: 0,
         keeps_position: false,
+        gantry: None,
     }
 }
 

@@ -78,6 +78,7 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
         }),
         active_low: 0,
         keeps_position: false,
+        gantry: None,
     }
 }
 

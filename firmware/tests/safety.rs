@@ -330,7 +330,7 @@ fn every_fault() -> [Fault; 16] {
             limit: 0,
         },
         Fault::SoftLimit { axis: 0 },
-        Fault::Pose(PoseError::Tilt),
+        Fault::Pose(PoseError::Geometry { code: 2 }),
         Fault::LimitSwitch { axis: 0 },
         Fault::Drive { axis: 0 },
         Fault::EncoderIllegal { axis: 0, count: 9 },

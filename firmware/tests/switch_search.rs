@@ -78,6 +78,7 @@ fn search(
         noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         let seen = Seen {
             config,
+            partner: None,
             active: switch.level(place, config.downwards, noise >> 31 != 0),
             place: mm(place),
             index: None,

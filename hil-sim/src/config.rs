@@ -11,6 +11,7 @@ use crate::check::{Check, PlantError};
 use crate::contact::{InputLine, TouchConfig, check as check_inputs};
 use crate::haptics::HapticConfig;
 use crate::joint::JointConfig;
+use crate::joint::gantry::check as check_gantries;
 use crate::machines::GeometryConfig;
 use crate::operator::OperatorConfig;
 use crate::process::ProcessConfig;
@@ -102,7 +103,9 @@ impl PlantConfig {
         }
         match &self.geometry {
             Some(geometry) => {
-                let kinds: Vec<_> = self.joint.iter().map(|joint| joint.kind).collect();
+                let joints = self.joint.iter();
+                let joints = joints.filter(|joint| joint.gantry_of.is_none());
+                let kinds: Vec<_> = joints.map(|joint| joint.kind).collect();
                 geometry.check(&kinds, &mut check);
             }
             None if alone => {}
@@ -153,6 +156,7 @@ impl PlantConfig {
                 &mut check,
             );
         }
+        check_gantries(&self.joint, f64::from(self.substep_us), &mut check);
         check.done()
     }
 

@@ -22,6 +22,7 @@ use crate::contact::InputLines;
 use crate::fault::Switch as Kind;
 use crate::haptics::HapticArm;
 use crate::joint::encoder::{Encoder, EncoderCondition, Track};
+use crate::joint::gantry::Gantry;
 use crate::joint::mechanics::{Bodies, JointArray, Mechanics};
 use crate::joint::stepper::{PulseReport, Stepper};
 use crate::joint::switch::{Switch, SwitchCondition, SwitchPlace};
@@ -36,7 +37,7 @@ use haptimill_protocol::message::MAX_AXES;
 /// Ground truth at the start of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct GroundTruth {
-    /// Positions of the joints' slide sides, mm or degrees.
+    /// Positions of the joints' slide sides, mm or degrees; of a gantry the two ends of its beam.
     pub joints: [f64; MAX_AXES],
     /// Pose of the tool in the workpiece frame, mm and degrees;
     /// without an arm, the joint positions. The tip includes the deflection of the structure.
@@ -139,6 +140,8 @@ pub struct Plant {
     mechanics: Mechanics,
     bodies: Bodies,
     joints: Vec<Joint>,
+    /// Beams with a motor at each end.
+    gantries: Vec<Gantry>,
     /// `None` for a haptic arm alone.
     geometry: Option<AnyGeometry>,
     process: Option<Process>,
@@ -172,8 +175,12 @@ impl Plant {
         let mut random = Random::new(config.seed, 0);
         let mut bodies = Bodies::default();
         let mut joints = Vec::new();
+        let gantries = Gantry::all(&config.joint);
         for (lane, joint) in config.joint.iter().enumerate() {
-            let start = joint.preset + joint.start_spread * (2.0 * random.fraction() - 1.0);
+            let mut start = joint.preset + joint.start_spread * (2.0 * random.fraction() - 1.0);
+            if let Some(gantry) = gantries.iter().find(|it| it.second() == lane) {
+                start = bodies.slide[gantry.first()] + joint.racked;
+            }
             bodies.slide[lane] = start;
             bodies.motor[lane] = start;
             joints.push(Joint {
@@ -199,7 +206,7 @@ impl Plant {
             .geometry
             .as_ref()
             .map(|geometry| {
-                AnyGeometry::new(geometry, &bodies.slide).map_err(|error| {
+                AnyGeometry::new(geometry, &middles(&gantries, &bodies.slide)).map_err(|error| {
                     vec![PlantError {
                         field: "geometry".into(),
                         problem: format!("at the presets {error}"),
@@ -220,6 +227,7 @@ impl Plant {
             }),
             bodies,
             joints,
+            gantries,
             geometry,
             process: None,
             haptic: match &config.haptic {
@@ -440,7 +448,15 @@ impl Plant {
                     &mut drive,
                 );
             }
-            self.mechanics.step(&mut bodies, &drive, &load);
+            if self.gantries.is_empty() {
+                self.mechanics.step(&mut bodies, &drive, &load);
+            } else {
+                let mut load = load;
+                for gantry in &self.gantries {
+                    gantry.load(&bodies, &mut load);
+                }
+                self.mechanics.step(&mut bodies, &drive, &load);
+            }
             let now = at_encoders(&bodies);
             self.history[step + 1] = now;
             for lane in 0..MAX_AXES {
@@ -524,10 +540,13 @@ impl Plant {
         self.truth.pose[..3].copy_from_slice(&applied.tip);
         self.truth.force = applied.force;
         self.process_load = [0.0; MAX_AXES];
+        let joints = middles(&self.gantries, &self.bodies.slide);
         if applied.force != [0.0; 3]
-            && let Some(loads) =
-                geometry.tool_loads(&self.bodies.slide, &rigid, applied.force, from_tip)
+            && let Some(mut loads) = geometry.tool_loads(&joints, &rigid, applied.force, from_tip)
         {
+            for gantry in &self.gantries {
+                gantry.divide(&mut loads);
+            }
             self.process_load = loads;
         }
     }
@@ -545,7 +564,9 @@ impl Plant {
     /// # Errors
     /// All problems of the configuration, or the joints move no tool.
     pub fn fit(&mut self, config: &ProcessConfig) -> Result<(), Vec<PlantError>> {
-        let kinds: Vec<_> = self.joints.iter().map(|joint| joint.config.kind).collect();
+        let joints = self.joints.iter().map(|joint| &joint.config);
+        let joints = joints.filter(|joint| joint.gantry_of.is_none());
+        let kinds: Vec<_> = joints.map(|joint| joint.kind).collect();
         let geometry = self.geometry.as_ref();
         if !geometry.is_some_and(|geometry| geometry.has_tool(&kinds)) {
             return Err(vec![PlantError {
@@ -609,10 +630,22 @@ impl Plant {
     fn update_ground_truth(&mut self) {
         self.truth.joints = self.bodies.slide;
         self.truth.pose_valid = match &mut self.geometry {
-            Some(geometry) => geometry.follow(&self.bodies.slide, &mut self.truth.pose),
+            Some(geometry) => {
+                let joints = middles(&self.gantries, &self.bodies.slide);
+                geometry.follow(&joints, &mut self.truth.pose)
+            }
             None => true,
         };
     }
+}
+
+/// The joints of the geometry: a beam with two motors is where its middle is.
+fn middles(gantries: &[Gantry], slides: &JointArray) -> JointArray {
+    let mut joints = *slides;
+    for gantry in gantries {
+        gantry.put_middle(&mut joints);
+    }
+    joints
 }
 
 /// Computes the efforts of the step motors at the fraction `part` of the period.

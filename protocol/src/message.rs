@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both endpoints must have the same.
-pub const PROTOCOL_VERSION: u16 = 6;
+pub const PROTOCOL_VERSION: u16 = 7;
 
 /// Largest number of named analog inputs, and of named analog outputs.
 pub const ANALOG: usize = 4;
@@ -560,6 +560,21 @@ pub enum Event {
     },
     /// All axes have their reference.
     Homed,
+    /// Homing found the switch of a joint at another place than the controller had it, while the
+    /// position was kept: steps were lost, or the switch moved. Comes before [`Event::Homed`].
+    ReferenceShift {
+        /// The joint.
+        axis: u8,
+        /// Coordinate by the switch minus coordinate before, axis units.
+        by: i32,
+    },
+    /// Homing squared the two motors of a gantry. Comes before [`Event::Homed`].
+    Squared {
+        /// The joint of the second motor.
+        axis: u8,
+        /// Distance by which the second motor was moved farther than the first one, axis units.
+        by: i32,
+    },
     /// A fault was latched.
     Fault(Fault),
     /// A jog reached a soft limit and was limited.

@@ -113,7 +113,7 @@ mod tests {
             "HomingProblem",
             "following_error",
             "Backlash",
-            "NearReachLimit",
+            "NearSingularity",
             "JogLimited",
             "config_crc",
             "ForceLoop",

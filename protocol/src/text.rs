@@ -59,6 +59,8 @@ pub struct Axes<'a> {
     pub pose: &'a [Axis<'a>],
     /// Joints.
     pub joints: &'a [Axis<'a>],
+    /// Sentences of the pose errors of the geometry, by their codes.
+    pub pose_errors: &'a [&'a str],
     /// Names of the digital inputs.
     pub inputs: &'a [&'a str],
     /// Names of the digital outputs.

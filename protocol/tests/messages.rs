@@ -287,6 +287,20 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
         },
         Report::Event {
             period,
+            event: Event::Fault(Fault::Racking {
+                axis: 255,
+                by: i32::MIN,
+            }),
+        },
+        Report::Event {
+            period,
+            event: Event::ReferenceShift {
+                axis: 255,
+                by: i32::MIN,
+            },
+        },
+        Report::Event {
+            period,
             event: Event::Fault(Fault::Force(problem)),
         },
         Report::Event {

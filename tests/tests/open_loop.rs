@@ -95,7 +95,7 @@ fn a_job_moves_the_true_tool_and_telemetry_says_open_loop() {
 }
 
 /// The controller does not see that steps are lost. It says that it does not: telemetry has the
-/// joint as open loop. Homing finds the position again.
+/// joint as open loop. Homing finds the position again, and reports what was lost.
 #[test]
 fn lost_steps_show_at_the_next_homing() {
     let mut bench = moving();
@@ -107,9 +107,22 @@ fn lost_steps_show_at_the_next_homing() {
     bench.rig.plant_mut().set_condition(0, condition);
     assert!(bench.wait_for(State::Idle, 30_000));
     assert_eq!(bench.status().open_loop, 0b111);
-    let off = error(&mut bench);
-    assert!(off > 1.0, "{off} mm");
+    let (status, truth) = (bench.status(), bench.rig.plant().truth().joints);
+    let lost: Vec<f64> = (status.joints.iter().zip(truth))
+        .map(|(value, truth)| truth - f64::from(*value) / MM)
+        .collect();
+    assert!(lost[0].abs() > 1.0, "{lost:?} mm");
     home_again(&mut bench);
+    // Homing says by how much each joint was off.
+    let mut shifts = [0.0; 3];
+    for event in &bench.events {
+        if let Event::ReferenceShift { axis, by } = event {
+            shifts[usize::from(*axis)] = f64::from(*by) / MM;
+        }
+    }
+    for (shift, lost) in shifts.iter().zip(&lost) {
+        assert!((shift - lost).abs() < 0.02, "{shifts:?} for {lost:?} mm");
+    }
     let off = error(&mut bench);
     assert!(off < 0.02, "{off} mm");
 }

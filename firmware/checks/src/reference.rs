@@ -84,6 +84,7 @@ fn slide(preset: f64) -> JointAxis {
         }),
         active_low: 0,
         keeps_position: false,
+        gantry: None,
     }
 }
 

@@ -79,7 +79,7 @@ impl BoundedKinematics {
     /// machine without singularities.
     ///
     /// # Errors
-    /// [`PoseError::Tilt`], [`PoseError::Unreachable`].
+    /// [`PoseError::Geometry`], [`PoseError::Unreachable`].
     pub fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
         self.machine.singularity_distance(pose)
     }

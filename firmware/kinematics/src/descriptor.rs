@@ -88,6 +88,18 @@ pub struct Descriptor {
     pub pose: &'static [CoordinateDescriptor],
     /// Joints.
     pub joints: &'static [JointDescriptor],
+    /// Reasons of this geometry alone to refuse a pose, by the code of
+    /// [`PoseError::Geometry`](crate::PoseError::Geometry).
+    pub errors: &'static [GeometryError],
+}
+
+/// Reason of one geometry to refuse a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GeometryError {
+    /// Name in tables and JSON output.
+    pub name: &'static str,
+    /// Sentence with the remedy.
+    pub sentence: &'static str,
 }
 
 impl Descriptor {
@@ -139,6 +151,7 @@ pub const NO_MACHINE: Descriptor = Descriptor {
     code: "none",
     pose: &[],
     joints: &[],
+    errors: &[],
 };
 
 #[cfg(test)]
@@ -170,6 +183,7 @@ mod tests {
             code: "test",
             pose,
             joints: &[],
+            errors: &[],
         };
         for pose in [&[X, Y, Z][..], &[X, Y, Z, TILT], &[X, Y, Z, TILT, TURN]] {
             assert!(machine(pose).has_guided_tool(), "{pose:?}");

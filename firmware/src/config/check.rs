@@ -43,7 +43,7 @@ impl Config {
             None,
         )?;
         let axes = self.model.descriptor().axes();
-        let counts = self.pose.len() == axes && self.joints.len() == axes && axes <= MAX_AXES;
+        let counts = self.pose.len() == axes && self.joints.len() >= axes && axes <= MAX_AXES;
         require(counts, ConfigField::AxisCount, None)?;
         self.check_geometry()?;
         // Telemetry of forces and of turns do not fit into one message.
@@ -58,6 +58,7 @@ impl Config {
         }
         for (index, axis) in self.joints.iter().enumerate() {
             self.check_joint(index, axis)?;
+            self.check_gantry(index, axis)?;
         }
         require(
             (5..=2000).contains(&self.stopping.time_ms),
@@ -168,6 +169,7 @@ impl Config {
         let machine = self.model.descriptor();
         let pose = self.pose.iter().map(|axis| axis.kind);
         let joints = self.joints.iter().map(|axis| axis.kind);
+        let joints = joints.take(machine.axes());
         let kinds = pose.eq(machine.pose.iter().map(|axis| axis.kind))
             && joints.eq(machine.joints.iter().map(|axis| axis.kind));
         require(kinds, ConfigField::AxisCount, None)
@@ -247,6 +249,42 @@ impl Config {
             require(alone && is_sound(axis, switch), ConfigField::Homing, here)?;
         }
         self.check_drive(here, axis)
+    }
+
+    /// Checks that the joints of the model come first, and that the two motors of a gantry home
+    /// together and reach the same places.
+    fn check_gantry(&self, index: usize, axis: &JointAxis) -> Check {
+        let axes = self.model.descriptor().axes();
+        let Some(gantry) = &axis.gantry else {
+            return require(index < axes, ConfigField::AxisCount, Some(index));
+        };
+        let first = usize::from(gantry.of);
+        let seconds = self.joints.iter().filter_map(|axis| axis.gantry.as_ref());
+        let alone = seconds.filter(|other| other.of == gantry.of).count() == 1;
+        let fits = self.joints.get(first).is_some_and(|main| {
+            let searches = match (main.home.switch(), axis.home.switch()) {
+                (Some(main), Some(second)) => {
+                    let main = SwitchHome {
+                        input: second.input,
+                        coordinate: second.coordinate,
+                        release: second.release,
+                        travel: second.travel,
+                        ..main.clone()
+                    };
+                    main == *second
+                }
+                _ => false,
+            };
+            searches
+                && main.kind == axis.kind
+                && main.preset == axis.preset
+                && axis.low <= main.low
+                && axis.high >= main.high
+                && axis.rate >= main.rate
+        });
+        let sound = index >= axes && first < axes && alone && fits && !axis.wraps();
+        let racking = gantry.racking.0 > 0 && within(gantry.racking.0);
+        require(sound && racking, ConfigField::Gantry, Some(index))
     }
 
     fn check_encoder(here: Option<usize>, axis: &JointAxis, encoder: &EncoderAxis) -> Check {

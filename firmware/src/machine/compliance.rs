@@ -200,7 +200,7 @@ impl Machine {
     /// Whether a commanded joint rate exceeds its maximum.
     fn exceeds_joint_rate(&self) -> bool {
         let rates = self.target.rates.iter().zip(self.kinematics.rates());
-        let mut joints = rates.take(self.joints.len());
+        let mut joints = rates.take(self.axes());
         joints.any(|(rate, limit)| rate.0.unsigned_abs() > limit.0.unsigned_abs())
     }
 

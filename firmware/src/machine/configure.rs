@@ -2,6 +2,7 @@
 //! parts against their digests.
 
 use super::Machine;
+use super::gantry::Gantries;
 use super::joint_rates::JointRates;
 use super::masters::Masters;
 use super::switches::Switches;
@@ -140,6 +141,7 @@ impl Machine {
             homing: Homing::default(),
             switches: Switches::default(),
             plain_switches: true,
+            gantries: Gantries::default(),
             force: None,
             masters: Masters::default(),
             io: NamedIo::new(&config.io),
@@ -167,6 +169,7 @@ impl Machine {
     #[inline(never)]
     fn configure(&mut self, design: Option<Design>, inputs: &Inputs) {
         self.create_joints(inputs);
+        self.gantries = Gantries::new(&self.config);
         self.wrapping = self.config.wrapping_joints();
         self.configure_force(design);
         self.configure_haptics(&inputs.haptic);
@@ -255,7 +258,7 @@ impl Machine {
             0 => {
                 digest.add(&(&config.name, &config.model, &self.kinematics));
                 digest.add(&(&config.stopping, &config.supervision, &config.homing));
-                digest.add(&(config.period_us, self.crc));
+                digest.add(&(config.period_us, self.crc, self.gantries.seconds()));
             }
             1 => self.motion.digest(&mut digest),
             HAPTICS_PART => self.digest_haptics(&mut digest),

@@ -52,6 +52,7 @@ impl Machine {
         let pose = self.kinematics.forward(joints)?;
         self.kinematics.load(&pose, &pose, &[])?;
         self.motion.set_position(&pose);
+        self.place_gantries(joints);
         self.reset_force();
         self.settle();
         Ok(())
@@ -130,13 +131,14 @@ impl Machine {
         self.joints.iter_mut().for_each(JointDrive::settle);
     }
 
-    /// Begins homing: the search for the index pulses.
-    pub fn begin_homing(&mut self) {
+    /// Begins homing: the search for the switches and index pulses. `known` is true where the
+    /// machine is homed and its position kept.
+    pub fn begin_homing(&mut self, known: bool) {
         self.rebase_on_compliance();
         self.rebase_on_correction();
         self.joints.iter_mut().for_each(|joint| joint.search(true));
         self.motion.begin_jog(false);
-        self.begin_switches();
+        self.begin_switches(known);
         self.homing = Homing::default();
         for (index, (joint, axis)) in self.joints.iter().zip(&self.config.joints).enumerate() {
             if axis.home == Home::Preset {

@@ -16,7 +16,28 @@ pub struct Switches {
     active: bool,
     /// Commanded joints at the start.
     origin: Joints,
+    /// The position was known at the start.
+    known: bool,
+    /// Shifts of the coordinates of the joints that were found.
+    shifts: [Coordinate; MAX_AXES],
     searches: [SwitchSearch; MAX_AXES],
+}
+
+impl Switches {
+    /// Distance of a joint from the start of its search.
+    pub(super) fn moved(&self, joint: usize) -> i64 {
+        self.searches.get(joint).map_or(0, SwitchSearch::moved)
+    }
+
+    /// Shifts of the coordinates of the joints that the last search found.
+    pub(super) const fn shifts(&self) -> &[Coordinate; MAX_AXES] {
+        &self.shifts
+    }
+
+    /// Whether the position was known when the last search began.
+    pub(super) const fn was_known(&self) -> bool {
+        self.known
+    }
 }
 
 impl Machine {
@@ -28,11 +49,12 @@ impl Machine {
     }
 
     /// Starts the search of the joints that home by a switch.
-    pub(super) fn begin_switches(&mut self) {
+    pub(super) fn begin_switches(&mut self, known: bool) {
         let mut joints = self.config.joints.iter();
         self.switches = Switches {
             active: joints.any(|axis| axis.home.switch().is_some()),
             origin: self.target.joints,
+            known,
             ..Switches::default()
         };
         self.set_placed(!self.switches.active);
@@ -63,6 +85,8 @@ impl Machine {
         let order = self.present_order();
         let period_us = self.config.period_us;
         let mut rest = true;
+        // The motors of a gantry wait for each other, as they were in the period before.
+        let before = self.switches.searches;
         for (index, axis) in self.config.joints.iter().enumerate() {
             let (Some(config), Some(joint)) = (axis.home.switch(), self.joints.get(index)) else {
                 continue;
@@ -80,8 +104,10 @@ impl Machine {
                     _ => None,
                 };
                 let measurement = joint.measurement();
+                let partner = self.config.partner(index).and_then(|it| before.get(it));
                 let seen = Seen {
                     config,
+                    partner,
                     active: axis.active_switches(&inputs.axes[index]) & config.input.bit() != 0,
                     place: measurement.coordinate,
                     index: measurement.index.map(|(_, coordinate)| coordinate),
@@ -98,6 +124,9 @@ impl Machine {
             self.target.rates[index] = Rate::saturating_from(search.rate());
             let change = search.change() * 1_000_000 / i64::from(period_us.max(1)) / 256;
             self.target.accelerations[index] = Acceleration(change as i32);
+        }
+        if let Some(fault) = self.racked_in_search() {
+            return Err(fault);
         }
         let found = self.present_order().is_none();
         if found || (stopping && rest) {
@@ -147,6 +176,7 @@ impl Machine {
             }
             let counter = joint.counter(&inputs.axes[index]);
             let shift = joint.set_reference(counter, Coordinate(motor.0.wrapping_add(by)));
+            self.switches.shifts[index] = shift;
             commanded.0[index] = sum(axis.kind, commanded.0[index], shift);
             self.homing.place(index, 0);
         }

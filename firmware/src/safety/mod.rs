@@ -88,7 +88,10 @@ pub const fn keeps_position(fault: &Fault) -> bool {
     suspected(fault).is_none()
         && !matches!(
             fault,
-            Fault::EncoderIllegal { .. } | Fault::EncoderSlip { .. } | Fault::Configuration
+            Fault::EncoderIllegal { .. }
+                | Fault::EncoderSlip { .. }
+                | Fault::Configuration
+                | Fault::Racking { .. }
         )
 }
 

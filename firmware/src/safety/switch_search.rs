@@ -49,6 +49,8 @@ pub struct SwitchSearch {
     phase: Phase,
     /// The joint comes to rest before the phase begins.
     halting: bool,
+    /// It has come to rest, and the other motor of its gantry has not.
+    at_rest: bool,
     /// Distance from the start of the search, and its fraction.
     moved: i64,
     part: i64,
@@ -74,6 +76,9 @@ pub struct SwitchSearch {
 pub struct Seen<'a> {
     /// Configuration of the search.
     pub config: &'a SwitchHome,
+    /// Search of the other motor of a gantry, as it was a period ago. The two wait for each other
+    /// before each phase that begins at rest.
+    pub partner: Option<&'a SwitchSearch>,
     /// The switch is active.
     pub active: bool,
     /// Coordinate of the joint.
@@ -111,6 +116,11 @@ impl SwitchSearch {
         matches!(self.phase, Phase::Done) && !self.halting
     }
 
+    /// Whether the joint is at rest before a phase, or was and has begun it.
+    fn awaits(&self, phase: Phase) -> bool {
+        self.phase == phase && (self.at_rest || !self.halting)
+    }
+
     /// Coordinates of the joint at the slow touch, and of the motor at the index pulse.
     #[must_use]
     pub const fn found(&self) -> (Coordinate, Option<Coordinate>) {
@@ -131,13 +141,18 @@ impl SwitchSearch {
         self.watch(seen);
         let config = seen.config;
         if self.halting {
-            self.halting = !self.halt(config, seen.period_us);
+            let rest = self.halt(config, seen.period_us);
             self.begun = self.moved;
-            return if self.halting {
-                Ok(())
-            } else {
-                self.begin_at_rest()
-            };
+            let together = seen
+                .partner
+                .is_none_or(|partner| partner.awaits(self.phase));
+            if !rest || !together {
+                self.at_rest = rest;
+                return Ok(());
+            }
+            self.halting = false;
+            self.at_rest = false;
+            return self.begin_at_rest();
         }
         let towards = if config.downwards { -1 } else { 1 };
         let (rate, slow) = (i64::from(config.rate.0), i64::from(config.touch_rate.0));
@@ -148,7 +163,9 @@ impl SwitchSearch {
             Phase::Start => {
                 self.waited += 1;
                 if self.waited > 2 * steady(seen.period_us) {
-                    self.phase = if self.level { Phase::Off } else { Phase::Seek };
+                    // The motors of a gantry move off together if one of them is on its switch.
+                    let pressed = self.level || seen.partner.is_some_and(|it| it.level);
+                    self.phase = if pressed { Phase::Off } else { Phase::Seek };
                 }
                 0
             }

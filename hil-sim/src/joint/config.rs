@@ -85,6 +85,17 @@ pub struct JointConfig {
     /// Limit switch at the upper end: active at or above this coordinate.
     #[serde(default)]
     pub limit_high: Option<f64>,
+    /// Joint whose beam this joint moves at its other end: the joint is the second motor of a
+    /// gantry, and no joint of the geometry.
+    #[serde(default)]
+    pub gantry_of: Option<String>,
+    /// Stiffness of the beam against racking, effort per axis unit; 0: its ends do not feel each
+    /// other.
+    #[serde(default)]
+    pub racking_stiffness: f64,
+    /// Racking at power-on: this joint minus that of the first motor, axis units.
+    #[serde(default)]
+    pub racked: f64,
 }
 
 /// Place of an encoder.

@@ -2,6 +2,7 @@
 
 pub mod config;
 pub mod encoder;
+pub mod gantry;
 pub mod mechanics;
 pub mod stepper;
 pub mod switch;

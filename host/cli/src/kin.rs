@@ -249,6 +249,7 @@ impl Table {
         };
         let distance = pose.and_then(|pose| self.unbounded.singularity_distance(&pose)?.ok());
         let singularity = distance.map(|distance| f64::from(distance.0) / PER_MM);
+        let machine = self.unbounded.descriptor();
         match answer {
             Ok(values) => {
                 let outputs = self.outputs();
@@ -258,13 +259,13 @@ impl Table {
                 Row {
                     values: Some(values.collect()),
                     singularity,
-                    status: error.map_or("ok", pose_error_code),
+                    status: error.map_or("ok", |error| pose_error_code(error, machine)),
                 }
             }
             Err(error) => Row {
                 values: None,
                 singularity,
-                status: pose_error_code(error),
+                status: pose_error_code(error, machine),
             },
         }
     }

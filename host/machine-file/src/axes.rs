@@ -6,7 +6,9 @@ use super::scale::{
 };
 use super::stability::{Gains, spectral_radius};
 use super::{encoder, homing};
-use haptimill_firmware::config::{AxisKind, Drive, JointAxis, PoseAxis, ServoConfig, ServoForm};
+use haptimill_firmware::config::{
+    AxisKind, Drive, GantryAxis, JointAxis, PoseAxis, ServoConfig, ServoForm,
+};
 use haptimill_machine_keys::Key;
 use haptimill_machine_keys::controller::{joint, joint_drive, joint_law, pose};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
@@ -137,10 +139,12 @@ pub fn read_pose_axis(
     (axis, limits)
 }
 
-/// Reads a joint; `period` in seconds is NaN if it is not known.
+/// Reads a joint; `period` in seconds is NaN if it is not known. `of` is the joint whose gantry it
+/// is the second motor of.
 pub fn read_joint_axis(
     section: &Section<'_, '_>,
     place: Option<(&str, AxisKind)>,
+    of: Option<usize>,
     period: f64,
 ) -> (JointAxis, AxisLimits) {
     let (name, kind) = read_identity(section, place);
@@ -191,6 +195,10 @@ pub fn read_joint_axis(
             None => NO_LAW,
         },
     };
+    let gantry = of.map(|of| GantryAxis {
+        of: of as u8,
+        racking: coordinate(section.value(joint::racking)),
+    });
     section.finish();
     let axis = JointAxis {
         kind,
@@ -205,6 +213,7 @@ pub fn read_joint_axis(
         encoder,
         active_low,
         keeps_position,
+        gantry,
     };
     let limits = AxisLimits {
         name,

@@ -19,7 +19,7 @@ pub(super) fn check_home_pose(document: &Document<'_>, root: &DeTable<'_>, confi
         Err(error) => {
             let what = format!(
                 "the presets of the joints give no pose of this geometry ({})",
-                crate::model::pose_error_code(error)
+                crate::model::pose_error_code(error, config.model.descriptor())
             );
             document.report(offset, "joint", what, "correct the presets or the geometry");
             return;
@@ -91,6 +91,7 @@ pub(super) fn check_by_controller(document: &Document<'_>, root: &DeTable<'_>, c
         let axis = index.and_then(|index| machine.pose.get(index));
         ("pose", axis.map(|axis| axis.name))
     } else {
+        // The second motors of gantries come after the joints of the model.
         let joint = index.and_then(|index| machine.joints.get(index));
         ("joint", joint.map(|joint| joint.name))
     };

@@ -15,6 +15,7 @@ pub mod document;
 mod encoder;
 mod force;
 mod format;
+mod gantry;
 mod haptic;
 mod homing;
 pub mod input;
@@ -270,11 +271,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         .map(|(section, place)| (section, axes::read_pose_axis(section, *place)))
         .collect();
     let places = model.map_or_else(Vec::new, |model| model.joints());
-    let joints = read_axes(&root, "joint", &places);
-    let joints: Vec<_> = joints
-        .iter()
-        .map(|(section, place)| axes::read_joint_axis(section, *place, period_us / 1e6))
-        .collect();
+    let joints = gantry::read_joints(&root, &places, period_us / 1e6);
     check_pose_against_joints(&pose, &joints, model);
     let encoders = joints.is_empty() || joints.iter().any(|(joint, _)| joint.encoder.is_some());
     let (supervision, margin) = root
@@ -427,8 +424,20 @@ fn read_axes<'d, 'i>(
     root: &Section<'d, 'i>,
     key: &'static str,
     places: &[(&'static str, AxisKind)],
-) -> Vec<(Section<'d, 'i>, Option<(&'static str, AxisKind)>)> {
-    let sections = root.list(key);
+) -> Vec<PlacedSection<'d, 'i>> {
+    place_axes(root, key, root.list(key), places)
+}
+
+/// A section of a list of axes, with the name and kind that the model has at its place.
+type PlacedSection<'d, 'i> = (Section<'d, 'i>, Option<(&'static str, AxisKind)>);
+
+/// As [`read_axes`], of sections of the list.
+fn place_axes<'d, 'i>(
+    root: &Section<'d, 'i>,
+    key: &'static str,
+    sections: Vec<Section<'d, 'i>>,
+    places: &[(&'static str, AxisKind)],
+) -> Vec<PlacedSection<'d, 'i>> {
     // Without a model the axes are unknown.
     if !sections.is_empty() && !places.is_empty() && sections.len() != places.len() {
         let names: Vec<&str> = places.iter().map(|(name, _)| *name).collect();

@@ -8,7 +8,7 @@ use haptimill_firmware::config;
 use haptimill_firmware::named_io::config::OutputFunction;
 use haptimill_gcode::{AxisKind, Coordinates, Options, ProgramAxis};
 use haptimill_kinematics::BoundedKinematics;
-use haptimill_kinematics::descriptor::Role;
+use haptimill_kinematics::descriptor::{Descriptor, Role};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Coordinate, Rate};
 use haptimill_planner::{
@@ -190,7 +190,10 @@ impl Model {
         let outputs: Vec<&str> = self.io.outputs.iter().map(String::as_str).collect();
         let analog = self.io.analog_outputs.iter();
         let analog_outputs: Vec<&str> = analog.map(|it| it.name.as_str()).collect();
+        let errors = self.machine.descriptor().errors.iter();
+        let pose_errors: Vec<&str> = errors.map(|error| error.sentence).collect();
         use_axes(&Axes {
+            pose_errors: &pose_errors,
             pose: &pose,
             joints: &joints,
             inputs: &inputs,
@@ -386,14 +389,16 @@ pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
     }
 }
 
-/// Returns the code of a pose error in tables and JSON output.
+/// Returns the code of a pose error in tables and JSON output, of a machine with this descriptor.
 #[must_use]
-pub const fn pose_error_code(error: PoseError) -> &'static str {
+pub fn pose_error_code(error: PoseError, machine: &Descriptor) -> &'static str {
     match error {
         PoseError::Unreachable => "unreachable",
         PoseError::OutOfStroke { .. } => "out_of_stroke",
         PoseError::NearSingularity { .. } => "near_singularity",
-        PoseError::NearReachLimit { .. } => "near_reach_limit",
-        PoseError::Tilt => "tilt",
+        PoseError::Geometry { code } => machine
+            .errors
+            .get(usize::from(code))
+            .map_or("refused", |error| error.name),
     }
 }

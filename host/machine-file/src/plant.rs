@@ -86,6 +86,24 @@ fn check_joint_names(
             let what = format!("is \"{here}\", the controller's joint is \"{there}\"");
             document.report(offset, key, what, "give it the same name");
         }
+        let of = machine.config.joints.get(index).and_then(|axis| {
+            let gantry = axis.gantry.as_ref()?;
+            Some(machine.joints.get(usize::from(gantry.of))?.name.as_str())
+        });
+        if plant.gantry_of.as_deref() != of {
+            let (offset, key) = place_in_plant(root, &format!("joint {index}: gantry_of"));
+            let (what, remedy) = match of {
+                Some(of) => (
+                    format!("the controller's joint is the second motor of \"{of}\""),
+                    format!("write gantry_of = \"{of}\""),
+                ),
+                None => (
+                    "the controller's joint is no second motor".to_string(),
+                    "remove the key".to_string(),
+                ),
+            };
+            document.report(offset, key, what, remedy);
+        }
     }
 }
 

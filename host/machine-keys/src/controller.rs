@@ -43,8 +43,16 @@ pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may
 }
 
 joint "joint" "A joint: stroke, rate, encoder and reference." {
-    name = text("the name that the model has at this place").is("name of the joint");
+    name = text("the name that the model has at this place; free for the second motor of a gantry")
+        .is("name of the joint");
     kind = word(&["linear", "rotary"]).is("kind that the model has at this place");
+    gantry_of = text("the name of a joint of the model")
+        .is("the joint is the second motor of a gantry: it gets the motion of that joint, and homing squares the two by their switches")
+        .or_absent()
+        .bounded("after the joints of the model; linear; `home`, `preset` and `[joint.switch]` as of the other one, but for `input`, `at`, `release` and `travel`; the stroke contains, and the rate reaches that of the other one");
+    racking = real(0.001, 100.0, "mm")
+        .is("largest racking: distance between the two motors of a gantry, and in homing the difference of their motions")
+        .named("racking_mm").only("second motors of gantries");
     low = real(-2047.0, 2047.0, "mm").is("lower end of the stroke").named("low_mm")
         .rotary("low_deg", real(-179.0, 179.0, "deg")).bounded("below the upper end");
     high = real(-2047.0, 2047.0, "mm").is("upper end of the stroke").named("high_mm")

@@ -70,6 +70,14 @@ joint "plant.joint" "A simulated joint, with the name of the controller's: motor
         .rotary("limit_low", real(-4000.0, 4000.0, "deg")).bounded("below the upper one");
     limit_high = real(-4000.0, 4000.0, "mm").is("upper limit switch").or_absent()
         .rotary("limit_high", real(-4000.0, 4000.0, "deg"));
+    gantry_of = text("the name of another joint")
+        .is("the joint is the second motor of a gantry, at the other end of the beam of that joint; it is no joint of the geometry, which sees the middle of the beam")
+        .or_absent().bounded("a linear joint with one motor; both have the same preset");
+    racking_stiffness = real(0.0, 1e6, "N/mm")
+        .is("stiffness of the beam against racking; 0: its ends do not feel each other").or(0.0)
+        .only("second motors of gantries").bounded("a bound by substep and inertia");
+    racked = real(-100.0, 100.0, "mm").is("racking at power-on: this joint minus the other one").or(0.0)
+        .only("second motors of gantries").bounded("0 on other joints");
 }
 
 joint_encoder "plant.joint.encoder" "The encoder, on the motor shaft or on the slide." {

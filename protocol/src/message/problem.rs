@@ -24,13 +24,11 @@ pub enum PoseError {
         /// Singularity distance, 2^-20 mm; negative on the wrong side.
         distance: i32,
     },
-    /// The pose is too near the reach limit of a pair of rods.
-    NearReachLimit {
-        /// The rod pair: 0 for rods 1, 2; 1 for rods 3, 4.
-        pair: u8,
+    /// An error of one geometry. The descriptor of the machine has its name and its sentence.
+    Geometry {
+        /// Index in the list of the descriptor.
+        code: u8,
     },
-    /// The tilt of the tool is outside +-90 degrees.
-    Tilt,
 }
 
 /// Reason why a command is refused. A refused command changes nothing.
@@ -239,6 +237,7 @@ pub enum ConfigField {
     Input,
     Output,
     Volumetric,
+    Gantry,
 }
 
 /// Reason why the controller stopped by itself; latched until reset.
@@ -363,6 +362,14 @@ pub enum Fault {
     ProbeContact {
         /// The input.
         input: u8,
+    },
+    /// The two motors of a gantry disagree by more than the largest racking.
+    Racking {
+        /// The joint of the second motor.
+        axis: u8,
+        /// Second motor minus first motor, axis units; during homing the difference of the
+        /// distances since its start.
+        by: i32,
     },
 }
 

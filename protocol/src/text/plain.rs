@@ -108,6 +108,10 @@ impl Display for ConfigField {
             Self::Follow => "teleoperation ([follow])",
             Self::Input => "inputs (a channel or function that is used twice, or a range)",
             Self::Output => "outputs (a channel or function that is used twice, or a range)",
+            Self::Gantry => {
+                "gantry (both motors need equal searches of their switches, equal presets, and a \
+                 largest racking)"
+            }
             Self::Volumetric => "volumetric compensation (size or slope of a table, or its range)",
         })
     }

@@ -29,15 +29,13 @@ impl Describe for PoseError {
                      tilt the tool less or move the workpiece"
                 )
             }
-            Self::NearReachLimit { pair } => {
-                let rods = if pair == 0 { "1 and 2" } else { "3 and 4" };
-                write!(
+            Self::Geometry { code } => match axes.pose_errors.get(usize::from(code)) {
+                Some(sentence) => f.write_str(sentence),
+                None => write!(
                     f,
-                    "rods {rods} would exceed their reach limit; \
-                     move the workpiece nearer to the rails"
-                )
-            }
-            Self::Tilt => f.write_str("the tilt of the tool would exceed 90 degrees; tilt it less"),
+                    "the geometry of the machine refuses this pose (code {code})"
+                ),
+            },
         }
     }
 }

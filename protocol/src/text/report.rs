@@ -163,6 +163,22 @@ impl Describe for Fault {
                  its path, reset and move it off",
                 axes.input(input)
             ),
+            Self::Racking { axis, by } => {
+                write!(
+                    f,
+                    "{} and the other motor of its gantry disagree",
+                    joint(axis)
+                )?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " by {by}")?;
+                }
+                write!(
+                    f,
+                    "; check both home switches, both motors, and what blocks the beam, square it \
+                     by hand where it needs more than the largest racking (racking_mm in the \
+                     machine file), {HOME}"
+                )
+            }
             Self::Internal { line } => write!(
                 f,
                 "an arithmetic limit was reached inside the controller (line {line}); report this"
@@ -210,6 +226,25 @@ impl Describe for Event {
                  no stopping distance; jog away from the limit, then resume"
             ),
             Self::Homed => f.write_str("all axes are homed"),
+            Self::ReferenceShift { axis, by } => {
+                write!(
+                    f,
+                    "homing shifted the reference of {}",
+                    Named(axes.joints, axis)
+                )?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " by {by}")?;
+                }
+                f.write_str(": steps were lost, or the switch is not exact")
+            }
+            Self::Squared { axis, by } => {
+                let joint = Named(axes.joints, axis);
+                write!(f, "homing squared the gantry: {joint} was moved")?;
+                if let Some(by) = amount(axes.joints, axis, by) {
+                    write!(f, " by {by}")?;
+                }
+                f.write_str(" relative to its other motor")
+            }
             Self::Fault(ref fault) => {
                 f.write_str("fault: ")?;
                 fault.describe(axes, f)

@@ -7,8 +7,7 @@
 
 use super::subject::{MM, Margin, Margins, RADIAN, Reals, Sequence, Subject};
 use core::f64::consts::{FRAC_PI_2, PI};
-use haptimill_kinematics::h4::H4;
-use haptimill_kinematics::h4::H4Geometry;
+use haptimill_kinematics::h4::{H4, H4Geometry, TILT, near_reach_limit};
 use haptimill_kinematics::{Joints, PoseError};
 use haptimill_math::{Coordinate, Length};
 use heapless::Vec;
@@ -195,7 +194,7 @@ impl Arm {
     fn margins_with_reach(&self, pose: &Reals, reach: f64) -> Margins {
         let g = &self.lengths;
         let tip = self.tip(pose);
-        let tilt = |error: &PoseError| *error == PoseError::Tilt;
+        let tilt = |error: &PoseError| *error == TILT;
         let mut margins: Vec<Margin, 12> = Vec::new();
         let unreachable = |error: &PoseError| *error == PoseError::Unreachable;
         margins.extend([
@@ -209,13 +208,8 @@ impl Arm {
             }),
         ]);
         for (i, names) in [
-            (
-                0,
-                (|error| matches!(error, PoseError::NearReachLimit { pair: 0 })) as fn(&_) -> bool,
-            ),
-            (2, |error| {
-                matches!(error, PoseError::NearReachLimit { pair: 1 })
-            }),
+            (0, (|error| *error == near_reach_limit(0)) as fn(&_) -> bool),
+            (2, |error| *error == near_reach_limit(1)),
         ] {
             let square = self.reach_square(tip, pose[3], i);
             margins.extend([

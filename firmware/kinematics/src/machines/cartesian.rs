@@ -46,6 +46,7 @@ impl Machine for Cartesian {
             linear("z", 'Z', Role::ToolZ),
         ],
         joints: &[slide("x"), slide("y"), slide("z")],
+        errors: &[],
     };
 
     fn new(_: &CartesianGeometry) -> Self {

@@ -135,6 +135,7 @@ impl Machine for Facet {
                 JointDescriptor::new("theta2", Rotary),
                 JointDescriptor::new("index", Rotary),
             ],
+            errors: &[],
         }
     };
 

@@ -242,6 +242,7 @@ impl Machine for Scara {
                 JointDescriptor::new("theta2", Rotary),
                 JointDescriptor::new("z", Linear),
             ],
+            errors: &[],
         }
     };
 

@@ -113,6 +113,7 @@ impl Machine for Trunnion {
                 JointDescriptor::new("a", Rotary),
                 JointDescriptor::new("c", Rotary),
             ],
+            errors: &[],
         }
     };
 

@@ -73,6 +73,8 @@ pub fn run(args: PreviewArgs) -> Result<(), CliError> {
 /// Names and strokes of the joints.
 fn joints(machine: &MachineFile) -> Vec<Joint> {
     let joints = machine.joints.iter().zip(&machine.config.joints);
+    // The second motor of a gantry moves as the first one.
+    let joints = joints.filter(|(_, joint)| joint.gantry.is_none());
     joints
         .map(|(named, joint)| {
             let unit = per_unit(joint.kind);

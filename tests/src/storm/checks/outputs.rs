@@ -96,7 +96,7 @@ impl Checks {
 
     fn check_drives(&self, bench: &StormBench, machine: &Machine, on: bool) -> CheckResult {
         let (outputs, inputs) = (bench.rig.outputs(), bench.rig.inputs());
-        let bad = inputs.axes[..machine.axes()]
+        let bad = inputs.axes[..machine.joint_count()]
             .iter()
             .any(|axis| axis.limit_low || axis.limit_high || !axis.drive_ready);
         if bad && on && self.previous.drives_on {

@@ -23,7 +23,7 @@
 //! division. Turning them by (E, D) leaves a division by v, which is a 32-bit reciprocal. The total
 //! cost is two roots, one reciprocal and one arc tangent.
 
-use super::{BasePose, H4};
+use super::{BasePose, H4, near_reach_limit};
 use crate::{Joints, PoseError};
 use haptimill_math::root::{Root, reciprocal};
 use haptimill_math::scale::{
@@ -37,7 +37,7 @@ impl H4 {
     /// the table.
     ///
     /// # Errors
-    /// [`PoseError::Unreachable`], [`PoseError::NearReachLimit`], [`PoseError::NearSingularity`]:
+    /// [`PoseError::Unreachable`], [`near_reach_limit`], [`PoseError::NearSingularity`]:
     /// the slides have no certified pose.
     pub fn base_pose(&self, joints: &Joints) -> Result<BasePose, PoseError> {
         self.base(joints)
@@ -66,7 +66,7 @@ impl H4 {
         let least = self.least_measured as i64;
         if upper < least || lower < least {
             let pair = (upper >= least) as u8;
-            return Err(PoseError::NearReachLimit { pair });
+            return Err(near_reach_limit(pair));
         }
         // N and 2 S now fit 32 bits, below 2^31 and at most 2^31: the casts cut nothing, and the
         // products need no check.

@@ -1,5 +1,6 @@
 //! The H-4 arm as a machine: lengths in a configuration, descriptor, search of homing.
 
+use super::errors::ERRORS;
 use super::{ALPHA, H4};
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::{Machine, Pose, PoseError};
@@ -59,6 +60,7 @@ impl Machine for H4 {
                 JointDescriptor::new("l4", Linear),
                 JointDescriptor::new("alpha", Rotary),
             ],
+            errors: ERRORS,
         }
     };
 

@@ -31,11 +31,14 @@
 //! Strokes and soft limits are not known here. Callers that need the strokes must use
 //! [`crate::BoundedKinematics`].
 
+mod errors;
 mod forward;
 mod machine;
 mod motion;
 mod statics;
 mod sweep_box;
+
+pub use errors::{TILT, near_reach_limit};
 
 pub use machine::H4Geometry;
 pub use statics::ToolForce;
@@ -245,7 +248,7 @@ impl H4 {
     /// branch. The margin is not checked.
     ///
     /// # Errors
-    /// [`PoseError::Tilt`], [`PoseError::Unreachable`]: the arm cannot take this pose.
+    /// [`TILT`], [`PoseError::Unreachable`]: the arm cannot take this pose.
     pub fn singularity_distance(&self, pose: &Pose) -> Result<Length, PoseError> {
         let placed = self.frame(pose)?;
         if self.square(placed.upper) < 0 || self.square(placed.lower) < 0 {
@@ -337,7 +340,7 @@ impl H4 {
                 PoseError::Unreachable
             } else {
                 let pair = (upper >= self.least_square) as u8;
-                PoseError::NearReachLimit { pair }
+                near_reach_limit(pair)
             });
         }
         // hypot(E, D) <= |E| + |D|: a pose that is far enough by this bound needs no root and no
@@ -495,7 +498,7 @@ fn turn(across: i32, up: i32, (sine, cosine): (i32, i32)) -> (i64, i64) {
 #[inline]
 fn check_tilt(theta: Coordinate) -> Result<(), PoseError> {
     if theta.magnitude() >= Angle::QUARTER.0 as u32 {
-        return Err(PoseError::Tilt);
+        return Err(TILT);
     }
     Ok(())
 }
@@ -504,7 +507,7 @@ fn check_tilt(theta: Coordinate) -> Result<(), PoseError> {
 #[inline]
 pub(super) fn check_table(alpha: Coordinate) -> Result<(), PoseError> {
     if alpha.magnitude() > Angle::QUARTER.0 as u32 {
-        return Err(PoseError::Tilt);
+        return Err(TILT);
     }
     Ok(())
 }

@@ -6,6 +6,7 @@
 //! cancel all the way. One pose and these bounds take a tenth of the instructions that the corners
 //! of a box take, and hold between the corners as well.
 
+use super::errors::near_reach_limit;
 use super::motion::Slope;
 use super::{ALPHA, AXES, H4, Pair};
 use crate::{BoxBounds, Pose, PoseError, Rates};
@@ -113,7 +114,7 @@ impl H4 {
         let mut slopes = [(0, 0); 2];
         let mut ends = [joints; 2];
         for (index, pair) in pairs.iter().enumerate() {
-            let near = PoseError::NearReachLimit { pair: index as u8 };
+            let near = near_reach_limit(index as u8);
             let u = pair.u.unsigned_abs().saturating_add(by_y);
             let v = pair.v.unsigned_abs().saturating_add(by_v[index]);
             if u.max(v) >= 1 << 30 {
