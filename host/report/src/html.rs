@@ -6,7 +6,7 @@ use super::contour::Point;
 use super::markup::{self, escape, put};
 use super::series::Columns;
 use super::{Statistics, Summary, duration};
-use haptimill_firmware::config::AxisKind;
+use haptimill_firmware::config::{AxisKind, JointAxis};
 use haptimill_trace::{Recording, RecordingError};
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -227,9 +227,14 @@ fn time_charts(
             .map(|(axis, _)| axis)
             .collect()
     };
+    let label = |axis: usize| {
+        let open_loop = config.joints.get(axis).is_some_and(JointAxis::is_open_loop);
+        let note = if open_loop { " (open loop)" } else { "" };
+        format!("{}{note}", names[axis])
+    };
     let lines = |axes: &[usize], series: &[Columns]| -> Vec<Line> {
         let axes = axes.iter().filter(|axis| **axis < names.len());
-        axes.map(|axis| line(&names[*axis], colour(*axis), 1.2, &series[*axis]))
+        axes.map(|axis| line(label(*axis), colour(*axis), 1.2, &series[*axis]))
             .collect()
     };
     // Linear joints, and rotary ones if they move: name, axes, units of travel and of errors.

@@ -231,6 +231,11 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         .iter()
         .map(ToString::to_string)
         .collect();
+    let is_open = |joint: usize| status.open_loop >> joint & 1 != 0;
+    let open_loop: Vec<&String> = (joint_names.iter().enumerate())
+        .filter(|(joint, _)| is_open(*joint))
+        .map(|(_, name)| name)
+        .collect();
     if json {
         let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
         let value = serde_json::json!({
@@ -246,6 +251,7 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
             "commanded": map(pose(&status.commanded)),
             "measured": map(pose(&status.measured)),
             "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(&status)).collect()),
+            "open_loop": open_loop,
             "following_error": map(joints(&status.following_error)),
             "bad_frames": status.bad_frames,
             "lost_bytes": status.lost_bytes,
@@ -291,6 +297,13 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         let measured = line(pose(&status.measured), pose_units.clone());
         print_line!("measured {measured}");
         print_line!("commanded{}", line(pose(&status.commanded), pose_units));
+        if !open_loop.is_empty() {
+            let names: Vec<&str> = open_loop.iter().map(|name| name.as_str()).collect();
+            print_line!(
+                "open loop  {}: counted steps, not measured",
+                names.join(", ")
+            );
+        }
         let unwound = joint_names.into_iter().zip(model.unwound_joints(&status));
         print_line!("joints   {}", line(unwound.collect(), joint_units));
     }
