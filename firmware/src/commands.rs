@@ -80,6 +80,8 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         Command::JogCancel { epoch } => motion::cancel_jog(core, epoch),
         Command::Source { axis, source } => motion::choose_source(core, axis, source),
         Command::Override { percent } => motion::set_override(core, percent),
+        Command::RapidOverride { percent } => motion::set_rapid_override(core, percent),
+        Command::SpindleOverride { percent } => motion::set_spindle_override(core, percent),
         Command::Telemetry { every } => {
             server.streams().set(Stream::Machine, every);
             Ok(())

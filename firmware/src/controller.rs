@@ -222,7 +222,9 @@ impl Core {
         if let Some(machine) = &mut self.machine {
             machine.motion.reset_sources();
             machine.motion.program.set_override(100);
+            machine.motion.program.set_rapid_override(100);
         }
+        self.job.spindle_percent = 100;
     }
 
     /// Admittance control: the compliant displacement of this period.

@@ -29,6 +29,8 @@ pub(crate) struct Job {
     pub stopping: bool,
     /// Commanded spindle speed, rev/min; counter-clockwise below 0.
     pub spindle_rpm: i16,
+    /// Spindle override, percent.
+    pub spindle_percent: u8,
     /// An open door stopped the spindle; the resumed job restarts it.
     pub spindle_stopped: bool,
     /// Periods until a resumed job moves, while the spindle starts; 0 is none.
@@ -70,7 +72,10 @@ impl Core {
             period_us,
             safety: Safety::default(),
             machine: None,
-            job: Job::default(),
+            job: Job {
+                spindle_percent: 100,
+                ..Job::default()
+            },
             power_on: SincePowerOn::default(),
         }
     }
@@ -97,8 +102,17 @@ impl Core {
     pub const fn spindle_rpm(&self) -> i16 {
         if self.job.spindle_stopped {
             0
-        } else {
+        } else if self.job.spindle_percent == 100 {
             self.job.spindle_rpm
+        } else {
+            let rpm = self.job.spindle_rpm as i32 * self.job.spindle_percent as i32 / 100;
+            if rpm > i16::MAX as i32 {
+                i16::MAX
+            } else if rpm < -(i16::MAX as i32) {
+                -i16::MAX
+            } else {
+                rpm as i16
+            }
         }
     }
 

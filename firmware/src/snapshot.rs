@@ -4,7 +4,6 @@
 use crate::controller::Controller;
 pub use crate::haptics::HapticSnapshot;
 use crate::io::{COMPONENTS, DriveCommand, Inputs};
-use crate::motion::interpolator::FULL_RATE;
 #[cfg(doc)]
 use crate::motion::interpolator::QUEUE;
 pub use crate::named_io::IoSnapshot;
@@ -96,7 +95,7 @@ impl Controller {
         snapshot.setpoint = program.reached();
         snapshot.queued = program.queued() as u16;
         snapshot.more = !program.is_complete();
-        snapshot.path_rate = (program.path_rate().clamp(0, FULL_RATE - 1) >> 16) as u16;
+        snapshot.path_rate = (program.path_rate() >> 17).clamp(0, 0xFFFF) as u16;
         snapshot.spindle_rpm = self.spindle_rpm();
         snapshot.program_time = program.program_time();
         let commanded = &machine.motion.commanded().pose.0;

@@ -28,6 +28,9 @@ pub const MAX_AXES: usize = 6;
 /// Version of this protocol; both endpoints must have the same.
 pub const PROTOCOL_VERSION: u16 = 7;
 
+/// Path rate in reports at the programmed speed.
+pub const FULL_PATH_RATE: u16 = 1 << 15;
+
 /// Largest number of named analog inputs, and of named analog outputs.
 pub const ANALOG: usize = 4;
 
@@ -177,7 +180,8 @@ pub enum Command {
         /// The new source.
         source: Source,
     },
-    /// Feed override: speed along the path in percent of the programmed one, 1 to 100.
+    /// Feed override: speed of moves at feed in percent of the programmed one, 0 to 200. Above 100
+    /// the [`Pace`] of a move bounds it.
     Override {
         /// Percent.
         percent: u8,
@@ -280,6 +284,16 @@ pub enum Command {
         /// On or off.
         on: bool,
     },
+    /// Rapid override: speed of rapid moves in percent of the programmed one, 0 to 100.
+    RapidOverride {
+        /// Percent.
+        percent: u8,
+    },
+    /// Spindle override: spindle speed in percent of the programmed one, 10 to 200.
+    SpindleOverride {
+        /// Percent.
+        percent: u8,
+    },
 }
 
 /// A piece of the configuration.
@@ -344,6 +358,61 @@ pub enum Action {
         /// The code.
         code: i16,
     },
+    /// Sets the pace of the motion from this setpoint on.
+    Pace(Pace),
+}
+
+/// Which override applies to a part of a path, and up to which factor. A job begins with
+/// [`Pace::FEED`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Pace(pub u8);
+
+impl Pace {
+    /// A move at feed, up to the programmed speed.
+    pub const FEED: Self = Self(0);
+    /// A rapid move.
+    pub const RAPID: Self = Self(101);
+    /// The smaller of feed and rapid override: rapid moves and moves at feed meet.
+    pub const CROSSING: Self = Self(102);
+    /// The programmed speed: overrides have no effect.
+    pub const FIXED: Self = Self(103);
+    /// Largest factor of a move at feed, percent.
+    pub const MOST: u8 = 200;
+
+    /// A move at feed, up to a factor in percent, 100 to [`Pace::MOST`].
+    #[must_use]
+    pub const fn feed_up_to(percent: u8) -> Self {
+        let percent = if percent > Self::MOST {
+            Self::MOST
+        } else {
+            percent
+        };
+        Self(percent.saturating_sub(100))
+    }
+
+    /// Whether the code is known.
+    #[must_use]
+    pub const fn is_valid(self) -> bool {
+        self.0 <= Self::FIXED.0
+    }
+
+    /// Largest factor, percent.
+    #[must_use]
+    pub const fn most(self) -> u8 {
+        if self.0 <= 100 { 100 + self.0 } else { 100 }
+    }
+
+    /// The factor at a feed override and a rapid override, percent.
+    #[must_use]
+    pub fn factor(self, feed: u8, rapid: u8) -> u8 {
+        match self {
+            Self::RAPID => rapid,
+            Self::CROSSING => feed.min(rapid).min(100),
+            Self::FIXED => 100,
+            _ => feed.min(self.most()),
+        }
+    }
 }
 
 /// Source of the commanded value of a pose coordinate.
@@ -451,7 +520,7 @@ pub struct Telemetry {
     pub setpoint: u32,
     /// Program time of the job in control periods; it does not advance while the machine waits.
     pub program_periods: u32,
-    /// Path rate, 65535 for the programmed speed.
+    /// Path rate, [`FULL_PATH_RATE`] for the programmed speed.
     pub path_rate: u16,
     /// Commanded pose, axis units.
     pub commanded: AxisValues,

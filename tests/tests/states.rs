@@ -77,7 +77,7 @@ fn jobs_keep_their_boundary_conditions() {
     bench.steps(2500);
     let status = bench.status();
     assert!(
-        (i32::from(status.path_rate) - 32767).abs() < 3,
+        (i32::from(status.path_rate) - 16384).abs() < 3,
         "{}",
         status.path_rate
     );

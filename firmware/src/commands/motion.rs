@@ -4,7 +4,7 @@ use super::conditions::{Done, in_state, settled};
 use crate::config::HAPTICS;
 use crate::core::Core;
 use crate::haptics::mapping::LED;
-use haptimill_protocol::message::{AxisValues, MAX_AXES, RATE_SHIFT, Refusal, Source, State};
+use haptimill_protocol::message::{AxisValues, MAX_AXES, Pace, RATE_SHIFT, Refusal, Source, State};
 
 pub(super) fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisValues) -> Done {
     if !core.safety.homed() {
@@ -103,9 +103,28 @@ pub(super) fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
 }
 
 pub(super) fn set_override(core: &mut Core, percent: u8) -> Done {
-    if !(1..=100).contains(&percent) {
+    if percent > Pace::MOST {
         return Err(Refusal::Range);
     }
     core.configured()?.motion.program.set_override(percent);
+    Ok(())
+}
+
+pub(super) fn set_rapid_override(core: &mut Core, percent: u8) -> Done {
+    if percent > 100 {
+        return Err(Refusal::Range);
+    }
+    core.configured()?
+        .motion
+        .program
+        .set_rapid_override(percent);
+    Ok(())
+}
+
+pub(super) fn set_spindle_override(core: &mut Core, percent: u8) -> Done {
+    if !(10..=200).contains(&percent) {
+        return Err(Refusal::Range);
+    }
+    core.job.spindle_percent = percent;
     Ok(())
 }

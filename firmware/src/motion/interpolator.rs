@@ -2,6 +2,7 @@
 //!
 //! Time on the path is program time. It passes at the *path rate*: 1 at the programmed speed, less
 //! while the machine decelerates along its path (hold, stop, override, underrun), 0 at standstill.
+//! Above 1 it is on parts of the path whose [`Pace`] allows that.
 //! The path rate is a [`Ramp`], which bounds its slope and the change of its slope. The commanded
 //! pose never leaves the path.
 //!
@@ -26,7 +27,7 @@ use core::ops::Range;
 use haptimill_kinematics::Pose;
 use haptimill_math::scale::{product, saturate, total};
 use haptimill_math::{Acceleration, Coordinate, Rate};
-use haptimill_protocol::message::{Action, MAX_AXES, RATE_SHIFT, Refusal};
+use haptimill_protocol::message::{Action, MAX_AXES, Pace, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Deque;
 use prefetch::{Segment, Segments};
@@ -121,7 +122,13 @@ pub struct Interpolator {
     /// Program time at the start of the segment, in control periods.
     elapsed: u64,
     path_rate: Ramp,
+    /// Path rate that the overrides give at the present pace.
     override_rate: i64,
+    /// Feed and rapid override, percent.
+    overrides: [u8; 2],
+    pace: Pace,
+    /// Pace behind the setpoint accepted last.
+    accepted_pace: Pace,
     accepted: u32,
     reached: u32,
     total: Option<u32>,
@@ -135,7 +142,7 @@ pub struct Interpolator {
 constants!(Interpolator {
     axes, rotary, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
-    queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, accepted, reached, total, started, paused,
+    queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, overrides, pace, accepted_pace, accepted, reached, total, started, paused,
     underrunning, late, duration, passed, retract_left
 });
 
@@ -174,7 +181,8 @@ impl Interpolator {
         program.period_us = config.period_us;
         program.periods_per_second = 1_000_000 / i64::from(config.period_us.max(1));
         program.braking = braking_limits(&config.stopping, config.period_us);
-        program.override_rate = FULL_RATE;
+        program.overrides = [100; 2];
+        program.set_pace(Pace::FEED);
         for (axis, pose) in config.pose.iter().enumerate() {
             program.rotary[axis] = pose.kind == AxisKind::Rotary;
             // A margin of 2 % for the rounding of setpoints.
@@ -213,6 +221,8 @@ impl Interpolator {
         self.paused = false;
         self.underrunning = None;
         self.late = None;
+        self.accepted_pace = Pace::FEED;
+        self.set_pace(Pace::FEED);
     }
 
     /// Appends the next setpoint.
@@ -243,6 +253,9 @@ impl Interpolator {
         }
         if matches!(setpoint.action, Action::Pause) && setpoint.rates.iter().any(|rate| *rate != 0)
         {
+            return Err(bad);
+        }
+        if matches!(setpoint.action, Action::Pace(pace) if !pace.is_valid()) {
             return Err(bad);
         }
         self.set_duration(setpoint.periods).ok_or(bad)?;
@@ -313,6 +326,9 @@ impl Interpolator {
         let _ = self.queue.push_back(self.tail);
         self.queued_periods += u64::from(setpoint.periods);
         self.stops_ahead += u32::from(self.tail.is_at_standstill());
+        if let Action::Pace(pace) = setpoint.action {
+            self.accepted_pace = pace;
+        }
         self.accepted = self.accepted.wrapping_add(1);
         if let Some(underrunning) = self.underrunning
             && underrunning.setpoint == number
@@ -388,9 +404,33 @@ impl Interpolator {
         self.path_rate.value()
     }
 
-    /// Sets the feed override, 1 to 100 percent of the programmed speed.
+    /// Sets the feed override, 0 to [`Pace::MOST`] percent of the programmed speed.
     pub fn set_override(&mut self, percent: u8) {
-        self.override_rate = FULL_RATE * i64::from(percent.clamp(1, 100)) / 100;
+        self.overrides[0] = percent.min(Pace::MOST);
+        self.set_pace(self.pace);
+    }
+
+    /// Sets the rapid override, 0 to 100 percent of the programmed speed.
+    pub fn set_rapid_override(&mut self, percent: u8) {
+        self.overrides[1] = percent.min(100);
+        self.set_pace(self.pace);
+    }
+
+    fn set_pace(&mut self, pace: Pace) {
+        self.pace = pace;
+        let [feed, rapid] = self.overrides;
+        self.override_rate = FULL_RATE * i64::from(pace.factor(feed, rapid)) / 100;
+    }
+
+    /// Begins a part of the path with another pace.
+    #[inline(never)]
+    fn enter_pace(&mut self, pace: Pace) {
+        let is_steady = self.path_rate == Ramp::at(self.override_rate);
+        self.set_pace(pace);
+        // At standstill any path rate gives the same motion.
+        if is_steady && self.from.is_at_standstill() {
+            self.path_rate = Ramp::at(self.override_rate);
+        }
     }
 
     /// Whether interpolation needs more time in this control period than in others: the next
@@ -410,7 +450,9 @@ impl Interpolator {
                 let end = u64::from(segment.duration.periods()) << 32;
                 // The highest path rate possible in the next control period.
                 let slope = self.braking.map_or(0, |braking| braking.slope());
-                let highest = (self.path_rate.value() + slope).clamp(0, FULL_RATE);
+                let value = self.path_rate.value();
+                let most = FULL_RATE.max(value).max(self.override_rate);
+                let highest = (value + slope).clamp(0, most);
                 self.time + highest as u64 >= end
             })
     }
@@ -537,6 +579,7 @@ impl Interpolator {
             }
             match self.from.action {
                 Action::None => {}
+                Action::Pace(pace) => self.enter_pace(pace),
                 action @ (Action::Spindle(_)
                 | Action::Output { .. }
                 | Action::AnalogOutput { .. }) => progress.action = action,
@@ -648,7 +691,11 @@ impl Interpolator {
     /// mean rate and all rates between must be within the axis limit. The acceleration must be
     /// within 16 times that of a jog. A setpoint beyond these bounds is an error of the host.
     fn is_within_limits(&self, axis: usize, place: i32, rate: i32) -> bool {
-        let (duration, limit) = (&self.duration, self.rate_limits[axis]);
+        let (duration, mut limit) = (&self.duration, self.rate_limits[axis]);
+        let most = i32::from(self.accepted_pace.most());
+        if most > 100 {
+            limit = limit / most * 100;
+        }
         if rate.unsigned_abs() > limit.unsigned_abs() {
             return false;
         }

@@ -355,6 +355,11 @@ pub fn settings(machine: &MachineFile) -> Settings {
         curvature_step: machine.planner.curvature_step,
         longest_span_s: machine.planner.longest_span_ms / 1000.0,
         shortest_span_s: machine.planner.shortest_span_ms / 1000.0,
+        braking_s: {
+            let stopping = &machine.config.stopping;
+            let [time, ramp] = [stopping.time_ms, stopping.ramp_ms].map(f64::from);
+            [(time - ramp) / 1000.0, ramp / 1000.0]
+        },
         ..Settings::new(pose, joints, machine.config.period_us)
     }
 }

@@ -44,6 +44,8 @@ pub(crate) struct Block {
     pub tolerance: Option<f64>,
     /// Limits along the path.
     pub along: Along,
+    /// Largest speed without the feed.
+    pub most: f64,
     /// Derivatives of pose and joints by length, at start and end.
     pub tangents: [Coordinates; 2],
     pub joint_tangents: [[f64; 6]; 2],
@@ -192,7 +194,7 @@ fn examine(
     if let Feed::PerMinute(feed) = step.feed {
         limits.feed(feed, path.measure).map_err(problem)?;
     }
-    let along = limits.along(path);
+    let (along, most) = limits.along(path);
     let fastest = limits.fastest.min(limits.speed).min(limits.rate_speed);
     let block = Block {
         place: step.place,
@@ -203,6 +205,7 @@ fn examine(
         is_slowed: limits.speed < f64::INFINITY && limits.joint_speed < limits.speed,
         tolerance: step.tolerance,
         along,
+        most,
         tangents,
         joint_tangents,
     };
@@ -348,10 +351,11 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    /// Returns the limits along the path.
-    fn along(&self, path: &Path) -> Along {
-        let mut speed = self.speed.min(self.rate_speed).min(self.joint_speed);
+    /// Returns the limits along the path, and the largest speed without the feed.
+    fn along(&self, path: &Path) -> (Along, f64) {
+        let mut most = self.rate_speed.min(self.joint_speed);
         let (mut acceleration, mut jerk) = (self.acceleration, self.jerk);
+        let mut speed = self.speed.min(most);
         if let Some(arc) = &path.arc {
             let axes = arc.plane.map(|k| &self.settings.pose[k]);
             let plane_acceleration =
@@ -360,9 +364,10 @@ impl<'a> Search<'a> {
             let turn = (arc.sweep / path.length).abs();
             let share = turn * arc.radius[0].max(arc.radius[1]);
             let curvature = share * turn;
-            speed = speed
+            most = most
                 .min((CENTRIPETAL_SHARE * plane_acceleration / curvature).sqrt())
                 .min(libm::cbrt(ARC_SPEED_JERK * plane_jerk / (curvature * turn)));
+            speed = speed.min(most);
             acceleration = acceleration
                 .min(TANGENTIAL_SHARE * plane_acceleration / share)
                 .min(ARC_ACROSS_JERK * plane_jerk / (3.0 * speed * curvature));
@@ -381,11 +386,12 @@ impl<'a> Search<'a> {
         }
         // One more period, for rounding.
         let hold = self.settings.shortest_span_s + f64::from(self.settings.period_us) * 1e-6;
-        Along {
+        let along = Along {
             speed,
             acceleration,
             jerk: jerk.min(acceleration / hold),
             hold,
-        }
+        };
+        (along, most)
     }
 }

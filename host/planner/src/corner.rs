@@ -56,6 +56,8 @@ pub(crate) struct Corner {
     largest: f64,
     /// Preferred duration of a rounding.
     preferred: f64,
+    /// Largest speed that the jump of curvature allows.
+    bend_speed: f64,
 }
 
 impl Corner {
@@ -70,6 +72,7 @@ impl Corner {
             per_square: 0.0,
             largest: 0.0,
             preferred: 0.0,
+            bend_speed: f64::INFINITY,
         }
     }
 
@@ -183,6 +186,7 @@ impl Corner {
             squared += step * step;
             let most = settings.curvature_step * axis.acceleration / step.abs();
             self.speed = self.speed.min(most.sqrt());
+            self.bend_speed = self.bend_speed.min(most.sqrt());
             let jerk = BEND_JERK_SHARE * axis.jerk;
             self.per_square = self.per_square.max(2.0 * BEND_SLOPE * step.abs() / jerk);
         }
@@ -197,6 +201,28 @@ impl Corner {
     /// Returns the half-length of the rounding at a speed; it grows with the speed.
     pub(crate) fn reach(&self, speed: f64) -> f64 {
         0.5 * speed * self.time(speed)
+    }
+
+    /// Returns the largest factor of a speed for which the limits hold on the rounding of that
+    /// speed. Accelerations grow with its square, jerks with its cube.
+    pub(crate) fn most(&self, speed: f64) -> f64 {
+        let time = self.time(speed);
+        let ratio = |least: f64| {
+            if least > 0.0 {
+                time / least
+            } else {
+                f64::INFINITY
+            }
+        };
+        let acceleration = ratio(self.per_speed * speed).sqrt();
+        let jerk = libm::cbrt(ratio(self.per_root * speed.sqrt()));
+        let bend = libm::cbrt(ratio(self.per_square * speed * speed));
+        let steady = if speed > 0.0 {
+            self.bend_speed / speed
+        } else {
+            f64::INFINITY
+        };
+        acceleration.min(jerk * jerk).min(bend).min(steady)
     }
 
     /// Returns the duration of the rounding at a speed, 0 without rounding.

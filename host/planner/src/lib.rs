@@ -30,6 +30,9 @@
 //! All computations are f64 with the transcendental functions of the crate libm, so a plan has the
 //! same bits on every host.
 //!
+//! Each setpoint tells which override applies behind it, and the factor up to which the limits
+//! hold.
+//!
 //! Commands (spindle, coolant, outputs) and dwells are at standstill. G38 and M66 depend on what
 //! the machine finds, so that a plan refuses them.
 //!
@@ -42,6 +45,7 @@ mod corner;
 mod limits;
 mod lookahead;
 mod outputs;
+mod pace;
 mod plan;
 mod planner;
 mod profile;

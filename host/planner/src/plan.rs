@@ -28,6 +28,8 @@ pub struct Plan {
 pub struct Figures {
     /// Duration, seconds, without pauses.
     pub duration_s: f64,
+    /// Part of it in rapid moves.
+    pub rapid_s: f64,
     /// Length of the programmed path of the tool tip in the workpiece, mm, rapid moves included.
     pub path_length_mm: f64,
     /// Number of moves.

@@ -73,6 +73,8 @@ pub struct Planner<M> {
     refused: bool,
     /// Whether the program has ended.
     ended: bool,
+    /// Whether the last run of motion ended with a rapid move.
+    ended_rapid: bool,
     figures: Figures,
 }
 
@@ -113,6 +115,7 @@ impl<M: MachineModel> Planner<M> {
             at: start,
             refused: false,
             ended: false,
+            ended_rapid: false,
             figures: Figures::default(),
         }
     }
@@ -272,7 +275,9 @@ impl<M: MachineModel> Planner<M> {
         self.lay_blocks(count)?;
         self.run = Run::default();
         let path = self.trajectory.last_path();
-        let length = self.trajectory.leg(path).path.length;
+        let leg = self.trajectory.leg(path);
+        let length = leg.path.length;
+        self.ended_rapid = leg.is_rapid;
         let made = self.emit(true);
         self.trajectory
             .pieces
@@ -316,7 +321,12 @@ impl<M: MachineModel> Planner<M> {
 
     fn lay_blocks(&mut self, count: usize) -> Result<(), Problem> {
         if !self.run.moves {
-            self.time = self.emitter.begin(&self.trajectory);
+            let first = &self.run.blocks[0];
+            let slows = self.ended_rapid && !first.is_rapid;
+            let from = first.path.from;
+            self.time = self
+                .emitter
+                .begin(&self.trajectory, slows, &from, &self.settings);
             self.run.moves = true;
         }
         let blocks = std::mem::take(&mut self.run.blocks);
@@ -415,8 +425,23 @@ impl<M: MachineModel> Planner<M> {
                 longest: f64::INFINITY,
                 path,
                 knot,
+                most: 100,
             };
+            if !block.is_rapid && acceleration == 0.0 && jerk == 0.0 && speed > 0.0 {
+                let mut most = block.most / speed;
+                if rounded[0] && number == 0 {
+                    most = most.min(corners[0].most(into));
+                }
+                if rounded[1] && number == last {
+                    most = most.min(corners[1].most(out));
+                }
+                // Below, for the rounding of setpoints.
+                piece.most = (most.min(2.0) * 100.0 + 1e-3).max(100.0) as u8;
+            }
             self.time += duration;
+            if block.is_rapid {
+                self.figures.rapid_s += duration;
+            }
             piece.longest = longest_on(&piece, self.time - piece.time, block);
             self.trajectory.pieces.push(piece);
             s += duration * (speed + duration * (0.5 * acceleration + duration * jerk / 6.0));

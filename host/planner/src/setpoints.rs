@@ -2,10 +2,11 @@
 
 use super::block::check_pose;
 use super::limits::{MachineModel, Settings};
+use super::pace::Pacer;
 use super::planner::Planned;
 use super::trajectory::{CUBIC_ERROR_MM, Cursor, Knot, Trajectory};
 use haptimill_gcode::{AxisKind, Coordinates, Place, Problem};
-use haptimill_protocol::message::{Action, AxisValues, RATE_SHIFT};
+use haptimill_protocol::message::{Action, AxisValues, Pace, RATE_SHIFT};
 use haptimill_protocol::setpoint::Setpoint;
 use std::collections::VecDeque;
 
@@ -57,6 +58,11 @@ pub(crate) struct Emitter {
     /// First piece whose knot was not looked at, and the piece at the last setpoint.
     next_piece: usize,
     span_piece: usize,
+    pacer: Pacer,
+    /// Pace behind the setpoint before the last one.
+    pace: Pace,
+    /// How far the trajectory is known, and whether the motion stops there.
+    known: (f64, bool),
     /// Setpoints that are made.
     pub made: Vec<Planned>,
     /// Their number since the start.
@@ -77,6 +83,9 @@ impl Emitter {
             knots: VecDeque::new(),
             next_piece: 0,
             span_piece: 0,
+            pacer: Pacer::new(settings.braking_s[0], settings.braking_s[1]),
+            pace: Pace::FEED,
+            known: (0.0, false),
             made: Vec::new(),
             count: 0,
             peak_joint_rates: [0.0; 6],
@@ -146,8 +155,26 @@ impl Emitter {
         }
     }
 
-    /// Begins a run of motion, whose pieces follow those of the trajectory; returns its time.
-    pub(crate) fn begin(&mut self, trajectory: &Trajectory) -> f64 {
+    /// Begins a run of motion at a pose, whose pieces follow those of the trajectory; returns its
+    /// time.
+    pub(crate) fn begin(
+        &mut self,
+        trajectory: &Trajectory,
+        slows: bool,
+        pose: &Coordinates,
+        settings: &Settings,
+    ) -> f64 {
+        // The pace of the run is the action of the last setpoint. If that has another action, the
+        // pace changes at the first setpoint of the run; a move at feed that `slows` after a rapid
+        // move must not begin like one.
+        if let Some(last) = self.made.last()
+            && last.setpoint.action != Action::None
+            && slows
+        {
+            let place = last.place;
+            self.rest(pose, 0.0, place, settings);
+        }
+        self.pacer.begin(trajectory.pieces.len());
         self.begin = self.last;
         self.knots.clear();
         self.knots.push_back((self.last, Knot::Step));
@@ -160,6 +187,7 @@ impl Emitter {
     pub(crate) fn forget(&mut self, pieces: usize) {
         self.next_piece = self.next_piece.saturating_sub(pieces);
         self.span_piece = self.span_piece.saturating_sub(pieces);
+        self.pacer.forget(pieces);
         self.cursor = Cursor::default();
     }
 
@@ -194,6 +222,7 @@ impl Emitter {
         } else {
             (time / self.period).floor() as u64
         };
+        self.known = (time, is_end);
         self.add_knots(trajectory, end, is_end);
         let ahead = if is_end { 2 } else { 3 };
         let mut result = Ok(());
@@ -309,8 +338,26 @@ impl Emitter {
                 *peak = peak.max(rate.abs());
             }
         }
-        self.push(to, &pose, &rates, (place, leg.is_rapid), settings);
+        let is_rapid = leg.is_rapid;
+        self.set_pace(trajectory, [from, to]);
+        self.push(to, &pose, &rates, (place, is_rapid), settings);
         checked.map(|_| ())
+    }
+
+    /// Sets the pace of the motion between two periods, as the action of the last setpoint. An
+    /// action that is there has priority: the pace changes one setpoint later.
+    fn set_pace(&mut self, trajectory: &Trajectory, span: [u64; 2]) {
+        let span = span.map(|period| period as f64 * self.period);
+        let pace = self.pacer.pace(trajectory, span, self.known, self.period);
+        if pace == self.pace {
+            return;
+        }
+        if let Some(last) = self.made.last_mut()
+            && last.setpoint.action == Action::None
+        {
+            last.setpoint.action = Action::Pace(pace);
+            self.pace = pace;
+        }
     }
 
     /// Whether the cubic between two periods is near the trajectory, at seven samples.

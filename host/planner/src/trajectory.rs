@@ -34,6 +34,8 @@ pub(crate) struct Piece {
     pub path: u32,
     /// Reason for a setpoint at its start.
     pub knot: Knot,
+    /// Largest factor of its speed for which the limits hold, percent, at most 200.
+    pub most: u8,
 }
 
 impl Piece {
@@ -48,6 +50,7 @@ impl Piece {
             longest: f64::INFINITY,
             path,
             knot: Knot::None,
+            most: 100,
         }
     }
 

@@ -109,7 +109,11 @@ impl Column {
             Field::State => Value::State(record.state),
             Field::Setpoint => Value::Whole(i64::from(record.setpoint)),
             Field::Line => Value::Whole(i64::from(record.line)),
-            Field::PathRate => Value::Real(f64::from(record.path_rate) / 65_535.0, 5),
+            Field::PathRate => Value::Real(
+                f64::from(record.path_rate)
+                    / f64::from(haptimill_protocol::message::FULL_PATH_RATE),
+                5,
+            ),
             Field::Spindle => Value::Whole(i64::from(record.spindle_rpm)),
             Field::Flag(flag) => Value::Flag(record.has(flag)),
             Field::Clutch => Value::Flag(record.haptic_flags & flag::CLUTCH_CLOSED != 0),

@@ -1,7 +1,7 @@
 //! Sentences that need no data of the machine.
 
 use crate::message::{
-    Action, Command, ConfigField, HelloRefusal, HomingProblem, OutputProblem, Source, State,
+    Action, Command, ConfigField, HelloRefusal, HomingProblem, OutputProblem, Pace, Source, State,
 };
 use core::fmt::{Display, Formatter, Result};
 
@@ -55,6 +55,10 @@ impl Display for Action {
             Self::None => f.write_str("nothing"),
             Self::Spindle(0) => f.write_str("spindle off"),
             Self::Spindle(speed) => write!(f, "spindle to {speed} rev/min"),
+            Self::Pace(Pace::RAPID) => f.write_str("rapid"),
+            Self::Pace(Pace::CROSSING) => f.write_str("feed or rapid"),
+            Self::Pace(Pace::FIXED) => f.write_str("fixed speed"),
+            Self::Pace(pace) => write!(f, "feed up to {} %", pace.most()),
             Self::Pause => f.write_str("pause"),
             Self::Output { output, on } => {
                 let on = if *on { "on" } else { "off" };
@@ -169,6 +173,8 @@ impl Command {
             Self::SetAnalogOutput { .. } => "set analog output",
             Self::Compensation { .. } => "compensation",
             Self::ArmProbe { .. } => "arm probe",
+            Self::RapidOverride { .. } => "rapid override",
+            Self::SpindleOverride { .. } => "spindle override",
         }
     }
 }

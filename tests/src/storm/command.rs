@@ -247,7 +247,7 @@ pub fn any(rng: &mut Rng) -> Command {
 pub fn refused(rng: &mut Rng) -> Command {
     match rng.below(9) {
         0 => Command::Override {
-            percent: rng.choose(&[0, 101, 255]),
+            percent: rng.choose(&[201, 230, 255]),
         },
         1 => Command::Resume,
         2 => Command::JobEnd {

@@ -12,7 +12,7 @@ use haptimill_client::client::Options;
 use haptimill_client::port::{self, DEFAULT_BAUD};
 use haptimill_client::session::{self, PortLine, Session};
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{AxisValues, Command, State};
+use haptimill_protocol::message::{AxisValues, Command, FULL_PATH_RATE, State};
 
 /// Arguments of the simple commands.
 #[derive(Debug, Clone, Args)]
@@ -247,7 +247,7 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
             "fault": fault,
             "period": status.period,
             "setpoint": status.setpoint,
-            "path_rate": f64::from(status.path_rate) / 65_535.0,
+            "path_rate": f64::from(status.path_rate) / f64::from(FULL_PATH_RATE),
             "commanded": map(pose(&status.commanded)),
             "measured": map(pose(&status.measured)),
             "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(&status)).collect()),

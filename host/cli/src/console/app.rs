@@ -40,6 +40,17 @@ const SHUTDOWN: Duration = Duration::from_millis(2000);
 /// Full scales of the force bars, N.
 pub(super) const FORCE_SCALES: [f64; 5] = [5.0, 10.0, 20.0, 50.0, 100.0];
 
+/// What an override scales.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum OverrideKind {
+    /// Moves at feed.
+    Feed,
+    /// Rapid moves.
+    Rapid,
+    /// The spindle speed.
+    Spindle,
+}
+
 /// Action on the positive acknowledgement of a request.
 #[derive(Debug, Clone)]
 pub(super) enum OnAck {
@@ -47,7 +58,7 @@ pub(super) enum OnAck {
     Enabled,
     /// The drives were enabled for homing.
     EnabledToHome,
-    Override(u8),
+    Override(OverrideKind, u8),
     Source(u8, Source),
     Loop(u8, ForceLoop),
     ForceFeedback(ForceFeedback),
@@ -112,9 +123,10 @@ pub(super) struct App {
     pub(super) log: Log,
     pub(super) overlay: Overlay,
     pub(super) sources: [Source; MAX_AXES],
-    pub(super) feed_override: u8,
-    /// The override requested last.
-    pub(super) requested_override: u8,
+    /// Feed, rapid and spindle override, percent.
+    pub(super) overrides: [u8; 3],
+    /// The overrides requested last.
+    pub(super) requested_overrides: [u8; 3],
     pub(super) jogging: Jogging,
     pub(super) jobs: Jobs,
     pub(super) loops: Option<[ForceLoop; 3]>,
@@ -187,8 +199,8 @@ impl App {
             log: Log::default(),
             overlay: Overlay::None,
             sources: [Source::Program; MAX_AXES],
-            feed_override: 100,
-            requested_override: 100,
+            overrides: [100; 3],
+            requested_overrides: [100; 3],
             loops,
             requested_loops: [RequestedLoop::default(); 3],
             force_scale: (0, now),
@@ -298,7 +310,7 @@ impl App {
         self.jogging.release_all(now_us);
         self.jobs.clear();
         self.sources = [Source::Program; MAX_AXES];
-        (self.feed_override, self.requested_override) = (100, 100);
+        (self.overrides, self.requested_overrides) = ([100; 3], [100; 3]);
         self.requested_loops = [RequestedLoop::default(); 3];
         if let Some(master) = &mut self.master {
             master.handle_link_loss();

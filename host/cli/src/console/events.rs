@@ -76,7 +76,7 @@ impl App {
             .map_or(OnAck::Nothing, |index| self.requests.swap_remove(index).1);
         if let Err(error) = result {
             match on_ack {
-                OnAck::Override(_) => self.requested_override = self.feed_override,
+                OnAck::Override(..) => self.requested_overrides = self.overrides,
                 OnAck::Loop(axis, settings) if self.retry_force_loop(axis, settings, &error) => {
                     return;
                 }
@@ -99,7 +99,7 @@ impl App {
                 self.notify(Severity::Info, "drives on");
                 self.home();
             }
-            OnAck::Override(percent) => self.feed_override = percent,
+            OnAck::Override(kind, percent) => self.overrides[kind as usize] = percent,
             OnAck::Source(axis, source) => {
                 self.sources[usize::from(axis)] = source;
                 let name = &self.static_info.pose[usize::from(axis)].name;

@@ -1,6 +1,6 @@
 //! Key input to commands.
 
-use super::app::{App, OnAck};
+use super::app::{App, OnAck, OverrideKind};
 use super::jogging::{KeyPhase, Mode};
 use super::keys::{Action, BINDINGS, Key};
 use super::recording::Recording;
@@ -8,12 +8,10 @@ use super::view_model::{Confirm, LinkState, Overlay, Severity};
 use crate::commands::exit::{CliError, Exit};
 use crate::commands::jog::{AxisRate, axis_index};
 use crate::commands::probe_cycle::{kept_beside, set_origin};
+use crate::commands::run::overrides;
 use haptimill_machine_file::work_data::offsets_path;
 use haptimill_protocol::message::{Command, Source, State};
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
-
-/// Selectable feed overrides, percent.
-const OVERRIDES: [u8; 13] = [1, 2, 5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100];
 
 /// Change of a force setpoint per key press, 2^-16 N: 0.5 N.
 const FORCE_STEP: i32 = 1 << 15;
@@ -162,8 +160,12 @@ impl App {
                 }
                 None => {}
             },
-            Action::OverrideUp => self.select_override(true),
-            Action::OverrideDown => self.select_override(false),
+            Action::OverrideUp => self.select_override(OverrideKind::Feed, true),
+            Action::OverrideDown => self.select_override(OverrideKind::Feed, false),
+            Action::RapidUp => self.select_override(OverrideKind::Rapid, true),
+            Action::RapidDown => self.select_override(OverrideKind::Rapid, false),
+            Action::SpindleUp => self.select_override(OverrideKind::Spindle, true),
+            Action::SpindleDown => self.select_override(OverrideKind::Spindle, false),
             Action::Program => {
                 let text = self.jobs.typed();
                 self.open(Overlay::Prompt {
@@ -321,17 +323,21 @@ impl App {
         }
     }
 
-    fn select_override(&mut self, up: bool) {
-        let now = self.requested_override;
-        let next = if up {
-            OVERRIDES.iter().find(|percent| **percent > now)
-        } else {
-            OVERRIDES.iter().rev().find(|percent| **percent < now)
+    fn select_override(&mut self, kind: OverrideKind, up: bool) {
+        let values: &[u8] = match kind {
+            OverrideKind::Feed => &overrides::FEED,
+            OverrideKind::Rapid => &overrides::RAPID,
+            OverrideKind::Spindle => &overrides::SPINDLE,
         };
-        if let Some(percent) = next {
-            let percent = *percent;
-            self.requested_override = percent;
-            self.request(Command::Override { percent }, OnAck::Override(percent));
+        let now = &mut self.requested_overrides[kind as usize];
+        if let Some(percent) = overrides::next(values, *now, up) {
+            *now = percent;
+            let command = match kind {
+                OverrideKind::Feed => Command::Override { percent },
+                OverrideKind::Rapid => Command::RapidOverride { percent },
+                OverrideKind::Spindle => Command::SpindleOverride { percent },
+            };
+            self.request(command, OnAck::Override(kind, percent));
         }
     }
 

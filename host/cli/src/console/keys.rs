@@ -47,6 +47,14 @@ pub enum Action {
     OverrideUp,
     /// Less feed override.
     OverrideDown,
+    /// More rapid override.
+    RapidUp,
+    /// Less rapid override.
+    RapidDown,
+    /// More spindle override.
+    SpindleUp,
+    /// Less spindle override.
+    SpindleDown,
     /// Select a part program.
     Program,
     /// Set a work offset from the present position.
@@ -241,6 +249,30 @@ pub const BINDINGS: &[Binding] = &[
         "-",
         Action::OverrideDown,
         "decrease the feed override",
+    ),
+    bind(
+        &[plain('o')],
+        "o",
+        Action::RapidUp,
+        "increase the rapid override",
+    ),
+    bind(
+        &[plain('i')],
+        "i",
+        Action::RapidDown,
+        "decrease the rapid override",
+    ),
+    bind(
+        &[plain('v')],
+        "v",
+        Action::SpindleUp,
+        "increase the spindle override",
+    ),
+    bind(
+        &[plain('c')],
+        "c",
+        Action::SpindleDown,
+        "decrease the spindle override",
     ),
     bind(
         &[plain('a')],

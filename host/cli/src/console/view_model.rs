@@ -217,7 +217,8 @@ pub(super) struct ViewModel {
     pub(super) log: Log,
     pub(super) overlay: Overlay,
     pub(super) sources: [Source; MAX_AXES],
-    pub(super) feed_override: u8,
+    /// Feed, rapid and spindle override, percent.
+    pub(super) overrides: [u8; 3],
     /// Commanded motion; none while it is unknown.
     pub(super) motion: Option<Motion>,
     pub(super) jog: JogView,

@@ -340,19 +340,26 @@ fn announced_time_includes_the_feed_override() {
         let check = ["run", "examples/e7-slot.ngc", "--check", "--json"];
         number(&haptimill(&[&check, more].concat()).json(), "duration_s")
     };
-    let (whole, half) = (time(&[]), time(&["--override", "50"]));
+    let both = ["--override", "50", "--rapid-override", "50"];
+    let (whole, half) = (time(&[]), time(&both));
     assert!((half - 2.0 * whole).abs() < 1e-9, "{whole} {half}");
+    // Each override acts on its own moves.
+    let (feed, rapid) = (time(&both[..2]), time(&both[2..]));
+    assert!(whole < rapid && rapid < feed && feed < half);
+    assert!((feed + rapid - whole - half).abs() < 1e-9);
     let out = folder.path("out");
     let run = [
         "run",
         "examples/e7-slot.ngc",
         "--override",
         "50",
+        "--rapid-override",
+        "50",
         "--out",
         &out,
     ];
     let ran = haptimill(&run).expect_code(0);
-    let announced = format!("running, {half:.2} s at 50 %");
+    let announced = format!("running, {half:.2} s at 50 %, rapid moves at 50 %");
     assert!(ran.out.contains(&announced), "{announced}: {}", ran.out);
     // The run takes the announced time: acceleration along the path is scaled, too.
     let took = number(&folder.summary("out"), "duration_s");

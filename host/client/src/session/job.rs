@@ -57,6 +57,11 @@ pub trait JobObserver {
     fn wants_hold(&mut self) -> bool {
         false
     }
+
+    /// An override that the operator wants; called repeatedly while the job runs.
+    fn wants_override(&mut self) -> Option<Command> {
+        None
+    }
 }
 
 /// Observes nothing and resumes at once.
@@ -245,6 +250,11 @@ impl JobRun {
         if self.pause == Pause::None && !self.is_stopped && observer.wants_hold() {
             session.client.request(Command::Hold);
             self.pause = Pause::Reached;
+        }
+        if !self.is_stopped
+            && let Some(command) = observer.wants_override()
+        {
+            session.client.request(command);
         }
         while let Some((_, event)) = session.events.get(self.next_event) {
             self.next_event += 1;

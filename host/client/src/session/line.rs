@@ -11,7 +11,7 @@ use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
-use haptimill_protocol::message::Telemetry;
+use haptimill_protocol::message::{FULL_PATH_RATE, Telemetry};
 use haptimill_trace::Recorder;
 
 /// A byte channel to a controller, with a clock.
@@ -231,7 +231,7 @@ impl PortLine {
             "homed": telemetry.homed,
             "position_kept": telemetry.position_kept,
             "line": line,
-            "path_rate": f64::from(telemetry.path_rate) / 65_535.0,
+            "path_rate": f64::from(telemetry.path_rate) / f64::from(FULL_PATH_RATE),
             "commanded": pose(&telemetry.commanded),
             "measured": pose(&telemetry.measured),
         })

@@ -3,6 +3,7 @@
 
 mod examples;
 mod h4;
+mod paces;
 mod properties;
 mod refusals;
 mod spans;

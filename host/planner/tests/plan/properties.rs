@@ -6,7 +6,7 @@ use haptimill_gcode::{Coordinates, Options, Program, Step, read};
 use haptimill_planner::{Cursor, MachineModel, Plan, Settings};
 use proptest::prelude::*;
 
-fn program(text: &str) -> Program {
+pub fn program(text: &str) -> Program {
     match read(
         "test.ngc",
         text.as_bytes(),
@@ -17,7 +17,7 @@ fn program(text: &str) -> Program {
     }
 }
 
-fn plan(text: &str, settings: &Settings) -> (Program, Plan) {
+pub fn plan(text: &str, settings: &Settings) -> (Program, Plan) {
     let program = program(text);
     match Plan::new(&program, settings, &H4) {
         Ok(plan) => (program, plan),
@@ -26,7 +26,7 @@ fn plan(text: &str, settings: &Settings) -> (Program, Plan) {
 }
 
 /// A polyline with moves of all lengths and directions, some of them short, some nearly collinear.
-fn polyline() -> impl Strategy<Value = String> {
+pub fn polyline() -> impl Strategy<Value = String> {
     let step = (
         prop_oneof![0.001..0.05f64, 0.05..1.0f64, 1.0..25.0f64],
         0.0..std::f64::consts::TAU,
@@ -61,7 +61,7 @@ fn polyline() -> impl Strategy<Value = String> {
 }
 
 /// Lines and tangent or cornering arcs.
-fn contour() -> impl Strategy<Value = String> {
+pub fn contour() -> impl Strategy<Value = String> {
     let piece = (0u8..4, 0.5..12.0f64, 5.0..340.0f64, any::<bool>());
     (prop::collection::vec(piece, 1..12), 60.0..1200.0f64, 0u8..3).prop_map(
         |(pieces, feed, plane)| {

@@ -132,6 +132,11 @@ fn several_problems_are_reported_together() {
     );
 }
 
+/// Whether an action is one of the program, and not the pace of a move.
+fn is_command(action: &Action) -> bool {
+    !matches!(action, Action::None | Action::Pace(_))
+}
+
 #[test]
 fn dwells_and_actions_are_at_standstill_and_in_order() {
     let plan = plan("S5000 M3\nG4 P30\nG1 X5 F240\nM0\nG1 X0\nM30\n").expect("planned");
@@ -139,7 +144,7 @@ fn dwells_and_actions_are_at_standstill_and_in_order() {
         .setpoints
         .iter()
         .map(|setpoint| setpoint.action)
-        .filter(|&action| action != Action::None)
+        .filter(is_command)
         .collect();
     assert_eq!(
         actions,
@@ -148,7 +153,7 @@ fn dwells_and_actions_are_at_standstill_and_in_order() {
     for setpoint in plan
         .setpoints
         .iter()
-        .filter(|setpoint| setpoint.action != Action::None)
+        .filter(|setpoint| is_command(&setpoint.action))
     {
         assert!(setpoint.rates.iter().all(|&rate| rate == 0));
     }
@@ -186,7 +191,7 @@ fn outputs_are_actions_in_order() {
     let text = "M8\nG1 X5 F240\nM62 P2\nX6\nM65 P4\nM9\nX0\nM2\n";
     let program = read("part.ngc", text.as_bytes(), &options).expect("read");
     let plan = Plan::new(&program, &settings, &H4).expect("planned");
-    let set = plan.setpoints.iter().filter(|it| it.action != Action::None);
+    let set = plan.setpoints.iter().filter(|it| is_command(&it.action));
     let found: Vec<_> = set
         .map(|it| {
             assert!(it.rates.iter().all(|&rate| rate == 0));

@@ -8,6 +8,8 @@ use crate::commands::{CliError, Exit};
 use clap::Args;
 use haptimill_client::port::PortSpec;
 use haptimill_machine_file::MachineFile;
+use haptimill_planner::Figures;
+use haptimill_protocol::message::Command;
 use haptimill_trace::{MCAP, RECORD_BYTES, RecordingError};
 use std::path::PathBuf;
 
@@ -27,7 +29,8 @@ Ctrl-C stops the machine along its path; the recording is kept.
 
 At M0 the machine waits for Enter, so a program with M0 needs a terminal or --skip-pauses. M1 is \
 passed without --optional-stop. On a terminal with a port Space or p holds the machine along its \
-path, Enter continues.
+path, Enter continues; + and - change the feed override, i and o the rapid override, c and v the \
+spindle override.
 
 --stock, --seed and --fault are for a simulated machine (--port sim or pil:...).";
 
@@ -64,9 +67,16 @@ pub struct RunArgs {
     /// Check only: nothing moves, nothing is written
     #[arg(long)]
     pub check: bool,
-    /// Feed override, percent of the programmed path speed
-    #[arg(long = "override", value_name = "PERCENT", default_value_t = 100, value_parser = clap::value_parser!(u8).range(1..=100))]
+    /// Feed override, percent of the programmed feed; above 100 as far as the limits of the machine
+    /// allow
+    #[arg(long = "override", value_name = "PERCENT", default_value_t = 100, value_parser = clap::value_parser!(u8).range(1..=200))]
     pub feed_override: u8,
+    /// Rapid override, percent of the speed of rapid moves
+    #[arg(long, value_name = "PERCENT", default_value_t = 100, value_parser = clap::value_parser!(u8).range(1..=100))]
+    pub rapid_override: u8,
+    /// Spindle override, percent of the programmed speed
+    #[arg(long, value_name = "PERCENT", default_value_t = 100, value_parser = clap::value_parser!(u8).range(10..=200))]
+    pub spindle_override: u8,
     /// Write one row of trace.csv every N control periods
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     pub trace_every: u32,
@@ -190,8 +200,8 @@ impl RunArgs {
     }
 
     /// Estimated size of the recording of a program with this programmed duration.
-    pub(super) fn recording_bytes(&self, machine: &MachineFile, programmed_s: f64) -> f64 {
-        let seconds = programmed_s / self.path_rate();
+    pub(super) fn recording_bytes(&self, machine: &MachineFile, figures: &Figures) -> f64 {
+        let seconds = self.duration_s(figures);
         if self.port.is_simulated() {
             seconds * bytes_per_s(machine)
         } else {
@@ -200,17 +210,36 @@ impl RunArgs {
         }
     }
 
-    /// Feed override as a fraction.
-    pub(super) fn path_rate(&self) -> f64 {
-        f64::from(self.feed_override) / 100.0
+    /// Duration of a program at the overrides, seconds. Above 100 % the limits of the machine may
+    /// make it longer.
+    pub(super) fn duration_s(&self, figures: &Figures) -> f64 {
+        let [feed, rapid] =
+            [self.feed_override, self.rapid_override].map(|percent| f64::from(percent) / 100.0);
+        (figures.duration_s - figures.rapid_s) / feed + figures.rapid_s / rapid
     }
 
-    /// Describes a programmed duration at the feed override.
-    pub(super) fn describe_duration(&self, programmed_s: f64) -> String {
-        let time = haptimill_report::duration(programmed_s / self.path_rate());
-        match self.feed_override {
-            100 => time,
-            percent => format!("{time} at {percent} %"),
+    /// The commands that set the overrides.
+    pub(super) fn overrides(&self) -> [Command; 3] {
+        [
+            Command::Override {
+                percent: self.feed_override,
+            },
+            Command::RapidOverride {
+                percent: self.rapid_override,
+            },
+            Command::SpindleOverride {
+                percent: self.spindle_override,
+            },
+        ]
+    }
+
+    /// Describes the duration of a program at the overrides.
+    pub(super) fn describe_duration(&self, figures: &Figures) -> String {
+        let time = haptimill_report::duration(self.duration_s(figures));
+        match (self.feed_override, self.rapid_override) {
+            (100, 100) => time,
+            (feed, 100) => format!("{time} at {feed} %"),
+            (feed, rapid) => format!("{time} at {feed} %, rapid moves at {rapid} %"),
         }
     }
 

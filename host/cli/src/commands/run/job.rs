@@ -63,9 +63,9 @@ impl Job<'_> {
         if let Some(stock) = &self.stock {
             session.line_mut().clamp(stock)?;
         }
-        session.ask(Command::Override {
-            percent: self.args.feed_override,
-        })?;
+        for command in self.args.overrides() {
+            session.ask(command)?;
+        }
         let before = self.set_force_control(&mut session)?;
         if self.machine.config.haptic.is_some() && !self.args.port.is_simulated() {
             // The recording of a simulated machine has the haptic arm without telemetry.
@@ -150,7 +150,7 @@ impl Job<'_> {
             .map_err(|error| output(&error))?;
         self.args.print_message(&format!(
             "running, {}",
-            self.args.describe_duration(plan.figures.duration_s)
+            self.args.describe_duration(&plan.figures)
         ));
         let plan = Arc::new(plan);
         let setpoints = plan.setpoints.clone();

@@ -43,13 +43,9 @@ impl Keys {
         while self.pressed.try_recv().is_ok() {}
     }
 
-    /// Takes all pressed keys; whether one of them matches.
-    pub(super) fn take(&mut self, matches: impl Fn(u8) -> bool) -> bool {
-        let mut found = false;
-        while let Ok(key) = self.pressed.try_recv() {
-            found |= matches(key);
-        }
-        found
+    /// Takes the next key that was pressed.
+    pub(super) fn next(&mut self) -> Option<u8> {
+        self.pressed.try_recv().ok()
     }
 }
 

@@ -5,6 +5,7 @@ mod changes;
 mod emulated;
 pub(super) mod job;
 mod keys;
+pub(crate) mod overrides;
 mod progress;
 pub(super) mod results;
 
@@ -62,7 +63,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     job::check_can_ask(&args, &planned)?;
     results::check_space(
         &args.out_dir(),
-        args.recording_bytes(&machine, planned.plan.figures.duration_s),
+        args.recording_bytes(&machine, &planned.plan.figures),
     )?;
     // The folder stays locked to the end of the command.
     let folder = ResultFolder::open(&args.out_dir())?;
@@ -150,7 +151,7 @@ fn print_check(args: &RunArgs, program: &PartProgram, checked: &Checked) {
             "blocks": figures.blocks,
             "slowed_blocks": figures.slowed,
             "path_length_mm": figures.path_length_mm,
-            "duration_s": figures.duration_s / args.path_rate(),
+            "duration_s": args.duration_s(figures),
         });
         print_line!("{value:#}");
     }
@@ -169,7 +170,7 @@ fn print_check(args: &RunArgs, program: &PartProgram, checked: &Checked) {
         program.name,
         count(figures.blocks, "block"),
         figures.path_length_mm,
-        args.describe_duration(figures.duration_s)
+        args.describe_duration(figures)
     ));
 }
 

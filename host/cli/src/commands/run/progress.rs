@@ -2,10 +2,11 @@
 
 use super::args::RunArgs;
 use super::keys::{Keys, is_enter, is_hold};
+use super::overrides::Overrides;
 use crate::commands::program::Pause;
 use haptimill_client::session::JobObserver;
 use haptimill_planner::Plan;
-use haptimill_protocol::message::Telemetry;
+use haptimill_protocol::message::{Command, Telemetry};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::BTreeMap;
 use std::io::BufRead as _;
@@ -19,6 +20,9 @@ pub(super) struct ProgressDisplay {
     start: Instant,
     /// Real time per programmed time on a machine. In the simulator, where it is measured, none.
     pace: Option<f64>,
+    overrides: Overrides,
+    held: bool,
+    resumes: bool,
     period_s: f64,
     lines: Vec<u32>,
     pauses: BTreeMap<u32, Pause>,
@@ -54,7 +58,11 @@ impl ProgressDisplay {
         Self {
             bar,
             start: Instant::now(),
-            pace: (!args.port.is_simulated()).then(|| args.path_rate().recip()),
+            pace: (!args.port.is_simulated())
+                .then(|| args.duration_s(&plan.figures) / plan.figures.duration_s.max(1e-9)),
+            overrides: Overrides::new(args),
+            held: false,
+            resumes: false,
             period_s: plan.period_s,
             lines,
             pauses,
@@ -122,15 +130,24 @@ impl JobObserver for ProgressDisplay {
     }
 
     fn wants_hold(&mut self) -> bool {
-        let holds = self.keys.as_mut().is_some_and(|keys| keys.take(is_hold));
+        self.read_keys();
+        let holds = std::mem::take(&mut self.held);
         if holds {
             self.wait_for_enter(self.line, "held by the operator");
         }
         holds
     }
 
+    fn wants_override(&mut self) -> Option<Command> {
+        self.read_keys();
+        let command = self.overrides.take()?;
+        self.bar.println(self.overrides.to_string());
+        Some(command)
+    }
+
     fn may_resume(&mut self) -> bool {
-        if self.keys.as_mut().is_some_and(|keys| keys.take(is_enter)) {
+        self.read_keys();
+        if std::mem::take(&mut self.resumes) {
             self.enter_pressed.store(true, Ordering::Relaxed);
         }
         let resumes = self.skips_pauses || self.enter_pressed.swap(false, Ordering::Relaxed);
@@ -143,6 +160,16 @@ impl JobObserver for ProgressDisplay {
 
 impl ProgressDisplay {
     /// Asks the user for Enter; [`JobObserver::may_resume`] reports it.
+    /// Sorts the keys that were pressed.
+    fn read_keys(&mut self) {
+        let Some(keys) = &mut self.keys else { return };
+        while let Some(key) = keys.next() {
+            self.held |= is_hold(key);
+            self.resumes |= is_enter(key);
+            self.overrides.key(key);
+        }
+    }
+
     fn wait_for_enter(&mut self, line: u32, why: &str) {
         let what = format!("{why}; press Enter to continue, Ctrl-C to stop");
         if self.bar.is_hidden() {
@@ -157,6 +184,7 @@ impl ProgressDisplay {
         // An Enter before the pause must not end it.
         if let Some(keys) = &mut self.keys {
             keys.clear();
+            (self.held, self.resumes) = (false, false);
             return;
         }
         #[cfg(unix)]

@@ -5,7 +5,7 @@ use super::{STALE_MS, master, style_of};
 use crate::console::jogging::Mode;
 use crate::console::view_model::{Axis, LinkState, LogEntry, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, per_unit};
-use haptimill_protocol::message::{AxisValues, Source, State};
+use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, Source, State};
 use ratatui::Frame;
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Modifier, Style};
@@ -382,7 +382,7 @@ pub(super) fn jog_line(view: &ViewModel) -> Paragraph<'static> {
     };
     Paragraph::new(format!(
         " jog {what}  feed {} %  {program}",
-        view.feed_override
+        view.overrides[0]
     ))
 }
 
@@ -402,11 +402,15 @@ fn program_rows(view: &ViewModel, width: u16) -> Vec<Line<'static>> {
         .as_ref()
         .filter(|telemetry| matches!(telemetry.state, State::Run | State::Hold))
         .filter(|_| view.motion.is_some_and(|motion| motion.is_moving))
-        .map_or(0.0, |telemetry| f64::from(telemetry.path_rate) / 655.35);
-    let feed = Line::raw(format!(
-        " override {} %  path speed {rate:.0} %",
-        view.feed_override
-    ));
+        .map_or(0.0, |telemetry| {
+            f64::from(telemetry.path_rate) / f64::from(FULL_PATH_RATE) * 100.0
+        });
+    let [feed, rapid, spindle] = view.overrides;
+    let feed = Line::raw(if (rapid, spindle) == (100, 100) {
+        format!(" override {feed} %  path speed {rate:.0} %")
+    } else {
+        format!(" override {feed}/{rapid}/{spindle} %  path speed {rate:.0} %")
+    });
     let Some(program) = &view.program else {
         let name = match &view.selected_name {
             Some(name) => format!(" {name}; p checks it"),
@@ -416,7 +420,7 @@ fn program_rows(view: &ViewModel, width: u16) -> Vec<Line<'static>> {
     };
     let part = done(view).clamp(0.0, 1.0);
     let left_s =
-        program.duration_s * (1.0 - part) / (f64::from(view.feed_override) / 100.0).max(0.01);
+        program.duration_s * (1.0 - part) / (f64::from(view.overrides[0]) / 100.0).max(0.01);
     let (first, second) = if program.is_running {
         let bar = usize::from(width).saturating_sub(17).clamp(5, 40);
         (

@@ -140,7 +140,7 @@ impl App {
             log: self.log.clone(),
             overlay: self.overlay.clone(),
             sources: self.sources,
-            feed_override: self.feed_override,
+            overrides: self.overrides,
             motion: self.motion,
             jog: JogView {
                 mode: self.jogging.mode(),

@@ -1,0 +1,168 @@
+//! Paces of the spans: the limits hold at the largest factor that a span allows, also on what the
+//! motion reaches while the controller brakes.
+
+use crate::h4::{H4, HOME, settings};
+use crate::properties::{contour, plan, polyline};
+use crate::spans::{Span, spans, unit};
+use haptimill_gcode::{Options, Step, read};
+use haptimill_planner::{Plan, Settings};
+use haptimill_protocol::message::{Action, Pace};
+use proptest::prelude::*;
+
+/// The pace of each span.
+fn paces(plan: &Plan) -> Vec<Pace> {
+    let mut pace = Pace::FEED;
+    let of_span = plan.setpoints.iter().map(|setpoint| {
+        let before = pace;
+        if let Action::Pace(next) = setpoint.action {
+            pace = next;
+        }
+        before
+    });
+    of_span.collect()
+}
+
+fn ends_at_rest(span: &Span) -> bool {
+    span.axes.iter().all(|cubic| cubic.v[1] == 0.0)
+}
+
+/// Time on the path in which the controller changes the path rate from a factor, by a difference.
+fn braking(settings: &Settings, factor: f64, change: f64) -> f64 {
+    let [slope, ramp] = settings.braking_s;
+    factor * (change * slope + 2.0 * ramp)
+}
+
+/// Checks the limits of the pose at a factor of the speed.
+fn check_limits(span: &Span, settings: &Settings, factor: f64, text: &str) {
+    for (k, (cubic, axis)) in span.axes.iter().zip(&settings.pose).enumerate() {
+        let t = cubic.t;
+        // Rounding to units, as in the test of the limits at the programmed speed.
+        let (step, rate) = (unit(k), 128.0 * unit(k));
+        let [a, b] = cubic.acceleration();
+        let largest = [
+            (cubic.peak_rate(), rate + step / t, axis.rate),
+            (
+                a.abs().max(b.abs()),
+                6.0 * step / (t * t) + 6.0 * rate / t,
+                axis.acceleration,
+            ),
+            (
+                cubic.jerk().abs(),
+                12.0 * step / (t * t * t) + 12.0 * rate / (t * t),
+                axis.jerk,
+            ),
+        ];
+        for (order, (value, rounding, limit)) in (1..).zip(largest) {
+            let scaled = (value - rounding) * factor.powi(order);
+            assert!(
+                scaled <= limit * (1.0 + 1e-9),
+                "derivative {order} of {k} is {scaled}, limit {limit}, at {factor}\n{text}"
+            );
+        }
+    }
+}
+
+/// Checks every span, and all that follow it within the braking time; returns the number of spans
+/// that allow more than the programmed speed.
+fn check(text: &str) -> usize {
+    let settings = settings();
+    let (_, plan) = plan(text, &settings);
+    let (spans, paces) = (spans(&plan), paces(&plan));
+    let end = |span: &Span| span.start + span.axes[0].t;
+    let mut fast = 0;
+    for (index, (span, pace)) in spans.iter().zip(&paces).enumerate() {
+        let factor = f64::from(pace.most()) / 100.0;
+        fast += usize::from(factor > 1.0);
+        let (change, kinds): (f64, &[Pace]) = match *pace {
+            Pace::RAPID => (1.0, &[Pace::RAPID, Pace::CROSSING]),
+            _ => (factor - 1.0, &[]),
+        };
+        let horizon = end(span) + braking(&settings, factor, change) - 1e-9;
+        for (ahead, next) in spans[index..].iter().zip(&paces[index..]) {
+            if ahead.start >= horizon {
+                break;
+            }
+            check_limits(ahead, &settings, factor, text);
+            assert!(kinds.is_empty() || kinds.contains(next), "{next:?}\n{text}");
+            if ends_at_rest(ahead) {
+                break;
+            }
+        }
+    }
+    fast
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, cases: 48, ..ProptestConfig::default() })]
+
+    #[test]
+    fn limits_hold_at_the_largest_factor_of_polylines(text in polyline()) {
+        check(&text);
+    }
+
+    #[test]
+    fn limits_hold_at_the_largest_factor_of_contours(text in contour()) {
+        check(&text);
+    }
+}
+
+#[test]
+fn a_slow_line_or_arc_may_be_faster_and_a_fast_one_not() {
+    let cases = [
+        ("G1 X40 F600", 200),
+        ("G1 X40 F1900", 175),
+        ("G1 X40 F3400", 100),
+        ("G1 X1 F600", 100),
+        ("G2 X40 I20 F300", 200),
+    ];
+    for (block, most) in cases {
+        let text = format!("G0 X0 Y0 Z30\nG4 P0.1\n{block}\n");
+        check(&text);
+        let (_, plan) = plan(&text, &settings());
+        let fastest = paces(&plan).iter().map(|pace| pace.most()).max();
+        assert_eq!(fastest, Some(most), "{block}");
+    }
+}
+
+/// Small corners of a chain of short blocks: the roundings leave room, too.
+#[test]
+fn a_polygon_of_short_blocks_may_be_faster() {
+    let mut text = String::from("G0 X30 Y0 Z30\nG64 P0.02\nG1 F200\n");
+    for step in 1..=720 {
+        let angle = f64::from(step).to_radians();
+        text += &format!("X{:.4} Y{:.4}\n", 30.0 * angle.cos(), 30.0 * angle.sin());
+    }
+    assert!(check(&text) > 100);
+}
+
+#[test]
+fn rapid_moves_and_moves_at_feed_are_told_apart() {
+    let text =
+        "G0 X20 Y0 Z30\nG4 P0.1\nG1 X-20 F300\nG0 X-40\nM3 S500\nG1 X-20\nG0 X0\nM5\nG0 X1\n";
+    check(text);
+    let program = read("test.ngc", text.as_bytes(), &Options::h4(HOME)).expect("read");
+    let plan = Plan::new(&program, &settings(), &H4).expect("planned");
+    let moves = program.steps.iter().filter_map(|step| match step {
+        Step::Move(step) => Some((step.place.line, step.feed == haptimill_gcode::Feed::Rapid)),
+        _ => None,
+    });
+    let kinds: std::collections::BTreeMap<u32, bool> = moves.collect();
+    let mut seen = std::collections::BTreeSet::new();
+    for (index, (pace, span)) in paces(&plan).iter().zip(spans(&plan)).enumerate() {
+        if span.axes.iter().all(|cubic| cubic.p[0] == cubic.p[1]) {
+            continue;
+        }
+        let line = plan.line_of(index);
+        let is_rapid = kinds[&line];
+        // The first span of the program has no setpoint before it.
+        if index > 0 && *pace != Pace::CROSSING {
+            assert_eq!(
+                *pace == Pace::RAPID,
+                is_rapid,
+                "line {line}, setpoint {index}"
+            );
+            seen.insert((line, is_rapid));
+        }
+    }
+    assert!(seen.len() >= 5, "{seen:?}");
+}
