@@ -206,6 +206,8 @@ pub const fn name(command: &Command) -> &'static str {
         Command::JogCancel { .. } => "JogCancel",
         Command::Source { .. } => "Source",
         Command::Override { .. } => "Override",
+        Command::RapidOverride { .. } => "RapidOverride",
+        Command::SpindleOverride { .. } => "SpindleOverride",
         Command::Telemetry { .. } => "Telemetry",
         Command::Status => "Status",
         Command::ForceMask { .. } => "ForceMask",
