@@ -69,7 +69,7 @@ impl Pacer {
     }
 
     /// Returns the pace of the motion between two times. The trajectory is known up to `known`; at
-    /// its `end` the motion stops there. A move that ends within `slack` of the beginning has ended.
+    /// its `end` the motion stops there. A move that ends within `slack` has ended.
     pub(crate) fn pace(
         &mut self,
         trajectory: &Trajectory,
