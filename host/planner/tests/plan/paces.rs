@@ -140,7 +140,12 @@ fn rapid_moves_and_moves_at_feed_are_told_apart() {
     let text =
         "G0 X20 Y0 Z30\nG4 P0.1\nG1 X-20 F300\nG0 X-40\nM3 S500\nG1 X-20\nG0 X0\nM5\nG0 X1\n";
     check(text);
-    let program = read("test.ngc", text.as_bytes(), &Options::h4(HOME)).expect("read");
+    let program = read(
+        "test.ngc",
+        text.as_bytes(),
+        &Options::of_letters("XYZBA", HOME),
+    )
+    .expect("read");
     let plan = Plan::new(&program, &settings(), &H4).expect("planned");
     let moves = program.steps.iter().filter_map(|step| match step {
         Step::Move(step) => Some((step.place.line, step.feed == haptimill_gcode::Feed::Rapid)),
