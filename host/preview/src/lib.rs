@@ -162,6 +162,12 @@ impl<M: MachineModel> Preview<M> {
         &self.extents
     }
 
+    /// The 3D view of the path alone, for another page.
+    #[must_use]
+    pub fn scene(&self) -> haptimill_viewer::Scene {
+        page::scene(self)
+    }
+
     /// Returns the page. `program` and `machine` are names, `figures` those of the plan.
     #[must_use]
     pub fn page(&self, program: &str, machine: &str, figures: &Figures) -> String {

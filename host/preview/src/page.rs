@@ -98,7 +98,7 @@ fn layer(name: &str, colour: &str, trace: &Trace, width: f32) -> Layer {
     )
 }
 
-fn scene<M: MachineModel>(preview: &Preview<M>) -> Scene {
+pub(super) fn scene<M: MachineModel>(preview: &Preview<M>) -> Scene {
     let feeds = preview.cut.points.iter().map(|point| point.speed * 60.0);
     let feeds: Vec<f64> = feeds.collect();
     let high = feeds.iter().fold(0.0_f64, |most, feed| most.max(*feed));

@@ -39,6 +39,7 @@ pub mod pulses;
 pub mod replay;
 pub mod run;
 pub mod scenario;
+pub mod serve;
 pub mod sim;
 pub mod simple;
 pub mod teleop;
@@ -200,6 +201,7 @@ enum Command {
     /// Print and set the work offsets of a machine
     #[command(subcommand)]
     Offset(offset::OffsetCommand),
+    Serve(serve::ServeArgs),
     Watch(watch::WatchArgs),
     Examples(examples::ExamplesArgs),
     Ports(ports::PortsArgs),
@@ -248,6 +250,7 @@ impl Command {
             | Self::Calibrate(_)
             | Self::Identify(_)
             | Self::Tune(_)
+            | Self::Serve(_)
             | Self::Examples(_) => false,
         }
     }
@@ -335,6 +338,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Sim(SimCommand::Serve(args)) => sim::serve(args),
         Command::Machine(command) => machine::run(command),
         Command::Offset(command) => offset::run(command),
+        Command::Serve(args) => serve::run(args),
         Command::Watch(args) => watch::run(&args),
         Command::Examples(args) => examples::run(&args),
         Command::Ports(args) => ports::run(args),

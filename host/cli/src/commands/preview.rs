@@ -12,6 +12,7 @@ use haptimill_machine_file::model::{Model, settings};
 use haptimill_machine_file::scale::per_unit;
 use haptimill_planner::Planner;
 use haptimill_preview::{Joint, Preview};
+use haptimill_protocol::message::AxisValues;
 use std::path::PathBuf;
 
 /// Arguments of `haptimill preview`.
@@ -48,9 +49,29 @@ pub fn run(args: PreviewArgs) -> Result<(), CliError> {
     let home = session::find_home_pose(&machine, &model)?;
     let program = PartProgram::load(&args.program, args.language)?;
     let checked = program.check(&machine, &model, &home)?;
-    let options = program.options(&machine, &model, &home)?;
-    let mut planner = Planner::new(options.start, settings(&machine), &model);
-    let mut preview = Preview::new(options.start, settings(&machine), &model, joints(&machine));
+    let preview = preview(&program, &machine, &model, &home)?;
+    let page = preview.page(&program.name, &machine.config.name, &checked.figures);
+    let name = PathBuf::from(&program.name).with_extension("html");
+    let out = args.out.unwrap_or(name);
+    std::fs::write(&out, page)
+        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", out.display())))?;
+    print_line!("{}", out.display());
+    Ok(())
+}
+
+/// Plans a program from a pose.
+///
+/// # Errors
+/// The program has errors, or exceeds the machine.
+pub(crate) fn preview<'a>(
+    program: &PartProgram,
+    machine: &MachineFile,
+    model: &'a Model,
+    start: &AxisValues,
+) -> Result<Preview<&'a Model>, CliError> {
+    let options = program.options(machine, model, start)?;
+    let mut planner = Planner::new(options.start, settings(machine), model);
+    let mut preview = Preview::new(options.start, settings(machine), model, joints(machine));
     program.for_each_step(&options, |step| {
         let done = planner.step(step);
         planner.made().for_each(|planned| preview.add(&planned));
@@ -61,13 +82,7 @@ pub fn run(args: PreviewArgs) -> Result<(), CliError> {
         .finish(0)
         .map_err(|problem| program.refuse(ErrorKind::Refused, problem, &[]))?;
     planner.made().for_each(|planned| preview.add(&planned));
-    let page = preview.page(&program.name, &machine.config.name, &checked.figures);
-    let name = PathBuf::from(&program.name).with_extension("html");
-    let out = args.out.unwrap_or(name);
-    std::fs::write(&out, page)
-        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", out.display())))?;
-    print_line!("{}", out.display());
-    Ok(())
+    Ok(preview)
 }
 
 /// Names and strokes of the joints.

@@ -224,7 +224,7 @@ impl Drop for Link {
 
 /// The token of a port, and whether it is new: an address that other computers can reach requires
 /// one.
-pub(super) fn token_of(
+pub(crate) fn token_of(
     given: Option<Token>,
     is_local: bool,
 ) -> Result<(Option<Token>, bool), CliError> {

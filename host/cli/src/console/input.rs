@@ -131,7 +131,7 @@ impl App {
     }
 
     /// Executes an action of the key table.
-    fn execute(&mut self, action: Action) {
+    pub(super) fn execute(&mut self, action: Action) {
         match action {
             Action::Hold => self.hold(),
             Action::Resume => self.resume(),
@@ -279,7 +279,7 @@ impl App {
         self.open(Overlay::Confirm(Confirm::Quit(text)));
     }
 
-    fn jog_key(&mut self, axis: usize, up: bool, phase: KeyPhase) {
+    pub(super) fn jog_key(&mut self, axis: usize, up: bool, phase: KeyPhase) {
         if axis >= self.machine.pose.len() {
             return;
         }
@@ -329,16 +329,21 @@ impl App {
             OverrideKind::Rapid => &overrides::RAPID,
             OverrideKind::Spindle => &overrides::SPINDLE,
         };
-        let now = &mut self.requested_overrides[kind as usize];
-        if let Some(percent) = overrides::next(values, *now, up) {
-            *now = percent;
-            let command = match kind {
-                OverrideKind::Feed => Command::Override { percent },
-                OverrideKind::Rapid => Command::RapidOverride { percent },
-                OverrideKind::Spindle => Command::SpindleOverride { percent },
-            };
-            self.request(command, OnAck::Override(kind, percent));
+        if let Some(percent) = overrides::next(values, self.requested_overrides[kind as usize], up)
+        {
+            self.set_override(kind, percent);
         }
+    }
+
+    /// Requests an override, percent.
+    pub(super) fn set_override(&mut self, kind: OverrideKind, percent: u8) {
+        self.requested_overrides[kind as usize] = percent;
+        let command = match kind {
+            OverrideKind::Feed => Command::Override { percent },
+            OverrideKind::Rapid => Command::RapidOverride { percent },
+            OverrideKind::Spindle => Command::SpindleOverride { percent },
+        };
+        self.request(command, OnAck::Override(kind, percent));
     }
 
     fn record(&mut self) {
@@ -358,9 +363,13 @@ impl App {
     }
 
     fn confirm_key(&mut self, confirm: Confirm, key: Key) {
-        if key.code != KeyCode::Enter {
-            return;
+        if key.code == KeyCode::Enter {
+            self.accept(confirm);
         }
+    }
+
+    /// Does what a question asks for. The question for a program that was opened just now stays.
+    pub(super) fn accept(&mut self, confirm: Confirm) {
         match confirm {
             Confirm::Run(text) => {
                 if self.now_us() < self.opened_us + CONFIRM_DELAY_US {

@@ -199,6 +199,14 @@ impl Jogging {
         self.ignore_until_us = now_us + LOCKOUT_US;
     }
 
+    /// Releases all keys; the next press counts at once, for the dead-man time. For buttons whose
+    /// holder reports every release.
+    pub fn release(&mut self) {
+        for held in &mut self.held {
+            self.cancel |= held.take().is_some();
+        }
+    }
+
     /// Handles a jog key in continuous mode. Returns true when it starts motion of a stationary
     /// axis.
     pub fn handle_key(&mut self, axis: usize, up: bool, phase: KeyPhase, now_us: u64) -> bool {
@@ -344,6 +352,20 @@ mod tests {
         jogging.handle_key(2, false, KeyPhase::Press, 100 * MS);
         assert!(is_commanding(&mut jogging, 799 * MS));
         assert!(!is_commanding(&mut jogging, 800 * MS));
+    }
+
+    #[test]
+    fn after_a_button_is_released_the_next_press_counts_for_the_dead_man_time_only() {
+        let mut jogging = jogging();
+        jogging.handle_key(0, true, KeyPhase::Press, 0);
+        jogging.command(0);
+        jogging.release();
+        assert_eq!(jogging.command(10 * MS), JogCommand::Cancel);
+        jogging.handle_key(0, true, KeyPhase::Repeat, 20 * MS);
+        assert_eq!(jogging.command(20 * MS), JogCommand::None);
+        jogging.handle_key(0, true, KeyPhase::Press, 30 * MS);
+        assert!(is_commanding(&mut jogging, 229 * MS));
+        assert!(!is_commanding(&mut jogging, 230 * MS));
     }
 
     #[test]

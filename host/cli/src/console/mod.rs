@@ -15,6 +15,7 @@
 //! | `simulator.rs` | simulator in real time |
 //! | `recording.rs` | telemetry to CSV |
 //! | `view_model.rs`, `view/` | displayed values and their drawing |
+//! | `web.rs` | the same application state behind a page: `haptimill serve` |
 //! | `terminal.rs` | set-up and restoration of the terminal |
 //!
 //! A key on a terminal is no emergency stop: the line, the computer or the terminal may be slow or
@@ -32,6 +33,7 @@ mod simulator;
 mod terminal;
 mod view;
 mod view_model;
+pub mod web;
 
 use crate::commands::console::ConsoleArgs;
 use crate::commands::exit::{CliError, Exit};
@@ -69,6 +71,29 @@ enum Ending {
 /// # Errors
 /// See [`Exit`].
 pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
+    let mut app = open_app(args, true)?;
+    let signals = count_signals();
+    terminal::take_over(&|| signals.load(Ordering::SeqCst) > 0)?;
+    let (sender, events) = mpsc::channel();
+    terminal::spawn_reader(sender);
+    let renderer = Renderer::spawn();
+    let outcome = operate(&mut app, &events, &renderer, &signals);
+    // The machine stops before the terminal is restored.
+    let at_standstill = app.shut_down();
+    renderer.show(app.view_model());
+    if !renderer.end() {
+        std::process::exit(i32::from(match outcome {
+            Ok(Ending::Quit) => Exit::Done,
+            Ok(_) => Exit::Stopped,
+            Err(error) => error.exit,
+        } as u8));
+    }
+    terminal::restore();
+    report_ending(outcome?, at_standstill, &app)
+}
+
+/// The application state with the line of the arguments, which is not open yet.
+fn open_app(args: ConsoleArgs, needs_terminal: bool) -> Result<App, CliError> {
     check_arguments(&args)?;
     let chosen = args.machine.load()?;
     let machine = Arc::new(chosen.file.clone());
@@ -80,7 +105,9 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
             jobs::check(program, &machine, &model, &home)?;
         }
     }
-    terminal::require_terminal()?;
+    if needs_terminal {
+        terminal::require_terminal()?;
+    }
     let baud = args.port.baud_or_default();
     let mut options = Options {
         connect_us: (args.timeout * 1e6) as u64,
@@ -106,25 +133,7 @@ pub fn run(args: ConsoleArgs) -> Result<(), CliError> {
         stock,
     };
     let board = (!is_simulated).then_some(chosen);
-    let mut app = App::new(machine, line, options, board, settings)?;
-    let signals = count_signals();
-    terminal::take_over(&|| signals.load(Ordering::SeqCst) > 0)?;
-    let (sender, events) = mpsc::channel();
-    terminal::spawn_reader(sender);
-    let renderer = Renderer::spawn();
-    let outcome = operate(&mut app, &events, &renderer, &signals);
-    // The machine stops before the terminal is restored.
-    let at_standstill = app.shut_down();
-    renderer.show(app.view_model());
-    if !renderer.end() {
-        std::process::exit(i32::from(match outcome {
-            Ok(Ending::Quit) => Exit::Done,
-            Ok(_) => Exit::Stopped,
-            Err(error) => error.exit,
-        } as u8));
-    }
-    terminal::restore();
-    report_ending(outcome?, at_standstill, &app)
+    App::new(machine, line, options, board, settings)
 }
 
 /// Refuses combinations of arguments that make no sense.
