@@ -111,7 +111,7 @@ fn a_period_stays_within_its_instructions() {
             "dome-bare",
             &dome,
             bare(),
-            [8_100.0, 14_000.0],
+            [8_500.0, 14_000.0],
         ),
         job(
             "E11 circle, a machine without a force sensor",
@@ -125,14 +125,14 @@ fn a_period_stays_within_its_instructions() {
             "dome",
             &dome,
             Vec::new(),
-            [10_200.0, 16_120.0],
+            [10_660.0, 16_120.0],
         ),
         job(
             "E11 circle, cut under force control of x and z",
             "e11-force",
             &circle,
             yielding(),
-            [11_050.0, 17_780.0],
+            [11_320.0, 17_780.0],
         ),
         Job {
             title: "E8, a hand leads and feels the cut, force control of x, y and z, the image with the haptic arm",
@@ -222,28 +222,28 @@ fn a_jog_period_stays_within_its_instructions() {
             bare(),
             0,
             false,
-            [21_400.0, 25_650.0],
+            [22_700.0, 27_240.0],
         ),
         (
             "a jog, with a force sensor",
             built_in(),
             0,
             false,
-            [23_580.0, 28_310.0],
+            [24_920.0, 29_970.0],
         ),
         (
             "a jog under force control of x and z",
             built_in(),
             5,
             false,
-            [24_550.0, 29_220.0],
+            [25_870.0, 30_770.0],
         ),
         (
             "a jog of y, z and the table beside a program",
             built_in(),
             0,
             true,
-            [29_480.0, 37_270.0],
+            [30_780.0, 38_920.0],
         ),
     ];
     let mut too_many = Vec::new();
