@@ -71,7 +71,7 @@ fn the_force_of_a_feed_is_that_of_the_steady_state() {
     );
 }
 
-/// A lap that stands still removes nothing; friction acts against its motion.
+/// A lap at standstill removes nothing; friction acts against its motion.
 #[test]
 fn nothing_is_removed_without_speed() {
     let config = LapConfig {

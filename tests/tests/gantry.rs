@@ -282,7 +282,7 @@ fn a_defect_of_one_switch_stops_both_motors() {
     }
 }
 
-/// Without both switches nothing tells that the beam is at its end.
+/// Without both switches the controller cannot detect that the beam is at its end.
 #[test]
 fn a_beam_without_switches_is_a_missing_switch() {
     let both = [

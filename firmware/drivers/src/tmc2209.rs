@@ -120,7 +120,7 @@ impl Status {
         self.0 & 0b1100_0000 != 0
     }
 
-    /// The motor stands still.
+    /// The motor is at standstill.
     #[must_use]
     pub const fn is_standing(self) -> bool {
         self.bit(31)

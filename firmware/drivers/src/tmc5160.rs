@@ -100,7 +100,7 @@ impl Status {
         self.0 & 0b11 << 29 != 0
     }
 
-    /// The motor stands still.
+    /// The motor is at standstill.
     #[must_use]
     pub const fn is_standing(self) -> bool {
         self.bit(31)

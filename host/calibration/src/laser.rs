@@ -144,7 +144,7 @@ pub struct Laser {
 }
 
 impl Laser {
-    /// Instruments that are set up for one run; `set_up` tells the runs of a seed apart.
+    /// Instruments that are set up for one run; `set_up` distinguishes the runs of a seed.
     #[must_use]
     pub fn new(options: &LaserOptions, set_up: u64) -> Self {
         let mut noise = Noise::new(options.seed, 1000 + set_up);

@@ -121,7 +121,7 @@ impl Viewer {
         self.send(json!({ "order": order }));
     }
 
-    /// Waits until the machine is as told.
+    /// Waits until the state of the machine meets a condition.
     fn wait(&mut self, what: &str, holds: impl Fn(&Self) -> bool) {
         let until = Instant::now() + LIMIT;
         while !holds(self) {

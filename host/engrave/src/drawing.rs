@@ -173,10 +173,13 @@ impl Drawing {
         let mut names: Vec<&str> = self.entities.iter().map(|one| one.layer.as_str()).collect();
         names.sort_unstable();
         names.dedup();
-        for wanted in choice.only.iter().chain(&choice.without) {
-            if !names.iter().any(|name| name.eq_ignore_ascii_case(wanted)) {
+        for requested in choice.only.iter().chain(&choice.without) {
+            if !names
+                .iter()
+                .any(|name| name.eq_ignore_ascii_case(requested))
+            {
                 return Err(Problem::general(
-                    format!("the drawing has no layer {wanted}"),
+                    format!("the drawing has no layer {requested}"),
                     format!("its layers are {}", names.join(", ")),
                 ));
             }

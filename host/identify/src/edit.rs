@@ -125,7 +125,7 @@ fn set(table: &mut Table, key: &str, after: f64, mark: &str) -> Option<f64> {
         .unwrap_or_default()
         .trim()
         .trim_start_matches('#');
-    // A mark of an earlier day gives way.
+    // The date of an earlier identification is replaced.
     let kept = comment.split("; identified ").next().unwrap_or_default();
     let kept = kept.split("; tuned ").next().unwrap_or_default().trim();
     let is_mark = kept.starts_with("identified ") || kept.starts_with("tuned ");

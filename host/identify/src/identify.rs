@@ -176,7 +176,7 @@ impl<'a, L: session::Line> Identification<'a, L> {
         let period = f64::from(machine.config.period_us) * 1e-6;
         let mut options = options;
         // The setpoints in the queue must last longer than a controlled stop, or the controller
-        // stops for want of setpoints.
+        // stops without setpoints.
         let queue = session.client().controller().map_or(64, |it| it.queue);
         let stop = f64::from(machine.config.stopping.time_ms) * 1e-3;
         let shortest = (1.6 * stop / f64::from(queue)).max(SHORTEST);

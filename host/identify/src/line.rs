@@ -222,7 +222,7 @@ impl<'a> Geometry<'a> {
         {
             let way = f64::from(after.0[index].0) - f64::from(before.0[index].0);
             *slot = way / per_unit(self.joint_kind(index)) / (2.0 * STEP);
-            // What is only curvature and rounding stands still.
+            // Motion that is only curvature and rounding counts as standstill.
             if slot.abs() < 1e-3 {
                 *slot = 0.0;
             }

@@ -30,7 +30,7 @@
 //! All computations are f64 with the transcendental functions of the crate libm, so a plan has the
 //! same bits on every host.
 //!
-//! Each setpoint tells which override applies behind it, and the factor up to which the limits
+//! Each setpoint states which override applies behind it, and the factor up to which the limits
 //! hold.
 //!
 //! Commands (spindle, coolant, outputs) and dwells are at standstill. G38 and M66 depend on what

@@ -248,7 +248,7 @@ impl Emitter {
     }
 
     /// A setpoint is at every knot, at least the shortest duration apart; a step of acceleration
-    /// has priority over a change of jerk. The last knot may still give way.
+    /// has priority over a change of jerk. The last knot may still move.
     fn add_knots(&mut self, trajectory: &Trajectory, end: u64, is_end: bool) {
         while let Some(piece) = trajectory.pieces.get(self.next_piece) {
             let at = (piece.time / self.period).round() as u64;

@@ -1,6 +1,6 @@
 //! Errors as CSV files.
 //!
-//! Two forms, told apart by their headers. Lines that begin with `#` are comments.
+//! Two forms, distinguished by their headers. Lines that begin with `#` are comments.
 //!
 //! ```csv
 //! function,position_mm,direction,value,unit

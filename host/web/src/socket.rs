@@ -71,7 +71,7 @@ struct Viewer<'a> {
     state: u64,
     scene: u64,
     control: u64,
-    heard: Instant,
+    last_received: Instant,
     pinged: Instant,
     allowance: f64,
     counted: Instant,
@@ -93,7 +93,7 @@ pub(super) fn serve(shared: &Arc<Shared>, stream: TcpStream, peer: SocketAddr, r
         state: 0,
         scene: 0,
         control: u64::MAX,
-        heard: now,
+        last_received: now,
         pinged: now,
         allowance: RATE,
         counted: now,
@@ -118,21 +118,21 @@ impl Viewer<'_> {
         while !self.shared.has_ended.load(Ordering::SeqCst) {
             match self.socket.read() {
                 Ok(Message::Text(text)) => {
-                    self.heard = Instant::now();
+                    self.last_received = Instant::now();
                     self.count()?;
                     self.handle(&text)?;
                 }
                 Ok(Message::Binary(_)) => return Err("a binary message".to_string()),
                 Ok(Message::Close(_)) => return Ok(()),
                 Ok(_) => {
-                    self.heard = Instant::now();
+                    self.last_received = Instant::now();
                     self.count()?;
                 }
                 Err(Error::Io(error)) if is_quiet(&error) => {}
                 Err(Error::ConnectionClosed | Error::Io(_)) => return Ok(()),
                 Err(error) => return Err(error.to_string()),
             }
-            if self.heard.elapsed() > SILENCE {
+            if self.last_received.elapsed() > SILENCE {
                 return Err(format!("nothing came for {} s", SILENCE.as_secs()));
             }
             let moved = lock(&self.shared.control).advance(Instant::now());

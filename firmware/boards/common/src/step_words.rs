@@ -1,8 +1,8 @@
 //! Words for a step generator in a programmable I/O block (PIO of the RP2350), fed by DMA.
 //!
 //! A word is a wait, and the pulse at its end if there is one. In each control period the words of
-//! a joint add up to exactly the period. The state machines therefore run on without being told
-//! when a period begins, and the times of all pulses have one constant offset to the controller's.
+//! a joint add up to exactly the period. The state machines therefore need no signal at the start
+//! of a period, and the times of all pulses have one constant offset to the controller's.
 //!
 //! | bits | |
 //! | --- | --- |

@@ -73,7 +73,7 @@ fn end(cause: Cause, place: u32) -> ! {
 }
 
 /// Shows the cause of the last reset: its number in flashes, then a pause. One flash a second means
-/// that all is well.
+/// normal operation after power-on.
 pub fn show(cause: Cause) {
     let wait = |milliseconds: u32| {
         let start = cycles();

@@ -73,7 +73,7 @@ pub fn run(args: DncArgs) -> Result<(), CliError> {
     let interrupted = interrupt::flag();
     let mut program = Received::default();
     let mut buffer = [0; 4096];
-    let mut heard = Instant::now();
+    let mut last_byte = Instant::now();
     if !args.run.json && !args.run.quiet {
         print_line!("receiving on {}; Ctrl-C stops", args.line);
     }
@@ -87,13 +87,13 @@ pub fn run(args: DncArgs) -> Result<(), CliError> {
             Err(error) => return Err(program.cut(&args.line, &error.to_string())),
         };
         if count > 0 {
-            heard = Instant::now();
+            last_byte = Instant::now();
             program.add(&buffer[..count]);
             if program.text.len() as u64 > input::PROGRAM_BYTES {
                 let what = format!("more than {} bytes", input::PROGRAM_BYTES);
                 return Err(program.cut(&args.line, &what));
             }
-        } else if program.has_begun() && heard.elapsed().as_secs_f64() > args.silence {
+        } else if program.has_begun() && last_byte.elapsed().as_secs_f64() > args.silence {
             let what = format!("nothing was received for {} s", args.silence);
             return Err(program.cut(&args.line, &what));
         }

@@ -264,5 +264,5 @@ fn a_starved_job_with_short_segments_resumes() {
         }
         session.step().unwrap();
     }
-    panic!("stands still: {:?}", session.client().job());
+    panic!("the job does not resume: {:?}", session.client().job());
 }
