@@ -32,7 +32,7 @@ impl Sequence {
 
     /// From -size to size.
     fn within(&mut self, size: i32) -> i32 {
-        (self.next() % (2 * size as u64 + 1)) as i32 - size
+        ((self.next() % (2 * size as u64 + 1)) as i64 - i64::from(size)) as i32
     }
 }
 

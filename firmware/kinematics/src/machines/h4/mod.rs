@@ -316,17 +316,10 @@ impl H4 {
         accelerations: &Accelerations,
         motion: &mut JointMotion,
     ) -> Result<(), PoseError> {
-        let (placed, pairs) = self.place_apart(pose)?;
+        let (placed, pairs) = self.place(pose)?;
         motion.joints = self.joints(&placed, &pairs, pose.0[ALPHA])?;
         self.derivatives(&placed, &pairs, rates, accelerations, motion);
         Ok(())
-    }
-
-    /// [`H4::place`] out of line: its callers share it, because inlined in both it takes 900 bytes
-    /// more flash.
-    #[inline(never)]
-    pub(super) fn place_apart(&self, pose: &Pose) -> Result<(Placed, [Pair; 2]), PoseError> {
-        self.place(pose)
     }
 
     /// The pose with both pairs of rods, every condition but the strokes fulfilled.

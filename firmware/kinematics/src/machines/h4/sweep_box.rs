@@ -84,7 +84,7 @@ impl H4 {
             *half = width.div_ceil(2);
             middle.0[axis] = Coordinate(low.0.wrapping_add((width / 2) as i32));
         }
-        let (placed, pairs) = self.place_apart(&middle)?;
+        let (placed, pairs) = self.place(&middle)?;
         let joints = self.joints(&placed, &pairs, middle.0[ALPHA])?;
         let [by_x, by_across, by_up, by_theta, by_alpha] = half;
         let moved = half != [0; AXES];
