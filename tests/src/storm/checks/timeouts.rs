@@ -36,6 +36,10 @@ impl Default for Timeouts {
 impl Checks {
     /// Checks that each time limit of the configured machine holds.
     pub(super) fn check_timeouts(&mut self, bench: &StormBench) -> CheckResult {
+        if bench.session_start + 2 > bench.period {
+            self.faults.reported_state = None;
+            self.jog_epoch = JogEpoch::default();
+        }
         let Some(machine) = bench.controller().machine() else {
             return Ok(());
         };
@@ -44,10 +48,6 @@ impl Checks {
         self.check_jog_deadline(bench)?;
         self.check_hold(bench, machine)?;
         self.check_override(bench, machine)?;
-        if bench.session_start + 2 > bench.period {
-            self.faults.reported_state = None;
-            self.jog_epoch = JogEpoch::default();
-        }
         Ok(())
     }
 
