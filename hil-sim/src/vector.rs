@@ -3,6 +3,9 @@
 /// A vector: x, y, z.
 pub type Vector = [f64; 3];
 
+/// Axes of a frame that is not turned.
+pub const LEVEL: [Vector; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
 /// a - b.
 #[inline(always)]
 pub fn minus(a: Vector, b: Vector) -> Vector {

@@ -15,11 +15,8 @@ use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
 use crate::process::ToolPose;
-use crate::vector::Vector;
+use crate::vector::{LEVEL, Vector};
 use serde::{Deserialize, Serialize};
-
-/// Axes of a workpiece that is not turned.
-pub const LEVEL: [Vector; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 /// Geometry of a simulated machine: it follows the joints with the pose of the tool.
 pub trait Geometry: Sized {

@@ -31,11 +31,10 @@ pub use tooth_path::PASSES;
 pub use workpiece::Workpiece;
 
 use crate::check::PlantError;
-use crate::machines::LEVEL;
 use crate::process::sensor::{Sensor, SensorConfig};
 use crate::process::structure::{Structure, StructureConfig};
 use crate::random::Random;
-use crate::vector::{Vector, dot, plus, times};
+use crate::vector::{LEVEL, Vector, dot, plus, times};
 
 /// Configuration of the process at the tool.
 #[derive(Debug, Clone, Default, PartialEq)]
