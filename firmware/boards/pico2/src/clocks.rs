@@ -1,14 +1,26 @@
 //! Clocks and resets: 150 MHz for the cores, the PIO and the devices, from the crystal of 12 MHz.
 
-use crate::registers::{CLOCKS, PLL_SYS, RESETS, TICKS, WATCHDOG, XOSC, clear, read, set, write};
+use crate::registers::{
+    CLOCKS, DWT, PLL_SYS, RESETS, TICKS, WATCHDOG, XOSC, clear, read, set, write,
+};
 
+/// Control period, us. The period of the machine file must be the same.
+pub const PERIOD_US: u16 = 200;
 /// Cycles in a microsecond.
 pub const CYCLES_PER_US: u32 = 150;
+/// Cycles of a control period.
+pub const PERIOD_CYCLES: u32 = CYCLES_PER_US * PERIOD_US as u32;
 /// Frequency of the crystal, MHz.
 const CRYSTAL_MHZ: u32 = 12;
 
 /// Devices that are used: DMA, I/O bank, pads, PIO0, PIO1, PLL, PWM, UART0.
 const USED: u32 = 1 << 2 | 1 << 6 | 1 << 9 | 1 << 11 | 1 << 12 | 1 << 14 | 1 << 16 | 1 << 26;
+
+/// Present count of the cycle counter.
+#[inline(always)]
+pub fn cycles() -> u32 {
+    read(DWT, 0x4)
+}
 
 /// Sets all clocks, and takes the used devices out of reset.
 pub fn start() {

@@ -1,8 +1,7 @@
 //! Abnormal ends: panic, processor fault, stack overflow, a control period that does not end. The
 //! drives go off, the watchdog resets the chip, and the LED shows the cause after the reset.
 
-use crate::clocks::CYCLES_PER_US;
-use crate::period::cycles;
+use crate::clocks::{CYCLES_PER_US, cycles};
 use crate::pins;
 use crate::registers::{PIO, PSM, WATCHDOG, read, set, write};
 use core::cell::UnsafeCell;

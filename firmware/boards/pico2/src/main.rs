@@ -24,9 +24,6 @@ mod registers;
 mod serial;
 mod steps;
 
-/// Control period, us. The period of the machine file must be the same.
-const PERIOD_US: u16 = 200;
-
 #[cortex_m_rt::entry]
 fn main() -> ! {
     ending::guard_stack();

@@ -4,13 +4,13 @@
 //! host. It then pends PendSV, which calls the controller and makes the words of the next period.
 //! While PendSV still computes, SysTick counts a missed period and leaves the data alone.
 
-use crate::clocks::CYCLES_PER_US;
+use crate::clocks::{PERIOD_CYCLES, PERIOD_US, cycles};
+use crate::ending;
 use crate::pins::{self, JOINTS, Levels};
 use crate::record::{self, Cycles};
-use crate::registers::{DWT, SYSTICK, read, write};
+use crate::registers::{SYSTICK, read, write};
 use crate::serial::{Bytes, Rings, Wire};
 use crate::steps::{Batch, Engine, Filler, requirements};
-use crate::{PERIOD_US, ending};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -19,9 +19,6 @@ use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m_rt::exception;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
-
-/// Cycles of a control period.
-pub const PERIOD_CYCLES: u32 = CYCLES_PER_US * PERIOD_US as u32;
 
 /// Data of SysTick.
 struct Front {
@@ -123,12 +120,6 @@ fn put(place: &mut MaybeUninit<Back>, bytes: Bytes) {
 #[inline(always)]
 fn elapsed() -> u32 {
     (PERIOD_CYCLES - 1).wrapping_sub(read(SYSTICK, 0x8))
-}
-
-/// Present count of the cycle counter.
-#[inline(always)]
-pub fn cycles() -> u32 {
-    read(DWT, 0x4)
 }
 
 #[exception]

@@ -17,7 +17,7 @@
 //! | 48 to 58 | cycles of the stages of the controller |
 //! | 59 | cycles from its end to the end of the words |
 
-use crate::period::cycles;
+use crate::clocks::cycles;
 use crate::pins::JOINTS;
 use core::cell::UnsafeCell;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};

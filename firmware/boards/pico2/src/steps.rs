@@ -9,10 +9,9 @@
 //! The emergency stop ends the pulses in the state machines. [`Engine::begin`] finds it, counts the
 //! steps that did not leave, and starts the state machines again when the circuit is closed.
 
-use crate::clocks::CYCLES_PER_US;
+use crate::clocks::{CYCLES_PER_US, PERIOD_CYCLES, PERIOD_US};
 use crate::pins::{self, JOINTS, Levels};
 use crate::registers::{DMA, PIO, SYSTICK, clear, read, write};
-use crate::{PERIOD_US, period::PERIOD_CYCLES};
 use core::cell::UnsafeCell;
 use haptimill_board_common::step_words::{
     CYCLES_PER_TICK, LEAST_WIDTH, MOST, PROGRAM, STOP, StepWords, WRAP, width_register,
