@@ -11,6 +11,7 @@ macro_rules! print_line {
 pub mod args;
 mod board;
 pub mod calibrate;
+mod changes;
 pub mod console;
 pub mod dnc;
 pub mod engrave;

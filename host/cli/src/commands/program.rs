@@ -1,6 +1,6 @@
 //! Loads a part program, checks it against the machine and plans it.
 
-use super::run::ChangeArgs;
+use super::changes::ChangeArgs;
 use super::{CliError, Exit};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_gcode::{Interpreter, Notice, Place, Problem, Refused, Step, file_name};

@@ -1,7 +1,7 @@
 //! Arguments of `haptimill run`.
 
-use super::changes::ChangeArgs;
 use crate::commands::args::{BoardArg, PortArgs, SimulatorArgs, StockArg, check_baud};
+use crate::commands::changes::ChangeArgs;
 use crate::commands::force::{ForceArgs, ForceAxes, parse_axes};
 use crate::commands::program::LanguageArgs;
 use crate::commands::{CliError, Exit};

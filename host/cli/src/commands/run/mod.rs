@@ -1,7 +1,6 @@
 //! `haptimill run`: runs a part program and writes the report.
 
 mod args;
-mod changes;
 mod emulated;
 pub(super) mod job;
 mod keys;
@@ -23,7 +22,6 @@ use results::ResultFolder;
 
 pub use args::RunArgs;
 pub(super) use args::{bytes_per_s, faults_help};
-pub use changes::ChangeArgs;
 
 /// Runs a part program.
 ///
