@@ -57,7 +57,7 @@ fn main() {
             let recorder = Recorder::create(&path, &header).expect("created");
             session.line_mut().begin_recording(JobRecording::new(
                 recorder,
-                Arc::clone(&plan),
+                Plan::clone(&plan).into(),
                 &machine,
             ));
         }

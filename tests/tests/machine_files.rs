@@ -115,7 +115,7 @@ fn every_machine_file_homes_runs_and_replays() {
         let recorder = Recorder::create(&path, &header).expect("a recording");
         session
             .line_mut()
-            .begin_recording(JobRecording::new(recorder, Arc::new(plan), &machine));
+            .begin_recording(JobRecording::new(recorder, plan.into(), &machine));
         let end = session
             .run_job(2, home, setpoints, &mut NoObserver)
             .unwrap_or_else(|error| panic!("{name}: {error}"));

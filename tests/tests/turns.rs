@@ -99,11 +99,9 @@ fn a_program_turns_the_table_many_times_forwards_and_back() {
     let path = folder.path().join("recording.hmr");
     let header = Header::of(machine, "test").expect("encoded");
     let recorder = Recorder::create(&path, &header).expect("a recording");
-    session.line_mut().begin_recording(JobRecording::new(
-        recorder,
-        Arc::new(plan.clone()),
-        machine,
-    ));
+    session
+        .line_mut()
+        .begin_recording(JobRecording::new(recorder, plan.clone().into(), machine));
     for round in 0..2 {
         let end = session
             .run_job(

@@ -77,7 +77,7 @@ fn run(machine: &MachineFile, program: &Path, recording: &Path) -> Result<Outcom
     session.go_home(machine, &home)?;
     let recorder = Recorder::create(recording, &Header::of(machine, "robustness")?)?;
     let setpoints = plan.setpoints.clone();
-    let job = JobRecording::new(recorder, Arc::new(plan), machine);
+    let job = JobRecording::new(recorder, plan.into(), machine);
     session.line_mut().begin_recording(job);
     let end = session.run_job(2, home, setpoints, &mut NoObserver)?;
     session.check_completed(&end)?;

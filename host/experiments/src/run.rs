@@ -187,7 +187,7 @@ fn run_job<C: Controlled>(
     let setpoints = plan.setpoints.clone();
     session
         .line_mut()
-        .begin_recording(JobRecording::new(recorder, Arc::new(plan), machine));
+        .begin_recording(JobRecording::new(recorder, plan.into(), machine));
     let mut record = None;
     let mut pauses = 0;
     let mut at_pause = |session: &mut Session<SimLine<C>>| {

@@ -3,6 +3,7 @@
 //! - A [`Planner`] takes the steps of a program one by one and makes setpoints, in memory that does
 //!   not depend on the length of the program.
 //! - [`check`] takes a whole program and makes no setpoint: problems, and the figures of the plan.
+//! - A [`Track`] is the programmed motion of a job that runs, around its present place.
 //! - A [`Plan`] is the whole trajectory of a program, with its setpoints.
 //!
 //! Every block and every setpoint is checked against soft limits and the machine's geometry. The
@@ -50,6 +51,7 @@ mod plan;
 mod planner;
 mod profile;
 mod setpoints;
+mod track;
 mod trajectory;
 
 pub use check::{CheckError, check};
@@ -58,4 +60,5 @@ pub use limits::{
 };
 pub use plan::{Figures, Plan};
 pub use planner::{Planned, Planner};
+pub use track::{SharedTrack, Track};
 pub use trajectory::Cursor;

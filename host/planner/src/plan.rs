@@ -3,6 +3,7 @@
 use super::limits::{MachineModel, Settings};
 use super::planner::{Keep, Planner};
 use super::setpoints::quantise_pose;
+use super::track::Track;
 use super::trajectory::{Cursor, Trajectory};
 use haptimill_gcode::{Coordinates, LISTED_PROBLEMS, Place, Problem, Program, Refused};
 use haptimill_protocol::message::AxisValues;
@@ -98,6 +99,15 @@ impl Plan {
             .or(self.places.last())
             .copied()
             .unwrap_or_default()
+    }
+
+    /// Returns the programmed poses and places alone.
+    pub(crate) fn into_track(self) -> Track {
+        let mut track = Track::of_whole(self.trajectory, self.period_s);
+        for place in self.places {
+            track.add_place(place);
+        }
+        track
     }
 
     /// Returns the line of the program of the motion towards a setpoint.

@@ -8,6 +8,7 @@ use super::outputs;
 use super::plan::Figures;
 use super::profile::Phase;
 use super::setpoints::Emitter;
+use super::track::SharedTrack;
 use super::trajectory::{Bump, Knot, Leg, Piece, Trajectory, longest_on};
 use haptimill_gcode::{Coordinates, Measure, Move, Path, Place, Problem, Step};
 use haptimill_protocol::message::Action;
@@ -76,6 +77,11 @@ pub struct Planner<M> {
     /// Whether the last run of motion ended with a rapid move.
     ended_rapid: bool,
     figures: Figures,
+    /// The track of the job, and the first piece that it does not have.
+    track: Option<SharedTrack>,
+    tracked: usize,
+    /// Whether the last setpoint may be taken, because the next step is late.
+    released: bool,
 }
 
 impl<M: MachineModel> Planner<M> {
@@ -117,7 +123,47 @@ impl<M: MachineModel> Planner<M> {
             ended: false,
             ended_rapid: false,
             figures: Figures::default(),
+            track: None,
+            tracked: 0,
+            released: false,
         }
+    }
+
+    /// Appends programmed poses and places of the setpoints to a track while it makes them.
+    pub fn follow(&mut self, track: &SharedTrack) {
+        track.lock().add_pieces(&self.trajectory, self.tracked);
+        self.tracked = self.trajectory.pieces.len();
+        self.track = Some(track.clone());
+    }
+
+    /// Plans a part of the look-ahead now, for a machine that waits for setpoints: half of it, or
+    /// all of it, up to a standstill, if it `ends` because the next step is not known in time.
+    ///
+    /// # Errors
+    ///
+    /// Returns a pose that the machine cannot reach.
+    pub fn hurry(&mut self, ends: bool) -> Result<(), Problem> {
+        if self.refused {
+            return Ok(());
+        }
+        let count = self.run.blocks.len() / 2;
+        let made = if ends {
+            self.released = true;
+            self.stop()
+        } else if count > 0 {
+            self.plan_blocks(count)
+        } else {
+            return Ok(());
+        };
+        self.forget();
+        made
+    }
+
+    /// Plans the look-ahead and makes the setpoints of its first blocks.
+    fn plan_blocks(&mut self, count: usize) -> Result<(), Problem> {
+        self.run.plan();
+        self.lay_blocks(count)?;
+        self.emit(false)
     }
 
     /// Checks that the machine can be at the start pose.
@@ -147,6 +193,7 @@ impl<M: MachineModel> Planner<M> {
     ///
     /// Returns what the machine cannot do, with the place of the block.
     pub fn step(&mut self, step: &Step) -> Result<(), Problem> {
+        self.released = false;
         let (mut first, mut second, mut seconds) = (Action::None, Action::None, 0.0);
         match step {
             Step::Move(step) => return self.add(step),
@@ -217,10 +264,17 @@ impl<M: MachineModel> Planner<M> {
     }
 
     /// Takes the setpoints that are made; before the end all but the last one, which may get the
-    /// next action.
+    /// next action, unless the next step is late.
     pub fn made(&mut self) -> std::vec::Drain<'_, Planned> {
-        let count =
-            self.emitter.made.len() - usize::from(!self.ended && !self.emitter.made.is_empty());
+        let made = self.emitter.made.len();
+        let is_kept = !self.ended && !self.released && made > 0;
+        let count = made - usize::from(is_kept);
+        if let Some(track) = &self.track {
+            let mut track = track.lock();
+            for planned in &self.emitter.made[..count] {
+                track.add_place(planned.place);
+            }
+        }
         self.emitter.made.drain(..count)
     }
 
@@ -258,9 +312,7 @@ impl<M: MachineModel> Planner<M> {
         }
         let count = self.run.blocks.len() / 2;
         self.window = (2 * self.window).min(FULL_WINDOW);
-        self.run.plan();
-        self.lay_blocks(count)?;
-        let made = self.emit(false);
+        let made = self.plan_blocks(count);
         self.forget();
         made
     }
@@ -302,6 +354,11 @@ impl<M: MachineModel> Planner<M> {
 
     /// Removes what nobody needs any more.
     fn forget(&mut self) {
+        if let Some(track) = &self.track {
+            let mut track = track.lock();
+            track.add_pieces(&self.trajectory, self.tracked);
+            self.tracked = self.trajectory.pieces.len();
+        }
         match self.keep {
             Keep::All => {}
             Keep::Nothing => {
@@ -314,7 +371,9 @@ impl<M: MachineModel> Planner<M> {
                 // The next setpoint begins at the last one; a place is that of a period before.
                 let period = f64::from(self.settings.period_us) * 1e-6;
                 let from = self.emitter.time() - 2.0 * period;
-                self.emitter.forget(self.trajectory.forget(from));
+                let pieces = self.trajectory.forget(from);
+                self.emitter.forget(pieces);
+                self.tracked = self.tracked.saturating_sub(pieces);
             }
         }
     }

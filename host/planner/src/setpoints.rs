@@ -167,11 +167,9 @@ impl Emitter {
         // The pace of the run is the action of the last setpoint. If that has another action, the
         // pace changes at the first setpoint of the run; a move at feed that `slows` after a rapid
         // move must not begin like one.
-        if let Some(last) = self.made.last()
-            && last.setpoint.action != Action::None
-            && slows
-        {
-            let place = last.place;
+        let last = self.made.last();
+        if slows && last.is_none_or(|last| last.setpoint.action != Action::None) {
+            let place = last.map_or_else(Place::default, |last| last.place);
             self.rest(pose, 0.0, place, settings);
         }
         self.pacer.begin(trajectory.pieces.len());

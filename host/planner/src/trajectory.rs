@@ -179,6 +179,17 @@ impl Trajectory {
         pieces
     }
 
+    /// Appends the pieces of another trajectory from a number on, with the paths that are new.
+    pub(crate) fn append(&mut self, from: &Trajectory, first: usize) {
+        if self.paths.is_empty() {
+            self.first_path = from.first_path;
+        }
+        let known = self.first_path as usize + self.paths.len();
+        let new = known.saturating_sub(from.first_path as usize);
+        self.paths.extend_from_slice(&from.paths[new..]);
+        self.pieces.extend_from_slice(&from.pieces[first..]);
+    }
+
     /// Returns the piece at a time.
     pub(crate) fn seek(&self, cursor: &mut Cursor, time: f64) -> Option<&Piece> {
         let after = |index: usize| {

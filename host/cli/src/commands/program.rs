@@ -14,13 +14,13 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A program that was checked and planned from a start pose.
 #[derive(Debug)]
 pub(crate) struct Planned {
     pub(crate) plan: Plan,
-    /// Pauses of the program, by their setpoints.
-    pub(crate) pauses: BTreeMap<u32, Pause>,
+    pub(crate) pauses: Pauses,
     /// The approach of a program that begins in the middle.
     pub(crate) approach: Option<String>,
     /// Words that change nothing on this machine, as lines of text.
@@ -57,6 +57,45 @@ pub(crate) struct Pause {
     comment: Option<String>,
 }
 
+impl Pause {
+    pub(crate) const fn new(line: u32, comment: Option<String>) -> Self {
+        Self { line, comment }
+    }
+}
+
+/// Pauses of a program, by their setpoints; those of a stream are added while it runs.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Pauses(Arc<Mutex<BTreeMap<u32, Pause>>>);
+
+impl Pauses {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<u32, Pause>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn add(&self, setpoint: u32, pause: Pause) {
+        self.lock().insert(setpoint, pause);
+    }
+
+    pub(crate) fn get(&self, setpoint: u32) -> Option<Pause> {
+        self.lock().get(&setpoint).cloned()
+    }
+
+    #[cfg_attr(not(feature = "console"), allow(dead_code))]
+    pub(crate) fn count(&self) -> usize {
+        self.lock().len()
+    }
+
+    fn first(&self) -> Option<Pause> {
+        self.lock().values().next().cloned()
+    }
+}
+
+impl FromIterator<(u32, Pause)> for Pauses {
+    fn from_iter<I: IntoIterator<Item = (u32, Pause)>>(pauses: I) -> Self {
+        Self(Arc::new(Mutex::new(pauses.into_iter().collect())))
+    }
+}
+
 impl fmt::Display for Pause {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "line {}", self.line)?;
@@ -91,6 +130,11 @@ fn comment_of(block: &str) -> Option<String> {
         Some(text) => text.split(')').next().unwrap_or_default(),
         None => rest,
     };
+    comment_text(comment)
+}
+
+/// The text of a comment for the operator; `None` if it is empty.
+pub(crate) fn comment_text(comment: &str) -> Option<String> {
     let comment = comment.trim();
     // The prefix of a message to the operator.
     let is_message = comment
@@ -152,6 +196,42 @@ impl PartProgram {
             folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
             changes: ChangeArgs::default(),
         })
+    }
+
+    /// A program that is streamed: its text is not kept.
+    pub(crate) fn streamed(path: &Path, language: LanguageArgs) -> Self {
+        let (file, name) = match path.file_name() {
+            _ if path == Path::new("-") => ("standard input".into(), "standard input".into()),
+            Some(name) => (
+                path.display().to_string(),
+                name.to_string_lossy().into_owned(),
+            ),
+            None => (path.display().to_string(), path.display().to_string()),
+        };
+        Self {
+            name,
+            file,
+            text: Vec::new(),
+            language,
+            folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
+            changes: ChangeArgs::default(),
+        }
+    }
+
+    /// The same program without its text, for messages.
+    pub(crate) fn without_text(&self) -> Self {
+        Self {
+            name: self.name.clone(),
+            file: self.file.clone(),
+            text: Vec::new(),
+            folder: self.folder.clone(),
+            ..*self
+        }
+    }
+
+    /// The name of the file in messages.
+    pub(crate) fn file_name(&self) -> String {
+        self.file.clone()
     }
 
     /// Changes the program before it is planned.
@@ -289,7 +369,7 @@ impl PartProgram {
         })
     }
 
-    fn describe_notices(&self, notices: &[Notice], called: &[String]) -> Vec<String> {
+    pub(crate) fn describe_notices(&self, notices: &[Notice], called: &[String]) -> Vec<String> {
         let describe = |notice: &Notice| {
             let Place { file, line, column } = notice.place;
             let name = file_name(&self.file, called, file);
@@ -301,7 +381,7 @@ impl PartProgram {
     /// Refuses a program with pauses where standard input is no terminal, because a pause waits for
     /// Enter.
     pub(crate) fn check_pauses(&self, planned: &Planned) -> Result<(), CliError> {
-        match planned.pauses.values().next() {
+        match planned.pauses.first() {
             Some(Pause { line, .. }) if !std::io::stdin().is_terminal() => Err(CliError::new(
                 Exit::Usage,
                 format!(

@@ -4,7 +4,7 @@
 use super::app::App;
 use super::view_model::{Confirm, Overlay, Severity};
 use crate::commands::exit::CliError;
-use crate::commands::program::{LanguageArgs, PartProgram, Pause, source_lines};
+use crate::commands::program::{LanguageArgs, PartProgram, Pause, Pauses, source_lines};
 use haptimill_client::client::JobEnding;
 use haptimill_client::session::{Line as _, plan_straight_move};
 use haptimill_machine_file::MachineFile;
@@ -30,8 +30,7 @@ pub(super) struct Checked {
     /// File name without folders.
     pub(super) name: String,
     pub(super) plan: Arc<Plan>,
-    /// Pauses of the program, by their setpoints.
-    pauses: Arc<BTreeMap<u32, Pause>>,
+    pauses: Pauses,
     /// Spindle speeds, rev/min, by the setpoints at which they are set.
     spindle: Arc<BTreeMap<u32, i16>>,
     /// Number of lines of the file.
@@ -108,7 +107,7 @@ pub(super) fn check(
     Ok(Checked {
         name: job.name,
         plan: Arc::new(planned.plan),
-        pauses: Arc::new(planned.pauses),
+        pauses: planned.pauses,
         spindle: Arc::new(spindle),
         lines: planned.lines,
         source: Arc::new(source_lines(&job.text)),
@@ -295,7 +294,7 @@ impl App {
                 Err(TryRecvError::Disconnected) => {}
                 Ok(Ok(checked)) => {
                     let figures = checked.plan.figures;
-                    let pauses = match checked.pauses.len() {
+                    let pauses = match checked.pauses.count() {
                         0 => String::new(),
                         pauses => format!(", {}", count(pauses, "pause")),
                     };
@@ -360,7 +359,7 @@ impl App {
             Event::Fault(_) => self.jobs.cancel_pending(),
             Event::Paused { setpoint } => {
                 let pauses = self.jobs.checked.as_ref().map(|checked| &checked.pauses);
-                self.jobs.pause = pauses.and_then(|pauses| pauses.get(setpoint)).cloned();
+                self.jobs.pause = pauses.and_then(|pauses| pauses.get(*setpoint));
             }
             _ => {}
         }

@@ -10,3 +10,4 @@ mod probing;
 mod run;
 #[path = "../scene/mod.rs"]
 mod scene;
+mod stream;

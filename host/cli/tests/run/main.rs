@@ -3,6 +3,7 @@
 mod refusals;
 #[path = "../scene/mod.rs"]
 mod scene;
+mod stream;
 
 use haptimill_trace::{RECORD_BYTES, Recording};
 use scene::{TestFolder, haptimill, number, start};

@@ -39,7 +39,7 @@ mod tests;
 
 pub use error::{ClientError, LineHealth, RequestError};
 pub use notification::{ClientState, Notification, Options, Ticket};
-pub use stream::{JobEnding, JobStatus};
+pub use stream::{JobEnding, JobStatus, SetpointSource, Setpoints};
 
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::{COMPONENTS, MasterPose, MasterTelemetry};
@@ -47,7 +47,6 @@ use haptimill_protocol::link::HostLink;
 use haptimill_protocol::message::{
     AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Refusal, Request, Telemetry, Welcome,
 };
-use haptimill_protocol::setpoint::Setpoint;
 use haptimill_protocol::urgent;
 use requests::Requests;
 use std::collections::VecDeque;
@@ -219,22 +218,18 @@ impl Client {
     }
 
     /// Begins a job at `pose`, which must equal the commanded pose of the controller
-    /// ([`Telemetry::commanded`]). Setpoints are taken from the iterator as the queue of the
-    /// controller has free slots. The end is reported by [`Notification::Job`].
+    /// ([`Telemetry::commanded`]). Setpoints are taken as the queue of the controller has free
+    /// slots. The end is reported by [`Notification::Job`].
     ///
     /// # Errors
     ///
     /// No session is open, or a job is running.
-    pub fn start_job<I>(
+    pub fn start_job(
         &mut self,
         job: u32,
         pose: AxisValues,
-        setpoints: I,
-    ) -> Result<(), ClientError>
-    where
-        I: IntoIterator<Item = Setpoint>,
-        I::IntoIter: Send + 'static,
-    {
+        setpoints: impl Into<Setpoints>,
+    ) -> Result<(), ClientError> {
         let welcome = self
             .welcome
             .as_ref()
@@ -247,13 +242,7 @@ impl Client {
             job,
             pose: pose.clone(),
         });
-        self.stream = Some(Stream::new(
-            job,
-            start,
-            &pose,
-            welcome,
-            Box::new(setpoints.into_iter()),
-        ));
+        self.stream = Some(Stream::new(job, start, &pose, welcome, setpoints.into()));
         Ok(())
     }
 

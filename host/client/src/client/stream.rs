@@ -9,7 +9,7 @@ use haptimill_protocol::message::{
 };
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder, SetpointError};
 use std::fmt;
-use std::iter::Peekable;
+use std::task::Poll;
 
 /// Unacknowledged batches at most: half the window of the link, so that a hold or a stop waits for
 /// a few frames only.
@@ -86,8 +86,70 @@ pub struct JobStatus {
     pub complete: bool,
 }
 
-/// Where the setpoints come from.
-type Source = Peekable<Box<dyn Iterator<Item = Setpoint> + Send>>;
+/// Setpoints that are made while the job runs.
+pub trait SetpointSource: Send {
+    /// Returns the next setpoint without waiting: pending while it is not made yet, `None` after
+    /// the last one.
+    fn next_setpoint(&mut self) -> Poll<Option<Setpoint>>;
+}
+
+impl SetpointSource for std::vec::IntoIter<Setpoint> {
+    fn next_setpoint(&mut self) -> Poll<Option<Setpoint>> {
+        Poll::Ready(self.next())
+    }
+}
+
+/// The setpoints of a job: all of them, or a source.
+pub struct Setpoints {
+    source: Box<dyn SetpointSource>,
+    /// The next one, once the source was asked; `None` after the last one.
+    next: Poll<Option<Setpoint>>,
+}
+
+impl Setpoints {
+    /// Creates the setpoints of a source.
+    pub fn of(source: impl SetpointSource + 'static) -> Self {
+        Self {
+            source: Box::new(source),
+            next: Poll::Pending,
+        }
+    }
+
+    /// Asks the source for the next setpoint.
+    fn peek(&mut self) -> Poll<Option<&Setpoint>> {
+        if self.next.is_pending() {
+            self.next = self.source.next_setpoint();
+        }
+        match &self.next {
+            Poll::Ready(next) => Poll::Ready(next.as_ref()),
+            Poll::Pending => Poll::Pending,
+        }
+    }
+
+    /// Takes the next setpoint, if there is one now.
+    fn take(&mut self) -> Option<Setpoint> {
+        self.peek().is_ready().then_some(())?;
+        match std::mem::replace(&mut self.next, Poll::Pending) {
+            Poll::Ready(Some(setpoint)) => Some(setpoint),
+            end => {
+                self.next = end;
+                None
+            }
+        }
+    }
+}
+
+impl From<Vec<Setpoint>> for Setpoints {
+    fn from(setpoints: Vec<Setpoint>) -> Self {
+        Self::of(setpoints.into_iter())
+    }
+}
+
+impl fmt::Debug for Setpoints {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Setpoints").finish_non_exhaustive()
+    }
+}
 
 /// A job that is being streamed.
 pub(super) struct Stream {
@@ -98,7 +160,7 @@ pub(super) struct Stream {
     started: bool,
     /// Setpoints in a batch: at most the size of the controller's queue.
     batch: usize,
-    setpoints: Source,
+    setpoints: Setpoints,
     coder: SetpointCoder,
     /// An encoded batch that did not fit into the window of the link.
     ready: Option<SetpointBatch>,
@@ -139,7 +201,7 @@ impl Stream {
         start: Ticket,
         pose: &AxisValues,
         welcome: &Welcome,
-        setpoints: Box<dyn Iterator<Item = Setpoint> + Send>,
+        setpoints: Setpoints,
     ) -> Self {
         Self {
             job,
@@ -147,7 +209,7 @@ impl Stream {
             phase: Phase::Starting,
             started: false,
             batch: SETPOINT_BATCH.min(usize::from(welcome.queue)).max(1),
-            setpoints: setpoints.peekable(),
+            setpoints,
             coder: SetpointCoder::new(welcome.period_us, pose),
             ready: None,
             sent: 0,
@@ -284,23 +346,27 @@ impl Stream {
         Ok(())
     }
 
-    /// The next batch: a full one, or fewer setpoints at the end of the job and where the
-    /// controller waits for a full queue before it resumes an underrun. It is empty when all are
-    /// sent, and `None` when the credit is used up.
+    /// The next batch: a full one, or fewer setpoints at the end of the job, where no further one
+    /// is made yet, and where the controller waits for a full queue before it resumes an underrun.
+    /// It is empty when all are sent, and `None` when the credit is used up or none is made yet.
     fn next_batch(&mut self) -> Result<Option<SetpointBatch>, JobEnding> {
         if let Some(batch) = self.ready.take() {
             return Ok(Some(batch));
         }
         let free = self.credit.saturating_sub(self.sent) as usize;
         let least = if self.starved { 1 } else { self.batch };
-        if free < least && self.setpoints.peek().is_some() {
-            return Ok(None);
+        match self.setpoints.peek() {
+            Poll::Pending => return Ok(None),
+            Poll::Ready(Some(_)) if free < least => return Ok(None),
+            Poll::Ready(_) => {}
         }
         let mut batch = SetpointBatch {
             first: self.sent,
             items: Default::default(),
         };
-        for setpoint in self.setpoints.by_ref().take(self.batch.min(free)) {
+        while batch.items.len() < self.batch.min(free)
+            && let Some(setpoint) = self.setpoints.take()
+        {
             let delta = self
                 .coder
                 .encode(&setpoint)

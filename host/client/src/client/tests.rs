@@ -9,6 +9,7 @@ use super::*;
 use haptimill_protocol::link::{ControllerLink, HelloOutcome, Identity, SHORT_REPORT, Timing};
 use haptimill_protocol::message::{Action, HelloRefusal};
 use haptimill_protocol::message::{Event, Report, State};
+use haptimill_protocol::setpoint::Setpoint;
 use haptimill_protocol::setpoint::SetpointCoder;
 use haptimill_protocol::urgent::UrgentDetector;
 use line::{Faults, Line, Random};

@@ -1,10 +1,9 @@
 //! A job from its first setpoint to standstill.
 
 use super::{Line, Procedure, Session, StatusQuery};
-use crate::client::{JobEnding, Ticket};
+use crate::client::{JobEnding, Setpoints, Ticket};
 use crate::{Error, ErrorKind};
 use haptimill_protocol::message::{AxisValues, Command, Event, Fault, State, Telemetry};
-use haptimill_protocol::setpoint::Setpoint;
 
 /// Message of a latched emergency stop.
 pub const EMERGENCY_STOP: &str =
@@ -131,7 +130,7 @@ enum JobPhase {
 pub struct JobRun {
     phase: JobPhase,
     /// Number, start and setpoints, until the job begins.
-    job: Option<(u32, AxisValues, Vec<Setpoint>)>,
+    job: Option<(u32, AxisValues, Setpoints)>,
     first_event: usize,
     next_event: usize,
     bytes_before: BytesSent,
@@ -160,13 +159,13 @@ impl JobRun {
         session: &mut Session<L>,
         job: u32,
         start: AxisValues,
-        setpoints: Vec<Setpoint>,
+        setpoints: impl Into<Setpoints>,
     ) -> Self {
         let every = session.telemetry_periods();
         let first_event = session.events.len();
         Self {
             phase: JobPhase::Preparing(session.client.request(Command::Telemetry { every })),
-            job: Some((job, start, setpoints)),
+            job: Some((job, start, setpoints.into())),
             first_event,
             next_event: first_event,
             bytes_before: BytesSent::default(),
@@ -370,7 +369,7 @@ impl<L: Line> Session<L> {
         &mut self,
         job: u32,
         start: AxisValues,
-        setpoints: Vec<Setpoint>,
+        setpoints: impl Into<Setpoints>,
         observer: &mut dyn JobObserver,
     ) -> Result<JobEnd, Error> {
         self.run_job_with(job, start, setpoints, observer, &mut |_| Ok(()))
@@ -385,7 +384,7 @@ impl<L: Line> Session<L> {
         &mut self,
         job: u32,
         start: AxisValues,
-        setpoints: Vec<Setpoint>,
+        setpoints: impl Into<Setpoints>,
         observer: &mut dyn JobObserver,
         at_pause: &mut dyn FnMut(&mut Self) -> Result<(), Error>,
     ) -> Result<JobEnd, Error> {

@@ -13,7 +13,7 @@ use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
 use haptimill_machine_file::MachineFile;
-use haptimill_planner::{Cursor, Plan};
+use haptimill_planner::SharedTrack;
 use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
 use haptimill_protocol::message::{ANALOG, AxisValues, MAX_AXES, State, Telemetry};
 use haptimill_trace::{IoLog, Record, Recorder, flag};
@@ -37,9 +37,8 @@ const MAX_EVENTS: usize = 1000;
 /// A recording of a job, with the ground truth of a simulated machine and the programmed geometry.
 pub struct JobRecording {
     recorder: Recorder,
-    /// `None` in teleoperation, where nothing is programmed.
-    plan: Option<Arc<Plan>>,
-    cursor: Cursor,
+    /// The programmed motion; `None` in teleoperation, where nothing is programmed.
+    track: Option<SharedTrack>,
     /// Axis units per millimetre or degree of the pose coordinates.
     units: [f64; MAX_AXES],
     /// Pose coordinates that wrap around, one bit each.
@@ -263,15 +262,15 @@ impl<C: Control> Line for SimLine<C> {
 impl JobRecording {
     /// The line of the program of the motion towards a setpoint.
     pub(super) fn line_of(&self, setpoint: u32) -> Option<u32> {
-        let plan = self.plan.as_ref()?;
-        Some(plan.line_of(setpoint as usize))
+        let track = self.track.as_ref()?;
+        Some(track.lock().place_of(setpoint).line)
     }
 
-    /// A recording of the job of a plan.
+    /// A recording of a job with its programmed motion. What the machine has passed is forgotten.
     #[must_use]
-    pub fn new(recorder: Recorder, plan: Arc<Plan>, machine: &MachineFile) -> Self {
+    pub fn new(recorder: Recorder, track: SharedTrack, machine: &MachineFile) -> Self {
         Self {
-            plan: Some(plan),
+            track: Some(track),
             ..Self::unplanned(recorder, machine)
         }
     }
@@ -285,8 +284,7 @@ impl JobRecording {
         }
         Self {
             recorder,
-            plan: None,
-            cursor: Cursor::default(),
+            track: None,
             units,
             wrapping: machine.config.wrapping(),
             master: None,
@@ -391,18 +389,23 @@ impl JobRecording {
 
     /// Adds the programmed pose at a program time in periods, if a job is running.
     fn add_programmed(&mut self, record: &mut Record, periods: f64) {
-        let Some(plan) = &self.plan else {
-            return;
-        };
         if !matches!(record.state, State::Run | State::Hold) {
             return;
         }
-        let programmed = plan.programmed(&mut self.cursor, periods * plan.period_s);
+        let Some(track) = &self.track else {
+            return;
+        };
+        let mut track = track.lock();
+        let time_s = periods * track.period_s();
+        let programmed = track.programmed(time_s);
+        let line = track.place_of(record.setpoint).line;
+        track.forget(record.setpoint, time_s);
+        drop(track);
         for (axis, (slot, value)) in record.programmed.iter_mut().zip(&programmed).enumerate() {
             *slot = self.axis_units(axis, *value);
         }
         record.flags |= flag::PROGRAMMED;
-        record.line = plan.line_of(record.setpoint as usize);
+        record.line = line;
     }
 
     /// Axis units of a coordinate in millimetres or degrees; modulo a turn if it wraps around.

@@ -3,7 +3,7 @@
 use crate::h4::{H4, HOME, settings};
 use crate::spans::{spans_of, unit};
 use haptimill_gcode::{Interpreter, Options, Program, Step, read};
-use haptimill_planner::{CheckError, Plan, Planned, Planner, check};
+use haptimill_planner::{CheckError, Plan, Planned, Planner, SharedTrack, check};
 use std::io::Cursor;
 
 /// A spiral of short blocks, with a dwell and a spindle command on the way.
@@ -121,6 +121,109 @@ fn a_long_stream_keeps_the_limits() {
         "{most} of {} setpoints waited",
         made.len()
     );
+}
+
+/// The track of a stream has the programmed poses and places of the plan, and forgets what is
+/// passed.
+#[test]
+fn the_track_is_that_of_the_plan() {
+    let program = program(&spiral(200));
+    let plan = Plan::new(&program, &settings(), &H4).expect("plannable");
+    let mut planner = Planner::new(program.start, settings(), H4);
+    let track = SharedTrack::new(u32::from(settings().period_us));
+    planner.follow(&track);
+    let (mut cursor, mut setpoint, mut periods) = (haptimill_planner::Cursor::default(), 0, 0u64);
+    let mut compared = 0;
+    let mut follow = |planner: &mut Planner<H4>| {
+        for planned in planner.made() {
+            periods += u64::from(planned.setpoint.periods);
+            let time_s = periods as f64 * plan.period_s;
+            let mut track = track.lock();
+            let (at, expected) = (
+                track.programmed(time_s),
+                plan.programmed(&mut cursor, time_s),
+            );
+            assert_eq!(at, expected, "setpoint {setpoint}");
+            assert_eq!(track.place_of(setpoint), plan.place_of(setpoint as usize));
+            track.forget(setpoint, time_s);
+            setpoint += 1;
+            compared += 1;
+        }
+    };
+    for step in &program.steps {
+        planner.step(step).expect("possible");
+        follow(&mut planner);
+    }
+    planner.finish(program.lines).expect("possible");
+    follow(&mut planner);
+    assert_eq!(compared, plan.setpoints.len());
+}
+
+/// Where steps come late, the motion ends at standstill at the last one, within the limits, and
+/// goes on from there.
+#[test]
+fn late_steps_end_at_standstill() {
+    let program = program(&spiral(900));
+    let settings = settings();
+    let mut planner = Planner::new(program.start, settings.clone(), H4);
+    let mut made = Vec::new();
+    let mut stops = 0;
+    for (number, step) in program.steps.iter().enumerate() {
+        planner.step(step).expect("possible");
+        made.extend(planner.made());
+        match number % 90 {
+            30 | 31 => planner.hurry(false).expect("possible"),
+            60 => {
+                planner.hurry(true).expect("possible");
+                made.extend(planner.made());
+                let last: &Planned = made.last().expect("a setpoint");
+                assert!(
+                    last.setpoint.rates.iter().all(|rate| *rate == 0),
+                    "{number}"
+                );
+                assert_eq!(last.place.line, step.place().line);
+                stops += 1;
+            }
+            _ => {}
+        }
+    }
+    planner.finish(program.lines).expect("possible");
+    made.extend(planner.made());
+    assert!(stops > 5);
+    let plan = Plan::new(&program, &settings, &H4).expect("plannable");
+    let made = setpoints(&made);
+    assert_eq!(
+        made.last().map(|it| &it.pose),
+        plan.setpoints.last().map(|it| &it.pose)
+    );
+    let actions = |all: &[haptimill_protocol::setpoint::Setpoint]| -> Vec<_> {
+        let action = |it: &haptimill_protocol::setpoint::Setpoint| it.action;
+        let spindle = |it: &haptimill_protocol::message::Action| {
+            matches!(it, haptimill_protocol::message::Action::Spindle(_))
+        };
+        all.iter().map(action).filter(spindle).collect()
+    };
+    assert_eq!(actions(&made), actions(&plan.setpoints));
+    for (number, span) in spans_of(&plan.start, &made, plan.period_s)
+        .iter()
+        .enumerate()
+    {
+        for (k, (cubic, axis)) in span.axes.iter().zip(&settings.pose).enumerate() {
+            let t = cubic.t;
+            let (step, rate) = (unit(k), 128.0 * unit(k));
+            let [a, b] = cubic.acceleration();
+            let largest = axis.acceleration + 6.0 * step / (t * t) + 6.0 * rate / t;
+            assert!(
+                a.abs().max(b.abs()) <= largest,
+                "acceleration of {k} in {number}"
+            );
+            let rounding = 12.0 * step / (t * t * t) + 12.0 * rate / (t * t);
+            assert!(
+                cubic.jerk().abs() <= axis.jerk + rounding,
+                "jerk of {k} in {number}"
+            );
+        }
+    }
 }
 
 /// A check has the figures of the plan, and sees every step.

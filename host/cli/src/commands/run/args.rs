@@ -11,7 +11,8 @@ use haptimill_machine_file::MachineFile;
 use haptimill_planner::Figures;
 use haptimill_protocol::message::Command;
 use haptimill_trace::{MCAP, RECORD_BYTES, RecordingError};
-use std::path::PathBuf;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 
 const LONG: &str = "\
 Run a part program.
@@ -52,7 +53,7 @@ pub(in crate::commands) fn faults_help() -> String {
 #[command(about = "Run a part program", long_about = LONG, after_long_help = faults_help(),
           after_help = "`haptimill run --help` has details and lists the faults.")]
 pub struct RunArgs {
-    /// Part program (G-code)
+    /// Part program (G-code); - with --stream is standard input
     #[arg(value_name = "FILE")]
     pub program: PathBuf,
     #[command(flatten)]
@@ -67,6 +68,10 @@ pub struct RunArgs {
     /// Check only: nothing moves, nothing is written
     #[arg(long)]
     pub check: bool,
+    /// Start at once, and check the program while it runs: the machine stops along its path before
+    /// a block that cannot be done. For programs of any length, and for standard input
+    #[arg(long, conflicts_with_all = ["check", "from_line", "dry", "single"])]
+    pub stream: bool,
     /// Feed override, percent of the programmed feed; above 100 as far as the limits of the machine
     /// allow
     #[arg(long = "override", value_name = "PERCENT", default_value_t = 100, value_parser = clap::value_parser!(u8).range(1..=200))]
@@ -171,6 +176,12 @@ impl RunArgs {
                  run in real time; use `haptimill sim serve` and --port",
             );
         }
+        if self.program == Path::new("-") && !self.stream {
+            return usage(
+                "a program from standard input cannot be checked before it runs; add --stream, or \
+                 save it in a file",
+            );
+        }
         if self.mcap && !MCAP {
             return Err(CliError::new(Exit::Usage, RecordingError::NoMcap));
         }
@@ -197,6 +208,11 @@ impl RunArgs {
     /// Whether M0 pauses are passed.
     pub(super) fn skips_pauses(&self) -> bool {
         self.skip_pauses || self.port.is_simulated()
+    }
+
+    /// Whether standard input is the program, not the operator.
+    pub(super) fn reads_stdin(&self) -> bool {
+        self.stream && self.program == Path::new("-")
     }
 
     /// Estimated size of the recording of a program with this programmed duration.
@@ -247,7 +263,11 @@ impl RunArgs {
     #[must_use]
     pub fn out_dir(&self) -> PathBuf {
         let default = || {
-            let mut name = self.program.file_stem().unwrap_or_default().to_os_string();
+            let stem = match self.program.file_stem() {
+                Some(stem) if stem != "-" => stem,
+                _ => OsStr::new("stdin"),
+            };
+            let mut name = stem.to_os_string();
             name.push(".out");
             PathBuf::from(name)
         };

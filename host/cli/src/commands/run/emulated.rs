@@ -1,7 +1,7 @@
 //! A run with the controller on an emulated board.
 
-use super::job::Job;
-use super::{CliError, Exit, Planned};
+use super::job::{Job, Work};
+use super::{CliError, Exit};
 #[cfg(unix)]
 use super::{Session, SimLine, paced_options, session};
 #[cfg(unix)]
@@ -10,7 +10,7 @@ use haptimill_client::port;
 
 /// Runs a part program with the controller on an emulated board and the machine in the simulator.
 #[cfg(unix)]
-pub(super) fn run(job: Job<'_>, planned: Planned, board: port::Board) -> Result<(), CliError> {
+pub(super) fn run(job: Job<'_>, work: Work, board: port::Board) -> Result<(), CliError> {
     use haptimill_client::session::pil::{self, Instructions};
     use haptimill_hil_sim::remote::RemoteController;
     let (args, machine) = (job.args, job.machine);
@@ -37,7 +37,7 @@ pub(super) fn run(job: Job<'_>, planned: Planned, board: port::Board) -> Result<
     let mut session = Session::new(line, machine, options, interrupt::flag());
     session.connect(1)?;
     session.configure(machine)?;
-    job.run(session, planned)?;
+    job.run(session, work)?;
     let instructions = Instructions::write_to(&cost, &args.out_dir())?;
     args.print_message(&format!(
         "{board}  {:.0} instructions per control period, at most {:.0}; {} bytes of stack; at most \
@@ -61,7 +61,7 @@ pub(super) fn run(job: Job<'_>, planned: Planned, board: port::Board) -> Result<
 
 /// Reports that emulated boards need named pipes.
 #[cfg(not(unix))]
-pub(super) fn run(_: Job<'_>, _: Planned, board: port::Board) -> Result<(), CliError> {
+pub(super) fn run(_: Job<'_>, _: Work, board: port::Board) -> Result<(), CliError> {
     Err(CliError::new(
         Exit::Usage,
         format!("{board}: emulated boards need a Unix system"),

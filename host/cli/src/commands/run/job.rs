@@ -3,25 +3,59 @@
 use super::args::RunArgs;
 use super::progress::ProgressDisplay;
 use super::results::{self, ResultFolder};
+use super::stream::{self, Bytes, StreamEnd, StreamOptions};
 use crate::commands::force::ForceAxes;
 use crate::commands::operator_input::Input;
-use crate::commands::program::{PartProgram, Planned};
-use crate::commands::{CliError, Exit};
+use crate::commands::program::{PartProgram, Pauses, Planned};
+use crate::commands::{CliError, Exit, interrupt};
 use haptimill_client::Error;
-use haptimill_client::client::JobEnding;
+use haptimill_client::client::{JobEnding, Setpoints};
 use haptimill_client::session::{EMERGENCY_STOP, JobEnd, JobLine, JobRecording, Line, Session};
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::settings;
+use haptimill_planner::{Figures, SharedTrack};
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
 use haptimill_report::Outcome;
 use haptimill_trace::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
 use std::fs::File;
 use std::io::{BufWriter, IsTerminal as _, Write};
-use std::sync::Arc;
 
 /// Time between two telemetry frames of a haptic arm behind a port, microseconds.
 const MASTER_TELEMETRY_US: u32 = 20_000;
+
+/// What a run sends to the machine.
+pub(super) enum Work {
+    /// A program that was checked and planned.
+    Planned(Box<Planned>),
+    /// A program that is checked while it runs, and whether its blocks may come late.
+    Stream(Bytes, bool),
+}
+
+/// The setpoints of a run, with the programmed motion.
+pub(super) struct Supply {
+    pub(super) setpoints: Setpoints,
+    pub(super) track: SharedTrack,
+    pub(super) pauses: Pauses,
+    /// Figures of the whole program, if it was planned before.
+    pub(super) figures: Option<Figures>,
+    /// The end of a streamed program.
+    pub(super) end: Option<StreamEnd>,
+}
+
+impl From<Planned> for Supply {
+    fn from(planned: Planned) -> Self {
+        let Planned { plan, pauses, .. } = planned;
+        Self {
+            setpoints: plan.setpoints.clone().into(),
+            pauses,
+            figures: Some(plan.figures),
+            track: plan.into(),
+            end: None,
+        }
+    }
+}
 
 /// A run of a part program.
 pub(super) struct Job<'a> {
@@ -42,24 +76,27 @@ impl Job<'_> {
     pub(super) fn run<L: JobLine>(
         &self,
         mut session: Session<L>,
-        planned: Planned,
+        mut work: Work,
     ) -> Result<(), CliError> {
         refuse_latched_fault(&mut session)?;
         session.enable()?;
         let status = session.status()?;
-        let (start, planned) = if status.homed && status.position_kept {
+        let start = if status.homed && status.position_kept {
             // A homed machine starts at its present pose, so the program is checked again from
             // there.
-            let planned = self
-                .program
-                .plan(self.machine, session.model(), &status.commanded)?;
-            (status.commanded, planned)
+            if let Work::Planned(planned) = &mut work {
+                let model = session.model();
+                **planned = self.program.plan(self.machine, model, &status.commanded)?;
+            }
+            status.commanded
         } else {
             self.args.print_message("homing");
             session.go_home(self.machine, &self.home)?;
-            (self.home.clone(), planned)
+            self.home.clone()
         };
-        self.ask_approach(&mut session, &planned)?;
+        if let Work::Planned(planned) = &work {
+            self.ask_approach(&mut session, planned)?;
+        }
         if let Some(stock) = &self.stock {
             session.line_mut().clamp(stock)?;
         }
@@ -73,7 +110,7 @@ impl Job<'_> {
             let every = every.clamp(1, u32::from(u16::MAX)) as u16;
             session.ask(Command::MasterTelemetry { every })?;
         }
-        let result = self.stream(&mut session, start, planned);
+        let result = self.stream(&mut session, start, work);
         match before {
             Some(before) => result.and(before.restore(&mut session)),
             None => result,
@@ -135,9 +172,8 @@ impl Job<'_> {
         &self,
         session: &mut Session<L>,
         start: AxisValues,
-        planned: Planned,
+        work: Work,
     ) -> Result<(), CliError> {
-        let Planned { plan, pauses, .. } = planned;
         let dir = self.args.out_dir();
         let output = |error: &dyn std::fmt::Display| {
             CliError::new(Exit::Output, format!("{}: {error}", dir.display()))
@@ -148,16 +184,28 @@ impl Job<'_> {
         self.folder.clear()?;
         let recorder = Recorder::create(&dir.join(haptimill_report::RECORDING_FILE), &header)
             .map_err(|error| output(&error))?;
-        self.args.print_message(&format!(
-            "running, {}",
-            self.args.describe_duration(&plan.figures)
-        ));
-        let plan = Arc::new(plan);
-        let setpoints = plan.setpoints.clone();
-        let mut progress = ProgressDisplay::new(self.args, &plan, pauses);
+        let supply = match work {
+            Work::Planned(planned) => Supply::from(*planned),
+            Work::Stream(bytes, is_live) => {
+                let options = self.stream_options(session, &start, is_live)?;
+                let model = session.model().clone();
+                stream::start(self.program, bytes, model, options)
+            }
+        };
+        self.args.print_message(&match &supply.figures {
+            Some(figures) => format!("running, {}", self.args.describe_duration(figures)),
+            None => "running; the program is checked while it runs".to_string(),
+        });
+        let mut progress = ProgressDisplay::new(self.args, &supply);
+        let Supply {
+            setpoints,
+            track,
+            end: stream_end,
+            ..
+        } = supply;
         session.line_mut().begin_recording(JobRecording::new(
             recorder,
-            Arc::clone(&plan),
+            track.clone(),
             self.machine,
         ));
         let end = session.run_job(2, start, setpoints, &mut progress);
@@ -231,7 +279,52 @@ impl Job<'_> {
             return Err(results::disk_full(&dir).reported());
         }
         end.and_then(|end| self.judge(session, &end))
-            .map_err(|error| CliError::from(error).reported())
+            .map_err(|error| CliError::from(error).reported())?;
+        if let Some(stream_end) = stream_end
+            && let Some(error) = stream_end.take_error()
+        {
+            let line = track.lock().place_of(u32::MAX).line;
+            return Err(self.ended_early(error, (!stream_end.is_empty()).then_some(line)));
+        }
+        Ok(())
+    }
+
+    /// How a program is streamed.
+    fn stream_options<L: JobLine>(
+        &self,
+        session: &Session<L>,
+        start: &AxisValues,
+        is_live: bool,
+    ) -> Result<StreamOptions, CliError> {
+        let is_quiet = self.args.json || self.args.quiet;
+        Ok(StreamOptions {
+            options: self.program.options(self.machine, session.model(), start)?,
+            settings: settings(self.machine),
+            is_live,
+            waits: self.args.port.is_simulated(),
+            refuses_pauses: !self.args.skips_pauses()
+                && (is_live || !std::io::stdin().is_terminal()),
+            print: Box::new(move |text| {
+                if !is_quiet {
+                    print_line!("{text}");
+                }
+            }),
+            interrupted: interrupt::flag(),
+        })
+    }
+
+    /// The error of a streamed program that ended before its end, with the last block done.
+    fn ended_early(&self, error: CliError, last: Option<u32>) -> CliError {
+        let last = match last {
+            None => "nothing moved".to_string(),
+            Some(line) => {
+                format!("the machine stopped under control; the last block done is line {line}")
+            }
+        };
+        CliError {
+            message: format!("{}\n{}: {last}", error.message, self.program.file_name()),
+            ..error
+        }
     }
 
     /// Reports underruns, and a job that did not complete.

@@ -7,9 +7,10 @@ mod keys;
 pub(crate) mod overrides;
 mod progress;
 pub(super) mod results;
+mod stream;
 
 use super::board::file_of;
-use super::program::{Checked, PartProgram, Planned};
+use super::program::{Checked, PartProgram};
 use super::{CliError, Exit, sim};
 use crate::commands::interrupt;
 use haptimill_client::client::Options;
@@ -17,7 +18,7 @@ use haptimill_client::port::{Observers, PortSpec};
 use haptimill_client::session::{self, PortLine, Session, SimLine};
 use haptimill_machine_file::model::Model;
 use haptimill_report::count;
-use job::Job;
+use job::{Job, Work};
 use results::ResultFolder;
 
 pub use args::RunArgs;
@@ -36,7 +37,11 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     }
     let model = Model::new(&machine);
     let home = session::find_home_pose(&machine, &model)?;
-    let program = PartProgram::load(&args.program, args.language)?.with_changes(args.changes);
+    let program = if args.stream {
+        PartProgram::streamed(&args.program, args.language)
+    } else {
+        PartProgram::load(&args.program, args.language)?.with_changes(args.changes)
+    };
     if args.check {
         let (checked, approach) = if args.changes.is_none() {
             (program.check(&machine, &model, &home)?, None)
@@ -50,19 +55,23 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         }
         return Ok(());
     }
-    let planned = program.plan(&machine, &model, &home)?;
-    for notice in &planned.notices {
-        args.print_message(notice);
-    }
     let stock = args.stock.load(&machine)?;
-    if !args.skips_pauses() {
-        program.check_pauses(&planned)?;
-    }
-    job::check_can_ask(&args, &planned)?;
-    results::check_space(
-        &args.out_dir(),
-        args.recording_bytes(&machine, &planned.plan.figures),
-    )?;
+    let work = if args.stream {
+        let (bytes, is_live) = stream::open(&args.program)?;
+        Work::Stream(bytes, is_live)
+    } else {
+        let planned = program.plan(&machine, &model, &home)?;
+        for notice in &planned.notices {
+            args.print_message(notice);
+        }
+        if !args.skips_pauses() {
+            program.check_pauses(&planned)?;
+        }
+        job::check_can_ask(&args, &planned)?;
+        let bytes = args.recording_bytes(&machine, &planned.plan.figures);
+        results::check_space(&args.out_dir(), bytes)?;
+        Work::Planned(Box::new(planned))
+    };
     // The folder stays locked to the end of the command.
     let folder = ResultFolder::open(&args.out_dir())?;
     let interrupted = interrupt::flag();
@@ -84,9 +93,9 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             // A constant session number makes every run of a simulated job bit-identical.
             session.connect(1)?;
             session.configure(&machine)?;
-            job.run(session, planned)
+            job.run(session, work)
         }
-        PortSpec::Emulated(board) => emulated::run(job, planned, *board),
+        PortSpec::Emulated(board) => emulated::run(job, work, *board),
         spec => {
             let baud = args.port.baud_or_default();
             let observers = args
@@ -110,7 +119,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 machine: &machine,
                 ..job
             };
-            job.run(session, planned)
+            job.run(session, work)
         }
     }
 }

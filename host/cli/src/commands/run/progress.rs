@@ -1,14 +1,14 @@
 //! Progress of a job on the terminal: bar, line, remaining time, pauses.
 
 use super::args::RunArgs;
+use super::job::Supply;
 use super::keys::{Keys, is_enter, is_hold};
 use super::overrides::Overrides;
-use crate::commands::program::Pause;
+use crate::commands::program::Pauses;
 use haptimill_client::session::JobObserver;
-use haptimill_planner::Plan;
+use haptimill_planner::SharedTrack;
 use haptimill_protocol::message::{Command, Telemetry};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::collections::BTreeMap;
 use std::io::BufRead as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,8 +24,8 @@ pub(super) struct ProgressDisplay {
     held: bool,
     resumes: bool,
     period_s: f64,
-    lines: Vec<u32>,
-    pauses: BTreeMap<u32, Pause>,
+    track: SharedTrack,
+    pauses: Pauses,
     skips_pauses: bool,
     /// The line of the newest telemetry.
     line: u32,
@@ -38,39 +38,44 @@ pub(super) struct ProgressDisplay {
 
 impl ProgressDisplay {
     /// Creates the progress bar of a job that starts now.
-    pub(super) fn new(args: &RunArgs, plan: &Plan, pauses: BTreeMap<u32, Pause>) -> Self {
-        let total = (plan.figures.duration_s * 1000.0).round() as u64;
+    pub(super) fn new(args: &RunArgs, supply: &Supply) -> Self {
+        let duration_s = supply.figures.map(|figures| figures.duration_s);
+        let total = duration_s.map(|seconds| (seconds * 1000.0).round() as u64);
         let shown = !args.json && !args.quiet;
         let bar = ProgressBar::with_draw_target(
-            Some(total),
+            total,
             if shown {
                 ProgressDrawTarget::stderr()
             } else {
                 ProgressDrawTarget::hidden()
             },
         );
-        if let Ok(style) = ProgressStyle::with_template("{wide_bar} {percent:>3} %  {msg}") {
+        let template = match total {
+            Some(_) => "{wide_bar} {percent:>3} %  {msg}",
+            None => "{msg}",
+        };
+        if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
-        let lines = (0..plan.setpoints.len())
-            .map(|setpoint| plan.line_of(setpoint))
-            .collect();
         Self {
             bar,
             start: Instant::now(),
-            pace: (!args.port.is_simulated())
-                .then(|| args.duration_s(&plan.figures) / plan.figures.duration_s.max(1e-9)),
+            pace: supply
+                .figures
+                .filter(|_| !args.port.is_simulated())
+                .map(|figures| args.duration_s(&figures) / figures.duration_s.max(1e-9)),
             overrides: Overrides::new(args),
             held: false,
             resumes: false,
-            period_s: plan.period_s,
-            lines,
-            pauses,
-            skips_pauses: args.skips_pauses(),
+            period_s: supply.track.lock().period_s(),
+            track: supply.track.clone(),
+            pauses: supply.pauses.clone(),
+            // Enter cannot come from standard input that is the program.
+            skips_pauses: args.skips_pauses() || args.reads_stdin(),
             line: 0,
             paused_at: None,
             enter_pressed: Arc::new(AtomicBool::new(false)),
-            keys: (shown && !args.port.is_simulated())
+            keys: (shown && !args.port.is_simulated() && !args.reads_stdin())
                 .then(Keys::open)
                 .flatten(),
         }
@@ -85,19 +90,20 @@ impl ProgressDisplay {
 impl JobObserver for ProgressDisplay {
     fn progress(&mut self, telemetry: &Telemetry) {
         let done = f64::from(telemetry.program_periods) * self.period_s;
-        let total = self.bar.length().unwrap_or(0) as f64 / 1000.0;
         self.bar.set_position((done * 1000.0) as u64);
-        let line = self
-            .lines
-            .get(telemetry.setpoint as usize)
-            .copied()
-            .unwrap_or(0);
+        let line = self.track.lock().place_of(telemetry.setpoint).line;
         self.line = line;
         if let Some(line) = self.paused_at {
             self.bar
                 .set_message(format!("line {line}, paused, waiting for Enter"));
             return;
         }
+        let Some(total) = self.bar.length() else {
+            let time = haptimill_report::duration(done);
+            self.bar.set_message(format!("line {line}, {time}"));
+            return;
+        };
+        let total = total as f64 / 1000.0;
         let measured = || self.start.elapsed().as_secs_f64() / done.max(0.1);
         let pace = self.pace.unwrap_or_else(measured);
         let remaining = ((total - done).max(0.0) * pace).ceil();
@@ -110,7 +116,7 @@ impl JobObserver for ProgressDisplay {
     }
 
     fn paused(&mut self, setpoint: u32) {
-        let Some(pause) = self.pauses.get(&setpoint) else {
+        let Some(pause) = self.pauses.get(setpoint) else {
             return;
         };
         if self.skips_pauses {

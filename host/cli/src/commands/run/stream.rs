@@ -1,0 +1,470 @@
+//! `haptimill run --stream`: the program is interpreted and planned while the machine runs it.
+//!
+//! One thread interprets, one plans, the session takes the setpoints; bounded queues connect them,
+//! so that the memory does not grow with the program. A program that comes over standard input may
+//! come slower than the machine runs it: the planner then ends the motion at standstill, and goes
+//! on with the next block.
+
+use super::job::Supply;
+use crate::commands::program::{PartProgram, Pause, Pauses};
+use crate::commands::{CliError, Exit};
+use haptimill_client::client::{SetpointSource, Setpoints};
+use haptimill_client::{Error, ErrorKind};
+use haptimill_gcode::{Comment, Interpreter, Options, ProgramBytes, Refused, Step};
+use haptimill_machine_file::model::Model;
+use haptimill_planner::{Planner, Settings, SharedTrack};
+use haptimill_protocol::message::Action;
+use haptimill_protocol::setpoint::Setpoint;
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender, TryRecvError};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::Poll;
+use std::time::{Duration, Instant};
+
+/// Steps between the interpreter and the planner.
+const STEPS: usize = 1024;
+
+/// Setpoints between the planner and the session.
+const SETPOINTS: usize = 4096;
+
+/// How long the machine may wait for setpoints before a part of the look-ahead is planned.
+const HUNGER: Duration = Duration::from_millis(100);
+
+/// Longest wait between two looks at the machine or at Ctrl-C.
+const POLL: Duration = Duration::from_millis(20);
+
+/// The bytes of a streamed program.
+pub(super) type Bytes = Box<dyn ProgramBytes + Send>;
+
+/// The bytes of a file, or of standard input for `-`.
+///
+/// # Errors
+/// The file cannot be read.
+pub(super) fn open(path: &Path) -> Result<(Bytes, bool), CliError> {
+    if path == Path::new("-") {
+        let spool = Spool::new(io::stdin()).map_err(|error| {
+            let what = format!(
+                "standard input: a file for the lines that were read cannot be made in {}: {error}; \
+                 set TMPDIR to a folder on a disk with space",
+                std::env::temp_dir().display()
+            );
+            CliError::new(Exit::Output, what)
+        })?;
+        return Ok((Box::new(spool), true));
+    }
+    let unreadable =
+        |error: io::Error| CliError::new(Exit::BadInput, format!("{}: {error}", path.display()));
+    let file = File::open(path).map_err(unreadable)?;
+    if file.metadata().map_err(unreadable)?.is_dir() {
+        let what = format!("{}: it is a folder; name a part program", path.display());
+        return Err(CliError::new(Exit::BadInput, what));
+    }
+    Ok((Box::new(file), false))
+}
+
+/// A stream that can go back: what was read is kept in a file without a name, because loops and
+/// subroutines go back to earlier lines.
+struct Spool<R> {
+    input: R,
+    file: File,
+    /// Bytes in the file, and the next one.
+    length: u64,
+    at: u64,
+}
+
+impl<R: Read> Spool<R> {
+    fn new(input: R) -> io::Result<Self> {
+        Ok(Self {
+            input,
+            file: tempfile::tempfile()?,
+            length: 0,
+            at: 0,
+        })
+    }
+}
+
+impl<R: Read> Read for Spool<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.file.seek(SeekFrom::Start(self.at))?;
+        let count = if self.at < self.length {
+            self.file.read(buffer)?
+        } else {
+            let count = self.input.read(buffer)?;
+            self.file.write_all(&buffer[..count])?;
+            self.length += count as u64;
+            count
+        };
+        self.at += count as u64;
+        Ok(count)
+    }
+}
+
+impl<R> Seek for Spool<R> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let at = match to {
+            SeekFrom::Start(at) => Some(at),
+            SeekFrom::Current(by) => self.at.checked_add_signed(by),
+            SeekFrom::End(by) => self.length.checked_add_signed(by),
+        };
+        let within = at.filter(|at| *at <= self.length);
+        self.at = within.ok_or(io::ErrorKind::InvalidInput)?;
+        Ok(self.at)
+    }
+}
+
+/// What the threads of a streamed program report.
+#[derive(Debug, Default)]
+struct Shared {
+    /// The machine waits for setpoints since then.
+    hungry_since: Option<Instant>,
+    /// Why the program ended before its end.
+    error: Option<CliError>,
+    /// Nothing moved before the end.
+    is_empty: bool,
+    /// Names of the called files.
+    called: Vec<String>,
+}
+
+/// A streamed program that runs.
+#[derive(Debug, Clone)]
+pub(super) struct StreamEnd(Arc<Mutex<Shared>>);
+
+impl StreamEnd {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Shared> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether nothing moved before the end.
+    pub(super) fn is_empty(&self) -> bool {
+        self.lock().is_empty
+    }
+
+    /// Takes the reason why the program ended before its end.
+    pub(super) fn take_error(&self) -> Option<CliError> {
+        self.lock().error.take()
+    }
+}
+
+/// How a program is streamed.
+pub(super) struct StreamOptions {
+    /// How it is read.
+    pub(super) options: Options,
+    /// Limits of the machine.
+    pub(super) settings: Settings,
+    /// The blocks may come slower than the machine runs them.
+    pub(super) is_live: bool,
+    /// The session waits for setpoints: the clock of a simulated machine then stands.
+    pub(super) waits: bool,
+    /// Nobody can end a pause.
+    pub(super) refuses_pauses: bool,
+    /// Prints a line for the operator.
+    pub(super) print: Box<dyn Fn(&str) + Send>,
+    /// Ctrl-C.
+    pub(super) interrupted: Arc<AtomicBool>,
+}
+
+/// From the interpreter to the planner.
+enum Item {
+    Step(Box<Step>, Option<String>),
+    Notice(String),
+    /// The end, with the number of lines.
+    End(u32),
+    Error(CliError),
+}
+
+/// Begins to interpret and plan a program.
+pub(super) fn start(
+    program: &PartProgram,
+    bytes: Bytes,
+    model: Model,
+    stream: StreamOptions,
+) -> Supply {
+    let (to_planner, steps) = mpsc::sync_channel(STEPS);
+    let (to_session, setpoints) = mpsc::sync_channel(SETPOINTS);
+    let track = SharedTrack::new(u32::from(stream.settings.period_us));
+    let pauses = Pauses::default();
+    let end = StreamEnd(Arc::default());
+    let options = stream.options.clone();
+    let reader = program.without_text();
+    let shared = end.clone();
+    std::thread::spawn(move || interpret(&reader, bytes, &options, &shared, &to_planner));
+    let source = StreamSource {
+        setpoints,
+        end: end.clone(),
+        waits: stream.waits,
+        interrupted: Arc::clone(&stream.interrupted),
+    };
+    let mut planner = Planner::new(stream.options.start, stream.settings.clone(), model);
+    planner.follow(&track);
+    let mut planning = Planning {
+        program: program.without_text(),
+        planner,
+        stream,
+        to_session,
+        pauses: pauses.clone(),
+        waiting: VecDeque::new(),
+        sent: 0,
+        end: end.clone(),
+    };
+    std::thread::spawn(move || {
+        // The session has dropped the setpoints: the job was stopped.
+        let _ = planning.run(&steps);
+    });
+    Supply {
+        setpoints: Setpoints::of(source),
+        track,
+        pauses,
+        figures: None,
+        end: Some(end),
+    }
+}
+
+fn interpret(
+    program: &PartProgram,
+    bytes: Bytes,
+    options: &Options,
+    shared: &StreamEnd,
+    to: &SyncSender<Item>,
+) {
+    let mut interpreter = Interpreter::new(bytes, options);
+    interpreter.keep_comments();
+    let (mut notices, mut called) = (0, 0);
+    loop {
+        let step = interpreter.next();
+        if interpreter.called().len() > called {
+            called = interpreter.called().len();
+            shared.lock().called = interpreter.called().to_vec();
+        }
+        let comments = interpreter.take_comments();
+        let new = &interpreter.notices()[notices..];
+        notices += new.len();
+        for text in program.describe_notices(new, interpreter.called()) {
+            if to.send(Item::Notice(text)).is_err() {
+                return;
+            }
+        }
+        let item = match step {
+            Some(Ok(step)) => {
+                let comment = comment_at(&step, &comments);
+                Item::Step(Box::new(step), comment)
+            }
+            Some(Err(problem)) => {
+                let kind = ErrorKind::BadInput;
+                Item::Error(program.refuse(kind, problem, interpreter.called()))
+            }
+            None => Item::End(interpreter.lines()),
+        };
+        let is_last = !matches!(item, Item::Step(..));
+        if to.send(item).is_err() || is_last {
+            return;
+        }
+    }
+}
+
+/// The comment in the block of a pause.
+fn comment_at(step: &Step, comments: &[Comment]) -> Option<String> {
+    let place = step.place();
+    let is_here = |it: &&Comment| it.place.line == place.line && it.place.file == place.file;
+    let comment = comments.iter().find(is_here)?;
+    crate::commands::program::comment_text(&comment.text)
+}
+
+/// The session is gone.
+struct Gone;
+
+/// Plans the steps of a program, in a thread.
+struct Planning {
+    program: PartProgram,
+    planner: Planner<Model>,
+    stream: StreamOptions,
+    to_session: SyncSender<Setpoint>,
+    pauses: Pauses,
+    /// Pauses whose setpoints are not made.
+    waiting: VecDeque<Pause>,
+    /// Setpoints that are sent.
+    sent: u32,
+    end: StreamEnd,
+}
+
+impl Planning {
+    fn run(&mut self, steps: &Receiver<Item>) -> Result<(), Gone> {
+        if let Err(problem) = self.planner.check_start() {
+            self.fail(problem);
+            return Ok(());
+        }
+        loop {
+            let item = self.next(steps)?;
+            if self.end.lock().error.is_some() {
+                return self.finish(1);
+            }
+            let Some(item) = item else {
+                continue;
+            };
+            let result = match item {
+                Item::Notice(text) => {
+                    (self.stream.print)(&text);
+                    continue;
+                }
+                Item::Step(step, comment) => self.step(&step, comment),
+                Item::End(lines) => return self.finish(lines),
+                Item::Error(error) => {
+                    self.stop(error);
+                    return self.finish(1);
+                }
+            };
+            if let Err(problem) = result {
+                self.fail(problem);
+                return self.finish(1);
+            }
+            self.send()?;
+        }
+    }
+
+    /// Takes the next item. Where blocks may come late, the look-ahead is planned when the machine
+    /// waits for it.
+    fn next(&mut self, steps: &Receiver<Item>) -> Result<Option<Item>, Gone> {
+        if !self.stream.is_live || self.stream.waits {
+            return steps.recv().map(Some).map_err(|_| Gone);
+        }
+        let item = match steps.recv_timeout(POLL) {
+            Ok(item) => Some(item),
+            Err(RecvTimeoutError::Timeout) => None,
+            Err(RecvTimeoutError::Disconnected) => return Err(Gone),
+        };
+        let hungry_since = self.end.lock().hungry_since;
+        if hungry_since.is_some_and(|since| since.elapsed() > HUNGER) {
+            if let Err(problem) = self.planner.hurry(item.is_none()) {
+                self.fail(problem);
+            }
+            self.send()?;
+        }
+        Ok(item)
+    }
+
+    fn step(
+        &mut self,
+        step: &Step,
+        comment: Option<String>,
+    ) -> Result<(), haptimill_gcode::Problem> {
+        if let Step::Pause { place } | Step::ToolChange { place, .. } = step {
+            if self.stream.refuses_pauses {
+                return Err(haptimill_gcode::Problem {
+                    place: *place,
+                    what: "the program pauses here and standard input is no terminal to press \
+                           Enter on"
+                        .into(),
+                    remedy: "run it from a file in a terminal, or with --skip-pauses".into(),
+                });
+            }
+            self.waiting.push_back(Pause::new(place.line, comment));
+        }
+        self.planner.step(step)
+    }
+
+    /// Notes an error of the planner.
+    fn fail(&mut self, problem: haptimill_gcode::Problem) {
+        let refused = Refused {
+            file: self.program.file_name(),
+            called: self.end.lock().called.clone(),
+            problems: vec![problem],
+            more: 0,
+        };
+        self.stop(Error::refused(ErrorKind::Refused, &refused).into());
+    }
+
+    /// Notes the first error.
+    fn stop(&mut self, error: CliError) {
+        self.end.lock().error.get_or_insert(error);
+    }
+
+    /// Ends the motion at standstill.
+    fn finish(&mut self, line: u32) -> Result<(), Gone> {
+        if let Err(problem) = self.planner.finish(line) {
+            self.fail(problem);
+        }
+        self.end.lock().is_empty = self.planner.figures().blocks == 0;
+        self.send()
+    }
+
+    /// Sends the setpoints that are made.
+    fn send(&mut self) -> Result<(), Gone> {
+        for planned in self.planner.made() {
+            if planned.setpoint.action == Action::Pause
+                && let Some(pause) = self.waiting.pop_front()
+            {
+                self.pauses.add(self.sent, pause);
+            }
+            self.sent += 1;
+            self.to_session.send(planned.setpoint).map_err(|_| Gone)?;
+        }
+        Ok(())
+    }
+}
+
+/// The setpoints of a streamed program.
+struct StreamSource {
+    setpoints: Receiver<Setpoint>,
+    end: StreamEnd,
+    waits: bool,
+    interrupted: Arc<AtomicBool>,
+}
+
+impl SetpointSource for StreamSource {
+    fn next_setpoint(&mut self) -> Poll<Option<Setpoint>> {
+        if self.waits {
+            loop {
+                match self.setpoints.recv_timeout(POLL) {
+                    Ok(setpoint) => return Poll::Ready(Some(setpoint)),
+                    Err(RecvTimeoutError::Disconnected) => return Poll::Ready(None),
+                    Err(RecvTimeoutError::Timeout) => {
+                        if self.interrupted.load(Ordering::Relaxed) {
+                            return Poll::Pending;
+                        }
+                    }
+                }
+            }
+        }
+        match self.setpoints.try_recv() {
+            Ok(setpoint) => {
+                self.end.lock().hungry_since = None;
+                Poll::Ready(Some(setpoint))
+            }
+            Err(TryRecvError::Disconnected) => Poll::Ready(None),
+            Err(TryRecvError::Empty) => {
+                self.end
+                    .lock()
+                    .hungry_since
+                    .get_or_insert_with(Instant::now);
+                Poll::Pending
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What goes back reads the same bytes, over the ends of what was read at once.
+    #[test]
+    fn a_spool_goes_back() {
+        let text: Vec<u8> = (0..10_000u32).map(|k| (k % 251) as u8).collect();
+        let mut spool = Spool::new(text.as_slice()).expect("a file");
+        let mut buffer = [0; 700];
+        let mut read = |spool: &mut Spool<&[u8]>, at: u64| {
+            spool.seek(SeekFrom::Start(at)).expect("within");
+            let count = spool.read(&mut buffer).expect("readable");
+            buffer[..count].to_vec()
+        };
+        for at in [0, 700, 100, 1400, 2100, 650, 0, 2800] {
+            let bytes = read(&mut spool, at);
+            assert!(!bytes.is_empty());
+            assert_eq!(bytes, text[at as usize..at as usize + bytes.len()]);
+        }
+        assert!(spool.seek(SeekFrom::Start(9999)).is_err());
+    }
+}
