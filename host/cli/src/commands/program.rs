@@ -34,14 +34,17 @@ pub(crate) struct Planned {
 #[derive(Debug)]
 pub(crate) struct Checked {
     pub(crate) figures: Figures,
+    /// Duration at the overrides, seconds.
+    pub(crate) duration_s: f64,
     /// Words that change nothing on this machine, as lines of text.
     pub(crate) notices: Vec<String>,
 }
 
 impl Planned {
-    /// The result of the check, and the approach.
-    pub(crate) fn into_checked(self) -> (Checked, Option<String>) {
+    /// The result of the check, with the duration at the overrides, and the approach.
+    pub(crate) fn into_checked(self, duration_s: f64) -> (Checked, Option<String>) {
         let checked = Checked {
+            duration_s,
             figures: self.plan.figures,
             notices: self.notices,
         };
@@ -310,6 +313,7 @@ impl PartProgram {
             CheckError::Impossible(refused) => Error::refused(ErrorKind::Refused, &refused),
         })?;
         Ok(Checked {
+            duration_s: figures.duration_s,
             figures,
             notices: self.describe_notices(interpreter.notices(), interpreter.called()),
         })

@@ -7,8 +7,9 @@ use crate::commands::program::LanguageArgs;
 use crate::commands::{CliError, Exit};
 use clap::Args;
 use haptimill_client::port::PortSpec;
+use haptimill_client::session::RunTime;
 use haptimill_machine_file::MachineFile;
-use haptimill_planner::Figures;
+use haptimill_planner::Plan;
 use haptimill_protocol::message::Command;
 use haptimill_trace::{MCAP, RECORD_BYTES, RecordingError};
 use std::ffi::OsStr;
@@ -215,9 +216,8 @@ impl RunArgs {
         self.stream && self.program == Path::new("-")
     }
 
-    /// Estimated size of the recording of a program with this programmed duration.
-    pub(super) fn recording_bytes(&self, machine: &MachineFile, figures: &Figures) -> f64 {
-        let seconds = self.duration_s(figures);
+    /// Estimated size of the recording of a program with this duration.
+    pub(super) fn recording_bytes(&self, machine: &MachineFile, seconds: f64) -> f64 {
         if self.port.is_simulated() {
             seconds * bytes_per_s(machine)
         } else {
@@ -226,12 +226,21 @@ impl RunArgs {
         }
     }
 
-    /// Duration of a program at the overrides, seconds. Above 100 % the limits of the machine may
-    /// make it longer.
-    pub(super) fn duration_s(&self, figures: &Figures) -> f64 {
-        let [feed, rapid] =
-            [self.feed_override, self.rapid_override].map(|percent| f64::from(percent) / 100.0);
-        (figures.duration_s - figures.rapid_s) / feed + figures.rapid_s / rapid
+    /// Whether the overrides of motion are 100 %.
+    pub(super) const fn is_at_full_speed(&self) -> bool {
+        matches!((self.feed_override, self.rapid_override), (100, 100))
+    }
+
+    /// Duration of a plan at the overrides, seconds.
+    pub(super) fn duration_s(&self, machine: &MachineFile, plan: &Plan) -> f64 {
+        if self.is_at_full_speed() {
+            return plan.figures.duration_s;
+        }
+        let mut time = RunTime::new(machine, self.feed_override, self.rapid_override);
+        for setpoint in &plan.setpoints {
+            time.add(setpoint);
+        }
+        time.seconds()
     }
 
     /// The commands that set the overrides.
@@ -250,8 +259,8 @@ impl RunArgs {
     }
 
     /// Describes the duration of a program at the overrides.
-    pub(super) fn describe_duration(&self, figures: &Figures) -> String {
-        let time = haptimill_report::duration(self.duration_s(figures));
+    pub(super) fn describe_duration(&self, seconds: f64) -> String {
+        let time = haptimill_report::duration(seconds);
         match (self.feed_override, self.rapid_override) {
             (100, 100) => time,
             (feed, 100) => format!("{time} at {feed} %"),

@@ -14,7 +14,7 @@ use haptimill_client::session::{EMERGENCY_STOP, JobEnd, JobLine, JobRecording, L
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::settings;
-use haptimill_planner::{Figures, SharedTrack};
+use haptimill_planner::SharedTrack;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
 use haptimill_report::Outcome;
@@ -38,19 +38,20 @@ pub(super) struct Supply {
     pub(super) setpoints: Setpoints,
     pub(super) track: SharedTrack,
     pub(super) pauses: Pauses,
-    /// Figures of the whole program, if it was planned before.
-    pub(super) figures: Option<Figures>,
+    /// Duration of the whole program, seconds, as programmed and at the overrides, if it was
+    /// planned before.
+    pub(super) duration_s: Option<[f64; 2]>,
     /// The end of a streamed program.
     pub(super) end: Option<StreamEnd>,
 }
 
-impl From<Planned> for Supply {
-    fn from(planned: Planned) -> Self {
+impl Supply {
+    fn of(planned: Planned, args: &RunArgs, machine: &MachineFile) -> Self {
         let Planned { plan, pauses, .. } = planned;
         Self {
+            duration_s: Some([plan.figures.duration_s, args.duration_s(machine, &plan)]),
             setpoints: plan.setpoints.clone().into(),
             pauses,
-            figures: Some(plan.figures),
             track: plan.into(),
             end: None,
         }
@@ -185,15 +186,15 @@ impl Job<'_> {
         let recorder = Recorder::create(&dir.join(haptimill_report::RECORDING_FILE), &header)
             .map_err(|error| output(&error))?;
         let supply = match work {
-            Work::Planned(planned) => Supply::from(*planned),
+            Work::Planned(planned) => Supply::of(*planned, self.args, self.machine),
             Work::Stream(bytes, is_live) => {
                 let options = self.stream_options(session, &start, is_live)?;
                 let model = session.model().clone();
                 stream::start(self.program, bytes, model, options)
             }
         };
-        self.args.print_message(&match &supply.figures {
-            Some(figures) => format!("running, {}", self.args.describe_duration(figures)),
+        self.args.print_message(&match supply.duration_s {
+            Some([_, seconds]) => format!("running, {}", self.args.describe_duration(seconds)),
             None => "running; the program is checked while it runs".to_string(),
         });
         let mut progress = ProgressDisplay::new(self.args, &supply);

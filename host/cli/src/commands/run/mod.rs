@@ -43,10 +43,12 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         PartProgram::load(&args.program, args.language)?.with_changes(args.changes)
     };
     if args.check {
-        let (checked, approach) = if args.changes.is_none() {
+        let (checked, approach) = if args.changes.is_none() && args.is_at_full_speed() {
             (program.check(&machine, &model, &home)?, None)
         } else {
-            program.plan(&machine, &model, &home)?.into_checked()
+            let planned = program.plan(&machine, &model, &home)?;
+            let duration_s = args.duration_s(&machine, &planned.plan);
+            planned.into_checked(duration_s)
         };
         args.stock.load(&machine)?;
         print_check(&args, &program, &checked);
@@ -68,7 +70,8 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             program.check_pauses(&planned)?;
         }
         job::check_can_ask(&args, &planned)?;
-        let bytes = args.recording_bytes(&machine, &planned.plan.figures);
+        let duration_s = args.duration_s(&machine, &planned.plan);
+        let bytes = args.recording_bytes(&machine, duration_s);
         results::check_space(&args.out_dir(), bytes)?;
         Work::Planned(Box::new(planned))
     };
@@ -158,7 +161,7 @@ fn print_check(args: &RunArgs, program: &PartProgram, checked: &Checked) {
             "blocks": figures.blocks,
             "slowed_blocks": figures.slowed,
             "path_length_mm": figures.path_length_mm,
-            "duration_s": args.duration_s(figures),
+            "duration_s": checked.duration_s,
         });
         print_line!("{value:#}");
     }
@@ -177,7 +180,7 @@ fn print_check(args: &RunArgs, program: &PartProgram, checked: &Checked) {
         program.name,
         count(figures.blocks, "block"),
         figures.path_length_mm,
-        args.describe_duration(figures)
+        args.describe_duration(checked.duration_s)
     ));
 }
 

@@ -39,8 +39,8 @@ pub(super) struct ProgressDisplay {
 impl ProgressDisplay {
     /// Creates the progress bar of a job that starts now.
     pub(super) fn new(args: &RunArgs, supply: &Supply) -> Self {
-        let duration_s = supply.figures.map(|figures| figures.duration_s);
-        let total = duration_s.map(|seconds| (seconds * 1000.0).round() as u64);
+        let duration_s = supply.duration_s;
+        let total = duration_s.map(|[seconds, _]| (seconds * 1000.0).round() as u64);
         let shown = !args.json && !args.quiet;
         let bar = ProgressBar::with_draw_target(
             total,
@@ -60,10 +60,9 @@ impl ProgressDisplay {
         Self {
             bar,
             start: Instant::now(),
-            pace: supply
-                .figures
+            pace: duration_s
                 .filter(|_| !args.port.is_simulated())
-                .map(|figures| args.duration_s(&figures) / figures.duration_s.max(1e-9)),
+                .map(|[programmed, taken]| taken / programmed.max(1e-9)),
             overrides: Overrides::new(args),
             held: false,
             resumes: false,

@@ -218,7 +218,7 @@ pub(super) fn start(
         setpoints: Setpoints::of(source),
         track,
         pauses,
-        figures: None,
+        duration_s: None,
         end: Some(end),
     }
 }
