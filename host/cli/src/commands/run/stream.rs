@@ -26,10 +26,10 @@ use std::task::Poll;
 use std::time::{Duration, Instant};
 
 /// Steps between the interpreter and the planner.
-const STEPS: usize = 1024;
+const STEPS: usize = 256;
 
 /// Setpoints between the planner and the session.
-const SETPOINTS: usize = 4096;
+const SETPOINTS: usize = 1024;
 
 /// How long the machine may wait for setpoints before a part of the look-ahead is planned.
 const HUNGER: Duration = Duration::from_millis(100);
