@@ -325,6 +325,13 @@ fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
             "a number without a letter".into(),
             "write the letter of the word in front of the number",
         ),
+        b'@' | b'^' => (
+            format!(
+                "'{}': polar coordinates are not supported",
+                char::from(byte)
+            ),
+            "write the end point with X and Y",
+        ),
         b',' => (
             "a comma is not supported".into(),
             "write decimals with a point: X10.5",

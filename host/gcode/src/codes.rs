@@ -189,6 +189,9 @@ pub(crate) fn g_remedy(tenths: u16) -> &'static str {
             "threading follows the spindle's encoder, which this machine does not have: \
              write a program for a mill"
         }
+        711 | 712 | 720..=722 => {
+            "turning cycles belong to lathes: write the passes as G0 and G1, or a program for a mill"
+        }
         171 | 181 | 191 => "planes of U, V, W are not supported: write G17, G18 or G19",
         _ => "remove it if the part does not need it",
     }

@@ -174,6 +174,22 @@ fn refusals_name_place_and_remedy() {
             "t.ngc:1:1: G7 is not supported; diameter and radius modes belong to lathes",
         ),
         ("M117 hello", "t.ngc:1:1: M117 is not supported"),
+        (
+            "G1 @5 ^30",
+            "t.ngc:1:4: '@': polar coordinates are not supported; write the end",
+        ),
+        (
+            "G1 ^30",
+            "t.ngc:1:4: '^': polar coordinates are not supported; write the end",
+        ),
+        (
+            "G71.1 P1",
+            "t.ngc:1:1: G71.1 is not supported; turning cycles belong to lathes",
+        ),
+        (
+            "G72 P1",
+            "t.ngc:1:1: G72 is not supported; turning cycles belong to lathes",
+        ),
         ("G1.5 X1", "t.ngc:1:1: G1.5 is not supported"),
         (
             "G1 G2 X1 F1",
