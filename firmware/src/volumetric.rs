@@ -14,17 +14,20 @@
 //! ```
 //!
 //! The arm a_k has those coordinates of the tool that lie between the carriage k and the tool, from
-//! the point at which the axis was measured. Rates and accelerations are the derivatives of the
-//! same sum. Within a segment of a table they are exact. At a node the slope changes, and the rate
-//! with it: by a thousandth of the axis's rate at most, the bound of the tables.
+//! the point at which the axis was measured. That point is constant, so a segment of a table has
+//! its share in the translations, and all rotations about one coordinate with the same arm are
+//! summed before they are multiplied. Rates and accelerations are the derivatives of the same sum.
+//! Within a segment of a table they are exact. At a node the slope changes, and the rate with it: by
+//! a thousandth of the axis's rate at most, the bound of the tables.
 //!
 //! | quantity | unit | bound |
 //! | --- | --- | --- |
-//! | translation, rotation | 2^-8 nm, 2^-8 nrad | 2^28 |
-//! | their rates | the same per second | 2^30 |
-//! | their accelerations | nm/s^2, nrad/s^2 | 2^26 |
-//! | arm, its rate, its acceleration | 2^-12 mm, per second, per second squared | 2^24, 2^23, 2^27 |
-//! | sum | 2^-20 pm, per second, per second squared | 2^61 |
+//! | value of a translation, a rotation at a node | 2^-4 nm, nrad | 2^25, 2^20 |
+//! | sum of translations, of rotations | 2^-8 nm, 2^-8 nrad | 2^30 |
+//! | their rates | the same per second | 2^31 |
+//! | their accelerations | nm/s^2, nrad/s^2 | 2^27 |
+//! | arm, its rate, its acceleration | 2^-12 mm, per second, per second squared | 2^23, 2^23, 2^27 |
+//! | error | 2^-20 pm, per second, per second squared | 2^61 |
 //! | position in a table | 2^-24 of a segment | 2^32 |
 //!
 //! With these bounds no sum overflows, so none is checked. An acceleration beyond 32 m/s^2 is
@@ -34,6 +37,14 @@ use crate::config::volumetric::{CORRECTION, ERROR_AXES, ERRORS, VolumetricConfig
 use crate::motion::PoseCommand;
 use haptimill_math::scale::saturate;
 use haptimill_math::{Acceleration, Coordinate, Rate};
+
+/// Order of the error functions of an axis in its table.
+const TX: usize = 0;
+const TY: usize = 1;
+const TZ: usize = 2;
+const RX: usize = 3;
+const RY: usize = 4;
+const RZ: usize = 5;
 
 /// Time of a fade from 0 to 1, microseconds.
 const FADE_US: u32 = 1_000_000;
@@ -52,14 +63,63 @@ const TRANSLATION: i32 = 1000 << 12;
 const TRANSLATION_ACCELERATION: i32 = 1000 << 20;
 
 /// Error functions of one axis in a segment: the values at its lower node, and the changes to the
-/// upper one, nm or nrad.
+/// upper one. Translations, 2^-4 nm, have the share of the point at which the axis was measured;
+/// rotations are nrad.
 #[derive(Debug, Clone, Copy, Default)]
 struct Segment {
     values: [i32; ERRORS],
     slopes: [i32; ERRORS],
 }
 
-/// An error function at a position.
+/// Position of an axis in its segment.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    /// Part of the segment, 2^-24.
+    part: i32,
+    /// 2^-16 segments per second.
+    speed: i32,
+    /// 2^-8 segments per second squared.
+    gain: i32,
+}
+
+/// A sum of error functions: values at the lower nodes in the unit of [`Segment`], and the products
+/// of the slopes with the members of [`Place`].
+#[derive(Debug, Clone, Copy, Default)]
+struct Sum {
+    value: i32,
+    position: i64,
+    rate: i64,
+    acceleration: i64,
+}
+
+impl Sum {
+    #[inline(always)]
+    const fn add(&mut self, segment: &Segment, function: usize, place: &Place) {
+        let slope = segment.slopes[function];
+        self.value = self.value.wrapping_add(segment.values[function]);
+        self.position = self.position.wrapping_add(product(slope, place.part));
+        self.rate = self.rate.wrapping_add(product(slope, place.speed));
+        self.acceleration = self.acceleration.wrapping_add(product(slope, place.gain));
+    }
+}
+
+/// The axes whose carriage is followed by that of a coordinate on the way to the tool.
+#[derive(Debug, Clone, Copy)]
+struct Carries([bool; ERROR_AXES]);
+
+impl Carries {
+    #[inline(always)]
+    const fn of(config: &VolumetricConfig, along: u8) -> Self {
+        let bit = 1 << along;
+        Self([
+            config.axes[0].arm & bit != 0,
+            config.axes[1].arm & bit != 0,
+            config.axes[2].arm & bit != 0,
+        ])
+    }
+}
+
+/// A sum of error functions at a position.
 #[derive(Debug, Clone, Copy, Default)]
 struct Function {
     value: i32,
@@ -244,51 +304,37 @@ impl Compensation {
     }
 
     /// Errors of x, y and z at a pose.
-    #[inline]
+    // The image is built for size, which inlines no closure and unrolls no loop: the sums are
+    // written out.
+    #[inline(never)]
     fn errors(&mut self, config: &VolumetricConfig, at: &PoseCommand) -> [Error; ERROR_AXES] {
-        let mut sum = [Error::default(); ERROR_AXES];
-        for axis in 0..ERROR_AXES {
-            let functions = self.functions(config, axis, at);
-            let [tx, ty, tz, rx, ry, rz] = &functions;
-            for (sum, translation) in sum.iter_mut().zip([tx, ty, tz]) {
-                sum.translate(translation);
-            }
-            let tables = &config.axes[axis];
-            // The vector product r x a, by the coordinates of the arm.
-            let [x, y, z] = &mut sum;
-            if tables.arm & 1 != 0 {
-                let arm = Arm::of(tables.measured_at[0], at, 0);
-                y.turn(rz, &arm);
-                z.turn(ry, &arm.negative());
-            }
-            if tables.arm & 2 != 0 {
-                let arm = Arm::of(tables.measured_at[1], at, 1);
-                z.turn(rx, &arm);
-                x.turn(rz, &arm.negative());
-            }
-            if tables.arm & 4 != 0 {
-                let arm = Arm::of(tables.measured_at[2], at, 2);
-                x.turn(ry, &arm);
-                y.turn(rx, &arm.negative());
-            }
-        }
+        let places = [
+            self.place(config, 0, at),
+            self.place(config, 1, at),
+            self.place(config, 2, at),
+        ];
+        let [mut ex, mut ey, mut ez] = [
+            Error::of(&self.translation(TX, &places)),
+            Error::of(&self.translation(TY, &places)),
+            Error::of(&self.translation(TZ, &places)),
+        ];
         let [c0y, b0z, a0z] = config.squareness;
-        let [x, y, _] = &mut sum;
-        let (along_y, along_z) = (Arm::of(Coordinate(0), at, 1), Arm::of(Coordinate(0), at, 2));
-        x.turn(&Function::constant(-c0y), &along_y);
-        x.turn(&Function::constant(b0z), &along_z);
-        y.turn(&Function::constant(-a0z), &along_z);
-        sum
+        // The vector product r x a, by the coordinates of the arm.
+        let (arm, carries) = (Arm::of(at, 0), Carries::of(config, 0));
+        ey.turn(&self.rotation(RZ, carries, 0, &places), &arm);
+        ez.turn(&self.rotation(RY, carries, 0, &places), &arm.negative());
+        let (arm, carries) = (Arm::of(at, 1), Carries::of(config, 1));
+        ez.turn(&self.rotation(RX, carries, 0, &places), &arm);
+        ex.turn(&self.rotation(RZ, carries, c0y, &places), &arm.negative());
+        let (arm, carries) = (Arm::of(at, 2), Carries::of(config, 2));
+        ex.turn(&self.rotation(RY, carries, b0z, &places), &arm);
+        ey.turn(&self.rotation(RX, carries, a0z, &places), &arm.negative());
+        [ex, ey, ez]
     }
 
-    /// Error functions of an axis.
+    /// Position of an axis in its table. Loads the segment if it is another one.
     #[inline(never)]
-    fn functions(
-        &mut self,
-        config: &VolumetricConfig,
-        axis: usize,
-        at: &PoseCommand,
-    ) -> [Function; ERRORS] {
+    fn place(&mut self, config: &VolumetricConfig, axis: usize, at: &PoseCommand) -> Place {
         let tables = &config.axes[axis];
         // Below 2^31, as the pitch is at least 1 mm.
         let reciprocal = self.reciprocals[axis] as i32;
@@ -302,28 +348,63 @@ impl Compensation {
             self.numbers[axis] = number;
             self.segments[axis] = Segment::of(config, axis, number);
         }
-        let part = (place & 0xFF_FFFF) as i32;
         // Beyond its ends a table is constant.
         let (speed, gain) = if inside {
             let acceleration = at.accelerations[axis].0;
             let acceleration = acceleration.clamp(-ACCELERATION, ACCELERATION);
             (
-                // 2^-16 segments per second, 2^-8 segments per second squared.
                 (product(at.rates[axis].0, reciprocal) >> 34) as i32,
                 (product(acceleration, reciprocal) >> 34) as i32,
             )
         } else {
             (0, 0)
         };
-        let segment = &self.segments[axis];
-        let mut functions = [Function::default(); ERRORS];
-        let rows = segment.values.iter().zip(&segment.slopes);
-        for (function, (value, slope)) in functions.iter_mut().zip(rows) {
-            function.value = (value << 8).wrapping_add((product(*slope, part) >> 16) as i32);
-            function.rate = (product(*slope, speed) >> 8) as i32;
-            function.acceleration = (product(*slope, gain) >> 8) as i32;
+        Place {
+            part: (place & 0xFF_FFFF) as i32,
+            speed,
+            gain,
         }
-        functions
+    }
+
+    /// Sum of a translation over the axes.
+    #[inline(always)]
+    fn translation(&self, function: usize, places: &[Place; ERROR_AXES]) -> Function {
+        let mut sum = Sum::default();
+        sum.add(&self.segments[0], function, &places[0]);
+        sum.add(&self.segments[1], function, &places[1]);
+        sum.add(&self.segments[2], function, &places[2]);
+        Function {
+            value: (sum.value << 4).wrapping_add((sum.position >> 20) as i32),
+            rate: (sum.rate >> 12) as i32,
+            acceleration: (sum.acceleration >> 12) as i32,
+        }
+    }
+
+    /// Sum of a rotation over the axes that carry a coordinate, and of a constant one, nrad.
+    #[inline(always)]
+    fn rotation(
+        &self,
+        function: usize,
+        carries: Carries,
+        angle: i32,
+        places: &[Place; ERROR_AXES],
+    ) -> Function {
+        let mut sum = Sum::default();
+        if carries.0[0] {
+            sum.add(&self.segments[0], function, &places[0]);
+        }
+        if carries.0[1] {
+            sum.add(&self.segments[1], function, &places[1]);
+        }
+        if carries.0[2] {
+            sum.add(&self.segments[2], function, &places[2]);
+        }
+        Function {
+            value: (sum.value.wrapping_add(angle) << 8).wrapping_add((sum.position >> 16) as i32),
+            // Two axes at 2048 mm/s with the steepest rotations exceed 32 bits.
+            rate: saturate(sum.rate >> 8),
+            acceleration: (sum.acceleration >> 8) as i32,
+        }
     }
 }
 
@@ -348,17 +429,17 @@ struct Arm {
 }
 
 impl Arm {
-    #[inline]
-    fn of(measured_at: Coordinate, at: &PoseCommand, along: usize) -> Self {
+    #[inline(always)]
+    fn of(at: &PoseCommand, along: usize) -> Self {
         let acceleration = at.accelerations[along].0;
         Self {
-            length: at.pose.0[along].0.saturating_sub(measured_at.0) >> 8,
+            length: at.pose.0[along].0 >> 8,
             rate: at.rates[along].0 >> 8,
             acceleration: acceleration.clamp(-ACCELERATION, ACCELERATION),
         }
     }
 
-    #[inline]
+    #[inline(always)]
     const fn negative(&self) -> Self {
         Self {
             length: self.length.wrapping_neg(),
@@ -368,47 +449,64 @@ impl Arm {
     }
 }
 
-impl Function {
-    /// A rotation that does not change, nrad.
-    const fn constant(angle: i32) -> Self {
-        Self {
-            value: angle << 8,
-            rate: 0,
-            acceleration: 0,
-        }
-    }
-}
-
 impl Segment {
     /// The segment of an axis that begins at a node.
     #[inline(never)]
     fn of(config: &VolumetricConfig, axis: usize, number: u8) -> Self {
-        let start = config.start(axis) + usize::from(number) * ERRORS;
-        let value = |place: usize| {
-            let value = config.values.get(place).copied().unwrap_or_default();
-            i32::from(value) << config.shift
-        };
-        let values = core::array::from_fn(|index| value(start + index));
-        let next = |index: usize| value(start + ERRORS + index);
+        let lower = node(config, axis, usize::from(number));
+        let upper = node(config, axis, usize::from(number) + 1);
         Self {
-            values,
-            slopes: core::array::from_fn(|index| next(index).wrapping_sub(values[index])),
+            values: lower,
+            slopes: core::array::from_fn(|index| upper[index].wrapping_sub(lower[index])),
         }
     }
 }
 
+/// The error functions of an axis at a node, in the units of [`Segment`]: t - r x m, with m the
+/// carried coordinates of the point at which the axis was measured.
+#[inline(never)]
+fn node(config: &VolumetricConfig, axis: usize, number: usize) -> [i32; ERRORS] {
+    let start = config.start(axis) + number * ERRORS;
+    let mut values = core::array::from_fn(|index| {
+        let value = config.values.get(start + index).copied();
+        i32::from(value.unwrap_or_default()) << config.shift
+    });
+    let tables = &config.axes[axis];
+    let carried = |along: usize| tables.arm >> along & 1 != 0;
+    let [mx, my, mz] = [0, 1, 2].map(|along| {
+        if carried(along) {
+            tables.measured_at[along].0
+        } else {
+            0
+        }
+    });
+    let [rx, ry, rz] = [values[RX], values[RY], values[RZ]];
+    // 2^-20 pm to 2^-4 nm: 16 / 1000 of 2^32.
+    let share = |sum: i64| (product(saturate(sum >> 20), 68_719_477) >> 32) as i32;
+    let shares = [
+        share(product(ry, mz).wrapping_sub(product(rz, my))),
+        share(product(rz, mx).wrapping_sub(product(rx, mz))),
+        share(product(rx, my).wrapping_sub(product(ry, mx))),
+    ];
+    for (value, share) in values.iter_mut().zip(shares) {
+        *value = (*value << 4).wrapping_sub(share);
+    }
+    values
+}
+
 impl Error {
-    /// Adds a translation.
-    #[inline]
-    const fn translate(&mut self, by: &Function) {
-        self.position = self.position.wrapping_add(product(by.value, TRANSLATION));
-        self.rate = self.rate.wrapping_add(product(by.rate, TRANSLATION));
-        let acceleration = product(by.acceleration, TRANSLATION_ACCELERATION);
-        self.acceleration = self.acceleration.wrapping_add(acceleration);
+    /// The error of a translation alone.
+    #[inline(always)]
+    const fn of(translation: &Function) -> Self {
+        Self {
+            position: product(translation.value, TRANSLATION),
+            rate: product(translation.rate, TRANSLATION),
+            acceleration: product(translation.acceleration, TRANSLATION_ACCELERATION),
+        }
     }
 
     /// Adds a rotation times a coordinate of its arm.
-    #[inline]
+    #[inline(always)]
     const fn turn(&mut self, by: &Function, arm: &Arm) {
         self.position = self.position.wrapping_add(product(by.value, arm.length));
         let rate = product(by.rate, arm.length).wrapping_add(product(by.value, arm.rate));
