@@ -19,7 +19,7 @@ td.n,th.n{text-align:right;white-space:nowrap}.bad{color:#b04a00}pre{background:
 #[must_use]
 pub fn page(outcome: &Outcome) -> String {
     let mut body = String::from(
-        "<h1>A vertical mill that knows its own errors</h1><p class=\"sub\">21 geometric \
+        "<h1>Volumetric errors of a vertical mill</h1><p class=\"sub\">21 geometric \
          errors in the simulated machine, measured by a simulated laser through the controller's \
          protocol, compensated by the controller, proven on the test piece A160 of ISO 10791-7 and \
          on the circle test of ISO 230-4.</p>",
@@ -44,7 +44,7 @@ pub fn page(outcome: &Outcome) -> String {
     body.push_str(&escape(&outcome.calibration.report()));
     body.push_str("</pre>");
     haptimill_viewer::page(
-        "A vertical mill that knows its own errors",
+        "Volumetric errors of a vertical mill",
         &format!("{}{MORE_STYLE}", haptimill_report::markup::STYLE),
         &body,
     )
