@@ -17,8 +17,8 @@
 //! the point at which the axis was measured. That point is constant, so a segment of a table has
 //! its share in the translations, and all rotations about one coordinate with the same arm are
 //! summed before they are multiplied. Rates and accelerations are the derivatives of the same sum.
-//! Within a segment of a table they are exact. At a node the slope changes, and the rate with it: by
-//! a thousandth of the axis's rate at most, the bound of the tables.
+//! Within a segment of a table they are exact. At a node the slope changes, and the rate with it:
+//! by a thousandth of the axis's rate at most, the bound of the tables.
 //!
 //! | quantity | unit | bound |
 //! | --- | --- | --- |
