@@ -157,6 +157,35 @@ proptest! {
         let lag = plant.bodies().motor[0] - f64::from(expected) * 10.0 / 3200.0;
         prop_assert!(lag.abs() < 0.0015, "{}", lag);
     }
+
+    /// Pulses that were seen on the line of a board are all emitted in their period, those at its
+    /// first and last moment too, and the motor follows them.
+    #[test]
+    fn seen_pulses_are_all_counted_in_their_period(
+        times in prop::collection::vec(
+            (prop_oneof![0_u64..=200_000, Just(0), Just(199_999), Just(200_000)], any::<bool>()),
+            1..60,
+        ),
+    ) {
+        let mut plant = Plant::new(&machine::stepped_slide(), 200).expect("a slide");
+        let emitted = |plant: &Plant| {
+            let mut inputs = Inputs::default();
+            plant.latch(&mut inputs);
+            inputs.axes[0].steps
+        };
+        let mut expected = 0_i32;
+        for (time_ns, up) in times {
+            plant.add_pulse(0, time_ns, up);
+            expected += if up { 1 } else { -1 };
+            steps(&mut plant, StepSegment::default());
+            prop_assert_eq!(emitted(&plant), expected);
+        }
+        for _ in 0..3000 {
+            steps(&mut plant, StepSegment::default());
+        }
+        let lag = plant.bodies().motor[0] - f64::from(expected) * 10.0 / 3200.0;
+        prop_assert!(lag.abs() < 0.0015, "{}", lag);
+    }
 }
 
 fn steps(plant: &mut Plant, segment: StepSegment) {

@@ -183,6 +183,9 @@ impl Stepper {
 
     /// Emits the remaining pulses of the period and moves to the next period.
     pub fn end(&mut self) {
+        // A pulse that was seen in the very last moment of the period belongs to it, too: left in
+        // the queue it would hold up all later ones.
+        self.take_seen(i64::MAX);
         self.advance_to(self.period_ticks);
         let left = i64::from(self.segment.count).abs() - self.next;
         for _ in 0..left {
@@ -198,14 +201,7 @@ impl Stepper {
 
     /// Emits the pulses that start before this tick of the period.
     fn advance_to(&mut self, tick: i64) {
-        while let Some(&(at, up)) = self.seen_pulses.front()
-            && at < tick
-        {
-            self.seen_pulses.pop_front();
-            let step = if up { 1 } else { -1 };
-            self.emitted = self.emitted.wrapping_add(step);
-            self.seen += i64::from(step);
-        }
+        self.take_seen(tick);
         while self.next < i64::from(self.segment.count).abs() {
             let k = self.next;
             let leaves = i64::from(self.segment.delay)
@@ -216,6 +212,18 @@ impl Stepper {
             }
             self.next += 1;
             self.pulse(self.period_start + leaves);
+        }
+    }
+
+    /// Moves the field by the pulses on the line of a board before this tick of the period.
+    fn take_seen(&mut self, tick: i64) {
+        while let Some(&(at, up)) = self.seen_pulses.front()
+            && at < tick
+        {
+            self.seen_pulses.pop_front();
+            let step = if up { 1 } else { -1 };
+            self.emitted = self.emitted.wrapping_add(step);
+            self.seen += i64::from(step);
         }
     }
 
