@@ -170,23 +170,36 @@ impl StepWords {
                 };
                 self.up = up;
             }
-            let pulse = 0b10 | u32::from(up);
-            let mut at = i32::try_from(segment.delay).map_err(|_| Unfit)?;
-            let mut interval = i32::try_from(segment.interval).map_err(|_| Unfit)?;
-            for word in &mut words[used..used + count] {
-                let turns = at - start;
-                if turns < 0 {
-                    return Err(Unfit);
-                }
-                *word = turns.unsigned_abs() << 2 | pulse;
-                start = at + LEAST as i32 + self.width;
-                at = at.checked_add(interval).ok_or(Unfit)?;
-                interval = interval.checked_add(segment.ramp).ok_or(Unfit)?;
-            }
-            used += count;
-            if start > self.period + LEAST as i32 {
+            let at = i32::try_from(segment.delay).map_err(|_| Unfit)?;
+            let first = at - start;
+            // The turns of a word after another one change by the ramp, so that the first and the
+            // last of them bound all.
+            let pulse = i64::from(LEAST as i32 + self.width);
+            let (ramp, gaps) = (i64::from(segment.ramp), count as i64 - 1);
+            let second = i64::from(segment.interval) - pulse;
+            let last = second + ramp * (gaps - 1).max(0);
+            let least = if gaps > 0 { second.min(last) } else { 0 };
+            let end = i64::from(at)
+                + i64::from(segment.interval) * gaps
+                + ramp * (gaps * (gaps - 1) / 2)
+                + pulse;
+            if first < 0 || least < 0 || end > i64::from(self.period + LEAST as i32) {
                 return Err(Unfit);
             }
+            let flags = 0b10 | u32::from(up);
+            let pulses = words.get_mut(used..used + count).ok_or(Unfit)?;
+            if let [word, rest @ ..] = pulses {
+                *word = first.unsigned_abs() << 2 | flags;
+                // Below the period in ticks, as all turns here.
+                let mut next = (second as u32) << 2 | flags;
+                let change = (segment.ramp as u32) << 2;
+                for word in rest {
+                    *word = next;
+                    next = next.wrapping_add(change);
+                }
+            }
+            used += count;
+            start = end as i32;
         }
         let rest = self.period - start;
         if rest >= LEAST as i32 {
