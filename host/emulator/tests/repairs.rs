@@ -47,6 +47,18 @@ fn load_acquire_and_store_release_are_executed() {
     assert_eq!((chip.core_register(2), chip.core_register(3)), (7, 7));
 }
 
+/// Without it all handlers have one priority, and SysTick waits for PendSV.
+#[test]
+fn priorities_of_handlers_have_byte_access() {
+    // r1 = SHPR3; bytes of SysTick 0x20 and of PendSV 0xE0; ldr r3, [r1]; ldrb r4, [r1, #3]
+    let code = [
+        0xF64E, 0x5120, 0xF2CE, 0x0100, 0x2220, 0x70CA, 0x22E0, 0x708A, 0x680B, 0x78CC,
+    ];
+    let chip = run(&code, 200);
+    assert_eq!(chip.core_register(3), 0x20E0_0000);
+    assert_eq!(chip.core_register(4), 0x20);
+}
+
 #[test]
 fn systick_fires_when_it_reaches_zero_in_steps_of_one_cycle() {
     // r1 = SysTick; reload 9, value 0, enabled; 40 times nop; ldr r3, [r1]
