@@ -387,8 +387,9 @@ impl Plant {
     }
 
     /// Adds a pulse that was seen on the step line of a board, at this time of the coming period,
-    /// in the order of the times; its end is a part of it. The outputs of the period enable the drive with a segment without
-    /// steps. A joint without a step drive has no such line.
+    /// in the order of the times; the end of the period is a part of it. The outputs of the period
+    /// enable the drive with a segment without steps. A joint without a step drive has no such
+    /// line.
     pub fn add_pulse(&mut self, axis: usize, time_ns: u64, up: bool) {
         let Some(joint) = self.joints.get_mut(axis) else {
             return;

@@ -14,21 +14,46 @@ const FOLDER: &str = "host/emulator";
 /// Board whose image runs in the emulator.
 const BOARD: &str = "pico2";
 
-/// Repairs the emulator, and runs the tests of the repairs and of the image of the board.
+/// What is done with the repaired emulator.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Task {
+    /// Build the program and the image of the board, for `haptimill run --port emu:pico2`.
+    Build,
+    /// Test the repairs and the image of the board.
+    Test,
+    /// As `Test`, with the tests that take many minutes.
+    LongTest,
+}
+
+/// Repairs the emulator, and builds or tests it.
 ///
 /// # Errors
 /// A package cannot be fetched, a patch does not fit, the image cannot be built, or a test fails.
-pub fn emulator(root: &Path) -> Result<(), String> {
+pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     let folder = root.join(FOLDER);
     repair(root, &folder)?;
     let board = crate::named(BOARD)?;
     let image = board.uf2(root)?;
     let mut cargo = crate::cargo();
-    cargo
-        .current_dir(&folder)
-        .env("HAPTIMILL_IMAGE", &image)
-        .args(["test", "--release", "--locked", "--", "--nocapture"]);
-    succeed(&mut cargo)
+    cargo.current_dir(&folder).env("HAPTIMILL_IMAGE", &image);
+    match task {
+        Task::Build => cargo.args(["build", "--release", "--locked"]),
+        Task::Test | Task::LongTest => {
+            // Tests that run at a time would each take as much longer.
+            let all = ["--", "--nocapture", "--test-threads=1", "--include-ignored"];
+            let words = if task == Task::Test { &all[..3] } else { &all };
+            cargo.args(["test", "--release", "--locked"]).args(words)
+        }
+    };
+    succeed(&mut cargo)?;
+    if task == Task::Build {
+        println!(
+            "{}",
+            folder.join("target/release/haptimill-emulator").display()
+        );
+        println!("{}", image.display());
+    }
+    Ok(())
 }
 
 /// Puts the repaired sources into `target/patched/`, unless they are there already.

@@ -32,6 +32,8 @@ Developer tasks of the project.
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: hand, faults, checks, logging)
   cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
   cargo xtask emulator             repair the emulator of the RP2350 (host/emulator), test the repairs, and run the image of the Pico 2 with a simulated mill
+  cargo xtask emulator --build     build the emulator and the image, for `haptimill run --port emu:pico2`
+  cargo xtask emulator --long      as `emulator`, with homing, a part program, and five joints at 1,000,000 steps/s
   cargo xtask machines             do everything with every machine file and rewrite docs/machines.md
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
   cargo xtask storm [OPTION ...]   run random episodes against all checks, by seed (docs/storm.md; --help lists the options)
@@ -179,7 +181,9 @@ fn main() -> ExitCode {
         ["board", name, "--image"] => image(name, None),
         ["board", name, "--image", other] => image(name, Some(other)),
         ["instructions"] => instructions(),
-        ["emulator"] => emulator::emulator(&root()),
+        ["emulator"] => emulator::emulator(&root(), emulator::Task::Test),
+        ["emulator", "--build"] => emulator::emulator(&root(), emulator::Task::Build),
+        ["emulator", "--long"] => emulator::emulator(&root(), emulator::Task::LongTest),
         ["machines"] => run(MACHINES),
         ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),

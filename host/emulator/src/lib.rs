@@ -6,7 +6,7 @@
 //! times of pulses do not depend on code. It does not model pads and functions of pins: a pin that
 //! an image forgot to assign works here.
 
+pub mod checks;
 pub mod chip;
 pub mod image;
 pub mod pico2;
-pub mod record;

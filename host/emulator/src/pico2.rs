@@ -1,8 +1,8 @@
 //! A Pico 2 with its pins wired to a simulated machine.
 
 use crate::chip::{CLOCK_HZ, Chip};
-use crate::record::{self, JOINTS, Period};
 use haptimill_client::port::PortError;
+use haptimill_client::session::pins::record::{self, JOINTS, Period, WORDS};
 use haptimill_client::session::{JobLine, JobRecording, Line};
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
 use haptimill_hil_sim::plant::Plant;
@@ -51,6 +51,8 @@ pub struct Pico2 {
     pub steps: [i64; JOINTS],
     /// Control periods of the board.
     pub periods: Vec<Period>,
+    /// Their records, until they are taken.
+    records: Vec<[u32; WORDS]>,
     last: u32,
 }
 
@@ -71,6 +73,7 @@ impl Pico2 {
             lines: Lines::default(),
             steps: [0; JOINTS],
             periods: Vec::new(),
+            records: Vec::new(),
             last: u32::MAX,
         };
         board.drive_inputs();
@@ -174,12 +177,24 @@ impl Pico2 {
         if self.chip.memory(record::ADDRESS) == self.last {
             return;
         }
-        let mut words = [0; record::WORDS];
+        let mut words = [0; WORDS];
         for (word, at) in words.iter_mut().zip((record::ADDRESS..).step_by(4)) {
             *word = self.chip.memory(at);
         }
         self.last = words[0];
         self.periods.push(Period::decode(&words, self.period_us));
+        self.records.push(words);
+    }
+
+    /// Takes the records of the control periods since the last call.
+    pub fn take_records(&mut self) -> Vec<[u32; WORDS]> {
+        std::mem::take(&mut self.records)
+    }
+
+    /// Time since the start, fs.
+    #[must_use]
+    pub fn time(&self) -> i64 {
+        femtoseconds(self.chip.cycles())
     }
 
     /// Notes the changes of the lines; `start` is the first cycle of the machine's period.

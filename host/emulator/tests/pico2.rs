@@ -2,22 +2,16 @@
 //! the controller commands natively, and what leaves its pins is what it commands.
 
 use haptimill_client::client::Options;
+use haptimill_client::session::pins::record::{JOINTS, Period};
 use haptimill_client::session::{Homing, Session};
+use haptimill_emulator::checks::Checks;
 use haptimill_emulator::image::flash;
 use haptimill_emulator::pico2::Pico2;
-use haptimill_emulator::record::{JOINTS, Period};
-use haptimill_firmware::controller::Controller;
-use haptimill_firmware::io::{DriveCommand, Outputs};
+use haptimill_firmware::io::DriveCommand;
 use haptimill_hil_sim::plant::Plant;
 use haptimill_machine_file::MachineFile;
-use haptimill_pulses::{Axis, Capture, Clock, NANOSECOND, Planned, Rules, check};
+use haptimill_protocol::message::Command;
 use std::sync::Arc;
-
-/// Step clock of the board.
-const CLOCK: Clock = Clock {
-    ticks_per_us: 75,
-    period_us: 200,
-};
 
 /// Control periods of the test: 0.5 s, in which the mill searches its first switch.
 const PERIODS: usize = 2500;
@@ -34,129 +28,141 @@ fn mill() -> MachineFile {
         .unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn board(machine: &MachineFile) -> Pico2 {
+fn five() -> MachineFile {
+    MachineFile::parse("five.toml", include_str!("five.toml"))
+        .unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// A session with a board whose drives are enabled.
+fn session(machine: &MachineFile) -> Session<Pico2> {
     let config = machine.plant().expect("the file has a plant");
     let plant = Plant::new(&config, machine.config.period_us).expect("a sound plant");
-    Pico2::new(&image(), plant).expect("an emulator")
+    let board = Pico2::new(&image(), plant).expect("an emulator");
+    let mut session = Session::new(board, machine, Options::default(), Arc::default());
+    session.connect(1).expect("the board answers");
+    session
+        .configure(machine)
+        .expect("the board accepts the file");
+    session.enable().expect("the drives are ready");
+    session
 }
 
-/// Runs the controller natively on the inputs of the board; the commands must be the same bits.
-fn assert_same_as_native(periods: &[Period]) {
-    let mut controller = Controller::new(200);
-    let mut outputs = Outputs::default();
-    let mut next = 0;
-    for period in periods {
-        let number = period.inputs.period;
-        next += u64::from(period.inputs.missed);
-        assert_eq!(number, next, "a period is not in the record");
-        next += 1;
-        outputs.transmit.clear();
-        controller.tick(&period.inputs, &mut outputs, &mut ());
-        assert_eq!(outputs.axes[..JOINTS], period.commands, "period {number}");
+/// The checks of a run must pass, with at least this number of pulses of a joint, and at most this
+/// number of missed control periods while the drives are on.
+fn assert_passed(board: &Pico2, machine: &MachineFile, (joint, pulses): (usize, u64), missed: u64) {
+    let checks = Checks::of(board, machine);
+    println!("{checks}");
+    assert!(checks.passed());
+    assert!(checks.missed_enabled <= missed);
+    for axis in &checks.pulses.axes {
+        assert_eq!(axis.compared, 2 * axis.pulses);
     }
-}
-
-/// Segments of a joint, by the period in which their pulses leave.
-fn planned(periods: &[Period], joint: usize) -> Vec<Planned> {
-    let steps = |period: &Period| match period.commands[joint] {
-        DriveCommand::Steps(segment) if segment.count != 0 => Some(Planned {
-            period: period.inputs.period + 1,
-            segment,
-        }),
-        _ => None,
-    };
-    periods.iter().filter_map(steps).collect()
+    assert!(checks.pulses.axes[joint].pulses > pulses);
 }
 
 #[test]
 fn the_pulses_of_a_search_are_those_of_the_native_controller() {
     let machine = mill();
-    let options = Options::default();
-    let mut session = Session::new(board(&machine), &machine, options, Arc::default());
-    session.connect(1).expect("the board answers");
-    session
-        .configure(&machine)
-        .expect("the board accepts the file");
-    session.enable().expect("the drives are ready");
+    let mut session = session(&machine);
     let _homing = Homing::start(&mut session);
     for _ in 0..PERIODS {
         session.step().expect("the line works");
     }
-    let board = session.into_line();
-    let periods = &board.periods;
-    let missed: u32 = periods
-        .iter()
-        .map(|period| u32::from(period.inputs.missed))
-        .sum();
-    assert_same_as_native(periods);
-    // Each edge, with no tolerance but that of the rounding to fs.
-    let names = ["x", "y", "z"];
-    let commanded: Vec<Vec<Planned>> = (0..names.len())
-        .map(|joint| planned(periods, joint))
-        .collect();
-    let axes: Vec<Axis<'_>> = names
-        .iter()
-        .enumerate()
-        .map(|(joint, name)| Axis {
-            name,
-            step: &board.lines.step[joint],
-            direction: &board.lines.direction[joint],
-            planned: Some(&commanded[joint]),
-        })
-        .collect();
-    let capture = Capture {
-        resolution: 1,
-        start: 0,
-        end: (i128::from(board.cycles()) * 20_000_000 / 3) as i64,
-        signals: Vec::new(),
-    };
-    let rules = Rules {
-        clock: CLOCK,
-        tolerance: 2,
-        width: 2500 * NANOSECOND - 2,
-        pause: 2500 * NANOSECOND - 2,
-        setup: 5000 * NANOSECOND - 2,
-        hold: 5000 * NANOSECOND - 2,
-        exact_width: Some(188),
-    };
-    let report = check(&capture, &axes, Some(&board.lines.enable), &rules);
-    for (joint, axis) in report.axes.iter().enumerate() {
-        println!(
-            "{}: {} pulses, {} edges compared, {} faults, largest error {} fs, sum {} of {:?}",
-            axis.name,
-            axis.pulses,
-            axis.compared,
-            axis.fault_count,
-            axis.largest_error,
-            axis.count,
-            axis.commanded
-        );
-        assert_eq!(axis.fault_count, 0, "{:#?}", axis.faults);
-        assert_eq!(axis.commanded, Some(axis.count));
-        assert_eq!(axis.compared, 2 * axis.pulses);
-        let counted = periods
-            .last()
-            .map(|period| i64::from(period.inputs.axes[joint].steps));
-        println!(
-            "counted by the board {counted:?}, at its pins {}",
-            board.steps[joint]
-        );
+    assert_passed(&session.into_line(), &machine, (2, 1000), 0);
+}
+
+/// Five joints search their switches together at 1,000,000 steps/s each, which is what the step
+/// planner and the board can emit; the loop is closed by the switches.
+#[test]
+#[ignore = "takes minutes: cargo xtask emulator --long"]
+fn five_joints_move_at_a_million_steps_per_second_each() {
+    let machine = five();
+    let mut session = session(&machine);
+    session.home().expect("the joints find their switches");
+    // The pulses of the last control periods leave.
+    for _ in 0..20 {
+        session.step().expect("the line works");
     }
-    assert!(report.axes[2].pulses > 1000);
-    let cycles = |period: &Period| u64::from(period.cycles());
-    let moving = periods.iter().filter(|period| {
-        period
-            .commands
+    let board = session.into_line();
+    let full = |period: &&Period| {
+        period.commands.iter().all(|command| match command {
+            DriveCommand::Steps(segment) => segment.count.unsigned_abs() >= 199,
+            _ => false,
+        })
+    };
+    let at_once = board.periods.iter().filter(full).count();
+    println!("{at_once} control periods with 199 or 200 steps of each joint");
+    // The longest control periods of this machine end 200 cycles too late, as measured.
+    assert_passed(&board, &machine, (4, 100_000), 4);
+    assert!(at_once > 300);
+    let edges: u64 = Checks::of(&board, &machine).pulses.compared();
+    println!("{edges} edges compared");
+    assert!(edges >= 1_000_000);
+}
+
+/// The level of the pin of the emergency stop ends the pulses within 2 us, also shortly before the
+/// edge of a pulse, and the board still knows how many have left.
+#[test]
+fn the_emergency_stop_ends_the_pulses_within_two_microseconds() {
+    const CYCLES_PER_US: u64 = 150;
+    let machine = five();
+    let mut worst = 0;
+    let mut session = session(&machine);
+    // Cycles from the pin to the next rising edge of a joint.
+    for before_edge in [2, 4, 6, 8, 10, 40, 100] {
+        let _homing = Homing::start(&mut session);
+        // All joints move at their full rate: a pulse every 150 cycles.
+        for _ in 0..110 {
+            session.step().expect("the line works");
+        }
+        let before = session.line_mut().steps;
+        for _ in 0..3 {
+            session.step().expect("the line works");
+        }
+        let board = session.line_mut();
+        for (now, before) in board.steps.iter().zip(before) {
+            assert!(
+                (now - before).abs() > 590,
+                "the joint moves at its full rate"
+            );
+        }
+        while board.run_cycles(2).expect("the emulator runs").is_none() {}
+        board
+            .run_cycles(CYCLES_PER_US - before_edge)
+            .expect("the emulator runs");
+        let from = board.cycles();
+        board.set_emergency_stop(true);
+        let last = board
+            .run_cycles(30_000 * 10)
+            .expect("the emulator runs")
+            .unwrap_or(from);
+        let late = last - from;
+        worst = worst.max(late);
+        assert!(
+            late <= 2 * CYCLES_PER_US,
+            "{late} cycles, {before_edge} before an edge"
+        );
+        for _ in 0..20 {
+            session.step().expect("the line works");
+        }
+        let board = session.line_mut();
+        let last = board.periods.last().expect("control periods");
+        let counted: Vec<i64> = last.inputs.axes[..JOINTS]
             .iter()
-            .any(|command| matches!(command, DriveCommand::Steps(segment) if segment.count != 0))
-    });
-    let (count, sum, worst) =
-        moving.fold((0, 0, 0), |(count, sum, worst): (u64, u64, u64), period| {
-            (count + 1, sum + cycles(period), worst.max(cycles(period)))
-        });
-    println!(
-        "{} periods, {missed} missed; {} cycles a period in motion, at worst {worst}",
-        periods.len(),
-        sum / count.max(1)
-    );
+            .map(|axis| axis.steps.into())
+            .collect();
+        println!("{before_edge}: last edge {late} cycles after the pin; counted {counted:?}");
+        assert_eq!(
+            counted, board.steps,
+            "the count of the board, and that of its pins"
+        );
+        board.set_emergency_stop(false);
+        for _ in 0..70 {
+            session.step().expect("the line works");
+        }
+        session.ask(Command::Reset).expect("the stop is over");
+        session.enable().expect("the drives are ready");
+    }
+    println!("last step edge at most {worst} cycles of 1/150 us after the emergency stop");
+    assert!(worst > 0, "an edge 2 cycles later cannot be held back");
 }

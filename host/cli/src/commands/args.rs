@@ -106,7 +106,8 @@ pub struct ConnectArgs {
 pub struct PortArgs {
     /// Controller: sim (the built-in simulator), a serial port or pseudo-terminal by its path, or
     /// tcp:HOST:PORT; for `run` also pil:mps2 or pil:mps2-m7 (the controller on an emulated
-    /// Cortex-M4F or M7, the machine in the simulator)
+    /// Cortex-M4F or M7, the machine in the simulator), or emu:pico2 (the image of the Raspberry Pi
+    /// Pico 2 on an emulated chip, the machine at its pins)
     #[arg(long, value_name = "PORT", default_value = "sim")]
     pub port: PortSpec,
     /// Baud rate of a serial port [default: 115200]; paces the simulated link of `run` and
@@ -119,7 +120,10 @@ impl PortArgs {
     /// Whether the machine is simulated in this process.
     #[must_use]
     pub const fn is_simulated(&self) -> bool {
-        matches!(self.port, PortSpec::Simulator | PortSpec::Emulated(_))
+        matches!(
+            self.port,
+            PortSpec::Simulator | PortSpec::Emulated(_) | PortSpec::EmulatedPins
+        )
     }
 
     /// Baud rate of the serial port, also where none is given.

@@ -102,7 +102,7 @@ pub(super) fn save(path: &Path, text: &str) -> Result<(), CliError> {
 pub fn run(args: IdentifyArgs) -> Result<(), CliError> {
     let chosen = args.machine.load()?;
     match &args.port.port {
-        PortSpec::Emulated(_) => {
+        PortSpec::Emulated(_) | PortSpec::EmulatedPins => {
             let what = "--port: the emulated boards are for `haptimill run`; leave --port out for \
                 the simulator";
             Err(CliError::new(Exit::Usage, what))

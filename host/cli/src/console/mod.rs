@@ -139,7 +139,7 @@ fn open_app(args: ConsoleArgs, needs_terminal: bool) -> Result<App, CliError> {
 /// Refuses combinations of arguments that make no sense.
 fn check_arguments(args: &ConsoleArgs) -> Result<(), CliError> {
     let simulated = args.port.port == PortSpec::Simulator;
-    let message = if let PortSpec::Emulated(_) = args.port.port {
+    let message = if let PortSpec::Emulated(_) | PortSpec::EmulatedPins = args.port.port {
         format!(
             "{}: an emulated controller is slower than real time; use --port sim, or a machine",
             args.port.port

@@ -208,3 +208,65 @@ fn mistakes_are_reported_as_json() {
     let missing = haptimill(&["run", "none.ngc", "--json"]).expect_code(3);
     assert_eq!(missing.json()["problems"], Value::Array(Vec::new()));
 }
+
+/// Runs a program on the board that is emulated with its pins, with this program as the emulator.
+#[cfg(unix)]
+fn emulated(folder: &TestFolder, emulator: &str, code: i32) -> String {
+    let ran = std::process::Command::new(env!("CARGO_BIN_EXE_haptimill"))
+        .current_dir(root())
+        .args([
+            "run",
+            "host/emulator/tests/short.ngc",
+            "--port",
+            "emu:pico2",
+        ])
+        .args(["--machine", "host/emulator/tests/mill3-short.toml"])
+        .args(["--out", &folder.path("out")])
+        .env("HAPTIMILL_EMULATOR", emulator)
+        .env("HAPTIMILL_IMAGE", "none.uf2")
+        .output()
+        .expect("haptimill");
+    let text = String::from_utf8_lossy(&ran.stderr).into_owned();
+    assert_eq!(ran.status.code(), Some(code), "{text}");
+    text
+}
+
+#[cfg(unix)]
+#[test]
+fn an_emulator_that_is_missing_or_fails_is_reported_with_the_remedy() {
+    let folder = TestFolder::new();
+    let text = emulated(&folder, &folder.path("none"), 5);
+    assert!(text.contains("cargo xtask emulator --build"), "{text}");
+    let text = emulated(&folder, "/bin/false", 5);
+    assert!(
+        text.contains("the emulator ended (exit status: 1)"),
+        "{text}"
+    );
+    // It sends something else, and has ended.
+    let text = emulated(&folder, "/bin/echo", 5);
+    assert!(text.contains("emu:pico2: a frame of"), "{text}");
+}
+
+#[test]
+fn options_of_emulated_boards_are_refused_elsewhere() {
+    let run = ["run", "examples/e11-circle.ngc"];
+    for (options, part) in [
+        (&["--port", "emu:nano"][..], "emu:pico2"),
+        (&["--vcd", "x.vcd"], "--vcd is for --port emu:pico2"),
+        (
+            &["--image", "x"],
+            "--image is for --port pil:mps2 or emu:pico2",
+        ),
+        (
+            &["--port", "emu:pico2", "--log", "x"],
+            "--log is for --port pil:mps2",
+        ),
+        (
+            &["--port", "emu:pico2", "--seed", "3"],
+            "--seed is for --port sim or pil:mps2",
+        ),
+    ] {
+        let ran = haptimill(&[&run[..], options].concat()).expect_code(2);
+        assert!(ran.err.contains(part), "{options:?}: {}", ran.err);
+    }
+}

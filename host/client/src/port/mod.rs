@@ -63,6 +63,8 @@ pub enum PortSpec {
     Simulator,
     /// The built-in simulator with a controller on an emulated board.
     Emulated(Board),
+    /// A simulated machine behind the pins of an emulated board.
+    EmulatedPins,
     /// A TCP port, `HOST:PORT`.
     Tcp(String),
     /// A serial port or pseudo-terminal, by its path (on Windows its name).
@@ -127,6 +129,12 @@ impl FromStr for PortSpec {
                 ),
             };
         }
+        if let Some(board) = text.strip_prefix("emu:") {
+            return match board {
+                "pico2" => Ok(Self::EmulatedPins),
+                _ => Err("the board that is emulated with its pins is emu:pico2".to_string()),
+            };
+        }
         if let Some(address) = text.strip_prefix("tcp:") {
             let port = address.rsplit_once(':').and_then(|(host, port)| {
                 (!host.is_empty()).then_some(())?;
@@ -149,6 +157,7 @@ impl fmt::Display for PortSpec {
         match self {
             Self::Simulator => write!(out, "sim"),
             Self::Emulated(board) => write!(out, "{board}"),
+            Self::EmulatedPins => write!(out, "emu:pico2"),
             Self::Tcp(address) => write!(out, "tcp:{address}"),
             Self::Serial(path) => write!(out, "{path}"),
         }
@@ -161,7 +170,9 @@ impl fmt::Display for PortSpec {
 /// See [`PortError`]; [`PortError::NoPort`] for [`PortSpec::Simulator`].
 pub fn open(spec: &PortSpec, baud: u32) -> Result<Box<dyn Transport>, PortError> {
     match spec {
-        PortSpec::Simulator | PortSpec::Emulated(_) => Err(PortError::NoPort),
+        PortSpec::Simulator | PortSpec::Emulated(_) | PortSpec::EmulatedPins => {
+            Err(PortError::NoPort)
+        }
         PortSpec::Tcp(address) => Ok(Box::new(TcpTransport::connect(address)?)),
         PortSpec::Serial(path) => Ok(Box::new(SerialTransport::open(path, baud)?)),
     }
@@ -189,7 +200,9 @@ pub fn stop_past_lock(spec: &PortSpec) -> Result<(), PortError> {
         Ok(())
     };
     match spec {
-        PortSpec::Simulator | PortSpec::Emulated(_) => Err(PortError::NoPort),
+        PortSpec::Simulator | PortSpec::Emulated(_) | PortSpec::EmulatedPins => {
+            Err(PortError::NoPort)
+        }
         PortSpec::Tcp(address) => std::net::TcpStream::connect(address)
             .and_then(|mut stream| {
                 use std::io::Write as _;

@@ -26,6 +26,8 @@ mod job;
 mod line;
 #[cfg(unix)]
 pub mod pil;
+#[cfg(unix)]
+pub mod pins;
 mod procedure;
 mod run_time;
 mod sim;

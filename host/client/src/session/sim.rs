@@ -6,10 +6,12 @@ use crate::client::Options;
 use crate::port::PortError;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::controller::Controller;
+use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::motion::interpolator::FULL_RATE;
 use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
+use haptimill_hil_sim::plant::GroundTruth;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
 use haptimill_machine_file::MachineFile;
@@ -190,7 +192,7 @@ pub fn clamp<C: Control>(rig: &mut Rig<C>, stock: &CuttingConfig) -> Result<(), 
 impl<C: Control> JobLine for SimLine<C> {
     fn begin_recording(&mut self, mut recording: JobRecording) {
         if let Some(io_log) = self.io_log.take() {
-            recording.recorder.start_io_log(io_log);
+            recording.start_io_log(io_log);
         }
         for (period, level, text) in self.record_event.drain(..) {
             recording.recorder.event(period, level, &text);
@@ -218,7 +220,7 @@ impl<C: Control> Line for SimLine<C> {
         self.rig.host_read(received);
         if ticked {
             match (&mut self.recording, &mut self.io_log) {
-                (Some(recording), _) => recording.add(&self.rig),
+                (Some(recording), _) => recording.add(&PeriodSeen::of(&self.rig)),
                 (None, Some(io_log)) => io_log.add(self.rig.inputs(), self.rig.outputs()),
                 (None, None) => {}
             }
@@ -418,35 +420,68 @@ impl JobRecording {
         }
     }
 
-    fn add<C: Control>(&mut self, rig: &Rig<C>) {
-        self.recorder.period(rig.inputs(), rig.outputs());
-        let Some(snapshot) = rig.control().snapshot(rig.inputs()) else {
+    /// Begins the log of the I/O with that since the power-on of the controller.
+    pub(super) fn start_io_log(&mut self, io_log: IoLog) {
+        self.recorder.start_io_log(io_log);
+    }
+
+    /// Adds a control period of a simulated machine.
+    pub(super) fn add(&mut self, seen: &PeriodSeen<'_>) {
+        self.recorder.period(seen.inputs, seen.outputs);
+        let Some(snapshot) = seen.snapshot else {
             return;
         };
         let mut record = Record {
-            true_force: rig
-                .truth()
+            true_force: seen
+                .truth
                 .force
                 .map(|newtons| (newtons * 65_536.0).round() as i32),
             ..Record::default()
         };
-        record.set_snapshot(rig.inputs().period, &snapshot);
-        if rig.inputs().haptic.engaged {
+        record.set_snapshot(seen.inputs.period, &snapshot);
+        if seen.inputs.haptic.engaged {
             record.haptic_flags |= flag::CLUTCH_CLOSED;
         }
         for (set, flag) in [
-            (rig.plant().force_codes().is_some(), flag::FORCE),
-            (rig.truth().pose_valid, flag::TOOL_TRUE),
+            (seen.has_force, flag::FORCE),
+            (seen.truth.pose_valid, flag::TOOL_TRUE),
         ] {
             if set {
                 record.flags |= flag;
             }
         }
-        let truth = rig.truth().pose.iter().take(rig.plant().axes());
+        let truth = seen.truth.pose.iter().take(seen.axes);
         for (axis, (tool, value)) in record.tool.iter_mut().zip(truth).enumerate() {
             *tool = self.axis_units(axis, *value);
         }
         self.add_programmed(&mut record, snapshot.program_time as f64 / FULL_RATE as f64);
         self.recorder.record(&record);
+    }
+}
+
+/// A control period of a simulated machine, for a recording.
+pub(super) struct PeriodSeen<'a> {
+    pub(super) inputs: &'a Inputs,
+    pub(super) outputs: &'a Outputs,
+    /// State of the controller after it.
+    pub(super) snapshot: Option<Snapshot>,
+    /// Ground truth at the time of the inputs.
+    pub(super) truth: &'a GroundTruth,
+    /// Joints of the machine.
+    pub(super) axes: usize,
+    /// The machine has a force sensor.
+    pub(super) has_force: bool,
+}
+
+impl<'a> PeriodSeen<'a> {
+    fn of<C: Control>(rig: &'a Rig<C>) -> Self {
+        Self {
+            inputs: rig.inputs(),
+            outputs: rig.outputs(),
+            snapshot: rig.control().snapshot(rig.inputs()),
+            truth: rig.truth(),
+            axes: rig.plant().axes(),
+            has_force: rig.plant().force_codes().is_some(),
+        }
     }
 }

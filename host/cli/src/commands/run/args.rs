@@ -116,6 +116,10 @@ pub struct RunArgs {
     /// Emulated board: firmware image to run instead of the one that is built
     #[arg(long, value_name = "FILE")]
     pub image: Option<PathBuf>,
+    /// Board emulated with its pins: file for the step, direction and enable lines that it drove
+    /// (`haptimill pulses` checks it)
+    #[arg(long, value_name = "FILE")]
+    pub vcd: Option<PathBuf>,
     /// Emulated board: argument of the image; repeatable
     #[arg(long, value_name = "WORD", hide = true)]
     pub image_word: Vec<String>,
@@ -186,24 +190,51 @@ impl RunArgs {
         if self.mcap && !MCAP {
             return Err(CliError::new(Exit::Usage, RecordingError::NoMcap));
         }
-        if !matches!(self.port.port, PortSpec::Emulated(_)) {
-            let given = [
-                (self.image.is_some(), "--image"),
-                (self.log.is_some(), "--log"),
-                (self.budget.is_some(), "--budget"),
-            ];
-            if let Some((_, option)) = given.iter().find(|(given, _)| *given) {
-                return usage(&format!(
-                    "{option} is for an emulated board; add --port pil:mps2, or leave it out"
-                ));
-            }
-        }
+        self.check_emulated()?;
         if self.check || self.port.is_simulated() {
             return Ok(());
         }
         self.simulator.check_unused()?;
         self.stock.check_unused()?;
         check_baud(&self.port.port, self.port.baud)
+    }
+
+    /// Refuses options of emulated boards for other ports.
+    fn check_emulated(&self) -> Result<(), CliError> {
+        let pil = matches!(self.port.port, PortSpec::Emulated(_));
+        let pins = self.port.port == PortSpec::EmulatedPins;
+        let simulator = &self.simulator;
+        for (refused, option, ports) in [
+            (
+                self.image.is_some() && !pil && !pins,
+                "--image",
+                "pil:mps2 or emu:pico2",
+            ),
+            (self.log.is_some() && !pil, "--log", "pil:mps2"),
+            (self.budget.is_some() && !pil, "--budget", "pil:mps2"),
+            (self.vcd.is_some() && !pins, "--vcd", "emu:pico2"),
+            (
+                pins && self.stock.stock.is_some(),
+                "--stock",
+                "sim or pil:mps2",
+            ),
+            (
+                pins && simulator.seed.is_some(),
+                "--seed",
+                "sim or pil:mps2",
+            ),
+            (
+                pins && !simulator.fault.is_empty(),
+                "--fault",
+                "sim or pil:mps2",
+            ),
+        ] {
+            if refused {
+                let what = format!("{option} is for --port {ports}; leave it out");
+                return Err(CliError::new(Exit::Usage, what));
+            }
+        }
+        Ok(())
     }
 
     /// Whether M0 pauses are passed.

@@ -37,7 +37,7 @@ pub(super) fn run(job: Job<'_>, work: Work, board: port::Board) -> Result<(), Cl
     let mut session = Session::new(line, machine, options, interrupt::flag());
     session.connect(1)?;
     session.configure(machine)?;
-    job.run(session, work)?;
+    job.run(&mut session, work)?;
     let instructions = Instructions::write_to(&cost, &args.out_dir())?;
     args.print_message(&format!(
         "{board}  {:.0} instructions per control period, at most {:.0}; {} bytes of stack; at most \
@@ -57,6 +57,30 @@ pub(super) fn run(job: Job<'_>, work: Work, board: port::Board) -> Result<(), Cl
         ));
     }
     Ok(())
+}
+
+/// Runs a part program with the image of a board on an emulated chip, and the machine at its pins.
+#[cfg(unix)]
+pub(super) fn run_with_pins(job: Job<'_>, work: Work) -> Result<(), CliError> {
+    use haptimill_client::session::pins::PinLine;
+    let (args, machine) = (job.args, job.machine);
+    let line = PinLine::start(machine, args.image.as_deref(), args.vcd.as_deref())?;
+    let mut session = Session::new(line, machine, paced_options(None), interrupt::flag());
+    session.connect(1)?;
+    session.configure(machine)?;
+    let ran = job.run(&mut session, work);
+    // The pins are checked after a failed job, too.
+    let checked = session.into_line().finish();
+    ran?;
+    args.print_message(&checked?);
+    Ok(())
+}
+
+/// Reports that emulated boards need a Unix system.
+#[cfg(not(unix))]
+pub(super) fn run_with_pins(_: Job<'_>, _: Work) -> Result<(), CliError> {
+    let what = "emu:pico2: emulated boards need a Unix system";
+    Err(CliError::new(Exit::Usage, what))
 }
 
 /// Reports that emulated boards need named pipes.

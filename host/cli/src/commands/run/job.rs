@@ -76,10 +76,10 @@ impl Job<'_> {
     /// See [`Exit`].
     pub(super) fn run<L: JobLine>(
         &self,
-        mut session: Session<L>,
+        session: &mut Session<L>,
         mut work: Work,
     ) -> Result<(), CliError> {
-        refuse_latched_fault(&mut session)?;
+        refuse_latched_fault(session)?;
         session.enable()?;
         let status = session.status()?;
         let start = if status.homed && status.position_kept {
@@ -96,7 +96,7 @@ impl Job<'_> {
             self.home.clone()
         };
         if let Work::Planned(planned) = &work {
-            self.ask_approach(&mut session, planned)?;
+            self.ask_approach(session, planned)?;
         }
         if let Some(stock) = &self.stock {
             session.line_mut().clamp(stock)?;
@@ -104,16 +104,16 @@ impl Job<'_> {
         for command in self.args.overrides() {
             session.ask(command)?;
         }
-        let before = self.set_force_control(&mut session)?;
+        let before = self.set_force_control(session)?;
         if self.machine.config.haptic.is_some() && !self.args.port.is_simulated() {
             // The recording of a simulated machine has the haptic arm without telemetry.
             let every = MASTER_TELEMETRY_US / u32::from(self.machine.config.period_us.max(1));
             let every = every.clamp(1, u32::from(u16::MAX)) as u16;
             session.ask(Command::MasterTelemetry { every })?;
         }
-        let result = self.stream(&mut session, start, work);
+        let result = self.stream(session, start, work);
         match before {
-            Some(before) => result.and(before.restore(&mut session)),
+            Some(before) => result.and(before.restore(session)),
             None => result,
         }
     }

@@ -96,9 +96,10 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             // A constant session number makes every run of a simulated job bit-identical.
             session.connect(1)?;
             session.configure(&machine)?;
-            job.run(session, work)
+            job.run(&mut session, work)
         }
         PortSpec::Emulated(board) => emulated::run(job, work, *board),
+        PortSpec::EmulatedPins => emulated::run_with_pins(job, work),
         spec => {
             let baud = args.port.baud_or_default();
             let observers = args
@@ -122,7 +123,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
                 machine: &machine,
                 ..job
             };
-            job.run(session, work)
+            job.run(&mut session, work)
         }
     }
 }

@@ -136,11 +136,12 @@ impl TeleopArgs {
     pub(super) fn check(&self) -> Result<(), CliError> {
         let scripted = matches!(self.master, MasterSpec::Script(_));
         let has_arm = scripted || matches!(self.master, MasterSpec::Port(_));
-        let what = if let PortSpec::Emulated(board) = self.port.port {
-            format!("--port {board}: teleop has no emulated boards; use sim, or a port")
+        let port = &self.port.port;
+        let what = if matches!(port, PortSpec::Emulated(_) | PortSpec::EmulatedPins) {
+            format!("--port {port}: teleop has no emulated boards; use sim, or a port")
         } else if matches!(
             self.master,
-            MasterSpec::Port(PortSpec::Simulator | PortSpec::Emulated(_))
+            MasterSpec::Port(PortSpec::Simulator | PortSpec::Emulated(_) | PortSpec::EmulatedPins)
         ) {
             "--master: write sim, or the port of an arm".to_string()
         } else if !scripted && (self.delay.is_some() || !self.master_fault.is_empty()) {
