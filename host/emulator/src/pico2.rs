@@ -152,14 +152,17 @@ impl Pico2 {
     pub fn run_period(&mut self) -> Result<(), String> {
         let start = self.chip.cycles();
         let end = start + u64::from(self.period_us) * CYCLES_PER_US;
+        let mut read_at = start;
         while self.chip.cycles() < end {
             let levels = self.chip.cycle()?;
             if levels != self.levels {
                 self.note(levels, start);
             }
-            // More often than the shortest period handler: no record is overwritten unseen.
-            if self.chip.cycles() % 512 < 2 {
+            // More often than the shortest period handler: no record is overwritten unseen. An
+            // instruction may take many cycles, so the count may pass any given one.
+            if self.chip.cycles() >= read_at {
                 self.read_record();
+                read_at += 512;
             }
         }
         let mut outputs = Outputs::default();

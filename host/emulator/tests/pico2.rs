@@ -15,6 +15,8 @@ use std::sync::Arc;
 
 /// Control periods of the test: 0.5 s, in which the mill searches its first switch.
 const PERIODS: usize = 2500;
+/// Control periods until a stopped joint is at standstill.
+const STANDSTILL: usize = 500;
 
 fn image() -> Vec<u8> {
     let path = std::env::var("HAPTIMILL_IMAGE")
@@ -66,6 +68,11 @@ fn the_pulses_of_a_search_are_those_of_the_native_controller() {
     let mut session = session(&machine);
     let _homing = Homing::start(&mut session);
     for _ in 0..PERIODS {
+        session.step().expect("the line works");
+    }
+    // At standstill no pulse lies across the end of the record.
+    session.ask(Command::Stop).expect("the joint stops");
+    for _ in 0..STANDSTILL {
         session.step().expect("the line works");
     }
     assert_passed(&session.into_line(), &machine, (2, 1000), 0);
