@@ -55,7 +55,7 @@ pub fn flash(file: &[u8]) -> Result<Vec<u8>, String> {
 type Pieces<'a> = Vec<(u32, &'a [u8])>;
 
 fn uf2(file: &[u8]) -> Result<Pieces<'_>, String> {
-    if file.len() % 512 != 0 {
+    if !file.len().is_multiple_of(512) {
         return Err("the UF2 file is cut off".to_string());
     }
     file.chunks(512)
