@@ -47,6 +47,40 @@ fn load_acquire_and_store_release_are_executed() {
     assert_eq!((chip.core_register(2), chip.core_register(3)), (7, 7));
 }
 
+/// A return from a handler by a conditional instruction kept the flags of the handler, and advanced
+/// the IT block that the interrupt had left.
+#[test]
+fn a_conditional_return_from_a_handler_restores_flags_and_it_block() {
+    const HANDLER: u32 = 0x1000_0200;
+    // r1 = ICSR; r2 = PENDSVSET; r4 = r6 = 0; cmp r4, #0; ite eq; streq r2, [r1]; movne r6, #5;
+    // mrs r3, apsr
+    let code: [u16; 14] = [
+        0xF64E, 0x5104, 0xF2CE, 0x0100, 0x2201, 0x0712, 0x2400, 0x2600, 0x2C00, 0xBF0C, 0x600A,
+        0x2605, 0xF3EF, 0x8300,
+    ];
+    // movs r5, #1; cmp r5, #0; it ne; bxne lr
+    let handler: [u16; 4] = [0x2501, 0x2D00, 0xBF18, 0x4770];
+    let mut flash = vec![0xFF; 0x1000];
+    let mut put = |at: u32, bytes: &[u8]| {
+        let at = (at - 0x1000_0000) as usize;
+        flash[at..at + bytes.len()].copy_from_slice(bytes);
+    };
+    put(0x1000_0000, &(RAM + 0x8000).to_le_bytes());
+    put(0x1000_0004, &(CODE | 1).to_le_bytes());
+    put(0x1000_0038, &(HANDLER | 1).to_le_bytes());
+    let bytes = |code: &[u16]| -> Vec<u8> { code.iter().flat_map(|it| it.to_le_bytes()).collect() };
+    put(CODE, &bytes(&code));
+    put(CODE + 28, &bytes(&[0xE7FE]));
+    put(HANDLER, &bytes(&handler));
+    let mut chip = Chip::new(&flash).unwrap();
+    for _ in 0..400 {
+        chip.cycle().unwrap();
+    }
+    assert_eq!(chip.core_register(5), 0x1, "the handler ran");
+    assert_eq!(chip.core_register(3) >> 28, 0b0110, "zero and carry");
+    assert_eq!(chip.core_register(6), 0, "movne is not executed");
+}
+
 /// Without it all handlers have one priority, and SysTick waits for PendSV.
 #[test]
 fn priorities_of_handlers_have_byte_access() {
