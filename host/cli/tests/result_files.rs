@@ -51,7 +51,11 @@ fn invalid_options_are_refused_before_the_run() {
     let short = folder.file("short.ngc", SHORT);
     for (more, code, said) in [
         (&["--check", "--stock", "no.toml"][..], 3, "no.toml"),
-        (&["--image", "x"], 2, "--image is for an emulated board"),
+        (
+            &["--image", "x"],
+            2,
+            "--image is for --port pil:mps2 or emu:pico2",
+        ),
         (&["--log", "x"], 2, "--log is for an emulated board"),
         (
             &["--budget", "5000"],
