@@ -56,12 +56,8 @@ fn invalid_options_are_refused_before_the_run() {
             2,
             "--image is for --port pil:mps2 or emu:pico2",
         ),
-        (&["--log", "x"], 2, "--log is for an emulated board"),
-        (
-            &["--budget", "5000"],
-            2,
-            "--budget is for an emulated board",
-        ),
+        (&["--log", "x"], 2, "--log is for --port pil:mps2"),
+        (&["--budget", "5000"], 2, "--budget is for --port pil:mps2"),
         (
             &["--force", "none", "--force-setpoint", "5"],
             2,
