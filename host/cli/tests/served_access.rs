@@ -113,31 +113,28 @@ fn token_is_read_from_file_and_environment() {
 fn silent_connection_is_closed() {
     let served = SimServer::on_tcp(&[]);
     let mut alone = TcpStream::connect(address(&served)).unwrap();
-    let begun = Instant::now();
     let said = read_to_close(&mut alone);
     assert!(
         said.contains("no session was opened within 2 s"),
         "{said:?}"
     );
-    assert!(
-        begun.elapsed() < Duration::from_secs(5),
-        "{:?}",
-        begun.elapsed()
-    );
+}
+
+#[test]
+fn silent_connections_do_not_block_a_host() {
+    let served = SimServer::on_tcp(&[]);
     let mut silent: Vec<TcpStream> = (0..12)
         .map(|_| TcpStream::connect(address(&served)).unwrap())
         .collect();
-    std::thread::sleep(Duration::from_millis(100));
-    let begun = Instant::now();
+    // The session stays open, so the silent connections meet it and not their own time limit.
+    let mut host = TcpStream::connect(address(&served)).unwrap();
+    host.write_all(&hello()).unwrap();
+    for stream in &mut silent {
+        let said = read_to_close(stream);
+        assert!(said.contains("haptimill: busy"), "{said:?}");
+    }
+    drop(host);
     served.run_ok(&["status"]);
-    assert!(
-        begun.elapsed() < Duration::from_millis(1500),
-        "{:?}",
-        begun.elapsed()
-    );
-    // They received the message that the port is busy.
-    let said = read_to_close(&mut silent[0]);
-    assert!(said.contains("haptimill: busy"), "{said:?}");
 }
 
 #[test]
