@@ -126,7 +126,7 @@ impl JointAxis {
 }
 
 const fn is_circle(kind: AxisKind, low: Coordinate, high: Coordinate) -> bool {
-    matches!(kind, AxisKind::Rotary) && low.0 == i32::MIN && high.0 == i32::MAX
+    kind.is_circular() && low.0 == i32::MIN && high.0 == i32::MAX
 }
 
 /// Binary scale of a jerk: axis units per second cubed divided by 2^16. The unit is 2^-4 mm/s^3 or
@@ -380,8 +380,16 @@ pub struct Supervision {
 pub struct Homing {
     /// Rate of linear coordinates.
     pub rate: Rate,
-    /// Rate of rotary coordinates.
+    /// Rate of rotary coordinates, in 2^-32 turn/s for all of them.
     pub rotary_rate: Rate,
+}
+
+impl Homing {
+    /// Rate of rotary coordinates over many turns, in their axis units per second.
+    #[must_use]
+    pub const fn multi_turn_rate(&self) -> i32 {
+        self.rotary_rate.0 >> (AxisKind::Rotary.unit_bits() - AxisKind::MultiTurn.unit_bits())
+    }
 }
 
 /// Deserializes a part that this controller was built without: `None`, or an error if the

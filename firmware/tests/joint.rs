@@ -467,12 +467,12 @@ proptest! {
 
     #[test]
     fn joint_accepts_any_input(
-        kinds: bool, backlash in 0i32.., per_count in prop_oneof![1i64.., ..0i64],
+        kind in prop::sample::select(&[AxisKind::Linear, AxisKind::Rotary, AxisKind::MultiTurn][..]), backlash in 0i32.., per_count in prop_oneof![1i64.., ..0i64],
         frames in prop::collection::vec((any::<(i32, u32, u16, i32, u8, i32, u32)>(), any::<(i32, i32, i32)>(), 0u8..8), 1..60),
     ) {
         for servo in [torque(), steps()] {
             let mut config = axis(servo, 0.0);
-            config.kind = if kinds { AxisKind::Linear } else { AxisKind::Rotary };
+            config.kind = kind;
             config.backlash = Coordinate(backlash);
             config.encoder.as_mut().expect("an encoder").per_count = per_count;
             let mut joint = JointDrive::new(&config, 200).unwrap();

@@ -99,7 +99,7 @@ proptest! {
         moves in prop::collection::vec(any::<i32>(), 1..60),
         reference: i32,
     ) {
-        for kind in [AxisKind::Linear, AxisKind::Rotary] {
+        for kind in [AxisKind::Linear, AxisKind::Rotary, AxisKind::MultiTurn] {
             let mut encoder = Encoder::new(kind, per_count);
             let mut inputs = AxisInputs { counts: start, ..AxisInputs::default() };
             encoder.read(&inputs, 0);
@@ -112,7 +112,7 @@ proptest! {
                 let measured = encoder.read(&inputs, period as u32 * 200_000);
                 let exact = ((total * i128::from(per_count) + (1 << 23)) >> 24) + i128::from(reference);
                 let exact = match kind {
-                    AxisKind::Linear => exact.clamp(i32::MIN.into(), i32::MAX.into()) as i32,
+                    AxisKind::Linear | AxisKind::MultiTurn => exact.clamp(i32::MIN.into(), i32::MAX.into()) as i32,
                     AxisKind::Rotary => exact as i32,
                 };
                 prop_assert_eq!(measured.coordinate.0, exact);
@@ -127,7 +127,7 @@ proptest! {
         frames in prop::collection::vec(any::<(i32, u32, u16, i32, u8, u32)>(), 1..50),
         reference: (i32, i32),
     ) {
-        for kind in [AxisKind::Linear, AxisKind::Rotary] {
+        for kind in [AxisKind::Linear, AxisKind::Rotary, AxisKind::MultiTurn] {
             let mut encoder = Encoder::new(kind, per_count);
             for &(counts, edge_time_ns, illegal, index_counts, index_pulses, time) in &frames {
                 let inputs = AxisInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, ..AxisInputs::default() };

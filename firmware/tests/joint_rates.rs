@@ -44,6 +44,7 @@ fn unit(config: &Config, axis: usize) -> f64 {
     match config.pose[axis].kind {
         AxisKind::Linear => f64::from(1 << 20),
         AxisKind::Rotary => 4_294_967_296.0 / 360.0,
+        AxisKind::MultiTurn => 4_194_304.0 / 360.0,
     }
 }
 

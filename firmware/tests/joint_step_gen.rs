@@ -187,7 +187,7 @@ proptest! {
         per_step: i64,
         period in 20u32..1_000_000, pulse in 1u16..10, setup in 0u16..10, hold: u16,
     ) {
-        for kind in [AxisKind::Linear, AxisKind::Rotary] {
+        for kind in [AxisKind::Linear, AxisKind::Rotary, AxisKind::MultiTurn] {
             let timing = PulseTiming { period, pulse, setup, hold };
             let mut planner = StepPlanner::new(kind, per_step, timing, 1000);
             let mut checker = Checker::default();

@@ -504,8 +504,7 @@ impl Plant {
     /// structure.
     fn follow_contacts(&mut self) {
         if self.inputs.has_touches() && self.truth.pose_valid {
-            let mut tool = self.tool_pose();
-            tool.tip.copy_from_slice(&self.truth.pose[..3]);
+            let tool = self.tool_pose();
             self.inputs.follow(&tool);
         }
     }
@@ -538,7 +537,7 @@ impl Plant {
         let applied = process.step(&pose, &axes, rpm);
         let from_tip = process.force_point();
         let rigid = self.truth.pose;
-        self.truth.pose[..3].copy_from_slice(&applied.tip);
+        geometry.place_tip(applied.tip, &mut self.truth.pose);
         self.truth.force = applied.force;
         self.process_load = [0.0; MAX_AXES];
         let joints = middles(&self.gantries, &self.bodies.slide);

@@ -32,14 +32,44 @@ use crate::force::{ForceProblem, ForceRefusal, TareRefusal};
 use crate::haptic::MasterProblem;
 use crate::message::{ConfigProblem, Event, Fault, HelloRefusal, PoseError, Refusal};
 use core::fmt::{Display, Formatter, Result};
+use serde::{Deserialize, Serialize};
 
-/// Kind of an axis.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Linear or rotary.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum AxisKind {
-    /// Axis units are 2^-20 mm.
+    /// Axis units are 2^-20 mm; the range is +-2048 mm.
+    #[default]
     Linear,
-    /// Axis units are 2^-32 turn.
+    /// Axis units are 2^-32 turn. The range is one turn, and differences take the shorter way
+    /// round.
     Rotary,
+    /// Rotary over many turns: axis units are 2^-22 turn, and the range is +-512 turns. The
+    /// arithmetic is that of a linear axis.
+    MultiTurn,
+}
+
+impl AxisKind {
+    /// Whether the axis turns: its quantities are in degrees in files and messages.
+    #[must_use]
+    pub const fn is_rotary(self) -> bool {
+        matches!(self, Self::Rotary | Self::MultiTurn)
+    }
+
+    /// Whether a full turn leads to the same coordinate, so that sums wrap around.
+    #[must_use]
+    pub const fn is_circular(self) -> bool {
+        matches!(self, Self::Rotary)
+    }
+
+    /// Binary logarithm of the axis units per millimetre or per turn.
+    #[must_use]
+    pub const fn unit_bits(self) -> u32 {
+        match self {
+            Self::Linear => 20,
+            Self::Rotary => 32,
+            Self::MultiTurn => 22,
+        }
+    }
 }
 
 /// Name and kind of an axis.
@@ -137,11 +167,13 @@ pub struct Amount {
 impl Display for Amount {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
         // Thousandths, rounded half up: below 2^31 * 360,000 < 2^50.
-        let value = i64::from(self.value);
-        let (thousandths, unit) = match self.kind {
-            AxisKind::Linear => ((value * 1000 + (1 << 19)) >> 20, "mm"),
-            AxisKind::Rotary => ((value * 360_000 + (1 << 31)) >> 32, "deg"),
+        let (per_unit, unit) = if self.kind.is_rotary() {
+            (360_000, "deg")
+        } else {
+            (1000, "mm")
         };
+        let bits = self.kind.unit_bits();
+        let thousandths = (i64::from(self.value) * per_unit + (1 << (bits - 1))) >> bits;
         let sign = if thousandths < 0 { "-" } else { "" };
         let size = thousandths.unsigned_abs();
         write!(f, "{sign}{}.{:03} {unit}", size / 1000, size % 1000)
@@ -204,7 +236,7 @@ mod tests {
         /// An amount equals the value within half a thousandth when parsed as a decimal number.
         #[test]
         fn amounts_are_right(value: i32) {
-            for (kind, scale, unit) in [(AxisKind::Linear, 1048576.0, " mm"), (AxisKind::Rotary, 4294967296.0 / 360.0, " deg")] {
+            for (kind, scale, unit) in [(AxisKind::Linear, 1048576.0, " mm"), (AxisKind::Rotary, 4294967296.0 / 360.0, " deg"), (AxisKind::MultiTurn, 4194304.0 / 360.0, " deg")] {
                 let text = Amount { value, kind }.to_string();
                 let read: f64 = text.strip_suffix(unit).unwrap().parse().unwrap();
                 prop_assert!((read - f64::from(value) / scale).abs() <= 0.0005 + 1e-9, "{} for {}", text, value);

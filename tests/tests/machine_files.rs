@@ -47,7 +47,7 @@ fn program(machine: &MachineFile, home: &[f64]) -> String {
                     (false, _) => 1.0,
                     (true, AxisKind::Linear) if at - 9.0 < limits.low => 8.0,
                     (true, AxisKind::Linear) => -8.0,
-                    (true, AxisKind::Rotary) => -4.0,
+                    (true, AxisKind::Rotary | AxisKind::MultiTurn) => -4.0,
                 };
                 if limits.wraps() {
                     // The sign is the direction.

@@ -5,16 +5,7 @@
 //! coordinate, a report for its name and kind.
 
 use haptimill_protocol::message::MAX_AXES;
-use serde::{Deserialize, Serialize};
-
-/// Linear or rotary.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum AxisKind {
-    /// Axis units are 2^-20 mm.
-    Linear,
-    /// Axis units are 2^-32 turn.
-    Rotary,
-}
+pub use haptimill_protocol::text::AxisKind;
 
 /// Role of a pose coordinate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -106,7 +106,8 @@ impl Config {
         let needed = |kind| self.joints.iter().any(|joint| searched(joint, kind));
         require(
             (self.homing.rate.0 > 0 || !needed(AxisKind::Linear))
-                && (self.homing.rotary_rate.0 > 0 || !needed(AxisKind::Rotary)),
+                && (self.homing.rotary_rate.0 > 0 || !needed(AxisKind::Rotary))
+                && (self.homing.multi_turn_rate() > 0 || !needed(AxisKind::MultiTurn)),
             ConfigField::Homing,
             None,
         )

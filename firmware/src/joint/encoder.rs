@@ -23,8 +23,8 @@ pub struct Encoder {
     /// Whole axis units per count, and the fraction, Q24.
     whole: i32,
     part: i32,
-    /// Largest magnitude of a count whose product fits into 32 bits; on a rotary axis the product
-    /// may wrap around.
+    /// Largest magnitude of a count whose product fits into 32 bits; on an axis of one turn the
+    /// product may wrap around.
     most: u32,
     /// No inputs were read yet.
     fresh: bool,
@@ -65,7 +65,7 @@ impl Encoder {
             (_, false) => 0,
             (AxisKind::Rotary, true) => 1 << 31,
             // One unit of room for the rounding.
-            (AxisKind::Linear, true) => {
+            (AxisKind::Linear | AxisKind::MultiTurn, true) => {
                 match (((1_u64 << 31) - 2) << 24).checked_div(per_count.unsigned_abs()) {
                     Some(most) if most < 1 << 31 => most as u32,
                     _ => 1 << 31,
@@ -203,7 +203,7 @@ impl Encoder {
     #[inline(never)]
     fn coordinate_wide(&self, counts: i64) -> Coordinate {
         match self.kind {
-            AxisKind::Linear => {
+            AxisKind::Linear | AxisKind::MultiTurn => {
                 let travel = counts
                     .saturating_mul(self.per_count)
                     .saturating_add(1 << 23)
@@ -218,20 +218,22 @@ impl Encoder {
     }
 }
 
-/// `a - b`; saturates on a linear axis, the shorter way round on a rotary one.
+/// `a - b`; saturates, but takes the shorter way round on an axis of one turn.
 #[inline]
 pub(crate) fn difference(kind: AxisKind, a: Coordinate, b: Coordinate) -> Coordinate {
-    Coordinate(match kind {
-        AxisKind::Linear => a.0.saturating_sub(b.0),
-        AxisKind::Rotary => a.0.wrapping_sub(b.0),
+    Coordinate(if kind.is_circular() {
+        a.0.wrapping_sub(b.0)
+    } else {
+        a.0.saturating_sub(b.0)
     })
 }
 
-/// `a + b`; saturates on a linear axis, wraps around on a rotary one.
+/// `a + b`; saturates, but wraps around on an axis of one turn.
 #[inline]
 pub(crate) fn sum(kind: AxisKind, a: Coordinate, b: Coordinate) -> Coordinate {
-    Coordinate(match kind {
-        AxisKind::Linear => a.0.saturating_add(b.0),
-        AxisKind::Rotary => a.0.wrapping_add(b.0),
+    Coordinate(if kind.is_circular() {
+        a.0.wrapping_add(b.0)
+    } else {
+        a.0.saturating_add(b.0)
     })
 }

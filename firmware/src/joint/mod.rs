@@ -747,7 +747,7 @@ impl StepSupervision {
             return (Coordinate(0), false);
         }
         let by_steps = match kind {
-            AxisKind::Linear => {
+            AxisKind::Linear | AxisKind::MultiTurn => {
                 let travel = self
                     .steps
                     .saturating_mul(self.per_step)

@@ -17,7 +17,7 @@
 //!
 //! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
 
-use crate::config::{AxisKind, Drive, EncoderAxis, JointAxis};
+use crate::config::{Drive, EncoderAxis, JointAxis};
 use haptimill_math::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 
@@ -491,20 +491,22 @@ fn friction(config: &JointAxis, most: u32) -> u32 {
     config.law.coulomb.0.unsigned_abs().max(most / 32)
 }
 
-/// Distance from `b` to `a`, the shorter way round on a rotary joint, axis units.
+/// Distance from `b` to `a`, the shorter way round on a joint of one turn, axis units.
 #[inline]
 fn distance(config: &JointAxis, a: Coordinate, b: Coordinate) -> u32 {
-    match config.kind {
-        AxisKind::Linear => a.0.abs_diff(b.0),
-        AxisKind::Rotary => a.0.wrapping_sub(b.0).unsigned_abs(),
+    if config.kind.is_circular() {
+        a.0.wrapping_sub(b.0).unsigned_abs()
+    } else {
+        a.0.abs_diff(b.0)
     }
 }
 
-/// `a - b`; the shorter way round on a rotary joint.
+/// `a - b`; the shorter way round on a joint of one turn.
 fn difference(config: &JointAxis, a: Coordinate, b: Coordinate) -> i64 {
-    match config.kind {
-        AxisKind::Linear => i64::from(a.0) - i64::from(b.0),
-        AxisKind::Rotary => i64::from(a.0.wrapping_sub(b.0)),
+    if config.kind.is_circular() {
+        i64::from(a.0.wrapping_sub(b.0))
+    } else {
+        i64::from(a.0) - i64::from(b.0)
     }
 }
 

@@ -159,9 +159,10 @@ impl StepPlanner {
         if self.emitted.unsigned_abs() > 1 << 24 {
             self.fold();
         }
-        let moved = match self.kind {
-            AxisKind::Linear => i64::from(target.0) - i64::from(self.last.0),
-            AxisKind::Rotary => i64::from(difference(self.kind, target, self.last).0),
+        let moved = if self.kind.is_circular() {
+            i64::from(difference(self.kind, target, self.last).0)
+        } else {
+            i64::from(target.0) - i64::from(self.last.0)
         };
         self.last = target;
         self.travel = self.travel.saturating_add(moved);

@@ -22,7 +22,7 @@ use super::cubic::{Cubic, SegmentDuration};
 use super::ramp::{Ramp, RampLimits};
 use super::segment;
 use crate::config::digest::constants;
-use crate::config::{AxisKind, Config, Stopping};
+use crate::config::{Config, Stopping};
 use core::ops::Range;
 use haptimill_kinematics::Pose;
 use haptimill_math::scale::{product, saturate, total};
@@ -88,7 +88,7 @@ pub struct Late {
 #[derive(Debug, Default)]
 pub struct Interpolator {
     axes: usize,
-    rotary: [bool; MAX_AXES],
+    circular: [bool; MAX_AXES],
     /// Coordinates that wrap around, one bit each.
     wrapping: u8,
     /// In wire units.
@@ -140,7 +140,7 @@ pub struct Interpolator {
 }
 
 constants!(Interpolator {
-    axes, rotary, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
+    axes, circular, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
 } of {} but {
     queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, overrides, pace, accepted_pace, accepted, reached, total, started, paused,
     underrunning, late, duration, passed, retract_left
@@ -184,7 +184,7 @@ impl Interpolator {
         program.overrides = [100; 2];
         program.set_pace(Pace::FEED);
         for (axis, pose) in config.pose.iter().enumerate() {
-            program.rotary[axis] = pose.kind == AxisKind::Rotary;
+            program.circular[axis] = pose.kind.is_circular();
             // A margin of 2 % for the rounding of setpoints.
             let rate = i64::from(pose.rate.0) + i64::from(pose.rate.0) / 50;
             program.rate_limits[axis] = (rate >> RATE_SHIFT) as i32;
@@ -286,7 +286,7 @@ impl Interpolator {
         let half = segment::half(self.duration.fraction(u32::from(periods) << 16));
         let to = setpoint.pose.iter().zip(&setpoint.rates).enumerate();
         for (axis, (place, rate)) in to {
-            let (start, wrap) = (Coordinate(self.tail.pose[axis]), self.rotary[axis]);
+            let (start, wrap) = (Coordinate(self.tail.pose[axis]), self.circular[axis]);
             let (from, end) = (self.tail.rates[axis], Coordinate(*place));
             let cubic = Cubic::new(start, from, end, *rate, &self.duration, wrap)?;
             let sample = segment::SegmentPolynomial::new(&cubic, &self.duration).sample(half);
@@ -643,9 +643,9 @@ impl Interpolator {
         }
     }
 
-    /// Distance between two positions; the shorter one on a rotary axis.
+    /// Distance between two positions; the shorter one on an axis of one turn.
     fn distance(&self, axis: usize, from: i32, to: i32) -> i64 {
-        if self.rotary[axis] {
+        if self.circular[axis] {
             i64::from(to.wrapping_sub(from))
         } else {
             i64::from(to) - i64::from(from)
@@ -699,7 +699,7 @@ impl Interpolator {
         if rate.unsigned_abs() > limit.unsigned_abs() {
             return false;
         }
-        let (tail, wrap) = (&self.tail, self.rotary[axis]);
+        let (tail, wrap) = (&self.tail, self.circular[axis]);
         let (start, start_rate) = (Coordinate(tail.pose[axis]), tail.rates[axis]);
         let Some(cubic) = Cubic::new(start, start_rate, Coordinate(place), rate, duration, wrap)
         else {

@@ -199,6 +199,7 @@ fn search_rate(config: &Config, kind: AxisKind) -> i64 {
     i64::from(match kind {
         AxisKind::Linear => config.homing.rate.0,
         AxisKind::Rotary => config.homing.rotary_rate.0,
+        AxisKind::MultiTurn => config.homing.multi_turn_rate(),
     })
 }
 

@@ -261,12 +261,17 @@ impl JointConfig {
             0.0,
             1.0,
         );
+        // A rotary joint may turn many times between its stops.
+        let reach = match self.kind {
+            JointKind::Linear => 2000.0,
+            JointKind::Rotary => 200_000.0,
+        };
         let endless = self.kind == JointKind::Rotary
             && self.low == f64::NEG_INFINITY
             && self.high == f64::INFINITY;
         if !endless {
-            check.within(format!("{at}: low"), self.low, -2000.0, 2000.0);
-            check.within(format!("{at}: high"), self.high, self.low, 2000.0);
+            check.within(format!("{at}: low"), self.low, -reach, reach);
+            check.within(format!("{at}: high"), self.high, self.low, reach);
         }
         check.within(format!("{at}: preset"), self.preset, self.low, self.high);
         // A limit switch may lie outside the hard stops, where the slide cannot reach it. The lower
@@ -274,7 +279,7 @@ impl JointConfig {
         let (limit_low, limit_high) = (self.limit_low, self.limit_high);
         for (name, at_switch) in [("limit_low", limit_low), ("limit_high", limit_high)] {
             let place = at_switch.unwrap_or_default();
-            check.within(format!("{at}: {name}"), place, -4000.0, 4000.0);
+            check.within(format!("{at}: {name}"), place, -2.0 * reach, 2.0 * reach);
         }
         if let (Some(low), Some(high)) = (limit_low, limit_high)
             && low >= high
@@ -283,7 +288,12 @@ impl JointConfig {
             check.refuse(format!("{at}: limit_low"), problem);
         }
         if let Some(home) = &self.home {
-            check.within(format!("{at}: home: at"), home.at, -4000.0, 4000.0);
+            check.within(
+                format!("{at}: home: at"),
+                home.at,
+                -2.0 * reach,
+                2.0 * reach,
+            );
             check.within(
                 format!("{at}: home: hysteresis"),
                 home.hysteresis,
@@ -324,8 +334,8 @@ impl JointConfig {
                 check.within(
                     format!("{at}: encoder: index"),
                     encoder.index,
-                    -4000.0,
-                    4000.0,
+                    -2.0 * reach,
+                    2.0 * reach,
                 );
             }
             (None, DriveConfig::Torque(_)) => check.refuse(

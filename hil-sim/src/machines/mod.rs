@@ -7,6 +7,7 @@
 pub mod carriage_errors;
 pub mod cartesian;
 pub mod facet;
+pub mod four_axis;
 pub mod h4;
 pub mod scara;
 pub mod trunnion;
@@ -45,6 +46,12 @@ pub trait Geometry: Sized {
 
     /// Tool in the workpiece frame at a pose.
     fn tool_pose(&self, pose: &JointArray) -> ToolPose;
+
+    /// Moves the pose so that the tip of the tool is at this place in the workpiece frame; the
+    /// inverse of [`Geometry::tool_pose`] for the tip. By default the pose has the place itself.
+    fn place_tip(&self, tip: Vector, pose: &mut JointArray) {
+        pose[..3].copy_from_slice(&tip);
+    }
 
     /// Directions of x, y and z of the workpiece frame in the machine frame, at a pose.
     fn workpiece_axes(&self, pose: &JointArray) -> [Vector; 3] {
@@ -147,6 +154,12 @@ macro_rules! geometries {
                 }
             }
 
+            pub(crate) fn place_tip(&self, tip: Vector, pose: &mut JointArray) {
+                match self {
+                    $(Self::$name(machine) => Geometry::place_tip(machine, tip, pose),)*
+                }
+            }
+
             pub(crate) fn tool_pose(&self, pose: &JointArray) -> ToolPose {
                 match self {
                     $(Self::$name(machine) => machine.tool_pose(pose),)*
@@ -193,6 +206,8 @@ geometries! {
     Facet("facet", facet::Facet);
     /// Shoulder and elbow about vertical axes, and a vertical slide.
     Scara("scara", scara::Scara);
+    /// Slides x, y, z, and a workpiece that turns about an axis along x.
+    FourAxis("four_axis", four_axis::FourAxis);
     /// Joints that carry nothing: the pose is the joint positions.
     Joints("joints", cartesian::BareJoints);
 }

@@ -322,9 +322,12 @@ fn too_many_rows() -> String {
 /// Names of the columns of axes.
 fn columns(axes: &[(&'static str, AxisKind)]) -> Vec<String> {
     axes.iter()
-        .map(|(name, kind)| match kind {
-            AxisKind::Linear => format!("{name}_mm"),
-            AxisKind::Rotary => format!("{name}_deg"),
+        .map(|(name, kind)| {
+            if kind.is_rotary() {
+                format!("{name}_deg")
+            } else {
+                format!("{name}_mm")
+            }
         })
         .collect()
 }

@@ -472,7 +472,7 @@ fn tables_of_every_machine_invert_each_other() {
         assert!(reached.len() > 20, "{file}: {} poses", reached.len());
         let unit = |kind| match kind {
             AxisKind::Linear => "mm",
-            AxisKind::Rotary => "deg",
+            AxisKind::Rotary | AxisKind::MultiTurn => "deg",
         };
         let joints = descriptor.joints.iter();
         let names: Vec<_> = joints

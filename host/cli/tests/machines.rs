@@ -88,7 +88,7 @@ impl Machine {
         axes.map(|((axis, at), limits)| {
             let by = match axis.kind {
                 AxisKind::Linear => linear,
-                AxisKind::Rotary => rotary,
+                AxisKind::Rotary | AxisKind::MultiTurn => rotary,
             };
             if limits.wraps() {
                 // The sign is the direction.

@@ -23,9 +23,10 @@ pub struct Change {
 
 /// Keys of the law of a joint: inertia, viscous and Coulomb friction.
 const fn law_keys(kind: AxisKind) -> [&'static str; 3] {
-    match kind {
-        AxisKind::Linear => ["inertia_kg", "viscous_n_per_mm_s", "coulomb_n"],
-        AxisKind::Rotary => ["inertia_kg_m2", "viscous_n_m_per_deg_s", "coulomb_n_m"],
+    if kind.is_rotary() {
+        ["inertia_kg_m2", "viscous_n_m_per_deg_s", "coulomb_n_m"]
+    } else {
+        ["inertia_kg", "viscous_n_per_mm_s", "coulomb_n"]
     }
 }
 

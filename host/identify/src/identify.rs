@@ -99,9 +99,10 @@ impl Identified {
 /// Acceleration of one unit of effort on one unit of inertia.
 #[must_use]
 pub const fn acceleration_unit(kind: AxisKind) -> f64 {
-    match kind {
-        AxisKind::Linear => 1000.0,
-        AxisKind::Rotary => 180.0 / std::f64::consts::PI,
+    if kind.is_rotary() {
+        180.0 / std::f64::consts::PI
+    } else {
+        1000.0
     }
 }
 

@@ -15,9 +15,10 @@ const STYLE: &str =
 
 /// Units of effort, motion and inertia of a joint.
 const fn units(kind: AxisKind) -> [&'static str; 3] {
-    match kind {
-        AxisKind::Linear => ["N", "mm", "kg"],
-        AxisKind::Rotary => ["N m", "deg", "kg m^2"],
+    if kind.is_rotary() {
+        ["N m", "deg", "kg m^2"]
+    } else {
+        ["N", "mm", "kg"]
     }
 }
 

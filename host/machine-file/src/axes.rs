@@ -34,10 +34,7 @@ pub struct AxisLimits {
 
 /// Returns the unit of an axis.
 pub(super) fn unit(kind: AxisKind) -> &'static str {
-    match kind {
-        AxisKind::Linear => "mm",
-        AxisKind::Rotary => "deg",
-    }
+    if kind.is_rotary() { "deg" } else { "mm" }
 }
 
 /// What the parts of a joint need to know about it.
@@ -60,19 +57,19 @@ fn read_identity(section: &Section<'_, '_>, place: Option<(&str, AxisKind)>) -> 
     let kind = section.choice(joint::kind, &KINDS);
     let Some((expected_name, expected_kind)) = place else {
         let kind = kind.unwrap_or(AxisKind::Linear);
-        section.set_rotary(kind == AxisKind::Rotary);
+        section.set_kind(kind);
         return (name.to_string(), kind);
     };
     if !name.is_empty() && name != expected_name {
         let what = format!("\"{name}\" is not the axis of the model at this place");
         section.report("name", what, format!("write \"{expected_name}\""));
     }
-    if kind.is_some_and(|kind| kind != expected_kind) {
-        let word = KINDS[usize::from(expected_kind == AxisKind::Rotary)].0;
+    if kind.is_some_and(|kind| kind.is_rotary() != expected_kind.is_rotary()) {
+        let word = KINDS[usize::from(expected_kind.is_rotary())].0;
         let what = "is not the kind of the model at this place";
         section.report("kind", what, format!("write \"{word}\""));
     }
-    section.set_rotary(expected_kind == AxisKind::Rotary);
+    section.set_kind(expected_kind);
     // The other values are read with the kind of the model, so that a wrong kind is reported once.
     (name.to_string(), expected_kind)
 }
@@ -93,7 +90,11 @@ fn read_limits(
     high_key: Key,
 ) -> (f64, f64) {
     let wrap = joint::wrap.name;
-    if kind == AxisKind::Rotary && section.has(wrap) && section.flag(wrap) == Some(true) {
+    if kind.is_rotary() && section.has(wrap) && section.flag(wrap) == Some(true) {
+        if !kind.is_circular() {
+            let what = "has no meaning: the axis counts its turns and has limits";
+            section.report(wrap, what, "remove it");
+        }
         for key in [low_key, high_key] {
             if section.has(section.key(key).name) {
                 let what = "is a limit of an axis that wraps around";
@@ -157,9 +158,10 @@ pub fn read_joint_axis(
 
     // Travel per motor turn, without its sign.
     let travel = section.value(joint::travel);
-    let turn = match kind {
-        AxisKind::Linear => travel,
-        AxisKind::Rotary => 360.0 / travel,
+    let turn = if kind.is_rotary() {
+        360.0 / travel
+    } else {
+        travel
     };
     let backlash = section.value(joint::backlash);
     let preset = section.value(joint::preset);
@@ -433,8 +435,9 @@ fn read_law(
 
 /// Returns the newtons (or newton metres) for one unit of inertia at 1 mm/s^2 (or deg/s^2).
 fn newtons_per_inertia(kind: AxisKind) -> f64 {
-    match kind {
-        AxisKind::Linear => 1e-3,
-        AxisKind::Rotary => std::f64::consts::PI / 180.0,
+    if kind.is_rotary() {
+        std::f64::consts::PI / 180.0
+    } else {
+        1e-3
     }
 }

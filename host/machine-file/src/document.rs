@@ -8,6 +8,7 @@
 use super::likeness::nearest;
 use super::problem::{LISTED_PROBLEMS, Problem, Problems};
 use crate::keys::keys_of;
+use haptimill_firmware::config::AxisKind;
 use haptimill_machine_keys::{Default as KeyDefault, Key, Values};
 use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
@@ -196,8 +197,8 @@ pub struct Section<'d, 'i> {
     table: &'d DeTable<'i>,
     offset: usize,
     requested: RefCell<Vec<&'static str>>,
-    /// The section and those below it belong to a rotary axis.
-    is_rotary: Cell<bool>,
+    /// Kind of the axis to which the section and those below it belong.
+    kind: Cell<AxisKind>,
 }
 
 impl<'d, 'i> Section<'d, 'i> {
@@ -209,7 +210,7 @@ impl<'d, 'i> Section<'d, 'i> {
             table,
             offset: 0,
             requested: RefCell::default(),
-            is_rotary: Cell::new(false),
+            kind: Cell::new(AxisKind::Linear),
         }
     }
 
@@ -233,13 +234,13 @@ impl<'d, 'i> Section<'d, 'i> {
     }
 
     /// Makes this the section of an axis: keys have the names and ranges of its kind.
-    pub fn set_rotary(&self, is_rotary: bool) {
-        self.is_rotary.set(is_rotary);
+    pub fn set_kind(&self, kind: AxisKind) {
+        self.kind.set(kind);
     }
 
     /// Returns the key for the kind of the axis to which the section belongs.
     pub fn key(&self, key: Key) -> Key {
-        key.of(self.is_rotary.get())
+        key.of(self.kind.get())
     }
 
     /// As [`Self::report`], for a key of the table.
@@ -474,7 +475,7 @@ impl<'d, 'i> Section<'d, 'i> {
                 table,
                 offset: value.span().start,
                 requested: RefCell::default(),
-                is_rotary: self.is_rotary.clone(),
+                kind: self.kind.clone(),
             }),
             other => {
                 self.wrong_type(key, other, "a section");
@@ -502,7 +503,7 @@ impl<'d, 'i> Section<'d, 'i> {
                     table,
                     offset: item.span().start,
                     requested: RefCell::default(),
-                    is_rotary: self.is_rotary.clone(),
+                    kind: self.kind.clone(),
                 }),
                 other => {
                     let what = format!("is {}, not a section", named_type(other));

@@ -102,6 +102,7 @@ fn read_switch(
     let most = match place.kind {
         AxisKind::Linear => 1900.0,
         AxisKind::Rotary => 166.0,
+        AxisKind::MultiTurn => 170_000.0,
     };
     let usual = (1.2 * stroke + 2.0 * release).min(most);
     let travel = section.value_or(keys::travel, Some(usual));

@@ -42,7 +42,11 @@ pub fn axes_of(model: &str) -> String {
             let axes = axes.iter().filter(|axis| axis.1 == kind);
             axes.map(|axis| axis.0).collect()
         };
-        let kinds = [(AxisKind::Linear, "linear"), (AxisKind::Rotary, "rotary")];
+        let kinds = [
+            (AxisKind::Linear, "linear"),
+            (AxisKind::Rotary, "rotary"),
+            (AxisKind::MultiTurn, "rotary, over many turns"),
+        ];
         let kinds = kinds.map(|(kind, word)| (of_kind(kind), word));
         let kinds = kinds.iter().filter(|(names, _)| !names.is_empty());
         let texts = kinds.map(|(names, word)| format!("{} ({word})", names.join(", ")));

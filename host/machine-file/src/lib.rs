@@ -567,11 +567,11 @@ fn read_supervision(
 /// Reads the rates of the search for the index pulses; a machine without a joint that homes by its
 /// index has no such section.
 fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Homing {
-    let searched = |kind| {
+    let searched = |rotary| {
         let mut joints = joints.iter();
-        joints.any(|(joint, _)| joint.kind == kind && joint.home == Home::Index)
+        joints.any(|(joint, _)| joint.kind.is_rotary() == rotary && joint.home == Home::Index)
     };
-    let (linear, rotary) = (searched(AxisKind::Linear), searched(AxisKind::Rotary));
+    let (linear, rotary) = (searched(false), searched(true));
     let mut homing = Homing {
         rate: Rate(0),
         rotary_rate: Rate(0),

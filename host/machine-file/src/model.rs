@@ -2,7 +2,8 @@
 //!
 //! A program is checked with the same code that moves the machine.
 
-use crate::scale::{PER_DEG, PER_MM};
+use crate::axes::unit;
+use crate::scale::per_unit;
 use crate::{IoNames, MachineFile};
 use haptimill_firmware::config;
 use haptimill_firmware::named_io::config::OutputFunction;
@@ -15,7 +16,7 @@ use haptimill_planner::{
     AnalogueOutput, JointLimits, MachineModel, Outputs, PoseLimits, PoseProblem, Settings,
 };
 use haptimill_protocol::message::{AxisValues, MAX_AXES, PoseError, Telemetry};
-use haptimill_protocol::text::{Axes, Axis, AxisKind as TextKind};
+use haptimill_protocol::text::{Axes, Axis};
 
 /// Kinematics of a machine file, with axis names.
 #[derive(Debug, Clone)]
@@ -28,24 +29,11 @@ pub struct Model {
     io: IoNames,
 }
 
-fn units(kind: config::AxisKind) -> f64 {
-    match kind {
-        config::AxisKind::Linear => PER_MM,
-        config::AxisKind::Rotary => PER_DEG,
-    }
-}
-
-fn unit(kind: config::AxisKind) -> &'static str {
-    match kind {
-        config::AxisKind::Linear => "mm",
-        config::AxisKind::Rotary => "deg",
-    }
-}
-
 fn program_kind(kind: config::AxisKind) -> AxisKind {
-    match kind {
-        config::AxisKind::Linear => AxisKind::Linear,
-        config::AxisKind::Rotary => AxisKind::Rotary,
+    if kind.is_rotary() {
+        AxisKind::Rotary
+    } else {
+        AxisKind::Linear
     }
 }
 
@@ -86,7 +74,7 @@ impl Model {
     /// Axis units of a coordinate in millimetres or degrees, rounded; within half a turn of 0 if it
     /// wraps around.
     fn whole_units(&self, axis: usize, kind: config::AxisKind, value: f64) -> f64 {
-        let value = (value * units(kind)).round();
+        let value = (value * per_unit(kind)).round();
         if self.wrapping >> axis & 1 != 0 {
             f64::from(value as i64 as i32)
         } else {
@@ -107,7 +95,7 @@ impl Model {
     pub fn to_engineering_units(&self, pose: &AxisValues) -> Coordinates {
         let mut values = Coordinates::default();
         for (slot, ((_, kind), value)) in values.iter_mut().zip(self.pose.iter().zip(pose)) {
-            *slot = f64::from(*value) / units(*kind);
+            *slot = f64::from(*value) / per_unit(*kind);
         }
         values
     }
@@ -118,7 +106,7 @@ impl Model {
         self.joints
             .iter()
             .zip(joints)
-            .map(|((_, kind), value)| f64::from(*value) / units(*kind))
+            .map(|((_, kind), value)| f64::from(*value) / per_unit(*kind))
             .collect()
     }
 
@@ -131,7 +119,7 @@ impl Model {
         for (axis, (((name, kind), raw), value)) in axes {
             if self.wrapping >> axis & 1 != 0 {
                 let joint = self.joints.iter().position(|(joint, _)| joint == name);
-                *value = telemetry.unwound(joint, *raw) as f64 / units(*kind);
+                *value = telemetry.unwound(joint, *raw) as f64 / per_unit(*kind);
             }
         }
         values
@@ -176,13 +164,7 @@ impl Model {
     pub fn with_axes<T>(&self, use_axes: impl FnOnce(&Axes<'_>) -> T) -> T {
         fn list(axes: &[(String, config::AxisKind)]) -> Vec<Axis<'_>> {
             axes.iter()
-                .map(|(name, kind)| Axis {
-                    name,
-                    kind: match kind {
-                        config::AxisKind::Linear => TextKind::Linear,
-                        config::AxisKind::Rotary => TextKind::Rotary,
-                    },
-                })
+                .map(|(name, kind)| Axis { name, kind: *kind })
                 .collect()
         }
         let (pose, joints) = (list(&self.pose), list(&self.joints));
@@ -249,7 +231,7 @@ impl MachineModel for Model {
                 for (slot, ((_, kind), value)) in
                     values.iter_mut().zip(self.joints.iter().zip(joints.0))
                 {
-                    *slot = f64::from(value.0) / units(*kind);
+                    *slot = f64::from(value.0) / per_unit(*kind);
                 }
                 Ok(values)
             }
@@ -266,12 +248,12 @@ impl MachineModel for Model {
             .pose
             .iter()
             .zip(rates)
-            .map(|((_, kind), rate)| (rate * units(*kind)).abs())
+            .map(|((_, kind), rate)| (rate * per_unit(*kind)).abs())
             .fold(0.0, f64::max);
         let shrink = if largest > 1e8 { 1e8 / largest } else { 1.0 };
         let mut scaled_rates = Rates::default();
         for (slot, ((_, kind), rate)) in scaled_rates.iter_mut().zip(self.pose.iter().zip(rates)) {
-            *slot = Rate((rate * units(*kind) * shrink).round() as i32);
+            *slot = Rate((rate * per_unit(*kind) * shrink).round() as i32);
         }
         let mut values = [0.0; MAX_AXES];
         let Some(units_of) = self.pose(pose) else {
@@ -284,7 +266,7 @@ impl MachineModel for Model {
             for (slot, ((_, kind), rate)) in
                 values.iter_mut().zip(self.joints.iter().zip(motion.rates))
             {
-                *slot = f64::from(rate.0) / units(*kind) / shrink;
+                *slot = f64::from(rate.0) / per_unit(*kind) / shrink;
             }
         }
         values
@@ -327,6 +309,7 @@ pub fn settings(machine: &MachineFile) -> Settings {
         .map(|(axis, described)| PoseLimits {
             letter: described.letter,
             kind: program_kind(axis.kind),
+            units: per_unit(axis.kind),
             low: axis.low,
             high: axis.high,
             rate: axis.rate,
@@ -339,10 +322,7 @@ pub fn settings(machine: &MachineFile) -> Settings {
         .iter()
         .map(|axis| JointLimits {
             name: axis.name.clone(),
-            unit: match axis.kind {
-                config::AxisKind::Linear => "mm",
-                config::AxisKind::Rotary => "deg",
-            },
+            unit: unit(axis.kind),
             rate: axis.rate,
             acceleration: axis.acceleration,
             jerk: Settings::joint_jerk(&pose, axis.acceleration),

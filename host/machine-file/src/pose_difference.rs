@@ -5,6 +5,7 @@
 //! another machine, on which every result is wrong.
 
 use super::MachineFile;
+use super::axes::unit;
 use super::scale::per_unit;
 use haptimill_firmware::config::AxisKind;
 use haptimill_hil_sim::config::PlantConfig;
@@ -103,6 +104,7 @@ impl PoseDifference {
                 AxisKind::Rotary => {
                     rotary = rotary.max(((off + 180.0).rem_euclid(360.0) - 180.0).abs());
                 }
+                AxisKind::MultiTurn => rotary = rotary.max(off.abs()),
             }
         }
         let linear = f64::sqrt(squared);
@@ -112,10 +114,7 @@ impl PoseDifference {
                 .iter()
                 .zip(pose.0)
                 .map(|(axis, value)| {
-                    let unit = match axis.kind {
-                        AxisKind::Linear => "mm",
-                        AxisKind::Rotary => "deg",
-                    };
+                    let unit = unit(axis.kind);
                     (axis.name, f64::from(value.0) / per_unit(axis.kind), unit)
                 })
                 .collect();

@@ -19,9 +19,11 @@ pub const PER_GAIN: f64 = 256.0;
 
 /// Returns the axis units per millimetre or degree.
 pub fn per_unit(kind: AxisKind) -> f64 {
-    match kind {
-        AxisKind::Linear => PER_MM,
-        AxisKind::Rotary => PER_DEG,
+    let units = (1_u64 << kind.unit_bits()) as f64;
+    if kind.is_rotary() {
+        units / 360.0
+    } else {
+        units
     }
 }
 
@@ -58,11 +60,13 @@ pub fn jerk(value: f64, kind: AxisKind) -> u32 {
 /// Converts an inertia in kg or kg m^2 to effort units per acceleration unit, times 2^20.
 ///
 /// Linear: 1 kg at 2^-12 mm/s^2 takes 2^-12 * 1e-3 N = 0.016 effort units. Rotary: 1 kg m^2 at
-/// 2^-24 turn/s^2 takes 2^-24 * 2 pi N m = 2 pi / 256 effort units.
+/// 2^-24 turn/s^2 takes 2^-24 * 2 pi N m = 2 pi / 256 effort units; over many turns the
+/// acceleration unit is 2^10 times as large.
 pub fn inertia(value: f64, kind: AxisKind) -> u32 {
     let effort_per_acceleration = match kind {
         AxisKind::Linear => 0.016,
         AxisKind::Rotary => std::f64::consts::TAU / 256.0,
+        AxisKind::MultiTurn => std::f64::consts::TAU * 4.0,
     };
     to_u32(value * effort_per_acceleration * PER_MM)
 }

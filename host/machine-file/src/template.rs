@@ -2,6 +2,7 @@
 //! table of keys.
 
 use crate::keys::keys_of;
+use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_machine_keys::page::summary;
 use haptimill_machine_keys::{Default, Key};
 use std::collections::{HashMap, HashSet};
@@ -34,7 +35,7 @@ struct Writer {
     /// Keys of the section with their values.
     values: HashMap<String, String>,
     /// The section belongs to a rotary axis.
-    is_rotary: bool,
+    kind: AxisKind,
     /// Keys with a comment, by path and name.
     explained: HashSet<(String, String)>,
 }
@@ -64,13 +65,17 @@ impl Writer {
     fn key(&mut self, name: &str, value: &str) {
         let value = value.split('#').next().unwrap_or_default().trim();
         if name == "kind" && ["\"linear\"", "\"rotary\""].contains(&value) {
-            self.is_rotary = value == "\"rotary\"";
+            self.kind = if value == "\"rotary\"" {
+                AxisKind::Rotary
+            } else {
+                AxisKind::Linear
+            };
         }
         self.values.insert(name.to_string(), value.to_string());
         let rows: Vec<&Key> = keys_of(&self.path).collect();
         let row = rows
             .iter()
-            .map(|key| key.of(self.is_rotary))
+            .map(|key| key.of(self.kind))
             .find(|key| key.name == name);
         if let Some(row) = row
             && self.explained.insert((self.path.clone(), name.to_string()))
@@ -82,7 +87,7 @@ impl Writer {
     /// Lists the optional keys that the section does not have.
     fn end_section(&mut self) {
         let rows: Vec<&Key> = keys_of(&self.path).collect();
-        let rows = rows.iter().map(|key| key.of(self.is_rotary));
+        let rows = rows.iter().map(|key| key.of(self.kind));
         let absent: Vec<Key> = rows
             .filter(|key| key.default != Default::Required && key.machines.is_empty())
             .filter(|key| !self.values.contains_key(key.name))

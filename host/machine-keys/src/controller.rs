@@ -1,6 +1,12 @@
 //! Keys of the machine as controller and planner know it: root, model, axes, planner, force.
 
-use crate::key::sections;
+use crate::key::{Values, real, sections};
+
+/// Coordinates of a rotary axis over many turns; the controller counts +-512 turns.
+const TURNS: Values = real(-170_000.0, 170_000.0, "deg");
+
+/// Rates of a rotary axis over many turns, up to 500 turns per second.
+const TURN_RATES: Values = real(0.001, 180_000.0, "deg/s");
 
 /// Joints to which the keys of an encoder apply.
 const ENCODER: &str = "joints with an encoder";
@@ -25,15 +31,15 @@ pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may
     name = text("the name that the model has at this place").is("name of the coordinate");
     kind = word(&["linear", "rotary"]).is("kind that the model has at this place");
     low = real(-2047.0, 2047.0, "mm").is("lower soft limit").named("low_mm")
-        .rotary("low_deg", real(-179.0, 179.0, "deg"))
+        .rotary("low_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS)
         .bounded("below the upper one; a tilt within +-90 deg; a coordinate that is a joint within its stroke");
     high = real(-2047.0, 2047.0, "mm").is("upper soft limit").named("high_mm")
-        .rotary("high_deg", real(-179.0, 179.0, "deg"));
+        .rotary("high_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS);
     wrap = flag().is("the coordinate turns without end and has no soft limits")
         .only("rotary coordinates without a role").or_text("false")
         .bounded("the joint of the same name wraps too");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
-        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s"))
+        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES)
         .bounded("at most the joint's where the coordinate is a joint");
     acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")
         .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
@@ -54,14 +60,14 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .is("largest racking: distance between the two motors of a gantry, and in homing the difference of their motions")
         .named("racking_mm").only("second motors of gantries");
     low = real(-2047.0, 2047.0, "mm").is("lower end of the stroke").named("low_mm")
-        .rotary("low_deg", real(-179.0, 179.0, "deg")).bounded("below the upper end");
+        .rotary("low_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS).bounded("below the upper end");
     high = real(-2047.0, 2047.0, "mm").is("upper end of the stroke").named("high_mm")
-        .rotary("high_deg", real(-179.0, 179.0, "deg"));
+        .rotary("high_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS);
     wrap = flag().is("the joint turns without end and has no stroke")
         .only("rotary joints").or_text("false")
         .bounded("the pose coordinate of the same name wraps too");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
-        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s"));
+        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES);
     acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")
         .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
     travel = real(0.01, 200.0, "mm/turn").is("motion per motor turn").named("lead_mm")
@@ -91,10 +97,10 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .bounded("at least 4 counts").only(super::ENCODER);
     preset = real(-2047.0, 2047.0, "mm")
         .is("joint position of the home pose; where the joint homes by index or not at all, the operator sets it before power-on").named("preset_mm")
-        .rotary("preset_deg", real(-179.0, 179.0, "deg")).bounded("within the stroke");
+        .rotary("preset_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS).bounded("within the stroke");
     index = real(-2047.0, 2047.0, "mm")
         .is("index pulse nearest to the preset, measured once for each machine").named("index_mm")
-        .rotary("index_deg", real(-179.0, 179.0, "deg"))
+        .rotary("index_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS)
         .bounded("within the stroke, and within the search distance of the preset").only(super::ENCODER);
     search = real(0.0, 100.0, "mm").is("how far an index pulse may be from its place")
         .named("search_mm").rotary("search_deg", real(0.0, 30.0, "deg"))
@@ -114,9 +120,9 @@ joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \
         .bounded("down to `limit_low`, up to `limit_high`");
     at = real(-2047.0, 2047.0, "mm")
         .is("joint position where the switch becomes active, measured once for each machine")
-        .named("at_mm").rotary("at_deg", real(-179.0, 179.0, "deg")).bounded("within the stroke");
+        .named("at_mm").rotary("at_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS).bounded("within the stroke");
     rate = real(0.001, 2000.0, "mm/s").is("rate to the switch, and off it").named("rate_mm_s")
-        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s"))
+        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES)
         .bounded("at most the joint's; stops within the release distance");
     touch_rate = real(0.001, 100.0, "mm/s").is("rate of the second touch, whose place counts")
         .named("touch_rate_mm_s").rotary("touch_rate_deg_s", real(0.001, 30.0, "deg/s"))
@@ -130,7 +136,7 @@ joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \
         .named("release_mm").rotary("release_deg", real(0.01, 60.0, "deg"))
         .or_text("three times the back-off");
     travel = real(0.1, 1900.0, "mm").is("largest distance to the switch").named("travel_mm")
-        .rotary("travel_deg", real(0.1, 166.0, "deg"))
+        .rotary("travel_deg", real(0.1, 166.0, "deg")).many_turns(real(0.1, 170_000.0, "deg"))
         .or_text("1.2 times the stroke and twice the release distance");
 }
 
@@ -185,7 +191,7 @@ joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)."
         .named("coulomb_n").rotary("coulomb_n_m", real(0.0, 32_000.0, "N m")).or(0.0);
     coulomb_rate = real(0.001, 2000.0, "mm/s")
         .is("rate from which the friction compensation is in full").named("coulomb_rate_mm_s")
-        .rotary("coulomb_rate_deg_s", real(0.001, 179.0, "deg/s"));
+        .rotary("coulomb_rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES);
 }
 
 planner "planner" "How the planner joins the blocks of a program." {

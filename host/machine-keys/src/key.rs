@@ -1,5 +1,6 @@
 //! A key and its values.
 
+use haptimill_protocol::text::AxisKind;
 use std::fmt::Write as _;
 
 /// A key of a machine file.
@@ -11,6 +12,8 @@ pub struct Key {
     pub values: Values,
     /// Name and allowed values for a rotary axis, where they differ.
     pub rotary: Option<(&'static str, Values)>,
+    /// Allowed values for a rotary axis over many turns, where they differ from those of one turn.
+    pub many_turns: Option<Values>,
     /// Value without the key.
     pub default: Default,
     /// The key applies where another key of the section has this word.
@@ -157,6 +160,7 @@ impl Values {
             name: "",
             values: self,
             rotary: None,
+            many_turns: None,
             default: match self {
                 Self::Direction => Default::Number(1.0),
                 _ => Default::Required,
@@ -215,14 +219,22 @@ impl Values {
 }
 
 impl Key {
-    /// Returns the key for a linear or a rotary axis.
+    /// Returns the key for an axis of a kind.
     #[must_use]
-    pub const fn of(mut self, rotary: bool) -> Self {
-        if rotary && let Some((name, values)) = self.rotary {
+    pub const fn of(mut self, kind: AxisKind) -> Self {
+        if kind.is_rotary()
+            && let Some((name, values)) = self.rotary
+        {
             self.name = name;
             self.values = values;
         }
+        if matches!(kind, AxisKind::MultiTurn)
+            && let Some(values) = self.many_turns
+        {
+            self.values = values;
+        }
         self.rotary = None;
+        self.many_turns = None;
         self
     }
 
@@ -279,6 +291,13 @@ impl Key {
     #[must_use]
     pub const fn rotary(mut self, name: &'static str, values: Values) -> Self {
         self.rotary = Some((name, values));
+        self
+    }
+
+    /// Gives the key other values for a rotary axis over many turns.
+    #[must_use]
+    pub const fn many_turns(mut self, values: Values) -> Self {
+        self.many_turns = Some(values);
         self
     }
 

@@ -1,6 +1,7 @@
 //! Tables of keys: for a page of the documentation, and as text.
 
 use crate::{Key, Section};
+use haptimill_protocol::text::AxisKind;
 
 /// First and last part of the line before a table of a page; the path of the section is between.
 const BEGIN: (&str, &str) = ("<!-- keys: ", " -->");
@@ -151,13 +152,16 @@ fn names(key: &Key) -> String {
     }
 }
 
-/// A property of a key, and of its rotary form in brackets where it differs.
+/// A property of a key, and of its rotary forms in brackets where they differ.
 fn pair(key: &Key, of: impl Fn(&Key) -> String) -> String {
-    let (linear, rotary) = (of(&key.of(false)), of(&key.of(true)));
+    use AxisKind::{Linear, MultiTurn, Rotary};
+    let [linear, rotary, many] = [Linear, Rotary, MultiTurn].map(|kind| of(&key.of(kind)));
     if linear == rotary {
         linear
-    } else {
+    } else if rotary == many {
         format!("{linear} ({rotary})")
+    } else {
+        format!("{linear} ({rotary}; over many turns {many})")
     }
 }
 
@@ -297,9 +301,10 @@ mod tests {
     }
 
     #[test]
-    fn a_key_of_an_axis_shows_both_kinds() {
+    fn a_key_of_an_axis_shows_all_kinds() {
         let table = table(&keys_of("pose"));
-        let row = "| `rate_mm_s` (`rate_deg_s`) | mm/s (deg/s) | 0.001 to 2000 (0.001 to 179); ";
+        let row = "| `rate_mm_s` (`rate_deg_s`) | mm/s (deg/s) | 0.001 to 2000 \
+                   (0.001 to 179; over many turns 0.001 to 180000); ";
         assert!(table.contains(row), "{table}");
         let law = keys_of("joint.law");
         let key = law.iter().find(|key| key.name == "ki").unwrap();

@@ -55,21 +55,21 @@ joint "plant.joint" "A simulated joint, with the name of the controller's: motor
     viscous = real(0.0, 1e6, "N per mm/s").is("viscous friction of both sides together")
         .rotary("viscous", real(0.0, 1e6, "N m per deg/s"));
     friction_slide_share = real(0.0, 1.0, "").is("fraction of the friction on the side of the slide");
-    low = real(-2000.0, 2000.0, "mm").is("lower hard stop").rotary("low", real(-2000.0, 2000.0, "deg"));
+    low = real(-2000.0, 2000.0, "mm").is("lower hard stop").rotary("low", real(-200_000.0, 200_000.0, "deg"));
     high = real(-2000.0, 2000.0, "mm").is("upper hard stop").bounded("above the lower one")
-        .rotary("high", real(-2000.0, 2000.0, "deg"));
+        .rotary("high", real(-200_000.0, 200_000.0, "deg"));
     stop_stiffness = other("0 to a bound by substep and inertia; N/mm, N m/deg")
         .is("stiffness of the hard stops");
     preset = real(-2000.0, 2000.0, "mm").is("place of the slide at the start")
-        .bounded("between the hard stops").rotary("preset", real(-2000.0, 2000.0, "deg"));
+        .bounded("between the hard stops").rotary("preset", real(-200_000.0, 200_000.0, "deg"));
     start_spread = real(0.0, 2000.0, "mm").is("largest random offset of it, by the seed").or(0.0)
         .bounded("at most the distance to the nearer stop")
         .rotary("start_spread", real(0.0, 2000.0, "deg"));
     home = other("{ at, active = \"below\" or \"above\" }").is("home switch").or_absent();
     limit_low = real(-4000.0, 4000.0, "mm").is("lower limit switch").or_absent()
-        .rotary("limit_low", real(-4000.0, 4000.0, "deg")).bounded("below the upper one");
+        .rotary("limit_low", real(-400_000.0, 400_000.0, "deg")).bounded("below the upper one");
     limit_high = real(-4000.0, 4000.0, "mm").is("upper limit switch").or_absent()
-        .rotary("limit_high", real(-4000.0, 4000.0, "deg"));
+        .rotary("limit_high", real(-400_000.0, 400_000.0, "deg"));
     gantry_of = text("the name of another joint")
         .is("the joint is the second motor of a gantry, at the other end of the beam of that joint; it is no joint of the geometry, which sees the middle of the beam")
         .or_absent().bounded("a linear joint with one motor; both have the same preset");
@@ -88,7 +88,7 @@ joint_encoder "plant.joint.encoder" "The encoder, on the motor shaft or on the s
         .is("counts per motor turn, or per lead of the slide, after x4 decoding")
         .bounded("a multiple of 4");
     index = real(-4000.0, 4000.0, "mm").is("place of an index pulse; the others are whole leads away")
-        .rotary("index", real(-4000.0, 4000.0, "deg"));
+        .rotary("index", real(-400_000.0, 400_000.0, "deg"));
     reversed = flag().is("counts backwards").or_text("false");
 }
 

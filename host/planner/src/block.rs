@@ -68,6 +68,9 @@ impl Block {
     }
 }
 
+/// Largest magnitude of a coordinate in the protocol, axis units: a little below 2^31.
+const NUMBER_RANGE: f64 = 2_146_435_072.0;
+
 /// Checks a pose against soft limits, the number range of the protocol, and the machine.
 pub(super) fn check_pose(
     pose: &Coordinates,
@@ -75,11 +78,15 @@ pub(super) fn check_pose(
     model: &impl MachineModel,
 ) -> Result<[f64; 6], (String, String)> {
     for (value, axis) in pose.iter().zip(&settings.pose) {
-        let (unit, range) = match axis.kind {
-            AxisKind::Linear => ("mm", 2047.0),
-            // One that wraps around has no range.
-            AxisKind::Rotary if axis.high == f64::INFINITY => ("deg", f64::INFINITY),
-            AxisKind::Rotary => ("deg", 179.9),
+        let unit = match axis.kind {
+            AxisKind::Linear => "mm",
+            AxisKind::Rotary => "deg",
+        };
+        // One that wraps around has no range.
+        let range = if axis.high == f64::INFINITY {
+            f64::INFINITY
+        } else {
+            NUMBER_RANGE / axis.units
         };
         let (low, high) = (axis.low.max(-range), axis.high.min(range));
         if !(low..=high).contains(value) {

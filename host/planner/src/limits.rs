@@ -10,6 +10,8 @@ pub struct PoseLimits {
     pub letter: char,
     /// Millimetres or degrees.
     pub kind: AxisKind,
+    /// Axis units of the protocol per millimetre or degree.
+    pub units: f64,
     /// Lower soft limit; minus infinity if the coordinate wraps around.
     pub low: f64,
     /// Upper soft limit; infinity if the coordinate wraps around.

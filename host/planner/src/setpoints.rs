@@ -5,21 +5,13 @@ use super::limits::{MachineModel, Settings};
 use super::pace::Pacer;
 use super::planner::Planned;
 use super::trajectory::{CUBIC_ERROR_MM, Cursor, Knot, Trajectory};
-use haptimill_gcode::{AxisKind, Coordinates, Place, Problem};
+use haptimill_gcode::{Coordinates, Place, Problem};
 use haptimill_protocol::message::{Action, AxisValues, Pace, RATE_SHIFT};
 use haptimill_protocol::setpoint::Setpoint;
 use std::collections::VecDeque;
 
 /// Longest standstill in one setpoint, periods.
 const LONGEST_REST: u64 = 60_000;
-
-/// Returns the axis units per mm or degree.
-fn units(kind: AxisKind) -> f64 {
-    match kind {
-        AxisKind::Linear => 1_048_576.0,
-        AxisKind::Rotary => 4_294_967_296.0 / 360.0,
-    }
-}
 
 /// Rounds a pose to axis units.
 pub(crate) fn quantise_pose(pose: &Coordinates, settings: &Settings) -> AxisValues {
@@ -28,7 +20,7 @@ pub(crate) fn quantise_pose(pose: &Coordinates, settings: &Settings) -> AxisValu
         .pose
         .iter()
         .zip(pose)
-        .map(|(axis, value)| (value * units(axis.kind)).round() as i64 as i32)
+        .map(|(axis, value)| (value * axis.units).round() as i64 as i32)
         .collect()
 }
 
@@ -38,7 +30,7 @@ fn quantise_rates(rates: &Coordinates, settings: &Settings) -> AxisValues {
         .pose
         .iter()
         .zip(rates)
-        .map(|(axis, rate)| (rate * units(axis.kind) / scale).round() as i32)
+        .map(|(axis, rate)| (rate * axis.units / scale).round() as i32)
         .collect()
 }
 

@@ -7,7 +7,7 @@
 mod page;
 mod trace;
 
-use haptimill_gcode::{AxisKind, Coordinates, Place, Step};
+use haptimill_gcode::{Coordinates, Place, Step};
 use haptimill_planner::{Figures, MachineModel, Planned, Settings};
 use haptimill_protocol::message::{AxisValues, RATE_SHIFT};
 use trace::{Point, Trace};
@@ -186,11 +186,7 @@ impl<M: MachineModel> Preview<M> {
     fn engineering_units(&self, values: &AxisValues, scale: f64) -> Coordinates {
         let mut converted = Coordinates::default();
         for ((slot, axis), value) in converted.iter_mut().zip(&self.settings.pose).zip(values) {
-            let unit = match axis.kind {
-                AxisKind::Linear => 1.0 / 1_048_576.0,
-                AxisKind::Rotary => 360.0 / 4_294_967_296.0,
-            };
-            *slot = f64::from(*value) * scale * unit;
+            *slot = f64::from(*value) * scale / axis.units;
         }
         converted
     }

@@ -20,6 +20,7 @@ impl MachineModel for Mill {
 
 fn settings() -> Settings {
     let pose = ['X', 'Y', 'Z'].map(|letter| PoseLimits {
+        units: 1_048_576.0,
         letter,
         kind: AxisKind::Linear,
         low: -100.0,

@@ -6,7 +6,7 @@ use super::contour::Point;
 use super::markup::{self, escape, put};
 use super::series::Columns;
 use super::{Statistics, Summary, duration};
-use haptimill_firmware::config::{AxisKind, JointAxis};
+use haptimill_firmware::config::JointAxis;
 use haptimill_trace::{Recording, RecordingError};
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -220,10 +220,10 @@ fn time_charts(
     let names = &recording.header().joints;
     let config = recording.config();
     let colour = |axis: usize| COLOURS[axis % COLOURS.len()];
-    let joints_of = |kind: AxisKind| -> Vec<usize> {
+    let joints_of = |rotary: bool| -> Vec<usize> {
         let joints = config.joints.iter().enumerate();
         joints
-            .filter(|(_, joint)| joint.kind == kind)
+            .filter(|(_, joint)| joint.kind.is_rotary() == rotary)
             .map(|(axis, _)| axis)
             .collect()
     };
@@ -238,12 +238,8 @@ fn time_charts(
             .collect()
     };
     // Linear joints, and rotary ones if they move: name, axes, units of travel and of errors.
-    let mut groups = vec![(
-        "linear joints",
-        joints_of(AxisKind::Linear),
-        ["mm", "\u{b5}m"],
-    )];
-    let rotary = joints_of(AxisKind::Rotary);
+    let mut groups = vec![("linear joints", joints_of(false), ["mm", "\u{b5}m"])];
+    let rotary = joints_of(true);
     if rotary
         .iter()
         .any(|axis| data.joints[*axis].largest() > 0.01)
@@ -290,7 +286,7 @@ fn time_charts(
         let rotary = config
             .pose
             .get(axis)
-            .is_some_and(|axis| axis.kind == AxisKind::Rotary);
+            .is_some_and(|axis| axis.kind.is_rotary());
         if !rotary || statistics.programmed[axis].span() < 0.01 {
             continue;
         }

@@ -133,13 +133,16 @@ impl Statistics {
     /// Statistics of a recording without records yet.
     pub fn new(recording: &Recording) -> Self {
         let config = recording.config();
-        let rotary = |kind: AxisKind| kind == AxisKind::Rotary;
         Self {
             period_s: recording.period_s(),
             tip: Tip::new(recording),
             pose_units: recording.pose_units(),
             joint_units: recording.joint_units(),
-            rotary_pose: config.pose.iter().map(|axis| rotary(axis.kind)).collect(),
+            rotary_pose: config
+                .pose
+                .iter()
+                .map(|axis| axis.kind.is_rotary())
+                .collect(),
             joint_kinds: config.joints.iter().map(|axis| axis.kind).collect(),
             first_period: None,
             before: None,
@@ -188,9 +191,10 @@ impl Statistics {
         }
         for (joint, unit) in self.joint_units.iter().enumerate() {
             let error = (f64::from(record.following_error[joint]) * unit).abs();
-            let following = match self.joint_kinds[joint] {
-                AxisKind::Linear => &mut self.following_linear,
-                AxisKind::Rotary => &mut self.following_rotary,
+            let following = if self.joint_kinds[joint].is_rotary() {
+                &mut self.following_rotary
+            } else {
+                &mut self.following_linear
             };
             following.add(joint, error, time, record.line);
         }

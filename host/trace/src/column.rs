@@ -309,10 +309,7 @@ fn axis_columns(
 ) -> impl Iterator<Item = Column> {
     let axes = names.iter().zip(kinds).zip(scales).enumerate();
     axes.map(move |(axis, ((name, kind), scale))| {
-        let unit = match kind {
-            AxisKind::Linear => "mm",
-            AxisKind::Rotary => "deg",
-        };
+        let unit = if kind.is_rotary() { "deg" } else { "mm" };
         let field = match row {
             Places::Positions(quantity) => Field::Place(quantity, axis, *scale),
             Places::Differences(row) => Field::Axis(row, axis, *scale),

@@ -235,10 +235,7 @@ impl Recording {
     /// Returns scale and unit of each joint's drive command: newtons or newton metres per DAC code,
     /// or 1 per step.
     pub fn drive_units(&self) -> Vec<(f64, &'static str)> {
-        let unit = |kind| match kind {
-            AxisKind::Linear => "n",
-            AxisKind::Rotary => "n_m",
-        };
+        let unit = |kind: AxisKind| if kind.is_rotary() { "n_m" } else { "n" };
         let joints = self.config.joints.iter();
         joints
             .map(|joint| match joint.drive {
@@ -447,10 +444,8 @@ fn damaged(path: &Path, at: u64, what: &str) -> RecordingError {
 
 /// Returns millimetres or degrees per axis unit.
 pub(crate) fn per_axis_unit(kind: AxisKind) -> f64 {
-    match kind {
-        AxisKind::Linear => 1.0 / f64::from(1 << 20),
-        AxisKind::Rotary => 360.0 / 4_294_967_296.0,
-    }
+    let one = if kind.is_rotary() { 360.0 } else { 1.0 };
+    one / (1_u64 << kind.unit_bits()) as f64
 }
 
 /// Reads and checks the content of blocks of one kind.

@@ -1,40 +1,46 @@
-//! The Cartesian machine under test: each joint is the coordinate of the same name.
+//! The machines each of whose joints is a coordinate, under test.
 
 use super::subject::{Margins, Reals, Sequence, Subject};
-use haptimill_kinematics::cartesian::{Cartesian, CartesianGeometry};
+use haptimill_kinematics::cartesian::{CartesianGeometry, Direct};
 use haptimill_kinematics::{Joints, MAX_AXES, Machine};
 use haptimill_math::Coordinate;
 use heapless::Vec;
 
-/// The range of a coordinate, mm.
-const RANGE: f64 = 2047.0;
+/// The ranges of the coordinates, mm and radians.
+const RANGES: [f64; 4] = [2047.0, 2047.0, 2047.0, 511.0 * core::f64::consts::TAU];
 
-/// The Cartesian machine.
-pub struct Slides {
-    machine: Cartesian,
+/// The machine with `AXES` joints.
+pub struct Axes<const AXES: usize> {
+    machine: Direct<AXES>,
 }
 
-impl Default for Slides {
+impl<const AXES: usize> Default for Axes<AXES>
+where
+    Direct<AXES>: Machine<Geometry = CartesianGeometry>,
+{
     fn default() -> Self {
         Self {
-            machine: Cartesian::new(&CartesianGeometry {}),
+            machine: Direct::new(&CartesianGeometry {}),
         }
     }
 }
 
-impl Subject for Slides {
-    type Machine = Cartesian;
+impl<const AXES: usize> Subject for Axes<AXES>
+where
+    Direct<AXES>: Machine<Geometry = CartesianGeometry>,
+{
+    type Machine = Direct<AXES>;
 
     const HAS_BOUNDS: bool = false;
 
-    fn machine(&self) -> &Cartesian {
+    fn machine(&self) -> &Direct<AXES> {
         &self.machine
     }
 
     fn random_pose(&self, sequence: &mut Sequence) -> Reals {
         let mut pose = [0.0; MAX_AXES];
-        for value in &mut pose[..3] {
-            *value = sequence.between(-RANGE, RANGE);
+        for (value, range) in pose.iter_mut().zip(RANGES).take(AXES) {
+            *value = sequence.between(-range, range);
         }
         pose
     }
@@ -45,7 +51,11 @@ impl Subject for Slides {
 
     fn random_joints(&self, sequence: &mut Sequence) -> Joints {
         Joints(core::array::from_fn(|axis| {
-            Coordinate(if axis < 3 { sequence.next() as i32 } else { 0 })
+            Coordinate(if axis < AXES {
+                sequence.next() as i32
+            } else {
+                0
+            })
         }))
     }
 

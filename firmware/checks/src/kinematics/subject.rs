@@ -194,6 +194,7 @@ fn units(kinds: impl Iterator<Item = AxisKind>) -> Reals {
         *unit = match kind {
             AxisKind::Linear => MM,
             AxisKind::Rotary => RADIAN,
+            AxisKind::MultiTurn => RADIAN * 1024.0,
         };
     }
     units

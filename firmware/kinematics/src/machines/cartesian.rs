@@ -1,8 +1,12 @@
-//! Kinematics of a machine whose joints move the tool along x, y and z directly.
+//! Kinematics of machines each of whose joints is a pose coordinate.
 //!
-//! The pose is `[x, y, z]`, the joints are `[x, y, z]`, and each joint is the coordinate of the
-//! same name. Directions and leads are matters of the drives and encoders, offsets of the presets.
-//! Every pose has joints; the strokes are checked by [`crate::BoundedKinematics`].
+//! The Cartesian machine has three slides x, y and z. The four-axis mill has a rotary axis a more,
+//! which may turn over +-500 turns. Directions and leads are matters of the drives and encoders,
+//! offsets of the presets. Every pose has joints; the strokes are checked by
+//! [`crate::BoundedKinematics`].
+//!
+//! The pose of the four-axis mill is that of its axes: a program is made for a workpiece that
+//! turns under the tool, as posts for four axes write it.
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::machine::Machine;
@@ -11,28 +15,28 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Geometry of a Cartesian machine; it has no lengths.
+/// Geometry of a machine each of whose joints is a coordinate; it has no lengths.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct CartesianGeometry {}
 
-/// The Cartesian machine.
+/// A machine each of whose `AXES` joints is the coordinate of the same name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Cartesian {}
+pub struct Direct<const AXES: usize> {}
 
-const fn linear(name: &'static str, letter: char, role: Role) -> CoordinateDescriptor {
-    CoordinateDescriptor {
-        name,
-        kind: AxisKind::Linear,
-        letter,
-        role,
-    }
-}
+/// Slides x, y and z.
+pub type Cartesian = Direct<3>;
 
-const fn slide(name: &'static str) -> JointDescriptor {
-    JointDescriptor {
-        name,
-        kind: AxisKind::Linear,
-    }
+/// Slides x, y and z, and a rotary axis a.
+pub type FourAxis = Direct<4>;
+
+const X: CoordinateDescriptor = CoordinateDescriptor::new("x", AxisKind::Linear, 'X', Role::ToolX);
+const Y: CoordinateDescriptor = CoordinateDescriptor::new("y", AxisKind::Linear, 'Y', Role::ToolY);
+const Z: CoordinateDescriptor = CoordinateDescriptor::new("z", AxisKind::Linear, 'Z', Role::ToolZ);
+const A: CoordinateDescriptor =
+    CoordinateDescriptor::new("a", AxisKind::MultiTurn, 'A', Role::None);
+
+const fn joint(of: &CoordinateDescriptor) -> JointDescriptor {
+    JointDescriptor::new(of.name, of.kind)
 }
 
 impl Machine for Cartesian {
@@ -40,12 +44,8 @@ impl Machine for Cartesian {
 
     const DESCRIPTOR: Descriptor = Descriptor {
         code: "cartesian",
-        pose: &[
-            linear("x", 'X', Role::ToolX),
-            linear("y", 'Y', Role::ToolY),
-            linear("z", 'Z', Role::ToolZ),
-        ],
-        joints: &[slide("x"), slide("y"), slide("z")],
+        pose: &[X, Y, Z],
+        joints: &[joint(&X), joint(&Y), joint(&Z)],
         errors: &[],
     };
 
@@ -58,13 +58,32 @@ impl Machine for Cartesian {
     }
 }
 
-impl Kinematics for Cartesian {
+impl Machine for FourAxis {
+    type Geometry = CartesianGeometry;
+
+    const DESCRIPTOR: Descriptor = Descriptor {
+        code: "four_axis",
+        pose: &[X, Y, Z, A],
+        joints: &[joint(&X), joint(&Y), joint(&Z), joint(&A)],
+        errors: &[],
+    };
+
+    fn new(_: &CartesianGeometry) -> Self {
+        Self {}
+    }
+
+    fn is_sound(_: &CartesianGeometry) -> bool {
+        true
+    }
+}
+
+impl<const AXES: usize> Kinematics for Direct<AXES> {
     fn axes(&self) -> usize {
-        Self::DESCRIPTOR.axes()
+        AXES
     }
 
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
-        Ok(Joints(first_three(&pose.0)))
+        Ok(Joints(first::<AXES, _>(&pose.0)))
     }
 
     fn inverse_motion(
@@ -74,19 +93,19 @@ impl Kinematics for Cartesian {
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
         Ok(JointMotion {
-            joints: Joints(first_three(&pose.0)),
-            rates: first_three(rates),
-            accelerations: first_three(accelerations),
+            joints: Joints(first::<AXES, _>(&pose.0)),
+            rates: first::<AXES, _>(rates),
+            accelerations: first::<AXES, _>(accelerations),
         })
     }
 
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
-        Ok(Pose(first_three(&joints.0)))
+        Ok(Pose(first::<AXES, _>(&joints.0)))
     }
 
     fn jacobian(&self, _: &Pose) -> Result<Jacobian, PoseError> {
         let mut jacobian = Jacobian([[0; crate::MAX_AXES]; crate::MAX_AXES]);
-        for axis in 0..Self::DESCRIPTOR.axes() {
+        for axis in 0..AXES {
             jacobian.0[axis][axis] = 1 << 32;
         }
         Ok(jacobian)
@@ -94,19 +113,29 @@ impl Kinematics for Cartesian {
 
     fn box_bounds(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<BoxBounds, PoseError> {
         let mut bounds = BoxBounds {
-            joints: [Joints(first_three(&low.0)), Joints(first_three(&high.0))],
+            joints: [
+                Joints(first::<AXES, _>(&low.0)),
+                Joints(first::<AXES, _>(&high.0)),
+            ],
             ..BoxBounds::default()
         };
         for (bound, rates) in bounds.rates.iter_mut().zip(rates) {
-            *bound = first_three(&rates.map(|rate| rate.0.unsigned_abs()));
+            *bound = first::<AXES, _>(&rates.map(|rate| rate.0.unsigned_abs()));
         }
         Ok(bounds)
     }
 }
 
-/// The values of x, y and z; the unused axes are zero.
-fn first_three<T: Copy + Default>(values: &[T; crate::MAX_AXES]) -> [T; crate::MAX_AXES] {
-    let [x, y, z, ..] = *values;
-    let none = T::default();
-    [x, y, z, none, none, none]
+/// The values of the axes; those that the machine lacks are zero.
+#[inline]
+fn first<const AXES: usize, T: Copy + Default>(
+    values: &[T; crate::MAX_AXES],
+) -> [T; crate::MAX_AXES] {
+    core::array::from_fn(|axis| {
+        if axis < AXES {
+            values[axis]
+        } else {
+            T::default()
+        }
+    })
 }

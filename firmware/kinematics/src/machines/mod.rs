@@ -187,4 +187,6 @@ machines! {
     Facet(facet::Facet);
     /// Shoulder and elbow about vertical axes, and a vertical slide.
     Scara(scara::Scara);
+    /// Slides x, y, z, and a rotary axis a.
+    FourAxis(cartesian::FourAxis);
 }

@@ -114,7 +114,7 @@ impl Interpolator {
         let (before, next) = self.segments.last_and_next();
         if let Some(axis) = parts.checked_sub(1) {
             let from = if begun { &before.to } else { &self.from };
-            next.set_axis(from, axis, self.rotary[axis])?;
+            next.set_axis(from, axis, self.circular[axis])?;
         } else {
             next.begin(to, before, self.period_us)?;
         }
@@ -164,7 +164,10 @@ impl Interpolator {
             return;
         }
         for axis in 0..self.axes {
-            if next.set_axis(&self.from, axis, self.rotary[axis]).is_none() {
+            if next
+                .set_axis(&self.from, axis, self.circular[axis])
+                .is_none()
+            {
                 return;
             }
         }

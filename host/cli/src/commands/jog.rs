@@ -215,7 +215,7 @@ fn distances(given: &[AxisRate], machine: &MachineFile) -> Result<Vec<f64>, CliE
         // Half a turn at most: beyond it, a coordinate that wraps around would turn the other way.
         let most = match axis.kind {
             AxisKind::Rotary => 180.0,
-            AxisKind::Linear => 1e6,
+            AxisKind::Linear | AxisKind::MultiTurn => 1e6,
         };
         if command.rate.abs() >= most {
             let what = format!("{}={}: write less than {most}", command.axis, command.rate);

@@ -6,7 +6,6 @@ use super::{CliError, Exit};
 use clap::Args;
 use haptimill_client::ErrorKind;
 use haptimill_client::session;
-use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::{Model, settings};
 use haptimill_machine_file::scale::per_unit;
@@ -102,10 +101,7 @@ fn joints(machine: &MachineFile) -> Vec<Joint> {
             };
             Joint {
                 name: named.name.clone(),
-                unit: match joint.kind {
-                    AxisKind::Linear => "mm",
-                    AxisKind::Rotary => "deg",
-                },
+                unit: if joint.kind.is_rotary() { "deg" } else { "mm" },
                 low: end(joint.low.0, f64::NEG_INFINITY),
                 high: end(joint.high.0, f64::INFINITY),
             }

@@ -86,7 +86,7 @@ impl Columns {
                 let unit = match (unit, kind) {
                     (false, _) => "",
                     (true, AxisKind::Linear) => "_mm",
-                    (true, AxisKind::Rotary) => "_deg",
+                    (true, AxisKind::Rotary | AxisKind::MultiTurn) => "_deg",
                 };
                 header.push_str(&format!(",{quantity}_{name}{unit}"));
             }
@@ -126,7 +126,7 @@ impl Columns {
                 row.push(',');
                 // Unknown values stay empty.
                 if let Some(value) = values.get(index) {
-                    let turns = unwound && *kind == AxisKind::Rotary;
+                    let turns = unwound && kind.is_circular();
                     let joint = joints.iter().position(|(joint, _)| turns && joint == name);
                     let value = of.unwound(joint, *value) as f64;
                     row.push_str(&format!("{:.6}", value / per_unit(*kind)));

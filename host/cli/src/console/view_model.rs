@@ -91,7 +91,7 @@ impl ViewModel {
         let joints = &self.static_info.joints;
         let joint = joints.iter().position(|joint| joint.name == axis.name);
         match &self.telemetry {
-            Some(telemetry) if axis.kind == AxisKind::Rotary => telemetry.unwound(joint, value),
+            Some(telemetry) if axis.kind.is_circular() => telemetry.unwound(joint, value),
             _ => i64::from(value),
         }
     }

@@ -289,7 +289,7 @@ fn rows(
         };
         json!({
             "name": axis.name,
-            "unit": match axis.kind { AxisKind::Linear => "mm", AxisKind::Rotary => "deg" },
+            "unit": if axis.kind.is_rotary() { "deg" } else { "mm" },
             "commanded": value(commanded),
             "actual": value(actual),
         })

@@ -6,12 +6,7 @@ use std::net::TcpStream;
 
 /// The address that a run prints.
 fn address_of(run: &mut Running) -> String {
-    run.wait_for_error("observers  ");
-    let errors = run.errors();
-    let line = errors
-        .lines()
-        .find_map(|line| line.strip_prefix("observers  "));
-    line.unwrap().to_string()
+    run.error_line("observers  ")
 }
 
 #[test]

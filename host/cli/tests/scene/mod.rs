@@ -189,6 +189,23 @@ impl Running {
         self.errors.lock().unwrap().clone()
     }
 
+    /// Waits for a whole line of standard error that begins with `prefix`; returns the rest of it.
+    #[track_caller]
+    pub fn error_line(&mut self, prefix: &str) -> String {
+        loop {
+            self.wait_for_error(prefix);
+            let errors = self.errors.lock().unwrap();
+            let mut lines = errors
+                .split_inclusive('\n')
+                .filter(|line| line.ends_with('\n'));
+            if let Some(rest) = lines.find_map(|line| line.strip_prefix(prefix)) {
+                return rest.trim_end().to_string();
+            }
+            drop(errors);
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
     /// Waits until standard error contains `part`.
     #[track_caller]
     pub fn wait_for_error(&mut self, part: &str) {

@@ -2,6 +2,7 @@
 
 mod cartesian;
 mod facet;
+mod four_axis;
 mod h4;
 mod scara;
 mod trunnion;
@@ -54,6 +55,7 @@ models! {
     Trunnion(trunnion::File);
     Facet(facet::File);
     Scara(scara::File);
+    FourAxis(four_axis::File);
 }
 
 /// A model and the reader of its keys.

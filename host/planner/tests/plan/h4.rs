@@ -104,6 +104,7 @@ pub fn settings() -> Settings {
     let linear = |letter, low, high| PoseLimits {
         letter,
         kind: AxisKind::Linear,
+        units: 1_048_576.0,
         low,
         high,
         rate: 60.0,
@@ -113,6 +114,7 @@ pub fn settings() -> Settings {
     let rotary = |letter, reach: f64| PoseLimits {
         letter,
         kind: AxisKind::Rotary,
+        units: 4_294_967_296.0 / 360.0,
         low: -reach,
         high: reach,
         rate: 30.0,

@@ -227,6 +227,7 @@ impl Checks {
                 let step = match limits.kind {
                     AxisKind::Linear => units::MM,
                     AxisKind::Rotary => 3.0 * units::DEGREE,
+                    AxisKind::MultiTurn => 3.0 * units::DEGREE / 1024.0,
                 };
                 [-step, step].iter().any(|step| {
                     let mut near = pose;

@@ -2,7 +2,6 @@
 
 use crate::commands::{CliError, Exit};
 use clap::Args;
-use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::pose_difference::{PoseDifference, WARNING};
 use haptimill_machine_file::{AxisLimits, MachineFile, Problem};
 use std::path::PathBuf;
@@ -141,10 +140,7 @@ fn summary(machine: &MachineFile) -> String {
             "low", "high", "rate", "acceleration"
         ));
         for axis in axes {
-            let unit = match axis.kind {
-                AxisKind::Linear => "mm",
-                AxisKind::Rotary => "deg",
-            };
+            let unit = if axis.kind.is_rotary() { "deg" } else { "mm" };
             let [low, high] = if axis.wraps() {
                 ["wraps".to_string(), "wraps".to_string()]
             } else {
