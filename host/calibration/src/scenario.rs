@@ -7,6 +7,7 @@ use crate::cut::{Cmm, PROGRAM, surface};
 use crate::drive::{Machine, SLOW};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::compensation::MOST_NODES;
 use haptimill_volumetric::Vector;
 use haptimill_volumetric::errors::ErrorSet;
 use haptimill_volumetric::file::{self, Limits};
@@ -25,8 +26,9 @@ pub const MACHINE_NAME: &str = "machines/vmc3.toml (built in)";
 /// Chain of [`MACHINE`].
 pub const CHAIN: &str = "wYbXZt";
 
-/// Nodes of exact tables: one every 10 mm along x, fewer along y and z.
-const NODES: [usize; 3] = [66, 64, 62];
+/// Nodes of exact tables along x, y and z: the most that the controller holds, so that its tables
+/// are those of the file.
+const NODES: [usize; 3] = [MOST_NODES; 3];
 
 /// Feeds of the circle test, mm/s.
 pub const FEEDS: [f64; 3] = [10.0, 30.0, 60.0];
@@ -203,10 +205,8 @@ pub fn with_exact_tables(machine: &MachineFile) -> Result<MachineFile, Error> {
 /// The errors cannot be read.
 pub fn worn(machine: &MachineFile, by: f64) -> Result<MachineFile, Error> {
     let (text, errors) = truth(machine)?;
-    let scaled = file::write(
-        &errors.scaled(by).tabulated(&travel(machine), NODES),
-        "worn",
-    );
+    let tables = errors.scaled(by).tabulated(&travel(machine), NODES);
+    let scaled = file::write(&tables, "worn");
     let file = format!("{} worn", machine.file);
     Ok(MachineFile::parse(
         &file,
