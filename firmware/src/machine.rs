@@ -322,7 +322,7 @@ impl Machine {
             (&mut self.compensation, &self.config.volumetric)
             && compensation.is_active()
         {
-            commanded = compensation.correct(tables, commanded, self.config.period_us);
+            commanded = compensation.correct(tables, commanded);
         }
         self.kinematics.solve(
             &commanded.pose,

@@ -12,140 +12,57 @@
 //! squareness errors times the distance:
 //!
 //! ```text
-//! Delta = sum of t_k(q_k) + sum of r_k(q_k) x a_k + (c0y, b0z, a0z part)
+//! Delta = sum of t_k(q_k) + sum of r_k(q_k) x a_k + (b0z z - c0y y, -a0z z, 0)
 //! ```
 //!
 //! The arm a_k has those coordinates of the tool that lie between the carriage k and the tool, from
-//! the point at which the axis was measured. That point is constant, so a segment of a table has
-//! its share in the translations, and all rotations about one coordinate with the same arm are
-//! summed before they are multiplied. Rates and accelerations are the derivatives of the same sum.
-//! Within a segment of a table they are exact. At a node the slope changes, and the rate with it:
-//! by a thousandth of the axis's rate at most, the bound of the tables.
+//! the point at which the axis was measured. The rate of the correction is its change from the
+//! period before, and the acceleration is the change of that rate: both include the fade, and both
+//! fit the positions at a node, where the slope changes. They are half a period and a period late.
+//! A rate that changes by 3 m/s^2 times the steepest slope, 0.001, is 0.3 um/s off at 200 us.
 //!
 //! | quantity | unit | bound |
 //! | --- | --- | --- |
-//! | value of a translation, a rotation at a node | 2^-4 nm, nrad | 2^25, 2^20 |
-//! | sum of translations, of rotations | 2^-8 nm, 2^-8 nrad | 2^30 |
-//! | their rates | the same per second | 2^31 |
-//! | their accelerations | nm/s^2, nrad/s^2 | 2^27 |
-//! | arm, its rate, its acceleration | 2^-12 mm, per second, per second squared | 2^23, 2^23, 2^27 |
-//! | error | 2^-20 pm, per second, per second squared | 2^61 |
+//! | value of a translation, a rotation at a node | 2^shift nm, nrad | 2^15 |
+//! | the same between nodes | 2^(shift - 14) nm, nrad | 2^29 |
+//! | arm | 2^-18 mm | 2^30 |
+//! | sum of translations and of rotations times arms | 2^(shift - 32) pm | 2^62 |
+//! | correction | 2^-8 pm | 2^43 |
+//! | its change in a period | 2^-8 pm | 2^31, 8.4 um |
 //! | position in a table | 2^-24 of a segment | 2^32 |
 //!
-//! With these bounds no sum overflows, so none is checked. An acceleration beyond 32 m/s^2 is
-//! corrected as 32 m/s^2.
+//! With these bounds no sum overflows, so none is checked. The change in a period is the difference
+//! of the lower 32 bits: the bound is 40 times what the steepest tables give at 1 m/s.
 
-use crate::config::volumetric::{CORRECTION, ERROR_AXES, ERRORS, VolumetricConfig};
+use crate::config::volumetric::{CORRECTION, ERROR_AXES, ERRORS, ErrorAxis, VolumetricConfig};
 use crate::motion::PoseCommand;
 use haptimill_math::scale::saturate;
 use haptimill_math::{Acceleration, Coordinate, Rate};
-
-/// Order of the error functions of an axis in its table.
-const TX: usize = 0;
-const TY: usize = 1;
-const TZ: usize = 2;
-const RX: usize = 3;
-const RY: usize = 4;
-const RZ: usize = 5;
 
 /// Time of a fade from 0 to 1, microseconds.
 const FADE_US: u32 = 1_000_000;
 
 /// The fade is a fraction of 2^30.
-const ONE: i64 = 1 << 30;
+const ONE: u32 = 1 << 30;
 
 /// Axis units per pm, 2^-32: 2^20 per mm.
 const UNITS_PER_PM: i64 = 4_503_600;
 
-/// Largest acceleration that is corrected, 2^-12 mm/s^2: 32 m/s^2.
-const ACCELERATION: i32 = 1 << 27;
+/// One unit of a translation in units of the sum.
+const TRANSLATION: i32 = 1000 << 18;
 
-/// One unit of a translation in units of the sum, and of its acceleration.
-const TRANSLATION: i32 = 1000 << 12;
-const TRANSLATION_ACCELERATION: i32 = 1000 << 20;
+/// Largest part of a segment, 2^-24.
+const MOST_PART: i32 = (1 << 24) - 1;
 
-/// Error functions of one axis in a segment: the values at its lower node, and the changes to the
-/// upper one. Translations, 2^-4 nm, have the share of the point at which the axis was measured;
-/// rotations are nrad.
+/// Correction of a coordinate in one period.
 #[derive(Debug, Clone, Copy, Default)]
-struct Segment {
-    values: [i32; ERRORS],
-    slopes: [i32; ERRORS],
-}
-
-/// Position of an axis in its segment.
-#[derive(Debug, Clone, Copy)]
-struct Place {
-    /// Part of the segment, 2^-24.
-    part: i32,
-    /// 2^-16 segments per second.
-    speed: i32,
-    /// 2^-8 segments per second squared.
-    gain: i32,
-}
-
-/// A sum of error functions: values at the lower nodes in the unit of [`Segment`], and the products
-/// of the slopes with the members of [`Place`].
-#[derive(Debug, Clone, Copy, Default)]
-struct Sum {
-    value: i32,
-    position: i64,
-    rate: i64,
-    acceleration: i64,
-}
-
-impl Sum {
-    #[inline(always)]
-    const fn add(&mut self, segment: &Segment, function: usize, place: &Place) {
-        let slope = segment.slopes[function];
-        self.value = self.value.wrapping_add(segment.values[function]);
-        self.position = self.position.wrapping_add(product(slope, place.part));
-        self.rate = self.rate.wrapping_add(product(slope, place.speed));
-        self.acceleration = self.acceleration.wrapping_add(product(slope, place.gain));
-    }
-}
-
-/// The axes whose carriage is followed by that of a coordinate on the way to the tool.
-#[derive(Debug, Clone, Copy)]
-struct Carries([bool; ERROR_AXES]);
-
-impl Carries {
-    #[inline(always)]
-    const fn of(config: &VolumetricConfig, along: u8) -> Self {
-        let bit = 1 << along;
-        Self([
-            config.axes[0].arm & bit != 0,
-            config.axes[1].arm & bit != 0,
-            config.axes[2].arm & bit != 0,
-        ])
-    }
-}
-
-/// A sum of error functions at a position.
-#[derive(Debug, Clone, Copy, Default)]
-struct Function {
-    value: i32,
-    rate: i32,
-    acceleration: i32,
-}
-
-/// Position, rate and acceleration of a sum.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Error {
-    position: i64,
-    rate: i64,
-    acceleration: i64,
-}
-
-/// The error tables at a pose: the segments that were used last, so that a period loads only those
-/// that it enters.
-#[derive(Debug, Default)]
-struct Tables {
-    /// 2^50 divided by the node pitch of each axis.
-    reciprocals: [u32; ERROR_AXES],
-    /// Segment of each axis, and its number.
-    segments: [Segment; ERROR_AXES],
-    numbers: [u8; ERROR_AXES],
+struct Correction {
+    /// Axis units.
+    units: i32,
+    /// The lower 32 bits of the correction in 2^-8 pm.
+    fine: i32,
+    /// Change from the period before, 2^-8 pm.
+    change: i32,
 }
 
 /// State of volumetric compensation.
@@ -153,16 +70,46 @@ struct Tables {
 pub struct Compensation {
     /// The host wants it.
     requested: bool,
-    /// The fade goes towards 1.
-    rises: bool,
     /// Periods of the fade so far, and of a whole fade.
     faded: u32,
     fade: u32,
-    tables: Tables,
-    /// What the last period took away from each coordinate, axis units.
-    correction: [i32; ERROR_AXES],
+    constants: Constants,
+    /// Corrections of this period and of the one before.
+    corrections: [Correction; ERROR_AXES],
+    before: [Correction; ERROR_AXES],
     /// The corrected pose of this period.
     corrected: PoseCommand,
+}
+
+/// What follows from the configuration.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct Constants {
+    /// 2^50 divided by the node pitch of each axis.
+    reciprocals: [i32; ERROR_AXES],
+    /// Axis units per second in a change of 2^-8 pm per period, 2^-32.
+    rate: i32,
+    /// Units of an acceleration in a change of 2^-8 pm per period squared, 2^-24.
+    acceleration: i32,
+    /// 2^30 divided by the periods of a whole fade.
+    fade: u32,
+}
+
+impl Constants {
+    #[cold]
+    #[inline(never)]
+    fn new(config: &VolumetricConfig, period_us: u16, fade: u32) -> Self {
+        let bounded = |value: i64| value.min(i64::from(i32::MAX)) as i32;
+        let frequency = 1_000_000 / i64::from(period_us.max(1));
+        Self {
+            reciprocals: core::array::from_fn(|axis| {
+                let pitch = i64::from(config.axes[axis].pitch.0.max(1));
+                bounded((1_i64 << 50) / pitch)
+            }),
+            rate: bounded((UNITS_PER_PM * frequency) >> 8),
+            acceleration: bounded((UNITS_PER_PM * frequency * frequency) >> 24),
+            fade: ONE / fade,
+        }
+    }
 }
 
 impl Compensation {
@@ -171,13 +118,11 @@ impl Compensation {
     #[cold]
     #[inline(never)]
     pub fn new(config: &VolumetricConfig, period_us: u16) -> Self {
+        let fade = (FADE_US / u32::from(period_us.max(1))).max(1);
         Self {
             requested: true,
-            fade: FADE_US / u32::from(period_us.max(1)),
-            tables: Tables::new(core::array::from_fn(|axis| {
-                let pitch = i64::from(config.axes[axis].pitch.0.max(1));
-                ((1_i64 << 50) / pitch).min(i64::from(i32::MAX)) as u32
-            })),
+            fade,
+            constants: Constants::new(config, period_us, fade),
             ..Self::default()
         }
     }
@@ -195,8 +140,8 @@ impl Compensation {
 
     /// Constants, for the integrity check.
     #[must_use]
-    pub const fn constants(&self) -> (u32, [u32; ERROR_AXES]) {
-        (self.fade, self.tables.reciprocals)
+    pub const fn constants(&self) -> (u32, Constants) {
+        (self.fade, self.constants)
     }
 
     /// Whether the pose is corrected at all.
@@ -224,49 +169,52 @@ impl Compensation {
     /// commanded one, or have the drives off.
     pub const fn reset(&mut self) {
         self.faded = 0;
-        self.correction = [0; ERROR_AXES];
+        self.corrections = [Correction::NONE; ERROR_AXES];
     }
 
-    /// One period of the fade: towards 1 where compensation is requested and `allowed`, otherwise
-    /// towards 0.
+    /// Begins a period: one period of the fade, towards 1 where compensation is requested and
+    /// `allowed`, otherwise towards 0.
     #[inline]
     pub const fn advance(&mut self, allowed: bool) {
-        self.rises = self.requested && allowed;
-        if !self.rises {
+        self.before = self.corrections;
+        if !(self.requested && allowed) {
             self.faded = self.faded.saturating_sub(1);
         } else if self.faded < self.fade {
             self.faded += 1;
         }
     }
 
-    /// The corrected pose of this period, with its rates and accelerations.
+    /// The corrected pose of this period, with its rates and accelerations. Another pose in the
+    /// same period replaces the first one.
     #[inline(never)]
-    pub fn correct(
-        &mut self,
-        config: &VolumetricConfig,
-        commanded: &PoseCommand,
-        period_us: u16,
-    ) -> &PoseCommand {
+    pub fn correct(&mut self, config: &VolumetricConfig, commanded: &PoseCommand) -> &PoseCommand {
         self.corrected = *commanded;
-        for (axis, units) in self.correction.iter().enumerate() {
-            let place = &mut self.corrected.pose.0[axis];
-            *place = Coordinate(place.0.saturating_sub(*units));
-        }
-        let mut errors = self.tables.errors(config, &self.corrected);
-        if self.faded < self.fade {
-            self.weigh(&mut errors, period_us);
-        }
+        let corrected = &mut self.corrected;
+        let [x, y, z, ..] = &mut corrected.pose.0;
+        x.0 = x.0.saturating_sub(self.before[0].units);
+        y.0 = y.0.saturating_sub(self.before[1].units);
+        z.0 = z.0.saturating_sub(self.before[2].units);
+        let errors = self.errors(config, &self.corrected.pose.0);
         let corrected = &mut self.corrected;
         for (axis, error) in errors.iter().enumerate() {
-            let units = error.units();
-            self.correction[axis] = units;
-            let place = commanded.pose.0[axis].0;
-            corrected.pose.0[axis] = Coordinate(place.saturating_sub(units));
-            let rate = &mut corrected.rates[axis];
-            *rate = rate.saturating_sub(Rate(scaled(error.rate >> 24)));
-            let acceleration = &mut corrected.accelerations[axis];
-            let own = Acceleration(scaled(error.acceleration >> 32));
-            *acceleration = acceleration.saturating_sub(own);
+            let before = &self.before[axis];
+            let fine = *error as i32;
+            let change = fine.wrapping_sub(before.fine);
+            let units = units(*error);
+            self.corrections[axis] = Correction {
+                units,
+                fine,
+                change,
+            };
+            let at = commanded.pose.0[axis].0;
+            corrected.pose.0[axis] = Coordinate(at.saturating_sub(units));
+            let rate = (product(change, self.constants.rate) >> 32) as i32;
+            let own = &mut corrected.rates[axis];
+            *own = own.saturating_sub(Rate(rate));
+            let change = change.wrapping_sub(before.change);
+            let acceleration = saturate(product(change, self.constants.acceleration) >> 24);
+            let own = &mut corrected.accelerations[axis];
+            *own = own.saturating_sub(Acceleration(acceleration));
         }
         &self.corrected
     }
@@ -275,156 +223,122 @@ impl Compensation {
     #[must_use]
     #[inline(never)]
     pub fn error_at(&self, config: &VolumetricConfig, pose: &[Coordinate]) -> [i32; ERROR_AXES] {
-        let mut tables = Tables::new(self.tables.reciprocals);
-        let mut command = PoseCommand::default();
-        let slots = command.pose.0.iter_mut().zip(pose);
-        slots.for_each(|(slot, value)| *slot = *value);
-        let mut errors = tables.errors(config, &command);
-        if self.faded < self.fade {
-            self.weigh(&mut errors, 1);
-        }
-        errors.map(|error| error.units())
+        self.errors(config, pose).map(units)
     }
 
-    /// Applies the fade: 3 s^2 - 2 s^3, which begins and ends with rate zero. Its own acceleration,
-    /// at most 6 per second squared, is left out: 0.03 mm/s^2 for an error of 5 um.
+    /// Errors at a pose with the fade, 2^-8 pm.
     #[inline(never)]
-    fn weigh(&self, errors: &mut [Error; ERROR_AXES], period_us: u16) {
-        let part = i64::from(self.faded) * ONE / i64::from(self.fade.max(1));
-        let square = (part * part) >> 30;
-        let weight = (square * (3 * ONE - 2 * part)) >> 30;
-        let slope = 6 * ((part * (ONE - part)) >> 30);
-        let duration_us = i64::from(self.fade) * i64::from(period_us);
-        let rate = slope * 1_000_000 / duration_us.max(1);
-        let rate = if self.rises { rate } else { -rate };
-        // 2^52 is 4 mm, or 4 mm/s; accelerations have 2^61.
-        let times =
-            |value: i64, weight: i64| ((value.clamp(-(1 << 52), 1 << 52) >> 22) * weight) >> 8;
-        for error in errors {
-            let Error {
-                position,
-                rate: own,
-                acceleration,
-            } = *error;
-            error.position = times(position, weight);
-            error.rate = times(own, weight) + times(position, rate);
-            let second = ((acceleration >> 31) * weight) << 1;
-            error.acceleration = second + 2 * times(own, rate);
+    fn errors(&self, config: &VolumetricConfig, pose: &[Coordinate]) -> [i64; ERROR_AXES] {
+        let mut errors = self.constants.errors(config, pose);
+        if self.faded < self.fade {
+            let weight = self.weight();
+            for error in &mut errors {
+                // In two parts, as the whole product has more than 64 bits.
+                let lower = product((*error & 0xFFFF) as i32, weight) >> 30;
+                let upper = product((*error >> 16) as i32, weight) >> 14;
+                *error = upper.wrapping_add(lower);
+            }
         }
+        errors
+    }
+
+    /// Weight of the errors in the fade, 2^-30: 3 s^2 - 2 s^3, which begins and ends with rate
+    /// zero.
+    #[inline(always)]
+    const fn weight(&self) -> i32 {
+        let part = self.faded.wrapping_mul(self.constants.fade) as i32;
+        let square = (product(part, part) >> 30) as i32;
+        let cube = (product(square, part) >> 30) as i32;
+        (square - cube).wrapping_mul(2).wrapping_add(square)
     }
 }
 
-impl Tables {
-    fn new(reciprocals: [u32; ERROR_AXES]) -> Self {
-        Self {
-            reciprocals,
-            segments: Default::default(),
-            numbers: [u8::MAX; ERROR_AXES],
-        }
-    }
+impl Correction {
+    const NONE: Self = Self {
+        units: 0,
+        fine: 0,
+        change: 0,
+    };
+}
 
-    /// Errors of x, y and z at a pose.
-    // The image is built for size, which inlines no closure and unrolls no loop: the sums are
-    // written out.
+impl Constants {
+    /// Errors of x, y and z at a pose, 2^-8 pm.
     #[inline(never)]
-    fn errors(&mut self, config: &VolumetricConfig, at: &PoseCommand) -> [Error; ERROR_AXES] {
-        let places = [
-            self.place(config, 0, at),
-            self.place(config, 1, at),
-            self.place(config, 2, at),
-        ];
-        let [mut ex, mut ey, mut ez] = [
-            Error::of(&self.translation(TX, &places)),
-            Error::of(&self.translation(TY, &places)),
-            Error::of(&self.translation(TZ, &places)),
-        ];
-        let [c0y, b0z, a0z] = config.squareness;
-        // The vector product r x a, by the coordinates of the arm.
-        let (arm, carries) = (Arm::of(at, 0), Carries::of(config, 0));
-        ey.turn(&self.rotation(RZ, carries, 0, &places), &arm);
-        ez.turn(&self.rotation(RY, carries, 0, &places), &arm.negative());
-        let (arm, carries) = (Arm::of(at, 1), Carries::of(config, 1));
-        ez.turn(&self.rotation(RX, carries, 0, &places), &arm);
-        ex.turn(&self.rotation(RZ, carries, c0y, &places), &arm.negative());
-        let (arm, carries) = (Arm::of(at, 2), Carries::of(config, 2));
-        ex.turn(&self.rotation(RY, carries, b0z, &places), &arm);
-        ey.turn(&self.rotation(RX, carries, a0z, &places), &arm.negative());
-        [ex, ey, ez]
-    }
-
-    /// Position of an axis in its table. Loads the segment if it is another one.
-    #[inline(never)]
-    fn place(&mut self, config: &VolumetricConfig, axis: usize, at: &PoseCommand) -> Place {
-        let tables = &config.axes[axis];
-        // Below 2^31, as the pitch is at least 1 mm.
-        let reciprocal = self.reciprocals[axis] as i32;
-        let from = at.pose.0[axis].0.saturating_sub(tables.first.0);
-        let last = i64::from(tables.nodes.max(2) - 1) << 24;
-        let place = product(from, reciprocal) >> 26;
-        let inside = (0..last).contains(&place);
-        let place = place.clamp(0, last - 1);
-        let number = (place >> 24) as u8;
-        if number != self.numbers[axis] {
-            self.numbers[axis] = number;
-            self.segments[axis] = Segment::of(config, axis, number);
-        }
-        // Beyond its ends a table is constant.
-        let (speed, gain) = if inside {
-            let acceleration = at.accelerations[axis].0;
-            let acceleration = acceleration.clamp(-ACCELERATION, ACCELERATION);
-            (
-                (product(at.rates[axis].0, reciprocal) >> 34) as i32,
-                (product(acceleration, reciprocal) >> 34) as i32,
-            )
-        } else {
-            (0, 0)
+    fn errors(&self, config: &VolumetricConfig, pose: &[Coordinate]) -> [i64; ERROR_AXES] {
+        let Some(&[Coordinate(x), Coordinate(y), Coordinate(z)]) = pose.first_chunk() else {
+            return [0; ERROR_AXES];
         };
-        Place {
-            part: (place & 0xFF_FFFF) as i32,
-            speed,
-            gain,
+        let at = [x >> 2, y >> 2, z >> 2];
+        let [mut ex, mut ey, mut ez] = [0_i64; ERROR_AXES];
+        let mut start = 0_usize;
+        for (axis, tables) in config.axes.iter().enumerate() {
+            let from = pose[axis].0.saturating_sub(tables.first.0);
+            let place = product(from, self.reciprocals[axis]);
+            let (mut number, mut part) = ((place >> 50) as i32, (place >> 26) as i32 & MOST_PART);
+            // Beyond its ends a table is constant.
+            let last = i32::from(tables.nodes) - 2;
+            if number < 0 {
+                (number, part) = (0, 0);
+            } else if number > last {
+                (number, part) = (last, MOST_PART);
+            }
+            let node = start.wrapping_add((number as usize).wrapping_mul(ERRORS));
+            start = start.wrapping_add(usize::from(tables.nodes) * ERRORS);
+            let values = config.values.get(node..).unwrap_or_default();
+            let Some(values) = values.first_chunk::<{ 2 * ERRORS }>() else {
+                continue;
+            };
+            let t = [
+                between(values, 0, part),
+                between(values, 1, part),
+                between(values, 2, part),
+            ];
+            let [rx, ry, rz] = [
+                between(values, 3, part),
+                between(values, 4, part),
+                between(values, 5, part),
+            ];
+            let [ax, ay, az] = [
+                arm(tables, &at, 0),
+                arm(tables, &at, 1),
+                arm(tables, &at, 2),
+            ];
+            ex = (ex.wrapping_add(product(t[0], TRANSLATION)))
+                .wrapping_add(product(ry, az))
+                .wrapping_sub(product(rz, ay));
+            ey = (ey.wrapping_add(product(t[1], TRANSLATION)))
+                .wrapping_add(product(rz, ax))
+                .wrapping_sub(product(rx, az));
+            ez = (ez.wrapping_add(product(t[2], TRANSLATION)))
+                .wrapping_add(product(rx, ay))
+                .wrapping_sub(product(ry, ax));
         }
+        let [c0y, b0z, a0z] = config.squareness;
+        let scale = 24 - config.shift.min(24);
+        let square = product(b0z, at[2]).wrapping_sub(product(c0y, at[1]));
+        [
+            (ex >> scale).wrapping_add(square >> 10),
+            (ey >> scale).wrapping_sub(product(a0z, at[2]) >> 10),
+            ez >> scale,
+        ]
     }
+}
 
-    /// Sum of a translation over the axes.
-    #[inline(always)]
-    fn translation(&self, function: usize, places: &[Place; ERROR_AXES]) -> Function {
-        let mut sum = Sum::default();
-        sum.add(&self.segments[0], function, &places[0]);
-        sum.add(&self.segments[1], function, &places[1]);
-        sum.add(&self.segments[2], function, &places[2]);
-        Function {
-            value: (sum.value << 4).wrapping_add((sum.position >> 20) as i32),
-            rate: (sum.rate >> 12) as i32,
-            acceleration: (sum.acceleration >> 12) as i32,
-        }
-    }
+/// An error function between two nodes, in 2^-14 of the unit of its values.
+#[inline(always)]
+fn between(values: &[i16; 2 * ERRORS], function: usize, part: i32) -> i32 {
+    let lower = i32::from(values[function]);
+    let upper = i32::from(values[function + ERRORS]);
+    (lower << 14).wrapping_add((product(upper - lower, part) >> 10) as i32)
+}
 
-    /// Sum of a rotation over the axes that carry a coordinate, and of a constant one, nrad.
-    #[inline(always)]
-    fn rotation(
-        &self,
-        function: usize,
-        carries: Carries,
-        angle: i32,
-        places: &[Place; ERROR_AXES],
-    ) -> Function {
-        let mut sum = Sum::default();
-        if carries.0[0] {
-            sum.add(&self.segments[0], function, &places[0]);
-        }
-        if carries.0[1] {
-            sum.add(&self.segments[1], function, &places[1]);
-        }
-        if carries.0[2] {
-            sum.add(&self.segments[2], function, &places[2]);
-        }
-        Function {
-            value: (sum.value.wrapping_add(angle) << 8).wrapping_add((sum.position >> 16) as i32),
-            // Two axes at 2048 mm/s with the steepest rotations exceed 32 bits.
-            rate: saturate(sum.rate >> 8),
-            acceleration: (sum.acceleration >> 8) as i32,
-        }
+/// A coordinate of the arm of an axis, in the unit of `at`.
+#[inline(always)]
+fn arm(tables: &ErrorAxis, at: &[i32; ERROR_AXES], along: usize) -> i32 {
+    if tables.arm >> along & 1 != 0 {
+        at[along].wrapping_sub(tables.measured_at[along].0 >> 2)
+    } else {
+        0
     }
 }
 
@@ -434,112 +348,9 @@ const fn product(a: i32, b: i32) -> i64 {
     (a as i64).wrapping_mul(b as i64)
 }
 
-/// 16 pm, or 4096 pm/s^2, to axis units, or 256 axis units.
-#[inline]
-const fn scaled(value: i64) -> i32 {
-    (product(saturate(value), 16 * UNITS_PER_PM as i32) >> 32) as i32
-}
-
-/// A coordinate of an arm, its rate and its acceleration.
-#[derive(Debug, Clone, Copy)]
-struct Arm {
-    length: i32,
-    rate: i32,
-    acceleration: i32,
-}
-
-impl Arm {
-    #[inline(always)]
-    fn of(at: &PoseCommand, along: usize) -> Self {
-        let acceleration = at.accelerations[along].0;
-        Self {
-            length: at.pose.0[along].0 >> 8,
-            rate: at.rates[along].0 >> 8,
-            acceleration: acceleration.clamp(-ACCELERATION, ACCELERATION),
-        }
-    }
-
-    #[inline(always)]
-    const fn negative(&self) -> Self {
-        Self {
-            length: self.length.wrapping_neg(),
-            rate: self.rate.wrapping_neg(),
-            acceleration: self.acceleration.wrapping_neg(),
-        }
-    }
-}
-
-impl Segment {
-    /// The segment of an axis that begins at a node.
-    #[inline(never)]
-    fn of(config: &VolumetricConfig, axis: usize, number: u8) -> Self {
-        let lower = node(config, axis, usize::from(number));
-        let upper = node(config, axis, usize::from(number) + 1);
-        Self {
-            values: lower,
-            slopes: core::array::from_fn(|index| upper[index].wrapping_sub(lower[index])),
-        }
-    }
-}
-
-/// The error functions of an axis at a node, in the units of [`Segment`]: t - r x m, with m the
-/// carried coordinates of the point at which the axis was measured.
-#[inline(never)]
-fn node(config: &VolumetricConfig, axis: usize, number: usize) -> [i32; ERRORS] {
-    let start = config.start(axis) + number * ERRORS;
-    let mut values = core::array::from_fn(|index| {
-        let value = config.values.get(start + index).copied();
-        i32::from(value.unwrap_or_default()) << config.shift
-    });
-    let tables = &config.axes[axis];
-    let carried = |along: usize| tables.arm >> along & 1 != 0;
-    let [mx, my, mz] = [0, 1, 2].map(|along| {
-        if carried(along) {
-            tables.measured_at[along].0
-        } else {
-            0
-        }
-    });
-    let [rx, ry, rz] = [values[RX], values[RY], values[RZ]];
-    // 2^-20 pm to 2^-4 nm: 16 / 1000 of 2^32.
-    let share = |sum: i64| (product(saturate(sum >> 20), 68_719_477) >> 32) as i32;
-    let shares = [
-        share(product(ry, mz).wrapping_sub(product(rz, my))),
-        share(product(rz, mx).wrapping_sub(product(rx, mz))),
-        share(product(rx, my).wrapping_sub(product(ry, mx))),
-    ];
-    for (value, share) in values.iter_mut().zip(shares) {
-        *value = (*value << 4).wrapping_sub(share);
-    }
-    values
-}
-
-impl Error {
-    /// The error of a translation alone.
-    #[inline(always)]
-    const fn of(translation: &Function) -> Self {
-        Self {
-            position: product(translation.value, TRANSLATION),
-            rate: product(translation.rate, TRANSLATION),
-            acceleration: product(translation.acceleration, TRANSLATION_ACCELERATION),
-        }
-    }
-
-    /// Adds a rotation times a coordinate of its arm.
-    #[inline(always)]
-    const fn turn(&mut self, by: &Function, arm: &Arm) {
-        self.position = self.position.wrapping_add(product(by.value, arm.length));
-        let rate = product(by.rate, arm.length).wrapping_add(product(by.value, arm.rate));
-        self.rate = self.rate.wrapping_add(rate);
-        let acceleration = (product(by.acceleration, arm.length) << 8)
-            .wrapping_add(product(by.rate, arm.rate) << 1)
-            .wrapping_add(product(by.value, arm.acceleration));
-        self.acceleration = self.acceleration.wrapping_add(acceleration);
-    }
-
-    /// The position in axis units, within the largest correction.
-    #[inline]
-    fn units(&self) -> i32 {
-        scaled(self.position >> 24).clamp(-CORRECTION, CORRECTION)
-    }
+/// A correction of 2^-8 pm in axis units, within the largest correction.
+#[inline(always)]
+fn units(fine: i64) -> i32 {
+    let units = product(saturate(fine >> 12), 16 * UNITS_PER_PM as i32) >> 32;
+    (units as i32).clamp(-CORRECTION, CORRECTION)
 }

@@ -236,7 +236,7 @@ impl Machine {
             (&mut self.compensation, &self.config.volumetric)
             && compensation.is_active()
         {
-            reference = compensation.correct(tables, reference, self.config.period_us);
+            reference = compensation.correct(tables, reference);
         }
         let accelerations: &Accelerations = &reference.accelerations;
         self.kinematics.solve(
