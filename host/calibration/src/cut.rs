@@ -20,11 +20,26 @@ const NEAR: f64 = 0.02;
 /// # Errors
 /// The program does not cut a feature.
 pub fn surface(samples: &[Sample]) -> Result<Features<Vector>, Error> {
+    let grid = Grid::new(samples, commanded);
+    find(|point| cut_at(samples, &grid, point))
+}
+
+/// As [`surface`], from the positions of the tool alone: for a program whose points are not those
+/// of the part. The deepest pass of the tool at a point counts. Between two samples the tool moves
+/// straight, so samples must be close.
+///
+/// # Errors
+/// The program does not cut a feature.
+pub fn surface_of_path(samples: &[Sample]) -> Result<Features<Vector>, Error> {
+    let grid = Grid::new(samples, tool);
+    find(|point| deepest_at(samples, &grid, point))
+}
+
+fn find(cut_at: impl Fn(&ProbePoint) -> Option<Vector>) -> Result<Features<Vector>, Error> {
     let nominal = probe_points();
     let mut missing = None;
-    let grid = Grid::new(samples);
     let points = nominal.map(|point| {
-        cut_at(samples, &grid, point).unwrap_or_else(|| {
+        cut_at(point).unwrap_or_else(|| {
             missing.get_or_insert(*point);
             Vector::zeros()
         })
@@ -59,18 +74,19 @@ fn commanded(sample: &Sample) -> Vector {
     )
 }
 
+fn tool(sample: &Sample) -> Vector {
+    Vector::new(sample.tool[0], sample.tool[1], sample.tool[2])
+}
+
 fn error(sample: &Sample) -> Vector {
-    Vector::from_fn(|axis, _| sample.tool[axis] - sample.commanded[axis])
+    tool(sample) - commanded(sample)
 }
 
 impl Grid {
-    fn new(samples: &[Sample]) -> Self {
+    fn new(samples: &[Sample], path: fn(&Sample) -> Vector) -> Self {
         let mut cells: std::collections::HashMap<_, Vec<usize>> = Default::default();
         for (index, sample) in samples.iter().enumerate() {
-            cells
-                .entry(cell(commanded(sample)))
-                .or_default()
-                .push(index);
+            cells.entry(cell(path(sample))).or_default().push(index);
         }
         Self(cells)
     }
@@ -96,14 +112,8 @@ fn cut_at(samples: &[Sample], grid: &Grid, point: &ProbePoint) -> Option<Vector>
             continue;
         };
         let here = &samples[index];
-        let (from, along) = (commanded(here), commanded(next) - commanded(here));
-        let length = along.norm_squared();
-        let part = if length > 0.0 {
-            ((centre - from).dot(&along) / length).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
-        let distance = (from + along * part - centre).norm();
+        let (part, nearest) = nearest(commanded(here), commanded(next), centre);
+        let distance = (nearest - centre).norm();
         let (own, other) = (error(here), error(next));
         let reached = centre + own + (other - own) * part;
         let closer = best.as_ref().is_none_or(|(least, last, _)| {
@@ -116,6 +126,31 @@ fn cut_at(samples: &[Sample], grid: &Grid, point: &ProbePoint) -> Option<Vector>
     }
     let (distance, _, reached) = best?;
     (distance < NEAR).then(|| point.cut_by(reached))
+}
+
+/// The part of a line from one point to another that is nearest to a place, and that point.
+fn nearest(from: Vector, to: Vector, place: Vector) -> (f64, Vector) {
+    let along = to - from;
+    let length = along.norm_squared();
+    let part = if length > 0.0 {
+        ((place - from).dot(&along) / length).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    (part, from + along * part)
+}
+
+/// The deepest place of the tool centre at a nominal point, as the surface point.
+fn deepest_at(samples: &[Sample], grid: &Grid, point: &ProbePoint) -> Option<Vector> {
+    let centre = point.tool_centre();
+    let height = |place: &Vector| (place - centre).dot(&point.normal);
+    let passes = grid.near(centre).filter_map(|index| {
+        let (_, place) = nearest(tool(&samples[index]), tool(samples.get(index + 1)?), centre);
+        let beside = (place - centre - point.normal * height(&place)).norm();
+        (beside < NEAR && height(&place).abs() < NEAR).then_some(place)
+    });
+    let deepest = passes.min_by(|a, b| height(a).total_cmp(&height(b)))?;
+    Some(point.cut_by(deepest))
 }
 
 /// A coordinate measuring machine.

@@ -1,13 +1,15 @@
 //! Runs part programs on an observed machine.
 
 use crate::observed::{ObservedLine, Sample};
+use crate::rewrite;
 use haptimill_client::client::Options;
 use haptimill_client::session::{self, NoObserver, Session, SimLine};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_planner::Plan;
-use haptimill_protocol::message::{Command, Telemetry};
+use haptimill_protocol::message::{AxisValues, Command, Telemetry};
+use haptimill_volumetric::Vector;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -91,13 +93,31 @@ impl Machine {
         self.session.status()
     }
 
+    /// `text` with its points corrected by an error, for a run from the present pose.
+    ///
+    /// # Errors
+    /// See [`rewrite::rewritten`].
+    pub fn rewrite(
+        &mut self,
+        name: &str,
+        text: &str,
+        error: impl Fn(Vector) -> Vector,
+    ) -> Result<String, Error> {
+        let start = self.status()?.commanded;
+        rewrite::rewritten(name, text, &self.program_options(&start), error)
+    }
+
+    fn program_options(&self, start: &AxisValues) -> haptimill_gcode::Options {
+        program_options(&self.machine, self.model.to_engineering_units(start))
+    }
+
     /// Runs a part program from the present pose, and returns the samples of its run.
     ///
     /// # Errors
     /// The program is refused or does not complete.
     pub fn run(&mut self, name: &str, text: &str) -> Result<Vec<Sample>, Error> {
         let start = self.status()?.commanded;
-        let options = program_options(&self.machine, self.model.to_engineering_units(&start));
+        let options = self.program_options(&start);
         let program = haptimill_gcode::read(name, text.as_bytes(), &options)
             .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused))?;
         let plan = Plan::new(&program, &settings(&self.machine), &self.model)

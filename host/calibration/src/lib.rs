@@ -25,6 +25,7 @@ pub mod laser;
 pub mod noise;
 pub mod observed;
 pub mod page;
+pub mod rewrite;
 pub mod scenario;
 pub mod statistics;
 pub mod targets;

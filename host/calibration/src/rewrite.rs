@@ -1,0 +1,89 @@
+//! Compensation by the part program instead of the controller: every move is replaced by short
+//! straight moves between corrected points. A control without error tables needs it.
+
+use haptimill_client::{Error, ErrorKind};
+use haptimill_gcode::{Feed, Options, Path, Step};
+use haptimill_volumetric::Vector;
+use haptimill_volumetric::grid::compensated;
+use std::fmt::Write as _;
+
+/// Longest of the straight moves, mm.
+const LONGEST: f64 = 1.0;
+
+/// Largest distance of an arc from its chords, mm.
+const SAGITTA: f64 = 0.005e-3;
+
+/// Largest distance of a blended corner, mm: below what the correction is to reach.
+const TOLERANCE: f64 = 0.1e-3;
+
+/// The part program `text` with all its points corrected by the error of the machine, mm.
+///
+/// # Errors
+/// The program is refused, or has a step other than moves, dwells, messages and spindle commands.
+pub fn rewritten(
+    name: &str,
+    text: &str,
+    options: &Options,
+    error: impl Fn(Vector) -> Vector,
+) -> Result<String, Error> {
+    let program = haptimill_gcode::read(name, text.as_bytes(), options)
+        .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused))?;
+    let mut out = format!("(corrected: {name})\nG21 G90 G94 G64 P{TOLERANCE}\n");
+    for step in &program.steps {
+        write_step(&mut out, step, &error).map_err(|line| {
+            let what = format!(
+                "{name}:{line}: only moves, dwells, messages and spindle commands can be rewritten"
+            );
+            Error::new(ErrorKind::BadInput, what)
+        })?;
+    }
+    out.push_str("M30\n");
+    Ok(out)
+}
+
+/// Writes a step, or returns its line.
+fn write_step(out: &mut String, step: &Step, error: &impl Fn(Vector) -> Vector) -> Result<(), u32> {
+    // Writing to a string does not fail.
+    let _ = match step {
+        Step::Move(step) => {
+            let word = match step.feed {
+                Feed::Rapid => "G0".to_owned(),
+                Feed::PerMinute(feed) => format!("G1 F{feed:.3}"),
+            };
+            let count = pieces(&step.path, step.feed);
+            for piece in 1..=count {
+                let [x, y, z, ..] = step
+                    .path
+                    .at(step.path.length * f64::from(piece) / f64::from(count));
+                let at = compensated(Vector::new(x, y, z), error);
+                let _ = writeln!(out, "{word} X{:.6} Y{:.6} Z{:.6}", at.x, at.y, at.z);
+            }
+            if step.exact_stop {
+                out.push_str("G4 P0.001\n");
+            }
+            Ok(())
+        }
+        Step::Dwell { seconds, .. } => writeln!(out, "G4 P{seconds}"),
+        Step::Spindle { rpm: 0, .. } => writeln!(out, "M5"),
+        Step::Spindle { rpm, .. } => {
+            let word = if *rpm > 0 { "M3" } else { "M4" };
+            writeln!(out, "S{} {word}", rpm.unsigned_abs())
+        }
+        Step::Message { .. } => Ok(()),
+        other => return Err(other.place().line),
+    };
+    Ok(())
+}
+
+/// Number of straight moves for a path. A rapid move cuts nothing: one is enough.
+fn pieces(path: &Path, feed: Feed) -> u32 {
+    let Feed::PerMinute(_) = feed else {
+        return 1;
+    };
+    let radius = path
+        .arc
+        .as_ref()
+        .map(|arc| arc.radius[0].max(arc.radius[1]));
+    let chord = radius.map_or(LONGEST, |radius| (8.0 * radius * SAGITTA).sqrt());
+    (path.length / chord.min(LONGEST)).ceil().max(1.0) as u32
+}
