@@ -1,7 +1,7 @@
 //! The page of the scenario.
 
 use crate::cut::MPE_P;
-use crate::scenario::{FEEDS, Outcome, State, Volume};
+use crate::scenario::{FEEDS, Outcome, State, Volume, WORN};
 use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{card, escape, put};
 use haptimill_viewer::{Layer, Map, Scale, Scene, Shape, Values};
@@ -72,9 +72,9 @@ fn volumes(body: &mut String, outcome: &Outcome) {
     for state in &outcome.states {
         row(state.name, &state.volume);
     }
-    let [before, after] = &outcome.worn;
-    row("worn machine (errors x 10), no compensation", before);
-    row("worn machine, exact tables", after);
+    for (name, volume) in WORN.iter().zip(&outcome.worn) {
+        row(name, volume);
+    }
     body.push_str("</table>");
 }
 

@@ -30,6 +30,13 @@ pub const CHAIN: &str = "wYbXZt";
 /// are those of the file.
 const NODES: [usize; 3] = [MOST_NODES; 3];
 
+/// States of the worn machine.
+pub const WORN: [&str; 3] = [
+    "errors x 10, no compensation",
+    "errors x 10, exact tables",
+    "errors x 10, measured tables",
+];
+
 /// Feeds of the circle test, mm/s.
 pub const FEEDS: [f64; 3] = [10.0, 30.0, 60.0];
 
@@ -147,8 +154,8 @@ pub struct State {
 pub struct Outcome {
     /// Without compensation, with exact tables, with measured ones.
     pub states: Vec<State>,
-    /// Errors ten times as large, without compensation and with exact tables.
-    pub worn: [Volume; 2],
+    /// Errors ten times as large, in the states of [`WORN`].
+    pub worn: [Volume; 3],
     /// The calibration.
     pub calibration: Calibration,
 }
@@ -289,19 +296,32 @@ pub fn run(
         interrupted,
     )?;
     let measured = measure_state("measured tables", &mut machine, progress)?;
-    progress("worn machine: grid");
-    let worn_file = worn(file, 10.0)?;
-    let grid = Grid::part();
-    let worn_before = measure_volume(&mut ready(&worn_file, interrupted)?, &grid)?;
-    let worn_after = measure_volume(
-        &mut ready(&with_exact_tables(&worn_file)?, interrupted)?,
-        &grid,
-    )?;
+    let worn = measure_worn(&worn(file, 10.0)?, interrupted, progress)?;
     Ok(Outcome {
         states: vec![before, exact, measured],
-        worn: [worn_before, worn_after],
+        worn,
         calibration,
     })
+}
+
+/// The volume of a worn machine: without compensation, with exact tables, with measured ones.
+fn measure_worn(
+    file: &MachineFile,
+    interrupted: &Arc<AtomicBool>,
+    progress: &mut dyn FnMut(&str),
+) -> Result<[Volume; 3], Error> {
+    progress("worn machine: grid");
+    let grid = Grid::part();
+    let mut machine = ready(file, interrupted)?;
+    let before = measure_volume(&mut machine, &grid)?;
+    progress("worn machine: calibration");
+    let calibration = calibrate(&mut machine, file, &Plan::default(), |line| progress(line))?;
+    progress("worn machine: grid with exact and with measured tables");
+    let exact = measure_volume(&mut ready(&with_exact_tables(file)?, interrupted)?, &grid)?;
+    let text = file::write(&calibration.errors, "measured");
+    let measured = file.with_errors("measured errors", &text, CHAIN)?;
+    let measured = measure_volume(&mut ready(&measured, interrupted)?, &grid)?;
+    Ok([before, exact, measured])
 }
 
 /// The numbers of the scenario as text.
@@ -316,14 +336,14 @@ pub fn table(outcome: &Outcome) -> String {
     for state in &outcome.states {
         row(state.name, state.volume.sizes());
     }
+    let without_motion = "  without the motion of the work";
     if let Some(measured) = outcome.states.last() {
-        row(
-            "  without the motion of the work",
-            measured.volume.without_motion().sizes(),
-        );
+        row(without_motion, measured.volume.without_motion().sizes());
     }
-    row("worn machine, no compensation", outcome.worn[0].sizes());
-    row("worn machine, exact tables", outcome.worn[1].sizes());
+    for (name, volume) in WORN.iter().zip(&outcome.worn) {
+        row(name, volume.sizes());
+    }
+    row(without_motion, outcome.worn[2].without_motion().sizes());
     let _ = write!(text, "\n{:<48}", "test piece, um");
     for state in &outcome.states {
         let _ = write!(text, " {:>16}", state.name);
