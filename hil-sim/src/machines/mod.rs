@@ -9,6 +9,7 @@ pub mod cartesian;
 pub mod facet;
 pub mod four_axis;
 pub mod h4;
+pub mod linear_delta;
 pub mod scara;
 pub mod trunnion;
 
@@ -208,6 +209,8 @@ geometries! {
     Scara("scara", scara::Scara);
     /// Slides x, y, z, and a workpiece that turns about an axis along x.
     FourAxis("four_axis", four_axis::FourAxis);
+    /// Three vertical slides with rods that hold a level platform.
+    LinearDelta("linear_delta", linear_delta::LinearDelta);
     /// Joints that carry nothing: the pose is the joint positions.
     Joints("joints", cartesian::BareJoints);
 }

@@ -296,6 +296,12 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
+    /// Reads a list of `N` numbers by its row in the table of keys; NaN after a report.
+    pub fn values<const N: usize>(&self, key: Key) -> [f64; N] {
+        let key = self.key(key);
+        self.numbers(key.name, Allowed::of(key))
+    }
+
     /// Reads a number; NaN after a report.
     pub fn number(&self, key: &'static str, allowed: Allowed) -> f64 {
         let remedy = || format!("add `{key} = ...`, {}", describe(allowed));

@@ -12,6 +12,7 @@
 pub mod cartesian;
 pub mod facet;
 pub mod h4;
+pub mod linear_delta;
 pub mod scara;
 pub mod subject;
 pub mod suite;
@@ -37,6 +38,8 @@ macro_rules! subjects {
             facet_short: facet::Faceter::new(facet::SHORT), 0.1, 200;
             scara_right: scara::Arm::new(scara::RIGHT), 0.2, 500;
             scara_left: scara::Arm::new(scara::LEFT), 0.1, 200;
+            delta_even: linear_delta::Slides::new(linear_delta::EVEN), 0.2, 500;
+            delta_uneven: linear_delta::Slides::new(linear_delta::UNEVEN), 0.1, 200;
         }
     };
 }

@@ -6,6 +6,7 @@
 pub mod cartesian;
 pub mod facet;
 pub mod h4;
+pub mod linear_delta;
 pub mod scara;
 pub mod trunnion;
 
@@ -189,4 +190,6 @@ machines! {
     Scara(scara::Scara);
     /// Slides x, y, z, and a rotary axis a.
     FourAxis(cartesian::FourAxis);
+    /// Three vertical slides with rods that hold a level platform.
+    LinearDelta(linear_delta::LinearDelta);
 }

@@ -4,6 +4,7 @@ mod cartesian;
 mod facet;
 mod four_axis;
 mod h4;
+mod linear_delta;
 mod scara;
 mod trunnion;
 
@@ -56,6 +57,7 @@ models! {
     Facet(facet::File);
     Scara(scara::File);
     FourAxis(four_axis::File);
+    LinearDelta(linear_delta::File);
 }
 
 /// A model and the reader of its keys.
