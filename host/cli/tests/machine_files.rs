@@ -166,6 +166,28 @@ fn a_new_machine_cuts_its_first_pocket() {
     );
 }
 
+/// The example of the four-axis mill turns its rotary axis by ten turns in each pass, and the
+/// recording has the degrees.
+#[test]
+fn the_thread_example_winds_the_axis() {
+    let folder = Folder::new("thread");
+    let path = |name: &str| root().join(name).to_str().unwrap().to_string();
+    let (program, machine) = (
+        path("examples/mill4-thread.ngc"),
+        path("machines/mill4.toml"),
+    );
+    let (code, out, err) = folder.run(&["run", &program, "--machine", &machine, "--quiet"]);
+    assert_eq!(code, 0, "{out}{err}");
+    let trace = std::fs::read_to_string(folder.0.join("mill4-thread.out/trace.csv")).unwrap();
+    let mut rows = trace.lines();
+    let names: Vec<&str> = rows.next().unwrap().split(',').collect();
+    let column = names.iter().position(|name| *name == "a_tool_deg");
+    let column = column.unwrap_or_else(|| panic!("{names:?}"));
+    let angle = |row: &str| row.split(',').nth(column).unwrap().parse::<f64>().unwrap();
+    let most = rows.map(angle).fold(0.0, f64::max);
+    assert!((most - 3600.0).abs() < 0.05, "{most}");
+}
+
 /// Volume under the ball of 4 mm radius along the path of the program at a depth of 2 mm, summed
 /// over cells of 0.1 mm.
 fn swept_mm3() -> f64 {

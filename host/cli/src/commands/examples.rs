@@ -44,6 +44,7 @@ const FILES: &[(&str, &str, &str)] = files! {
     "e12-teleop.ngc": "experiment 12: program beside an operator",
     "dome.ngc": "dome with lines of a ball cutter",
     "mill3-pocket.ngc": "pocket on the Cartesian mill",
+    "mill4-thread.ngc": "thread along the rotary axis of machines/mill4.toml",
     "freecad-plate.ngc": "plate by the FreeCAD post-processor, for a Cartesian mill",
     "fusion-cover.ngc": "cover by the Fusion post-processor, for a Cartesian mill",
     "a160.ngc": "test piece A160 of ISO 10791-7, for machines/vmc3.toml",
