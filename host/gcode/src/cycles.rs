@@ -15,28 +15,6 @@ const PECK_CLEARANCE_MM: f64 = 0.254;
 /// Most moves of one block.
 const MOST_MOVES: f64 = 100_000.0;
 
-/// Words of a cycle that stay in force, in program units.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Cycle {
-    /// Level before the series of cycles, machine coordinates.
-    pub initial_level: Option<f64>,
-    r: Option<f64>,
-    depth: Option<f64>,
-    peck: Option<f64>,
-    dwell: Option<f64>,
-    shifts: [Option<f64>; 3],
-}
-
-impl Cycle {
-    /// Forgets the words of another cycle.
-    pub(crate) fn forget_words(&mut self) {
-        *self = Cycle {
-            initial_level: self.initial_level,
-            ..Cycle::default()
-        };
-    }
-}
-
 /// A hole: levels in machine coordinates.
 struct Hole {
     /// Normal axis.

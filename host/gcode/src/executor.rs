@@ -3,11 +3,10 @@
 use super::block::{AXIS_LETTERS, Block, Word};
 use super::canonical::Step;
 use super::codes::{Code, Group, word};
-use super::cycles::Cycle;
 use super::expression::{Read, Scan, text_of};
 use super::output::{Leg, Output, Pace};
 use super::problem::{Cause, Mistake, Notice, Place, place_of};
-use super::splines::ControlPoint;
+use super::series::{ControlPoint, Cycle};
 use super::state::{FeedMode, Modes, Motion, PathControl, Plane, State, Turn};
 use super::{LONGEST_DWELL_S, Options};
 use std::collections::HashSet;

@@ -9,6 +9,7 @@ use super::expression::Read;
 use super::output::{Leg, Pace};
 use super::path::Arc;
 use super::problem::{Cause, Mistake, Place};
+use super::series::ControlPoint;
 use super::state::{Motion, Plane};
 use super::tool_table::PerLetter;
 use std::f64::consts::FRAC_PI_2;
@@ -26,14 +27,6 @@ const MOST_POINTS: usize = 10_000;
 const LARGEST_ORDER: f64 = 20.0;
 
 type Point = [f64; 2];
-
-/// A control point of a NURBS in machine coordinates, and the order of the curve.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct ControlPoint {
-    at: Point,
-    weight: f64,
-    order: usize,
-}
 
 /// A curve over a span of its parameter.
 trait Curve {

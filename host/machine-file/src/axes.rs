@@ -1,6 +1,7 @@
 //! Pose coordinates and joints of a machine file.
 
 use super::document::Section;
+use super::place::{Place, unit};
 use super::scale::{
     self, PER_COUNT, PER_EFFORT, PER_GAIN, per_unit, to_i32, to_i64, to_u16, to_u32,
 };
@@ -30,23 +31,6 @@ pub struct AxisLimits {
     pub acceleration: f64,
     /// Largest jerk, mm/s^3 or deg/s^3; infinite for a joint, which has no jerk limit.
     pub jerk: f64,
-}
-
-/// Returns the unit of an axis.
-pub(super) fn unit(kind: AxisKind) -> &'static str {
-    if kind.is_rotary() { "deg" } else { "mm" }
-}
-
-/// What the parts of a joint need to know about it.
-pub(super) struct Place {
-    pub(super) kind: AxisKind,
-    /// The stroke, mm or deg.
-    pub(super) low: f64,
-    pub(super) high: f64,
-    /// Travel of a motor turn, mm or deg.
-    pub(super) turn: f64,
-    /// The preset, mm or deg.
-    pub(super) preset: f64,
 }
 
 const KINDS: [(&str, AxisKind); 2] = [("linear", AxisKind::Linear), ("rotary", AxisKind::Rotary)];

@@ -7,9 +7,8 @@
 
 use super::likeness::nearest;
 use super::problem::{LISTED_PROBLEMS, Problem, Problems};
-use crate::keys::keys_of;
 use haptimill_firmware::config::AxisKind;
-use haptimill_machine_keys::{Default as KeyDefault, Key, Values};
+use haptimill_machine_keys::{Default as KeyDefault, Key, Section as KeySection, Values};
 use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
 use toml::Spanned;
@@ -19,6 +18,8 @@ use toml::de::{DeTable, DeValue};
 pub struct Document<'i> {
     file: &'i str,
     text: &'i str,
+    /// All sections of the kind of file, with their keys.
+    sections: Vec<KeySection>,
     problems: RefCell<Vec<(usize, Problem)>>,
     /// Number of problems beyond [`KEPT_PROBLEMS`].
     more: Cell<usize>,
@@ -28,11 +29,13 @@ pub struct Document<'i> {
 const KEPT_PROBLEMS: usize = 1000;
 
 impl<'i> Document<'i> {
-    /// Creates a document without problems.
-    pub fn new(file: &'i str, text: &'i str) -> Self {
+    /// Creates a document without problems. `sections` are those of the kind of file: they tell a
+    /// key of another model or variant from an unknown one.
+    pub fn new(file: &'i str, text: &'i str, sections: Vec<KeySection>) -> Self {
         Self {
             file,
             text,
+            sections,
             problems: RefCell::default(),
             more: Cell::default(),
         }
@@ -535,7 +538,9 @@ impl<'d, 'i> Section<'d, 'i> {
             if requested.contains(&name) {
                 continue;
             }
-            let known = keys_of(&path).find(|known| {
+            let sections = self.document.sections.iter();
+            let of_path = sections.filter(|section| section.path == path);
+            let known = of_path.flat_map(|section| section.keys).find(|known| {
                 known.name == name || known.rotary.is_some_and(|(rotary, _)| rotary == name)
             });
             let could_be = |key: &&&str| match self.table.get(**key).map(Spanned::get_ref) {

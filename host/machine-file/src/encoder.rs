@@ -1,7 +1,7 @@
 //! Encoder of a joint: its scale, its index pulse, and the supervision that needs it.
 
-use super::axes::{Place, unit};
 use super::document::Section;
+use super::place::{Place, unit};
 use super::scale::{PER_COUNT, per_unit, to_i32, to_i64, to_u32};
 use haptimill_firmware::config::EncoderAxis;
 use haptimill_machine_keys::controller::joint as keys;

@@ -1,7 +1,7 @@
 //! How a joint finds its reference, and the levels of its switches.
 
-use super::axes::{Place, unit};
 use super::document::Section;
+use super::place::{Place, unit};
 use super::scale::{self, per_unit, to_i32, to_u16};
 use haptimill_firmware::config::{AxisKind, Home, SwitchHome, SwitchInput};
 use haptimill_machine_keys::controller::{joint, joint_switch as keys};

@@ -25,6 +25,7 @@ pub mod migrate;
 pub mod model;
 mod models;
 mod named_io;
+mod place;
 mod plant;
 pub mod pose_difference;
 mod problem;
@@ -170,7 +171,7 @@ impl MachineFile {
 
     /// Reads the text of a machine file; `file` is its name in messages.
     pub fn parse(file: &str, text: &str) -> Result<Self, Problems> {
-        let document = Document::new(file, text);
+        let document = Document::new(file, text, keys::sections());
         let Some(root) = document.parse() else {
             return Err(document.into_problems());
         };
@@ -220,7 +221,7 @@ impl MachineFile {
         match toml::from_str::<OnlyPlant<T>>(&self.text) {
             Ok(only) => Ok(only.plant),
             Err(error) => {
-                let document = Document::new(&self.file, &self.text);
+                let document = Document::new(&self.file, &self.text, keys::sections());
                 let offset = error.span().map_or(0, |span| span.start);
                 let message = error.message().trim().replace('\n', ", ");
                 document.report(offset, "plant", message, "see machines/h4.toml");
@@ -512,7 +513,7 @@ fn check_pose_against_joints(
         let Some((_, joint)) = joint else {
             continue;
         };
-        let (low, high, unit) = (joint.low, joint.high, axes::unit(limits.kind));
+        let (low, high, unit) = (joint.low, joint.high, place::unit(limits.kind));
         for (key, value) in ends {
             if value < low || value > high {
                 let what =

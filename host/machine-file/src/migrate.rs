@@ -2,6 +2,7 @@
 
 use super::document::Document;
 use super::format::{FORMAT, Kind, check, kind};
+use super::keys::sections;
 use super::problem::Problems;
 use toml_edit::{DocumentMut, Item, Key, Table, TableLike, value};
 
@@ -76,7 +77,7 @@ const fn renamed(from: &'static str, to: &'static str) -> Renamed {
 ///
 /// Returns the problems of a text that is not TOML, not a machine file, or of a newer format.
 pub fn migrate(file: &str, text: &str) -> Result<Migrated, Problems> {
-    let document = Document::new(file, text);
+    let document = Document::new(file, text, sections());
     let Some(root) = document.parse() else {
         return Err(document.into_problems());
     };

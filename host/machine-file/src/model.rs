@@ -2,7 +2,7 @@
 //!
 //! A program is checked with the same code that moves the machine.
 
-use crate::axes::unit;
+use crate::place::unit;
 use crate::scale::per_unit;
 use crate::{IoNames, MachineFile};
 use haptimill_firmware::config;

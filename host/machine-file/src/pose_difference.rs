@@ -5,7 +5,7 @@
 //! another machine, on which every result is wrong.
 
 use super::MachineFile;
-use super::axes::unit;
+use super::place::unit;
 use super::scale::per_unit;
 use haptimill_firmware::config::AxisKind;
 use haptimill_hil_sim::config::PlantConfig;

@@ -3,6 +3,7 @@
 
 use super::Problems;
 use super::document::Document;
+use super::keys::sections;
 use haptimill_hil_sim::process::{CuttingConfig, WorkpieceConfig};
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
@@ -24,7 +25,7 @@ pub fn load(path: &Path) -> Result<WorkpieceConfig, Problems> {
 ///
 /// As [`load`].
 pub fn parse(file: &str, text: &str) -> Result<WorkpieceConfig, Problems> {
-    let document = Document::new(file, text);
+    let document = Document::new(file, text, sections());
     let workpiece: WorkpieceConfig = match toml::from_str(text) {
         Ok(workpiece) => workpiece,
         Err(error) => {

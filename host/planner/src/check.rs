@@ -1,7 +1,8 @@
 //! Check of a whole program: every block, in memory that does not depend on its length.
 
+use super::figures::Figures;
 use super::limits::{MachineModel, Settings};
-use super::plan::{Figures, Problems};
+use super::plan::Problems;
 use super::planner::{Keep, Planner};
 use haptimill_gcode::{Coordinates, Interpreter, Refused, Step};
 use std::fmt;

@@ -43,6 +43,7 @@
 mod block;
 mod check;
 mod corner;
+mod figures;
 mod limits;
 mod lookahead;
 mod outputs;
@@ -55,10 +56,12 @@ mod track;
 mod trajectory;
 
 pub use check::{CheckError, check};
+pub use figures::Figures;
 pub use limits::{
     AnalogueOutput, JointLimits, MachineModel, Outputs, PoseLimits, PoseProblem, Settings,
 };
-pub use plan::{Figures, Plan};
-pub use planner::{Planned, Planner};
+pub use plan::Plan;
+pub use planner::Planner;
+pub use setpoints::Planned;
 pub use track::{SharedTrack, Track};
 pub use trajectory::Cursor;

@@ -1,9 +1,10 @@
 //! Plan: the whole trajectory of a program.
 
+use super::figures::Figures;
 use super::limits::{MachineModel, Settings};
 use super::planner::{Keep, Planner};
 use super::setpoints::quantise_pose;
-use super::track::Track;
+use super::track::{SharedTrack, Track};
 use super::trajectory::{Cursor, Trajectory};
 use haptimill_gcode::{Coordinates, LISTED_PROBLEMS, Place, Problem, Program, Refused};
 use haptimill_protocol::message::AxisValues;
@@ -22,27 +23,6 @@ pub struct Plan {
     pub figures: Figures,
     places: Vec<Place>,
     trajectory: Trajectory,
-}
-
-/// Figures of a plan.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Figures {
-    /// Duration, seconds, without pauses.
-    pub duration_s: f64,
-    /// Part of it in rapid moves.
-    pub rapid_s: f64,
-    /// Length of the programmed path of the tool tip in the workpiece, mm, rapid moves included.
-    pub path_length_mm: f64,
-    /// Number of moves.
-    pub blocks: usize,
-    /// Number of moves that the joints keep below their feed.
-    pub slowed: usize,
-    /// Number of setpoints; 0 in a check.
-    pub setpoints: usize,
-    /// Largest path speed of the tip, mm/s.
-    pub peak_tip_mm_s: f64,
-    /// Largest rate of each joint at the setpoints, mm/s or deg/s; 0 in a check.
-    pub peak_joint_rates: [f64; 6],
 }
 
 impl Plan {
@@ -150,5 +130,11 @@ impl Problems {
             problems: self.listed,
             more: self.more,
         })
+    }
+}
+
+impl From<Plan> for SharedTrack {
+    fn from(plan: Plan) -> Self {
+        Self::of(plan.into_track())
     }
 }

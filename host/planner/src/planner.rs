@@ -2,17 +2,16 @@
 
 use super::block::{self, Block};
 use super::corner::Corner;
+use super::figures::Figures;
 use super::limits::{MachineModel, Settings};
 use super::lookahead::Run;
 use super::outputs;
-use super::plan::Figures;
 use super::profile::Phase;
-use super::setpoints::Emitter;
+use super::setpoints::{Emitter, Planned};
 use super::track::SharedTrack;
 use super::trajectory::{Bump, Knot, Leg, Piece, Trajectory, longest_on};
 use haptimill_gcode::{Coordinates, Measure, Move, Path, Place, Problem, Step};
 use haptimill_protocol::message::Action;
-use haptimill_protocol::setpoint::Setpoint;
 
 /// Largest change of rate without rounding: the resolution of the setpoints (2^-12 mm/s, 2^-24
 /// turn/s).
@@ -29,17 +28,6 @@ const LONGEST_PLAN_S: f64 = 360_000.0;
 const FULL_WINDOW: usize = 8192;
 /// The first one, so that a stream starts early.
 const FIRST_WINDOW: usize = 256;
-
-/// A setpoint with its place in the program.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Planned {
-    /// Setpoint.
-    pub setpoint: Setpoint,
-    /// Place of the motion towards it.
-    pub place: Place,
-    /// Whether that is a rapid move; true for a standstill.
-    pub is_rapid: bool,
-}
 
 /// What a planner keeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,12 +3,22 @@
 use super::block::check_pose;
 use super::limits::{MachineModel, Settings};
 use super::pace::Pacer;
-use super::planner::Planned;
 use super::trajectory::{CUBIC_ERROR_MM, Cursor, Knot, Trajectory};
 use haptimill_gcode::{Coordinates, Place, Problem};
 use haptimill_protocol::message::{Action, AxisValues, Pace, RATE_SHIFT};
 use haptimill_protocol::setpoint::Setpoint;
 use std::collections::VecDeque;
+
+/// A setpoint with its place in the program.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Planned {
+    /// Setpoint.
+    pub setpoint: Setpoint,
+    /// Place of the motion towards it.
+    pub place: Place,
+    /// Whether that is a rapid move; true for a standstill.
+    pub is_rapid: bool,
+}
 
 /// Longest standstill in one setpoint, periods.
 const LONGEST_REST: u64 = 60_000;

@@ -1,6 +1,5 @@
 //! Track: the programmed poses and lines of a job around its present motion.
 
-use super::plan::Plan;
 use super::trajectory::{Cursor, Trajectory};
 use haptimill_gcode::{Coordinates, Place};
 use std::collections::VecDeque;
@@ -99,17 +98,16 @@ impl SharedTrack {
     /// control period.
     pub fn new(period_us: u32) -> Self {
         let track = Track::of_whole(Trajectory::default(), f64::from(period_us) * 1e-6);
+        Self::of(track)
+    }
+
+    /// Shares a track.
+    pub(crate) fn of(track: Track) -> Self {
         Self(Arc::new(Mutex::new(track)))
     }
 
     /// Locks it.
     pub fn lock(&self) -> MutexGuard<'_, Track> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl From<Plan> for SharedTrack {
-    fn from(plan: Plan) -> Self {
-        Self(Arc::new(Mutex::new(plan.into_track())))
     }
 }

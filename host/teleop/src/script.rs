@@ -180,7 +180,7 @@ impl Script {
     /// # Errors
     /// As [`Script::load`].
     pub fn parse(file: &str, text: &str) -> Result<Self, Error> {
-        let document = Document::new(file, text);
+        let document = Document::new(file, text, Vec::new());
         let Some(table) = document.parse() else {
             return Err(document.into_problems().into());
         };

@@ -29,6 +29,7 @@
 //! The call rate bounds the latency of a stop: [`Client::urgent_stop`] is sent by the next call of
 //! `advance`, before everything else.
 
+mod ending;
 mod error;
 mod notification;
 mod receive;
@@ -37,9 +38,10 @@ mod stream;
 #[cfg(test)]
 mod tests;
 
+pub use ending::JobEnding;
 pub use error::{ClientError, LineHealth, RequestError};
 pub use notification::{ClientState, Notification, Options, Ticket};
-pub use stream::{JobEnding, JobStatus, SetpointSource, Setpoints};
+pub use stream::{JobStatus, SetpointSource, Setpoints};
 
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::haptic::{COMPONENTS, MasterPose, MasterTelemetry};

@@ -1,5 +1,6 @@
 //! Streams the setpoints of a job, with credit-based flow control.
 
+use super::ending::JobEnding;
 use super::requests::Requests;
 use super::{ClientError, RequestError, Ticket};
 use haptimill_protocol::link::HostLink;
@@ -7,69 +8,13 @@ use haptimill_protocol::message::{
     AxisValues, Command, Event, Refusal, Request, SETPOINT_BATCH, SetpointBatch, State, Telemetry,
     Welcome,
 };
-use haptimill_protocol::setpoint::{Setpoint, SetpointCoder, SetpointError};
+use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use std::fmt;
 use std::task::Poll;
 
 /// Unacknowledged batches at most: half the window of the link, so that a hold or a stop waits for
 /// a few frames only.
 const BATCHES: usize = 4;
-
-/// How a job ended.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum JobEnding {
-    /// The last setpoint was reached, at standstill.
-    Done {
-        /// The job.
-        job: u32,
-        /// Setpoints reached.
-        setpoints: u32,
-    },
-    /// The controller dropped the job, after a stop or a fault that it reports as an event.
-    Dropped {
-        /// The job.
-        job: u32,
-        /// Setpoints reached.
-        setpoints: u32,
-    },
-    /// The controller refused its start, a setpoint, or its end; the machine was stopped.
-    Refused {
-        /// The job.
-        job: u32,
-        /// Why.
-        error: RequestError,
-    },
-    /// A setpoint cannot be encoded; the machine was stopped.
-    Setpoint {
-        /// The job.
-        job: u32,
-        /// Number of the setpoint.
-        setpoint: u32,
-        /// Why.
-        error: SetpointError,
-    },
-    /// The session ended.
-    Lost {
-        /// The job.
-        job: u32,
-        /// Why.
-        error: ClientError,
-    },
-}
-
-impl fmt::Display for JobEnding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Done { setpoints, .. } => write!(f, "done, {setpoints} setpoints"),
-            Self::Dropped { setpoints, .. } => write!(f, "dropped after {setpoints} setpoints"),
-            Self::Refused { error, .. } => write!(f, "refused: {error}"),
-            Self::Setpoint {
-                setpoint, error, ..
-            } => write!(f, "setpoint {setpoint} cannot be sent: {error}"),
-            Self::Lost { error, .. } => error.fmt(f),
-        }
-    }
-}
 
 /// Progress of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -4,41 +4,19 @@
 //! no lines, so an engraving could miss a part of the drawing without a word. This reader keeps the
 //! line, handle and layer of every entity and reports each kind that it leaves out.
 
-use super::dxf_entity::{self, Record};
+use super::dxf_entity;
+use super::dxf_record::{Insert, Pair, Read, Record};
 use super::{ENTITY_LIMIT, ReadOptions};
 use crate::curves::{TOLERANCE, map_path, map_point};
 use crate::drawing::{Drawing, Entity, Problem};
-use crate::geometry::{Path, Point};
+use crate::geometry::Point;
 use kurbo::Affine;
-use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 
 const DAMAGED: &str = "the file is damaged; save the drawing again as ASCII DXF";
 
 /// Deepest nesting of blocks.
 const DEPTH: usize = 16;
-
-/// A group code with its value.
-#[derive(Debug, Clone, Copy)]
-pub struct Pair<'a> {
-    pub code: i32,
-    pub value: &'a [u8],
-    pub line: usize,
-}
-
-impl<'a> Pair<'a> {
-    /// The value as text. Files before 2007 may have a code page of one byte a character.
-    pub fn text(&self) -> Cow<'a, str> {
-        match std::str::from_utf8(self.value) {
-            Ok(text) => Cow::Borrowed(text),
-            Err(_) => Cow::Owned(self.value.iter().map(|&byte| char::from(byte)).collect()),
-        }
-    }
-
-    pub fn word(&self) -> &'a str {
-        std::str::from_utf8(self.value).unwrap_or("?").trim()
-    }
-}
 
 /// Reads pairs; the latest one can be put back.
 struct Pairs<'a> {
@@ -113,29 +91,6 @@ impl<'a> Pairs<'a> {
 #[derive(Default, Clone)]
 struct Layer {
     hidden: bool,
-}
-
-/// What an entity draws.
-#[derive(Default)]
-pub struct Shapes {
-    pub paths: Vec<Path>,
-    pub points: Vec<Point>,
-}
-
-/// A reference to a block.
-#[derive(Clone)]
-pub struct Insert {
-    pub block: String,
-    /// Maps of its copies.
-    pub maps: Vec<Affine>,
-}
-
-/// What a record turned out to be.
-pub enum Read {
-    Shapes(Shapes),
-    Insert(Insert),
-    /// Left out, with the reason.
-    LeftOut(String),
 }
 
 /// An entity with what it draws.

@@ -1,8 +1,7 @@
 //! TEXT, MTEXT and ATTRIB entities.
 
 use super::ReadOptions;
-use super::dxf::{Read, Shapes};
-use super::dxf_entity::Record;
+use super::dxf_record::{Read, Record, Shapes};
 use super::text::Anchor;
 use super::text_remedy;
 use crate::drawing::Problem;

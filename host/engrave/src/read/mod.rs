@@ -2,6 +2,7 @@
 
 mod dxf;
 mod dxf_entity;
+mod dxf_record;
 mod dxf_text;
 mod nurbs;
 mod svg;

@@ -3,18 +3,18 @@
 use super::args::RunArgs;
 use super::progress::ProgressDisplay;
 use super::results::{self, ResultFolder};
-use super::stream::{self, Bytes, StreamEnd, StreamOptions};
+use super::stream::{self, Bytes, StreamOptions};
+use super::supply::Supply;
 use crate::commands::force::ForceAxes;
 use crate::commands::operator_input::Input;
-use crate::commands::program::{PartProgram, Pauses, Planned};
+use crate::commands::program::{PartProgram, Planned};
 use crate::commands::{CliError, Exit, interrupt};
 use haptimill_client::Error;
-use haptimill_client::client::{JobEnding, Setpoints};
+use haptimill_client::client::JobEnding;
 use haptimill_client::session::{EMERGENCY_STOP, JobEnd, JobLine, JobRecording, Line, Session};
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::settings;
-use haptimill_planner::SharedTrack;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
 use haptimill_report::Outcome;
@@ -31,31 +31,6 @@ pub(super) enum Work {
     Planned(Box<Planned>),
     /// A program that is checked while it runs, and whether its blocks may come late.
     Stream(Bytes, bool),
-}
-
-/// The setpoints of a run, with the programmed motion.
-pub(super) struct Supply {
-    pub(super) setpoints: Setpoints,
-    pub(super) track: SharedTrack,
-    pub(super) pauses: Pauses,
-    /// Duration of the whole program, seconds, as programmed and at the overrides, if it was
-    /// planned before.
-    pub(super) duration_s: Option<[f64; 2]>,
-    /// The end of a streamed program.
-    pub(super) end: Option<StreamEnd>,
-}
-
-impl Supply {
-    fn of(planned: Planned, args: &RunArgs, machine: &MachineFile) -> Self {
-        let Planned { plan, pauses, .. } = planned;
-        Self {
-            duration_s: Some([plan.figures.duration_s, args.duration_s(machine, &plan)]),
-            setpoints: plan.setpoints.clone().into(),
-            pauses,
-            track: plan.into(),
-            end: None,
-        }
-    }
 }
 
 /// A run of a part program.

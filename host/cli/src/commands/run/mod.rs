@@ -8,6 +8,7 @@ pub(crate) mod overrides;
 mod progress;
 pub(super) mod results;
 mod stream;
+mod supply;
 
 use super::board::file_of;
 use super::program::{Checked, PartProgram};

@@ -1,9 +1,9 @@
 //! Progress of a job on the terminal: bar, line, remaining time, pauses.
 
 use super::args::RunArgs;
-use super::job::Supply;
 use super::keys::{Keys, is_enter, is_hold};
 use super::overrides::Overrides;
+use super::supply::Supply;
 use crate::commands::program::Pauses;
 use haptimill_client::session::JobObserver;
 use haptimill_planner::SharedTrack;

@@ -5,7 +5,7 @@
 //! come slower than the machine runs it: the planner then ends the motion at standstill, and goes
 //! on with the next block.
 
-use super::job::Supply;
+use super::supply::Supply;
 use crate::commands::program::{PartProgram, Pause, Pauses};
 use crate::commands::{CliError, Exit};
 use haptimill_client::client::{SetpointSource, Setpoints};
