@@ -1,6 +1,7 @@
 //! Developer tasks of the project. `cargo xtask help` lists them.
 
 mod board;
+mod circles;
 mod emulator;
 mod gcode;
 mod lint;
@@ -25,7 +26,7 @@ Developer tasks of the project.
   cargo xtask test                 run all checks: format, line lengths, names of machines, lints, tests, documentation, boards, emulated runs
   cargo xtask test --native-only   the same without boards and emulated runs; lists what it skipped
   cargo xtask keys                 rewrite the tables of docs/machine-files.md from the table of keys
-  cargo xtask lint                 list comments and prose longer than 100 columns, and general code that names a machine
+  cargo xtask lint                 list lines longer than 100 columns, general code that names a machine, and import circles
   cargo xtask board NAME           build the image of a board (mps2, pico2), print its size, check it against the budget
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
   cargo xtask board NAME --image   build the image and print only its path
@@ -175,7 +176,7 @@ fn main() -> ExitCode {
         ["test", "--native-only"] => run(TEST).map(|()| {
             println!("SKIPPED  boards and emulated runs (--native-only): the controller was not tested on a chip");
         }),
-        ["lint"] => lint(&root()).and(names::lint(&root())),
+        ["lint"] => lint(&root()).and(names::lint(&root())).and(circles::lint(&root())),
         ["board", name] => board(name),
         ["board", name, "--uf2"] => uf2(name),
         ["board", name, "--image"] => image(name, None),
