@@ -95,8 +95,8 @@ fn help_names_every_command() {
     assert!(!first.contains("H-4"), "{first}");
     for command in [
         "run", "jog", "home", "console", "teleop", "status", "enable", "disable", "stop", "reset",
-        "scenario", "force", "sim", "machine", "ports", "trace", "replay", "kin", "offset",
-        "preview",
+        "scenario", "force", "sim", "machine", "ports", "flash", "trace", "replay", "kin",
+        "offset", "preview",
     ] {
         let ran = haptimill(&[command, "--help"], "");
         assert_eq!(ran.code, 0, "{command}");

@@ -7,6 +7,7 @@ pub mod board;
 mod choice;
 pub mod client;
 mod error;
+pub mod flash;
 pub mod port;
 pub mod session;
 

@@ -1,14 +1,13 @@
 //! Contents of the flash from the file of an image: UF2, or ELF.
 
+use haptimill_client::flash::uf2;
+
 /// Start of the flash.
 pub const FLASH: u32 = 0x1000_0000;
 /// Largest flash that is accepted, bytes.
 const MOST: usize = 16 << 20;
 
-/// Words of a UF2 block: start, second start, end; and the family of the RP2350's Arm cores.
-const UF2_START: u32 = 0x0A32_4655;
-const UF2_SECOND: u32 = 0x9E5D_5157;
-const UF2_END: u32 = 0x0AB1_6F30;
+/// Family of the RP2350's Arm cores in UF2 files.
 const UF2_ARM: u32 = 0xE48B_FF59;
 
 /// Little-endian word at an offset.
@@ -28,7 +27,9 @@ fn half(bytes: &[u8], at: usize) -> Option<usize> {
 /// The file is neither UF2 nor ELF, or has contents outside of the flash.
 pub fn flash(file: &[u8]) -> Result<Vec<u8>, String> {
     let pieces = match word(file, 0) {
-        Some(UF2_START) => uf2(file)?,
+        _ if uf2::is_uf2(file) => {
+            uf2::read(file, UF2_ARM).map_err(|what| format!("the file {what}"))?
+        }
         Some(0x464C_457F) => elf(file).ok_or("the ELF file is cut off")?,
         _ => return Err("the file is neither a UF2 nor an ELF image".to_string()),
     };
@@ -52,30 +53,7 @@ pub fn flash(file: &[u8]) -> Result<Vec<u8>, String> {
     Ok(flash)
 }
 
-type Pieces<'a> = Vec<(u32, &'a [u8])>;
-
-fn uf2(file: &[u8]) -> Result<Pieces<'_>, String> {
-    if !file.len().is_multiple_of(512) {
-        return Err("the UF2 file is cut off".to_string());
-    }
-    file.chunks(512)
-        .enumerate()
-        .map(|(number, block)| {
-            let field = |at| word(block, at).unwrap_or_default();
-            let length = field(16) as usize;
-            let sound = (field(0), field(4), field(508)) == (UF2_START, UF2_SECOND, UF2_END);
-            if !sound || length > 476 || field(20) as usize != number {
-                return Err(format!("block {number} of the UF2 file is damaged"));
-            }
-            if field(28) != UF2_ARM {
-                return Err(format!(
-                    "block {number} of the UF2 file is for another chip"
-                ));
-            }
-            Ok((field(12), &block[32..32 + length]))
-        })
-        .collect()
-}
+type Pieces<'a> = Vec<uf2::Piece<'a>>;
 
 fn elf(file: &[u8]) -> Option<Pieces<'_>> {
     let (table, size, count) = (word(file, 28)? as usize, half(file, 42)?, half(file, 44)?);

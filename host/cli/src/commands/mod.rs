@@ -18,6 +18,7 @@ pub mod engrave;
 pub mod examples;
 pub(crate) mod exit;
 pub mod facet;
+pub mod flash;
 pub mod force;
 pub mod identify;
 
@@ -133,6 +134,8 @@ Examples:
       replay a job through a new controller and compare bit by bit
   haptimill trace plot e11-circle.out/recording.hmr 'l?_joint_error_mm'
       plot on the terminal; see also trace info, csv and mcap
+  haptimill flash pico2 --port /dev/ttyUSB0
+      write the image into a board in boot mode, and check that it answers
   haptimill kin ik --in poses.csv --out joints.csv
       compute the firmware's kinematics for a table of poses";
 
@@ -206,6 +209,7 @@ enum Command {
     Watch(watch::WatchArgs),
     Examples(examples::ExamplesArgs),
     Ports(ports::PortsArgs),
+    Flash(flash::FlashArgs),
     Preview(preview::PreviewArgs),
     Pulses(pulses::PulsesArgs),
     /// Read recordings: content, CSV, plots, MCAP, the first difference of two
@@ -234,6 +238,7 @@ impl Command {
             }
             Self::Stop(args) => args.json,
             Self::Ports(args) => args.json,
+            Self::Flash(args) => args.json,
             Self::Pulses(args) => args.json,
             Self::Force(command) => command.is_json(),
             Self::Output(command) => command.is_json(),
@@ -343,6 +348,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Watch(args) => watch::run(&args),
         Command::Examples(args) => examples::run(&args),
         Command::Ports(args) => ports::run(args),
+        Command::Flash(args) => flash::run(&args),
         Command::Preview(args) => preview::run(args),
         Command::Pulses(args) => pulses::run(&args),
         Command::Trace(args) => trace::run(&args),

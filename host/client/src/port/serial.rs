@@ -135,11 +135,33 @@ impl Transport for SerialTransport {
     }
 }
 
+/// Serial converters and boards by their USB ids.
+fn known(vendor: u16, product: u16) -> Option<&'static str> {
+    Some(match (vendor, product) {
+        (0x2E8A, 0x000A | 0x0009) => "Raspberry Pi Pico",
+        (0x2E8A, 0x000C) => "Raspberry Pi Debug Probe",
+        (0x0403, 0x6001) => "serial converter FT232R",
+        (0x0403, 0x6014) => "serial converter FT232H",
+        (0x0403, 0x6015) => "serial converter FT230X",
+        (0x10C4, 0xEA60) => "serial converter CP210x",
+        (0x1A86, 0x7523) => "serial converter CH340",
+        (0x1A86, 0x55D4) => "serial converter CH9102",
+        (0x067B, 0x2303) => "serial converter PL2303",
+        (0x0483, 0x374B | 0x374E | 0x3753) => "ST-LINK of a NUCLEO board",
+        (0x0483, 0x5740) => "STM32 with a USB serial port",
+        _ => return None,
+    })
+}
+
 /// The serial ports of this computer, with their kinds.
 ///
 /// # Errors
 /// The system does not list them.
 pub fn list() -> Result<Vec<(String, String)>, PortError> {
+    // The library panics without this folder, for instance in a container.
+    if cfg!(target_os = "linux") && !std::path::Path::new("/sys/class/tty").is_dir() {
+        return Ok(Vec::new());
+    }
     let ports = serialport::available_ports().map_err(|error| PortError::Open {
         name: "serial ports".to_string(),
         reason: error.to_string(),
@@ -149,7 +171,11 @@ pub fn list() -> Result<Vec<(String, String)>, PortError> {
         SerialPortType::UsbPort(usb) => {
             let parts = [usb.manufacturer, usb.product, usb.serial_number];
             let parts: Vec<String> = parts.into_iter().flatten().collect();
-            format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, parts.join(" "))
+            let text = format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, parts.join(" "));
+            match known(usb.vid, usb.pid) {
+                Some(name) => format!("{name} ({})", text.trim()),
+                None => text,
+            }
         }
         SerialPortType::PciPort => "on board".to_string(),
         SerialPortType::BluetoothPort => "Bluetooth".to_string(),

@@ -1,0 +1,158 @@
+//! Boards in boot mode, as folders of a test.
+
+use super::{BOARDS, Drive, Found, Places, drive_in, unescape};
+use crate::ErrorKind;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+const INFO: &str = "UF2 Bootloader v1.0\nModel: Raspberry Pi RP2350\nBoard-ID: RP2350\n";
+const OTHER: &str = "UF2 Bootloader v3.0\nModel: Raspberry Pi RP2\nBoard-ID: RPI-RP2\n";
+
+struct Computer {
+    folder: tempfile::TempDir,
+    mounts: String,
+}
+
+impl Computer {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["labels", "usb"] {
+            fs::create_dir(folder.path().join(name)).unwrap();
+        }
+        Self {
+            folder,
+            mounts: "proc /proc proc rw 0 0\n".to_string(),
+        }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Mounts a drive with this information of a boot ROM.
+    fn mount(&mut self, name: &str, kind: &str, info: &str) -> PathBuf {
+        let folder = self.path(name);
+        fs::create_dir(&folder).unwrap();
+        fs::write(folder.join("INFO_UF2.TXT"), info).unwrap();
+        let text = folder.display().to_string().replace(' ', "\\040");
+        self.mounts += &format!("/dev/sdx1 {text} {kind} rw,nosuid 0 0\n");
+        folder
+    }
+
+    fn plug(&self, vendor: &str, product: &str) {
+        let folder = self.path("usb").join("1-1");
+        fs::create_dir(&folder).unwrap();
+        fs::write(folder.join("idVendor"), format!("{vendor}\n")).unwrap();
+        fs::write(folder.join("idProduct"), format!("{product}\n")).unwrap();
+    }
+
+    fn places(&self) -> Places {
+        fs::write(self.path("mounts"), &self.mounts).unwrap();
+        Places {
+            mounts: self.path("mounts"),
+            labels: self.path("labels"),
+            usb: self.path("usb"),
+        }
+    }
+
+    fn find(&self) -> Found {
+        self.places().find(&BOARDS[0])
+    }
+}
+
+fn drive(folder: &Path) -> Drive {
+    drive_in(folder).unwrap()
+}
+
+#[test]
+fn a_mounted_drive_is_found_also_with_a_space_in_its_path() {
+    let mut computer = Computer::new();
+    assert_eq!(computer.find(), Found::Nothing);
+    let folder = computer.mount("my drive", "vfat", INFO);
+    assert_eq!(computer.find(), Found::Mounted(drive(&folder)));
+    let second = computer.mount("second", "vfat", INFO);
+    assert_eq!(computer.find(), Found::Several(vec![folder, second]));
+}
+
+#[test]
+fn only_file_systems_of_boot_roms_are_read() {
+    let mut computer = Computer::new();
+    computer.mount("remote", "nfs", INFO);
+    assert_eq!(computer.find(), Found::Nothing);
+}
+
+#[test]
+fn another_chip_is_told_apart() {
+    let mut computer = Computer::new();
+    let folder = computer.mount("other", "vfat", OTHER);
+    let found = computer.find();
+    assert_eq!(found, Found::OtherChip(drive(&folder)));
+    let error = drive(&folder).check(&BOARDS[0]).unwrap_err();
+    assert_eq!(error.kind, ErrorKind::BadInput);
+    assert!(error.message.contains("has the chip RPI-RP2"), "{error:?}");
+    let own = computer.mount("own", "vfat", INFO);
+    assert_eq!(computer.find(), Found::Mounted(drive(&own)));
+}
+
+#[test]
+fn an_unmounted_drive_and_a_board_without_a_drive_are_told_apart() {
+    let computer = Computer::new();
+    computer.plug("1d6b", "0002");
+    assert_eq!(computer.find(), Found::Nothing);
+    assert!(computer.places().boards_in_boot_mode().is_empty());
+    let computer = Computer::new();
+    computer.plug("2e8a", "000f");
+    assert_eq!(computer.find(), Found::NoDrive);
+    assert_eq!(computer.places().boards_in_boot_mode(), [&BOARDS[0]]);
+    let device = computer.path("labels").join("RP2350");
+    fs::write(&device, "").unwrap();
+    assert_eq!(computer.find(), Found::NotMounted(device));
+}
+
+#[test]
+fn a_folder_that_is_no_drive_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = drive_in(folder.path()).unwrap_err();
+    assert!(error.message.contains("is not the drive of a board"));
+    fs::write(folder.path().join("INFO_UF2.TXT"), "nothing").unwrap();
+    let error = drive_in(folder.path()).unwrap_err();
+    assert!(error.message.contains("names no board"), "{error:?}");
+}
+
+#[test]
+fn octal_numbers_of_paths_are_decoded() {
+    assert_eq!(unescape("/a\\040b\\134c"), PathBuf::from("/a b\\c"));
+    assert_eq!(unescape("/a\\9"), PathBuf::from("/a\\9"));
+    assert_eq!(unescape("/a\\"), PathBuf::from("/a\\"));
+}
+
+#[test]
+fn a_board_that_does_not_restart_is_an_error() {
+    let mut computer = Computer::new();
+    let folder = computer.mount("drive", "vfat", INFO);
+    let error = drive(&folder)
+        .write("image.uf2", b"image", Duration::from_millis(100))
+        .unwrap_err();
+    assert_eq!(error.kind, ErrorKind::Output);
+    assert!(error.message.contains("did not restart"), "{error:?}");
+    assert_eq!(fs::read(folder.join("image.uf2")).unwrap(), b"image");
+}
+
+/// The board restarts with the last block: what the system reports of the drive then is no error.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_drive_that_cannot_be_written_is_an_error_and_one_that_is_gone_is_none() {
+    let mut computer = Computer::new();
+    let folder = computer.mount("drive", "vfat", INFO);
+    let drive = drive(&folder);
+    // Writes to it fail.
+    std::os::unix::fs::symlink("/dev/full", folder.join("image.uf2")).unwrap();
+    let write = || drive.write("image.uf2", b"image", Duration::ZERO);
+    assert_eq!(write().unwrap_err().kind, ErrorKind::Output);
+    fs::remove_file(folder.join("INFO_UF2.TXT")).unwrap();
+    write().unwrap();
+    // A board that was unplugged before the copy has no image.
+    fs::remove_dir_all(&folder).unwrap();
+    assert_eq!(write().unwrap_err().kind, ErrorKind::Output);
+}
