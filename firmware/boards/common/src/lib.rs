@@ -2,4 +2,5 @@
 
 #![no_std]
 
+pub mod config_store;
 pub mod step_words;
