@@ -8,6 +8,7 @@ mod lint;
 mod names;
 mod planted;
 mod provide;
+mod release;
 mod storm;
 mod uf2;
 
@@ -31,6 +32,7 @@ Developer tasks of the project.
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
   cargo xtask board NAME --image   build the image and print only its path
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: hand, faults, checks, logging)
+  cargo xtask images               build the images that one can flash, named after the commit, with checksums, in target/images
   cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
   cargo xtask emulator             repair the emulator of the RP2350 (host/emulator), test the repairs, and run the image of the Pico 2 with a simulated mill
   cargo xtask emulator --build     build the emulator and the image, for `haptimill run --port emu:pico2`
@@ -181,6 +183,7 @@ fn main() -> ExitCode {
         ["board", name, "--uf2"] => uf2(name),
         ["board", name, "--image"] => image(name, None),
         ["board", name, "--image", other] => image(name, Some(other)),
+        ["images"] => images(),
         ["instructions"] => instructions(),
         ["emulator"] => emulator::emulator(&root(), emulator::Task::Test),
         ["emulator", "--build"] => emulator::emulator(&root(), emulator::Task::Build),
@@ -229,6 +232,7 @@ fn test() -> Result<(), String> {
             board.uf2(&root())?;
         }
     }
+    emulator::emulator(&root(), emulator::Task::Test)?;
     // The tests are slow, and parallel ones slow each other down: they run one at a time.
     emulated("emulated runs", "emulated*", "--test-threads=1", &[])
 }
@@ -267,6 +271,14 @@ fn image(name: &str, other: Option<&str>) -> Result<(), String> {
         None => board.build(&root(), true)?,
     };
     println!("{}", image.display());
+    Ok(())
+}
+
+/// Builds the images of a release and prints their paths.
+fn images() -> Result<(), String> {
+    for file in release::images(&root())? {
+        println!("{}", file.display());
+    }
     Ok(())
 }
 
