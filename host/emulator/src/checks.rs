@@ -2,12 +2,12 @@
 //! what left its pins is what it commanded.
 
 use crate::chip::CLOCK_HZ;
-use crate::pico2::Pico2;
+use crate::pico2::{Pico2, Stack};
 use haptimill_client::session::pins::record::{JOINTS, Period};
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Outputs};
-use haptimill_firmware::profiler::STAGES;
+use haptimill_firmware::profiler::{STAGES, Stage};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_pulses::{Axis, Capture, Clock, Planned, Report, Rules, Signal, check};
@@ -35,6 +35,8 @@ pub struct Checks {
     pub miscounted: Vec<(String, i64, i64)>,
     /// Cycles of the control periods with pulses.
     pub cycles: Cycles,
+    /// The stack.
+    pub stack: Stack,
 }
 
 /// Cycles of control periods.
@@ -168,7 +170,9 @@ impl Checks {
     /// Checks the run of a board since its start. A board that still moves has pulses in the last
     /// period whose commands are not compared.
     #[must_use]
-    pub fn of(board: &Pico2, machine: &MachineFile) -> Self {
+    pub fn of(board: &mut Pico2, machine: &MachineFile) -> Self {
+        let stack = board.stack();
+        let board = &*board;
         let periods = &board.periods;
         let model = Model::new(machine);
         let names = model.joint_names();
@@ -218,6 +222,7 @@ impl Checks {
             differing: first_difference(periods, machine.config.period_us),
             miscounted,
             cycles,
+            stack,
         }
     }
 
@@ -269,12 +274,23 @@ impl fmt::Display for Checks {
                 self.periods, self.missed_enabled, self.missed
             )?,
         }
-        write!(
+        writeln!(
             out,
             "{} cycles a control period with pulses, at most {}; the words for the PIO at most {}",
             self.cycles.mean(),
             self.cycles.worst,
             self.cycles.worst_stages[STAGES]
+        )?;
+        let names = Stage::ALL.iter().map(|stage| stage.name());
+        for (stage, name) in names.chain(["words for the PIO"]).enumerate() {
+            let mean = self.cycles.stages[stage] / self.cycles.periods.max(1);
+            let worst = self.cycles.worst_stages[stage];
+            writeln!(out, "  {name}: {mean} cycles, at most {worst}")?;
+        }
+        write!(
+            out,
+            "stack: {} of {} bytes were used, {} by the start",
+            self.stack.used, self.stack.size, self.stack.start
         )
     }
 }

@@ -79,6 +79,11 @@ impl Chip {
         self.emulator.peek(address)
     }
 
+    /// Writes a word of the RAM.
+    pub fn set_memory(&mut self, address: u32, value: u32) {
+        self.emulator.poke(address, value);
+    }
+
     /// A register of the first core.
     #[must_use]
     pub fn core_register(&self, number: usize) -> u32 {

@@ -99,7 +99,7 @@ fn run(
             })
             .map_err(|error| format!("{}: {error}", path.display()))?;
     }
-    let checks = Checks::of(&board, &machine);
+    let checks = Checks::of(&mut board, &machine);
     Ok(match checks.passed() {
         true => Answer::Passed(checks.to_string()),
         false => Answer::Faulty(checks.to_string()),

@@ -2,7 +2,7 @@
 
 use crate::chip::{CLOCK_HZ, Chip};
 use haptimill_client::port::PortError;
-use haptimill_client::session::pins::record::{self, JOINTS, Period, WORDS};
+use haptimill_client::session::pins::record::{JOINTS, Period, WORDS};
 use haptimill_client::session::{JobLine, JobRecording, Line};
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
 use haptimill_hil_sim::plant::Plant;
@@ -21,6 +21,12 @@ const CYCLES_PER_US: u64 = CLOCK_HZ / 1_000_000;
 /// Control periods within which an image must have started.
 const BOOT_PERIODS: u32 = 500;
 
+/// The stack lies at the start of the RAM; the start code of the image fills it with this word.
+const STACK_END: u32 = 0x2000_0000;
+const STACK_PAINT: u32 = 0xCCCC_CCCC;
+/// Start of the flash, whose first word is the other end of the stack.
+const VECTORS: u32 = 0x1000_0000;
+
 /// Femtoseconds of a number of cycles, rounded down by less than one.
 fn femtoseconds(cycles: u64) -> i64 {
     (i128::from(cycles) * 20_000_000 / 3) as i64
@@ -37,9 +43,24 @@ pub struct Lines {
     pub enable: Signal,
 }
 
+/// The stack of an image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stack {
+    /// Bytes that were used at most until the first control period had ended.
+    pub start: u32,
+    /// Bytes that were used at most since then.
+    pub used: u32,
+    /// Bytes that there are.
+    pub size: u32,
+}
+
 /// A Pico 2 with a machine.
 pub struct Pico2 {
     chip: Chip,
+    /// Address of the record of the last control period, where the stack begins.
+    record: u32,
+    /// Bytes of the stack that the start used at most.
+    start_stack: u32,
     plant: Plant,
     period_us: u32,
     levels: u32,
@@ -66,6 +87,8 @@ impl Pico2 {
             // A tick of the step clock is two cycles, so no edge is lost or rounded differently
             // from the others.
             chip: Chip::with_quantum(flash, 2)?,
+            record: 0,
+            start_stack: 0,
             period_us: u32::from(plant.period_us()),
             plant,
             levels: 0,
@@ -76,8 +99,14 @@ impl Pico2 {
             records: Vec::new(),
             last: u32::MAX,
         };
+        board.record = board.chip.memory(VECTORS);
         board.drive_inputs();
         board.boot()?;
+        board.start_stack = board.used_stack();
+        // What is below the stack pointer is free: fill it again.
+        for address in (STACK_END..board.chip.core_register(13)).step_by(4) {
+            board.chip.set_memory(address, STACK_PAINT);
+        }
         Ok(board)
     }
 
@@ -88,7 +117,7 @@ impl Pico2 {
             while self.chip.cycles() < end {
                 self.chip.cycle()?;
             }
-            if self.chip.memory(record::ADDRESS + 4) != 0 {
+            if self.chip.memory(self.record + 4) != 0 {
                 self.read_record();
                 return Ok(());
             }
@@ -116,6 +145,25 @@ impl Pico2 {
     /// The chip.
     pub const fn chip(&mut self) -> &mut Chip {
         &mut self.chip
+    }
+
+    /// The stack of the image. A function that leaves part of its frame unwritten uses more than is
+    /// seen here, by this part.
+    pub fn stack(&mut self) -> Stack {
+        Stack {
+            start: self.start_stack,
+            used: self.used_stack(),
+            size: self.record - STACK_END,
+        }
+    }
+
+    /// Bytes of the stack above the lowest word that was written.
+    fn used_stack(&mut self) -> u32 {
+        let untouched = (STACK_END..self.record)
+            .step_by(4)
+            .take_while(|address| self.chip.memory(*address) == STACK_PAINT)
+            .count() as u32;
+        self.record - STACK_END - 4 * untouched
     }
 
     /// Cycles since the start.
@@ -177,11 +225,11 @@ impl Pico2 {
 
     /// Keeps the record of the last control period, if it is a new one.
     fn read_record(&mut self) {
-        if self.chip.memory(record::ADDRESS) == self.last {
+        if self.chip.memory(self.record) == self.last {
             return;
         }
         let mut words = [0; WORDS];
-        for (word, at) in words.iter_mut().zip((record::ADDRESS..).step_by(4)) {
+        for (word, at) in words.iter_mut().zip((self.record..).step_by(4)) {
             *word = self.chip.memory(at);
         }
         self.last = words[0];

@@ -51,7 +51,12 @@ fn session(machine: &MachineFile) -> Session<Pico2> {
 
 /// The checks of a run must pass, with at least this number of pulses of a joint, and at most this
 /// number of missed control periods while the drives are on.
-fn assert_passed(board: &Pico2, machine: &MachineFile, (joint, pulses): (usize, u64), missed: u64) {
+fn assert_passed(
+    board: &mut Pico2,
+    machine: &MachineFile,
+    (joint, pulses): (usize, u64),
+    missed: u64,
+) {
     let checks = Checks::of(board, machine);
     println!("{checks}");
     assert!(checks.passed());
@@ -60,6 +65,31 @@ fn assert_passed(board: &Pico2, machine: &MachineFile, (joint, pulses): (usize, 
         assert_eq!(axis.compared, 2 * axis.pulses);
     }
     assert!(checks.pulses.axes[joint].pulses > pulses);
+}
+
+/// Activates machine files with all that a configuration may have, also force control, which this
+/// board cannot do: the activation takes more of the stack than motion.
+#[test]
+fn the_stack_has_a_margin() {
+    const MARGIN: u32 = 16 * 1024;
+    let trunnion = include_str!("../../../machines/trunnion5.toml");
+    let force = include_str!("../../../machines/h4.toml");
+    for (name, text) in [("trunnion5.toml", trunnion), ("h4.toml", force)] {
+        let machine = MachineFile::parse(name, text).unwrap_or_else(|error| panic!("{error}"));
+        let config = machine.plant().expect("the file has a plant");
+        let plant = Plant::new(&config, machine.config.period_us).expect("a sound plant");
+        let board = Pico2::new(&image(), plant).expect("an emulator");
+        let mut session = Session::new(board, &machine, Options::default(), Arc::default());
+        session.connect(1).expect("the board answers");
+        session
+            .configure(&machine)
+            .expect("the board accepts the file");
+        let stack = session.line_mut().stack();
+        println!("{name}: {stack:?}");
+        assert!(stack.used + MARGIN <= stack.size, "{stack:?}");
+        // The start does always the same.
+        assert!(stack.start + 4096 <= stack.size, "{stack:?}");
+    }
 }
 
 #[test]
@@ -75,7 +105,7 @@ fn the_pulses_of_a_search_are_those_of_the_native_controller() {
     for _ in 0..STANDSTILL {
         session.step().expect("the line works");
     }
-    assert_passed(&session.into_line(), &machine, (2, 1000), 0);
+    assert_passed(&mut session.into_line(), &machine, (2, 1000), 0);
 }
 
 /// Five joints search their switches together at 1,000,000 steps/s each, which is what the step
@@ -90,7 +120,7 @@ fn five_joints_move_at_a_million_steps_per_second_each() {
     for _ in 0..20 {
         session.step().expect("the line works");
     }
-    let board = session.into_line();
+    let mut board = session.into_line();
     let full = |period: &&Period| {
         period.commands.iter().all(|command| match command {
             DriveCommand::Steps(segment) => segment.count.unsigned_abs() >= 199,
@@ -100,9 +130,9 @@ fn five_joints_move_at_a_million_steps_per_second_each() {
     let at_once = board.periods.iter().filter(full).count();
     println!("{at_once} control periods with 199 or 200 steps of each joint");
     // The longest control periods of this machine end too late.
-    assert_passed(&board, &machine, (4, 100_000), 4);
+    assert_passed(&mut board, &machine, (4, 100_000), 4);
     assert!(at_once > 300);
-    let edges: u64 = Checks::of(&board, &machine).pulses.compared();
+    let edges: u64 = Checks::of(&mut board, &machine).pulses.compared();
     println!("{edges} edges compared");
     assert!(edges >= 1_000_000);
 }

@@ -1,11 +1,9 @@
-//! The record of the last control period that an image keeps in its RAM; its layout is in
-//! `firmware/boards/pico2/src/record.rs`.
+//! The record of the last control period that an image keeps in its RAM, where its stack begins.
+//! Its layout is in `firmware/boards/pico2/src/record.rs`.
 
 use haptimill_firmware::io::{DriveCommand, Inputs, StepSegment};
 use haptimill_firmware::profiler::STAGES;
 
-/// Address of the record.
-pub const ADDRESS: u32 = 0x2002_0000;
 /// Words of the record.
 pub const WORDS: usize = 60;
 /// Joints of the board.
