@@ -382,6 +382,76 @@ fn spindle_speed_sets_the_peak_window() {
     );
 }
 
+fn toothless(sign: f64) -> ForceConfig {
+    ForceConfig {
+        slowest_rpm: 0,
+        ..config(sign, &settings(0.05, 20.0, EnableCondition::Any))
+    }
+}
+
+/// A tool without teeth: no speed is too slow, and the force of 2 ms counts, not its peak over a
+/// revolution.
+#[test]
+fn a_tool_without_teeth_has_a_window_of_2_ms() {
+    let mut rig = Rig::new(&toothless(1.0));
+    for rpm in [0, 60, 600, -600, 6000] {
+        rig.rpm = rpm;
+        for force in [8.0, 0.0] {
+            for period in 0..200 {
+                assert_eq!(rig.period(force, 0.0), None);
+                if period > 12 {
+                    assert!(
+                        (rig.peak() - force).abs() < 0.2,
+                        "{rpm} {period} {}",
+                        rig.peak()
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// A lap with a run-out of 20 um lifts the tool once per revolution, so force and tool move in one
+/// direction for half of it: that is no wrong sign of the sensor. A wrong one stops the machine.
+#[test]
+fn a_run_out_is_no_wrong_sign() {
+    for (rpm, stiffness) in [
+        (120, 500.0),
+        (300, 200.0),
+        (600, 200.0),
+        (600, 1000.0),
+        (1500, 500.0),
+    ] {
+        for sign in [1.0, -1.0] {
+            let mut rig = Rig::new(&toothless(sign));
+            rig.rpm = rpm;
+            let mut reported = None;
+            for _ in 0..(20.0 / STEP) as usize {
+                let lap = 0.01 * libm::sin(rig.turned * 2.0 * std::f64::consts::PI);
+                let force = stiffness * (lap - rig.tool).max(0.0);
+                if let Some(condition) = rig.period(force, -0.02) {
+                    reported = Some((condition, force));
+                    break;
+                }
+            }
+            if sign > 0.0 {
+                assert_eq!(reported, None, "{rpm} rev/min, {stiffness} N/mm");
+                continue;
+            }
+            // The force grows with k / K_V, so the limit of the sensor may be first.
+            let stops = matches!(
+                reported,
+                Some((
+                    ForceProblem::WrongSign { component: 0 }
+                        | ForceProblem::Limit { component: 0, .. },
+                    _
+                ))
+            );
+            assert!(stops, "{rpm} rev/min, {stiffness} N/mm: {reported:?}");
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, rng_seed: RngSeed::Fixed(21), failure_persistence: None, ..ProptestConfig::default() })]
 

@@ -75,23 +75,47 @@ pub struct ForceConfig {
     /// that follow any rate.
     pub creep: Rate,
     /// Slowest spindle speed at which force control works, rev/min. It sets the longest window of
-    /// the peak force.
+    /// the peak force. 0 is a tool without teeth, such as a lap: the window is 2 ms at every speed.
     pub slowest_rpm: u16,
 }
 
+/// Window of the peak force of a tool without teeth, microseconds. The force of such a tool has no
+/// peaks, so the window only has to be long against the noise of a sample.
+const TOOTHLESS_US: u32 = 2000;
+
+/// Time between two updates of the contact-stability monitor for a tool without teeth,
+/// microseconds. Its memory of 32 updates must be longer than a revolution: the run-out of a lap
+/// moves the tool, and within a part of a revolution its force looks like one of the wrong sign.
+const TOOTHLESS_UPDATE_US: u32 = 10_000;
+
 impl ForceConfig {
     /// Delay that the contact-stability monitor assumes from a motion of the tool to a change of
-    /// the peak force: one revolution, the drive lag, and one and a half control periods.
+    /// the peak force: the longest window, the drive lag, and one and a half control periods.
     /// Microseconds.
     #[must_use]
     pub fn delay_us(&self, period_us: u16) -> u32 {
-        let revolution = 60_000_000 / u32::from(self.slowest_rpm.max(1));
-        revolution
+        let window = match self.slowest_rpm {
+            0 => TOOTHLESS_US,
+            rpm => 60_000_000 / u32::from(rpm),
+        };
+        window
             .saturating_add(u32::from(self.drive_lag_us))
             .saturating_add(u32::from(period_us) * 3 / 2)
     }
 
+    /// Control periods between two updates of the contact-stability monitor for a tool without
+    /// teeth; 0 with teeth, where the window of the peak sets them.
+    pub(super) fn toothless_update(&self, period_us: u16) -> u16 {
+        match self.slowest_rpm {
+            0 => TOOTHLESS_UPDATE_US.div_ceil(u32::from(period_us.max(1))) as u16,
+            _ => 0,
+        }
+    }
+
     pub(super) fn window(&self, period_us: u16) -> Option<Window> {
+        if self.slowest_rpm == 0 {
+            return Window::of(TOOTHLESS_US.div_ceil(u32::from(period_us.max(1))));
+        }
         let rpm = i16::try_from(self.slowest_rpm).ok()?;
         Window::revolution(rpm, period_us)
     }

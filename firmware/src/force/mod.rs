@@ -63,6 +63,8 @@ constants!(Axis {} of { compliance } but { peaks, extremes, stability_monitor, p
 #[derive(Debug, Clone)]
 pub struct ForceControl {
     slowest_rpm: u16,
+    /// Control periods between two updates of the monitor without teeth; 0 with teeth.
+    toothless_update: u16,
     period_us: u16,
     delay_us: u32,
     creep: Rate,
@@ -87,7 +89,7 @@ pub struct ForceControl {
     is_inactive: bool,
 }
 
-constants!(ForceControl { slowest_rpm, period_us, delay_us, creep } of { conditioner }
+constants!(ForceControl { slowest_rpm, toothless_update, period_us, delay_us, creep } of { conditioner }
     but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding, is_inactive });
 
 /// Values computed from a configuration before it is activated.
@@ -171,6 +173,7 @@ impl ForceControl {
             }),
             mask: config.mask,
             slowest_rpm: config.slowest_rpm,
+            toothless_update: config.toothless_update(period_us),
             delay_us: config.delay_us(period_us),
             creep: config.creep,
             period_us,
@@ -210,10 +213,18 @@ impl ForceControl {
         let forces = *self.conditioner.forces();
         for (component, axis) in self.axes.iter_mut().enumerate() {
             axis.extremes = axis.peaks.push(forces[component]);
+            let window = axis.peaks.window().samples();
+            if self.toothless_update > 0 && u32::from(axis.until_look) == window {
+                // The deepest position of the window of the peak, and of no other time.
+                axis.stability_monitor.forget_positions();
+            }
             axis.stability_monitor.note(position[component]);
             axis.until_look = axis.until_look.saturating_sub(1);
             if axis.until_look == 0 {
-                axis.until_look = (axis.peaks.window().samples() / 4).max(1) as u16;
+                axis.until_look = match self.toothless_update {
+                    0 => (window / 4).max(1) as u16,
+                    periods => periods,
+                };
                 let yielded = axis.compliance.displacement() != Displacement::default();
                 axis.stability_monitor
                     .update(axis.extremes.peak(), axis.compliance.law(), yielded);
@@ -233,12 +244,13 @@ impl ForceControl {
         self.condition = found;
     }
 
-    /// Adapts the window to another spindle speed. A stopped spindle keeps its window.
+    /// Adapts the window to another spindle speed. A stopped spindle keeps its window, as does a
+    /// tool without teeth.
     #[cold]
     #[inline(never)]
     fn turn(&mut self, rpm: i16) {
         self.rpm = rpm;
-        if rpm.unsigned_abs() < self.slowest_rpm {
+        if self.slowest_rpm == 0 || rpm.unsigned_abs() < self.slowest_rpm {
             return;
         }
         if let Some(window) = Window::revolution(rpm, self.period_us) {

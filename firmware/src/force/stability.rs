@@ -182,6 +182,12 @@ impl StabilityMonitor {
         });
     }
 
+    /// Forgets the recorded positions: those up to the next update count alone.
+    pub fn forget_positions(&mut self) {
+        self.now = Reach::default();
+        self.quarters = [Reach::default(); 3];
+    }
+
     /// Updates the monitor, four times per revolution, with the peak force, the admittance law, and
     /// whether the displacement differs from 0.
     #[inline(never)]

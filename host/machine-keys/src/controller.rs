@@ -250,9 +250,10 @@ force "force" "Force sensor and force control; a machine without a force sensor 
     under_control = words(&["x", "y", "z"])
         .is("axes under force control when the controller is configured; leave it empty")
         .or_text("[]");
-    slowest_rpm = whole(60, 30_000, "rev/min")
-        .is("slowest spindle at which force control works; sets the window of the peak force")
-        .bounded("147 or more at 200 us");
+    slowest_rpm = whole(0, 30_000, "rev/min")
+        .is("slowest spindle at which force control works; sets the window of the peak force. 0 is \
+             a tool without teeth: the window is 2 ms")
+        .bounded("0, or 147 or more at 200 us");
     drive_lag_ms = real(0.0, 60.0, "ms").is("lag of the tool behind its reference");
     creep_mm_s = real(0.0, 1.0, "mm/s").is("creep rate; 0 for drives without friction")
         .bounded("above coulomb_rate_mm_s, and above backlash_mm in a second");
