@@ -144,6 +144,27 @@ fn a_hard_spot_stands_proud_and_levels_out() {
     );
 }
 
+/// A facet that is smaller than the hard spot is removed at the rate of the spot, and not stuck.
+#[test]
+fn a_facet_within_the_hard_spot_is_removed() {
+    let mut grinding = Grinding::new(lap(), stone()).unwrap();
+    grinding.set_hard_spot(Some(HardSpot {
+        centre: [0.0, 0.0, 4.5],
+        radius_mm: 10.0,
+        part: 0.1,
+    }));
+    let depth = 5e-3;
+    let tip = [RADIUS, 0.0, 5.0 - depth];
+    for _ in 0..2000 {
+        grinding.step(tip, &DOWN, TURNS);
+    }
+    grinding.lift_off();
+    let low = grinding.stone().reach([0.0, 0.0, 1.0]);
+    let left = depth * (-0.1 * 4e-5 * 100.0 * SPEED * PERIOD_S * 2000.0).exp();
+    // The area, and with it the spot, is known from the first removal on.
+    assert!((low - (5.0 - depth + left)).abs() < 0.01 * depth, "{low}");
+}
+
 /// A lap that wears is lower where it was ground, by the volume that it lost.
 #[test]
 fn a_lap_wears_where_it_grinds() {

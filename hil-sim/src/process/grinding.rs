@@ -33,6 +33,8 @@
 //!
 //! * The pressure is the same over the lap; the stone does not float on its coolant.
 //! * The speed of the lap is taken at the centre of the facet.
+//! * The place of the hard spot in the facet does not count; a facet that is smaller than its
+//!   section is hard as a whole.
 //! * A stone that turns in contact by more than [`MAX_TURN`] begins a new facet.
 
 use crate::check::{Check, PlantError};
@@ -139,6 +141,17 @@ pub struct ForceStatistics {
     pub most_turn_n: f64,
 }
 
+/// Means over a turn of the lap in contact.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Turn {
+    /// Force on the stone along the normal of the lap, N.
+    pub force_n: f64,
+    /// Height of the tip above the lap, mm.
+    pub height_mm: f64,
+    /// Least and largest force of the turn, N.
+    pub range_n: [f64; 2],
+}
+
 /// Largest number of turns of a contact whose means are kept.
 const MAX_TURNS: usize = 4096;
 
@@ -147,33 +160,48 @@ const MAX_TURNS: usize = 4096;
 struct Turns {
     peak: f64,
     sum: f64,
+    heights: f64,
+    range: [f64; 2],
     count: u32,
     done: f64,
-    means: Vec<f64>,
+    means: Vec<Turn>,
 }
 
 impl Turns {
-    fn add(&mut self, force: f64, turns: f64) {
+    fn add(&mut self, force: f64, height: f64, turns: f64) {
         self.peak = self.peak.max(force);
         self.sum += force;
+        self.heights += height;
+        self.range = if self.count == 0 {
+            [force; 2]
+        } else {
+            [self.range[0].min(force), self.range[1].max(force)]
+        };
         self.count += 1;
         self.done += turns.abs();
         if self.done >= 1.0 {
             if self.means.len() < MAX_TURNS {
-                self.means.push(self.sum / f64::from(self.count));
+                let count = f64::from(self.count);
+                self.means.push(Turn {
+                    force_n: self.sum / count,
+                    height_mm: self.heights / count,
+                    range_n: self.range,
+                });
             }
-            (self.sum, self.count) = (0.0, 0);
+            (self.sum, self.heights, self.count) = (0.0, 0.0, 0);
             self.done -= 1.0;
         }
     }
 
     fn statistics(&self) -> ForceStatistics {
         let count = self.means.len();
-        let middle = &self.means[count / 4..count - count / 4];
+        let forces =
+            |turns: &'_ [Turn]| -> Vec<f64> { turns.iter().map(|turn| turn.force_n).collect() };
+        let middle = forces(&self.means[count / 4..count - count / 4]);
         ForceStatistics {
             peak_n: self.peak,
             turns: count as u32,
-            mean_n: self.means.iter().sum::<f64>() / count.max(1) as f64,
+            mean_n: forces(&self.means).iter().sum::<f64>() / count.max(1) as f64,
             least_turn_n: middle
                 .iter()
                 .copied()
@@ -284,6 +312,14 @@ impl Grinding {
         self.contact.as_ref().map_or(0.0, |contact| contact.area)
     }
 
+    /// Whole turns of the lap since the contact of the facet on the lap began.
+    #[must_use]
+    pub fn turns(&self) -> &[Turn] {
+        self.contact
+            .as_ref()
+            .map_or(&[], |contact| &contact.turns.means)
+    }
+
     /// Takes the stone off the lap: the plane of its facet cuts the polyhedron.
     pub fn lift_off(&mut self) {
         let Some(contact) = self.contact.take() else {
@@ -351,7 +387,7 @@ impl Grinding {
         let clear = depth + contact.proud_mm <= 0.0;
         if clear || !on_lap {
             // A run-out opens the contact once per turn; the facet ends when the stone is clear.
-            contact.turns.add(0.0, turns);
+            contact.turns.add(0.0, tip[2], turns);
             let is_far = depth + contact.proud_mm < -(self.lap.run_out_mm + 2e-3);
             self.contact = Some(contact);
             if is_far || !on_lap {
@@ -370,15 +406,13 @@ impl Grinding {
         let soft_depth = depth.max(0.0);
         let hard_depth = (depth + contact.proud_mm).max(0.0);
         let push = lap.bed_n_mm3 * ((contact.area - hard) * soft_depth + hard * hard_depth);
-        // The removal, and the turn of the plane about its centre.
-        let part = goes(lap.preston_mm2_n);
-        let removed = if hard < contact.area || hard == 0.0 {
-            part * soft_depth
-        } else {
-            0.0
-        };
-        if hard > 0.0 {
-            let spot_part = self.hard_spot.map_or(1.0, |spot| spot.part);
+        // The removal, and the turn of the plane about its centre. A facet that is smaller than the
+        // spot is hard as a whole.
+        let spot_part = self.hard_spot.map_or(1.0, |spot| spot.part);
+        let is_hard = hard > 0.0 && hard >= contact.area;
+        let part = goes(lap.preston_mm2_n * if is_hard { spot_part } else { 1.0 });
+        let removed = part * soft_depth;
+        if hard > 0.0 && !is_hard {
             let ground = goes(lap.preston_mm2_n * spot_part) * hard_depth;
             contact.proud_mm = (contact.proud_mm + removed - ground).max(0.0);
         }
@@ -400,7 +434,7 @@ impl Grinding {
             let ring = core::f64::consts::TAU * (cell as f64 + 0.5) * width * width;
             self.wear[cell] += lap.wear * volume / ring;
         }
-        contact.turns.add(push, turns);
+        contact.turns.add(push, tip[2], turns);
         self.contact = Some(contact);
         // The lap drags the stone along.
         let way = cross([0.0, 0.0, 1.0], centre);
