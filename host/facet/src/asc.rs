@@ -13,7 +13,8 @@
 //!
 //! A line `a` is a tier: angle, distance, positions of the wheel. `n NAME` names the facet of the
 //! position before it, and those after it up to the next name. `G` begins a note. A tier may go on
-//! in the next line. A semicolon begins a comment.
+//! in the next line. A semicolon begins a comment. A facet of angle 0 with a negative distance is
+//! the culet, as is one of angle -0.
 
 use crate::design::{Design, Tier};
 use crate::problem::Problems;
@@ -102,7 +103,13 @@ impl Reader<'_> {
                 let mut tokens = rest.split_whitespace();
                 let angle = self.number(number, tokens.next(), "the angle of a facet");
                 let distance = self.number(number, tokens.next(), "the distance of a facet");
-                if let (Some(angle_deg), Some(distance)) = (angle, distance) {
+                if let (Some(angle), Some(distance)) = (angle, distance) {
+                    let is_culet = angle == 0.0 && distance < 0.0;
+                    let (angle_deg, distance) = if is_culet {
+                        (-0.0, -distance)
+                    } else {
+                        (angle, distance)
+                    };
                     self.tier = Some(Tier {
                         line: number,
                         angle_deg,

@@ -60,13 +60,15 @@ pub fn read(file: &str, text: &[u8]) -> Result<Design, Refused> {
     problems.finish(design)
 }
 
-/// The text of a file of GemCad: UTF-8 with or without a mark, or Latin-1.
+/// The text of a file of GemCad: UTF-8 with or without a mark, or Latin-1; lines end in LF, CRLF or
+/// CR.
 fn latin(text: &[u8]) -> String {
     let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
-    match core::str::from_utf8(text) {
+    let text = match core::str::from_utf8(text) {
         Ok(text) => text.to_string(),
         Err(_) => text.iter().map(|byte| char::from(*byte)).collect(),
-    }
+    };
+    text.replace("\r\n", "\n").replace('\r', "\n")
 }
 
 fn utf8(text: &[u8], problems: &mut problem::Problems) -> String {

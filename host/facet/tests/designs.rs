@@ -1,6 +1,6 @@
 //! Designs: the examples, formats, and what is refused.
 
-use haptimill_facet::{Gem, Job, JobSettings, Rough, Stage, read};
+use haptimill_facet::{Gem, Job, JobSettings, Rough, Side, Stage, read};
 use haptimill_hil_sim::polyhedron::Plane;
 use haptimill_hil_sim::vector::{length, minus};
 use proptest::prelude::*;
@@ -116,6 +116,39 @@ fn odd_files_of_gemcad_are_read() {
     let latin = SMALL.replace("Small", "Gr\u{fc}n");
     let bytes: Vec<u8> = latin.chars().map(|letter| letter as u32 as u8).collect();
     assert_eq!(read("latin.asc", &bytes).unwrap().title, "Gr\u{fc}n");
+}
+
+/// What files of cutters have beside that: a culet of negative distance, the facets of the crown
+/// first, several names in a tier, names that are numbers, half teeth, a wheel whose numbers run
+/// clockwise, old line ends, footnotes in between.
+#[test]
+fn habits_of_cutters_are_read() {
+    let text = "GemCad 5.0\rg -64 0.0\ry 2 n\rI 1.72\rH PC 45.149 Odd\rH by Nobody, 1990\r\
+        a 0.000000 0.3 64 n T\ra 40 0.70 0 n 1 16 32 48.5 n 2 G ends in a name\r\
+        F \"For small stones\"\r\
+        a -90.00 1.0 0 16 n g1 32 48\ra -45 0.72 64 n 3 16 n 4 32 n 5 48 n 6\r\
+        a 0.00 -0.6 0 n C\rF end\r";
+    let design = read("habits.asc", text.as_bytes()).unwrap_or_else(|refused| panic!("{refused}"));
+    assert!(design.reversed);
+    assert_eq!((design.gear, design.facets.len()), (64, 14));
+    assert_eq!(design.title, "PC 45.149 Odd");
+    let names: Vec<&str> = design
+        .facets
+        .iter()
+        .map(|facet| facet.name.as_str())
+        .collect();
+    assert_eq!(names[..5], ["T@64", "1@0", "1@16", "1@32", "2@48.5"]);
+    assert_eq!(names[9..], ["3@64", "4@16", "5@32", "6@48", "C@0"]);
+    // Clockwise: a quarter of the wheel is -90 degrees.
+    assert!((design.azimuth_deg(16.0) + 90.0).abs() < 1e-9);
+    let culet = design.facets.last().unwrap();
+    assert_eq!((culet.side, culet.distance), (Side::Pavilion, 0.6));
+    assert!((design.normal(culet)[2] + 1.0).abs() < 1e-12);
+    // The crown and the girdle are cut first, and the stone is turned over once.
+    assert_eq!(design.first_after_transfer(), Some(9));
+    let gem =
+        Gem::new("habits.asc", design, 3.0, None).unwrap_or_else(|refused| panic!("{refused}"));
+    assert_eq!(gem.body.faces().len(), 14);
 }
 
 /// A list of the same facets makes the same stone.
