@@ -1,5 +1,5 @@
 //! Cuts a design on a simulated machine and prints the measurement; the report is `stone.html`.
-//! Arguments: MACHINE DESIGN WIDTH [feed|force|both] [FACETS].
+//! Arguments: MACHINE DESIGN WIDTH [feed|force|both] [FROM..TO] [RUN_OUT].
 
 use haptimill_facet::{Gem, Job, JobSettings, Mode, RunOptions, cut, read};
 use haptimill_machine_file::MachineFile;
@@ -7,7 +7,7 @@ use haptimill_machine_file::MachineFile;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, machine, design, width, rest @ ..] = &arguments[..] else {
-        return Err("write MACHINE DESIGN WIDTH [feed|force|both] [FACETS]".into());
+        return Err("write MACHINE DESIGN WIDTH [feed|force|both] [FROM..TO] [RUN_OUT]".into());
     };
     let machine = MachineFile::parse(machine, &std::fs::read_to_string(machine)?)?;
     let text = std::fs::read(design)?;
@@ -21,12 +21,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..JobSettings::default()
     };
     let job = Job::new(&gem, settings)?;
-    let only = match rest.get(1) {
-        Some(count) => (0..count.parse()?).collect(),
+    let only = match rest.get(1).and_then(|facets| facets.split_once("..")) {
+        Some((from, to)) => (from.parse()?..to.parse()?).collect(),
         None => Vec::new(),
     };
+    let run_out_mm = rest.get(2).map_or(Ok(0.0), |text| text.parse())?;
     let options = RunOptions {
         only,
+        run_out_mm,
         ..RunOptions::default()
     };
     let began = std::time::Instant::now();
@@ -41,6 +43,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "{} {} {:.1} s, {} sweeps, {:?}",
             operation.pass, facet.name, operation.seconds, operation.sweeps, operation.force
         );
+        let every = (operation.turns.len() / 40).max(1);
+        let turns = operation.turns.iter().step_by(every);
+        let shown: Vec<String> = turns.map(|turn| format!("{:.2}", turn.force_n)).collect();
+        println!("  mean force of turns, N: {}", shown.join(" "));
     }
     std::fs::write("stone.html", haptimill_facet::report(&gem, &job, &cutting))?;
     let measured = &cutting.measured;

@@ -9,8 +9,8 @@
 use crate::design::{Side, Stage};
 use crate::gem::Gem;
 use core::fmt::Write as _;
-use haptimill_hil_sim::polyhedron::{Plane, Polyhedron};
-use haptimill_hil_sim::vector::{Vector, length};
+use haptimill_hil_sim::polyhedron::{Plane, Polyhedron, area_vector};
+use haptimill_hil_sim::vector::{Vector, dot, length};
 use serde::Deserialize;
 
 /// A lap of the job.
@@ -29,7 +29,8 @@ pub struct Lap {
     pub force_n: f64,
     /// Time at the final depth in which the stone sparks out, s.
     pub spark_out_s: f64,
-    /// Preston's coefficient of the simulated lap, mm^2/N.
+    /// Preston's coefficient, mm^2/N: that of the simulated lap, and that from which the feed by
+    /// force is planned.
     pub preston_mm2_n: f64,
 }
 
@@ -39,8 +40,8 @@ pub enum Mode {
     /// By feed to the depth.
     #[default]
     Feed,
-    /// By force: the stone is lowered to the depth at 0.15 mm/s, yields where the force
-    /// exceeds its setpoint, and sinks as material is removed; the facet ends at the depth.
+    /// By force: the stone is lowered a little faster than its force removes material, at most at
+    /// 0.15 mm/s, and yields where the force exceeds its setpoint; the facet ends at the depth.
     Force,
     /// By the feed of the lap, and the stone yields where the force exceeds its setpoint.
     Both,
@@ -54,8 +55,15 @@ impl Mode {
     }
 }
 
-/// Speed at which the stone is lowered by force, mm/s.
+/// Largest speed at which the stone is lowered by force, mm/s.
 const FORCE_FEED: f64 = 0.15;
+
+/// Ratio of the feed by force to the removal at the force setpoint. Above 1, so that the stone
+/// yields and the force loop is closed; the rest of the feed raises the force by K_V times it.
+const LEAD: f64 = 1.1;
+
+/// Largest number of strokes of a facet.
+const MAX_STROKES: usize = 20_000;
 
 /// Settings of a job.
 #[derive(Debug, Clone, PartialEq)]
@@ -195,7 +203,7 @@ pub struct Operation {
     pub stage: Stage,
     /// Part program from the retracted height to the end of the facet.
     pub grind: String,
-    /// Part program of one more sweep at the depth.
+    /// Part program of more sweeps at the depth.
     pub sweep: String,
     /// Part program back to the retracted height.
     pub retract: String,
@@ -268,7 +276,6 @@ impl Job {
                     if above <= goal.distance {
                         continue;
                     }
-                    stone.cut(goal, facet);
                     let at = Place {
                         settings: &settings,
                         lap,
@@ -276,12 +283,20 @@ impl Job {
                         start: above + APPROACH_MM,
                         goal: goal.distance,
                     };
+                    let Some(depths) = at.strokes(&stone, goal) else {
+                        return Err(format!(
+                            "facet {} takes more than {MAX_STROKES} strokes on lap {}; raise \
+                             feed_mm_s or force_n of the lap, or lower the stock before it",
+                            of.name, lap.name
+                        ));
+                    };
+                    stone.cut(goal, facet);
                     operations.push(Operation {
                         facet,
                         lap: number,
                         stage: of.stage,
                         depth_mm: goal.distance,
-                        grind: at.grind(&of.name, mount.pose(goal.normal)),
+                        grind: at.grind(&of.name, mount.pose(goal.normal), &depths),
                         sweep: at.sweep(),
                         retract: at.retract(),
                     });
@@ -360,47 +375,86 @@ impl Place<'_> {
         60.0 * self.settings.sweep_mm_s
     }
 
-    fn grind(&self, name: &str, [angle, index]: [f64; 2]) -> String {
+    /// Depth that the force setpoint removes by Preston's law where the plane of the facet is
+    /// `plane`, K f v / A, mm/s.
+    fn removal_mm_s(&self, stone: &Polyhedron, plane: &Plane) -> f64 {
+        let area = 0.5 * dot(area_vector(&stone.section(plane)), plane.normal);
+        let speed = core::f64::consts::TAU * self.settings.radius_mm * self.lap.rpm.abs() / 60.0;
+        self.lap.preston_mm2_n * self.lap.force_n * speed / area.max(1e-9)
+    }
+
+    /// Heights at the ends of the strokes; `None` if there are too many. Strokes at the depth are
+    /// those in which the stone, which yields to its force, gets there, and sparks out.
+    fn strokes(&self, stone: &Polyhedron, goal: Plane) -> Option<Vec<f64>> {
+        let mode = self.settings.mode;
+        let stroke_s = self.settings.sweep_mm / self.settings.sweep_mm_s;
+        let mut depths = Vec::new();
+        let (mut distance, mut behind) = (self.start, 0.0);
+        while distance > self.goal {
+            if depths.len() > MAX_STROKES {
+                return None;
+            }
+            let removal = self.removal_mm_s(stone, &Plane { distance, ..goal });
+            let feed = match mode {
+                Mode::Force => (LEAD * removal).min(FORCE_FEED),
+                Mode::Feed | Mode::Both => self.lap.feed_mm_s,
+            };
+            let next = (distance - stroke_s * feed).max(self.goal);
+            if mode.has_force() {
+                behind = f64::max(behind + (distance - next) - stroke_s * removal, 0.0);
+            }
+            distance = next;
+            depths.push(distance);
+        }
+        let left_s = behind / self.removal_mm_s(stone, &goal) + self.lap.spark_out_s;
+        let left = libm::ceil(left_s / stroke_s);
+        if left > MAX_STROKES as f64 {
+            return None;
+        }
+        // The last stroke ends where the first one began.
+        let left = left as usize + (depths.len() + left as usize) % 2;
+        depths.extend(core::iter::repeat_n(self.goal, left));
+        Some(depths)
+    }
+
+    fn grind(&self, name: &str, [angle, index]: [f64; 2], depths: &[f64]) -> String {
         let name = name.replace(['(', ')'], " ");
         let lap = self.lap;
-        let spindle = if lap.rpm < 0.0 { "M4" } else { "M3" };
         let [inner, outer] = self.ends();
         let Self {
-            retracted,
-            start,
-            goal,
-            ..
+            retracted, start, ..
         } = self;
         let mut text = format!("(facet {name}, lap {})\n", lap.name);
         let _ = writeln!(text, "G21 G90 G94");
         let _ = writeln!(text, "G0 Z{retracted:.4}");
-        let _ = writeln!(text, "S{:.0} {spindle}", lap.rpm.abs());
+        let _ = writeln!(text, "{}", self.spindle());
         let _ = writeln!(text, "G0 C{index:.6}");
         let _ = writeln!(text, "G0 A{angle:.6}");
         let _ = writeln!(text, "G0 X{inner:.4} Y0");
         let _ = writeln!(text, "G0 Z{start:.5}");
         // The path is nearly that of the sweep, and so is its feed.
         let feed = self.feed();
-        let sweep_s = self.settings.sweep_mm / self.settings.sweep_mm_s;
-        let feed_mm_s = match self.settings.mode {
-            Mode::Force => FORCE_FEED,
-            Mode::Feed | Mode::Both => lap.feed_mm_s,
-        };
-        let plunge_s = (start - goal) / feed_mm_s;
-        let strokes = (libm::ceil(0.5 * plunge_s / sweep_s).max(1.0) as u32) * 2;
-        let idle = 2 * libm::ceil(0.5 * lap.spark_out_s / sweep_s) as u32;
-        for stroke in 1..=strokes + idle {
-            let x = if stroke % 2 == 1 { outer } else { inner };
-            let part = f64::from(stroke.min(strokes)) / f64::from(strokes);
-            let z = start + (goal - start) * part;
+        for (stroke, z) in depths.iter().enumerate() {
+            let x = if stroke % 2 == 0 { outer } else { inner };
             let _ = writeln!(text, "G1 X{x:.4} Z{z:.5} F{feed:.1}");
         }
         text
     }
 
+    /// The spark-out again, with as many strokes as it has, and at least two.
     fn sweep(&self) -> String {
         let ([inner, outer], feed) = (self.ends(), self.feed());
-        format!("G21 G90 G94\nG1 X{outer:.4} F{feed:.1}\nG1 X{inner:.4}\n")
+        let sweep_s = 2.0 * self.settings.sweep_mm / self.settings.sweep_mm_s;
+        let count = libm::ceil(self.lap.spark_out_s / sweep_s).max(1.0) as usize;
+        let sweep = format!("G1 X{outer:.4} F{feed:.1}\nG1 X{inner:.4}\n");
+        let spindle = self.spindle();
+        format!("G21 G90 G94\n{spindle}\n{}", sweep.repeat(count))
+    }
+
+    /// Starts the lap, which stops at the end of each program.
+    fn spindle(&self) -> String {
+        let way = if self.lap.rpm < 0.0 { "M4" } else { "M3" };
+        format!("S{:.0} {way}", self.lap.rpm.abs())
     }
 
     fn retract(&self) -> String {

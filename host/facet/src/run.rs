@@ -6,23 +6,24 @@ use crate::job::{Job, Lap, Mode, Mount, Operation, in_design};
 use crate::measure::Measured;
 use haptimill_client::client::Options;
 use haptimill_client::session::{
-    ForceLoopChanges, NoObserver, Session, SimLine, commissioned, find_home_pose, rig,
+    ForceLoopChanges, JobObserver, Session, SimLine, commissioned, find_home_pose, rig,
 };
 use haptimill_client::{Error, ErrorKind};
 use haptimill_hil_sim::polyhedron::Polyhedron;
 use haptimill_hil_sim::process::LapConfig;
-use haptimill_hil_sim::process::grinding::{ForceStatistics, Grinding, Ground, HardSpot};
+use haptimill_hil_sim::process::grinding::{ForceStatistics, Grinding, Ground, HardSpot, Turn};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_planner::Plan;
-use haptimill_protocol::message::AxisValues;
+use haptimill_protocol::message::{AxisValues, Telemetry};
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// Axis of force control: z of the lap.
 const HEIGHT: u8 = 2;
 
-/// Further sweeps of a facet under force control, at most.
+/// Further spark-outs of a facet, at most.
 const MAX_SWEEPS: u32 = 60;
 
 /// Longest time in which the stone returns from a displacement, microseconds.
@@ -30,6 +31,53 @@ const RETURN_US: u64 = 30_000_000;
 
 /// A facet under force control is done when the stone yields less, mm.
 const DONE_MM: f64 = 5e-4;
+
+/// A facet has sparked out when the force of the last second was less, N.
+const SPARKED_OUT_N: f64 = 0.08;
+
+/// Pressure on the lap in the last second of a program, as the force sensor reports it.
+struct Pressure {
+    /// Control periods of a second.
+    second: u64,
+    /// Control period and force, N.
+    forces: VecDeque<(u64, f64)>,
+}
+
+impl Pressure {
+    /// Largest pressure of the last second, N; 0 without a sensor.
+    fn largest_n(&self) -> f64 {
+        self.forces
+            .iter()
+            .map(|(_, force)| *force)
+            .fold(0.0, f64::max)
+    }
+}
+
+impl JobObserver for Pressure {
+    fn progress(&mut self, telemetry: &Telemetry) {
+        let Some(force) = &telemetry.force else {
+            return;
+        };
+        let newton = f64::from(1 << 16);
+        let force = f64::from(force.high[usize::from(HEIGHT)]) / newton;
+        self.forces.push_back((telemetry.period, force));
+        let from = telemetry.period.saturating_sub(self.second);
+        while self.forces.front().is_some_and(|(at, _)| *at < from) {
+            self.forces.pop_front();
+        }
+    }
+
+    fn paused(&mut self, _: u32) {}
+
+    fn may_resume(&mut self) -> bool {
+        true
+    }
+
+    fn held_by_input(&mut self, _: &str) {}
+}
+
+/// The stone is near its depth, where it lands, when its tip is no higher above it, mm.
+const AT_DEPTH_MM: f64 = 0.01;
 
 /// Options of a run.
 #[derive(Debug, Clone, Default)]
@@ -40,6 +88,8 @@ pub struct RunOptions {
     pub run_out_mm: f64,
     /// Volume that a lap loses for a volume of the stone.
     pub wear: f64,
+    /// Stiffness of the bed of each lap, N/mm^3; `None` for that of [`LapConfig`].
+    pub bed_n_mm3: Option<f64>,
     /// A hard spot, in the frame of the design.
     pub hard_spot: Option<HardSpot>,
     /// Only the operations of these facets; empty for all.
@@ -57,10 +107,12 @@ pub struct OperationResult {
     pub facet: usize,
     /// Time, s.
     pub seconds: f64,
-    /// Further sweeps under force control.
+    /// Further spark-outs, until the force was gone.
     pub sweeps: u32,
     /// Force on the stone.
     pub force: ForceStatistics,
+    /// Turns of the lap until the stone was within 10 um of its depth.
+    pub turns: Vec<Turn>,
 }
 
 /// A stone that was cut.
@@ -86,11 +138,13 @@ struct Bench<'a> {
 }
 
 fn lap_config(lap: &Lap, options: &RunOptions) -> LapConfig {
+    let default = LapConfig::default();
     LapConfig {
         preston_mm2_n: lap.preston_mm2_n,
+        bed_n_mm3: options.bed_n_mm3.unwrap_or(default.bed_n_mm3),
         run_out_mm: options.run_out_mm,
         wear: options.wear,
-        ..LapConfig::default()
+        ..default
     }
 }
 
@@ -100,8 +154,8 @@ fn refused<E: ToString>(problems: Vec<E>) -> Error {
 }
 
 impl Bench<'_> {
-    /// Runs a part program from where the machine stands.
-    fn run(&mut self, text: &str) -> Result<(), Error> {
+    /// Runs a part program from where the machine stands; returns the pressure at its end, N.
+    fn run(&mut self, text: &str) -> Result<f64, Error> {
         let start: AxisValues = self.session.status()?.commanded;
         let model = Model::new(self.machine);
         let options = program_options(self.machine, model.to_engineering_units(&start));
@@ -110,10 +164,15 @@ impl Bench<'_> {
         let plan = Plan::new(&program, &settings(self.machine), &model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         self.job += 1;
+        let mut pressure = Pressure {
+            second: 1_000_000 / u64::from(self.machine.config.period_us.max(1)),
+            forces: VecDeque::new(),
+        };
         let end = self
             .session
-            .run_job(self.job, start, plan.setpoints, &mut NoObserver)?;
-        self.session.check_completed(&end)
+            .run_job(self.job, start, plan.setpoints, &mut pressure)?;
+        self.session.check_completed(&end)?;
+        Ok(pressure.largest_n())
     }
 
     fn grinding(&mut self) -> Result<&mut Grinding, Error> {
@@ -132,15 +191,28 @@ impl Bench<'_> {
         Ok(f64::from(raw) / f64::from(1 << 20))
     }
 
-    /// Grinds a facet; returns the further sweeps. A facet that does not reach its depth under
-    /// force control is an error.
-    fn operate(&mut self, operation: &Operation, mode: Mode, name: &str) -> Result<u32, Error> {
-        self.run(&operation.grind)?;
+    /// Grinds a facet; returns the further spark-outs, and the turns of the lap until the
+    /// stone was near its depth. A facet that does not reach its depth under force control is an
+    /// error.
+    fn operate(
+        &mut self,
+        operation: &Operation,
+        mode: Mode,
+        name: &str,
+    ) -> Result<(u32, Vec<Turn>), Error> {
+        let mut pressure_n = self.run(&operation.grind)?;
         let mut sweeps = 0;
-        while mode.has_force() && sweeps < MAX_SWEEPS && self.yielded_mm()?.abs() > DONE_MM {
-            self.run(&operation.sweep)?;
+        while sweeps < MAX_SWEEPS {
+            let yields = mode.has_force() && self.yielded_mm()?.abs() > DONE_MM;
+            if !yields && pressure_n < SPARKED_OUT_N {
+                break;
+            }
+            pressure_n = self.run(&operation.sweep)?;
             sweeps += 1;
         }
+        let end = operation.depth_mm + AT_DEPTH_MM;
+        let turns = self.grinding()?.turns().iter().copied();
+        let turns = turns.take_while(|turn| turn.height_mm > end).collect();
         let left = if mode.has_force() {
             self.yielded_mm()?.abs()
         } else {
@@ -149,12 +221,13 @@ impl Bench<'_> {
         self.run(&operation.retract)?;
         if left > DONE_MM {
             let what = format!(
-                "{name} is not at its depth after {sweeps} sweeps: the stone still yields by \
-                 {left:.4} mm; raise force_n of the lap, lower its stock, or grind by feed"
+                "{name} is not at its depth after {sweeps} spark-outs: the stone still yields by \
+                 {left:.4} mm; raise force_n or spark_out_s of the lap, lower its stock, or grind \
+                 by feed"
             );
             return Err(Error::new(ErrorKind::Stopped, what));
         }
-        Ok(sweeps)
+        Ok((sweeps, turns))
     }
 }
 
@@ -228,7 +301,7 @@ pub fn cut(
             let from = bench.session.now_us();
             let before = bench.grinding()?.ground().len();
             let name = &gem.design.facets[operation.facet].name;
-            let sweeps = bench.operate(operation, job.settings.mode, name)?;
+            let (sweeps, turns) = bench.operate(operation, job.settings.mode, name)?;
             let seconds = (bench.session.now_us() - from) as f64 * 1e-6;
             let grinding = bench.grinding()?;
             let longest = grinding.ground()[before..]
@@ -239,6 +312,7 @@ pub fn cut(
                 facet: operation.facet,
                 seconds,
                 sweeps,
+                turns,
                 force: longest.map_or(ForceStatistics::default(), |ground| ground.force),
             });
             progress(operations.len(), total);

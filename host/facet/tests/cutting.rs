@@ -1,6 +1,8 @@
 //! A whole stone on the simulated machine: both sides, three laps, the transfer.
 
-use haptimill_facet::{Cutting, Gem, Job, JobSettings, Mode, RunOptions, cut, read};
+use haptimill_facet::{Cutting, Gem, Job, JobSettings, Mode, RunOptions, Side, cut, read};
+use haptimill_hil_sim::process::grinding::HardSpot;
+use haptimill_hil_sim::vector::dot;
 use haptimill_machine_file::MachineFile;
 
 /// A square stone of 13 facets.
@@ -40,6 +42,28 @@ fn check(gem: &Gem, cutting: &Cutting) {
     assert_eq!(measured.facets.len(), gem.design.facets.len());
     assert!(measured.worst_angle_deg() < 0.02);
     assert!(measured.worst_meet_mm() < 0.02);
+    only_its_own_facet(gem, cutting);
+}
+
+/// The plant records each contact of the stone with a lap. There is one for each operation, with
+/// the normal of its facet: no facet was touched by the approach of another.
+fn only_its_own_facet(gem: &Gem, cutting: &Cutting) {
+    assert_eq!(cutting.ground.len(), cutting.operations.len());
+    for (ground, operation) in cutting.ground.iter().zip(&cutting.operations) {
+        let designed = gem.plane(operation.facet);
+        // As the stone sits on the dop: turned over about x for the pavilion.
+        let is_over = gem.design.facets[operation.facet].side == Side::Pavilion;
+        let flip = if is_over { -1.0 } else { 1.0 };
+        let [x, y, z] = designed.normal;
+        let cosine = dot(ground.plane.normal, [x, flip * y, flip * z]);
+        assert!(
+            cosine > 0.02_f64.to_radians().cos() - 1e-12,
+            "{operation:?}"
+        );
+        // And down to its depth and the stock of its lap, no deeper.
+        assert!(ground.plane.distance > designed.distance - 0.001);
+        assert!(ground.plane.distance < designed.distance + 0.06);
+    }
 }
 
 #[test]
@@ -48,4 +72,66 @@ fn a_stone_is_cut_by_feed() {
     check(&gem, &cutting);
     let volume = gem.body.volume();
     assert!((cutting.measured.volume_mm3 - volume).abs() < 0.03 * volume);
+}
+
+/// By force the job ends each facet at its depth. Before, the further sweeps ran with the lap at a
+/// standstill, and a stone that yielded stayed high.
+#[test]
+fn a_stone_is_cut_by_force() {
+    let (gem, cutting) = stone(Mode::Force, &RunOptions::default());
+    check(&gem, &cutting);
+    assert!(cutting.measured.worst_depth_mm() < 0.005);
+}
+
+/// With a run-out of 20 um and a hard spot in a facet, by force: flat and at depth.
+#[test]
+fn a_run_out_and_a_hard_spot_leave_flat_facets_at_depth() {
+    let options = RunOptions {
+        run_out_mm: 0.02,
+        hard_spot: Some(HardSpot {
+            centre: [0.0, 0.0, 0.3],
+            radius_mm: 0.25,
+            part: 0.2,
+        }),
+        ..RunOptions::default()
+    };
+    let (gem, cutting) = stone(Mode::Force, &options);
+    check(&gem, &cutting);
+    assert!(cutting.measured.worst_depth_mm() < 0.01);
+    // The spot is in the table, the last facet.
+    let proud = cutting.measured.facets.iter().map(|facet| facet.proud_mm);
+    let proud = proud.fold(0.0, f64::max);
+    println!("hard spot {proud:.5} mm");
+    assert!(proud > 0.0 && proud < 0.003);
+}
+
+/// A run-out of 20 um at 600 rev/min on a bed of 20 N/mm^3, a contact of 200 N/mm: the mean of each
+/// turn is within 10 % of the setpoint from 0.6 s after the first contact until the stone is within
+/// 10 um of its depth. By feed the force is what the feed makes it.
+#[test]
+fn the_mean_force_of_each_turn_is_held() {
+    let options = RunOptions {
+        run_out_mm: 0.02,
+        bed_n_mm3: Some(20.0),
+        only: vec![12],
+        ..RunOptions::default()
+    };
+    let setpoints = JobSettings::default().laps;
+    let turns = |mode| {
+        let (_, cutting) = stone(mode, &options);
+        let turns = cutting.operations[1].turns.iter();
+        turns.map(|turn| turn.force_n).collect::<Vec<f64>>()
+    };
+    let (force, feed) = (turns(Mode::Force), turns(Mode::Feed));
+    println!("by force {force:.2?}\nby feed {feed:.2?}");
+    assert!(force.len() > 20, "{} turns", force.len());
+    let setpoint = setpoints[1].force_n;
+    for mean in &force[6..] {
+        assert!(
+            (mean / setpoint - 1.0).abs() < 0.1,
+            "{mean} of {setpoint} N"
+        );
+    }
+    let off = |mean: &&f64| (*mean / setpoint - 1.0).abs() > 0.1;
+    assert!(2 * feed.iter().filter(off).count() > feed.len(), "{feed:?}");
 }

@@ -86,7 +86,7 @@ pub struct JobArgs {
 pub enum By {
     /// By feed to the depth
     Feed,
-    /// By force; a facet that misses its depth is an error
+    /// By force to the depth
     Force,
     /// By feed, with the force held
     Both,
@@ -138,6 +138,9 @@ pub struct RunArgs {
     /// Run-out of the laps
     #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = small)]
     pub run_out: f64,
+    /// Stiffness of the bed of the laps [default: 200]
+    #[arg(long, value_name = "N/MM3", value_parser = bed)]
+    pub bed: Option<f64>,
     /// Volume that a lap loses for a volume of the stone
     #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = small)]
     pub wear: f64,
@@ -189,6 +192,13 @@ fn small(text: &str) -> Result<f64, String> {
     match numbers(text, ' ')?[..] {
         [value] if (0.0..=1.0).contains(&value) => Ok(value),
         _ => Err("write 0 to 1".to_string()),
+    }
+}
+
+fn bed(text: &str) -> Result<f64, String> {
+    match numbers(text, ' ')?[..] {
+        [value] if (1.0..=1e5).contains(&value) => Ok(value),
+        _ => Err("write 1 to 100000 N/mm^3".to_string()),
     }
 }
 
@@ -378,6 +388,7 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
     let options = RunOptions {
         seed: args.seed,
         run_out_mm: args.run_out,
+        bed_n_mm3: args.bed,
         wear: args.wear,
         hard_spot: args.hard_spot,
         interrupted: interrupt::flag(),
