@@ -51,6 +51,9 @@ pub struct Experiment {
     pub setting: String,
     /// Figures and pages of the thesis.
     pub figures: String,
+    /// The cutting forces of the machine file are fitted to this experiment (docs/control.md 5.2).
+    #[serde(default)]
+    pub fitted: bool,
     /// Passes, in order.
     #[serde(rename = "pass")]
     pub passes: Vec<Pass>,
@@ -80,17 +83,10 @@ pub struct Pass {
     pub program: String,
     /// Path of the stock file in the repository.
     pub stock: String,
-    /// Factor of all cutting forces.
-    #[serde(default = "one")]
-    pub force_scale: f64,
     /// Force control, if it is on.
     pub force_control: Option<ForceControl>,
     /// Teleoperation, if an operator moves the tool or the handle.
     pub teleoperation: Option<Teleoperation>,
-}
-
-const fn one() -> f64 {
-    1.0
 }
 
 impl Pass {

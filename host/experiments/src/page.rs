@@ -119,7 +119,7 @@ fn comparison_row(page: &mut String, comparison: &Comparison) {
 fn passes_table(page: &mut String, result: &ExperimentResult) {
     page.push_str(
         "<h2>Passes</h2><table class=\"results\"><tr><th>pass</th><th>program, stock</th>\
-         <th>scale of the cutting forces</th><th>force control</th>\
+         <th>force control</th>\
          <th>origin of the forces</th><th>files</th></tr>",
     );
     for pass in &result.passes {
@@ -137,14 +137,13 @@ fn passes_table(page: &mut String, result: &ExperimentResult) {
         put(
             page,
             format_args!(
-                "<tr><td class=\"n\">{0}</td><td>{1}, {2}</td><td>{3}</td>\
-                 <td class=\"n\">{control}</td><td>{4}</td>\
+                "<tr><td class=\"n\">{0}</td><td>{1}, {2}</td>\
+                 <td class=\"n\">{control}</td><td>{3}</td>\
                  <td class=\"n\"><a href=\"{0}/report.html\">report</a> \
                  <a href=\"{0}/trace.csv\">trace</a></td></tr>",
                 pass.name,
                 pass.program,
                 pass.stock,
-                pass.force_scale,
                 pass.forces.description(),
             ),
         );

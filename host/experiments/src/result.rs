@@ -15,6 +15,8 @@ pub struct ExperimentResult {
     pub name: String,
     /// Title of the experiment.
     pub title: String,
+    /// The cutting forces are fitted to it; the others are held out.
+    pub fitted: bool,
     /// Why it was not run; the rest is empty then.
     pub not_run: Option<String>,
     /// Results of the passes.
@@ -34,8 +36,6 @@ pub struct PassResult {
     /// Stock file.
     #[serde(rename = "work")]
     pub stock: String,
-    /// Factor of all cutting forces.
-    pub force_scale: f64,
     /// Force control.
     #[serde(rename = "control")]
     pub force_control: Option<ForceControl>,
@@ -60,7 +60,6 @@ impl ExperimentResult {
             name: pass.name.clone(),
             program: pass.program_name().to_string(),
             stock: pass.stock.clone(),
-            force_scale: pass.force_scale,
             force_control: pass.force_control.clone(),
             forces: data.trace.source,
             duration_s: rounded(data.summary.duration_s),
@@ -94,6 +93,7 @@ impl ExperimentResult {
         Self {
             name: experiment.name.clone(),
             title: experiment.title.clone(),
+            fitted: experiment.fitted,
             not_run,
             passes: Vec::new(),
             comparisons: Vec::new(),

@@ -158,8 +158,7 @@ fn run_job<C: Controlled>(
 
     let plant: PlantConfig = machine.plant()?;
     let stock = stock::parse(&pass.stock, pass.stock_text())?;
-    let mut cutting = plant.cutting(stock);
-    cutting.cutter.force_scale *= pass.force_scale;
+    let cutting = plant.cutting(stock);
 
     std::fs::create_dir_all(dir).map_err(|error| output(&error))?;
     let mut session = Session::new(line, machine, Options::default(), Arc::clone(interrupted));

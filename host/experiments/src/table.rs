@@ -96,12 +96,26 @@ pub fn table(results: &[ExperimentResult]) -> String {
         let _ = writeln!(text, "[{}] {reason}", index + 1);
     }
     let not_run = results.iter().filter(|result| result.not_run.is_some());
-    let [stated, derived, own] = [Source::Stated, Source::Derived, Source::Own].map(|source| {
-        results.iter().fold((0, 0), |(inside, all), result| {
+    let of = |keep: &dyn Fn(&ExperimentResult) -> bool, source| {
+        let counts = results.iter().filter(|result| keep(result));
+        counts.fold((0, 0), |(inside, all), result| {
             let of_one = result.count_of(source);
             (inside + of_one.0, all + of_one.1)
         })
-    });
+    };
+    for (title, fitted) in [("fitted", true), ("held out of the fit", false)] {
+        let [stated, derived] =
+            [Source::Stated, Source::Derived].map(|source| of(&|r| r.fitted == fitted, source));
+        if stated.1 + derived.1 > 0 {
+            let _ = writeln!(
+                text,
+                "{title}: {} of {} stated, {} of {} derived",
+                stated.0, stated.1, derived.0, derived.1
+            );
+        }
+    }
+    let [stated, derived, own] =
+        [Source::Stated, Source::Derived, Source::Own].map(|source| of(&|_| true, source));
     let _ = write!(
         text,
         "inside: {} of {} stated, {} of {} derived, {} of {} own",
