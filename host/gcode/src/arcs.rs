@@ -1,7 +1,7 @@
 //! Geometry of an arc from its ends, and its centre or radius.
 
 use super::path::Arc;
-use super::{LARGEST_RADIUS_TOLERANCE_MM, RADIUS_TOLERANCE_MM};
+use super::{RADIUS_TOLERANCE_INCH_MM, RADIUS_TOLERANCE_MM};
 use std::f64::consts::TAU;
 
 /// Ends and direction of an arc in its plane; mm.
@@ -17,18 +17,33 @@ pub(crate) struct Ends {
     pub turns: u32,
 }
 
+/// Largest difference of half the chord and the radius of an arc by radius, mm.
+const LARGEST_SHORT_MM: f64 = 0.0025;
+
 /// Problem and remedy.
 pub(crate) type Refusal = (String, String);
 
-/// Returns the largest difference of an arc's radii, mm.
-fn tolerance(smaller: f64) -> f64 {
-    RADIUS_TOLERANCE_MM
-        .max((1e-3 * smaller).min(LARGEST_RADIUS_TOLERANCE_MM))
+/// Largest share of the radii by which the radii of an arc differ, and the largest difference in
+/// multiples of the absolute tolerance.
+const RELATIVE_TOLERANCE: f64 = 1e-3;
+const MOST_TOLERANCES: f64 = 100.0;
+
+/// Returns the largest difference of an arc's radii, mm: the rule of LinuxCNC, and a tenth of the
+/// radius.
+fn tolerance(smaller: f64, inch: bool) -> f64 {
+    let absolute = if inch {
+        RADIUS_TOLERANCE_INCH_MM
+    } else {
+        RADIUS_TOLERANCE_MM
+    };
+    let larger = smaller / (1.0 - RELATIVE_TOLERANCE);
+    absolute
+        .max((RELATIVE_TOLERANCE * larger).min(MOST_TOLERANCES * absolute))
         .min(0.1 * smaller)
 }
 
 /// Returns the arc around a centre, given from the start.
-pub(crate) fn by_centre(ends: &Ends, offset: [f64; 2]) -> Result<Arc, Refusal> {
+pub(crate) fn by_centre(ends: &Ends, offset: [f64; 2], inch: bool) -> Result<Arc, Refusal> {
     let Ends { start, end, .. } = *ends;
     let centre = [start[0] + offset[0], start[1] + offset[1]];
     let to_end = [end[0] - centre[0], end[1] - centre[1]];
@@ -44,7 +59,7 @@ pub(crate) fn by_centre(ends: &Ends, offset: [f64; 2]) -> Result<Arc, Refusal> {
             "check the centre words".into(),
         ));
     }
-    let tolerance = tolerance(smaller);
+    let tolerance = tolerance(smaller, inch);
     if difference > tolerance {
         return Err((
             format!(
@@ -91,7 +106,7 @@ pub(crate) fn by_radius(ends: &Ends, radius: f64) -> Result<Arc, Refusal> {
     }
     let size = radius.abs();
     let short = 0.5 * length - size;
-    if short > 0.5 * RADIUS_TOLERANCE_MM || size < 1e-6 {
+    if short > LARGEST_SHORT_MM || size < 1e-6 {
         return Err((
             format!(
                 "the ends of the arc are {length:.6} mm apart, more than twice the radius \

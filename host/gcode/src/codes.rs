@@ -98,6 +98,15 @@ impl Codes {
     /// Enters a code.
     pub(crate) fn enter(&mut self, group: Group, code: Code, line: &[u8]) -> Read<()> {
         let slot = &mut self.slots[group as usize];
+        if group == Group::Motion && slot.is_some_and(|first| first.tenths != code.tenths) {
+            // G80 ends a cycle, as any motion word does: CAM systems write both in one block.
+            if code.tenths == 800 {
+                return Ok(());
+            }
+            if slot.is_some_and(|first| first.tenths == 800) {
+                *slot = None;
+            }
+        }
         if let Some(first) = slot {
             let what = format!(
                 "{} and {} in one block: both are of modal group {}",

@@ -335,11 +335,18 @@ impl Output {
         let turn = angle_between(active.direction, leaving);
         let mut from = before;
         if turn.abs() > SMOOTH {
-            if turn * active.side < 0.0 || turn.abs() > PI - 1e-6 {
+            let reverses = turn.abs() > PI - 1e-6;
+            if reverses && self.is_outside_of_arc(&active) {
+                // The move goes back along the arc, whose outer side the tool cuts: their first
+                // intersection is ahead on the move.
+                let (sin, cos) = libm::sincos(leaving);
+                let ahead = [before[0] + 1e-3 * cos, before[1] + 1e-3 * sin];
+                from = self.cut(curve, &active, before, ahead)?;
+            } else if reverses || turn * active.side < 0.0 {
                 self.go_around(&leg, &active, corner, before, start);
                 from = start;
             } else {
-                from = self.cut(curve, &active, before)?;
+                from = self.cut(curve, &active, before, before)?;
             }
         }
         self.release();
@@ -407,8 +414,23 @@ impl Output {
         });
     }
 
-    /// Cuts the held moves at an inside corner; returns the intersection.
-    fn cut(&mut self, next: Curve, active: &Active, before: [f64; 2]) -> Result<[f64; 2], Refusal> {
+    /// Whether the last held move is an arc with the tool on its outer side.
+    fn is_outside_of_arc(&self, active: &Active) -> bool {
+        match self.compensation.held.first() {
+            Some(Held::Leg(Leg { arc: Some(arc), .. })) => arc.sweep * active.side < 0.0,
+            _ => false,
+        }
+    }
+
+    /// Cuts the held moves at an inside corner; returns the intersection that is nearest to a
+    /// point. `before` is the end of the held moves without the cut.
+    fn cut(
+        &mut self,
+        next: Curve,
+        active: &Active,
+        before: [f64; 2],
+        near: [f64; 2],
+    ) -> Result<[f64; 2], Refusal> {
         let plane = active.plane;
         let at = *self.at();
         // The last move with a motion in the plane is the first of the held ones.
@@ -426,7 +448,7 @@ impl Output {
                 radius: arc.radius[1],
             },
         };
-        let point = intersection(curve, next, before).ok_or_else(unreachable_corner)?;
+        let point = intersection(curve, next, near).ok_or_else(unreachable_corner)?;
         for held in &mut self.compensation.held {
             let Held::Leg(leg) = held else { continue };
             set_in_plane(&mut leg.to, plane, point);

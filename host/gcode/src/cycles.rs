@@ -141,8 +141,10 @@ impl Executor {
         let start = self.state.at;
         let incremental = self.state.modes.incremental;
         let shift = self.state.shift[normal];
+        let level = *self.cycle.initial_level.get_or_insert(start[normal]);
         let (r, bottom) = if incremental {
-            let r = start[normal] + r * unit;
+            // R counts from the level before the series of cycles, for each hole of it.
+            let r = level + r * unit;
             (r, r + depth * unit)
         } else {
             (r * unit + shift, depth * unit + shift)
@@ -157,7 +159,6 @@ impl Executor {
                 "check R and the depth",
             );
         }
-        let level = *self.cycle.initial_level.get_or_insert(start[normal]);
         let clear = if self.state.modes.return_to_r {
             r
         } else {

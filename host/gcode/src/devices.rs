@@ -6,7 +6,7 @@ use super::canonical::{OutputValue, Step, WaitFor};
 use super::codes::{Group, word};
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
-use super::problem::{Cause, Mistake, Place};
+use super::problem::Place;
 use super::state::{Turn, WAITED};
 
 /// Largest speed of the spindle, rev/min.
@@ -97,12 +97,8 @@ impl Executor {
             _ => Turn::Off,
         };
         if turn != Turn::Off && self.state.modes.speed.unwrap_or(0.0) == 0.0 {
-            let refused = Mistake::new(
-                code.at,
-                "the spindle is started without a speed",
-                "write S with the speed in rev/min",
-            );
-            return Err(Box::new(refused.because(Cause::Spindle)));
+            let what = "the spindle is started without a speed: it stands until an S word";
+            self.notice(here, code.at, "spindle", what.into())?;
         }
         if code.tenths == 190 {
             let what = "M19 stops the spindle; this machine does not turn it to an angle";

@@ -69,16 +69,7 @@ impl Dialog {
 
     /// Sets the position of the machine: mm, degrees, in the machine's order.
     pub fn place_at(&mut self, at: &Coordinates) {
-        let executor = &mut self.interpreter.executor;
-        let mut here = executor.state.at;
-        for (axis, slot) in here.iter_mut().enumerate() {
-            let index = executor.out.coordinate(axis);
-            if let Some(value) = index.and_then(|index| at.get(index)) {
-                *slot = *value;
-            }
-        }
-        executor.state.at = here;
-        executor.out.place_at(here);
+        self.interpreter.place_at(at);
     }
 
     /// Enters a line. Line ends in it become blanks.
@@ -148,6 +139,7 @@ impl Dialog {
         // The text is in memory: going to its end cannot fail.
         let _ = interpreter.sources[0].seek(mark);
         let executor = &mut interpreter.executor;
+        executor.leave_all_calls();
         executor.out.steps.clear();
         executor.out.compensation = Default::default();
         let (state, at, notices) = &self.before;

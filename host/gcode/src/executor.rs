@@ -8,6 +8,7 @@ use super::output::{Leg, Output, Pace};
 use super::problem::{Cause, Mistake, Notice, Place, place_of};
 use super::series::{ControlPoint, Cycle};
 use super::state::{FeedMode, Modes, Motion, PathControl, Plane, State, Turn};
+use super::tool_table::PerLetter;
 use super::{LONGEST_DWELL_S, Options};
 use std::collections::HashSet;
 
@@ -46,6 +47,15 @@ impl Here<'_> {
     }
 }
 
+/// Modes that M70 or M73 saved.
+#[derive(Clone, Copy)]
+struct SavedModes {
+    modes: Modes,
+    tool_offset: PerLetter,
+    /// M73: the end of the subroutine restores them.
+    at_return: bool,
+}
+
 /// Runs blocks.
 pub(crate) struct Executor {
     pub state: State,
@@ -53,7 +63,8 @@ pub(crate) struct Executor {
     pub options: Options,
     pub notices: Vec<Notice>,
     noticed: HashSet<&'static str>,
-    saved: Vec<Modes>,
+    /// Modes that M70 or M73 saved, for the main program and each call in progress.
+    saved: Vec<Option<SavedModes>>,
     pub cycle: Cycle,
     pub control_points: Vec<ControlPoint>,
     /// Control vector of the last G5, for the next one.
@@ -74,7 +85,7 @@ impl Executor {
             options,
             notices: Vec::new(),
             noticed: HashSet::new(),
-            saved: Vec::new(),
+            saved: vec![None],
             cycle: Cycle::default(),
             control_points: Vec::new(),
             last_tangent: None,
@@ -278,44 +289,75 @@ impl Executor {
         let Some(code) = block.codes.get(Group::State) else {
             return Ok(());
         };
+        let Some(saved) = self.saved.last_mut() else {
+            return Ok(());
+        };
         match code.tenths {
             700 | 730 => {
-                if self.saved.len() >= 100 {
-                    return mistake(
-                        code.at,
-                        "modal state is saved more than 100 times",
-                        "restore it (M72) before the next M70",
-                    );
-                }
-                self.saved.push(self.state.modes);
+                *saved = Some(SavedModes {
+                    modes: self.state.modes,
+                    tool_offset: self.state.tool_offset,
+                    at_return: code.tenths == 730,
+                });
             }
-            710 => {
-                self.saved.pop();
-            }
+            710 => *saved = None,
             _ => {
-                let Some(saved) = self.saved.pop() else {
+                let Some(saved) = *saved else {
                     return mistake(
                         code.at,
                         "M72 without a saved state",
-                        "save it before with M70",
+                        "save it before with M70, in the same subroutine",
                     );
                 };
-                let turned =
-                    saved.turn != self.state.modes.turn || saved.speed != self.state.modes.speed;
-                let cooled = (saved.mist, saved.flood);
-                let changed = cooled != (self.state.modes.mist, self.state.modes.flood);
-                let system = saved.system;
-                self.state.modes = saved;
-                self.state.select_system(system);
-                if turned {
-                    self.send_spindle(here.place(code.at));
-                }
-                if changed {
-                    self.send_coolant(here, code.at, cooled.0, cooled.1)?;
-                }
+                self.restore_modes(&saved, here.place(code.at));
             }
         }
         Ok(())
+    }
+
+    /// Puts saved modes in force. The motion word stays, as with LinuxCNC.
+    fn restore_modes(&mut self, saved: &SavedModes, place: Place) {
+        let now = self.state.modes;
+        self.state.modes = Modes {
+            motion: now.motion,
+            ..saved.modes
+        };
+        let modes = self.state.modes;
+        let none = Default::default();
+        let had_length = saved.tool_offset != none;
+        if had_length != (self.state.tool_offset != none) {
+            let tool = self.state.tool_of(self.state.tool);
+            let offset = tool.map_or(saved.tool_offset, |tool| tool.offset);
+            self.state.tool_offset = if had_length { offset } else { none };
+        }
+        self.state.select_system(modes.system);
+        if (modes.turn, modes.speed) != (now.turn, now.speed) {
+            self.send_spindle(place);
+        }
+        let coolant = (modes.mist, modes.flood);
+        if coolant != (now.mist, now.flood) && self.options.coolant {
+            let (mist, flood) = coolant;
+            self.out.push(Step::Coolant { place, mist, flood });
+        }
+    }
+
+    /// Begins a subroutine, which saves modes of its own.
+    pub(crate) fn enter_call(&mut self) {
+        self.saved.push(None);
+    }
+
+    /// Ends a subroutine: M73 restores its modes.
+    pub(crate) fn leave_call(&mut self, place: Place) {
+        if let Some(Some(saved)) = self.saved.pop()
+            && saved.at_return
+        {
+            self.restore_modes(&saved, place);
+        }
+    }
+
+    /// Ends all subroutines, without a change of modes.
+    pub(crate) fn leave_all_calls(&mut self) {
+        self.saved.truncate(1);
     }
 
     fn dwell(&mut self, block: &Block, here: &Here) -> Read<()> {

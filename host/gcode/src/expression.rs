@@ -338,9 +338,9 @@ impl<'a> Scan<'a> {
                 let below = self.value()?;
                 libm::atan2(x, below).to_degrees()
             }
-            Function::Cos => libm::cos(x.to_radians()),
-            Function::Sin => libm::sin(x.to_radians()),
-            Function::Tan => libm::tan(x.to_radians()),
+            Function::Cos => libm::cos(radians(x)),
+            Function::Sin => libm::sin(radians(x)),
+            Function::Tan => libm::tan(radians(x)),
             Function::Exp => libm::exp(x),
             Function::Fix => x.floor(),
             Function::Fup => x.ceil(),
@@ -510,3 +510,12 @@ const FUNCTIONS: [(&str, Function); 14] = [
     ("SQRT", Function::Sqrt),
     ("TAN", Function::Tan),
 ];
+
+/// Returns an angle in radians, rounded once: sin of 30 degrees is 0.5, as FIX and ROUND of a
+/// multiple of it need.
+fn radians(degrees: f64) -> f64 {
+    // pi / 180, and what its rounding left out.
+    const RADIANS: f64 = std::f64::consts::PI / 180.0;
+    const REST: f64 = 2.948_652_270_870_168_7e-19;
+    libm::fma(degrees, RADIANS, degrees * REST)
+}

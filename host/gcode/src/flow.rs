@@ -95,10 +95,16 @@ impl OWord {
         };
         scan.skip_blanks();
         let from = scan.at;
-        while scan.peek().is_some_and(|byte| byte.is_ascii_alphabetic()) {
+        // Blanks within a word have no meaning: `end sub` is `endsub`.
+        let mut word = Vec::new();
+        let mut end = from;
+        while let Some(byte) = scan.peek().filter(u8::is_ascii_alphabetic) {
+            word.push(byte.to_ascii_lowercase());
             scan.at += 1;
+            end = scan.at;
+            scan.skip_blanks();
         }
-        let word = line[from..scan.at].to_ascii_lowercase();
+        scan.at = end;
         let keyword = if word.is_empty() {
             Keyword::None
         } else {
@@ -142,7 +148,11 @@ impl OWord {
                     }
                     found.push(scan.bracket()?);
                 }
-                None | Some(b';' | b'(') => return Ok(found),
+                None | Some(b';') => return Ok(found),
+                Some(b'(') => match line[scan.at..].iter().position(|byte| *byte == b')') {
+                    Some(length) => scan.at += length + 1,
+                    None => return Ok(found),
+                },
                 Some(b'%') => return Ok(found),
                 Some(_) => {
                     return Err(Box::new(Mistake::new(

@@ -12,6 +12,9 @@ use super::state::State;
 use super::tool_table::{PerLetter, ToolTable, WorkOffset};
 use super::{Comment, Coordinates, Options};
 
+/// Most repeats of the main program by M99.
+const MOST_REPEATS: u32 = 100;
+
 /// Interpreter of a part program: an iterator over its steps.
 ///
 /// Its memory does not depend on the length of the program. After a problem it goes on with the
@@ -28,6 +31,10 @@ pub struct Interpreter<'a> {
     pub(super) flow: Flow,
     pub(super) tape_is_open: bool,
     pub(super) any_block: bool,
+    /// Whether a block moved the machine.
+    pub(super) any_step: bool,
+    /// Repeats of the main program by M99.
+    repeats: u32,
     pub(super) ended: Option<Place>,
     pub(super) finished: bool,
     pub(super) doubt: Doubt,
@@ -63,6 +70,8 @@ impl<'a> Interpreter<'a> {
             flow: Flow::default(),
             tape_is_open: false,
             any_block: false,
+            any_step: false,
+            repeats: 0,
             ended: None,
             finished: false,
             doubt: Doubt::default(),
@@ -102,20 +111,22 @@ impl<'a> Interpreter<'a> {
     /// changed. Call it after the step was run and before the next one is taken; without it, the
     /// move ends at its programmed end and the probe changes there.
     pub fn report_probe(&mut self, at: &Coordinates, changed: bool) {
-        let mut here = self.executor.state.at;
+        self.place_at(at);
+        self.executor.set_probed(self.executor.state.at, changed);
+    }
+
+    /// Sets the position of the machine: mm, degrees, in the machine's order.
+    pub fn place_at(&mut self, at: &Coordinates) {
+        let executor = &mut self.executor;
+        let mut here = executor.state.at;
         for (axis, slot) in here.iter_mut().enumerate() {
-            if let Some(value) = self
-                .executor
-                .out
-                .coordinate(axis)
-                .and_then(|index| at.get(index))
-            {
+            let index = executor.out.coordinate(axis);
+            if let Some(value) = index.and_then(|index| at.get(index)) {
                 *slot = *value;
             }
         }
-        self.executor.state.at = here;
-        self.executor.out.place_at(here);
-        self.executor.set_probed(here, changed);
+        executor.state.at = here;
+        executor.out.place_at(here);
     }
 
     /// Reports the value of the input that an M66 read; -1 if its time ran out.
@@ -208,6 +219,10 @@ impl<'a> Interpreter<'a> {
                 });
             }
         }
+        if let (Err(mistake), Some(ended)) = (&read, self.ended) {
+            // Text behind the end need not be a block.
+            return self.after_the_end(mistake.at, ended);
+        }
         read?;
         if let Some(at) = self.block.percent {
             self.tape_mark(at)?;
@@ -239,7 +254,9 @@ impl<'a> Interpreter<'a> {
             file: self.current as u16,
             number: self.sources[self.current].line,
         };
-        match self.executor.run(&mut self.block, &here)? {
+        let next = self.executor.run(&mut self.block, &here)?;
+        self.any_step |= !self.executor.out.steps.is_empty();
+        match next {
             Next::Block => Ok(()),
             Next::End => {
                 self.ended = Some(here.place(self.block.first.unwrap_or(0)));
@@ -267,15 +284,31 @@ impl<'a> Interpreter<'a> {
             }
             Next::Return { at } => {
                 if self.flow.frames.is_empty() {
-                    return Err(Box::new(Mistake::new(
-                        at,
-                        "M99 in the main program repeats it without end",
-                        "write M30, or a loop with a number of rounds",
-                    )));
+                    return self.repeat_program(at);
                 }
                 self.return_from_call(at)
             }
         }
+    }
+
+    /// M99 of the main program: back to its first block.
+    fn repeat_program(&mut self, at: usize) -> Read<()> {
+        self.repeats += 1;
+        if self.repeats > MOST_REPEATS {
+            return Err(Box::new(Mistake::new(
+                at,
+                format!("M99 in the main program repeats it more than {MOST_REPEATS} times"),
+                "write M30, or a loop with a number of rounds",
+            )));
+        }
+        self.tape_is_open = false;
+        (self.any_block, self.any_step) = (false, false);
+        self.flow.open.clear();
+        let start = Position {
+            file: 0,
+            mark: Mark { offset: 0, line: 0 },
+        };
+        self.go_to(start, at)
     }
 
     /// `%` before the first block opens the tape, the next one ends the program.
@@ -306,14 +339,15 @@ impl<'a> Interpreter<'a> {
             return Ok(());
         }
         let what = format!(
-            "this block is after the end of the program in line {}",
+            "this block and those behind it are not run: the program ends in line {}",
             ended.line
         );
-        Err(Box::new(Mistake::new(
-            first,
-            what,
-            "remove it, or the M2, M30 or % before it",
-        )))
+        let here = Here {
+            line: &self.line,
+            file: self.current as u16,
+            number: self.sources[self.current].line,
+        };
+        self.executor.notice(&here, first, "end", what)
     }
 
     fn check_open(&mut self) -> Read<()> {

@@ -63,11 +63,12 @@ pub use tool_table::{Offsets, PerLetter, SYSTEM_NAMES, SYSTEMS, Tool, ToolTable,
 
 use std::path::PathBuf;
 
-/// Largest difference of an arc's radii at its two ends, mm.
-pub const RADIUS_TOLERANCE_MM: f64 = 0.005;
+/// Largest difference of an arc's radii at its two ends, mm, for programs in mm. Large arcs may
+/// differ by a thousandth of the radius.
+pub const RADIUS_TOLERANCE_MM: f64 = 0.0283;
 
-/// Largest difference of the radii of a large arc, mm.
-pub const LARGEST_RADIUS_TOLERANCE_MM: f64 = 0.125;
+/// The same for programs in inches, mm.
+pub const RADIUS_TOLERANCE_INCH_MM: f64 = 0.0718;
 
 /// Longest dwell, seconds.
 pub const LONGEST_DWELL_S: f64 = 3600.0;

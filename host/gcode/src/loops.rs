@@ -237,13 +237,14 @@ impl Interpreter<'_> {
 
     pub(super) fn program_number(&mut self, word: &OWord, is_first: bool) -> Read<()> {
         let rest = word.arguments(&self.line, &self.executor.state);
-        if is_first && matches!(&rest, Ok(found) if found.is_empty()) {
+        let is_title = self.flow.frames.is_empty() && (is_first || !self.any_step);
+        if is_title && matches!(&rest, Ok(found) if found.is_empty()) {
             return Ok(());
         }
         Err(Box::new(Mistake::new(
             word.at,
             format!(
-                "program number O{} is not alone in the first block",
+                "program number O{} is not alone in its block, before the first move",
                 word.label
             ),
             "remove it; a subroutine begins with O100 sub, or stands after the end (M30)",

@@ -372,7 +372,7 @@ impl Executor {
                         offset
                     }
                 };
-                match arcs::by_centre(&ends, offset) {
+                match arcs::by_centre(&ends, offset, state.modes.inch) {
                     Ok(arc) => arc,
                     Err(refusal) => return refused(at, refusal),
                 }

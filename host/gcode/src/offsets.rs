@@ -227,12 +227,23 @@ impl Executor {
         if has_words {
             self.travel_to(via, Pace::Rapid, place, code.at)?;
         }
-        let mut to = self.state.at;
-        for (axis, letter) in AXES.iter().enumerate() {
-            let moves = block.word(*letter).is_some() || !has_words;
-            if moves && self.out.coordinate(axis).is_some() {
-                to[axis] = self.state.numbered[first + axis];
+        let mut home = self.state.at;
+        for axis in 0..AXES.len() {
+            if self.out.coordinate(axis).is_some() {
+                home[axis] = self.state.numbered[first + axis];
             }
+        }
+        let mut to = home;
+        if has_words {
+            // The written axes are those of the program, also in a turned coordinate system.
+            let home = self.state.in_program(&home);
+            let mut point = self.state.in_program(&self.state.at);
+            for (axis, letter) in AXES.iter().enumerate() {
+                if block.word(*letter).is_some() {
+                    point[axis] = home[axis];
+                }
+            }
+            to = self.state.in_machine(&point);
         }
         self.travel_to(to, Pace::Rapid, place, code.at)
     }

@@ -48,6 +48,7 @@ impl Interpreter<'_> {
             repeats,
             body,
         });
+        self.executor.enter_call();
         self.go_to(body.body, at)
     }
 
@@ -71,6 +72,7 @@ impl Interpreter<'_> {
             state.numbered[1..=ARGUMENTS].copy_from_slice(&saved);
             state.locals.pop();
         }
+        self.executor.leave_call(self.place(at));
         self.go_to(frame.back, at)
     }
 

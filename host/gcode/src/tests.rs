@@ -245,10 +245,6 @@ fn refusals_name_place_and_remedy() {
         ),
         ("G0 C1", "t.ngc:1:4: C1: this machine has no axis C"),
         ("T1.5 M6", "t.ngc:1:1: T1.5 is not a tool"),
-        (
-            "M3",
-            "t.ngc:1:1: the spindle is started without a speed; write S",
-        ),
         ("S70000", "t.ngc:1:1: S70000 is not a spindle speed"),
         ("G4", "t.ngc:1:1: G4 without its time; write P"),
         ("G4 P-1", "t.ngc:1:4: P-1 is not a dwell time"),
@@ -284,18 +280,14 @@ fn refusals_name_place_and_remedy() {
         ),
         ("G0 N5 X1", "t.ngc:1:4: a block number inside a block"),
         (
-            "M30\nG0 X1",
-            "t.ngc:2:1: this block is after the end of the program in line 1",
-        ),
-        (
             "G0 X1\nO2",
-            "t.ngc:2:1: program number O2 is not alone in the first block",
+            "t.ngc:2:1: program number O2 is not alone in its block, before the first move",
         ),
         ("G0 X\u{fc}1", "t.ngc:1:4: the letter X has no number"),
         ("\u{fc}", "t.ngc:1:1: byte 0xC3 is not part of a word"),
     ] {
         if text == "G2 X10 Y0.1 I5 F100" {
-            // 5.001 against 5.000 is within the tolerance of 0.005 mm.
+            // 5.001 against 5.000 is within the tolerance of 0.0283 mm.
             assert_eq!(moves(text).len(), 1);
             continue;
         }

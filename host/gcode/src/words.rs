@@ -1,7 +1,7 @@
 //! Check that each word of a block belongs to a code or to the motion in force.
 
 use super::block::{AXES, AXIS_LETTERS, Block, Word, letters};
-use super::codes::Group;
+use super::codes::{Group, g_remedy};
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
 use super::problem::{Cause, Mistake};
@@ -76,6 +76,16 @@ impl Executor {
             known |= letters(b"Q");
         }
         if let Some((letter, word)) = block.first_of(!known) {
+            if let (b'Q', Some(code)) = (letter, codes.get(Group::Unit))
+                && matches!(code.tenths, 700 | 710)
+            {
+                let number = code.tenths / 10;
+                return mistake(
+                    code.at,
+                    format!("G{number} with Q is a turning cycle, which is not supported"),
+                    g_remedy(720),
+                );
+            }
             return Err(Box::new(self.stray_word(letter, word, here)));
         }
         let missing = |axis: usize| self.out.coordinate(axis).is_none();

@@ -85,6 +85,7 @@ fn expressions_have_the_values_of_rs274() {
         ("ATAN[1]/[-1]", "135"),
         ("[FIX[-2.5]+FUP[2.1]]", "0"),
         ("SQRT[16]", "4"),
+        ("FIX[SIN[30]*10]", "5"),
         ("[1 XOR 1]", "0"),
         ("-[2 - 5]", "3"),
         ("EXISTS[#<nothing>]", "0"),
@@ -513,6 +514,61 @@ fn probe_results_come_from_the_machine() {
         }
         other => panic!("{other:?}"),
     }
+}
+
+/// Differences that a corpus of programs found; the motion was printed by LinuxCNC's rs274.
+#[test]
+fn words_of_real_programs_have_the_motion_of_rs274() {
+    let t = |x: f64, y: f64, z: f64| ('T', [x, y, z]);
+    let f = |x: f64, y: f64, z: f64| ('F', [x, y, z]);
+    // G80 with another motion word in one block.
+    assert_eq!(ends("G80 G0 X1\nG0 G80 X2"), [t(1., 0., 0.), t(2., 0., 0.)]);
+    // A comment between the arguments of a call, and a blank within a word.
+    assert_eq!(
+        ends("O1 sub\nG0 X#1 Y#2\nO1 end sub\nO1 call [3] (and) [4] (done)\nM2"),
+        [t(3., 4., 0.)]
+    );
+    // R of a cycle with G91 counts from the level before the series, for each of its holes.
+    assert_eq!(
+        ends("F100 G0 Z5\nG91 G99 G81 X1 Z-4 R-1\nX1"),
+        [
+            t(0., 0., 5.),
+            t(1., 0., 5.),
+            t(1., 0., 4.),
+            f(1., 0., 0.),
+            t(1., 0., 4.),
+            t(2., 0., 4.),
+            f(2., 0., 0.),
+            t(2., 0., 4.),
+        ]
+    );
+    // G28 with an axis word, in a coordinate system that is turned by 90 degrees: X is the axis of
+    // the program, which is Y of the machine.
+    assert_eq!(
+        ends("G10 L2 P1 R90\nG0 X5 Y7\nG28 X6"),
+        [t(-7., 5., 0.), t(-7., 6., 0.), t(-7., 0., 0.)]
+    );
+    // M99 repeats the main program.
+    assert_eq!(
+        ends("#1=[#1+1]\nO9 if [#1 GT 2]\nM30\nO9 endif\nO1 (title)\nG0 X#1\nM99"),
+        [t(1., 0., 0.), t(2., 0., 0.)]
+    );
+    // Blocks behind the end are not run, and noticed.
+    let program = read("t.ngc", b"G0 X1\nM2\nG0 X2\nG7777\n", &options()).expect("a notice");
+    assert_eq!((program.steps.len(), program.notices.len()), (1, 1));
+    assert!(program.notices[0].what.contains("ends in line 2"));
+    // Radii that differ by less than a thousandth.
+    assert_eq!(ends("G21 F9\nG2 X2000 I999.5").len(), 1);
+    let refused = refusal("G21 F9\nG2 X2000 I998.5");
+    assert!(refused.contains("3.000000 mm apart"), "{refused}");
+    // A feed as fast as the machine can.
+    assert_eq!(ends("G1 X1 F100000000.0").len(), 1);
+    // A turning cycle is refused by its name; G71 alone is the unit.
+    let refused = refusal("G71 Q100 X50 D2");
+    assert!(
+        refused.contains("G71 with Q is a turning cycle"),
+        "{refused}"
+    );
 }
 
 #[test]

@@ -1,0 +1,230 @@
+//! Codes of spindle, coolant, tools, inputs, saved modes and local offsets, against the steps that
+//! they mean.
+
+use haptimill_gcode::{Feed, Options, OutputValue, Step, Tool, WaitFor, read};
+
+fn options() -> Options {
+    Options {
+        coolant: true,
+        outputs: true,
+        ..Options::of_letters("XYZ", Default::default())
+    }
+}
+
+/// Returns the steps of a program as text, without their places.
+fn steps_with(text: &str, options: &Options) -> Vec<String> {
+    let program = match read("t.ngc", text.as_bytes(), options) {
+        Ok(program) => program,
+        Err(refused) => panic!("{text}\n{refused}"),
+    };
+    program.steps.iter().map(shown).collect()
+}
+
+fn steps(text: &str) -> Vec<String> {
+    steps_with(text, &options())
+}
+
+fn shown(step: &Step) -> String {
+    match step {
+        Step::Move(step) => {
+            let [x, y, z] = [0, 1, 2].map(|k| (step.path.to[k] * 1e4).round() / 1e4 + 0.0);
+            match step.feed {
+                Feed::Rapid => format!("rapid {x} {y} {z}"),
+                Feed::PerMinute(feed) => format!("feed {feed} {x} {y} {z}"),
+            }
+        }
+        Step::Spindle { rpm, .. } => format!("spindle {rpm}"),
+        Step::Coolant { mist, flood, .. } => format!("mist {mist} flood {flood}"),
+        Step::ToolChange { tool, .. } => format!("tool {tool}"),
+        Step::Pause { .. } => "pause".into(),
+        Step::Dwell { seconds, .. } => format!("dwell {seconds}"),
+        Step::Message { text, .. } => text.clone(),
+        Step::Output {
+            number,
+            value: OutputValue::Digital(on),
+            with_motion,
+            ..
+        } => format!("output {number} {on} {with_motion}"),
+        Step::Output {
+            number,
+            value: OutputValue::Analogue(value),
+            with_motion,
+            ..
+        } => format!("analogue {number} {value} {with_motion}"),
+        Step::Wait {
+            number,
+            analogue,
+            until,
+            seconds,
+            ..
+        } => {
+            let until = match until {
+                WaitFor::Nothing => "nothing",
+                WaitFor::Rise => "rise",
+                WaitFor::Fall => "fall",
+                WaitFor::High => "high",
+                WaitFor::Low => "low",
+            };
+            format!("wait {number} {analogue} {until} {seconds}")
+        }
+        Step::Probe { .. } => "probe".into(),
+    }
+}
+
+fn refusal(text: &str) -> String {
+    read("t.ngc", text.as_bytes(), &options())
+        .err()
+        .unwrap_or_else(|| panic!("accepted: {text}"))
+        .to_string()
+}
+
+#[test]
+fn spindle_and_coolant_in_one_word() {
+    assert_eq!(
+        steps("S1000 M13\nM14\nM5 M9\nM2"),
+        [
+            "spindle 1000",
+            "mist false flood true",
+            "spindle -1000",
+            "mist false flood true",
+            "spindle 0",
+            "mist false flood false",
+        ]
+    );
+    // As with LinuxCNC the spindle then stands, but the operator is told.
+    let program = read("t.ngc", b"M13\nS800\n", &options()).expect("a notice");
+    let shown: Vec<String> = program.steps.iter().map(shown).collect();
+    assert_eq!(shown, ["spindle 0", "mist false flood true", "spindle 800"]);
+    assert!(
+        program.notices[0].what.contains("without a speed"),
+        "{:?}",
+        program.notices
+    );
+    let strict = Options {
+        strict: true,
+        ..options()
+    };
+    let refused = read("t.ngc", b"M3", &strict).expect_err("no speed");
+    assert!(
+        refused.to_string().contains("t.ngc:1:1: the spindle"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn oriented_stop_is_a_stop_with_a_notice() {
+    let program = read("t.ngc", b"S900 M3\nM19 R90\n", &options()).expect("the program is valid");
+    let shown: Vec<String> = program.steps.iter().map(shown).collect();
+    assert_eq!(shown, ["spindle 900", "spindle 0"]);
+    assert_eq!(program.notices.len(), 1);
+}
+
+#[test]
+fn surface_speed_follows_the_radius() {
+    // n = v / (pi d): 100 m/min at a radius of 10 mm and of 20 mm.
+    let of = |radius: f64| (100_000.0 / (std::f64::consts::TAU * radius)).round();
+    assert_eq!(
+        steps("G0 X10\nG96 S100 D5000 M3\nG1 X20 F100\nG97 S800\n"),
+        [
+            "rapid 10 0 0".to_owned(),
+            format!("spindle {}", of(10.0)),
+            "feed 100 20 0 0".to_owned(),
+            format!("spindle {}", of(20.0)),
+            "spindle 800".to_owned(),
+        ]
+    );
+    // D bounds the speed near the axis.
+    assert!(steps("G0 X0.1\nG96 S100 D5000 M3").contains(&"spindle 5000".to_owned()));
+    assert!(refusal("G96 D100").contains("without a surface speed"));
+}
+
+#[test]
+fn a_tool_is_named_without_a_change() {
+    let mut options = options();
+    let mut tool = Tool::default();
+    tool.offset[2] = 12.5;
+    options.tools.insert(7, tool);
+    assert_eq!(
+        steps_with("M61 Q7\nG43\nG0 Z0\n(PRINT,#5400)\nT7 M6\n", &options),
+        ["rapid 0 0 12.5", "7"]
+    );
+    assert!(refusal("M61").contains("without its tool"));
+}
+
+#[test]
+fn waits_for_inputs() {
+    assert_eq!(
+        steps("M66 P3 L3 Q2.5\nM66 P1 L1 Q1\nM66 P1 L2 Q1\nM66 P1 L4 Q1\nM66 E2 L0\nM66 P0\n"),
+        [
+            "wait 3 false high 2.5",
+            "wait 1 false rise 1",
+            "wait 1 false fall 1",
+            "wait 1 false low 1",
+            "wait 2 true nothing 0",
+            "wait 0 false nothing 0",
+        ]
+    );
+    for (text, part) in [
+        ("M66 P1 L3", "without a time limit"),
+        ("M66 E1 L1 Q1", "has no edge"),
+        ("M66 P1 L9 Q1", "is not a kind of wait"),
+        ("M66 L3 Q1", "without its number"),
+        ("M66 P1.5", "is not an input"),
+    ] {
+        assert!(refusal(text).contains(part), "{text}: {}", refusal(text));
+    }
+}
+
+#[test]
+fn outputs_with_and_without_motion() {
+    assert_eq!(
+        steps("M62 P1\nM63 P1\nM64 P2\nM65 P2\nM67 E1 Q0.5\nM68 E1 Q2\n"),
+        [
+            "output 1 true true",
+            "output 1 false true",
+            "output 2 true false",
+            "output 2 false false",
+            "analogue 1 0.5 true",
+            "analogue 1 2 false",
+        ]
+    );
+}
+
+#[test]
+fn saved_modes_come_back() {
+    // M70 saves distance mode, unit and feed, M72 restores them.
+    assert_eq!(
+        steps("G21 G90 F100\nG1 X1\nM70\nG91 G20 F10\nX1\nM72\nX2\n"),
+        ["feed 100 1 0 0", "feed 254 26.4 0 0", "feed 100 2 0 0"]
+    );
+    // The motion word stays; M72 may be repeated.
+    assert_eq!(
+        steps("F100\nG1 X1\nM70\nG0 X2 \nM72\nX3\nG91\nM72\nX4\n"),
+        [
+            "feed 100 1 0 0",
+            "rapid 2 0 0",
+            "rapid 3 0 0",
+            "rapid 4 0 0"
+        ]
+    );
+    // Each subroutine saves for itself.
+    assert_eq!(
+        steps("O1 sub\nM70\nG91\nO1 endsub\nM70\nG90\nO1 call\nG0 X1\nX1\nM72\nX1\n"),
+        ["rapid 1 0 0", "rapid 2 0 0", "rapid 1 0 0"]
+    );
+    // M71 drops what M70 saved.
+    assert!(refusal("M70\nM71\nM72").contains("without a saved state"));
+    // M73 in a subroutine restores at its end.
+    assert_eq!(
+        steps("O1 sub\nM73\nG91\nG1 X1 F50\nO1 endsub\nG90 G0 X5\nO1 call\nG0 X2\nM2\n"),
+        ["rapid 5 0 0", "feed 50 6 0 0", "rapid 2 0 0"]
+    );
+}
+
+#[test]
+fn a_local_offset_is_the_offset_of_g92() {
+    assert_eq!(
+        steps("G52 X10 Y-2\nG0 X1 Y1\nG52 X0 Y0\nG0 X1 Y1\n"),
+        ["rapid 11 -1 0", "rapid 1 1 0"]
+    );
+}
