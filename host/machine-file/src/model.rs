@@ -362,7 +362,10 @@ pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
         axes,
         start,
         coolant: outputs.flood.is_some() || outputs.mist.is_some(),
-        outputs: !outputs.digital.is_empty() || !outputs.analogue.is_empty(),
+        outputs: !outputs.digital.is_empty()
+            || !outputs.analogue.is_empty()
+            || !machine.io.inputs.is_empty()
+            || !machine.io.analog_inputs.is_empty(),
         tool_tilts: machine
             .config
             .model

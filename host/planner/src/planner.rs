@@ -204,12 +204,20 @@ impl<M: MachineModel> Planner<M> {
                     }
                 })?;
             }
+            // A check plans a probe move to its programmed end, with a standstill at both ends.
+            Step::Probe { step, .. } if self.keep == Keep::Nothing => {
+                self.stop()?;
+                self.add(step)?;
+            }
+            Step::Wait { .. } if self.keep == Keep::Nothing => {}
             Step::Probe { .. } | Step::Wait { .. } => {
                 self.refused = true;
                 return Err(Problem {
                     place: step.place(),
                     what: "a job has no probe moves (G38) and no waits for inputs (M66)".into(),
-                    remedy: "remove it, or probe with `haptimill mdi`".into(),
+                    remedy: "run the file with `haptimill run` without --stream, or probe with \
+                             `haptimill mdi`"
+                        .into(),
                 });
             }
         }

@@ -1,7 +1,7 @@
 //! Probing moves: an armed input ends a straight move, and the controller reports the contact.
 
 use super::{CliError, Exit};
-use haptimill_client::session::{NoObserver, PortLine, Session};
+use haptimill_client::session::{Line, NoObserver, Session};
 use haptimill_firmware::named_io::config::InputFunction;
 use haptimill_machine_file::MachineFile;
 use haptimill_planner::Plan;
@@ -23,8 +23,8 @@ pub(super) struct Contact {
 ///
 /// # Errors
 /// The controller refuses to arm the probe or to move, or the move was stopped.
-pub(super) fn probe_along(
-    session: &mut Session<PortLine>,
+pub(super) fn probe_along<L: Line>(
+    session: &mut Session<L>,
     plan: Plan,
     input: u8,
     away: bool,
@@ -44,7 +44,7 @@ pub(super) fn probe_along(
 }
 
 /// The contact that the events report.
-fn contact(session: &Session<PortLine>, first: usize, axes: usize) -> Option<Contact> {
+fn contact<L: Line>(session: &Session<L>, first: usize, axes: usize) -> Option<Contact> {
     let mut pose: AxisValues = std::iter::repeat_n(0, axes).collect();
     let mut found = None;
     for (_, event) in &session.events[first..] {

@@ -260,13 +260,23 @@ impl PartProgram {
         let approach = self.changes.apply(&mut program, &options)?;
         let plan = Plan::new(&program, &settings(machine), model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
+        Ok(Planned {
+            pauses: self.pauses_of(&plan, &program.steps),
+            plan,
+            approach,
+            notices: self.describe_notices(&program.notices, &program.called),
+            lines: program.lines,
+        })
+    }
+
+    /// The pauses of planned steps, with their comments.
+    pub(crate) fn pauses_of(&self, plan: &Plan, steps: &[Step]) -> Pauses {
         // Each pause of the program has one setpoint, in the same order.
         let setpoints = (0..)
             .zip(&plan.setpoints)
             .filter(|(_, setpoint)| setpoint.action == Action::Pause);
-        let lines = program.steps.iter().filter_map(|step| match step {
-            haptimill_gcode::Step::Pause { place }
-            | haptimill_gcode::Step::ToolChange { place, .. } => Some(place.line),
+        let lines = steps.iter().filter_map(|step| match step {
+            Step::Pause { place } | Step::ToolChange { place, .. } => Some(place.line),
             _ => None,
         });
         let source = source_lines(&self.text);
@@ -277,14 +287,7 @@ impl PartProgram {
                 .and_then(|block| comment_of(block)),
         };
         let pauses = setpoints.map(|(index, _)| index).zip(lines.map(pause));
-        let pauses = pauses.collect();
-        Ok(Planned {
-            plan,
-            pauses,
-            approach,
-            notices: self.describe_notices(&program.notices, &program.called),
-            lines: program.lines,
-        })
+        pauses.collect()
     }
 
     /// Checks the program from a start pose, and keeps nothing of it.

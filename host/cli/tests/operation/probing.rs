@@ -1,6 +1,6 @@
 //! `haptimill probe edge`, `boss` and `tool` at the block and the tool setter of the simulator.
 
-use crate::scene::{RunResult, SimServer, TestFolder, number, root};
+use crate::scene::{RunResult, SimServer, TestFolder, haptimill, number, root};
 use haptimill_machine_file::work_data::WorkData;
 
 /// A served mill with the block 100..140 x 60..95 up to Z0, and a setter up to Z20. Its ball has a
@@ -143,4 +143,54 @@ fn cycles_refuse_what_they_cannot_use() {
     scene
         .run(&["probe", "boss", "--size", "0", "--depth", "2"])
         .expect_code(2);
+}
+
+/// A part program probes the top of the block, goes on from the contact, and waits for an input
+/// that does not come.
+#[test]
+fn a_program_with_probe_moves_runs_in_parts() {
+    let machine = "machines/mill3-servo.toml";
+    let served = SimServer::on_tcp(&["--machine", machine]);
+    let folder = TestFolder::new();
+    let text = "G21 G90\nG0 Z50\nG0 X120 Y75\nG0 Z10\nG38.2 Z-20 F120\n#1=#5063\nG0 Z[#1+5]\n\
+                G38.3 Z[#1+2] F120\nO1 if [#5070 EQ 0]\nG0 Z[#1+7]\nO1 endif\n\
+                M66 P4 L3 Q0.2\nG0 X[120+#5399]\nM30\n";
+    let file = folder.file("probe.ngc", text);
+    let run = [
+        "run",
+        &file,
+        "--machine",
+        machine,
+        "--out",
+        &folder.path("out"),
+    ];
+    served.run_ok(&run);
+    let status = served.status_of(machine);
+    let at = |name: &str| number(&status["commanded"], name);
+    // The top is Z0. The second move found nothing, and the input timed out: #5399 is -1.
+    assert!((at("z") - 7.0).abs() < 0.05, "{status:#}");
+    assert!((at("x") - 119.0).abs() < 1e-3, "{status:#}");
+    // The program ends at a probe move without a contact, with its place.
+    let file = folder.file("missed.ngc", "G90 G0 Z20\nG38.2 Z15 F120\nG0 X0\nM30\n");
+    let run = [
+        "run",
+        &file,
+        "--machine",
+        machine,
+        "--out",
+        &folder.path("out"),
+    ];
+    let missed = served.run(&run).expect_code(8);
+    assert!(
+        missed.err.contains("missed.ngc:2:7: the probe move ended"),
+        "{}",
+        missed.err
+    );
+    // A machine without a probe refuses it before anything moves; a check as well.
+    for more in [&[][..], &["--check"]] {
+        let file = folder.file("none.ngc", "G38.2 Z15 F120\n");
+        let refused = haptimill(&[&["run", &file][..], more].concat()).expect_code(4);
+        assert!(refused.err.contains("none.ngc:1: "), "{}", refused.err);
+        assert!(refused.err.contains("has no probe"), "{}", refused.err);
+    }
 }

@@ -246,6 +246,30 @@ fn a_check_has_the_figures_of_the_plan() {
     assert_eq!(figures.setpoints, 0);
 }
 
+/// A check plans a probe move to its programmed end, from and to standstill. A plan refuses it: as
+/// a plain move the tool would go through the part.
+#[test]
+fn a_check_plans_probe_moves_to_their_ends() {
+    let seconds = |text: &str| {
+        let options = Options {
+            outputs: true,
+            ..Options::of_letters("XYZBA", HOME)
+        };
+        let mut interpreter = Interpreter::new(Cursor::new(text.as_bytes()), &options);
+        check("t", &mut interpreter, HOME, &settings(), &H4, |_| {}).map(|it| it.duration_s)
+    };
+    let probed = seconds("G0 X5\nG38.2 X10 F120\nM66 P0 L3 Q1\nG0 X0\n").expect("possible");
+    let stopped = seconds("G61\nG0 X5\nG1 X10 F120\nG0 X0\n").expect("possible");
+    // Each standstill ends with a whole control period of 0.2 ms.
+    assert!((probed - stopped).abs() < 5e-4, "{probed} for {stopped}");
+    let CheckError::Impossible(refused) = seconds("G38.2 X999 F120\n").expect_err("outside") else {
+        panic!("readable");
+    };
+    assert_eq!(refused.problems[0].place.line, 1);
+    let refused = Plan::new(&program("G38.2 X10 F120"), &settings(), &H4).expect_err("no probe");
+    assert!(refused.to_string().contains("no probe moves"), "{refused}");
+}
+
 /// Problems of reading come before those of the machine; each has its line.
 #[test]
 fn a_check_reports_problems_of_reading_first() {

@@ -31,6 +31,8 @@ pub(super) enum Work {
     Planned(Box<Planned>),
     /// A program that is checked while it runs, and whether its blocks may come late.
     Stream(Bytes, bool),
+    /// A program that was checked and asks the machine: it runs in parts.
+    Parts,
 }
 
 /// A run of a part program.
@@ -157,9 +159,6 @@ impl Job<'_> {
         let header = Header::of(self.machine, &self.program.name)
             .map_err(|error| CliError::new(Exit::Internal, error))?
             .with_program(&self.program.text);
-        self.folder.clear()?;
-        let recorder = Recorder::create(&dir.join(haptimill_report::RECORDING_FILE), &header)
-            .map_err(|error| output(&error))?;
         let supply = match work {
             Work::Planned(planned) => Supply::of(*planned, self.args, self.machine),
             Work::Stream(bytes, is_live) => {
@@ -167,7 +166,11 @@ impl Job<'_> {
                 let model = session.model().clone();
                 stream::start(self.program, bytes, model, options)
             }
+            Work::Parts => return self.run_in_parts(session, &start),
         };
+        self.folder.clear()?;
+        let recorder = Recorder::create(&dir.join(haptimill_report::RECORDING_FILE), &header)
+            .map_err(|error| output(&error))?;
         self.args.print_message(&match supply.duration_s {
             Some([_, seconds]) => format!("running, {}", self.args.describe_duration(seconds)),
             None => "running; the program is checked while it runs".to_string(),

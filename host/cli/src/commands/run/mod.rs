@@ -5,6 +5,7 @@ mod emulated;
 pub(super) mod job;
 mod keys;
 pub(crate) mod overrides;
+mod parts;
 mod progress;
 pub(super) mod results;
 mod stream;
@@ -43,6 +44,14 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     } else {
         PartProgram::load(&args.program, args.language)?.with_changes(args.changes)
     };
+    let questions = if args.stream {
+        None
+    } else {
+        parts::find_questions(&program, &program.options(&machine, &model, &home)?)
+    };
+    if let Some(questions) = &questions {
+        parts::check_inputs(&machine, &program, questions)?;
+    }
     if args.check {
         let (checked, approach) = if args.changes.is_none() && args.is_at_full_speed() {
             (program.check(&machine, &model, &home)?, None)
@@ -62,6 +71,12 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     let work = if args.stream {
         let (bytes, is_live) = stream::open(&args.program)?;
         Work::Stream(bytes, is_live)
+    } else if let Some(questions) = &questions {
+        parts::check_options(&args, &program, questions)?;
+        for notice in &program.check(&machine, &model, &home)?.notices {
+            args.print_message(notice);
+        }
+        Work::Parts
     } else {
         let planned = program.plan(&machine, &model, &home)?;
         for notice in &planned.notices {

@@ -1,0 +1,352 @@
+//! Part programs that ask the machine: probe moves (G38) and waits for inputs (M66).
+//!
+//! The program was checked as a whole, with probe moves to their programmed ends. It runs in parts:
+//! the steps up to a probe move or a wait are one job, and the interpreter goes on with what the
+//! machine reported.
+
+use super::args::RunArgs;
+use super::job::Job;
+use super::progress::ProgressDisplay;
+use super::supply::Supply;
+use crate::commands::probing::{Touch, find_input, probe_along};
+use crate::commands::program::{PartProgram, Planned};
+use crate::commands::{CliError, Exit};
+use haptimill_client::session::{JobLine, Session};
+use haptimill_client::{Error, ErrorKind};
+use haptimill_gcode::{
+    Interpreter, Move, Options, Place, ProbeKind, Problem, Program, Refused, Step, WaitFor,
+};
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::settings;
+use haptimill_planner::Plan;
+use haptimill_protocol::message::{AxisValues, Telemetry};
+use std::collections::BTreeMap;
+use std::io::{Cursor, IsTerminal};
+
+/// Run-up of a spindle that a part found on, seconds.
+const RUN_UP_S: f64 = 5.0;
+
+/// What a program asks the machine.
+pub(super) struct Questions {
+    /// Line of the first probe move.
+    probe: Option<u32>,
+    /// Lines of the first waits for the inputs: their numbers, and whether they are analog.
+    inputs: BTreeMap<(u16, bool), u32>,
+    /// Line of the first pause.
+    pause: Option<u32>,
+}
+
+/// What a program asks the machine; `None` if it asks nothing.
+pub(super) fn find_questions(program: &PartProgram, options: &Options) -> Option<Questions> {
+    let mut found = Questions {
+        probe: None,
+        inputs: BTreeMap::new(),
+        pause: None,
+    };
+    // A program with a problem is refused later, with all its problems.
+    for step in Interpreter::new(Cursor::new(&program.text), options).map_while(Result::ok) {
+        let line = step.place().line;
+        match step {
+            Step::Probe { .. } => {
+                found.probe.get_or_insert(line);
+            }
+            Step::Wait {
+                number, analogue, ..
+            } => {
+                found.inputs.entry((number, analogue)).or_insert(line);
+            }
+            Step::Pause { .. } | Step::ToolChange { .. } => {
+                found.pause.get_or_insert(line);
+            }
+            _ => {}
+        }
+    }
+    (found.probe.is_some() || !found.inputs.is_empty()).then_some(found)
+}
+
+/// Checks that the machine has the probe and the inputs of a program.
+///
+/// # Errors
+/// [`Exit::Refused`], with the line of the program.
+pub(super) fn check_inputs(
+    machine: &MachineFile,
+    program: &PartProgram,
+    questions: &Questions,
+) -> Result<(), CliError> {
+    let refused = |line: u32, what: &str| {
+        let what = format!("{}:{line}: {what}", program.file_name());
+        CliError::new(Exit::Refused, what)
+    };
+    if let Some(line) = questions.probe {
+        find_input(machine, None, Touch::Probe).map_err(|error| refused(line, &error.message))?;
+    }
+    for ((number, analog), line) in &questions.inputs {
+        let (count, kind) = if *analog {
+            (machine.io.analog_inputs.len(), "analog_input")
+        } else {
+            (machine.io.inputs.len(), "input")
+        };
+        if usize::from(*number) >= count {
+            let what = format!(
+                "M66 waits for input {number}, and the machine has {count}, counted from 0; name \
+                 it in a section [[{kind}]] of the machine file"
+            );
+            return Err(refused(*line, &what));
+        }
+    }
+    Ok(())
+}
+
+/// Checks that the options suit a program that runs in parts.
+///
+/// # Errors
+/// [`Exit::Usage`].
+pub(super) fn check_options(
+    args: &RunArgs,
+    program: &PartProgram,
+    questions: &Questions,
+) -> Result<(), CliError> {
+    let usage = |what: String| Err(CliError::new(Exit::Usage, what));
+    if !args.changes.is_none() {
+        return usage(format!(
+            "{}: a program with probe moves or M66 runs as a whole; leave out --from-line, --dry \
+             and --single",
+            program.file_name()
+        ));
+    }
+    match questions.pause {
+        Some(line) if !args.skips_pauses() && !std::io::stdin().is_terminal() => usage(format!(
+            "{}:{line}: the program pauses here and standard input is no terminal to press Enter \
+             on; run it in a terminal, or with --skip-pauses",
+            program.file_name()
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Steps of the next job, and what the jobs before left on.
+#[derive(Default)]
+struct Part {
+    steps: Vec<Step>,
+    spindle: Option<Step>,
+    coolant: Option<Step>,
+}
+
+impl Part {
+    fn push(&mut self, step: Step) {
+        self.steps.push(step);
+    }
+
+    /// Takes the steps. A job ends with spindle and coolant off: they are switched on again.
+    fn take(&mut self) -> Vec<Step> {
+        let own = std::mem::take(&mut self.steps);
+        if own.is_empty() {
+            return own;
+        }
+        let mut steps: Vec<Step> = [&self.spindle, &self.coolant]
+            .into_iter()
+            .flatten()
+            .cloned()
+            .collect();
+        if let Some(Step::Spindle { place, .. }) = self.spindle {
+            steps.push(Step::Dwell {
+                place,
+                seconds: RUN_UP_S,
+            });
+        }
+        for step in &own {
+            match step {
+                Step::Spindle { rpm, .. } => {
+                    self.spindle = (*rpm != 0).then(|| step.clone());
+                }
+                Step::Coolant { mist, flood, .. } => {
+                    self.coolant = (*mist || *flood).then(|| step.clone());
+                }
+                Step::ToolChange { .. } => self.spindle = None,
+                _ => {}
+            }
+        }
+        steps.extend(own);
+        steps
+    }
+}
+
+impl Job<'_> {
+    /// Runs a program that asks the machine.
+    pub(super) fn run_in_parts<L: JobLine>(
+        &self,
+        session: &mut Session<L>,
+        start: &AxisValues,
+    ) -> Result<(), CliError> {
+        self.args
+            .print_message("running in parts: the program asks the machine; nothing is recorded");
+        let options = self.program.options(self.machine, session.model(), start)?;
+        let mut interpreter = Interpreter::new(Cursor::new(&self.program.text), &options);
+        let mut part = Part::default();
+        while let Some(step) = interpreter.next() {
+            let step = step.map_err(|problem| {
+                let kind = ErrorKind::BadInput;
+                self.program.refuse(kind, problem, interpreter.called())
+            })?;
+            match step {
+                Step::Message { text, .. } => self.args.print_message(&text),
+                Step::Probe {
+                    step,
+                    kind,
+                    must_change,
+                } => {
+                    self.run_part(session, part.take(), &interpreter)?;
+                    self.probe(session, &mut interpreter, step, kind, must_change)?;
+                }
+                Step::Wait {
+                    number,
+                    analogue,
+                    until,
+                    seconds,
+                    ..
+                } => {
+                    self.run_part(session, part.take(), &interpreter)?;
+                    let value =
+                        self.wait(session, usize::from(number), analogue, until, seconds)?;
+                    interpreter.report_input(value);
+                }
+                step => part.push(step),
+            }
+        }
+        self.run_part(session, part.take(), &interpreter)?;
+        self.args
+            .print_message(&format!("{}: done", self.program.file_name()));
+        Ok(())
+    }
+
+    fn plan_part<L: JobLine>(
+        &self,
+        session: &mut Session<L>,
+        steps: Vec<Step>,
+        interpreter: &Interpreter<'_>,
+    ) -> Result<(Planned, Telemetry), CliError> {
+        let status = session.status()?;
+        let from = steps.iter().find_map(|step| match step {
+            Step::Move(step) => Some(step.path.from),
+            _ => None,
+        });
+        let model = session.model();
+        let program = Program {
+            file: self.program.file_name(),
+            called: interpreter.called().to_vec(),
+            start: from.unwrap_or_else(|| model.to_engineering_units(&status.commanded)),
+            steps,
+            comments: Vec::new(),
+            notices: Vec::new(),
+            lines: interpreter.lines(),
+        };
+        let plan = Plan::new(&program, &settings(self.machine), model)
+            .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
+        let planned = Planned {
+            pauses: self.program.pauses_of(&plan, &program.steps),
+            plan,
+            approach: None,
+            notices: Vec::new(),
+            lines: program.lines,
+        };
+        Ok((planned, status))
+    }
+
+    fn run_part<L: JobLine>(
+        &self,
+        session: &mut Session<L>,
+        steps: Vec<Step>,
+        interpreter: &Interpreter<'_>,
+    ) -> Result<(), CliError> {
+        if steps.is_empty() {
+            return Ok(());
+        }
+        let (planned, status) = self.plan_part(session, steps, interpreter)?;
+        let supply = Supply::of(planned, self.args, self.machine);
+        let mut progress = ProgressDisplay::new(self.args, &supply);
+        let end = session.run_job(2, status.commanded, supply.setpoints, &mut progress);
+        progress.finish();
+        Ok(session.check_completed(&end?)?)
+    }
+
+    /// Runs a probe move and reports its end to the interpreter.
+    fn probe<L: JobLine>(
+        &self,
+        session: &mut Session<L>,
+        interpreter: &mut Interpreter<'_>,
+        step: Move,
+        kind: ProbeKind,
+        must_change: bool,
+    ) -> Result<(), CliError> {
+        let input = find_input(self.machine, None, Touch::Probe)?;
+        let place = step.place;
+        let (planned, _) = self.plan_part(session, vec![Step::Move(step)], interpreter)?;
+        let contact = probe_along(session, planned.plan, input, kind == ProbeKind::Away)?;
+        let status = session.status()?;
+        let model = session.model();
+        // The machine stops behind the contact; the probed position is the contact.
+        let stopped = model.to_engineering_units(&status.commanded);
+        let at = contact.as_ref().map_or(&status.commanded, |it| &it.pose);
+        interpreter.report_probe(&model.to_engineering_units(at), contact.is_some());
+        interpreter.place_at(&stopped);
+        if contact.is_some() || !must_change {
+            return Ok(());
+        }
+        let name = &self.machine.io.inputs[usize::from(input)];
+        Err(self.stopped(
+            place,
+            format!("the probe move ended without a change of {name}"),
+            "check the probe and the end of the move, or write G38.3 or G38.5",
+            interpreter.called(),
+        ))
+    }
+
+    fn stopped(&self, place: Place, what: String, remedy: &str, called: &[String]) -> CliError {
+        let refused = Refused {
+            file: self.program.file_name(),
+            called: called.to_vec(),
+            problems: vec![Problem {
+                place,
+                what,
+                remedy: remedy.into(),
+            }],
+            more: 0,
+        };
+        CliError::new(Exit::Command, refused.to_string())
+    }
+
+    /// Waits for an input; returns its value, or -1 after the time limit.
+    fn wait<L: JobLine>(
+        &self,
+        session: &mut Session<L>,
+        number: usize,
+        analog: bool,
+        until: WaitFor,
+        seconds: f64,
+    ) -> Result<f64, CliError> {
+        let end_us = session.now_us().saturating_add((seconds * 1e6) as u64);
+        let mut before = None;
+        loop {
+            let io = session.status()?.io.unwrap_or_default();
+            if analog {
+                let code = io.analog_inputs.get(number).copied().unwrap_or_default();
+                return Ok(self.machine.io.analog_inputs[number].value(code));
+            }
+            let level = io.inputs >> number & 1 != 0;
+            let is_reached = match until {
+                WaitFor::Nothing => true,
+                WaitFor::High => level,
+                WaitFor::Low => !level,
+                WaitFor::Rise => level && before == Some(false),
+                WaitFor::Fall => !level && before == Some(true),
+            };
+            if is_reached {
+                return Ok(f64::from(u8::from(level)));
+            }
+            if session.now_us() >= end_us {
+                return Ok(-1.0);
+            }
+            before = Some(level);
+        }
+    }
+}
