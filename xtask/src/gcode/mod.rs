@@ -4,6 +4,7 @@
 //! `rs274` prints four decimals, in inches for programs in inches, which gives the tolerance.
 
 mod generate;
+mod throughput;
 
 use crate::root;
 use std::collections::BTreeMap;
@@ -11,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const USAGE: &str = "cargo xtask gcode [--rs274 PROGRAM] [--verbose] [--generate NUMBER] \
-                     [FILE or FOLDER ...]";
+                     [--throughput] [FILE or FOLDER ...]";
 
 /// A move: kind, end in mm and degrees, and further values.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,7 +41,7 @@ struct Run {
 /// A program cannot be started, or the motion of a file differs.
 pub fn gcode(options: &[&str]) -> Result<(), String> {
     let mut rs274 = "rs274".to_owned();
-    let mut verbose = false;
+    let (mut verbose, mut measures) = (false, false);
     let mut generated = 0u64;
     let mut files = Vec::new();
     let mut rest = options.iter();
@@ -48,6 +49,7 @@ pub fn gcode(options: &[&str]) -> Result<(), String> {
         match *option {
             "--rs274" => rs274 = (*rest.next().ok_or(USAGE)?).to_owned(),
             "--verbose" => verbose = true,
+            "--throughput" => measures = true,
             "--generate" => {
                 generated = rest
                     .next()
@@ -60,6 +62,9 @@ pub fn gcode(options: &[&str]) -> Result<(), String> {
     }
     let folder = root().join("target").join("gcode-comparison");
     std::fs::create_dir_all(&folder).map_err(|error| error.to_string())?;
+    if measures {
+        return throughput::run(&rs274, &folder);
+    }
     for seed in 0..generated {
         let path = folder.join(format!("generated-{seed:05}.ngc"));
         write(&path, &generate::program(seed))?;
@@ -277,6 +282,12 @@ fn element(line: &str, modes: &mut Modes, elements: &mut Vec<Element>) {
         return;
     };
     let name = head.split_whitespace().next_back().unwrap_or("");
+    // A block number of six digits touches the name: `N100100STRAIGHT_FEED`.
+    let digit = |letter: char| letter.is_ascii_digit();
+    let name = match name.strip_prefix('N') {
+        Some(rest) if rest.starts_with(digit) => rest.trim_start_matches(digit),
+        _ => name,
+    };
     let inner = rest.trim_end().trim_end_matches(')');
     let values: Vec<f64> = inner
         .split([',', ' '])
