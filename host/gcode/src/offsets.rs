@@ -228,9 +228,9 @@ impl Executor {
             self.travel_to(via, Pace::Rapid, place, code.at)?;
         }
         let mut home = self.state.at;
-        for axis in 0..AXES.len() {
+        for (axis, slot) in home.iter_mut().enumerate() {
             if self.out.coordinate(axis).is_some() {
-                home[axis] = self.state.numbered[first + axis];
+                *slot = self.state.numbered[first + axis];
             }
         }
         let mut to = home;

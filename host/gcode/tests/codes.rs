@@ -91,7 +91,7 @@ fn spindle_and_coolant_in_one_word() {
             "mist false flood false",
         ]
     );
-    // As with LinuxCNC the spindle then stands, but the operator is told.
+    // As with LinuxCNC the spindle then stands, and a notice says so.
     let program = read("t.ngc", b"M13\nS800\n", &options()).expect("a notice");
     let shown: Vec<String> = program.steps.iter().map(shown).collect();
     assert_eq!(shown, ["spindle 0", "mist false flood true", "spindle 800"]);
