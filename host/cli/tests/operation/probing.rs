@@ -154,7 +154,7 @@ fn a_program_with_probe_moves_runs_in_parts() {
     let folder = TestFolder::new();
     let text = "G21 G90\nG0 Z50\nG0 X120 Y75\nG0 Z10\nG38.2 Z-20 F120\n#1=#5063\nG0 Z[#1+5]\n\
                 G38.3 Z[#1+2] F120\nO1 if [#5070 EQ 0]\nG0 Z[#1+7]\nO1 endif\n\
-                M66 P4 L3 Q0.2\nG0 X[120+#5399]\nM30\n";
+                M66 P4 L4 Q0.2\nG0 X[120+#5399]\nM30\n";
     let file = folder.file("probe.ngc", text);
     let run = [
         "run",
@@ -167,7 +167,7 @@ fn a_program_with_probe_moves_runs_in_parts() {
     served.run_ok(&run);
     let status = served.status_of(machine);
     let at = |name: &str| number(&status["commanded"], name);
-    // The top is Z0. The second move found nothing, and the input timed out: #5399 is -1.
+    // The top is Z0. The second move found nothing, and the input stayed on: #5399 is -1.
     assert!((at("z") - 7.0).abs() < 0.05, "{status:#}");
     assert!((at("x") - 119.0).abs() < 1e-3, "{status:#}");
     // The program ends at a probe move without a contact, with its place.

@@ -8,4 +8,3 @@ mod properties;
 mod refusals;
 mod spans;
 mod stream;
-mod times;
