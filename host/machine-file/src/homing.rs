@@ -97,7 +97,28 @@ fn read_switch(
     let rate = section.value(keys::rate);
     let touch_rate = section.value(keys::touch_rate);
     let back_off = section.value(keys::back_off);
-    let release = section.value_or(keys::release, Some(3.0 * back_off));
+    // The joint may stand on its switch, as far as the end of its stroke, when homing begins.
+    let beyond = if downwards {
+        at - place.low
+    } else {
+        place.high - at
+    };
+    let farthest = match place.kind {
+        AxisKind::Linear => 200.0,
+        AxisKind::Rotary | AxisKind::MultiTurn => 60.0,
+    };
+    let enough = (beyond + back_off).min(farthest).max(3.0 * back_off);
+    let release = section.value_or(keys::release, Some(enough));
+    if release < beyond.min(farthest) {
+        let what = format!(
+            "{release} does not release the switch from the end of the stroke, {beyond} behind it"
+        );
+        section.refuse(
+            keys::release,
+            what,
+            "raise it, or move the end of the stroke",
+        );
+    }
     let stroke = place.high - place.low;
     let most = match place.kind {
         AxisKind::Linear => 1900.0,
@@ -171,4 +192,24 @@ pub(super) fn read_active_low(section: &Section<'_, '_>) -> u8 {
         let low = section.has(key.name) && section.choice(key, &levels) == Some(true);
         if low { bits | input.bit() } else { bits }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::MachineFile;
+
+    /// A joint may stand anywhere behind its switch when homing begins.
+    #[test]
+    fn release_reaches_the_end_of_the_stroke() {
+        let text = include_str!("../../../machines/delta3.toml");
+        let machine = MachineFile::parse("delta3.toml", text).expect("sound");
+        let joint = &machine.config.joints[0];
+        let switch = joint.home.switch().expect("a switch");
+        // From the switch at 195 mm to the end of the stroke at 225 mm, and 3 mm of back-off.
+        assert_eq!(switch.release.0, 33 << 20);
+        let short = text.replacen("back_off_mm = 3.0", "back_off_mm = 3.0\nrelease_mm = 29", 1);
+        let problems = MachineFile::parse("delta3.toml", &short).expect_err("too short");
+        let problems = problems.to_string();
+        assert!(problems.contains("release_mm: 29 does not release"), "{problems}");
+    }
 }

@@ -134,7 +134,7 @@ joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \
     release = real(0.01, 200.0, "mm")
         .is("distance within which the switch must be released, from the end of the travel too")
         .named("release_mm").rotary("release_deg", real(0.01, 60.0, "deg"))
-        .or_text("three times the back-off");
+        .or_text("three times the back-off, at least the stroke behind the switch and the back-off");
     travel = real(0.1, 1900.0, "mm").is("largest distance to the switch").named("travel_mm")
         .rotary("travel_deg", real(0.1, 166.0, "deg")).many_turns(real(0.1, 170_000.0, "deg"))
         .or_text("1.2 times the stroke and twice the release distance");
