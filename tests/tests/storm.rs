@@ -4,7 +4,7 @@ use haptimill_protocol::message::Action;
 use haptimill_protocol::setpoint::Setpoint;
 use haptimill_tests::storm::bench::StormBench;
 use haptimill_tests::storm::checks::bounds;
-use haptimill_tests::storm::episode::{Episode, MachineKind, Theme};
+use haptimill_tests::storm::episode::{Episode, MACHINES, MachineKind, Theme};
 use haptimill_tests::storm::reference::{JobSample, PlannedJob, ReferenceKinematics};
 use haptimill_tests::storm::run::run;
 use haptimill_tests::storm::units::MM;
@@ -27,6 +27,26 @@ fn one_episode_of_each_theme_passes_all_checks() {
         assert_eq!(outcome.violation, None, "{theme:?}, seed {seed}");
         assert!(theme == Theme::Files || outcome.periods > 5000);
     }
+}
+
+#[test]
+fn an_episode_on_each_machine_file_passes_all_checks() {
+    for machine in MACHINES {
+        let seed = (3..)
+            .find(|seed| Episode::on(*seed, machine).theme == Theme::Healthy)
+            .expect("a healthy theme occurs");
+        let outcome = run(&Episode::on(seed, machine));
+        assert_eq!(outcome.violation, None, "{machine}, seed {seed}");
+        assert!(outcome.periods > 5000, "{machine}, seed {seed}");
+    }
+}
+
+/// A joint stood farther behind its home switch than the switch was allowed to stay active, and
+/// homing ended with `SwitchStuck`.
+#[test]
+fn a_joint_far_behind_its_switch_is_homed() {
+    let outcome = run(&Episode::on(8, "delta3"));
+    assert_eq!(outcome.violation, None);
 }
 
 /// Seeds that failed once: a derivative kick after missed periods (884), a reversal at 0.06 mm/s

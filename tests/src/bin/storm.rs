@@ -1,6 +1,6 @@
 //! The command line of the storm (docs/storm.md); `cargo xtask storm` starts it.
 
-use haptimill_tests::storm::episode::Episode;
+use haptimill_tests::storm::episode::{Episode, MACHINES};
 use haptimill_tests::storm::report::{Summary, failure_line};
 use haptimill_tests::storm::run::{capture_panics, run, trace_every};
 use haptimill_tests::storm::shrink::shrink;
@@ -12,12 +12,16 @@ use std::time::{Duration, Instant};
 
 const HELP: &str = "\
 storm [--minutes N] [--seed S] [--threads T] [--only] [--stop] [--episodes N] [--no-shrink]
+      [--machine NAME]
 
   --minutes N    duration (2); fractions are allowed
   --seed S       first seed (the clock); episode i has the seed S + i
   --threads T    threads (all cores)
   --only         runs the episode of the seed alone, prints its script, and
                  shortens the script if a check fails
+  --machine NAME every episode on this machine file, without its suffix: {MACHINES};
+                 or h4 for the H-4 machines alone. Without the option every
+                 fourth episode is on one of these files
   --stop         ends at the first failure
   --episodes N   number of episodes
   --no-shrink    leaves failing scripts as they are
@@ -26,6 +30,10 @@ storm [--minutes N] [--seed S] [--threads T] [--only] [--stop] [--episodes N] [-
                  planted bug (used by --planted)
   --ignore A,B   ignores failures of these checks
 ";
+
+fn help() -> String {
+    HELP.replace("{MACHINES}", &MACHINES.join(", "))
+}
 
 struct Arguments {
     minutes: f64,
@@ -37,17 +45,58 @@ struct Arguments {
     episodes: u64,
     ignored: Vec<String>,
     against_healthy: bool,
+    machine: Machines,
+}
+
+/// The machines of a run.
+#[derive(Clone, Copy)]
+enum Machines {
+    /// Every fourth episode is on a machine file, the others on the H-4 machines.
+    All,
+    /// The H-4 machines.
+    H4,
+    /// A machine file.
+    File(&'static str),
+}
+
+impl Machines {
+    /// Returns the episode of a seed.
+    fn episode(self, seed: u64, index: u64) -> Episode {
+        match self {
+            Self::All if index % 4 == 3 => {
+                let machine = (index / 4) as usize % MACHINES.len();
+                Episode::on(seed, MACHINES[machine])
+            }
+            Self::All | Self::H4 => Episode::of(seed),
+            Self::File(name) => Episode::on(seed, name),
+        }
+    }
+}
+
+fn machines(name: &str) -> Result<Machines, String> {
+    if name == "h4" {
+        return Ok(Machines::H4);
+    }
+    let known = MACHINES.iter().find(|other| **other == name);
+    known.map(|name| Machines::File(name)).ok_or_else(|| {
+        format!(
+            "there is no machine '{name}'; write h4 or one of {}",
+            MACHINES.join(", ")
+        )
+    })
 }
 
 /// Returns whether the same check fails with this seed when no bug is planted.
-fn also_fails(seed: u64, check: &str) -> bool {
+fn also_fails(episode: &Episode, check: &str) -> bool {
     let Ok(own) = std::env::current_exe() else {
         return false;
     };
-    let seed = seed.to_string();
+    let seed = episode.seed.to_string();
+    let machine = episode.kind.file().unwrap_or("h4");
     let output = std::process::Command::new(own)
         .env_remove("HAPTIMILL_PLANTED")
         .args(["--only", "--no-shrink", "--seed", &seed])
+        .args(["--machine", machine])
         .output();
     let mark = format!("check \"{check}\"");
     output.is_ok_and(|output| {
@@ -76,6 +125,7 @@ fn arguments() -> Result<Arguments, String> {
         episodes: u64::MAX,
         ignored: vec![],
         against_healthy: false,
+        machine: Machines::All,
     };
     let mut options = std::env::args().skip(1);
     while let Some(option) = options.next() {
@@ -91,13 +141,14 @@ fn arguments() -> Result<Arguments, String> {
                 trace_every(number(&option, &value()?)?);
             }
             "--help" => {
-                print!("{HELP}");
+                print!("{}", help());
                 std::process::exit(0);
             }
+            "--machine" => parsed.machine = machines(&value()?)?,
             "--only" => parsed.only = true,
             "--stop" => parsed.stop = true,
             "--no-shrink" => parsed.shrink = false,
-            _ => return Err(format!("there is no option '{option}'\n\n{HELP}")),
+            _ => return Err(format!("there is no option '{option}'\n\n{}", help())),
         }
     }
     if !(parsed.minutes > 0.0 && parsed.minutes <= 1e5) || parsed.threads == 0 {
@@ -116,15 +167,18 @@ fn main() -> ExitCode {
     };
     capture_panics();
     if arguments.only {
-        return only(arguments.seed, arguments.shrink);
+        return only(
+            &arguments.machine.episode(arguments.seed, 0),
+            arguments.shrink,
+        );
     }
     storm(&arguments)
 }
 
-fn only(seed: u64, shorten: bool) -> ExitCode {
-    let episode = Episode::of(seed);
+fn only(episode: &Episode, shorten: bool) -> ExitCode {
+    let seed = episode.seed;
     print!("{}", episode.describe());
-    let outcome = run(&episode);
+    let outcome = run(episode);
     println!("{} periods", outcome.periods);
     for (name, value) in &outcome.largest {
         println!("  largest {name}: {value:.5}");
@@ -133,9 +187,9 @@ fn only(seed: u64, shorten: bool) -> ExitCode {
         println!("seed {seed}: all checks hold");
         return ExitCode::SUCCESS;
     };
-    println!("{}", failure_line(seed, &violation));
+    println!("{}", failure_line(episode, &violation));
     if shorten {
-        let short = shrink(&episode, violation.check, 150);
+        let short = shrink(episode, violation.check, 150);
         if let Some(violation) = run(&short).violation {
             println!("shortened to {} steps:", short.script.len());
             print!("{}", short.describe());
@@ -162,14 +216,15 @@ fn storm(arguments: &Arguments) -> ExitCode {
                     if index >= arguments.episodes {
                         break;
                     }
-                    let episode = Episode::of(arguments.seed.wrapping_add(index));
+                    let seed = arguments.seed.wrapping_add(index);
+                    let episode = arguments.machine.episode(seed, index);
                     let mut outcome = run(&episode);
                     outcome.violation = outcome
                         .violation
                         .filter(|found| !arguments.ignored.iter().any(|name| name == found.check));
                     if arguments.against_healthy
                         && let Some(found) = &outcome.violation
-                        && also_fails(episode.seed, found.check)
+                        && also_fails(&episode, found.check)
                     {
                         outcome.violation = None;
                     }

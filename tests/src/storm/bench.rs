@@ -1,6 +1,6 @@
 //! The machine of the storm: rig, host's endpoint, line noise and injected faults.
 
-use super::episode::{Episode, JOINTS, MachineKind};
+use super::episode::{Episode, JOINTS, MACHINES, MachineKind};
 use super::rng::Rng;
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::controller::Controller;
@@ -181,7 +181,40 @@ pub fn machine(kind: MachineKind) -> &'static MachineFile {
         MachineKind::HapticArm => 2,
         MachineKind::RemoteMaster => 3,
         MachineKind::MasterAlone => 4,
+        MachineKind::File(name) => return machine_file(name),
     }]
+}
+
+/// Returns a machine file of [`MACHINES`].
+fn machine_file(name: &str) -> &'static MachineFile {
+    const TEXTS: [&str; MACHINES.len()] = [
+        include_str!("../../../machines/mill3.toml"),
+        include_str!("../../../machines/mill3-servo.toml"),
+        include_str!("../../../machines/router3.toml"),
+        include_str!("../../../machines/mill4.toml"),
+        include_str!("../../../machines/trunnion5.toml"),
+        include_str!("../../../machines/facet.toml"),
+        include_str!("../../../machines/scara.toml"),
+        include_str!("../../../machines/delta3.toml"),
+        include_str!("../../../machines/vmc3.toml"),
+        include_str!("../../../machines/vmc3.toml"),
+        include_str!("../../../machines/engraver.toml"),
+    ];
+    static FILES: [OnceLock<MachineFile>; MACHINES.len()] =
+        [const { OnceLock::new() }; MACHINES.len()];
+    let known = MACHINES.iter().position(|other| *other == name);
+    let index = known.expect("a name of MACHINES");
+    FILES[index].get_or_init(|| {
+        let text = TEXTS[index];
+        let file = MachineFile::parse(name, text).expect("sound");
+        if name != "vmc3-tables" {
+            return file;
+        }
+        // The true errors, which the file of the simulated machine has between quotes.
+        let errors = text.split("\"\"\"").nth(1).expect("a table of errors");
+        file.with_errors("its own errors", errors, "wYbXZt")
+            .expect("sound")
+    })
 }
 
 /// Returns the name of a command without its arguments.
@@ -358,9 +391,11 @@ impl StormBench {
                 what: what.clone(),
             })
             .chain([over]);
-        let joints = if self.axes == 0 { &[][..] } else { &JOINTS[..] };
+        let joints = &JOINTS[..self.axes];
+        let inputs = self.plant.input.iter();
+        let inputs: Vec<&str> = inputs.map(|input| input.name.as_str()).collect();
         let faults: Vec<Fault> = lasting.collect();
-        if let Ok(schedule) = Schedule::new(&faults, joints, &[]) {
+        if let Ok(schedule) = Schedule::new(&faults, joints, &inputs) {
             self.schedule = schedule;
             self.faults = broken;
         }

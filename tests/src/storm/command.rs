@@ -287,3 +287,21 @@ pub fn refused(rng: &mut Rng) -> Command {
         },
     }
 }
+
+/// Returns a command for a named output, an analog output or the probe.
+pub fn named_output(rng: &mut Rng) -> Command {
+    match rng.below(3) {
+        0 => Command::SetOutput {
+            output: rng.below(6) as u8,
+            on: rng.chance(0.6),
+        },
+        1 => Command::SetAnalogOutput {
+            output: 0,
+            code: half(rng) as i16,
+        },
+        _ => Command::ArmProbe {
+            input: rng.below(3) as u8,
+            active: rng.chance(0.8),
+        },
+    }
+}

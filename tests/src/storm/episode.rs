@@ -68,6 +68,35 @@ pub enum MachineKind {
     RemoteMaster,
     /// A haptic arm alone.
     MasterAlone,
+    /// Another machine file of `machines/`, by its name in [`MACHINES`].
+    File(&'static str),
+}
+
+/// The machine files whose episodes an option of the command selects; `vmc3-tables` is `vmc3.toml`
+/// with its true errors as tables in the controller.
+pub const MACHINES: [&str; 11] = [
+    "mill3",
+    "mill3-servo",
+    "router3",
+    "mill4",
+    "trunnion5",
+    "facet",
+    "scara",
+    "delta3",
+    "vmc3",
+    "vmc3-tables",
+    "engraver",
+];
+
+impl MachineKind {
+    /// Returns the name of the machine file, if the episode is not one of the H-4 machines.
+    #[must_use]
+    pub const fn file(self) -> Option<&'static str> {
+        match self {
+            Self::File(name) => Some(name),
+            _ => None,
+        }
+    }
 }
 
 /// How a job is planned.
@@ -340,6 +369,41 @@ impl Episode {
             kind,
             baud,
             initial_load,
+            with_replay,
+            script,
+        }
+    }
+
+    /// Returns the episode of a seed on another machine file.
+    #[must_use]
+    pub fn on(seed: u64, machine: &'static str) -> Self {
+        let kind = MachineKind::File(machine);
+        let mut rng = Rng::new(seed, 906);
+        let theme = rng.choose(&[
+            Theme::Healthy,
+            Theme::Healthy,
+            Theme::Healthy,
+            Theme::Fault,
+            Theme::Fault,
+            Theme::Faults,
+            Theme::AnyCommand,
+            Theme::AnyCommand,
+            Theme::AnyCommand,
+            Theme::Line,
+            Theme::Config,
+            Theme::Config,
+        ]);
+        let baud = rng
+            .chance(0.2)
+            .then(|| rng.choose(&[115_200, 460_800, 921_600]));
+        let with_replay = rng.chance(0.12);
+        let script = script(theme, kind, &mut rng);
+        Self {
+            seed,
+            theme,
+            kind,
+            baud,
+            initial_load: None,
             with_replay,
             script,
         }

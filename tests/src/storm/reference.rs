@@ -242,7 +242,8 @@ impl PlannedJob {
         let mut planned = [0.0; 6];
         for axis in 0..to.pose.len() {
             let mut way = end[axis] - from[axis];
-            if axis > 2 {
+            if way.abs() > 2_147_483_648.0 {
+                // The shorter way of a coordinate that wraps around.
                 way = f64::from(way as i64 as i32);
             }
             let (v0, v1) = (rates[axis] * span, end_rates[axis] * span);
@@ -288,14 +289,10 @@ fn speeds(values: &[i32]) -> [f64; 6] {
 fn distance(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     a.iter()
         .zip(b)
-        .enumerate()
-        .map(|(axis, (a, b))| {
+        .map(|(a, b)| {
             let off = a - b;
-            if axis > 2 {
-                (off.rem_euclid(4_294_967_296.0)).min((-off).rem_euclid(4_294_967_296.0))
-            } else {
-                off.abs()
-            }
+            off.rem_euclid(4_294_967_296.0)
+                .min((-off).rem_euclid(4_294_967_296.0))
         })
         .fold(0.0, f64::max)
 }

@@ -7,10 +7,13 @@ use std::collections::BTreeMap;
 
 /// Returns the lines that report a failure; `cargo xtask storm --planted` reads the first one.
 #[must_use]
-pub fn failure_line(seed: u64, violation: &Violation) -> String {
+pub fn failure_line(episode: &Episode, violation: &Violation) -> String {
+    let seed = episode.seed;
+    let machine = episode.kind.file();
+    let machine = machine.map_or_else(String::new, |name| format!(" --machine {name}"));
     format!(
         "FAILED  seed {seed}  check \"{}\"  period {}\n        {}\n        \
-         to reproduce: cargo xtask storm --seed {seed} --only",
+         to reproduce: cargo xtask storm --seed {seed} --only{machine}",
         violation.check, violation.period, violation.text
     )
 }
@@ -52,7 +55,7 @@ impl Summary {
         if let Some(violation) = outcome.violation {
             let seeds = self.failures.entry(violation.check).or_default();
             if seeds.len() < 3 {
-                println!("{}", failure_line(episode.seed, &violation));
+                println!("{}", failure_line(episode, &violation));
             }
             seeds.push((episode.seed, violation.text));
         }

@@ -39,6 +39,15 @@ pub const REST: [f64; 2] = [0.015, 0.025];
 /// since its last reversal, or braked harder than [`COASTING`]. Half of both lost motions (25.8 um
 /// compensated, 25.8 um real) is 25.8 um.
 pub const REST_UNKNOWN_FLANK: f64 = 0.028;
+/// Distance of a healthy joint of another machine from its target at standstill.
+pub const OTHER_REST: f64 = 0.05;
+/// Distance of a healthy tool of another machine from its commanded pose, in mm or degrees, less
+/// [`TOOL_LAG`] of travel.
+pub const TOOL: f64 = 0.3;
+/// Time by which a tool may lag behind its commanded pose, in s.
+pub const TOOL_LAG: f64 = 0.005;
+/// Position error of a joint without an encoder on a healthy machine: a step and the play.
+pub const OPEN_LOOP: f64 = 0.1;
 /// Travel after which a slide is on the flank of its direction, in mm: twice its lost motion.
 pub const CROSSING: f64 = 0.052;
 /// Deceleration above which a slide may coast across the play of its screw, in mm/s^2: half of

@@ -1,7 +1,7 @@
 //! Commanded motion: rates, accelerations, soft limits and strokes by finite differences.
 
 use super::super::bench::StormBench;
-use super::super::units::{PERIOD, joint_unit, unit};
+use super::super::units::{PERIOD, joint_unit, kind_unit};
 use super::{CheckResult, Checks, PreviousPeriod, bounds, commanded_pose};
 use haptimill_firmware::config::{JointAxis, PoseAxis};
 use haptimill_firmware::machine::Machine;
@@ -170,7 +170,7 @@ impl Motion<'_> {
             return Ok(());
         }
         let mut step = self.pose[axis] - self.before.pose[axis];
-        if axis > 2 {
+        if limits.wraps() {
             step = f64::from((step as i64) as i32);
         }
         let state = self.state;
@@ -223,7 +223,7 @@ impl Motion<'_> {
         let state = self.state;
         let allowed = match state {
             // A cubic between two setpoints may leave the limits; the fault brakes then.
-            State::Run | State::Hold => 10.0 * unit(axis),
+            State::Run | State::Hold => 10.0 * kind_unit(limits.kind),
             State::Homing => f64::INFINITY,
             _ => 2.0,
         };
@@ -232,7 +232,7 @@ impl Motion<'_> {
                 self.bench,
                 "soft limit",
                 "axis {axis} commanded {} beyond, in {state:?}",
-                outside / unit(axis)
+                outside / kind_unit(limits.kind)
             );
         }
         if state == State::Run
@@ -244,7 +244,7 @@ impl Motion<'_> {
                 self.bench,
                 "soft limit",
                 "axis {axis} {} beyond, and nothing stops it",
-                outside / unit(axis)
+                outside / kind_unit(limits.kind)
             );
         }
         Ok(())
@@ -252,7 +252,7 @@ impl Motion<'_> {
 
     fn check_stroke(&self, joint: usize, limits: &JointAxis) -> CheckResult {
         let (low, high) = (f64::from(limits.low.0), f64::from(limits.high.0));
-        let beyond = |place: f64| excess(place, low, high) / joint_unit(joint);
+        let beyond = |place: f64| excess(place, low, high) / joint_unit(limits);
         let outside = beyond(self.joints[joint]);
         if outside > 0.001 && outside > beyond(self.before.joints[joint]) {
             violated!(

@@ -24,6 +24,8 @@ pub enum Cause {
     MasterLeads,
     /// The force sensor was fitted anew and not tared since.
     SensorNotTared,
+    /// A digital input was forced.
+    Input,
 }
 
 /// What else may explain a fault.
@@ -56,7 +58,7 @@ impl Checks {
             return;
         };
         for (joint, limits) in machine.config.joints.iter().enumerate() {
-            let threshold = jump_threshold(limits) / joint_unit(joint);
+            let threshold = jump_threshold(limits) / joint_unit(limits);
             let part = (bench.latched.motor[joint] - before[joint]).abs() / threshold;
             self.faults.fastest_motion[joint] = self.faults.fastest_motion[joint].max(part);
         }
@@ -128,6 +130,9 @@ impl Checks {
             Fault::Stroke { .. } | Fault::LimitSwitch { .. } => {
                 self.causes.contains(&Cause::MissedPeriods)
             }
+            Fault::ProbeContact { .. } => self.causes.contains(&Cause::Input),
+            // The cubic of a job may leave what the joints can reach between two setpoints.
+            Fault::Pose(_) if self.other_machine => self.previous.state == State::Run,
             Fault::Master(_) => self.causes.contains(&Cause::MasterLeads),
             Fault::Force(ForceProblem::Drift { .. })
                 if self.causes.contains(&Cause::SensorNotTared) =>
@@ -189,7 +194,7 @@ impl Checks {
         let Some(limits) = machine.config.joints.get(joint) else {
             return false;
         };
-        let unit = joint_unit(joint);
+        let unit = joint_unit(limits);
         let [low, high] = [limits.low, limits.high].map(|end| f64::from(end.0) / unit);
         let beyond = |pose: &[f64; 6]| {
             let place = self.kinematics.joint(pose, joint);
@@ -211,8 +216,8 @@ impl Checks {
                 .iter()
                 .enumerate()
                 .any(|(joint, limits)| {
-                    let [low, high] =
-                        [limits.low, limits.high].map(|end| f64::from(end.0) / joint_unit(joint));
+                    let unit = joint_unit(limits);
+                    let [low, high] = [limits.low, limits.high].map(|end| f64::from(end.0) / unit);
                     let place = self.kinematics.joint(pose, joint);
                     place.is_none_or(|place| !(low..high).contains(&place))
                 })
@@ -226,8 +231,7 @@ impl Checks {
             .any(|(axis, limits)| {
                 let step = match limits.kind {
                     AxisKind::Linear => units::MM,
-                    AxisKind::Rotary => 3.0 * units::DEGREE,
-                    AxisKind::MultiTurn => 3.0 * units::DEGREE / 1024.0,
+                    kind => 3.0 * units::kind_unit(kind),
                 };
                 [-step, step].iter().any(|step| {
                     let mut near = pose;
@@ -290,6 +294,7 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
     };
     let following = matches!(fault, Fault::FollowingError { axis, .. } if of(axis));
     let stroke = matches!(fault, Fault::Stroke { axis, .. } if of(axis));
+    let homing = matches!(fault, Fault::Homing { axis, .. } if of(axis));
     let switch = matches!(fault, Fault::LimitSwitch { axis } if of(axis));
     // The pose shows the motion of a joint that runs away.
     let pose = matches!(fault, Fault::Pose(_));
@@ -318,7 +323,10 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
             switch: stuck,
             active,
             ..
-        } => switch && *active && *stuck != Switch::Home,
+        } => (switch && *active && *stuck != Switch::Home) || homing,
+        K::SwitchInverted { .. } | K::SwitchMissing { .. } | K::SwitchBounces { .. } => {
+            switch || homing || stroke || pose
+        }
         K::SensorStuck { .. }
         | K::SensorDropped { .. }
         | K::SensorReversed { .. }

@@ -4,6 +4,7 @@ use super::super::bench::StormBench;
 use super::super::units::{PERIOD, class, joint_unit};
 use super::position::is_position_known;
 use super::{Cause, CheckResult, Checks, bounds};
+use haptimill_firmware::config::JointAxis;
 use haptimill_protocol::message::State;
 
 /// Periods for which the conditions of this file have lasted.
@@ -28,6 +29,16 @@ pub(super) struct FollowingRecord {
     runaway: [u32; 6],
 }
 
+/// Returns the distance of two positions of a joint, in mm or degrees.
+pub(super) fn distance(limits: &JointAxis, a: f64, b: f64) -> f64 {
+    let off = (a - b).abs();
+    if limits.wraps() {
+        off.rem_euclid(360.0).min((-off).rem_euclid(360.0))
+    } else {
+        off
+    }
+}
+
 impl Checks {
     /// Counts the periods at standstill.
     pub(super) fn count_standstill(&mut self, bench: &StormBench) {
@@ -47,8 +58,8 @@ impl Checks {
 
     /// Counts the periods of motion in which friction is not compensated in full, and the travel
     /// since the last reversal.
-    pub(super) fn count_motion(&mut self, joint: usize) {
-        let rate = self.previous.joint_rates[joint] / joint_unit(joint);
+    pub(super) fn count_motion(&mut self, joint: usize, limits: &JointAxis) {
+        let rate = self.previous.joint_rates[joint] / joint_unit(limits);
         let travel = &mut self.following.travel[joint];
         if rate * *travel < 0.0 {
             *travel = 0.0;
@@ -78,6 +89,7 @@ impl Checks {
         let (safety, Some(machine)) = (controller.safety(), controller.machine()) else {
             return Ok(());
         };
+        let unit = joint_unit(&machine.config.joints[joint]);
         let Some(limits) = &machine.config.joints[joint].encoder else {
             return Ok(());
         };
@@ -95,8 +107,8 @@ impl Checks {
                 bench,
                 "following error not reported",
                 "joint {joint} is {:.4} off, limit {:.4}, in {:?}",
-                error / joint_unit(joint),
-                limit / joint_unit(joint),
+                error / unit,
+                limit / unit,
                 safety.state()
             );
         }
@@ -116,9 +128,13 @@ impl Checks {
             return Ok(());
         }
         let known = is_position_known(bench);
-        let far = (bench.rig.truth().joints[joint] - target).abs();
+        let Some(machine) = bench.controller().machine() else {
+            return Ok(());
+        };
+        let limits = &machine.config.joints[joint];
+        let far = distance(limits, bench.rig.truth().joints[joint], target);
         let runaway = &mut self.following.runaway[joint];
-        let away = known && far > bounds::RUNAWAY[class(joint)];
+        let away = known && far > bounds::RUNAWAY[class(limits)];
         *runaway = if away { *runaway + 1 } else { 0 };
         if *runaway > 50 {
             violated!(
@@ -133,21 +149,25 @@ impl Checks {
         let undisturbed = self.is_fault_free(bench)
             && self.causes.iter().all(|cause| *cause == Cause::HostSilent);
         if known && undisturbed && self.previous.homed {
-            self.check_healthy_joint(bench, joint, far)?;
+            self.check_healthy_joint(bench, joint, limits, far)?;
         }
         Ok(())
     }
 
     /// Checks lag, standstill and stroke of a joint of a healthy machine.
-    fn check_healthy_joint(&mut self, bench: &StormBench, joint: usize, far: f64) -> CheckResult {
-        let Some(machine) = bench.controller().machine() else {
-            return Ok(());
-        };
-        let unit = joint_unit(joint);
+    fn check_healthy_joint(
+        &mut self,
+        bench: &StormBench,
+        joint: usize,
+        limits: &JointAxis,
+        far: f64,
+    ) -> CheckResult {
+        let unit = joint_unit(limits);
         let rate = self.previous.joint_rates[joint].abs() / unit;
         let beyond = far - 0.002 * rate;
-        self.record_largest(["following mm", "following deg"][class(joint)], beyond);
-        if beyond > bounds::FOLLOWING[class(joint)] {
+        let class = class(limits);
+        self.record_largest(["following mm", "following deg"][class], beyond);
+        if beyond > bounds::FOLLOWING[class] {
             violated!(
                 bench,
                 "following",
@@ -156,11 +176,12 @@ impl Checks {
             );
         }
         if self.following.standstill > 5000 && self.following.homed_and_on {
-            self.record_largest(["rest mm", "rest deg"][class(joint)], far);
+            self.record_largest(["rest mm", "rest deg"][class], far);
             let slow = self.following.slow_motion[joint] > bounds::LASTING;
             let crossed = self.following.travel[joint].abs() > bounds::CROSSING
                 && !self.following.coasted[joint];
-            let most = match class(joint) {
+            let most = match class {
+                _ if self.other_machine => bounds::OTHER_REST,
                 0 if slow => bounds::REST_SLOW,
                 0 if !crossed => bounds::REST_UNKNOWN_FLANK,
                 class => bounds::REST[class],
@@ -173,7 +194,9 @@ impl Checks {
                 );
             }
         }
-        let limits = &machine.config.joints[joint];
+        if limits.wraps() {
+            return Ok(());
+        }
         let (low, high) = (
             f64::from(limits.low.0) / unit,
             f64::from(limits.high.0) / unit,

@@ -30,6 +30,7 @@ mod setpoints;
 mod state_machine;
 mod telemetry;
 mod timeouts;
+mod tool;
 
 pub use fault_causes::Cause;
 pub use refusal::{difference, fingerprint, is_at_standstill};
@@ -88,6 +89,8 @@ pub struct Checks {
     /// Largest values of what is compared with a bound, for docs/storm.md.
     pub largest: Vec<(&'static str, f64)>,
     theme: Theme,
+    /// The machine is not one of the H-4 machines: other bounds apply.
+    other_machine: bool,
     previous: PreviousPeriod,
     kinematics: ReferenceKinematics,
     jog_epoch: answers::JogEpoch,
@@ -133,6 +136,7 @@ impl Checks {
             causes: vec![],
             largest: vec![],
             theme: episode.theme,
+            other_machine: episode.kind.file().is_some(),
             previous: PreviousPeriod::default(),
             kinematics: ReferenceKinematics::new(&bench.plant),
             jog_epoch: answers::JogEpoch::default(),
@@ -154,6 +158,10 @@ impl Checks {
 
     /// Records a fault that is injected into a device.
     pub fn record_fault(&mut self, kind: &FaultKind) {
+        if kind.input().is_some() {
+            self.causes.push(Cause::Input);
+            return;
+        }
         self.position.record_fault(kind, &self.previous);
         self.injected.push(kind.clone());
     }
@@ -181,6 +189,7 @@ impl Checks {
         self.check_commanded(bench)?;
         self.check_setpoints(bench)?;
         self.check_joints(bench)?;
+        self.check_tool(bench)?;
         self.check_compliance(bench)?;
         self.check_haptics(bench)?;
         self.check_telemetry(bench)?;
@@ -198,8 +207,8 @@ impl Checks {
         }
         self.count_standstill(bench);
         for (joint, reading) in machine.joints().enumerate() {
-            let unit = joint_unit(joint);
-            self.count_motion(joint);
+            let unit = joint_unit(&machine.config.joints[joint]);
+            self.count_motion(joint, &machine.config.joints[joint]);
             self.check_position(bench, joint, f64::from(reading.measured.0) / unit)?;
             self.check_reported_error(bench, joint, reading.measured.0)?;
             self.check_following(bench, joint, f64::from(reading.commanded.0) / unit)?;
@@ -234,8 +243,11 @@ impl Checks {
             }
             for axis in 0..machine.axes() {
                 now.rates[axis] = f64::from(machine.motion.commanded().rates[axis].0);
-                now.joints[axis] = f64::from(target.joints.0[axis].0);
-                now.joint_rates[axis] = f64::from(target.rates[axis].0);
+            }
+            // The second motors of gantries are joints too.
+            for joint in 0..machine.joint_count() {
+                now.joints[joint] = f64::from(target.joints.0[joint].0);
+                now.joint_rates[joint] = f64::from(target.rates[joint].0);
             }
         }
         let just_homed = self.previous.state == State::Homing && now.state == State::Idle;

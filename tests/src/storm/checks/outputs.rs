@@ -19,7 +19,23 @@ const fn holds(fault: &Fault) -> bool {
             | Fault::JointRate { .. }
             | Fault::Force(_)
             | Fault::Master(_)
+            | Fault::ProbeContact { .. }
     )
+}
+
+/// Returns the levels of the named outputs while a fault is latched, from the machine file.
+fn safe_outputs(bench: &StormBench) -> (u32, [i16; ANALOG]) {
+    let mut levels = (0, [0; ANALOG]);
+    if bench.controller().machine().is_some() {
+        let io = &bench.machine.config.io;
+        for output in &io.outputs {
+            levels.0 |= u32::from(output.safe != output.inverted) << output.channel;
+        }
+        for output in &io.analog_outputs {
+            levels.1[usize::from(output.channel)] = output.safe;
+        }
+    }
+    levels
 }
 
 impl Checks {
@@ -58,7 +74,7 @@ impl Checks {
         let latched = matches!(state, State::Fault | State::EmergencyStop);
         if latched
             && !self.foreign_configuration
-            && (outputs.digital != 0 || outputs.analog != [0; ANALOG])
+            && (outputs.digital, outputs.analog) != safe_outputs(bench)
         {
             violated!(
                 bench,

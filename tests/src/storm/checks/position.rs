@@ -3,6 +3,7 @@
 use super::super::bench::StormBench;
 use super::super::episode::{JOINTS, joint_of};
 use super::super::units::{class, joint_unit};
+use super::following::distance;
 use super::{Cause, CheckResult, Checks, PreviousPeriod, bounds, jump_threshold};
 use haptimill_firmware::config::Drive;
 use haptimill_hil_sim::fault::{Channel, FaultKind};
@@ -150,20 +151,35 @@ impl Checks {
 
     fn error_bounds(&self, bench: &StormBench, joint: usize) -> Option<ErrorBounds> {
         let limits = &bench.controller().machine()?.config.joints[joint];
-        let unit = joint_unit(joint);
+        let unit = joint_unit(limits);
+        let class = class(limits);
         // Lost steps below their limit are not reported; half a play adds to them.
         let unseen = match &limits.drive {
-            Drive::Steps { lost, .. } => f64::from(lost.0) / unit + bounds::MOTOR[class(joint)],
+            Drive::Steps { lost, .. } => f64::from(lost.0) / unit + bounds::MOTOR[class],
             Drive::Torque { .. } => 0.0,
         };
         let unseen = unseen.max(bounds::OFF);
+        if limits.encoder.is_none() {
+            return self.is_fault_free(bench).then_some(ErrorBounds {
+                most: f64::INFINITY,
+                lasting: bounds::OPEN_LOOP,
+                periods: 25,
+                name: "open loop",
+            });
+        }
         let found_by_index = self.position.index_pulses[joint] > 2;
         Some(match self.encoder_defect(joint) {
             EncoderDefect::None => ErrorBounds {
                 most: f64::INFINITY,
-                lasting: bounds::MOTOR[class(joint)],
+                // The bound is that of the H-4 machines, whose play is known.
+                lasting: bounds::MOTOR[class]
+                    + if self.other_machine {
+                        f64::from(limits.backlash.0) / unit
+                    } else {
+                        0.0
+                    },
                 periods: 25,
-                name: ["motor mm", "motor deg"][class(joint)],
+                name: ["motor mm", "motor deg"][class],
             },
             EncoderDefect::Single => ErrorBounds {
                 most: bounds::FOUND,
@@ -174,10 +190,10 @@ impl Checks {
             EncoderDefect::Uncounted => ErrorBounds {
                 most: f64::INFINITY,
                 lasting: if found_by_index {
-                    bounds::INDEX_SLACK[class(joint)]
+                    bounds::INDEX_SLACK[class]
                 } else {
                     // The jump adds to the error that the joint had before.
-                    jump_threshold(limits) / unit + bounds::MOTOR[class(joint)]
+                    jump_threshold(limits) / unit + bounds::MOTOR[class]
                 },
                 periods: bounds::PUSHED_LASTING,
                 name: "off, noise or drives off",
@@ -218,7 +234,8 @@ impl Checks {
             && let Some(encoder) = &machine.config.joints[joint].encoder
         {
             let per_count = encoder.per_count.unsigned_abs();
-            let count = per_count as f64 / f64::from(1 << 24) / joint_unit(joint);
+            let unit = joint_unit(&machine.config.joints[joint]);
+            let count = per_count as f64 / f64::from(1 << 24) / unit;
             (self.position).record_unseen_motion(joint, counts, actual, count);
         }
         let safety = bench.controller().safety();
@@ -226,10 +243,13 @@ impl Checks {
             self.position.wrong[joint] = 0;
             return Ok(());
         }
+        let Some(machine) = bench.controller().machine() else {
+            return Ok(());
+        };
         let Some(allowed) = self.error_bounds(bench, joint) else {
             return Ok(());
         };
-        let off = (measured - actual).abs();
+        let off = distance(&machine.config.joints[joint], measured, actual);
         self.record_largest(allowed.name, off);
         let wrong = &mut self.position.wrong[joint];
         *wrong = if off > allowed.lasting { *wrong + 1 } else { 0 };

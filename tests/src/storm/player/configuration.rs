@@ -4,7 +4,9 @@ use super::{Answer, PlayResult, Player};
 use crate::storm::checks::Violation;
 use crate::storm::command;
 use crate::storm::rng::Rng;
-use haptimill_firmware::config::{Config, Drive, JointAxis, PoseAxis};
+use haptimill_firmware::config::{
+    Config, Drive, GantryAxis, Home, JointAxis, PoseAxis, SwitchHome,
+};
 use haptimill_kinematics::Model;
 use haptimill_protocol::message::{CONFIG_CHUNK, Command, ConfigChunk};
 
@@ -37,10 +39,15 @@ impl Player {
     pub(super) fn reconfigure(&mut self, seed: u64, mutations: u8, preset: bool) -> PlayResult {
         let mut rng = Rng::new(seed, 904);
         let mut config = self.bench.machine.config.clone();
-        let bits = mutations > 0 && rng.chance(0.3);
+        let other = self.kind.file().is_some();
+        let bits = mutations > 0 && rng.chance(if other { 0.5 } else { 0.3 });
         if !bits {
             for _ in 0..mutations {
-                mutate(&mut config, &mut rng);
+                if other && rng.chance(0.4) {
+                    mutate_parts(&mut config, &mut rng);
+                } else {
+                    mutate(&mut config, &mut rng);
+                }
             }
         }
         let file = haptimill_machine_file::MachineFile {
@@ -53,7 +60,11 @@ impl Player {
         if bits {
             for _ in 0..mutations {
                 let at = rng.index(bytes.len());
-                bytes[at] ^= 1 << rng.below(8);
+                if other && rng.chance(0.3) {
+                    bytes[at] = rng.bits() as u8;
+                } else {
+                    bytes[at] ^= 1 << rng.below(8);
+                }
             }
             if rng.chance(0.1) {
                 bytes.truncate(rng.index(bytes.len()));
@@ -77,10 +88,12 @@ fn mutate(config: &mut Config, rng: &mut Rng) {
     let wide = i64::from(command::word(rng)) << rng.below(24);
     let (pose, joint) = (rng.index(5), rng.index(5));
     if rng.chance(0.25) && !config.pose.is_empty() {
+        let pose = pose % config.pose.len();
         mutate_coordinate(&mut config.pose[pose], word, rng);
         return;
     }
     if rng.chance(0.5) && !config.joints.is_empty() {
+        let joint = joint % config.joints.len();
         let values = (word, half, wide);
         mutate_joint(&mut config.joints[joint], values, rng);
         return;
@@ -185,5 +198,68 @@ fn mutate_joint(axis: &mut JointAxis, (word, half, wide): (i32, u16, i64), rng: 
                 _ => lost.0 = word,
             },
         },
+    }
+}
+
+/// Sets one field that the H-4 machines do not have, or exchanges parts of a configuration.
+fn mutate_parts(config: &mut Config, rng: &mut Rng) {
+    let word = command::word(rng);
+    let half = rng.bits() as u16 >> rng.below(16);
+    let (first, second) = (
+        rng.index(config.joints.len()),
+        rng.index(config.joints.len()),
+    );
+    let joint = &mut config.joints[first];
+    match rng.below(12) {
+        0..=3 => {
+            if let Home::Switch(switch) | Home::SwitchAndIndex(switch) = &mut joint.home {
+                mutate_search(switch, word, rng);
+            }
+        }
+        4 => {
+            joint.gantry = Some(GantryAxis {
+                of: second as u8,
+                racking: haptimill_math::Coordinate(word),
+            });
+        }
+        5 => joint.gantry = None,
+        6 => joint.encoder = None,
+        7 => joint.home = rng.choose(&[Home::Index, Home::Preset]),
+        8 => joint.keeps_position = !joint.keeps_position,
+        9 => joint.active_low = word as u8,
+        10 => {
+            if let Some(volumetric) = &mut config.volumetric {
+                let axis = &mut volumetric.axes[rng.index(3)];
+                match rng.below(3) {
+                    0 => axis.nodes = word as u8,
+                    1 => axis.first.0 = word,
+                    _ => axis.pitch.0 = word,
+                }
+            }
+        }
+        _ => {
+            if let Some(input) = config.io.inputs.first_mut() {
+                input.filter = half;
+                input.channel = word as u8;
+            }
+            if let Some(output) = config.io.outputs.first_mut() {
+                output.channel = word as u8;
+                output.safe = !output.safe;
+            }
+        }
+    }
+}
+
+fn mutate_search(search: &mut SwitchHome, word: i32, rng: &mut Rng) {
+    match rng.below(9) {
+        0 => search.order = word as u8,
+        1 => search.downwards = !search.downwards,
+        2 => search.coordinate.0 = word,
+        3 => search.rate.0 = word,
+        4 => search.touch_rate.0 = word,
+        5 => search.acceleration.0 = word,
+        6 => search.back_off.0 = word,
+        7 => search.release.0 = word,
+        _ => search.travel.0 = word,
     }
 }

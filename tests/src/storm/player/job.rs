@@ -13,26 +13,29 @@ use haptimill_protocol::message::{
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 
 /// Returns a setpoint with all rates 0.
-fn at_standstill(place: &[f64; 5], periods: u16, action: Action) -> Setpoint {
+fn at_standstill(place: &[f64; 6], axes: usize, periods: u16, action: Action) -> Setpoint {
     Setpoint {
         periods,
-        pose: place.iter().map(|value| *value as i64 as i32).collect(),
-        rates: (0..5).map(|_| 0).collect(),
+        pose: place[..axes]
+            .iter()
+            .map(|value| *value as i64 as i32)
+            .collect(),
+        rates: (0..axes).map(|_| 0).collect(),
         action,
     }
 }
 
 /// Returns setpoints that start the spindle and wait for it.
-fn start_spindle(place: &[f64; 5]) -> Vec<Setpoint> {
+fn start_spindle(place: &[f64; 6], axes: usize) -> Vec<Setpoint> {
     vec![
-        at_standstill(place, 50, Action::Spindle(5000)),
-        at_standstill(place, 5000, Action::None),
+        at_standstill(place, axes, 50, Action::Spindle(5000)),
+        at_standstill(place, axes, 5000, Action::None),
     ]
 }
 
 /// Returns a line in the negative direction of an axis.
-fn line(here: &[f64; 5], axis: usize, distance: f64, speed: f64) -> Vec<Setpoint> {
-    let mut setpoints = start_spindle(here);
+fn line(here: &[f64; 6], axes: usize, axis: usize, distance: f64, speed: f64) -> Vec<Setpoint> {
+    let mut setpoints = start_spindle(here, axes);
     let segments = (distance / (speed * 50.0) / 0.1).ceil().max(2.0);
     let rate = distance / (segments * 0.1);
     let segments = segments as usize;
@@ -40,13 +43,13 @@ fn line(here: &[f64; 5], axis: usize, distance: f64, speed: f64) -> Vec<Setpoint
     for segment in 0..=segments {
         let ends = segment == 0 || segment == segments;
         place[axis] -= if ends { rate / 2.0 } else { rate } * 0.1 * MM;
-        let mut setpoint = at_standstill(&place, 500, Action::None);
+        let mut setpoint = at_standstill(&place, axes, 500, Action::None);
         if segment != segments {
             setpoint.rates[axis] = (-rate * 4096.0) as i32;
         }
         setpoints.push(setpoint);
     }
-    setpoints.push(at_standstill(&place, 3000, Action::None));
+    setpoints.push(at_standstill(&place, axes, 3000, Action::None));
     setpoints
 }
 
@@ -111,15 +114,15 @@ impl Profile {
 }
 
 /// Returns the setpoints of a smooth path from `here`.
-fn path(here: &[f64; 5], axes: &[PoseAxis], plan: &PathPlan, rng: &mut Rng) -> Vec<Setpoint> {
+fn path(here: &[f64; 6], axes: &[PoseAxis], plan: &PathPlan, rng: &mut Rng) -> Vec<Setpoint> {
     let mut setpoints = if plan.actions {
-        start_spindle(here)
+        start_spindle(here, axes.len())
     } else {
         vec![]
     };
     let count = usize::from(plan.count);
     let duration = f64::from(plan.span.max(1)) * PERIOD * count as f64;
-    let mut profiles: [Profile; 5] = Default::default();
+    let mut profiles: Vec<Profile> = axes.iter().map(|_| Profile::default()).collect();
     for (axis, profile) in profiles.iter_mut().enumerate() {
         if !rng.chance(0.35) {
             *profile = Profile::random(&axes[axis], here[axis], plan.speed, duration, rng);
@@ -139,7 +142,7 @@ fn path(here: &[f64; 5], axes: &[PoseAxis], plan: &PathPlan, rng: &mut Rng) -> V
         };
         elapsed += periods * PERIOD;
         let t = (elapsed / duration).clamp(0.0, 1.0);
-        let mut setpoint = at_standstill(here, periods as u16, Action::None);
+        let mut setpoint = at_standstill(here, axes.len(), periods as u16, Action::None);
         for (axis, profile) in profiles.iter().enumerate() {
             let place = profile.displacement(here[axis], t);
             setpoint.pose[axis] = place.round() as i64 as i32;
@@ -176,8 +179,9 @@ impl Player {
         if self.kind == MachineKind::MasterAlone {
             return;
         }
-        let start: AxisValues = self.commanded()[..5].iter().copied().collect();
-        let mut here = [0.0; 5];
+        let axes = self.axes();
+        let start: AxisValues = self.commanded()[..axes].iter().copied().collect();
+        let mut here = [0.0; 6];
         for (place, value) in here.iter_mut().zip(&start) {
             *place = f64::from(*value);
         }
@@ -192,9 +196,9 @@ impl Player {
                 speed,
             } => {
                 let distance = f64::from(*distance_um) / 1000.0;
-                line(&here, usize::from(*axis), distance, *speed)
+                line(&here, axes, usize::from(*axis), distance, *speed)
             }
-            JobPlan::Dwell { periods } => vec![at_standstill(&here, *periods, Action::None)],
+            JobPlan::Dwell { periods } => vec![at_standstill(&here, axes, *periods, Action::None)],
         };
         let (gap, absurd, open) = match plan {
             JobPlan::Path(plan) => (

@@ -10,7 +10,7 @@ use super::checks::{Cause, Checks, Violation};
 use super::command;
 use super::episode::{Episode, MachineKind, stimulus_name};
 use super::rng::Rng;
-use super::units::{MM, unit};
+use super::units::{MM, kind_unit};
 use haptimill_protocol::haptic::MasterPose;
 use haptimill_protocol::link::LinkState;
 use haptimill_protocol::message::{AxisValues, Command, Refusal, State};
@@ -173,8 +173,10 @@ impl Player {
     /// Prints state, commanded pose and motor positions.
     fn trace(&self) {
         let pose = self.commanded();
-        let pose: Vec<String> = (0..5)
-            .map(|axis| format!("{:.3}", f64::from(pose[axis]) / unit(axis)))
+        let limits = self.bench.machine.config.pose.iter();
+        let pose: Vec<String> = limits
+            .zip(pose)
+            .map(|(limits, place)| format!("{:.3}", f64::from(place) / kind_unit(limits.kind)))
             .collect();
         let joints: Vec<String> = (0..self.bench.axes)
             .map(|joint| format!("{:.3}", self.bench.latched.motor[joint]))
@@ -278,6 +280,14 @@ impl Player {
                 break;
             }
             self.stream.pop_front();
+        }
+    }
+
+    /// Returns the number of coordinates; of a master alone that of the H-4 machines.
+    fn axes(&self) -> usize {
+        match self.kind {
+            MachineKind::MasterAlone => 5,
+            _ => self.bench.machine.config.pose.len(),
         }
     }
 

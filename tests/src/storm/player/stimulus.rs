@@ -49,7 +49,7 @@ impl Player {
                 return self.steps(1500);
             }
             Stimulus::StaleJog => {
-                let rates: AxisValues = (0..5).map(|_| 8192).collect();
+                let rates: AxisValues = (0..self.axes()).map(|_| 8192).collect();
                 self.epoch = self.epoch.wrapping_add(2);
                 let cancel = Command::JogCancel { epoch: self.epoch };
                 self.bench.send(&cancel);

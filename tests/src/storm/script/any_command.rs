@@ -1,15 +1,15 @@
 //! Any command in any state.
 
 use super::super::command;
-use super::super::episode::{JOINTS, JobPlan, MachineKind, Stimulus};
+use super::super::episode::{JobPlan, MachineKind, Stimulus};
 use super::super::rng::Rng;
 use super::operation::{jog, path};
-use super::{Steps, periods};
+use super::{Steps, joint_name, periods};
 use haptimill_hil_sim::fault::{FaultKind, Switch};
 
 /// Returns the stimuli of one step of this theme.
 pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
-    let axis = rng.choose(&JOINTS).to_string();
+    let axis = joint_name(kind, rng);
     match rng.below(32) {
         0..=13 => vec![(Stimulus::Send(command::any(rng)), periods(rng))],
         14..=16 => vec![(Stimulus::Probe(command::any(rng)), 10)],

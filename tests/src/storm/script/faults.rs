@@ -1,9 +1,9 @@
 //! Faults of the machine, alone and in sequences that need a certain state.
 
-use super::super::episode::{JOINTS, MachineKind, Stimulus, joint_of};
+use super::super::episode::{MachineKind, Stimulus, joint_of};
 use super::super::rng::Rng;
 use super::operation::{jog, single_jog};
-use super::{Steps, periods};
+use super::{Steps, joint_name, periods};
 use haptimill_hil_sim::fault::{
     Along, Channel, FaultKind, HapticEncoder, HapticFault, HapticSensor, Level, Switch,
 };
@@ -11,7 +11,7 @@ use haptimill_protocol::message::Command;
 
 /// Returns one fault of the simulator, and the periods until the next stimulus.
 pub(super) fn single_fault(kind: MachineKind, rng: &mut Rng) -> (Stimulus, u32) {
-    let axis = rng.choose(&JOINTS).to_string();
+    let axis = joint_name(kind, rng);
     let table = axis == "alpha";
     let channel = rng.choose(&[Channel::A, Channel::B]);
     let level = rng.choose(&[Level::Low, Level::High]);
@@ -110,7 +110,7 @@ pub(super) fn single_fault(kind: MachineKind, rng: &mut Rng) -> (Stimulus, u32) 
 
 /// Returns faults that need a certain state: drives off, a jog, other faults of the same joint.
 pub(super) fn fault_sequence(kind: MachineKind, rng: &mut Rng) -> Steps {
-    let axis = rng.choose(&JOINTS).to_string();
+    let axis = joint_name(kind, rng);
     let joint = joint_of(&axis).unwrap_or(0);
     let part = if joint == 4 { 0.04 } else { 1.0 };
     let slip = |rng: &mut Rng, most| {

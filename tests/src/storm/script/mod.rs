@@ -3,12 +3,14 @@
 mod any_command;
 mod configuration;
 mod faults;
+mod fitting;
 mod force;
 mod line;
 mod operation;
 mod teleoperation;
 
-use super::episode::{MachineKind, Step, Stimulus, Theme};
+use super::bench::machine;
+use super::episode::{JOINTS, MachineKind, Step, Stimulus, Theme};
 use super::rng::Rng;
 use haptimill_protocol::message::Command;
 
@@ -22,6 +24,15 @@ fn periods(rng: &mut Rng) -> u32 {
         2 | 3 => rng.uniform(50.0, 800.0) as u32,
         _ => rng.uniform(800.0, 3000.0) as u32,
     }
+}
+
+/// Returns the name of a random joint of a machine.
+fn joint_name(kind: MachineKind, rng: &mut Rng) -> String {
+    let count = match kind {
+        MachineKind::File(_) => machine(kind).config.joints.len(),
+        _ => JOINTS.len(),
+    };
+    rng.choose(&JOINTS[..count]).to_string()
 }
 
 /// Returns the script of an episode.
@@ -94,10 +105,20 @@ pub(super) fn script(theme: Theme, kind: MachineKind, rng: &mut Rng) -> Vec<Step
         for (stimulus, periods) in step {
             add(stimulus, periods);
         }
+        if let Some(name) = kind.file()
+            && rng.chance(0.25)
+        {
+            for (stimulus, periods) in fitting::own_stimuli(name, theme, rng) {
+                add(stimulus, periods);
+            }
+        }
     }
     if theme.is_healthy() || theme == Theme::Fault {
         add(Stimulus::WaitIdle, 20_000);
         add(Stimulus::Wait, 1500);
+    }
+    if kind.file().is_some() {
+        fitting::fit(&mut script, kind, rng);
     }
     script
 }

@@ -1,0 +1,123 @@
+//! Stimuli for other machine files than the H-4 ones: scripts that are made for five coordinates and
+//! five joints are fitted to the machine, and what only such a machine has is added.
+
+use super::super::bench::machine;
+use super::super::command;
+use super::super::episode::{JOINTS, MachineKind, Step, Stimulus, Theme};
+use super::super::rng::Rng;
+use super::{Steps, joint_name, periods};
+use haptimill_firmware::config::AxisKind;
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::fault::{FaultKind, Level, Switch};
+use haptimill_protocol::message::{AxisValues, Command};
+
+/// Returns stimuli that a theme of the H-4 machines does not have: inputs, outputs, probing,
+/// compensation, overrides, and in themes with faults defective switches and inputs.
+pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> Steps {
+    let file = machine(MachineKind::File(name));
+    let inputs = file
+        .plant()
+        .map_or_else(|_| vec![], |plant: PlantConfig| plant.input);
+    let axis = joint_name(MachineKind::File(name), rng);
+    let faulty = matches!(theme, Theme::Fault | Theme::Faults | Theme::AnyCommand);
+    match rng.below(6) {
+        0 if !inputs.is_empty() => {
+            let name = inputs[rng.index(inputs.len())].name.clone();
+            let kind = if rng.chance(0.5) {
+                FaultKind::InputBounce {
+                    name,
+                    hz: rng.log_uniform(1.0, 20_000.0),
+                }
+            } else {
+                FaultKind::InputLevel {
+                    name,
+                    level: rng.choose(&[Level::Low, Level::High]),
+                }
+            };
+            vec![
+                (Stimulus::InjectFault(kind), periods(rng)),
+                (Stimulus::ClearFaults, periods(rng)),
+                (Stimulus::Recover, 500),
+            ]
+        }
+        1 => vec![
+            (Stimulus::Send(command::named_output(rng)), periods(rng)),
+            (Stimulus::Send(command::named_output(rng)), periods(rng)),
+        ],
+        2 => vec![(
+            Stimulus::Send(Command::Compensation {
+                on: rng.chance(0.5),
+            }),
+            periods(rng),
+        )],
+        3 => vec![
+            (
+                Stimulus::Send(Command::RapidOverride {
+                    percent: rng.choose(&[0, 5, 25, 50, 100, 101, 255]),
+                }),
+                periods(rng),
+            ),
+            (
+                Stimulus::Send(Command::SpindleOverride {
+                    percent: rng.choose(&[0, 49, 50, 120, 200, 201, 255]),
+                }),
+                periods(rng),
+            ),
+        ],
+        4 if faulty => {
+            let switch = rng.choose(&[Switch::Home, Switch::LimitLow, Switch::LimitHigh]);
+            let kind = match rng.below(3) {
+                0 => FaultKind::SwitchInverted { axis, switch },
+                1 => FaultKind::SwitchMissing { axis, switch },
+                _ => FaultKind::SwitchBounces {
+                    axis,
+                    switch,
+                    ms: rng.log_uniform(0.1, 50.0),
+                },
+            };
+            vec![
+                (Stimulus::InjectFault(kind), periods(rng)),
+                (Stimulus::Send(Command::Home), 4000),
+                (Stimulus::ClearFaults, periods(rng)),
+                (Stimulus::Recover, 500),
+            ]
+        }
+        _ => vec![
+            (Stimulus::WaitIdle, 6000),
+            (Stimulus::Send(Command::Home), 6000),
+            (Stimulus::WaitIdle, 20_000),
+        ],
+    }
+}
+
+/// Fits a script of five coordinates and five joints to a machine.
+pub(super) fn fit(script: &mut [Step], kind: MachineKind, rng: &mut Rng) {
+    let config = &machine(kind).config;
+    let (axes, joints) = (config.pose.len(), config.joints.len());
+    let values = |list: &mut AxisValues| {
+        if list.len() != JOINTS.len() {
+            return;
+        }
+        list.truncate(axes);
+        for (value, limits) in list.iter_mut().zip(&config.pose) {
+            if limits.kind == AxisKind::MultiTurn {
+                *value >>= 10;
+            }
+        }
+    };
+    for step in script {
+        match &mut step.stimulus {
+            Stimulus::Send(command) | Stimulus::Probe(command) => match command {
+                Command::Jog { rates, .. } => values(rates),
+                Command::JobStart { pose, .. } => values(pose),
+                _ => {}
+            },
+            Stimulus::RampLoad(joint, effort) => {
+                *joint %= joints;
+                // Small machines have drives of a few newtons.
+                *effort *= rng.choose(&[0.02, 0.1, 0.3, 1.0]);
+            }
+            _ => {}
+        }
+    }
+}
