@@ -24,7 +24,7 @@ Measure the joints of a machine with torque drives: inertia, Coulomb friction in
 viscous friction, resonance.
 
 The machine homes, then moves along the printed ranges: at constant rates in both directions, and \
-with sines on top of a slow constant rate. Nothing may be in these ranges, and the spindle stands. \
+with sines on top of a slow constant rate. Nothing may be in these ranges, and the spindle is at rest. \
 Effort and motion come from the telemetry of the controller. The command asks before anything \
 moves. Ctrl-C stops.
 
