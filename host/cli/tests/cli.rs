@@ -210,7 +210,16 @@ fn a_preview_is_one_page_with_the_extremes_of_the_joints() {
 fn every_template_passes_machine_check_and_is_not_overwritten() {
     let folder = std::env::temp_dir().join(format!("haptimill-init-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
-    for template in ["mill3-servo", "trunnion5", "h4", "h4-step", "haptic-arm"] {
+    for template in [
+        "mill3",
+        "mill3-servo",
+        "mill4",
+        "router3",
+        "trunnion5",
+        "h4",
+        "h4-step",
+        "haptic-arm",
+    ] {
         let path = folder.join(format!("{template}.toml"));
         let file = path.to_str().unwrap();
         let init = [

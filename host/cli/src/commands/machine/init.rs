@@ -24,7 +24,7 @@ pub struct InitArgs {
     #[arg(value_name = "NAME", value_parser = machine_name)]
     pub name: String,
     /// Machine that the template describes
-    #[arg(long, value_name = "TEMPLATE", value_enum, default_value_t = Template::Mill3Servo)]
+    #[arg(long, value_name = "TEMPLATE", value_enum, default_value_t = Template::Mill3)]
     pub template: Template,
     /// File to write [default: NAME.toml]
     #[arg(long, value_name = "FILE")]
@@ -34,8 +34,14 @@ pub struct InitArgs {
 /// Machines with a template. `TEMPLATES` has their texts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Template {
+    /// Three-axis mill: x, y, z on ball screws, open-loop step motors, home switches
+    Mill3,
     /// Three-axis mill: x, y, z on ball screws, servo drives with encoders
     Mill3Servo,
+    /// The mill with step motors, and a rotary axis over many turns
+    Mill4,
+    /// Gantry router: step motors, two of them on the beam, home switches
+    Router3,
     /// 5-axis mill: x, y, z, and a rotary table on a trunnion, servo drives
     Trunnion5,
     /// 5-axis H-4 parallel kinematics with a rotary table, servo drives and force sensor
@@ -49,8 +55,20 @@ pub enum Template {
 /// The text of every template.
 const TEMPLATES: &[(Template, &str)] = &[
     (
+        Template::Mill3,
+        include_str!("../../../../../machines/mill3.toml"),
+    ),
+    (
         Template::Mill3Servo,
         include_str!("../../../../../machines/mill3-servo.toml"),
+    ),
+    (
+        Template::Mill4,
+        include_str!("../../../../../machines/mill4.toml"),
+    ),
+    (
+        Template::Router3,
+        include_str!("../../../../../machines/router3.toml"),
     ),
     (
         Template::Trunnion5,
