@@ -24,9 +24,10 @@ use haptimill_hil_sim::machines::GeometryConfig;
 use haptimill_hil_sim::machines::carriage_errors::CarriageErrors;
 use haptimill_machine_file::MachineFile;
 use haptimill_volumetric::errors::{
-    Axis, ErrorSet, Function, Kind, Shape, Squareness, Table, interpolate,
+    Axis, ErrorSet, Function, Kind, Shape, Squareness, Table, even_nodes, interpolate,
 };
 use haptimill_volumetric::gdt::fit_line;
+use haptimill_volumetric::readings::{self, Readings};
 use std::fmt::Write as _;
 
 /// How to measure.
@@ -47,7 +48,9 @@ pub struct Plan {
 impl Default for Plan {
     fn default() -> Self {
         Self {
-            interval: 20.0,
+            // About the distance of the controller's nodes on a travel of 650 mm: between targets a
+            // table is linear.
+            interval: 10.0,
             feed: 100.0,
             wait: 0.6,
             window: 0.2,
@@ -67,6 +70,35 @@ pub struct Measured {
     pub down: Vec<Deviations>,
     /// Result of ISO 230-2.
     pub result: Positioning,
+}
+
+/// Readings of a laser as a file, for [`readings::read`]: every run at every target.
+#[must_use]
+pub fn write_readings(calibration: &Calibration) -> String {
+    let mut text = format!("{}\n", readings::HEADER);
+    for axis in &calibration.axes {
+        for measured in &axis.functions {
+            let function = measured.function;
+            let (one, unit) = (function.file_unit(), function.unit());
+            for (direction, columns) in [("up", &measured.up), ("down", &measured.down)] {
+                for (target, runs) in axis.targets.iter().zip(columns) {
+                    for (run, value) in runs.iter().enumerate() {
+                        let (run, value) = (run + 1, value / one);
+                        // Writing to a string does not fail.
+                        let _ = writeln!(
+                            text,
+                            "{function},{target:.6},{run},{direction},{value:.5},{unit}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+    let squareness = calibration.errors.squareness.values();
+    for (name, value) in Squareness::NAMES.iter().zip(squareness) {
+        let _ = writeln!(text, "{name},,,,{:.5},urad", value / 1e-6);
+    }
+    text
 }
 
 /// A measured axis.
@@ -269,18 +301,7 @@ fn means(measured: &Measured) -> Vec<f64> {
 pub fn identify(axes: &[MeasuredAxis]) -> ErrorSet {
     let mut set = ErrorSet::default();
     for measured in axes {
-        for function in &measured.functions {
-            let mut values = means(function);
-            let nodes = &measured.targets;
-            if function.function.kind() == Kind::Straightness {
-                values = without_line(nodes, &values);
-            } else {
-                let offset = interpolate(nodes, &values, 0.0);
-                values.iter_mut().for_each(|value| *value -= offset);
-            }
-            let table = Table::both(nodes.clone(), values);
-            set.set(function.function, Shape::Table(table));
-        }
+        identify_axis(measured, &mut set);
         // A roll that nobody measured is zero.
         for function in Function::all().filter(|function| function.moving == measured.axis) {
             if !matches!(set.function(function), Shape::Table(_)) {
@@ -294,6 +315,23 @@ pub fn identify(axes: &[MeasuredAxis]) -> ErrorSet {
     }
     set.squareness = squareness(axes, &set);
     set
+}
+
+/// The measured functions of an axis: means over all runs, straightness without its line, the
+/// others zero at the origin.
+fn identify_axis(measured: &MeasuredAxis, set: &mut ErrorSet) {
+    for function in &measured.functions {
+        let mut values = means(function);
+        let nodes = &measured.targets;
+        if function.function.kind() == Kind::Straightness {
+            values = without_line(nodes, &values);
+        } else {
+            let offset = interpolate(nodes, &values, 0.0);
+            values.iter_mut().for_each(|value| *value -= offset);
+        }
+        let table = Table::both(nodes.clone(), values);
+        set.set(function.function, Shape::Table(table));
+    }
 }
 
 fn without_line(nodes: &[f64], values: &[f64]) -> Vec<f64> {
@@ -343,6 +381,71 @@ fn squareness(axes: &[MeasuredAxis], set: &ErrorSet) -> Squareness {
     }
 }
 
+/// The error functions of readings, and a report of them by ISO 230-2. A function without readings
+/// is zero over `travel`; the report names it.
+#[must_use]
+pub fn of_readings(readings: &Readings, travel: &[(f64, f64); 3]) -> (ErrorSet, String) {
+    let axes: Vec<MeasuredAxis> = readings
+        .functions
+        .iter()
+        .map(|read| MeasuredAxis {
+            axis: read.function.moving,
+            targets: read.targets.clone(),
+            functions: vec![Measured {
+                function: read.function,
+                up: read.up.clone(),
+                down: read.down.clone(),
+                result: evaluate(&read.up, &read.down),
+            }],
+            square: Vec::new(),
+        })
+        .collect();
+    let mut set = ErrorSet::default();
+    for axis in &axes {
+        identify_axis(axis, &mut set);
+    }
+    set.squareness = readings.squareness;
+    let mut text = results(&axes, &set);
+    for function in Function::all() {
+        if !matches!(set.function(function), Shape::Table(_)) {
+            let (low, high) = travel[function.moving.index()];
+            // Two nodes are 200 mm apart at most.
+            let count = ((high - low) / 100.0).ceil() as usize + 1;
+            let nodes = even_nodes((low, high), count);
+            let zeros = vec![0.0; nodes.len()];
+            set.set(function, Shape::Table(Table::both(nodes, zeros)));
+            let _ = writeln!(text, "{function} not measured, taken as 0");
+        }
+    }
+    (set, text)
+}
+
+/// Results of ISO 230-2 and squareness errors as text.
+fn results(axes: &[MeasuredAxis], errors: &ErrorSet) -> String {
+    // Writing to a string does not fail.
+    let mut text = String::from("ISO 230-2            A        R        B        E        M\n");
+    for axis in axes {
+        for measured in &axis.functions {
+            let (function, result) = (measured.function, &measured.result);
+            let unit = function.file_unit();
+            let _ = writeln!(
+                text,
+                "{function} {:<5} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8.3}",
+                function.unit(),
+                result.accuracy / unit,
+                result.repeatability / unit,
+                result.reversal / unit,
+                result.systematic / unit,
+                result.range / unit,
+            );
+        }
+    }
+    for (name, value) in Squareness::NAMES.iter().zip(errors.squareness.values()) {
+        let _ = writeln!(text, "{name} urad {:>8.3}", value * 1e6);
+    }
+    text
+}
+
 impl Calibration {
     /// Conditions and results as text.
     #[must_use]
@@ -386,32 +489,6 @@ impl Calibration {
                  expansion adds an uncertainty of +-{per_metre:.1} um per metre"
             );
         }
-        let _ = writeln!(
-            text,
-            "\nISO 230-2            A        R        B        E        M"
-        );
-        for axis in &self.axes {
-            for measured in &axis.functions {
-                let (function, result) = (measured.function, &measured.result);
-                let unit = function.file_unit();
-                let _ = writeln!(
-                    text,
-                    "{function} {:<5} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8.3}",
-                    function.unit(),
-                    result.accuracy / unit,
-                    result.repeatability / unit,
-                    result.reversal / unit,
-                    result.systematic / unit,
-                    result.range / unit,
-                );
-            }
-        }
-        for (name, value) in Squareness::NAMES
-            .iter()
-            .zip(self.errors.squareness.values())
-        {
-            let _ = writeln!(text, "{name} urad {:>8.3}", value * 1e6);
-        }
-        text
+        text + "\n" + &results(&self.axes, &self.errors)
     }
 }

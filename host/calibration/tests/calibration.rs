@@ -3,8 +3,11 @@
 use haptimill_calibration::calibrate::{Plan, calibrate};
 use haptimill_calibration::drive::{Machine, SLOW};
 use haptimill_calibration::laser::LaserOptions;
-use haptimill_calibration::scenario::{Volume, machine, truth};
+use haptimill_calibration::scenario::{Volume, machine, travel, truth, worn};
+use haptimill_machine_file::MachineFile;
 use haptimill_volumetric::chain::Model;
+use haptimill_volumetric::errors::{Approach, ErrorSet, Function, Shape, Table};
+use haptimill_volumetric::file;
 use haptimill_volumetric::grid::Grid;
 
 fn plan(laser: LaserOptions) -> Plan {
@@ -53,6 +56,75 @@ fn exact_instruments_find_the_errors() {
     let mut said = found;
     said.compensation = status.compensation;
     assert!(said.report().contains("ON (100 %)"));
+}
+
+/// What is left of the errors of a worn machine is what the stated uncertainty of the instruments
+/// leaves, not the distance of the targets: in each of ten readings of a target the instruments are
+/// off by their uncertainty, and a coordinate of the tool has two straightness errors, one
+/// positioning error and the one at the origin.
+#[test]
+fn measured_errors_are_as_exact_as_the_instruments() {
+    let file = worn(&machine().unwrap(), 10.0).unwrap();
+    let mut powered = Machine::new(&file, SLOW, &Default::default()).unwrap();
+    let plan = Plan::default();
+    let found = calibrate(&mut powered, &file, &plan, |_| ()).unwrap();
+    let (_, errors) = truth(&file).unwrap();
+    let model = Model::default();
+    let volume = Volume::of(Grid::part().points(), |point| {
+        model.error(&found.errors, point) - model.error(&errors, point)
+    });
+    let rest = volume.without_motion().sizes();
+    // The options are two standard deviations.
+    let mean_of_ten = |two: f64| (0.5 * two).powi(2) / 10.0;
+    let laser = plan.laser;
+    let coordinate = 2.0 * mean_of_ten(laser.straightness.1) + 2.0 * mean_of_ten(laser.resolution);
+    let point = (3.0 * coordinate).sqrt();
+    println!("expected {point} mm, {rest:?}");
+    assert!((0.3 * point..1.5 * point).contains(&rest.rms), "{rest:?}");
+    assert!(rest.largest < 3.0 * point, "{rest:?}");
+}
+
+/// Values by direction are a reversal error of the machine: the laser reads it, and the tables hold
+/// the mean of both directions.
+#[test]
+fn errors_by_direction_are_a_reversal() {
+    let plain = machine().unwrap();
+    let (text, errors) = truth(&plain).unwrap();
+    let mut errors = errors.tabulated(&travel(&plain), [64; 3]);
+    let name = |name: &str| Function::of_name(name).unwrap();
+    let exx = name("EXX");
+    let mean = |set: &ErrorSet, at: f64| set.function(exx).value(at, Approach::default());
+    let before = errors.clone();
+    let Shape::Table(table) = errors.function(exx).clone() else {
+        panic!("a table");
+    };
+    let moved = |by: f64| table.up.iter().map(|value| value + by).collect();
+    let pair = Table {
+        nodes: table.nodes.clone(),
+        up: moved(1e-3),
+        down: Some(moved(-1e-3)),
+    };
+    errors.set(exx, Shape::Table(pair));
+    let pairs = file::write(&errors, "pairs");
+    let text = plain.text.replace(text.trim_end(), pairs.trim_end());
+    let file = MachineFile::parse("pairs.toml", &text).unwrap();
+    let mut powered = Machine::new(&file, SLOW, &Default::default()).unwrap();
+    let coarse = Plan {
+        interval: 100.0,
+        ..plan(LaserOptions::ideal())
+    };
+    let found = calibrate(&mut powered, &file, &coarse, |_| ()).unwrap();
+    let reversal = |function: Function| {
+        let mut all = found.axes.iter().flat_map(|axis| &axis.functions);
+        let measured = all.find(|measured| measured.function == function);
+        measured.unwrap().result.reversal
+    };
+    assert!((reversal(exx) - 2e-3).abs() < 0.15e-3, "{}", reversal(exx));
+    assert!(reversal(name("EYY")) < 0.15e-3);
+    for target in &found.axes[0].targets {
+        let off = mean(&found.errors, *target) - (mean(&before, *target) - mean(&before, 0.0));
+        assert!(off.abs() < 0.15e-3, "{target}: {off}");
+    }
 }
 
 /// A machine that is not homed is refused, and nothing moves.

@@ -76,7 +76,11 @@ impl fmt::Display for FileProblem {
 
 impl core::error::Error for FileProblem {}
 
-fn problem(line: u64, what: impl Into<String>, remedy: impl Into<String>) -> FileProblem {
+pub(crate) fn problem(
+    line: u64,
+    what: impl Into<String>,
+    remedy: impl Into<String>,
+) -> FileProblem {
     FileProblem {
         line,
         what: what.into(),
@@ -89,24 +93,40 @@ fn problem(line: u64, what: impl Into<String>, remedy: impl Into<String>) -> Fil
 /// # Errors
 /// The first problem.
 pub fn read(text: &str, limits: &Limits) -> Result<ErrorSet, FileProblem> {
+    let form = text
+        .lines()
+        .find(|line| !line.starts_with('#') && !line.trim().is_empty())
+        .is_some_and(|line| columns_of(line) == columns_of(FORM_HEADER));
+    if form {
+        read_forms(&rows(text, FORM_HEADER)?)
+    } else {
+        read_tables(&rows(text, TABLE_HEADER)?, limits)
+    }
+}
+
+fn columns_of(header: &str) -> Vec<&str> {
+    header.split(',').map(str::trim).collect()
+}
+
+/// The rows of a file with a header.
+pub(crate) fn rows(text: &str, header: &str) -> Result<Vec<Row>, FileProblem> {
     let mut reader = csv::ReaderBuilder::new()
         .comment(Some(b'#'))
         .flexible(true)
         .trim(csv::Trim::All)
         .from_reader(text.as_bytes());
-    let header = reader
+    let found = reader
         .headers()
         .map_err(|error| problem(1, error.to_string(), "save the file as UTF-8"))?;
-    let header: Vec<&str> = header.iter().collect();
-    let form = header.join(",") == FORM_HEADER;
-    if !form && header.join(",") != TABLE_HEADER {
+    let found: Vec<&str> = found.iter().collect();
+    if found != columns_of(header) {
         return Err(problem(
             1,
-            format!("the header is \"{}\"", header.join(",")),
-            format!("write \"{TABLE_HEADER}\""),
+            format!("the header is \"{}\"", found.join(",")),
+            format!("write \"{header}\""),
         ));
     }
-    let columns = header.len();
+    let columns = found.len();
     let mut rows = Vec::new();
     for record in reader.records() {
         let record =
@@ -118,24 +138,20 @@ pub fn read(text: &str, limits: &Limits) -> Result<ErrorSet, FileProblem> {
         }
         rows.push(Row { line, record });
     }
-    if form {
-        read_forms(&rows)
-    } else {
-        read_tables(&rows, limits)
-    }
+    Ok(rows)
 }
 
-struct Row {
-    line: u64,
+pub(crate) struct Row {
+    pub(crate) line: u64,
     record: StringRecord,
 }
 
 impl Row {
-    fn text(&self, column: usize) -> &str {
+    pub(crate) fn text(&self, column: usize) -> &str {
         self.record.get(column).unwrap_or_default()
     }
 
-    fn number(&self, column: usize, name: &str) -> Result<f64, FileProblem> {
+    pub(crate) fn number(&self, column: usize, name: &str) -> Result<f64, FileProblem> {
         let text = self.text(column);
         let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
         number.ok_or_else(|| {
@@ -149,7 +165,7 @@ impl Row {
     }
 
     /// Value of one unit, in mm or radians.
-    fn unit(&self, column: usize, rotates: bool) -> Result<f64, FileProblem> {
+    pub(crate) fn unit(&self, column: usize, rotates: bool) -> Result<f64, FileProblem> {
         let unit = self.text(column);
         let known = [
             ("um", false, 1e-3),
@@ -173,7 +189,7 @@ impl Row {
     }
 
     /// The function of the row, or the index of a squareness error.
-    fn name(&self) -> Result<Name, FileProblem> {
+    pub(crate) fn name(&self) -> Result<Name, FileProblem> {
         let name = self.text(0);
         if let Some(function) = Function::of_name(name) {
             return Ok(Name::Function(function));
@@ -200,7 +216,7 @@ impl Row {
     }
 }
 
-enum Name {
+pub(crate) enum Name {
     Function(Function),
     Squareness(usize),
 }

@@ -8,6 +8,7 @@
 //! | [`chain`] | the error of the tool relative to the work, from the functions |
 //! | [`grid`] | volumetric error over a grid of points |
 //! | [`gdt`] | form and position from measured points: least squares and minimum zone |
+//! | [`readings`] | readings of a laser as CSV |
 //! | [`part`] | the test piece A160 of ISO 10791-7: its features, its surfaces, its tolerances |
 //!
 //! Units are mm and radians. Files have um and urad, and say so. Every error has the sign of the
@@ -19,6 +20,7 @@ pub mod file;
 pub mod gdt;
 pub mod grid;
 pub mod part;
+pub mod readings;
 
 /// A vector in x, y, z.
 pub type Vector = nalgebra::Vector3<f64>;

@@ -1,14 +1,18 @@
-//! `haptimill calibrate`: measures the geometric errors of the simulated machine.
+//! `haptimill calibrate`: measures the geometric errors of the simulated machine, and evaluates
+//! readings of a real laser.
 
 use super::args::MachineArg;
 use super::interrupt;
 use super::{CliError, Exit};
 use clap::{Args, Subcommand};
-use haptimill_calibration::calibrate::{Plan, calibrate};
+use haptimill_calibration::ball_bar::{self, CircleTest};
+use haptimill_calibration::calibrate::{Plan, calibrate, of_readings, write_readings};
 use haptimill_calibration::drive::{Machine, SLOW};
 use haptimill_calibration::laser::{Environment, LaserOptions};
-use haptimill_volumetric::file;
-use std::path::PathBuf;
+use haptimill_calibration::scenario::travel;
+use haptimill_machine_file::MachineFile;
+use haptimill_volumetric::{file, readings};
+use std::path::{Path, PathBuf};
 
 const LASER: &str = "\
 Measure the geometric errors of the simulated machine with a laser interferometer, an instrument for \
@@ -16,13 +20,22 @@ roll and a square, by the cycles of ISO 230-2: each axis goes to its targets fiv
 direction, through the controller.
 
 Writes the 21 identified errors to FILE. `haptimill run --machine M --errors FILE` compensates with \
-them. A table of a real laser in the same form (docs/volumetric.md) does the same.";
+them. With --readings the readings of a real laser are evaluated instead, and nothing moves.";
+
+const BALL_BAR: &str = "\
+Run the circle test of ISO 230-4 on the simulated machine: a circle in both directions about the \
+origin, read by a ball bar.
+
+States the circular deviation G, the hysteresis H, the radial deviation F, and the squareness of x \
+and y. With --errors the controller compensates these errors during the test.";
 
 /// Subcommands of `haptimill calibrate`.
 #[derive(Debug, Clone, Subcommand)]
 pub enum CalibrateCommand {
     #[allow(missing_docs)]
     Laser(LaserArgs),
+    #[allow(missing_docs)]
+    BallBar(BallBarArgs),
 }
 
 /// Arguments of `haptimill calibrate laser`.
@@ -36,8 +49,14 @@ pub struct LaserArgs {
     #[arg(long, value_name = "FILE", default_value = "errors.csv")]
     pub out: PathBuf,
     /// Nominal interval of the targets, mm
-    #[arg(long, value_name = "MM", default_value_t = 20.0, value_parser = interval)]
+    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = interval)]
     pub interval: f64,
+    /// Readings of a laser (CSV) to evaluate, instead of a measurement of the simulated machine
+    #[arg(long, value_name = "FILE", conflicts_with = "save_readings")]
+    pub readings: Option<PathBuf>,
+    /// File for all readings (CSV)
+    #[arg(long, value_name = "FILE")]
+    pub save_readings: Option<PathBuf>,
     /// Errors that the controller compensates while it is measured
     #[arg(long, value_name = "FILE")]
     pub errors: Option<PathBuf>,
@@ -64,6 +83,30 @@ pub struct LaserArgs {
     pub seed: u64,
 }
 
+/// Arguments of `haptimill calibrate ball-bar`.
+#[derive(Debug, Clone, Args)]
+#[command(about = "Run a circle test on the simulated machine", long_about = BALL_BAR)]
+pub struct BallBarArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: MachineArg,
+    /// Errors that the controller compensates during the test
+    #[arg(long, value_name = "FILE")]
+    pub errors: Option<PathBuf>,
+    /// Radius of the circle, mm
+    #[arg(long, value_name = "MM", default_value_t = 100.0, value_parser = radius)]
+    pub radius: f64,
+    /// Feed, mm/s
+    #[arg(long, value_name = "MM/S", default_value_t = 30.0, value_parser = feed)]
+    pub feed: f64,
+    /// A ball bar without noise
+    #[arg(long)]
+    pub no_noise: bool,
+    /// Seed of the noise
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+}
+
 fn number(text: &str, low: f64, high: f64, what: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().ok();
     let value = value.filter(|value| (low..=high).contains(value));
@@ -82,16 +125,59 @@ fn pressure(text: &str) -> Result<f64, String> {
     number(text, 500.0, 1200.0, "hPa")
 }
 
+fn radius(text: &str) -> Result<f64, String> {
+    number(text, 5.0, 500.0, "mm")
+}
+
+fn feed(text: &str) -> Result<f64, String> {
+    number(text, 1.0, 500.0, "mm/s")
+}
+
 /// Runs a calibration.
 ///
 /// # Errors
 /// See [`Exit`].
 pub fn run(command: CalibrateCommand) -> Result<(), CliError> {
-    let CalibrateCommand::Laser(args) = command;
-    let mut machine_file = args.machine.load()?;
-    if let Some(path) = &args.errors {
-        machine_file = super::args::with_errors(&machine_file, path)?;
+    match command {
+        CalibrateCommand::Laser(args) => match &args.readings {
+            Some(path) => evaluate(&args, path),
+            None => measure(&args),
+        },
+        CalibrateCommand::BallBar(args) => circle(&args),
     }
+}
+
+fn write(path: &Path, text: &str) -> Result<(), CliError> {
+    std::fs::write(path, text)
+        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))
+}
+
+fn load(machine: &MachineArg, errors: Option<&PathBuf>) -> Result<MachineFile, CliError> {
+    let file = machine.load()?;
+    match errors {
+        Some(path) => super::args::with_errors(&file, path),
+        None => Ok(file),
+    }
+}
+
+/// Errors of the readings of a real laser.
+fn evaluate(args: &LaserArgs, path: &Path) -> Result<(), CliError> {
+    let machine_file = args.machine.load()?;
+    let named = |problem: &dyn std::fmt::Display| format!("{}: {problem}", path.display());
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| CliError::new(Exit::BadInput, named(&error)))?;
+    let found =
+        readings::read(&text).map_err(|problem| CliError::new(Exit::BadInput, named(&problem)))?;
+    let (errors, report) = of_readings(&found, &travel(&machine_file));
+    write(&args.out, &file::write(&errors, &report))?;
+    print_line!("{report}");
+    print_line!("errors      {}", args.out.display());
+    Ok(())
+}
+
+/// Measures the simulated machine.
+fn measure(args: &LaserArgs) -> Result<(), CliError> {
+    let machine_file = load(&args.machine, args.errors.as_ref())?;
     let exact = if args.no_noise {
         LaserOptions::ideal()
     } else {
@@ -119,10 +205,51 @@ pub fn run(command: CalibrateCommand) -> Result<(), CliError> {
         print_line!("{line}");
     })?;
     let report = calibration.report();
-    let text = file::write(&calibration.errors, &report);
-    std::fs::write(&args.out, text)
-        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", args.out.display())))?;
+    write(&args.out, &file::write(&calibration.errors, &report))?;
     print_line!("\n{report}");
     print_line!("errors      {}", args.out.display());
+    if let Some(path) = &args.save_readings {
+        write(path, &write_readings(&calibration))?;
+        print_line!("readings    {}", path.display());
+    }
+    Ok(())
+}
+
+/// Runs a circle test on the simulated machine.
+fn circle(args: &BallBarArgs) -> Result<(), CliError> {
+    let machine_file = load(&args.machine, args.errors.as_ref())?;
+    let at = CircleTest::at(args.feed);
+    let test = CircleTest {
+        radius: args.radius,
+        noise: if args.no_noise { 0.0 } else { at.noise },
+        seed: args.seed,
+        ..at
+    };
+    // Eight samples in a degree, where a control period is short enough.
+    let degree_s = args.radius * 1_f64.to_radians() / args.feed;
+    let every = (degree_s * 1e6 / f64::from(machine_file.config.period_us) / 8.0) as u64;
+    let mut machine = Machine::new(&machine_file, every.clamp(1, SLOW), &interrupt::flag())?;
+    if machine_file.config.volumetric.is_some() {
+        machine.compensate(true)?;
+    }
+    let compensation = machine.status()?.compensation;
+    let result = ball_bar::run(&mut machine, &test)?;
+    let um = |value: f64| value * 1e3;
+    print_line!(
+        "circle      radius {} mm, {} mm/s, both directions",
+        args.radius,
+        args.feed
+    );
+    print_line!(
+        "compensation {}",
+        compensation.map_or("none".to_string(), |percent| format!("{percent} %"))
+    );
+    let [ccw, cw] = result.deviation.map(um);
+    let [most, least] = result.radial.map(um);
+    print_line!("G ccw       {ccw:>8.3} um");
+    print_line!("G cw        {cw:>8.3} um");
+    print_line!("H           {:>8.3} um", um(result.hysteresis));
+    print_line!("F           {least:>8.3} to {most:.3} um");
+    print_line!("squareness  {:>8.2} urad", result.squareness * 1e6);
     Ok(())
 }

@@ -1,0 +1,197 @@
+//! `haptimill calibrate`: a measurement of the simulated machine, the readings of a laser as a file,
+//! and the circle test.
+
+mod scene;
+
+use scene::{TestFolder, haptimill as run};
+
+fn machine() -> String {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let path = root.join("../../machines/vmc3.toml");
+    path.canonicalize().unwrap().to_str().unwrap().to_string()
+}
+
+/// The lines of an error file that are no comments.
+fn errors(path: &str) -> Vec<String> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let lines = text.lines().filter(|line| !line.starts_with('#'));
+    lines.map(str::to_string).collect()
+}
+
+/// The number of a line that begins with a name.
+fn value(out: &str, name: &str) -> f64 {
+    let line = out.lines().find(|line| line.starts_with(name));
+    let rest = line.unwrap_or_else(|| panic!("no {name} in {out}"));
+    let words = rest[name.len()..].split_whitespace();
+    words.filter_map(|word| word.parse().ok()).next().unwrap()
+}
+
+/// The readings of a measurement, evaluated as those of a real laser, give its errors. A controller
+/// with them makes the circle round, and readings of one axis alone are taken with zeros.
+#[test]
+fn readings_become_a_compensated_circle() {
+    let folder = TestFolder::new();
+    let path = |name: &str| folder.path(name);
+    let (measured, evaluated, readings) = (path("a.csv"), path("b.csv"), path("readings.csv"));
+    let machine = machine();
+    let laser = ["calibrate", "laser", "--machine", &machine];
+    let measure = [
+        "--interval",
+        "20",
+        "--out",
+        &measured,
+        "--save-readings",
+        &readings,
+    ];
+    run(&[&laser[..], &measure].concat()).expect_code(0);
+    let evaluate = ["--readings", &readings, "--out", &evaluated];
+    run(&[&laser[..], &evaluate].concat()).expect_code(0);
+    let [first, second] = [&measured, &evaluated].map(|file| errors(file));
+    assert_eq!(first.len(), second.len());
+    for (first, second) in first.iter().zip(&second).skip(1) {
+        let split = |line: &str| -> Vec<String> { line.split(',').map(str::to_string).collect() };
+        let (first, second) = (split(first), split(second));
+        assert_eq!((&first[0], &first[1]), (&second[0], &second[1]));
+        let of = |row: &[String]| row[3].parse::<f64>().unwrap();
+        assert!(
+            (of(&first) - of(&second)).abs() < 0.001,
+            "{first:?} {second:?}"
+        );
+    }
+
+    let circle = [
+        "calibrate",
+        "ball-bar",
+        "--machine",
+        &machine,
+        "--feed",
+        "20",
+    ];
+    let before = run(&circle).expect_code(0).out;
+    let after = run(&[&circle[..], &["--errors", &evaluated]].concat())
+        .expect_code(0)
+        .out;
+    assert!(before.contains("compensation none"), "{before}");
+    assert!(after.contains("compensation 100 %"), "{after}");
+    // The truth has 25 urad, and other errors that make the circle elliptic.
+    let squareness = value(&before, "squareness");
+    assert!((15.0..45.0).contains(&squareness.abs()), "{before}");
+    assert!(value(&after, "squareness").abs() < 3.0, "{after}");
+    assert!(value(&before, "G ccw") > 3.0, "{before}");
+    assert!(value(&after, "G ccw") < 1.0, "{after}");
+
+    // One axis alone.
+    let text = std::fs::read_to_string(&readings).unwrap();
+    let kept = |line: &&str| line.starts_with("function") || line.starts_with("EXX");
+    let alone: Vec<&str> = text.lines().filter(kept).collect();
+    std::fs::write(folder.path("exx.csv"), alone.join("\n")).unwrap();
+    let exx = path("exx.csv");
+    let done = run(&[&laser[..], &["--readings", &exx, "--out", &evaluated]].concat());
+    let out = done.expect_code(0).out;
+    assert!(out.contains("EYY not measured, taken as 0"), "{out}");
+    let program = path("move.ngc");
+    std::fs::write(&program, "G21 G90\nG1 X10 F600\nM30\n").unwrap();
+    let moved = [
+        "run",
+        &program,
+        "--machine",
+        &machine,
+        "--errors",
+        &evaluated,
+        "--quiet",
+    ];
+    run(&[&moved[..], &["--out", &path("out")]].concat()).expect_code(0);
+}
+
+/// Readings that cannot be used: the line and the remedy, and no error file.
+#[test]
+fn wrong_readings_are_refused() {
+    let folder = TestFolder::new();
+    let good = "function,target_mm,run,direction,reading,unit\nEXX,-10,1,up,0.5,um\n\
+                EXX,-10,1,down,0.6,um\nEXX,10,1,up,0.5,um\nEXX,10,1,down,0.6,um\n";
+    for (from, to, expected) in [
+        (
+            "EXX,10,1,down,0.6,um\n",
+            "",
+            "line 4: EXX has 0 readings down at 10 mm, and 1",
+        ),
+        (
+            "0.5,um",
+            "0.5,urad",
+            "line 2: EXX is a translation, its unit is \"urad\"",
+        ),
+        (
+            "-10,1,up,0.5",
+            "-10,1,up,",
+            "line 2: EXX has a gap: reading is empty",
+        ),
+        (
+            "1,down",
+            "1,back",
+            "line 3: direction = \"back\"; write up or down",
+        ),
+        (
+            "function,target_mm",
+            "name,target_mm",
+            "line 1: the header is",
+        ),
+        (
+            "EXX,-10,1,up,0.5,um",
+            "EXX,-10,1,up,0.5",
+            "line 2: has 5 values",
+        ),
+        (
+            "EXX,-10,1,up",
+            "EQQ,-10,1,up",
+            "line 2: \"EQQ\" is no error of an axis",
+        ),
+    ] {
+        assert!(good.contains(from), "{from}");
+        std::fs::write(folder.path("r.csv"), good.replacen(from, to, 1)).unwrap();
+        let (file, out) = (folder.path("r.csv"), folder.path("e.csv"));
+        let machine = machine();
+        let arguments = [
+            "calibrate",
+            "laser",
+            "--machine",
+            &machine,
+            "--readings",
+            &file,
+        ];
+        let refused = run(&[&arguments[..], &["--out", &out]].concat()).expect_code(3);
+        assert!(
+            refused.err.contains(expected),
+            "{expected}\n{}",
+            refused.err
+        );
+        assert!(!std::path::Path::new(&out).exists());
+    }
+}
+
+/// A machine without errors has nothing to measure, and a circle beyond its reach is refused.
+#[test]
+fn machines_that_cannot_be_measured_are_refused() {
+    let folder = TestFolder::new();
+    let out = folder.path("e.csv");
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mill = root.join("../../machines/mill3.toml");
+    let laser = ["calibrate", "laser", "--machine", mill.to_str().unwrap()];
+    let refused = run(&[&laser[..], &["--out", &out]].concat()).expect_code(3);
+    assert!(
+        refused.err.contains("has no errors to measure"),
+        "{}",
+        refused.err
+    );
+    assert!(!std::path::Path::new(&out).exists());
+    let machine = machine();
+    let circle = [
+        "calibrate",
+        "ball-bar",
+        "--machine",
+        &machine,
+        "--radius",
+        "300",
+    ];
+    let refused = run(&circle).expect_code(4);
+    assert!(refused.err.contains("circle test"), "{}", refused.err);
+}
