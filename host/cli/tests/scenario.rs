@@ -99,6 +99,20 @@ fn an_experiment_is_deterministic() {
     );
 }
 
+/// The path analysis of the thesis: figure 4.8 to the last digit, the pockets, and the reasons of
+/// what differs.
+#[test]
+fn the_engraver_repeats_the_analysis_of_its_thesis() {
+    let folder = TestFolder::new();
+    let out = folder.path("engraver");
+    let ran = haptimill(&["scenario", "run", "engraver", "--json", "--out", &out]).expect_code(0);
+    for number in ["113.705 mm", "97.854 mm", "114.061 mm", "146.290 mm", "lines 1 2 4 3"] {
+        assert!(ran.out.contains(number), "{number}: {}", ran.out);
+    }
+    let table = haptimill(&["scenario", "run", "engraver", "--out", &out]).expect_code(0).out;
+    assert!(table.contains("differs") && table.contains("stands in"), "{table}");
+}
+
 #[test]
 fn experiments_are_listed_and_others_refused() {
     let list = haptimill(&["scenario", "list"]).expect_code(0).out;
@@ -106,6 +120,7 @@ fn experiments_are_listed_and_others_refused() {
         let name = &format!("e{number} ");
         assert!(list.lines().any(|line| line.starts_with(name)), "{list}");
     }
+    assert!(list.contains("engraver "), "{list}");
     let ran = haptimill(&["scenario", "run", "e13"]).expect_code(2);
     assert_eq!(
         ran.err,

@@ -41,6 +41,8 @@ pub struct Problem {
     pub message: String,
     /// What to do about it.
     pub remedy: String,
+    /// Layer of the entity at fault; `None` where the file as a whole is.
+    pub layer: Option<String>,
 }
 
 impl Problem {
@@ -55,6 +57,7 @@ impl Problem {
             line,
             message,
             remedy: remedy.to_string(),
+            layer: None,
         }
     }
 
@@ -64,6 +67,7 @@ impl Problem {
             line: entity.line,
             message: format!("{entity}: {message}"),
             remedy: remedy.to_string(),
+            layer: Some(entity.layer.clone()),
         }
     }
 
@@ -165,12 +169,14 @@ impl Drawing {
         }
     }
 
-    /// Keeps the chosen layers. The names of layers that leave something out are noted.
+    /// Keeps the chosen layers, with their problems. That something is left out is noted.
     ///
     /// # Errors
     /// A chosen layer that the drawing does not have.
     pub fn select_layers(&mut self, choice: &LayerChoice) -> Result<(), Problem> {
-        let mut names: Vec<&str> = self.entities.iter().map(|one| one.layer.as_str()).collect();
+        let of_entities = self.entities.iter().map(|one| one.layer.as_str());
+        let of_problems = self.problems.iter().filter_map(|one| one.layer.as_deref());
+        let mut names: Vec<&str> = of_entities.chain(of_problems).collect();
         names.sort_unstable();
         names.dedup();
         for requested in choice.only.iter().chain(&choice.without) {
@@ -186,6 +192,11 @@ impl Drawing {
         }
         let entities = &self.entities;
         let keeps = |entity: usize| choice.allows(&entities[entity].layer);
+        self.problems.retain(|one| {
+            one.layer
+                .as_deref()
+                .is_none_or(|layer| choice.allows(layer))
+        });
         let before = self.paths.len() + self.points.len();
         self.paths.retain(|path| keeps(path.entity));
         self.points.retain(|&(_, entity)| keeps(entity));

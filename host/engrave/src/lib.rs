@@ -10,6 +10,7 @@
 //! | [`plate`] | a plate that is cut, against the drawing |
 //! | [`preview`] | the page of a job |
 //! | [`order`] | the order in which paths are cut |
+//! | [`thesis`] | the experiments of the thesis, repeated |
 
 pub mod chain;
 pub mod curves;
@@ -22,6 +23,7 @@ pub mod plate;
 pub mod preview;
 pub mod read;
 pub mod shape;
+pub mod thesis;
 pub mod toolpath;
 
 pub use kurbo;

@@ -6,8 +6,9 @@
 use haptimill_engrave::geometry::Point;
 use haptimill_engrave::order::edges::{Condition, Ends, analyse, order};
 use haptimill_engrave::order::rows::{Line, contours, totals, zigzag};
-
-const REFERENCE: Point = [0.0, 0.0];
+use haptimill_engrave::thesis::{
+    FIGURE_4_10, REFERENCE, five_squares as squares, hatch, pocket, pockets, polygon, rows, saved,
+};
 
 fn ends(line: [f64; 4]) -> Ends {
     Ends {
@@ -15,14 +16,6 @@ fn ends(line: [f64; 4]) -> Ends {
         end: [line[2], line[3]],
     }
 }
-
-/// Figure 4.10: the lines of figure 4.8 in the order of the file.
-const FIGURE_4_10: [[f64; 4]; 4] = [
-    [10.0, 30.0, 20.0, 40.0],
-    [20.0, 40.0, 40.0, 30.0],
-    [20.0, 20.0, 40.0, 10.0],
-    [40.0, 25.0, 40.0, 20.0],
-];
 
 #[test]
 fn conditions_of_figure_4_8() {
@@ -56,33 +49,9 @@ fn conditions_of_figure_4_8() {
     assert_eq!(listed, figure_4_12.map(ends));
 }
 
-fn rectangle(low: Point, high: Point) -> Vec<Point> {
-    vec![low, [high[0], low[1]], high, [low[0], high[1]]]
-}
-
-fn edges(corners: &[Point]) -> Vec<Line> {
-    (0..corners.len())
-        .map(|k| [corners[k], corners[(k + 1) % corners.len()]])
-        .collect()
-}
-
 #[test]
 fn five_squares() {
-    let corners = [
-        [80.0, 10.0],
-        [10.0, 10.0],
-        [80.0, 60.0],
-        [10.0, 60.0],
-        [45.0, 35.0],
-    ];
-    let commands: Vec<Ends> = corners
-        .iter()
-        .flat_map(|&at: &Point| edges(&rectangle(at, [at[0] + 15.0, at[1] + 15.0])))
-        .map(|line| Ends {
-            start: line[0],
-            end: line[1],
-        })
-        .collect();
+    let commands = squares();
     let expected = [
         (
             406.6662,
@@ -125,34 +94,6 @@ fn five_squares() {
     );
 }
 
-/// Diameter of the cutter of the pocket scenarios, mm.
-const TOOL: f64 = 0.9;
-
-/// Horizontal rows half a diameter apart between the edges of loops, from the top, left to right.
-fn hatch(loops: &[Vec<Point>]) -> Vec<Line> {
-    let spacing = TOOL / 2.0;
-    let ys = || loops.iter().flatten().map(|at| at[1]);
-    let low = (ys().fold(f64::INFINITY, f64::min) / spacing).floor() as i64 + 1;
-    let high = (ys().fold(f64::NEG_INFINITY, f64::max) / spacing).ceil() as i64 - 1;
-    let mut rows = Vec::new();
-    for k in (low..=high).rev() {
-        let y = k as f64 * spacing;
-        let mut crossings: Vec<f64> = loops
-            .iter()
-            .flat_map(|corners| edges(corners))
-            .filter(|[a, b]| (a[1] <= y) != (b[1] <= y))
-            .map(|[a, b]| a[0] + (y - a[1]) * (b[0] - a[0]) / (b[1] - a[1]))
-            .collect();
-        crossings.sort_by(f64::total_cmp);
-        for pair in crossings.chunks_exact(2) {
-            if pair[1] - pair[0] > 1e-9 {
-                rows.push([[pair[0], y], [pair[1], y]]);
-            }
-        }
-    }
-    rows
-}
-
 struct Scenario {
     name: &'static str,
     loops: Vec<Vec<Point>>,
@@ -166,26 +107,11 @@ struct Scenario {
 }
 
 fn scenarios() -> [Scenario; 3] {
-    let r = TOOL / 2.0;
-    // The letter H of 25 x 35 mm with strokes of 5 mm, made smaller by the radius of the cutter.
-    let h = [
-        [10.0 + r, 10.0 + r],
-        [15.0 - r, 10.0 + r],
-        [15.0 - r, 25.0 + r],
-        [30.0 + r, 25.0 + r],
-        [30.0 + r, 10.0 + r],
-        [35.0 - r, 10.0 + r],
-        [35.0 - r, 45.0 - r],
-        [30.0 + r, 45.0 - r],
-        [30.0 + r, 30.0 - r],
-        [15.0 - r, 30.0 - r],
-        [15.0 - r, 45.0 - r],
-        [10.0 + r, 45.0 - r],
-    ];
+    let [s1, s2, s3] = pockets();
     [
         Scenario {
             name: "S1",
-            loops: vec![rectangle([10.0 + r, 10.0 + r], [30.0 - r, 30.0 - r])],
+            loops: s1,
             rows: 42,
             plain: (878.6, 848.358, 43),
             analysed: (897.35, 46.371, 1, 42),
@@ -193,10 +119,7 @@ fn scenarios() -> [Scenario; 3] {
         },
         Scenario {
             name: "S2",
-            loops: vec![
-                rectangle([10.0, 10.0], [50.0, 50.0]),
-                rectangle([20.0 - r, 20.0 - r], [40.0 + r, 40.0 + r]),
-            ],
+            loops: s2,
             rows: 135,
             plain: (2842.2, 4592.195, 137),
             analysed: (2902.3, 74.059, 3, 134),
@@ -204,7 +127,7 @@ fn scenarios() -> [Scenario; 3] {
         },
         Scenario {
             name: "S3",
-            loops: vec![h.to_vec()],
+            loops: s3,
             rows: 141,
             plain: (934.5, 2917.738, 142),
             analysed: (996.15, 136.187, 5, 137),
@@ -216,16 +139,8 @@ fn scenarios() -> [Scenario; 3] {
 #[test]
 fn pocket_scenarios() {
     for scenario in scenarios() {
-        let rows = hatch(&scenario.loops);
-        assert_eq!(rows.len(), scenario.rows, "{}", scenario.name);
-        let outlines: Vec<Vec<Line>> = scenario.loops.iter().map(|one| edges(one)).collect();
-        let plain: Vec<Line> = outlines.iter().flatten().chain(&rows).copied().collect();
-        let mut analysed = zigzag(&rows, REFERENCE);
-        let last = analysed[analysed.len() - 1][1];
-        analysed.extend(contours(&outlines, last));
-        let anywhere = |_: Point, _: Point| true;
-        let before = totals(&plain, REFERENCE, None, &anywhere);
-        let after = totals(&analysed, REFERENCE, Some(TOOL), &anywhere);
+        let (count, before, after) = pocket(&scenario.loops);
+        assert_eq!(count, scenario.rows, "{}", scenario.name);
         let near = |a: f64, b: f64| (a - b).abs() < 0.0006;
         let (cut, air, lifts) = scenario.plain;
         assert!(
@@ -249,10 +164,7 @@ fn pocket_scenarios() {
             "{}",
             scenario.name
         );
-        let time = |totals: &haptimill_engrave::order::rows::Totals| {
-            (totals.cut_mm + totals.air_mm) / 5.0 + totals.lifts as f64 * 4.0
-        };
-        let saved = 100.0 * (1.0 - time(&after) / time(&before));
+        let saved = saved(&before, &after);
         assert!(
             (saved - scenario.saved).abs() < 0.006,
             "{} {saved}",
@@ -271,9 +183,27 @@ fn the_square_begins_at_its_lowest_row_and_alternates() {
         assert_eq!(row[1][0] > row[0][0], index % 2 == 0);
     }
     // With a limit below the row spacing only the way to the contour is a link.
-    let outlines: Vec<Vec<Line>> = square.loops.iter().map(|one| edges(one)).collect();
+    let outlines: Vec<Vec<Line>> = square.loops.iter().map(|one| polygon(one)).collect();
     let mut all = order.clone();
     all.extend(contours(&outlines, order[order.len() - 1][1]));
     let totals = totals(&all, REFERENCE, Some(0.4), &|_, _| true);
     assert_eq!((totals.links, totals.lifts), (1, 42));
+}
+
+/// The table of `haptimill scenario run engraver`: what differs from the thesis has a reason.
+#[test]
+fn the_table_of_the_thesis_is_complete() {
+    let rows = rows();
+    for section in ["5.1", "4.2.1", "5.2", "5.3", "5.4"] {
+        assert!(rows.iter().any(|row| row.section == section), "{section}");
+    }
+    for row in &rows {
+        assert!(row.agrees || !row.reason.is_empty(), "{row:?}");
+    }
+    let differs: Vec<&str> = rows
+        .iter()
+        .filter(|row| !row.agrees)
+        .map(|row| &*row.what)
+        .collect();
+    assert_eq!(differs.len(), 5, "{differs:?}");
 }

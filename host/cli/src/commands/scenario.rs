@@ -68,6 +68,9 @@ pub fn run(command: ScenarioCommand) -> Result<(), CliError> {
                     experiment.figures
                 );
             }
+            print_line!(
+                "{ENGRAVER:<5} path analysis of the thesis on the engraver, with its pockets"
+            );
             print_line!("{VOLUMETRIC:<5} volumetric errors, calibration, compensation, test piece");
             Ok(())
         }
@@ -77,6 +80,36 @@ pub fn run(command: ScenarioCommand) -> Result<(), CliError> {
 
 /// Name of the scenario that closes the loop of measurement and compensation.
 const VOLUMETRIC: &str = "vmc";
+
+/// Name of the scenario that repeats the analysis of the thesis on the engraver.
+const ENGRAVER: &str = "engraver";
+
+/// Stated and found results of the thesis on the engraver (docs/engraving.md).
+fn run_engraver(args: &RunArgs) -> Result<(), CliError> {
+    let rows = haptimill_engrave::thesis::rows();
+    let json = serde_json::to_string_pretty(&rows)
+        .map_err(|error| CliError::new(Exit::Internal, error))?;
+    write(&args.out.join(ENGRAVER).join("summary.json"), &json)?;
+    if args.json {
+        print_line!("{json}");
+        return Ok(());
+    }
+    print_line!("{:<7} {:<66} {:<27} ours", "section", "result", "stated");
+    for row in &rows {
+        let mark = if row.agrees { "" } else { "  differs" };
+        print_line!(
+            "{:<7} {:<66} {:<27} {}{mark}",
+            row.section,
+            row.what,
+            row.stated,
+            row.ours
+        );
+        if !row.reason.is_empty() {
+            print_line!("{:<7} ({})", "", row.reason);
+        }
+    }
+    Ok(())
+}
 
 /// Errors, calibration, compensation and test piece in one run (docs/volumetric.md).
 fn run_volumetric(args: &RunArgs) -> Result<(), CliError> {
@@ -112,6 +145,9 @@ fn run_volumetric(args: &RunArgs) -> Result<(), CliError> {
 fn run_named(args: &RunArgs) -> Result<(), CliError> {
     if args.name.eq_ignore_ascii_case(VOLUMETRIC) {
         return run_volumetric(args);
+    }
+    if args.name.eq_ignore_ascii_case(ENGRAVER) {
+        return run_engraver(args);
     }
     let machine = args.machine.load()?;
     let mut experiments = haptimill_experiments::all()?;

@@ -5,87 +5,17 @@
 //! line, handle and layer of every entity and reports each kind that it leaves out.
 
 use super::dxf_entity;
-use super::dxf_record::{Insert, Pair, Read, Record};
+use super::dxf_pairs::{DAMAGED, Pair, Pairs};
+use super::dxf_record::{Insert, Read, Record};
 use super::{ENTITY_LIMIT, ReadOptions};
 use crate::curves::{TOLERANCE, map_path, map_point};
 use crate::drawing::{Drawing, Entity, Problem};
 use crate::geometry::Point;
 use kurbo::Affine;
-use std::collections::{BTreeMap, HashMap};
-
-const DAMAGED: &str = "the file is damaged; save the drawing again as ASCII DXF";
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 /// Deepest nesting of blocks.
 const DEPTH: usize = 16;
-
-/// Reads pairs; the latest one can be put back.
-struct Pairs<'a> {
-    bytes: &'a [u8],
-    line: usize,
-    back: Option<Pair<'a>>,
-}
-
-impl<'a> Pairs<'a> {
-    fn next_line(&mut self) -> Option<&'a [u8]> {
-        if self.bytes.is_empty() {
-            return None;
-        }
-        let end = self
-            .bytes
-            .iter()
-            .position(|&byte| byte == b'\n' || byte == b'\r');
-        let (line, rest) = match end {
-            None => (self.bytes, &[][..]),
-            Some(end) if self.bytes[end..].starts_with(b"\r\n") => {
-                (&self.bytes[..end], &self.bytes[end + 2..])
-            }
-            Some(end) => (&self.bytes[..end], &self.bytes[end + 1..]),
-        };
-        self.bytes = rest;
-        self.line += 1;
-        Some(line)
-    }
-
-    fn next(&mut self) -> Result<Option<Pair<'a>>, Problem> {
-        if let Some(pair) = self.back.take() {
-            return Ok(Some(pair));
-        }
-        let Some(code) = self.next_line() else {
-            return Ok(None);
-        };
-        let line = self.line;
-        let word = code.trim_ascii();
-        if word.is_empty() && self.bytes.trim_ascii().is_empty() {
-            return Ok(None);
-        }
-        let code = std::str::from_utf8(word)
-            .ok()
-            .and_then(|word| word.parse::<i32>().ok());
-        let Some(code) = code.filter(|code| (-5..=1071).contains(code)) else {
-            let shown: String = String::from_utf8_lossy(word).chars().take(40).collect();
-            let what = format!("'{shown}' is not a group code of a DXF file");
-            return Err(Problem::at_line(line, what, DAMAGED));
-        };
-        let Some(value) = self.next_line() else {
-            let what = format!("the file ends after group code {code}");
-            return Err(Problem::at_line(line, what, DAMAGED));
-        };
-        Ok(Some(Pair { code, value, line }))
-    }
-
-    /// The pairs up to the next group code 0.
-    fn rest_of_record(&mut self, pairs: &mut Vec<Pair<'a>>) -> Result<(), Problem> {
-        pairs.clear();
-        while let Some(pair) = self.next()? {
-            if pair.code == 0 {
-                self.back = Some(pair);
-                break;
-            }
-            pairs.push(pair);
-        }
-        Ok(())
-    }
-}
 
 /// A layer of the tables.
 #[derive(Default, Clone)]
@@ -94,23 +24,26 @@ struct Layer {
 }
 
 /// An entity with what it draws.
-struct Item {
+struct Item<'a> {
     entity: Entity,
     hidden: bool,
     read: Read,
+    /// The pairs of a curve in a block: it is read again at the size of each reference, so that
+    /// its arcs deviate by no more than the tolerance there.
+    curve: Option<Vec<Pair<'a>>>,
 }
 
 #[derive(Default)]
-struct Block {
+struct Block<'a> {
     base: Point,
-    items: Vec<Item>,
+    items: Vec<Item<'a>>,
 }
 
 struct Reader<'a, 'o> {
     pairs: Pairs<'a>,
     options: &'o ReadOptions<'o>,
     layers: HashMap<String, Layer>,
-    blocks: HashMap<String, Block>,
+    blocks: HashMap<String, Block<'a>>,
     unit: Option<i64>,
     metric: Option<i64>,
     drawing: Drawing,
@@ -119,16 +52,16 @@ struct Reader<'a, 'o> {
     paper: usize,
     /// Whether the file stated Z coordinates other than 0.
     flattened: usize,
+    /// Entities placed so far, with those that draw nothing.
+    placed: usize,
+    /// Lines and layers of problems that are reported.
+    reported: HashSet<(usize, String)>,
 }
 
 /// Reads a DXF drawing.
 pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
     let mut reader = Reader {
-        pairs: Pairs {
-            bytes,
-            line: 0,
-            back: None,
-        },
+        pairs: Pairs::new(bytes),
         options,
         layers: HashMap::new(),
         blocks: HashMap::new(),
@@ -139,6 +72,8 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
         hidden: 0,
         paper: 0,
         flattened: 0,
+        placed: 0,
+        reported: HashSet::new(),
     };
     reader.file()?;
     reader.finish()
@@ -149,9 +84,6 @@ impl<'a> Reader<'a, '_> {
         let mut record = Vec::new();
         let mut sections = 0;
         while let Some(pair) = self.pairs.next()? {
-            if pair.code == 999 {
-                continue;
-            }
             match (pair.code, pair.word()) {
                 (0, "SECTION") => {
                     sections += 1;
@@ -166,6 +98,16 @@ impl<'a> Reader<'a, '_> {
                     self.section(name.word(), &mut record)?;
                 }
                 (0, "EOF") => return self.sections(sections),
+                // Old versions of dxflib close the header after its second variable.
+                (9, _) => {
+                    self.drawing.notices.push(
+                        "variables of the header stand outside of a section; they count all the \
+                         same"
+                            .into(),
+                    );
+                    self.pairs.back = Some(pair);
+                    self.header(pair.line)?;
+                }
                 (code, word) => {
                     let what = format!("group {code} with '{word}' stands outside of a section");
                     return Err(Problem::at_line(pair.line, what, DAMAGED));
@@ -193,7 +135,7 @@ impl<'a> Reader<'a, '_> {
         if name == "HEADER" {
             return self.header(begin);
         }
-        let mut block: Option<(String, Block)> = None;
+        let mut block: Option<(String, Block<'a>)> = None;
         while let Some(pair) = self.pairs.next()? {
             if pair.code != 0 {
                 if name == "ENTITIES" || name == "BLOCKS" {
@@ -235,14 +177,21 @@ impl<'a> Reader<'a, '_> {
                     }
                 }
                 ("BLOCKS", _) => {
-                    if let Some(item) = self.entity(kind, pair.line, record)?
+                    let curve = matches!(kind, "ELLIPSE" | "SPLINE" | "TEXT" | "MTEXT" | "ATTRIB");
+                    let pairs = curve.then(|| record.clone());
+                    if let Some(mut item) = self.entity(kind, pair.line, record)?
                         && let Some((_, block)) = &mut block
                     {
+                        item.curve = pairs;
                         block.items.push(item);
                     }
                 }
                 ("ENTITIES", _) => {
-                    if let Some(item) = self.entity(kind, pair.line, record)? {
+                    if let Some(mut item) = self.entity(kind, pair.line, record)? {
+                        if kind == "ATTDEF" {
+                            let what = "ATTDEF is text only where its block is inserted";
+                            item.read = Read::LeftOut(what.into());
+                        }
                         self.place(&item, Affine::IDENTITY, None, &mut Vec::new())?;
                     }
                 }
@@ -291,10 +240,11 @@ impl<'a> Reader<'a, '_> {
         kind: &str,
         line: usize,
         pairs: &mut Vec<Pair<'a>>,
-    ) -> Result<Option<Item>, Problem> {
+    ) -> Result<Option<Item<'a>>, Problem> {
         let record = Record { kind, line, pairs };
         let entity = record.entity();
-        let hidden = record.integer(60).is_ok_and(|value| value == Some(1));
+        let flag = |code, bit| matches!(record.integer(code), Ok(Some(value)) if value & bit != 0);
+        let hidden = flag(60, 1) || kind == "ATTRIB" && flag(70, 1);
         if record.integer(67).is_ok_and(|value| value == Some(1)) {
             self.paper += 1;
             self.skip_parts(kind, pairs)?;
@@ -317,18 +267,29 @@ impl<'a> Reader<'a, '_> {
             };
             dxf_entity::polyline(&head, &vertices)
         } else {
-            dxf_entity::read(&record, self.options)
+            dxf_entity::read(&record, self.options, self.tolerance(Affine::IDENTITY))
         };
-        match read {
-            Ok(read) => Ok(Some(Item {
-                entity,
-                hidden,
-                read,
-            })),
-            Err(problem) => {
-                self.drawing.problems.push(problem);
-                Ok(None)
-            }
+        Ok(Some(Item {
+            entity,
+            hidden,
+            read: read.unwrap_or_else(Read::Refused),
+            curve: None,
+        }))
+    }
+
+    /// Tolerance of curves in the units of an entity that is placed by a map.
+    fn tolerance(&self, map: Affine) -> f64 {
+        let [a, b, c, d, ..] = map.as_coeffs();
+        let size = a.hypot(b).max(c.hypot(d)) * self.millimetres().unwrap_or(1.0);
+        TOLERANCE / size
+    }
+
+    /// Reports a problem of an entity once on each layer.
+    fn report(&mut self, problem: &Problem, entity: &Entity) {
+        if self.reported.insert((problem.line, entity.layer.clone())) {
+            let mut problem = problem.clone();
+            problem.layer = Some(entity.layer.clone());
+            self.drawing.problems.push(problem);
         }
     }
 
@@ -364,11 +325,19 @@ impl<'a> Reader<'a, '_> {
     /// Adds an entity to the drawing under a map; `outer` is the entity of the block reference.
     fn place(
         &mut self,
-        item: &Item,
+        item: &Item<'a>,
         map: Affine,
         outer: Option<&Entity>,
         names: &mut Vec<String>,
     ) -> Result<(), Problem> {
+        // Blocks within blocks can multiply: the copies are counted, also those of nothing.
+        self.placed += 1;
+        if self.placed > ENTITY_LIMIT {
+            return Err(Problem::general(
+                format!("the drawing has more than {ENTITY_LIMIT} entities"),
+                "split the drawing",
+            ));
+        }
         let mut entity = item.entity.clone();
         if let Some(outer) = outer {
             // An entity of a block on layer 0 is on the layer of its reference.
@@ -382,7 +351,16 @@ impl<'a> Reader<'a, '_> {
             self.hidden += 1;
             return Ok(());
         }
-        match &item.read {
+        let fitted = match (&item.read, &item.curve) {
+            (Read::Shapes(_), Some(pairs)) => {
+                let (kind, line) = (item.entity.kind.as_str(), item.entity.line);
+                let record = Record { kind, line, pairs };
+                dxf_entity::read(&record, self.options, self.tolerance(map)).ok()
+            }
+            _ => None,
+        };
+        match fitted.as_ref().unwrap_or(&item.read) {
+            Read::Refused(problem) => self.report(problem, &entity),
             Read::LeftOut(reason) => {
                 self.left_out
                     .entry(reason.clone())
@@ -391,17 +369,12 @@ impl<'a> Reader<'a, '_> {
             }
             Read::Shapes(shapes) => {
                 let index = self.drawing.add_entity(entity);
-                if index > ENTITY_LIMIT {
-                    return Err(Problem::general(
-                        format!("the drawing has more than {ENTITY_LIMIT} entities"),
-                        "split the drawing",
-                    ));
-                }
+                let tolerance = self.tolerance(Affine::IDENTITY);
                 for path in &shapes.paths {
                     let mut path = if map == Affine::IDENTITY {
                         path.clone()
                     } else {
-                        map_path(map, path, TOLERANCE)
+                        map_path(map, path, tolerance)
                     };
                     path.entity = index;
                     self.drawing.paths.push(path);
@@ -468,6 +441,7 @@ impl<'a> Reader<'a, '_> {
 
     fn finish(mut self) -> Result<Drawing, Problem> {
         let scale = self.millimetres()?;
+        self.note_unit();
         let drawing = &mut self.drawing;
         for (reason, entities) in &self.left_out {
             let shown: Vec<String> = entities.iter().take(3).map(ToString::to_string).collect();
@@ -499,42 +473,47 @@ impl<'a> Reader<'a, '_> {
         Ok(self.drawing)
     }
 
-    /// Millimetres per unit.
-    fn millimetres(&mut self) -> Result<f64, Problem> {
-        if let Some(unit) = self.options.unit_mm {
-            return Ok(unit);
-        }
-        match (self.unit, self.metric) {
-            (None | Some(0), Some(0)) => {
-                self.drawing.notices.push(
-                    "the drawing states no unit, but English measurement: 1 unit is taken as \
-                     1 inch; --unit mm sets millimetres"
-                        .into(),
-                );
-                Ok(25.4)
-            }
-            (None | Some(0), _) => {
-                self.drawing.notices.push(
-                    "the drawing states no unit ($INSUNITS): 1 unit is taken as 1 mm; --unit inch \
-                     sets inches"
-                        .into(),
-                );
-                Ok(1.0)
-            }
-            (Some(unit), _) => millimetres_of(unit).ok_or_else(|| {
+    /// Whether the unit is inches by the measurement only.
+    fn english(&self) -> bool {
+        matches!((self.unit, self.metric), (None | Some(0), Some(0)))
+    }
+
+    /// Millimetres per unit, with the factor of the caller.
+    fn millimetres(&self) -> Result<f64, Problem> {
+        let unit = match (self.options.unit_mm, self.unit) {
+            (Some(unit), _) => unit,
+            (None, None | Some(0)) if self.english() => 25.4,
+            (None, None | Some(0)) => 1.0,
+            (None, Some(unit)) => millimetres_of(unit).ok_or_else(|| {
                 Problem::general(
                     format!("the drawing's unit ($INSUNITS) is {unit}, which is not known"),
                     "state the unit with --unit mm or --unit inch",
                 )
-            }),
+            })?,
+        };
+        Ok(unit * self.options.scale.unwrap_or(1.0))
+    }
+
+    /// Tells which unit is taken where the file states none.
+    fn note_unit(&mut self) {
+        if self.options.unit_mm.is_some() || !matches!(self.unit, None | Some(0)) {
+            return;
         }
+        let notice = if self.english() {
+            "the drawing states no unit, but English measurement: 1 unit is taken as 1 inch; \
+             --unit mm sets millimetres"
+        } else {
+            "the drawing states no unit ($INSUNITS): 1 unit is taken as 1 mm; --unit inch sets \
+             inches"
+        };
+        self.drawing.notices.push(notice.into());
     }
 }
 
 /// Millimetres per unit of a value of `$INSUNITS`.
 fn millimetres_of(unit: i64) -> Option<f64> {
     Some(match unit {
-        1 | 21 => 25.4,
+        1 => 25.4,
         2 => 304.8,
         3 => 1_609_344.0,
         4 => 1.0,
@@ -544,11 +523,21 @@ fn millimetres_of(unit: i64) -> Option<f64> {
         8 => 25.4e-6,
         9 => 25.4e-3,
         10 => 914.4,
+        11 => 1e-7,
         12 => 1e-6,
         13 => 1e-3,
         14 => 100.0,
         15 => 1e4,
         16 => 1e5,
+        17 => 1e12,
+        18 => 1.495_978_707e14,
+        19 => 9.460_730_472_580_8e18,
+        20 => 3.085_677_581_491_367e19,
+        // The foot of the survey of the United States is 1200/3937 m.
+        21 => 1_200_000.0 / 3937.0,
+        22 => 100_000.0 / 3937.0,
+        23 => 3_600_000.0 / 3937.0,
+        24 => 6_336_000_000.0 / 3937.0,
         _ => return None,
     })
 }

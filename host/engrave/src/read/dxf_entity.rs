@@ -1,6 +1,7 @@
 //! Entities of a DXF drawing as paths.
 
-use super::dxf_record::{Insert, Pair, Read, Record, Shapes};
+use super::dxf_pairs::Pair;
+use super::dxf_record::{Insert, Read, Record, Shapes};
 use super::dxf_text;
 use super::nurbs::Nurbs;
 use super::{ENTITY_LIMIT, ReadOptions};
@@ -14,7 +15,9 @@ use std::f64::consts::TAU;
 const RADIUS_LIMIT: f64 = 1e6;
 
 /// Reads an entity, except POLYLINE, which has records of its own.
-pub fn read(record: &Record, options: &ReadOptions) -> Result<Read, Problem> {
+///
+/// Curves become arcs within `tolerance`, in units of the drawing.
+pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Read, Problem> {
     let paths = match record.kind {
         "LINE" => {
             let (from, to) = (record.point(10, 20)?, record.point(11, 21)?);
@@ -29,12 +32,15 @@ pub fn read(record: &Record, options: &ReadOptions) -> Result<Read, Problem> {
         }
         "ARC" => vec![arc(record)?],
         "CIRCLE" => {
+            if record.number(40)? == Some(0.0) {
+                return Ok(Read::LeftOut("it has no length".into()));
+            }
             let path = Path::circle(record.point(10, 20)?, radius(record)?, 0);
             vec![map_path(record.plane()?, &path, TOLERANCE)]
         }
         "LWPOLYLINE" => return light_polyline(record),
-        "ELLIPSE" => vec![ellipse(record)?],
-        "SPLINE" => vec![spline(record)?],
+        "ELLIPSE" => vec![ellipse(record, tolerance)?],
+        "SPLINE" => vec![spline(record, tolerance)?],
         "SOLID" | "TRACE" => vec![solid(record)?],
         "POINT" => {
             let points = vec![record.point(10, 20)?];
@@ -44,7 +50,7 @@ pub fn read(record: &Record, options: &ReadOptions) -> Result<Read, Problem> {
             }));
         }
         "INSERT" => return insert(record).map(Read::Insert),
-        "TEXT" | "MTEXT" | "ATTRIB" => return dxf_text::read(record, options),
+        "TEXT" | "MTEXT" | "ATTRIB" => return dxf_text::read(record, options, tolerance),
         // The text of a definition shows only where a block is inserted, as ATTRIB.
         "ATTDEF" => return Ok(Read::Shapes(Shapes::default())),
         kind => return Ok(Read::LeftOut(format!("{kind} is not a path"))),
@@ -227,12 +233,14 @@ pub fn polyline(record: &Record, parts: &[(usize, Vec<Pair>)]) -> Result<Read, P
     bulged(record, vertices, flags & 1 != 0)
 }
 
-fn ellipse(record: &Record) -> Result<Path, Problem> {
+fn ellipse(record: &Record, tolerance: f64) -> Result<Path, Problem> {
+    record.plane()?;
     let centre = record.point(10, 20)?;
     let major = [record.need(11)?, record.need(21)?];
     let ratio = record.need(40)?;
-    if major == [0.0, 0.0] || !(ratio > 0.0 && ratio <= 1.000_001) {
-        let what = format!("an axis has no length, or the ratio {ratio} is not within 0 to 1");
+    // Some programs write the shorter axis first, with a ratio above 1.
+    if major == [0.0, 0.0] || ratio <= 0.0 {
+        let what = format!("an axis has no length, or the ratio {ratio} is not above 0");
         return Err(record.refuse(what, "repair or delete the entity"));
     }
     let side = if record.or(230, 1.0)? < 0.0 {
@@ -259,7 +267,7 @@ fn ellipse(record: &Record) -> Result<Path, Problem> {
         [0.0, 0.0],
         1.0,
         [from, from + sweep],
-        TOLERANCE,
+        tolerance,
         &mut segments,
     );
     let mut path = Path::from_segments(&segments, 0);
@@ -270,7 +278,7 @@ fn ellipse(record: &Record) -> Result<Path, Problem> {
     Ok(path)
 }
 
-fn spline(record: &Record) -> Result<Path, Problem> {
+fn spline(record: &Record, tolerance: f64) -> Result<Path, Problem> {
     let numbers = |code: i32| -> Result<Vec<f64>, Problem> {
         let all = record.pairs.iter().filter(|pair| pair.code == code);
         all.map(|pair| record.parse(pair)).collect()
@@ -307,7 +315,7 @@ fn spline(record: &Record) -> Result<Path, Problem> {
         return Err(record.refuse(what, "repair or delete the entity"));
     }
     let mut segments = Vec::new();
-    nurbs.fit(TOLERANCE, &mut segments);
+    nurbs.fit(tolerance, &mut segments);
     let mut path = Path::from_segments(&segments, 0);
     let meets = path
         .start()
@@ -346,6 +354,10 @@ fn insert(record: &Record) -> Result<Insert, Problem> {
     };
     let at = record.point(10, 20)?;
     let scale = [record.or(41, 1.0)?, record.or(42, 1.0)?];
+    if scale.contains(&0.0) {
+        let what = format!("its scale is {} x {}", scale[0], scale[1]);
+        return Err(record.refuse(what, "repair or delete the block reference"));
+    }
     let angle = record.or(50, 0.0)?.to_radians();
     let count = |code| -> Result<i64, Problem> { Ok(record.integer(code)?.unwrap_or(1).max(1)) };
     let (columns, rows) = (count(70)?, count(71)?);

@@ -1,32 +1,10 @@
-//! Records of a DXF drawing: group codes with their values, and what a record draws.
+//! Records of a DXF drawing, and what a record draws.
 
 use super::COORDINATE_LIMIT;
+use super::dxf_pairs::Pair;
 use crate::drawing::{Entity, Problem};
 use crate::geometry::{Path, Point};
 use kurbo::Affine;
-use std::borrow::Cow;
-
-/// A group code with its value.
-#[derive(Debug, Clone, Copy)]
-pub struct Pair<'a> {
-    pub code: i32,
-    pub value: &'a [u8],
-    pub line: usize,
-}
-
-impl<'a> Pair<'a> {
-    /// The value as text. Files before 2007 may have a code page of one byte a character.
-    pub fn text(&self) -> Cow<'a, str> {
-        match std::str::from_utf8(self.value) {
-            Ok(text) => Cow::Borrowed(text),
-            Err(_) => Cow::Owned(self.value.iter().map(|&byte| char::from(byte)).collect()),
-        }
-    }
-
-    pub fn word(&self) -> &'a str {
-        std::str::from_utf8(self.value).unwrap_or("?").trim()
-    }
-}
 
 /// The pairs of an entity.
 pub struct Record<'p, 'a> {
@@ -155,4 +133,6 @@ pub enum Read {
     Insert(Insert),
     /// Left out, with the reason.
     LeftOut(String),
+    /// Cannot be cut.
+    Refused(Problem),
 }

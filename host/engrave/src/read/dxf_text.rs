@@ -2,7 +2,7 @@
 
 use super::ReadOptions;
 use super::dxf_record::{Read, Record, Shapes};
-use super::text::Anchor;
+use super::text::{Anchor, Font};
 use super::text_remedy;
 use crate::drawing::Problem;
 use kurbo::Affine;
@@ -11,10 +11,10 @@ use kurbo::Affine;
 const LINE_SPACING: f64 = 5.0 / 3.0;
 
 /// Reads a text as outlines of the font, or refuses it.
-pub fn read(record: &Record, options: &ReadOptions) -> Result<Read, Problem> {
+pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Read, Problem> {
     let multi = record.kind == "MTEXT";
     let raw = content(record);
-    let lines = if multi {
+    let mut lines = if multi {
         plain_lines(&raw)
     } else {
         vec![special(&raw)]
@@ -36,21 +36,26 @@ pub fn read(record: &Record, options: &ReadOptions) -> Result<Read, Problem> {
     }
     let em = height / font.capital_height();
     let layout = if multi {
+        let width = record.or(41, 0.0)? / em;
+        if width > 0.0 {
+            lines = wrapped(&lines, width, font);
+        }
         multi_layout(record, lines.len(), height)?
     } else {
-        single_layout(record, height)?
+        single_layout(
+            record,
+            height,
+            lines.first().map_or(0.0, |line| font.width(line)) * em,
+        )?
     };
-    let plane = record.plane()?;
     let mut shapes = Shapes::default();
     for (index, line) in lines.iter().enumerate() {
-        let below = layout.down + index as f64 * height * LINE_SPACING;
-        let map = plane
-            * Affine::translate((layout.at[0], layout.at[1]))
-            * Affine::rotate(layout.angle)
+        let below = layout.down + index as f64 * layout.pitch;
+        let map = layout.place
             * Affine::translate((0.0, -below))
             * Affine::skew(layout.oblique.tan(), 0.0)
             * Affine::scale_non_uniform(em * layout.width, em);
-        let outline = font.outline(line, layout.anchor, map);
+        let outline = font.outline(line, layout.anchor, map, tolerance);
         let outline = outline.map_err(|what| {
             record.refuse(
                 format!("'{shown}': {what}"),
@@ -63,19 +68,24 @@ pub fn read(record: &Record, options: &ReadOptions) -> Result<Read, Problem> {
 }
 
 struct Layout {
-    at: [f64; 2],
-    angle: f64,
+    /// Map of the text's own axes, with the insertion point as origin, to the drawing.
+    place: Affine,
     anchor: Anchor,
     /// Distance from the point down to the first baseline.
     down: f64,
+    /// Distance of two baselines.
+    pitch: f64,
     width: f64,
     oblique: f64,
 }
 
-fn single_layout(record: &Record, height: f64) -> Result<Layout, Problem> {
+/// Layout of a text of one line; `natural` is its width at a width factor of 1.
+fn single_layout(record: &Record, height: f64, natural: f64) -> Result<Layout, Problem> {
+    // An attribute has its vertical alignment in another group than a text.
+    let vertical = if record.kind == "ATTRIB" { 74 } else { 73 };
     let (across, up) = (
         record.integer(72)?.unwrap_or(0),
-        record.integer(73)?.unwrap_or(0),
+        record.integer(vertical)?.unwrap_or(0),
     );
     let anchor = match across {
         1 | 4 => Anchor::Middle,
@@ -84,7 +94,7 @@ fn single_layout(record: &Record, height: f64) -> Result<Layout, Problem> {
     };
     // The second point counts where the text is not aligned left on its baseline.
     let aligned = (across != 0 || up != 0) && record.value(11).is_some();
-    let fitted = matches!(across, 3 | 5);
+    let fitted = aligned && matches!(across, 3 | 5);
     let at = if aligned && !fitted {
         record.point(11, 21)?
     } else {
@@ -95,12 +105,34 @@ fn single_layout(record: &Record, height: f64) -> Result<Layout, Problem> {
         (3, _) => height,
         _ => 0.0,
     };
+    let (mut angle, mut width) = (record.or(50, 0.0)?.to_radians(), record.or(41, 1.0)?);
+    let mut size = 1.0;
+    if fitted {
+        // Between two points: "aligned" (3) keeps the proportions, "fit" (5) the height.
+        let to = record.point(11, 21)?;
+        let span = [to[0] - at[0], to[1] - at[1]];
+        angle = span[1].atan2(span[0]);
+        let factor = span[0].hypot(span[1]) / natural;
+        if factor > 0.0 && factor.is_finite() {
+            (size, width) = if across == 3 {
+                (factor, 1.0)
+            } else {
+                (1.0, factor)
+            };
+        }
+    }
+    let flags = record.integer(71)?.unwrap_or(0);
+    let mirror = |bit: i64| if flags & bit != 0 { -size } else { size };
+    let place = record.plane()?
+        * Affine::translate((at[0], at[1]))
+        * Affine::rotate(angle)
+        * Affine::scale_non_uniform(mirror(2), mirror(4));
     Ok(Layout {
-        at,
-        angle: record.or(50, 0.0)?.to_radians(),
+        place,
         anchor,
         down,
-        width: record.or(41, 1.0)?,
+        pitch: height * LINE_SPACING,
+        width,
         oblique: record.or(51, 0.0)?.to_radians(),
     })
 }
@@ -112,24 +144,53 @@ fn multi_layout(record: &Record, lines: usize, height: f64) -> Result<Layout, Pr
         2 => Anchor::Middle,
         _ => Anchor::End,
     };
-    let tall = height + (lines.max(1) - 1) as f64 * height * LINE_SPACING;
+    let pitch = height * LINE_SPACING * record.or(44, 1.0)?;
+    let tall = height + (lines.max(1) - 1) as f64 * pitch;
     let down = match attachment {
         4..=6 => height - tall / 2.0,
         7..=9 => height - tall,
         _ => height,
     };
-    let angle = match (record.number(11)?, record.number(21)?) {
-        (Some(x), Some(y)) if x != 0.0 || y != 0.0 => y.atan2(x),
-        _ => record.or(50, 0.0)?.to_radians(),
+    // The point and the direction are in the drawing plane, the angle is in the text's own plane.
+    let plane = record.plane()?;
+    let turn = match (record.number(11)?, record.number(21)?) {
+        (Some(x), Some(y)) if x != 0.0 || y != 0.0 => {
+            let mirrored = if plane.determinant() < 0.0 { -1.0 } else { 1.0 };
+            Affine::rotate(y.atan2(x)) * Affine::scale_non_uniform(1.0, mirrored)
+        }
+        _ => plane * Affine::rotate(record.or(50, 0.0)?.to_radians()),
     };
+    let at = record.point(10, 20)?;
     Ok(Layout {
-        at: record.point(10, 20)?,
-        angle,
+        place: Affine::translate((at[0], at[1])) * turn,
         anchor,
         down,
+        pitch,
         width: 1.0,
         oblique: 0.0,
     })
+}
+
+/// Lines broken between words so that they fit a width, in ems.
+fn wrapped(lines: &[String], width: f64, font: &Font) -> Vec<String> {
+    let mut out = Vec::new();
+    for line in lines {
+        let mut present = String::new();
+        for word in line.split(' ') {
+            let longer = if present.is_empty() {
+                word.to_string()
+            } else {
+                format!("{present} {word}")
+            };
+            if present.is_empty() || font.width(&longer) <= width {
+                present = longer;
+            } else {
+                out.push(std::mem::replace(&mut present, word.to_string()));
+            }
+        }
+        out.push(present);
+    }
+    out
 }
 
 /// The string: chunks with code 3, then code 1.

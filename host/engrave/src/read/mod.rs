@@ -2,11 +2,15 @@
 
 mod dxf;
 mod dxf_entity;
+mod dxf_pairs;
 mod dxf_record;
 mod dxf_text;
 mod nurbs;
 mod svg;
+mod svg_clip;
+mod svg_shape;
 mod svg_style;
+mod svg_text;
 pub mod text;
 
 use crate::drawing::{Drawing, Problem};
@@ -23,10 +27,16 @@ pub const COORDINATE_LIMIT: f64 = 1e6;
 pub struct ReadOptions<'a> {
     /// Millimetres per unit of the drawing; `None` for the unit that the file states.
     pub unit_mm: Option<f64>,
+    /// Factor of the drawing's size about its origin; `None` for 1. Curves become arcs at the
+    /// final size, so that their deviation does not grow with it.
+    pub scale: Option<f64>,
     /// Font of text; without one a text is a problem.
     pub font: Option<&'a Font<'a>>,
     /// Whether text without a font is left out with a notice instead of being a problem.
     pub skip_text: bool,
+    /// Whether elements with a clip path or a mask are cut whole, with a notice, instead of being
+    /// problems.
+    pub ignore_clips: bool,
 }
 
 /// Reads a drawing. The content decides between DXF and SVG, not the name.

@@ -1,35 +1,44 @@
 //! Reader of SVG: shapes, paths, groups, references, units, transforms.
 //!
-//! Fill and stroke do not matter: every shape is its outline. What is not drawn (definitions,
+//! Every shape is its outline, however it is painted. What is not drawn (definitions,
 //! metadata) is not part of the drawing; everything else that is left out is reported.
 
-use super::svg_style::{Builder, inherited, property};
-use super::text::Anchor;
-use super::{COORDINATE_LIMIT, ENTITY_LIMIT, ReadOptions, text_remedy};
-use crate::curves::{TOLERANCE, fit_ellipse, map_path};
+use super::svg_shape::{Builder, ellipse, rectangle};
+use super::svg_style::{Paint, Styles};
+use super::svg_text::font_size;
+use super::{COORDINATE_LIMIT, ENTITY_LIMIT, ReadOptions};
 use crate::drawing::{Drawing, Entity, Problem};
 use crate::geometry::{Path, Point};
 use kurbo::Affine;
-use roxmltree::{Document, Node, ParsingOptions};
-use std::collections::BTreeMap;
+use roxmltree::{Document, Node, NodeId, ParsingOptions};
+use std::collections::{BTreeMap, HashMap};
 use std::str::FromStr;
-use svgtypes::{Align, AspectRatio, Length, LengthUnit, PointsParser, Transform, ViewBox};
+use svgtypes::{Align, AspectRatio, Length, LengthUnit, NumberListParser, Transform, ViewBox};
 
 /// Millimetres per CSS pixel.
-const PIXEL_MM: f64 = 25.4 / 96.0;
+pub const PIXEL_MM: f64 = 25.4 / 96.0;
 
 /// Deepest nesting of elements and references.
 const DEPTH: usize = 64;
 
 const REPAIR: &str = "repair or delete the element in the drawing program";
 
-struct Reader<'a, 'o> {
-    document: &'a Document<'a>,
+pub struct Reader<'a, 'o> {
     /// Positions of the line ends: the document itself searches them from its beginning.
     line_ends: Vec<usize>,
-    options: &'o ReadOptions<'o>,
-    drawing: Drawing,
-    left_out: BTreeMap<String, Vec<Entity>>,
+    pub options: &'o ReadOptions<'o>,
+    pub drawing: Drawing,
+    /// Entities that a notice is about, by its beginning.
+    noted: BTreeMap<String, Vec<Entity>>,
+    /// Elements by their id.
+    pub ids: HashMap<&'a str, Node<'a, 'a>>,
+    /// Style sheets.
+    pub styles: Styles,
+    paints: HashMap<NodeId, Paint>,
+    /// Whether a group of the document is an Inkscape layer.
+    layered: bool,
+    /// Elements seen so far, with those of references.
+    seen: usize,
     /// Size of the page in user units, for percentages.
     page: [f64; 2],
 }
@@ -71,21 +80,28 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
         ));
     }
     let mut reader = Reader {
-        document: &document,
         line_ends: text.match_indices('\n').map(|(at, _)| at).collect(),
         options,
         drawing: Drawing::default(),
-        left_out: BTreeMap::new(),
+        noted: BTreeMap::new(),
+        styles: Styles::new(&document),
+        paints: HashMap::new(),
+        ids: HashMap::new(),
+        layered: document.descendants().any(is_layer),
+        seen: 0,
         page: [100.0, 100.0],
     };
-    let map = reader.page(root)?;
+    for node in document.descendants() {
+        if let Some(id) = node.attribute("id") {
+            reader.ids.entry(id).or_insert(node);
+        }
+    }
+    let map = Affine::scale(options.scale.unwrap_or(1.0)) * reader.page(root)?;
     reader.children(root, map, "", 0)?;
     let Reader {
-        mut drawing,
-        left_out,
-        ..
+        mut drawing, noted, ..
     } = reader;
-    for (reason, entities) in left_out {
+    for (reason, entities) in noted {
         let shown: Vec<String> = entities.iter().take(3).map(ToString::to_string).collect();
         let more = match entities.len() {
             0..=3 => String::new(),
@@ -93,7 +109,7 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
         };
         drawing
             .notices
-            .push(format!("left out, {reason}: {}{more}", shown.join("; ")));
+            .push(format!("{reason}: {}{more}", shown.join("; ")));
     }
     Ok(drawing)
 }
@@ -101,7 +117,7 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
 impl<'a> Reader<'a, '_> {
     /// Map of the root's user units to mm with y up.
     fn page(&mut self, root: Node<'a, 'a>) -> Result<Affine, Problem> {
-        let view = match root.attribute("viewBox") {
+        let view: Option<ViewBox> = match root.attribute("viewBox") {
             None => None,
             Some(text) => Some(ViewBox::from_str(text).map_err(|error| {
                 Problem::of(&self.entity(root, ""), format!("viewBox: {error}"), REPAIR)
@@ -156,28 +172,16 @@ impl<'a> Reader<'a, '_> {
             (None, Some(height)) => (height / h, height / h),
             (None, None) => (PIXEL_MM, PIXEL_MM),
         };
-        let keeps = root
-            .attribute("preserveAspectRatio")
-            .map(AspectRatio::from_str);
-        let stretches = keeps.is_some_and(|one| one.is_ok_and(|one| one.align == Align::None));
-        if stretches || h == 0.0 {
-            return Ok(Affine::new([sx, 0.0, 0.0, -sy, -x * sx, (y + h) * sy]));
+        if h == 0.0 {
+            return Ok(Affine::scale_non_uniform(sx, -sy));
         }
-        // The drawing in the middle of its page, as browsers place it.
-        let scale = sx.min(sy);
-        let left = (w * sx - w * scale) / 2.0;
-        let low = (h * sy - h * scale) / 2.0;
-        Ok(Affine::new([
-            scale,
-            0.0,
-            0.0,
-            -scale,
-            left - x * scale,
-            low + (y + h) * scale,
-        ]))
+        let view = ViewBox { x, y, w, h };
+        let size = [w * sx, h * sy];
+        let up = Affine::new([1.0, 0.0, 0.0, -1.0, 0.0, size[1]]);
+        Ok(up * fit_view(view, size, aspect(root)))
     }
 
-    fn entity(&self, node: Node, layer: &str) -> Entity {
+    pub fn entity(&self, node: Node, layer: &str) -> Entity {
         let start = node.range().start;
         Entity {
             kind: node.tag_name().name().to_string(),
@@ -187,12 +191,46 @@ impl<'a> Reader<'a, '_> {
         }
     }
 
-    fn leave_out(&mut self, reason: &str, node: Node, layer: &str) {
+    pub fn leave_out(&mut self, reason: &str, node: Node, layer: &str) {
+        self.note(format!("left out, {reason}"), node, layer);
+    }
+
+    pub fn note(&mut self, what: String, node: Node, layer: &str) {
         let entity = self.entity(node, layer);
-        self.left_out
-            .entry(reason.to_string())
-            .or_default()
-            .push(entity);
+        self.noted.entry(what).or_default().push(entity);
+    }
+
+    /// How an element is painted, by its own properties and those of its ancestors.
+    fn paint(&mut self, node: Node) -> Paint {
+        let mut chain = Vec::new();
+        let mut paint = Paint::default();
+        for one in node.ancestors() {
+            if let Some(&known) = self.paints.get(&one.id()) {
+                paint = known;
+                break;
+            }
+            chain.push(one);
+        }
+        for one in chain.into_iter().rev() {
+            let property = |name| self.styles.property(one, name);
+            if let Some(value) = property("visibility") {
+                paint.hidden = value != "visible";
+            }
+            if let Some(value) = property("fill") {
+                paint.unfilled = value == "none";
+            }
+            if let Some(value) = property("stroke") {
+                paint.stroked = value != "none";
+            }
+            if let Some(value) = property("stroke-dasharray") {
+                paint.dashed =
+                    value != "none" && value.contains(|digit: char| matches!(digit, '1'..='9'));
+            }
+            if one.has_children() {
+                self.paints.insert(one.id(), paint);
+            }
+        }
+        paint
     }
 
     fn children(
@@ -240,24 +278,28 @@ impl<'a> Reader<'a, '_> {
         if !ours || undrawn {
             return Ok(());
         }
-        if depth > DEPTH || self.drawing.entities.len() > ENTITY_LIMIT {
+        // References within references can multiply: the copies are counted, also those of nothing.
+        self.seen += 1;
+        if self.seen > ENTITY_LIMIT {
+            return Err(Problem::general(
+                format!("the drawing has more than {ENTITY_LIMIT} elements with its references"),
+                "unlink the clones in the drawing program, or split the drawing",
+            ));
+        }
+        if depth > DEPTH {
             self.drawing.problems.push(Problem::of(
                 &self.entity(node, layer),
-                "it is nested too deep, contains itself, or is one of too many",
+                "it is nested too deep, or contains itself",
                 "unlink the clones in the drawing program",
             ));
             return Ok(());
         }
-        if property(node, "display") == Some("none") {
+        if self.styles.property(node, "display") == Some("none") {
             self.leave_out("it is hidden (display none)", node, layer);
             return Ok(());
         }
-        for clip in ["clip-path", "mask"] {
-            if property(node, clip).is_some_and(|value| value != "none") {
-                self.leave_out(&format!("only the {clip} and not the element"), node, layer);
-            }
-        }
-        let map = match node.attribute("transform") {
+        let transform = self.styles.property(node, "transform");
+        let map = match transform {
             None => map,
             Some(text) => match Transform::from_str(text) {
                 Ok(t) => map * Affine::new([t.a, t.b, t.c, t.d, t.e, t.f]),
@@ -267,26 +309,52 @@ impl<'a> Reader<'a, '_> {
                 }
             },
         };
+        let first = self.drawing.paths.len();
+        self.drawn(node, map, layer, depth)?;
+        self.clip(node, map, layer, first);
+        Ok(())
+    }
+
+    /// An element after its own transform.
+    fn drawn(
+        &mut self,
+        node: Node<'a, 'a>,
+        map: Affine,
+        layer: &str,
+        depth: usize,
+    ) -> Result<(), Problem> {
+        let name = node.tag_name().name();
         match name {
             "g" | "a" | "svg" | "switch" => {
                 let map = if name == "svg" {
-                    map * self.inner_page(node)
+                    map * self.inner_page(node, None)
                 } else {
                     map
                 };
-                let label = group_label(node).unwrap_or(layer);
-                return self.children(node, map, label, depth);
+                let layer = self.layer_of(node, layer);
+                return self.children(node, map, layer, depth);
             }
             "use" => return self.reference(node, map, layer, depth),
-            "text" => {
+            "text" | "flowRoot" => {
                 self.text(node, map, layer);
                 return Ok(());
             }
             _ => {}
         }
-        if inherited(node, "visibility").is_some_and(|value| value != "visible") {
+        let paint = self.paint(node);
+        if paint.hidden {
             self.leave_out("it is not visible", node, layer);
             return Ok(());
+        }
+        if paint.dashed {
+            self.note("dashed lines are cut whole".into(), node, layer);
+        }
+        if paint.unfilled && !paint.stroked {
+            self.note(
+                "cut although they have neither fill nor stroke".into(),
+                node,
+                layer,
+            );
         }
         match self.shape(node, map) {
             Ok(Some(paths)) => self.add(node, layer, paths),
@@ -296,12 +364,34 @@ impl<'a> Reader<'a, '_> {
         Ok(())
     }
 
+    /// Layer of what a group holds. In a document with Inkscape layers only they count; otherwise
+    /// the outermost groups with a label or an id do.
+    fn layer_of<'l>(&self, node: Node<'a, 'a>, layer: &'l str) -> &'l str
+    where
+        'a: 'l,
+    {
+        let counts = if self.layered {
+            is_layer(node)
+        } else {
+            layer.is_empty()
+        };
+        if counts {
+            group_label(node).unwrap_or(layer)
+        } else {
+            layer
+        }
+    }
+
+    pub fn located(&self, node: Node, layer: &str, what: impl std::fmt::Display) -> Problem {
+        Problem::of(&self.entity(node, layer), what, REPAIR)
+    }
+
     fn problem(&mut self, node: Node, layer: &str, what: impl std::fmt::Display) {
-        let problem = Problem::of(&self.entity(node, layer), what, REPAIR);
+        let problem = self.located(node, layer, what);
         self.drawing.problems.push(problem);
     }
 
-    fn add(&mut self, node: Node, layer: &str, mut paths: Vec<Path>) {
+    pub fn add(&mut self, node: Node, layer: &str, mut paths: Vec<Path>) {
         paths.retain(|path| path.length() > 1e-9);
         if paths.is_empty() {
             self.leave_out("it has no length", node, layer);
@@ -323,19 +413,27 @@ impl<'a> Reader<'a, '_> {
         self.drawing.paths.append(&mut paths);
     }
 
-    /// Map of a nested `svg` element.
-    fn inner_page(&self, node: Node) -> Affine {
-        let value = |name: &str, axis: usize| self.length(node, name, axis).ok().flatten();
-        let at = (value("x", 0).unwrap_or(0.0), value("y", 1).unwrap_or(0.0));
-        let place = Affine::translate(at);
+    /// Map of a nested `svg` element, or of a symbol by its reference.
+    fn inner_page(&self, node: Node, reference: Option<Node>) -> Affine {
+        let of = |node: Node, name: &str, axis: usize| self.length(node, name, axis).ok().flatten();
+        let at = |name: &str, axis: usize| of(node, name, axis).unwrap_or(0.0);
+        let place = Affine::translate((at("x", 0), at("y", 1)));
         let view = node
             .attribute("viewBox")
             .and_then(|text| ViewBox::from_str(text).ok());
         let Some(view) = view else { return place };
-        let (width, height) = (value("width", 0), value("height", 1));
-        let scale = |size: Option<f64>, of: f64| size.map_or(1.0, |size| size / of);
-        let scale = scale(width, view.w).min(scale(height, view.h));
-        place * Affine::scale(scale) * Affine::translate((-view.x, -view.y))
+        let size = |name: &str, axis: usize| {
+            let stated = reference.and_then(|one| of(one, name, axis));
+            let size = stated
+                .or_else(|| of(node, name, axis))
+                .unwrap_or(self.page[axis]);
+            if size > 0.0 {
+                size
+            } else {
+                [view.w, view.h][axis]
+            }
+        };
+        place * fit_view(view, [size("width", 0), size("height", 1)], aspect(node))
     }
 
     fn reference(
@@ -350,11 +448,7 @@ impl<'a> Reader<'a, '_> {
             .find(|one| one.name() == "href")
             .map(|one| one.value());
         let id = link.and_then(|link| link.strip_prefix('#'));
-        let target = id.and_then(|id| {
-            self.document
-                .descendants()
-                .find(|node| node.attribute("id") == Some(id))
-        });
+        let target = id.and_then(|id| self.ids.get(id).copied());
         let Some(target) = target else {
             self.problem(
                 node,
@@ -366,8 +460,11 @@ impl<'a> Reader<'a, '_> {
         let value = |name: &str, axis| self.length(node, name, axis).ok().flatten().unwrap_or(0.0);
         let map = map * Affine::translate((value("x", 0), value("y", 1)));
         if target.tag_name().name() == "symbol" {
-            let map = map * self.inner_page(target);
-            return self.children(target, map, layer, depth + 1);
+            let map = map * self.inner_page(target, Some(node));
+            let first = self.drawing.paths.len();
+            self.children(target, map, layer, depth + 1)?;
+            self.clip(target, map, layer, first);
+            return Ok(());
         }
         self.element(target, map, layer, depth + 1)
     }
@@ -384,14 +481,14 @@ impl<'a> Reader<'a, '_> {
         Ok(Some(match length.unit {
             LengthUnit::None | LengthUnit::Px => length.number,
             LengthUnit::Percent => length.number / 100.0 * self.page[axis],
-            LengthUnit::Em => length.number * font_size(node),
-            LengthUnit::Ex => length.number * font_size(node) / 2.0,
+            LengthUnit::Em => length.number * font_size(&self.styles, node),
+            LengthUnit::Ex => length.number * font_size(&self.styles, node) / 2.0,
             unit => length.number * unit_mm(unit) / PIXEL_MM,
         }))
     }
 
     /// Paths of a shape; `None` for an element that is not one.
-    fn shape(&self, node: Node, map: Affine) -> Result<Option<Vec<Path>>, String> {
+    pub fn shape(&self, node: Node, map: Affine) -> Result<Option<Vec<Path>>, String> {
         let or = |name: &str, axis, default: f64| -> Result<f64, String> {
             Ok(self.length(node, name, axis)?.unwrap_or(default))
         };
@@ -410,12 +507,11 @@ impl<'a> Reader<'a, '_> {
             }
             name @ ("polyline" | "polygon") => {
                 let text = node.attribute("points").unwrap_or("");
-                let points: Vec<Point> = PointsParser::from(text).map(|(x, y)| [x, y]).collect();
-                let numbers = text.split([',', ' ', '\n', '\t', '\r']);
-                let numbers = numbers.filter(|word| !word.is_empty()).count();
-                if numbers % 2 != 0 || points.len() != numbers / 2 {
+                let numbers: Result<Vec<f64>, _> = NumberListParser::from(text).collect();
+                let Some(numbers) = numbers.ok().filter(|all| all.len() % 2 == 0) else {
                     return Err("its points are not pairs of numbers".into());
-                }
+                };
+                let points: Vec<Point> = numbers.chunks_exact(2).map(|at| [at[0], at[1]]).collect();
                 if let Some((&first, rest)) = points.split_first() {
                     builder.move_to(first);
                     rest.iter().for_each(|&at| builder.line_to(at));
@@ -434,9 +530,13 @@ impl<'a> Reader<'a, '_> {
             }
             "circle" | "ellipse" => {
                 let centre = [or("cx", 0, 0.0)?, or("cy", 1, 0.0)?];
-                let (rx, ry) = match self.length(node, "r", 0)? {
-                    Some(r) => (r, r),
-                    None => (or("rx", 0, 0.0)?, or("ry", 1, 0.0)?),
+                let (rx, ry) = if node.tag_name().name() == "circle" {
+                    let r = or("r", 0, 0.0)?;
+                    (r, r)
+                } else {
+                    // A radius that is not stated is that of the other axis.
+                    let (rx, ry) = (self.length(node, "rx", 0)?, self.length(node, "ry", 1)?);
+                    (rx.or(ry).unwrap_or(0.0), ry.or(rx).unwrap_or(0.0))
                 };
                 if rx < 0.0 || ry < 0.0 {
                     return Err("its radius is negative".into());
@@ -447,65 +547,12 @@ impl<'a> Reader<'a, '_> {
         }
         Ok(Some(builder.paths))
     }
+}
 
-    fn text(&mut self, node: Node, map: Affine, layer: &str) {
-        let entity = self.entity(node, layer);
-        let words = |node: Node| -> String {
-            let parts = node.descendants().filter(Node::is_text);
-            let all: String = parts.filter_map(|one| one.text()).collect();
-            all.split_whitespace().collect::<Vec<_>>().join(" ")
-        };
-        let shown: String = words(node).chars().take(40).collect();
-        let Some(font) = self.options.font else {
-            if self.options.skip_text {
-                self.leave_out(&format!("'{shown}' is text without a font"), node, layer);
-                return;
-            }
-            let what = format!("'{shown}' is text, which has no outlines of its own");
-            self.drawing
-                .problems
-                .push(Problem::of(&entity, what, text_remedy()));
-            return;
-        };
-        let spans: Vec<Node> = node
-            .children()
-            .filter(|child| child.tag_name().name() == "tspan")
-            .collect();
-        let positioned = spans.iter().any(|span| span.attribute("x").is_some());
-        let lines = if positioned { spans } else { vec![node] };
-        let mut paths = Vec::new();
-        for line in lines {
-            let size = font_size(line);
-            let first = |name: &str| {
-                let value = line.attribute(name).or_else(|| node.attribute(name))?;
-                value
-                    .split([',', ' '])
-                    .next()?
-                    .trim_end_matches("px")
-                    .parse::<f64>()
-                    .ok()
-            };
-            let at = (first("x").unwrap_or(0.0), first("y").unwrap_or(0.0));
-            let anchor = match inherited(line, "text-anchor") {
-                Some("middle") => Anchor::Middle,
-                Some("end") => Anchor::End,
-                _ => Anchor::Start,
-            };
-            let map = map * Affine::translate(at) * Affine::scale_non_uniform(size, -size);
-            match font.outline(&words(line), anchor, map) {
-                Ok(mut outline) => paths.append(&mut outline),
-                Err(what) => {
-                    let what = format!("'{shown}': {what}");
-                    let remedy = "choose another font with --font";
-                    self.drawing
-                        .problems
-                        .push(Problem::of(&entity, what, remedy));
-                    return;
-                }
-            }
-        }
-        self.add(node, layer, paths);
-    }
+/// Whether an element is a layer of Inkscape.
+fn is_layer(node: Node) -> bool {
+    let mode = |one: roxmltree::Attribute| one.name() == "groupmode" && one.value() == "layer";
+    node.attributes().any(mode)
 }
 
 /// Label of a group: that of an Inkscape layer, else its id.
@@ -518,19 +565,42 @@ fn group_label<'a>(node: Node<'a, '_>) -> Option<&'a str> {
         .or_else(|| node.attribute("id"))
 }
 
-fn font_size(node: Node) -> f64 {
-    let Some(text) = inherited(node, "font-size") else {
-        return 16.0;
+/// How a viewport shows its content.
+fn aspect(node: Node) -> AspectRatio {
+    let stated = node.attribute("preserveAspectRatio");
+    let parsed = stated.and_then(|text| AspectRatio::from_str(text).ok());
+    parsed.unwrap_or_default()
+}
+
+/// Map of the user units of a view box to a viewport of a size, y down.
+fn fit_view(view: ViewBox, size: [f64; 2], aspect: AspectRatio) -> Affine {
+    let scale = [size[0] / view.w, size[1] / view.h];
+    let origin = Affine::translate((-view.x, -view.y));
+    let parts = match aspect.align {
+        Align::None => {
+            return Affine::scale_non_uniform(scale[0], scale[1]) * origin;
+        }
+        Align::XMinYMin => [0.0, 0.0],
+        Align::XMidYMin => [0.5, 0.0],
+        Align::XMaxYMin => [1.0, 0.0],
+        Align::XMinYMid => [0.0, 0.5],
+        Align::XMidYMid => [0.5, 0.5],
+        Align::XMaxYMid => [1.0, 0.5],
+        Align::XMinYMax => [0.0, 1.0],
+        Align::XMidYMax => [0.5, 1.0],
+        Align::XMaxYMax => [1.0, 1.0],
     };
-    match Length::from_str(text) {
-        Ok(length) if matches!(length.unit, LengthUnit::None | LengthUnit::Px) => length.number,
-        Ok(length) => length.number * unit_mm(length.unit) / PIXEL_MM,
-        Err(_) => 16.0,
-    }
+    let scale = if aspect.slice {
+        scale[0].max(scale[1])
+    } else {
+        scale[0].min(scale[1])
+    };
+    let rest = [size[0] - view.w * scale, size[1] - view.h * scale];
+    Affine::translate((parts[0] * rest[0], parts[1] * rest[1])) * Affine::scale(scale) * origin
 }
 
 /// Millimetres per absolute unit.
-fn unit_mm(unit: LengthUnit) -> f64 {
+pub fn unit_mm(unit: LengthUnit) -> f64 {
     match unit {
         LengthUnit::In => 25.4,
         LengthUnit::Cm => 10.0,
@@ -541,58 +611,4 @@ fn unit_mm(unit: LengthUnit) -> f64 {
         LengthUnit::Ex => 8.0 * PIXEL_MM,
         LengthUnit::None | LengthUnit::Px | LengthUnit::Percent => PIXEL_MM,
     }
-}
-
-fn rectangle(builder: &mut Builder, [x, y]: Point, [w, h]: [f64; 2], radii: [f64; 2]) {
-    let [rx, ry] = [
-        radii[0].min(w / 2.0).max(0.0),
-        radii[1].min(h / 2.0).max(0.0),
-    ];
-    if rx == 0.0 || ry == 0.0 {
-        builder.move_to([x, y]);
-        for at in [[x + w, y], [x + w, y + h], [x, y + h]] {
-            builder.line_to(at);
-        }
-        builder.finish(true);
-        return;
-    }
-    builder.move_to([x + rx, y]);
-    let corners = [
-        ([x + w - rx, y], [x + w, y + ry]),
-        ([x + w, y + h - ry], [x + w - rx, y + h]),
-        ([x + rx, y + h], [x, y + h - ry]),
-        ([x, y + ry], [x + rx, y]),
-    ];
-    for (line, arc) in corners {
-        builder.line_to(line);
-        builder.arc_to([rx, ry], 0.0, false, true, arc);
-    }
-    builder.finish(true);
-}
-
-/// A circle or ellipse that starts at 0 degrees and runs counter-clockwise in the drawing plane.
-fn ellipse(map: Affine, centre: Point, rx: f64, ry: f64) -> Path {
-    if (rx - ry).abs() <= 1e-12 * rx {
-        let mut path = map_path(map, &Path::circle(centre, rx, 0), TOLERANCE);
-        if path.vertices.iter().all(|vertex| vertex.bulge < 0.0) {
-            path = path.reversed();
-        }
-        return path;
-    }
-    let map = map * Affine::translate((centre[0], centre[1])) * Affine::scale_non_uniform(rx, ry);
-    let mut segments = Vec::new();
-    fit_ellipse(
-        map,
-        [0.0; 2],
-        1.0,
-        [0.0, -std::f64::consts::TAU],
-        TOLERANCE,
-        &mut segments,
-    );
-    let mut path = Path::from_segments(&segments, 0);
-    if path.vertices.len() > 2 {
-        path.vertices.pop();
-        path.closed = true;
-    }
-    path
 }

@@ -1,6 +1,6 @@
 //! Text as outlines of a TrueType or OpenType font.
 
-use crate::curves::{TOLERANCE, fit_cubic};
+use crate::curves::fit_cubic;
 use crate::drawing::Problem;
 use crate::geometry::{Path, Point, Segment};
 use kurbo::{Affine, CubicBez, QuadBez};
@@ -50,11 +50,17 @@ impl<'a> Font<'a> {
     }
 
     /// Outlines of a line of text with its baseline along x from the origin and an em of 1,
-    /// mapped by `map`. Curves are arcs within [`TOLERANCE`].
+    /// mapped by `map`. Curves are arcs within the tolerance.
     ///
     /// # Errors
     /// The characters that the font does not have.
-    pub fn outline(&self, text: &str, anchor: Anchor, map: Affine) -> Result<Vec<Path>, String> {
+    pub fn outline(
+        &self,
+        text: &str,
+        anchor: Anchor,
+        map: Affine,
+        tolerance: f64,
+    ) -> Result<Vec<Path>, String> {
         let missing: String = text
             .chars()
             .filter(|&one| self.face.glyph_index(one).is_none())
@@ -76,6 +82,7 @@ impl<'a> Font<'a> {
             let map = map * Affine::scale(1.0 / self.em()) * Affine::translate((x, 0.0));
             let mut outline = Outline {
                 map,
+                tolerance,
                 start: [0.0; 2],
                 at: [0.0; 2],
                 segments: Vec::new(),
@@ -99,6 +106,7 @@ impl<'a> Font<'a> {
 /// Collects the outlines of a glyph.
 struct Outline<'p> {
     map: Affine,
+    tolerance: f64,
     start: Point,
     at: Point,
     segments: Vec<Segment>,
@@ -113,7 +121,7 @@ impl Outline<'_> {
     fn cubic(&mut self, b: Point, c: Point, d: Point) {
         let point = |at: Point| kurbo::Point::new(at[0], at[1]);
         let cubic = CubicBez::new(point(self.at), point(b), point(c), point(d));
-        fit_cubic(cubic, TOLERANCE, &mut self.segments);
+        fit_cubic(cubic, self.tolerance, &mut self.segments);
         self.at = d;
     }
 }

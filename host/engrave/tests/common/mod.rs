@@ -21,3 +21,67 @@ pub fn sections(sections: &[(&str, &str)]) -> String {
     text.push_str("0\nEOF\n");
     text
 }
+
+/// A TrueType font of a space and an L, both 600 wide in an em of 1000. The L is 400 wide from 100,
+/// and 700 high, which is the height of capitals.
+#[allow(dead_code)]
+pub fn font() -> Vec<u8> {
+    let words = |all: &[i16]| -> Vec<u8> { all.iter().flat_map(|one| one.to_be_bytes()).collect() };
+    let mut head = words(&[1, 0, 1, 0, 0, 0, 0x5f0f, 0x3cf5, 0, 1000]);
+    head.extend([0; 16]);
+    head.extend(words(&[0, 0, 1000, 700, 0, 8, 2, 0, 0]));
+    let hhea = words(&[
+        1, 0, 800, -200, 0, 600, 0, 0, 500, 1, 0, 0, 0, 0, 0, 0, 0, 1,
+    ]);
+    let maxp = words(&[1, 0, 3, 6, 1, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0, 0]);
+    let hmtx = words(&[600, 0, 0, 100]);
+    // Glyph 0 is for missing characters, 1 the space, 2 the L.
+    let mut glyf = words(&[1, 100, 0, 500, 700, 5, 0]);
+    glyf.extend([1; 6]);
+    glyf.extend(words(&[100, 400, 0, -300, 0, -100, 0, 0, 100, 0, 600, 0]));
+    let loca = words(&[0, 0, 0, (glyf.len() / 2) as i16]);
+    let mut cmap = words(&[0, 1, 3, 1, 0, 12, 4, 40, 0, 6, 4, 1, 2]);
+    // Segments: the space, the L, the end.
+    cmap.extend(words(&[
+        0x20,
+        0x4c,
+        -1,
+        0,
+        0x20,
+        0x4c,
+        -1,
+        1 - 0x20,
+        2 - 0x4c,
+        1,
+        0,
+        0,
+        0,
+    ]));
+    cmap[14..16].copy_from_slice(&((cmap.len() - 12) as u16).to_be_bytes());
+    let mut os2 = words(&[2]);
+    os2.extend([0; 86]);
+    os2.extend(words(&[700, 0, 0, 0]));
+    let tables: [(&[u8; 4], Vec<u8>); 8] = [
+        (b"OS/2", os2),
+        (b"cmap", cmap),
+        (b"glyf", glyf),
+        (b"head", head),
+        (b"hhea", hhea),
+        (b"hmtx", hmtx),
+        (b"loca", loca),
+        (b"maxp", maxp),
+    ];
+    let mut font = words(&[1, 0, 8, 128, 3, 0]);
+    let mut content = Vec::new();
+    for (name, table) in tables {
+        let at = 12 + 16 * 8 + content.len() as u32;
+        font.extend(name);
+        font.extend([0; 4]);
+        font.extend(at.to_be_bytes());
+        font.extend((table.len() as u32).to_be_bytes());
+        content.extend(&table);
+        content.resize(content.len().next_multiple_of(4), 0);
+    }
+    font.extend(content);
+    font
+}

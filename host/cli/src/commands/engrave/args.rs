@@ -176,6 +176,9 @@ pub struct EngraveArgs {
     /// Leave text without a font out, with a notice
     #[arg(long)]
     pub skip_text: bool,
+    /// Cut elements with a clip path or a mask whole, with a notice; without it they are refused
+    #[arg(long)]
+    pub ignore_clips: bool,
     /// Machine file, for the area and the rapid speed [default: the built-in
     /// machines/engraver.toml]
     #[arg(long, value_name = "FILE")]

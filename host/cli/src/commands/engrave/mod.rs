@@ -74,14 +74,13 @@ fn load(args: &EngraveArgs) -> Result<Drawing, CliError> {
     };
     let options = ReadOptions {
         unit_mm: args.unit,
+        scale: Some(args.scale),
         font: font.as_ref(),
         skip_text: args.skip_text,
+        ignore_clips: args.ignore_clips,
     };
     let refused = |problems: &[Problem]| refuse(&args.drawing, Exit::BadInput, problems);
     let mut drawing = read(&bytes, &options).map_err(|problem| refused(&[problem]))?;
-    if !drawing.problems.is_empty() {
-        return Err(refused(&drawing.problems));
-    }
     let choice = LayerChoice {
         only: args.layer.clone(),
         without: args.without_layer.clone(),
@@ -89,8 +88,8 @@ fn load(args: &EngraveArgs) -> Result<Drawing, CliError> {
     drawing
         .select_layers(&choice)
         .map_err(|problem| refused(&[problem]))?;
-    if args.scale != 1.0 {
-        drawing.transform(Affine::scale(args.scale));
+    if !drawing.problems.is_empty() {
+        return Err(refused(&drawing.problems));
     }
     if let Some([low, high]) = drawing.bounds() {
         let from = match args.origin {
@@ -153,6 +152,9 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
     };
     let (area, rapid) = area(&machine)?;
     let drawing = load(&args)?;
+    if !args.json {
+        print_notices(&args, &drawing.notices);
+    }
     let begin = Instant::now();
     let refused = |problems: Vec<Problem>| refuse(&args.drawing, Exit::BadInput, &problems);
     let job = plan(&drawing, &args.options()).map_err(refused)?;
@@ -240,6 +242,12 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
     }
 }
 
+fn print_notices(args: &EngraveArgs, notices: &[String]) {
+    for notice in notices {
+        eprintln!("{}: {notice}", args.drawing.display());
+    }
+}
+
 fn print_text(
     args: &EngraveArgs,
     drawing: &Drawing,
@@ -248,9 +256,7 @@ fn print_text(
     times: &Times,
     rows: &[preview::Row],
 ) {
-    for notice in drawing.notices.iter().chain(&job.notices) {
-        eprintln!("{}: {notice}", args.drawing.display());
-    }
+    print_notices(args, &job.notices);
     print_line!(
         "{}: {} entities, {} paths",
         args.drawing.display(),

@@ -1,0 +1,83 @@
+//! Time of reading, ordering and clearing: from the bytes of a drawing to the text of a program.
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use haptimill_engrave::drawing::Drawing;
+use haptimill_engrave::gcode::{Rates, program};
+use haptimill_engrave::job::{Job, Operation, Options, plan};
+use haptimill_engrave::read::{ReadOptions, read};
+use std::hint::black_box;
+
+/// A DXF of lines of 1 to 8 units at places of a linear congruential generator.
+fn random_lines(count: usize) -> Vec<u8> {
+    let mut state = 1_u64;
+    let mut next = |span: f64| {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1_u64 << 53) as f64 * span
+    };
+    let mut text = String::from("0\nSECTION\n2\nENTITIES\n");
+    for _ in 0..count {
+        let (x, y, length, angle) = (next(1000.0), next(1000.0), 1.0 + next(7.0), next(6.28));
+        let (u, v) = (x + length * angle.cos(), y + length * angle.sin());
+        text += &format!("0\nLINE\n8\n0\n10\n{x:.4}\n20\n{y:.4}\n11\n{u:.4}\n21\n{v:.4}\n");
+    }
+    text += "0\nENDSEC\n0\nEOF\n";
+    text.into_bytes()
+}
+
+fn drawing(bytes: &[u8]) -> Drawing {
+    read(bytes, &ReadOptions::default()).expect("readable")
+}
+
+fn text(job: &Job) -> String {
+    let rates = Rates {
+        feed: 300.0,
+        plunge: 60.0,
+        speed: 10_000.0,
+        lift_mm: 1.0,
+    };
+    program(&job.toolpath, rates, [0.0; 2], &[])
+}
+
+fn benchmarks(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("engrave");
+    group.sample_size(10);
+    for count in [1_000, 10_000, 50_000] {
+        let bytes = random_lines(count);
+        group.throughput(Throughput::Elements(count as u64));
+        group.bench_function(format!("read {count} lines"), |bencher| {
+            bencher.iter(|| drawing(black_box(&bytes)))
+        });
+        let lines = drawing(&bytes);
+        group.bench_function(format!("order {count} lines"), |bencher| {
+            bencher.iter(|| plan(black_box(&lines), &Options::default()))
+        });
+        group.bench_function(format!("file to program, {count} lines"), |bencher| {
+            bencher
+                .iter(|| plan(&drawing(black_box(&bytes)), &Options::default()).map(|j| text(&j)))
+        });
+    }
+    let path = format!("{}/../../examples/plate.dxf", env!("CARGO_MANIFEST_DIR"));
+    let plate = drawing(&std::fs::read(path).expect("the example is there"));
+    let mut pockets = plate;
+    let picture = haptimill_engrave::drawing::LayerChoice {
+        only: vec!["PICTURE".into()],
+        without: Vec::new(),
+    };
+    pockets.select_layers(&picture).expect("the layer is there");
+    let options = Options {
+        operation: Operation::Pocket,
+        tool_mm: 0.3,
+        step_mm: 0.3,
+        ..Options::default()
+    };
+    group.throughput(Throughput::Elements(1));
+    group.bench_function("clear the picture of the plate", |bencher| {
+        bencher.iter(|| plan(black_box(&pockets), &options))
+    });
+    group.finish();
+}
+
+criterion_group!(benches, benchmarks);
+criterion_main!(benches);

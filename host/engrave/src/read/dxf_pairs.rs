@@ -1,0 +1,123 @@
+//! Group codes and values of a DXF file.
+
+use crate::drawing::Problem;
+use std::borrow::Cow;
+
+/// The remedy of a file that is none.
+pub const DAMAGED: &str = "the file is damaged; save the drawing again as ASCII DXF";
+
+/// A group code with its value.
+#[derive(Debug, Clone, Copy)]
+pub struct Pair<'a> {
+    pub code: i32,
+    pub value: &'a [u8],
+    pub line: usize,
+}
+
+impl<'a> Pair<'a> {
+    /// The value as text. Files before 2007 may have a code page of one byte a character.
+    pub fn text(&self) -> Cow<'a, str> {
+        match std::str::from_utf8(self.value) {
+            Ok(text) => Cow::Borrowed(text),
+            Err(_) => Cow::Owned(self.value.iter().map(|&byte| char::from(byte)).collect()),
+        }
+    }
+
+    pub fn word(&self) -> &'a str {
+        std::str::from_utf8(self.value).unwrap_or("?").trim()
+    }
+}
+
+/// Reads pairs; the latest one can be put back.
+pub struct Pairs<'a> {
+    bytes: &'a [u8],
+    /// Line of the latest value, from 1.
+    pub line: usize,
+    /// A pair that is read again.
+    pub back: Option<Pair<'a>>,
+}
+
+impl<'a> Pairs<'a> {
+    pub fn new(bytes: &'a [u8]) -> Self {
+        Self {
+            bytes,
+            line: 0,
+            back: None,
+        }
+    }
+
+    fn next_line(&mut self) -> Option<&'a [u8]> {
+        if self.bytes.is_empty() {
+            return None;
+        }
+        let end = self
+            .bytes
+            .iter()
+            .position(|&byte| byte == b'\n' || byte == b'\r');
+        let (line, rest) = match end {
+            None => (self.bytes, &[][..]),
+            Some(end) if self.bytes[end..].starts_with(b"\r\n") => {
+                (&self.bytes[..end], &self.bytes[end + 2..])
+            }
+            Some(end) => (&self.bytes[..end], &self.bytes[end + 1..]),
+        };
+        self.bytes = rest;
+        self.line += 1;
+        Some(line)
+    }
+
+    /// The next pair that is no comment.
+    pub fn next(&mut self) -> Result<Option<Pair<'a>>, Problem> {
+        if let Some(pair) = self.back.take() {
+            return Ok(Some(pair));
+        }
+        loop {
+            match self.pair()? {
+                Some(pair) if pair.code == 999 => {}
+                other => return Ok(other),
+            }
+        }
+    }
+
+    fn pair(&mut self) -> Result<Option<Pair<'a>>, Problem> {
+        let Some(code) = self.next_line() else {
+            return Ok(None);
+        };
+        let line = self.line;
+        let word = code.trim_ascii();
+        if word.is_empty() && self.bytes.trim_ascii().is_empty() {
+            return Ok(None);
+        }
+        let code = std::str::from_utf8(word)
+            .ok()
+            .and_then(|word| word.parse::<i32>().ok());
+        let Some(code) = code.filter(|code| (-5..=1071).contains(code)) else {
+            let shown: String = String::from_utf8_lossy(word).chars().take(40).collect();
+            let what = format!("'{shown}' is not a group code of a DXF file");
+            return Err(Problem::at_line(line, what, DAMAGED));
+        };
+        let Some(value) = self.next_line() else {
+            let what = format!("the file ends after group code {code}");
+            return Err(Problem::at_line(line, what, DAMAGED));
+        };
+        Ok(Some(Pair { code, value, line }))
+    }
+
+    /// The pairs up to the next group code 0, without those of embedded objects: these repeat
+    /// group codes of the entity with other meanings.
+    pub fn rest_of_record(&mut self, pairs: &mut Vec<Pair<'a>>) -> Result<(), Problem> {
+        pairs.clear();
+        let mut embedded = false;
+        while let Some(pair) = self.next()? {
+            if pair.code == 0 {
+                self.back = Some(pair);
+                break;
+            }
+            embedded |= pair.code == 101;
+            if !embedded {
+                pairs.push(pair);
+            }
+        }
+        Ok(())
+    }
+}
