@@ -2,6 +2,7 @@
 
 mod board;
 mod circles;
+mod clients;
 mod emulator;
 mod gcode;
 mod lint;
@@ -43,6 +44,8 @@ Developer tasks of the project.
   cargo xtask storm --planted      plant bugs into a copy of the sources and show that the storm finds each
   cargo xtask bench                run all benchmarks (criterion); results in target/criterion
   cargo xtask gcode FILE ...       compare the motion of part programs with LinuxCNC's rs274 (docs/gcode.md)
+  cargo xtask senders              let grbl-streamer and cncjs operate a simulated mill through `haptimill bridge grbl` (needs a network, node and python3)
+  cargo xtask browser              operate the page of `haptimill serve` in Chromium; pictures in target/clients (needs a network, node and chromium)
   cargo xtask help                 print this text
 ";
 
@@ -194,6 +197,8 @@ fn main() -> ExitCode {
         ["keys"] => run(KEYS),
         ["storm", ref options @ ..] => storm(options),
         ["gcode", ref options @ ..] => gcode::gcode(options),
+        ["senders"] => clients::senders(&root()),
+        ["browser"] => clients::browser(&root()),
         ["help"] | [] => {
             print!("{HELP}");
             Ok(())

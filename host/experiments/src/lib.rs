@@ -36,4 +36,5 @@ pub use page::{index, page};
 pub use result::{ExperimentResult, PassResult};
 pub use run::{PassData, Target, run_pass};
 pub use sampled_trace::{ForceSource, Sample, SampledTrace};
+pub use surface_image::cut_of;
 pub use table::table;

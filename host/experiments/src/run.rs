@@ -221,6 +221,8 @@ fn run_job<C: Controlled>(
         position_kept: end.status.position_kept,
         bytes_per_setpoint: f64::from(end.sent.message_bytes) / f64::from(end.setpoints.max(1)),
         line_bytes_per_setpoint: f64::from(end.sent.bytes) / f64::from(end.setpoints.max(1)),
+        // The page of the experiment has the cut surface.
+        cut: None,
     };
     let summary = haptimill_report::write_all(dir, &recorded, &outcome, TRACE_EVERY)
         .map_err(|error| output(&error))?;

@@ -2,6 +2,7 @@
 
 use haptimill_hil_sim::process::Workpiece;
 use haptimill_hil_sim::process::metrology::Picture;
+use haptimill_report::Cut;
 use haptimill_report::chart::Backdrop;
 
 /// Largest number of pixels along the longer side of the map.
@@ -12,6 +13,16 @@ const MARGIN: f64 = 3.0;
 
 /// Depth from which a point counts as cut, mm.
 const CUT: f64 = 0.02;
+
+/// What was cut from a stock, for the report of a job.
+#[must_use]
+pub fn cut_of(stock: &Workpiece) -> Cut {
+    Cut {
+        removed_mm3: stock.removed_mm3(),
+        depth_mm: greatest_depth(stock),
+        surface: render(stock),
+    }
+}
 
 /// Renders the cut part of the stock; none when nothing is cut.
 pub(super) fn render(stock: &Workpiece) -> Option<Backdrop> {

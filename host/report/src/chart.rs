@@ -35,6 +35,7 @@ pub struct Chart {
 }
 
 /// Image in the coordinates of a chart.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Backdrop {
     /// The image as a `data:` URL.
     pub data: String,

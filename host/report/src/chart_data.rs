@@ -3,6 +3,7 @@
 use super::Statistics;
 use super::contour::{Contour, Point, distance};
 use super::series::{Columns, PathPoints};
+use super::statistics::{force_n, reference, yielded_mm};
 use super::tip::Tip;
 use haptimill_trace::{Quantity, Record, Recording, flag};
 use std::collections::VecDeque;
@@ -38,6 +39,12 @@ pub struct ChartData {
     pub tip_speed: [Columns; 2],
     /// Drive command of each joint.
     pub drives: Vec<Columns>,
+    /// Force on the tool along x, y, z, N; the peak of the sensor, and of the simulated tool.
+    pub force: [[Columns; 2]; 3],
+    /// Compliant displacement along x, y, z, mm.
+    pub yielded: [Columns; 3],
+    /// Spindle speed, rev/min.
+    pub spindle: Columns,
     /// The tip of the tool.
     pub tip: Tip,
     /// Each pose coordinate, programmed and actual.
@@ -78,6 +85,9 @@ impl ChartData {
             joint_speed: many(),
             tip_speed: [columns(), columns()],
             drives: many(),
+            force: std::array::from_fn(|_| [columns(), columns()]),
+            yielded: std::array::from_fn(|_| columns()),
+            spindle: columns(),
             angles: pose.iter().map(|_| [columns(), columns()]).collect(),
             history: VecDeque::new(),
         }
@@ -111,9 +121,17 @@ impl ChartData {
             self.drives[axis].add(time, drive[axis]);
         }
         let (programmed, tool) = (
-            self.tip.point(&record.programmed),
+            reference(self.tip.point(&record.programmed), record),
             self.tip.point(&record.tool),
         );
+        let (sensor, actual) = (force_n(record, false), force_n(record, true));
+        let yielded = yielded_mm(record);
+        for axis in 0..3 {
+            self.force[axis][0].add(time, sensor[axis]);
+            self.force[axis][1].add(time, actual[axis]);
+            self.yielded[axis].add(time, yielded[axis]);
+        }
+        self.spindle.add(time, f64::from(record.spindle_rpm));
         let in_job = record.has(flag::PROGRAMMED);
         let has_tool = record.has(flag::TOOL_TRUE | flag::TOOL_MEASURED);
         if !in_job {

@@ -1,6 +1,6 @@
 //! Report of a job: one self-contained HTML page with charts.
 
-use super::chart::{COLOURS, Chart, Line};
+use super::chart::{Backdrop, COLOURS, Chart, Line};
 use super::chart_data::ChartData;
 use super::contour::Point;
 use super::markup::{self, escape, put};
@@ -11,10 +11,15 @@ use haptimill_trace::{Recording, RecordingError};
 use std::io::{self, Write};
 use std::path::PathBuf;
 
+/// Largest width and height of the picture of a cut surface, and what its axes take.
+const SURFACE: (f64, f64) = (900.0, 600.0);
+const SURFACE_MARGINS: (f64, f64) = (90.0, 70.0);
+
 /// Colour of the programmed values.
 const REFERENCE: &str = "#b7c0ca";
 
-/// Writes the report of a recording. `statistics` are those of [`Summary::of`].
+/// Writes the report of a recording. `statistics` are those of [`Summary::of`]; `surface` is the
+/// cut surface from above.
 ///
 /// # Errors
 /// The recording cannot be read, or the report not written.
@@ -22,6 +27,7 @@ pub fn write_html(
     recording: &Recording,
     summary: &Summary,
     statistics: &Statistics,
+    surface: Option<&Backdrop>,
     out: &mut dyn Write,
 ) -> Result<(), RecordingError> {
     let mut data = ChartData::new(recording, statistics);
@@ -29,7 +35,7 @@ pub fn write_html(
         data.add(&record?);
     }
     data.finish();
-    let page = page(recording, summary, statistics, &data);
+    let page = page(recording, summary, statistics, surface, &data);
     let io = |error: io::Error| RecordingError::Io(PathBuf::from("report"), error);
     out.write_all(page.as_bytes()).map_err(io)
 }
@@ -62,6 +68,7 @@ fn page(
     recording: &Recording,
     summary: &Summary,
     statistics: &Statistics,
+    surface: Option<&Backdrop>,
     data: &ChartData,
 ) -> String {
     let mut page = markup::head(&summary.program, "");
@@ -78,10 +85,92 @@ fn page(
     list(&mut page, "Injected faults", "card", &summary.injected);
     list(&mut page, "Faults", "card bad", &summary.faults);
     paths(&mut page, summary, statistics, data);
+    process(&mut page, recording, statistics, data);
+    cut_surface(&mut page, summary, surface, data);
     time_charts(&mut page, recording, statistics, data);
     table(&mut page, summary);
     page.push_str(markup::END);
     page
+}
+
+/// Force, compliance and spindle; nothing where the job has none.
+fn process(page: &mut String, recording: &Recording, statistics: &Statistics, data: &ChartData) {
+    let names = ["x", "y", "z"];
+    let three = |series: [&Columns; 3]| -> Vec<Line> {
+        let all = names.iter().zip(series).zip(COLOURS);
+        all.map(|((name, series), colour)| line(*name, colour, 1.2, series))
+            .collect()
+    };
+    let has_force = statistics.force.max > 0.0;
+    let has_spindle = data.spindle.largest() > 0.0;
+    if !has_force && !has_spindle {
+        return;
+    }
+    page.push_str("<h2>Force and spindle</h2>");
+    if recording.config().force.is_some() && has_force {
+        let sensor = three(data.force.each_ref().map(|[sensor, _]| sensor));
+        let caption = "Peak force of the sensor in the last spindle revolution";
+        card(page, caption, &over_time("force, N", sensor, false));
+    }
+    if statistics.tool_is_true && has_force {
+        let actual = three(data.force.each_ref().map(|[_, actual]| actual));
+        let caption = "Force on the simulated tool";
+        card(page, caption, &over_time("force, N", actual, false));
+    }
+    if statistics.yielded.max > 0.0 {
+        let yielded = three(data.yielded.each_ref());
+        let caption = "Compliant displacement: by how much the tool yields to the force";
+        card(
+            page,
+            caption,
+            &over_time("displacement, mm", yielded, false),
+        );
+    }
+    if has_spindle {
+        let spindle = vec![line("speed", COLOURS[0], 1.2, &data.spindle)];
+        card(
+            page,
+            "Spindle",
+            &over_time("spindle, rev/min", spindle, true),
+        );
+    }
+}
+
+/// The cut surface from above, with the path of the tool.
+fn cut_surface(page: &mut String, summary: &Summary, surface: Option<&Backdrop>, data: &ChartData) {
+    let Some(surface) = surface else { return };
+    let (x_mm, y_mm) = (surface.x.1 - surface.x.0, surface.y.1 - surface.y.0);
+    let scale = (SURFACE.0 / x_mm).min(SURFACE.1 / y_mm);
+    let path = data
+        .path
+        .points
+        .iter()
+        .map(|[_, tool]| (tool[0], tool[1]))
+        .collect();
+    let image = Chart {
+        x_label: "x, mm".into(),
+        y_label: "y, mm".into(),
+        lines: vec![Line {
+            label: "path of the tool".into(),
+            colour: COLOURS[1],
+            width: 1.0,
+            pieces: vec![path],
+        }],
+        width: scale * x_mm + SURFACE_MARGINS.0,
+        height: scale * y_mm + SURFACE_MARGINS.1,
+        equal: true,
+        from_zero: false,
+        backdrop: Some(surface.clone()),
+    };
+    let process = &summary.process;
+    let caption = format!(
+        "Seen from above, light from the upper left; blue is deep. {:.1} mm^3 removed, {:.2} mm \
+         deep at most",
+        process.removed_mm3.unwrap_or_default(),
+        process.cut_depth_mm.unwrap_or_default()
+    );
+    page.push_str("<h2>Cut surface</h2>");
+    card(page, &caption, &image.svg());
 }
 
 /// A list under a heading; nothing when it is empty.
@@ -383,6 +472,10 @@ fn table(page: &mut String, summary: &Summary) {
             "Following error of the joints, largest",
             summary.following_error(5),
         ),
+        (
+            "Force on the tool, rms / largest",
+            summary.process.force_text(),
+        ),
         ("Setpoints", summary.setpoints.to_string()),
         ("Underruns", summary.underruns.to_string()),
         (
@@ -408,7 +501,7 @@ fn table(page: &mut String, summary: &Summary) {
         ("SHA-256 of the recording", summary.trace_sha256.clone()),
     ];
     page.push_str("<h2>Figures</h2><table>");
-    for (name, value) in rows {
+    for (name, value) in rows.into_iter().filter(|(_, value)| !value.is_empty()) {
         let value = escape(&value);
         let value = if name.starts_with("SHA") {
             format!("<code>{value}</code>")

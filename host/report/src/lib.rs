@@ -10,6 +10,7 @@ mod contour;
 pub mod html;
 pub mod markup;
 pub mod plot;
+mod process;
 pub mod series;
 mod statistics;
 #[cfg(test)]
@@ -18,6 +19,7 @@ mod tip;
 
 pub use contour::Contour;
 pub use html::write_html;
+pub use process::{Cut, Process};
 pub use statistics::{Extent, Following, Spread, Statistics};
 
 use haptimill_protocol::message::State;
@@ -59,6 +61,8 @@ pub struct Outcome {
     pub bytes_per_setpoint: f64,
     /// The same with keep-alive frames and acknowledgements.
     pub line_bytes_per_setpoint: f64,
+    /// What was cut from the stock of the simulated machine.
+    pub cut: Option<Cut>,
 }
 
 /// The summary of a job; summary.json has these fields.
@@ -115,6 +119,9 @@ pub struct Summary {
     pub bytes_per_setpoint: f64,
     /// The same with keep-alive frames and acknowledgements.
     pub line_bytes_per_setpoint: f64,
+    /// Force, compliance, spindle and cut; a value is missing where the machine or the job has none.
+    #[serde(flatten)]
+    pub process: Process,
     /// Control periods recorded.
     pub periods: u64,
     /// SHA-256 of the recording.
@@ -170,6 +177,7 @@ impl Summary {
             position_kept: outcome.position_kept,
             bytes_per_setpoint: outcome.bytes_per_setpoint,
             line_bytes_per_setpoint: outcome.line_bytes_per_setpoint,
+            process: Process::of(&statistics, outcome),
             periods: recorded.records,
             trace_sha256: recorded.sha256.clone(),
         };
@@ -239,6 +247,7 @@ impl Summary {
             self.contour_error_max_mm,
             self.following_error(4),
         );
+        text.push_str(&self.process.terminal());
         for fault in &self.injected {
             text.push_str(&format!("injected fault: {fault}\n"));
         }
@@ -296,7 +305,8 @@ pub fn write_all(
         .and_then(|()| file.flush())
         .map_err(io)?;
     let mut file = create(REPORT_FILE)?;
-    write_html(&recording, &summary, &statistics, &mut file)?;
+    let surface = outcome.cut.as_ref().and_then(|cut| cut.surface.as_ref());
+    write_html(&recording, &summary, &statistics, surface, &mut file)?;
     file.flush()
         .map_err(|error| RecordingError::Io(dir.join(REPORT_FILE), error))?;
     Ok(summary)

@@ -2,7 +2,8 @@
 //!
 //! The job is the records with a programmed pose. The tool error is the distance of the tool from
 //! the programmed point *at the same time*, start and stop included; the contour error is its
-//! distance from the nearest point of the path.
+//! distance from the nearest point of the path. On an axis under force control the point is moved
+//! by the compliant displacement: a tool that yields as it should has no error.
 
 use super::contour::{Contour, Point, distance};
 use super::tip::Tip;
@@ -127,6 +128,37 @@ pub struct Statistics {
     pub tool: [Extent; 6],
     /// The position of the tool is ground truth in every record that has one.
     pub tool_is_true: bool,
+    /// Magnitude of the force on the tool, N: of the simulated tool, else of the sensor.
+    pub force: Spread,
+    /// Compliant displacement of the tool, mm.
+    pub yielded: Spread,
+    /// Greatest magnitude of the spindle speed, rev/min.
+    pub spindle_rpm: u16,
+    has_sensor: bool,
+}
+
+/// The force on the tool, N: of the simulated tool, else the peak of the sensor.
+pub(crate) fn force_n(record: &Record, is_true: bool) -> [f64; 3] {
+    let force = if is_true {
+        &record.true_force
+    } else {
+        &record.force.high
+    };
+    std::array::from_fn(|axis| f64::from(force[axis]) / f64::from(1 << 16))
+}
+
+/// The compliant displacement, mm.
+pub(crate) fn yielded_mm(record: &Record) -> [f64; 3] {
+    record
+        .force
+        .yielded
+        .map(|value| f64::from(value) / f64::from(1 << 20))
+}
+
+/// The point where the tool should be: the programmed one, with the compliant displacement.
+pub(crate) fn reference(programmed: Point, record: &Record) -> Point {
+    let yielded = yielded_mm(record);
+    std::array::from_fn(|axis| programmed[axis] + yielded[axis])
 }
 
 impl Statistics {
@@ -159,6 +191,10 @@ impl Statistics {
             programmed: Default::default(),
             tool: Default::default(),
             tool_is_true: true,
+            force: Spread::default(),
+            yielded: Spread::default(),
+            spindle_rpm: 0,
+            has_sensor: config.force.is_some(),
         }
     }
 
@@ -174,6 +210,7 @@ impl Statistics {
         let begin = self.job.map_or(time, |(begin, _)| begin);
         self.job = Some((begin, time + self.period_s));
         let programmed = self.tip.point(&record.programmed);
+        self.add_force(record, time);
         if let Some(before) = self.before.replace(programmed) {
             self.path_length_mm += distance(&before, &programmed);
         }
@@ -187,7 +224,7 @@ impl Statistics {
         }
         if record.has(flag::TOOL_TRUE | flag::TOOL_MEASURED) {
             self.tool_is_true &= record.has(flag::TOOL_TRUE);
-            self.add_tool(record, programmed, time);
+            self.add_tool(record, reference(programmed, record), time);
         }
         for (joint, unit) in self.joint_units.iter().enumerate() {
             let error = (f64::from(record.following_error[joint]) * unit).abs();
@@ -201,6 +238,21 @@ impl Statistics {
         time
     }
 
+    fn add_force(&mut self, record: &Record, time: f64) {
+        let magnitude = |values: [f64; 3]| values.iter().map(|it| it * it).sum::<f64>().sqrt();
+        let is_true = record.has(flag::TOOL_TRUE);
+        let force = force_n(record, is_true);
+        if is_true || self.has_sensor {
+            self.force.add(magnitude(force), time, record.line);
+        }
+        if self.has_sensor {
+            let yielded = magnitude(yielded_mm(record));
+            self.yielded.add(yielded, time, record.line);
+        }
+        self.spindle_rpm = self.spindle_rpm.max(record.spindle_rpm.unsigned_abs());
+    }
+
+    /// Adds the tool; `programmed` is the point where it should be.
     fn add_tool(&mut self, record: &Record, programmed: Point, time: f64) {
         let tool = self.tip.point(&record.tool);
         self.tool_error

@@ -78,6 +78,7 @@ fn outcome() -> Outcome {
         final_state: Some(State::Idle),
         bytes_per_setpoint: 20.5,
         line_bytes_per_setpoint: 31.0,
+        cut: None,
         position_kept: true,
     }
 }
@@ -194,7 +195,7 @@ fn the_report_is_small_complete_and_self_contained() {
         .push("following error of <l1> & more".to_string());
     let (summary, statistics) = Summary::of(&recording, &recorded, &outcome).unwrap();
     let mut page = Vec::new();
-    write_html(&recording, &summary, &statistics, &mut page).unwrap();
+    write_html(&recording, &summary, &statistics, None, &mut page).unwrap();
     if let Ok(keep) = std::env::var("HAPTIMILL_KEEP_REPORT") {
         std::fs::write(keep, &page).unwrap();
     }
@@ -204,7 +205,8 @@ fn the_report_is_small_complete_and_self_contained() {
         assert!(!page.contains(part), "the page has {part}");
     }
     assert_eq!(page.matches("<svg").count(), page.matches("</svg>").count());
-    assert_eq!(page.matches("<svg").count(), 8);
+    // The last one is the spindle of this recording.
+    assert_eq!(page.matches("<svg").count(), 9);
     assert!(page.contains("following error of &lt;l1&gt; &amp; more"));
     assert!(page.contains(&summary.trace_sha256));
 }
@@ -234,7 +236,7 @@ fn a_recording_without_a_job_makes_a_report() {
     let (summary, statistics) = Summary::of(&recording, &recorded, &Outcome::default()).unwrap();
     let json = serde_json::to_string(&summary).unwrap();
     assert!(!json.contains("null"), "{json}");
-    write_html(&recording, &summary, &statistics, &mut Vec::new()).unwrap();
+    write_html(&recording, &summary, &statistics, None, &mut Vec::new()).unwrap();
     assert!(summary.terminal().contains("Unknown"));
 }
 

@@ -205,16 +205,18 @@ function create(root, scene) {
   let drawing = false, playing = null;
 
   function upload(data) {
+    data.buffers = [];
+    const keep = (values, target) => { data.buffers.push(buffer(gl, values, target)); };
     if (data.layer.kind === 'mesh') {
       data.vao = gl.createVertexArray();
       gl.bindVertexArray(data.vao);
       for (const [name, values] of [['point', data.points], ['tint', data.colours]]) {
-        buffer(gl, values);
+        keep(values);
         const at = gl.getAttribLocation(meshPrograms, name);
         gl.enableVertexAttribArray(at);
         gl.vertexAttribPointer(at, 3, gl.FLOAT, false, 0, 0);
       }
-      buffer(gl, data.triangles, gl.ELEMENT_ARRAY_BUFFER);
+      keep(data.triangles, gl.ELEMENT_ARRAY_BUFFER);
     } else {
       const packed = segments(data);
       data.instances = packed.length / 14;
@@ -224,7 +226,7 @@ function create(root, scene) {
       const corner = gl.getAttribLocation(linePrograms, 'corner');
       gl.enableVertexAttribArray(corner);
       gl.vertexAttribPointer(corner, 2, gl.FLOAT, false, 0, 0);
-      buffer(gl, packed);
+      keep(packed);
       const parts = [['a', 3, 0], ['b', 3, 3], ['colourA', 3, 6], ['colourB', 3, 9],
         ['times', 2, 12]];
       for (const [name, size, offset] of parts) {
@@ -237,34 +239,54 @@ function create(root, scene) {
     gl.bindVertexArray(null);
   }
 
-  // Bounds of all layers, end time and the row of switches.
-  function refresh() {
+  // What a layer has in the memory of the graphics card.
+  function release(data) {
+    gl.deleteVertexArray(data.vao);
+    data.buffers.forEach(made => gl.deleteBuffer(made));
+  }
+
+  // Bounds of the layers, without those aside while there are others; end time.
+  function bounds() {
     low = [Infinity, Infinity, Infinity];
     high = [-Infinity, -Infinity, -Infinity];
     end = 0;
-    toggles.textContent = '';
-    for (const data of layers.values()) {
+    const all = [...layers.values()];
+    const main = all.filter(data => !data.layer.aside && data.count > 0);
+    for (const data of main.length ? main : all) {
       for (let k = 0; k < data.points.length; k++) {
         low[k % 3] = Math.min(low[k % 3], data.points[k]);
         high[k % 3] = Math.max(high[k % 3], data.points[k]);
       }
       if (data.times.length) end = Math.max(end, data.times[data.times.length - 1]);
-      const label = element(toggles, 'label');
-      const box = element(label, 'input');
-      box.type = 'checkbox';
-      box.checked = data.visible;
-      box.onchange = () => { data.visible = box.checked; draw(); };
-      const key = element(label, 'i');
-      key.style.background = data.values.length && data.layer.scale
-        ? `linear-gradient(90deg,${(MAPS[data.layer.scale.map] || MAPS.sequential).join(',')})`
-        : data.layer.colour || '#2f6fb3';
-      label.appendChild(document.createTextNode(data.layer.name));
     }
     if (!isFinite(low[0])) { low = [0, 0, 0]; high = [0, 0, 0]; }
     timeBar.style.display = end > 0 ? '' : 'none';
     slider.max = end;
     slider.step = end / 2000 || 1;
     if (until === Infinity) slider.value = end;
+  }
+
+  // Bounds, and the row of switches.
+  function refresh() {
+    bounds();
+    toggles.textContent = '';
+    for (const data of layers.values()) {
+      const label = element(toggles, 'label');
+      const box = element(label, 'input');
+      box.type = 'checkbox';
+      box.checked = data.visible;
+      const name = data.layer.name;
+      box.onchange = () => {
+        const shown = layers.get(name);
+        if (shown) shown.visible = box.checked;
+        draw();
+      };
+      const key = element(label, 'i');
+      key.style.background = data.values.length && data.layer.scale
+        ? `linear-gradient(90deg,${(MAPS[data.layer.scale.map] || MAPS.sequential).join(',')})`
+        : data.layer.colour || '#2f6fb3';
+      label.appendChild(document.createTextNode(data.layer.name));
+    }
   }
 
   function basis() {
@@ -457,11 +479,13 @@ function create(root, scene) {
     const data = unpacked(layer);
     if (before) {
       data.visible = before.visible;
-      gl.deleteVertexArray(before.vao);
+      release(before);
     }
     upload(data);
     layers.set(layer.name, data);
-    refresh();
+    // The switches stay while a layer moves: a click may be under way.
+    if (before) bounds();
+    else refresh();
     draw();
   }
 
@@ -543,7 +567,13 @@ function create(root, scene) {
   fit();
   return {
     setLayer, setTime, fit,
-    removeLayer: name => { layers.delete(name); refresh(); draw(); },
+    removeLayer: name => {
+      if (!layers.has(name)) return;
+      release(layers.get(name));
+      layers.delete(name);
+      refresh();
+      draw();
+    },
     setMarker: place => { marker = place; draw(); },
   };
 }

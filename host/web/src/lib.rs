@@ -23,8 +23,8 @@
 //! The page sends JSON objects with the key `order` ([`Order`], and `take`, `hand-over`, `keep`,
 //! `list`, `upload`, `select`) and `t`, the time of the newest state that it has. An order that
 //! waited on the line for longer than [`FRESH`] (a jog: [`FRESH_JOG`]) is refused: it moves nothing
-//! late. The page gets JSON objects with the key `kind`: `state`, `scene`, `control`, `programs`,
-//! `refused`.
+//! late. The page gets JSON objects with the key `kind`: `state`, `scene`, `stock`, `control`,
+//! `programs`, `refused`.
 
 pub mod access;
 pub mod control;
@@ -59,6 +59,19 @@ const MOST_ORDERS: usize = 256;
 /// Time between two looks for a new connection.
 const ACCEPT: Duration = Duration::from_millis(10);
 
+/// What an override scales.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Scaled {
+    /// Moves at feed.
+    #[default]
+    Feed,
+    /// Rapid moves.
+    Rapid,
+    /// The spindle speed.
+    Spindle,
+}
+
 /// An order of a viewer.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(tag = "order", rename_all = "kebab-case")]
@@ -86,9 +99,12 @@ pub enum Order {
         /// Do it.
         yes: bool,
     },
-    /// Feed override.
+    /// An override.
     Override {
-        /// 1 to 100.
+        /// What it scales.
+        #[serde(default)]
+        of: Scaled,
+        /// Percent; the owner bounds it.
         percent: u8,
     },
     /// Select the next larger or smaller jog rate.
@@ -162,6 +178,7 @@ struct Shared {
     programs: PathBuf,
     state: Mutex<Published>,
     scene: Mutex<Published>,
+    stock: Mutex<Published>,
     control: Mutex<Control>,
     orders: SyncSender<Order>,
     connections: AtomicUsize,
@@ -233,6 +250,7 @@ impl Server {
             programs: config.programs,
             state: Mutex::default(),
             scene: Mutex::default(),
+            stock: Mutex::default(),
             control: Mutex::default(),
             orders: sender,
             connections: AtomicUsize::new(0),
@@ -281,6 +299,14 @@ impl Server {
         let name = json!(program);
         let text = format!("{{\"kind\":\"scene\",\"program\":{name},\"scene\":{scene}}}");
         lock(&self.shared.scene).set(text);
+    }
+}
+
+impl Server {
+    /// Publishes the surface of the stock, a JSON object.
+    pub fn publish_stock(&self, mut stock: Value) {
+        stock["kind"] = json!("stock");
+        lock(&self.shared.stock).set(stock.to_string());
     }
 }
 

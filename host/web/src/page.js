@@ -8,6 +8,11 @@ const LONGEST = 8 * 1024 * 1024;
 const REPEAT_MS = 50;
 // Points of the done path at most; beyond, every second one is left out.
 const MOST_DONE = 20000;
+// Drawn length of a force.
+const FORCE_MM_PER_N = 0.5;
+// Length of the plot, and the colours of its lines.
+const PLOT_S = 60;
+const COLOURS = ['#0072b2', '#d55e00', '#009e73', '#cc79a7'];
 
 let socket = null;
 let state = null;
@@ -40,7 +45,7 @@ function connect() {
   socket = new WebSocket(`ws://${location.host}/ws${query}`);
   socket.onmessage = event => {
     const message = JSON.parse(event.data);
-    ({ state: showState, scene: showScene, control: showControl, programs: showPrograms,
+    ({ state: showState, scene: showScene, stock: showStock, control: showControl, programs: showPrograms,
       refused: refused => say(refused.text) })[message.kind](message);
   };
   socket.onclose = () => {
@@ -75,7 +80,7 @@ function showControl(message) {
 function enableButtons() {
   const mine = commands() && state !== null;
   for (const button of document.querySelectorAll(
-    '[data-order], .jog, #run, #file, #percent, #programs, #slower, #faster, #question button, '
+    '[data-order], .jog, #run, #file, .percent, #programs, #slower, #faster, #question button, '
     + '#problems button')) {
     button.disabled = !mine;
   }
@@ -184,7 +189,11 @@ function showState(message) {
   at('rate').textContent = `${message.jog.rate} mm/s, deg/s`;
   at('feed').textContent = number(message.feed_mm_min, 0);
   at('override').textContent = message.override;
-  if (document.activeElement !== at('percent')) at('percent').value = message.override;
+  ['feed', 'rapid', 'spindle'].forEach((name, k) => {
+    const slider = at(`override-${name}`);
+    if (document.activeElement !== slider) slider.value = message.overrides[k];
+    slider.nextElementSibling.textContent = `${message.overrides[k]} %`;
+  });
   at('spindle').textContent = message.spindle_rpm === null ? '-' : message.spindle_rpm;
   const program = message.program;
   at('line').textContent = program
@@ -216,8 +225,10 @@ function showMessages(messages) {
 }
 
 function showTip(message) {
+  plot(message);
   if (!view) return;
   view.setMarker(message.referenced ? message.tip : null);
+  showMachine(message);
   const running = message.program !== null;
   if (running && !wasRunning) done = [];
   wasRunning = running;
@@ -231,6 +242,174 @@ function showTip(message) {
     drawn = now;
     view.setLayer({ kind: 'lines', name: 'done', colour: '#d55e00', width: 3, points: done });
   }
+}
+
+// The workspace, the joints along its edges, the tool, and the force on it. All of it comes from
+// the machine file: no link of a particular machine is drawn.
+function showMachine(message) {
+  const xyz = ['x', 'y', 'z'].map(name =>
+    message.pose.find(axis => axis.name.toLowerCase() === name && axis.unit === 'mm'));
+  const low = xyz.map(axis => axis && axis.low !== null ? axis.low : 0);
+  const high = xyz.map(axis => axis && axis.high !== null ? axis.high : 0);
+  const box = JSON.stringify([low, high]);
+  if (box !== showMachine.box) {
+    showMachine.box = box;
+    const [a, b] = [low, high];
+    const corner = k => [k & 1 ? b[0] : a[0], k & 2 ? b[1] : a[1], k & 4 ? b[2] : a[2]];
+    const edges = [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5],
+      [2, 6], [3, 7]];
+    view.setLayer({ kind: 'lines', name: 'workspace', colour: '#9aa7b4', width: 1, aside: true,
+      points: edges.flatMap(([i, j]) => [...corner(i), ...corner(j)]),
+      starts: edges.map((_, k) => 2 * k) });
+  }
+  showJoints(message, low, high);
+  const pose = JSON.stringify([message.tip, message.tool_axis, message.force, message.referenced]);
+  if (pose === showMachine.pose) return;
+  showMachine.pose = pose;
+  if (!message.referenced || !message.tip) {
+    view.removeLayer('tool');
+    view.removeLayer('force');
+    return;
+  }
+  view.setLayer(toolMesh(message.tip, message.tool_axis));
+  const force = message.force || [0, 0, 0];
+  if (Math.hypot(...force) > 0.5) {
+    view.setLayer({ kind: 'arrows', name: 'force', colour: '#c2185b', width: 3, aside: true,
+      points: message.tip, vectors: force, magnify: FORCE_MM_PER_N });
+  } else {
+    view.removeLayer('force');
+  }
+}
+
+// A ball where the direction of the tool is not known, else a cutter with its holder.
+function toolMesh(tip, axis) {
+  const rings = axis ? [[0, 0], [1, 1.6], [3, 3], [22, 3], [22, 9], [42, 9], [42, 0]]
+    : [[0, 0], [1, 2.2], [3, 3], [5, 2.2], [6, 0]];
+  const along = axis || [0, 0, 1];
+  const cross = (u, v) => [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2],
+    u[0] * v[1] - u[1] * v[0]];
+  const unit = u => u.map(part => part / Math.hypot(...u));
+  const first = unit(cross(Math.abs(along[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0], along));
+  const second = cross(along, first);
+  const sides = 20;
+  const points = [], triangles = [];
+  rings.forEach(([height, radius], ring) => {
+    for (let k = 0; k < sides; k += 1) {
+      const [c, s] = [Math.cos(2 * Math.PI * k / sides), Math.sin(2 * Math.PI * k / sides)];
+      for (let i = 0; i < 3; i += 1) {
+        points.push(tip[i] + height * along[i] + radius * (c * first[i] + s * second[i]));
+      }
+      if (ring === 0) continue;
+      const here = ring * sides + k, next = ring * sides + (k + 1) % sides;
+      triangles.push(here, next, here - sides, next, next - sides, here - sides);
+    }
+  });
+  return { kind: 'mesh', name: 'tool', colour: '#8393a3', opacity: 1, aside: true, points,
+    triangles };
+}
+
+// Each linear joint as a rail with its carriage, each rotary one as a dial, side by side behind the
+// workspace.
+function showJoints(message, low, high) {
+  const state = JSON.stringify(message.joints.map(joint => joint.actual && joint.actual.toFixed(2)));
+  if (state === showJoints.state) return;
+  showJoints.state = state;
+  const width = Math.max(high[0] - low[0], 10), depth = high[1] + 0.1 * width;
+  const height = Math.max(high[2] - low[2], 0.3 * width), size = width / message.joints.length;
+  const points = [], starts = [];
+  const stroke = (...places) => { starts.push(points.length / 3); places.forEach(p => points.push(...p)); };
+  message.joints.forEach((joint, k) => {
+    const x = low[0] + (k + 0.5) * size, radius = 0.35 * size;
+    const at = (dx, dz) => [x + dx, depth, low[2] + dz];
+    if (joint.actual === null) return;
+    if (joint.low !== null && joint.high !== null && joint.unit === 'mm') {
+      const part = (joint.actual - joint.low) / (joint.high - joint.low || 1) * height;
+      stroke(at(0, 0), at(0, height));
+      const [w, h] = [0.4 * radius, 0.03 * height];
+      stroke(at(-w, part - h), at(w, part - h), at(w, part + h), at(-w, part + h), at(-w, part - h));
+      return;
+    }
+    const place = angle => at(radius * Math.sin(angle), height / 2 + radius * Math.cos(angle));
+    stroke(...Array.from({ length: 33 }, (_, j) => place(2 * Math.PI * j / 32)));
+    stroke(at(0, height / 2), place(joint.actual * Math.PI / 180));
+  });
+  view.setLayer({ kind: 'lines', name: 'joints', colour: '#2e8b57', width: 2, aside: true, points,
+    starts });
+}
+
+// The surface of the stock, coloured by depth.
+function showStock(message) {
+  if (!view) return;
+  const { columns, rows, heights, depths } = message;
+  const points = [], triangles = [];
+  for (let row = 0; row < rows; row += 1) {
+    for (let column = 0; column < columns; column += 1) {
+      points.push(message.x[0] + (message.x[1] - message.x[0]) * column / (columns - 1 || 1),
+        message.y[0] + (message.y[1] - message.y[0]) * row / (rows - 1 || 1),
+        heights[row * columns + column]);
+      if (row && column) {
+        const here = row * columns + column;
+        triangles.push(here, here - 1, here - columns, here - 1, here - columns - 1,
+          here - columns);
+      }
+    }
+  }
+  view.setLayer({ kind: 'mesh', name: 'stock', opacity: 1, points, triangles, values: depths,
+    scale: { label: 'depth of cut, mm', low: 0, high: Math.max(...depths, 0.1),
+      map: 'sequential' } });
+}
+
+// The last minute of the chosen values.
+const trace = [];
+function plot(message) {
+  const values = { 'feed, mm/min': message.feed_mm_min, 'spindle, rev/min': message.spindle_rpm };
+  for (const axis of message.pose) {
+    values[`${axis.name} commanded, ${axis.unit}`] = axis.commanded;
+    values[`${axis.name} actual, ${axis.unit}`] = axis.actual;
+  }
+  for (const joint of message.joints) values[`joint ${joint.name}, ${joint.unit}`] = joint.actual;
+  Object.assign(values, message.columns);
+  trace.push({ t: message.t / 1000, values });
+  while (trace.length && trace[0].t < trace[trace.length - 1].t - PLOT_S) trace.shift();
+  const list = at('columns');
+  const names = Object.keys(values);
+  if (list.dataset.names !== names.join()) {
+    const chosen = new Set(list.dataset.names ? [...list.selectedOptions].map(o => o.value)
+      : names.slice(0, 1));
+    list.dataset.names = names.join();
+    list.replaceChildren(...names.map(name => new Option(name, name, false, chosen.has(name))));
+  }
+  const now = performance.now();
+  if (now - (plot.drawn || 0) < 100) return;
+  plot.drawn = now;
+  const canvas = at('plot');
+  const ratio = window.devicePixelRatio || 1;
+  const [w, h] = [canvas.clientWidth, canvas.clientHeight];
+  canvas.width = w * ratio;
+  canvas.height = h * ratio;
+  const pen = canvas.getContext('2d');
+  pen.scale(ratio, ratio);
+  pen.font = '11px system-ui,sans-serif';
+  [...list.selectedOptions].slice(0, COLOURS.length).forEach((option, k) => {
+    const series = trace.map(({ t, values: v }) => [t, v[option.value]])
+      .filter(([, value]) => typeof value === 'number');
+    if (!series.length) return;
+    const all = series.map(([, value]) => value);
+    let [low, high] = [Math.min(...all), Math.max(...all)];
+    if (high - low < 1e-6) { low -= 0.5; high += 0.5; }
+    const last = trace[trace.length - 1].t;
+    pen.strokeStyle = pen.fillStyle = COLOURS[k];
+    pen.lineWidth = 1.5;
+    pen.beginPath();
+    series.forEach(([t, value], j) => {
+      const x = w * (1 - (last - t) / PLOT_S);
+      const y = h - 4 - (h - 8) * (value - low) / (high - low);
+      if (j) pen.lineTo(x, y); else pen.moveTo(x, y);
+    });
+    pen.stroke();
+    pen.fillText(`${option.value}: ${number(all[all.length - 1], 3)} (${number(low, 3)} to ${number(high, 3)})`,
+      6, 12 + 14 * k);
+  });
 }
 
 function upload(file, replace) {
@@ -260,10 +439,12 @@ for (const button of document.querySelectorAll('[data-order]')) {
 }
 at('slower').onclick = () => send({ order: 'jog-rate', more: false });
 at('faster').onclick = () => send({ order: 'jog-rate', more: true });
-at('percent').onchange = event => {
-  send({ order: 'override', percent: Number(event.target.value) });
-  event.target.blur();
-};
+for (const slider of document.querySelectorAll('.percent')) {
+  slider.onchange = event => {
+    send({ order: 'override', of: slider.dataset.of, percent: Number(event.target.value) });
+    event.target.blur();
+  };
+}
 at('programs').onchange = event => {
   if (event.target.value) send({ order: 'select', name: event.target.value });
   event.target.blur();

@@ -70,6 +70,7 @@ struct Viewer<'a> {
     /// Versions that the viewer has.
     state: u64,
     scene: u64,
+    stock: u64,
     control: u64,
     last_received: Instant,
     pinged: Instant,
@@ -92,6 +93,7 @@ pub(super) fn serve(shared: &Arc<Shared>, stream: TcpStream, peer: SocketAddr, r
         socket: WebSocket::from_partially_read(stream, rest, Role::Server, Some(config)),
         state: 0,
         scene: 0,
+        stock: 0,
         control: u64::MAX,
         last_received: now,
         pinged: now,
@@ -181,6 +183,7 @@ impl Viewer<'_> {
         }
         for (published, seen) in [
             (&self.shared.scene, &mut self.scene),
+            (&self.shared.stock, &mut self.stock),
             (&self.shared.state, &mut self.state),
         ] {
             let text = {

@@ -10,6 +10,8 @@ macro_rules! print_line {
 
 pub mod args;
 mod board;
+#[cfg(unix)]
+pub mod bridge;
 pub mod calibrate;
 mod changes;
 pub mod console;
@@ -32,6 +34,7 @@ pub mod named_io;
 pub mod offset;
 pub(crate) mod operator_input;
 mod output;
+pub(crate) mod paced_sim;
 pub mod ports;
 pub mod preview;
 pub mod probe_cycle;
@@ -206,6 +209,9 @@ enum Command {
     #[command(subcommand)]
     Offset(offset::OffsetCommand),
     Serve(serve::ServeArgs),
+    #[cfg(unix)]
+    #[command(subcommand)]
+    Bridge(bridge::BridgeCommand),
     Watch(watch::WatchArgs),
     Examples(examples::ExamplesArgs),
     Ports(ports::PortsArgs),
@@ -256,8 +262,10 @@ impl Command {
             | Self::Calibrate(_)
             | Self::Identify(_)
             | Self::Tune(_)
-            | Self::Serve(_)
-            | Self::Examples(_) => false,
+            | Self::Serve(_) => false,
+            #[cfg(unix)]
+            Self::Bridge(_) => false,
+            Self::Examples(_) => false,
         }
     }
 }
@@ -345,6 +353,8 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Machine(command) => machine::run(command),
         Command::Offset(command) => offset::run(command),
         Command::Serve(args) => serve::run(args),
+        #[cfg(unix)]
+        Command::Bridge(command) => bridge::run(command),
         Command::Watch(args) => watch::run(&args),
         Command::Examples(args) => examples::run(&args),
         Command::Ports(args) => ports::run(args),

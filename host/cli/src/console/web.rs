@@ -16,11 +16,13 @@ use crate::commands::program::{LanguageArgs, PartProgram};
 use crate::commands::serve::ServeArgs;
 use crate::commands::sim::token_of;
 use haptimill_firmware::config::AxisKind;
-use haptimill_machine_file::MachineFile;
+use haptimill_hil_sim::process::ToolPose;
+use haptimill_kinematics::descriptor::Role;
 use haptimill_machine_file::model::Model;
 use haptimill_machine_file::scale::per_unit;
-use haptimill_protocol::message::{AxisValues, State};
-use haptimill_web::{Config, Order, Server};
+use haptimill_machine_file::{AxisLimits, MachineFile};
+use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, State};
+use haptimill_web::{Config, Order, Scaled, Server};
 use serde_json::{Value, json};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -31,6 +33,10 @@ use std::time::{Duration, Instant};
 
 /// Time between two states.
 const PUBLISH: Duration = Duration::from_millis(50);
+
+/// Time between two looks at the stock, and points along its longer side.
+const STOCK: Duration = Duration::from_millis(500);
+const STOCK_POINTS: usize = 120;
 
 /// Messages in a state.
 const MESSAGES: usize = 30;
@@ -43,6 +49,10 @@ struct Web {
     server: Server,
     selected: Option<PathBuf>,
     planning: Option<Receiver<Path3d>>,
+    /// Next look at the surface of the stock.
+    stock_at: Instant,
+    /// Heights that were published.
+    heights: Vec<f32>,
 }
 
 /// Serves the page.
@@ -86,6 +96,8 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
         server,
         selected: None,
         planning: None,
+        stock_at: Instant::now(),
+        heights: Vec::new(),
     };
     let mut next = Instant::now();
     let outcome = loop {
@@ -99,8 +111,10 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
             break Err(error);
         }
         web.advance(&mut app);
+        web.show_stock(&mut app);
         if Instant::now() >= next {
-            next = Instant::now() + PUBLISH;
+            // The mean rate stays, also where a state was late.
+            next = (next + PUBLISH).max(Instant::now());
             web.server.publish(web.state(&app));
         }
     };
@@ -141,12 +155,19 @@ impl Web {
                     _ => {}
                 }
             }
-            Order::Override { percent } if app.is_ready() && (1..=100).contains(&percent) => {
-                app.set_override(OverrideKind::Feed, percent);
-            }
-            Order::Override { percent } => {
-                let what = format!("override {percent} %: 1 to 100, with a link");
-                app.notify(Severity::Warning, what);
+            Order::Override { of, percent } => {
+                let (kind, name, range) = match of {
+                    Scaled::Feed => (OverrideKind::Feed, "feed", 1..=200),
+                    Scaled::Rapid => (OverrideKind::Rapid, "rapid", 1..=100),
+                    Scaled::Spindle => (OverrideKind::Spindle, "spindle", 50..=150),
+                };
+                if app.is_ready() && range.contains(&percent) {
+                    app.set_override(kind, percent);
+                } else {
+                    let (low, high) = (range.start(), range.end());
+                    let what = format!("{name} override {percent} %: {low} to {high}, with a link");
+                    app.notify(Severity::Warning, what);
+                }
             }
             Order::JogRate { more } => app.jogging.select(more),
             Order::Jog { axis, up, repeat } if app.overlay == Overlay::None => {
@@ -202,6 +223,32 @@ impl Web {
         self.planning = None;
     }
 
+    /// Publishes the surface of the stock when it has changed.
+    fn show_stock(&mut self, app: &mut App) {
+        if Instant::now() < self.stock_at {
+            return;
+        }
+        self.stock_at = Instant::now() + STOCK;
+        let Some(stock) = app.session.line_mut().stock() else {
+            return;
+        };
+        let picture = stock.picture(STOCK_POINTS);
+        if picture.heights == self.heights {
+            return;
+        }
+        let area = &picture.area;
+        let rounded = |value: &f32| (f64::from(*value) * 1e3).round() / 1e3;
+        self.server.publish_stock(json!({
+            "x": [area.x_min, area.x_max],
+            "y": [area.y_min, area.y_max],
+            "columns": picture.columns,
+            "rows": picture.rows,
+            "heights": picture.heights.iter().map(rounded).collect::<Vec<_>>(),
+            "depths": picture.depths.iter().map(rounded).collect::<Vec<_>>(),
+        }));
+        self.heights = picture.heights;
+    }
+
     fn state(&self, app: &App) -> Value {
         let view = app.view_model();
         let telemetry = view.telemetry.as_ref();
@@ -209,9 +256,21 @@ impl Web {
         let has_drives = !matches!(state, Some(State::Disabled | State::EmergencyStop));
         let commanded = telemetry.map(|now| &now.commanded).filter(|_| has_drives);
         let measured = telemetry.map(|now| &now.measured);
-        let pose = rows(&view, &view.static_info.pose, commanded, measured);
+        let pose = rows(
+            &view,
+            &view.static_info.pose,
+            commanded,
+            measured,
+            &app.machine.pose,
+        );
         let joints = telemetry.map(|now| &now.joints);
-        let joints = rows(&view, &view.static_info.joints, None, joints);
+        let joints = rows(
+            &view,
+            &view.static_info.joints,
+            None,
+            joints,
+            &app.machine.joints,
+        );
         let messages = view.log.newest(MESSAGES).map(|entry| {
             json!({
                 "s": entry.at.as_secs(),
@@ -235,6 +294,10 @@ impl Web {
             "tip": tip(&app.machine, measured.or(commanded)),
             "feed_mm_min": view.motion.map(|motion| motion.feed_mm_min),
             "override": view.overrides[OverrideKind::Feed as usize],
+            "overrides": view.overrides,
+            "tool_axis": tool_axis(&app.machine, measured.or(commanded)),
+            "force": telemetry.and_then(|now| now.force.as_ref()).map(|force| force.high.map(newtons)),
+            "columns": columns(&view),
             "spindle_rpm": program.and_then(|program| program.spindle_rpm),
             "selected": self.selected.as_deref().map(name_of),
             "planning": self.planning.is_some(),
@@ -281,8 +344,10 @@ fn rows(
     axes: &[Axis],
     commanded: Option<&AxisValues>,
     actual: Option<&AxisValues>,
+    limits: &[AxisLimits],
 ) -> Vec<Value> {
     let rows = axes.iter().enumerate().map(|(index, axis)| {
+        let limit = |value: f64| value.is_finite().then_some(value);
         let value = |values: Option<&AxisValues>| {
             let value = values?.get(index)?;
             Some(view.unwound(axis, *value) as f64 / per_unit(axis.kind))
@@ -292,6 +357,8 @@ fn rows(
             "unit": if axis.kind.is_rotary() { "deg" } else { "mm" },
             "commanded": value(commanded),
             "actual": value(actual),
+            "low": limits.get(index).and_then(|it| limit(it.low)),
+            "high": limits.get(index).and_then(|it| limit(it.high)),
         })
     });
     rows.collect()
@@ -306,6 +373,82 @@ fn tip(machine: &MachineFile, pose: Option<&AxisValues>) -> Option<[f64; 3]> {
         let value = index.and_then(|index| pose.get(index)).copied();
         f64::from(value.unwrap_or(0)) / per_unit(AxisKind::Linear)
     }))
+}
+
+/// Unit vector from the tip towards the spindle, in the workpiece; none for a machine with a rotary
+/// coordinate whose role does not say how it turns the tool.
+fn tool_axis(machine: &MachineFile, pose: Option<&AxisValues>) -> Option<[f64; 3]> {
+    let pose = pose.filter(|pose| !pose.is_empty())?;
+    let described = machine.config.model.descriptor().pose;
+    let known = |role| matches!(role, Role::ToolTilt | Role::WorkpieceRotation);
+    let mut turning = described.iter().zip(&machine.pose);
+    if turning.any(|(axis, limits)| limits.kind.is_rotary() && !known(axis.role)) {
+        return None;
+    }
+    let angle = |role| {
+        let index = described.iter().position(|axis| axis.role == role);
+        let value = index
+            .and_then(|index| pose.get(index))
+            .copied()
+            .unwrap_or(0);
+        f64::from(value) / per_unit(AxisKind::Rotary)
+    };
+    let tool = ToolPose::leaning(
+        [0.0; 3],
+        angle(Role::ToolTilt),
+        angle(Role::WorkpieceRotation),
+    );
+    Some(tool.axis)
+}
+
+/// A force of the protocol in N.
+fn newtons(value: i32) -> f64 {
+    f64::from(value) / f64::from(1 << 16)
+}
+
+/// Further values that the page plots, by name.
+fn columns(view: &ViewModel) -> Value {
+    let mut columns = serde_json::Map::new();
+    let Some(now) = &view.telemetry else {
+        return Value::Null;
+    };
+    for (axis, error) in view.static_info.joints.iter().zip(&now.following_error) {
+        let (scale, unit) = if axis.kind.is_rotary() {
+            (1e3, "mdeg")
+        } else {
+            (1e3, "um")
+        };
+        let value = f64::from(*error) / per_unit(axis.kind) * scale;
+        columns.insert(
+            format!("following error {}, {unit}", axis.name),
+            json!(value),
+        );
+    }
+    for (axis, drive) in view.static_info.joints.iter().zip(&now.drive) {
+        columns.insert(format!("drive {}", axis.name), json!(drive));
+    }
+    let rate = f64::from(now.path_rate) / f64::from(FULL_PATH_RATE) * 100.0;
+    columns.insert("path rate, %".to_string(), json!(rate));
+    columns.insert(
+        "program line".to_string(),
+        json!(view.program.as_ref().map(|it| it.line)),
+    );
+    if let Some(io) = &now.io {
+        columns.insert("inputs, bits".to_string(), json!(io.inputs));
+        columns.insert("outputs, bits".to_string(), json!(io.outputs));
+    }
+    if let Some(force) = &now.force {
+        for (axis, name) in ["x", "y", "z"].iter().enumerate() {
+            columns.insert(format!("force {name}, N"), json!(newtons(force.high[axis])));
+            columns.insert(
+                format!("opposite force {name}, N"),
+                json!(newtons(force.low[axis])),
+            );
+            let yielded = f64::from(force.yielded[axis]) / f64::from(1 << 20);
+            columns.insert(format!("displacement {name}, mm"), json!(yielded));
+        }
+    }
+    Value::Object(columns)
 }
 
 fn link_text(state: &LinkState) -> String {

@@ -1,5 +1,6 @@
 //! Jobs in the built-in simulator, from the part program to the result files.
 
+mod process;
 mod refusals;
 #[path = "../scene/mod.rs"]
 mod scene;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use super::JobRecording;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::snapshot::Snapshot;
-use haptimill_hil_sim::process::CuttingConfig;
+use haptimill_hil_sim::process::{CuttingConfig, Workpiece};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
@@ -50,6 +50,12 @@ pub trait Line {
             ErrorKind::Usage,
             "--stock is for the simulated machine; clamp the stock yourself",
         ))
+    }
+
+    /// The stock on the table of a simulated machine, with all material removed that the tool has
+    /// passed; `None` for others.
+    fn stock(&mut self) -> Option<&Workpiece> {
+        None
     }
 
     /// Internal values of a simulated controller in the last period; `None` for others.
@@ -97,6 +103,10 @@ impl<L: Line + ?Sized> Line for Box<L> {
 
     fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), Error> {
         (**self).clamp(stock)
+    }
+
+    fn stock(&mut self) -> Option<&Workpiece> {
+        (**self).stock()
     }
 
     fn snapshot(&self) -> Option<Snapshot> {

@@ -12,7 +12,7 @@ use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::plant::GroundTruth;
-use haptimill_hil_sim::process::CuttingConfig;
+use haptimill_hil_sim::process::{CuttingConfig, Workpiece};
 use haptimill_hil_sim::rig::{Control, Rig, RigError, RigOptions};
 use haptimill_machine_file::MachineFile;
 use haptimill_planner::SharedTrack;
@@ -240,6 +240,12 @@ impl<C: Control> Line for SimLine<C> {
 
     fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), Error> {
         clamp(&mut self.rig, stock)
+    }
+
+    fn stock(&mut self) -> Option<&Workpiece> {
+        let cutting = self.rig.plant_mut().process_mut()?.cutting_mut()?;
+        cutting.settle();
+        Some(cutting.workpiece())
     }
 
     fn is_recording_broken(&self) -> bool {

@@ -202,6 +202,10 @@ impl Job<'_> {
         let faults = self.args.simulator.fault.iter();
         let (injected, missed): (Vec<_>, Vec<_>) = faults.partition(|fault| fault.at_s <= end_s);
         let injected = injected.iter().map(ToString::to_string).collect();
+        let cut = session
+            .line_mut()
+            .stock()
+            .map(haptimill_experiments::cut_of);
         let outcome = match &end {
             Ok(end) => Outcome {
                 setpoints: u64::from(end.setpoints),
@@ -215,6 +219,7 @@ impl Job<'_> {
                     / f64::from(end.setpoints.max(1)),
                 line_bytes_per_setpoint: f64::from(end.sent.bytes)
                     / f64::from(end.setpoints.max(1)),
+                cut,
             },
             // The session is lost, so only the last telemetry is known.
             Err(error) => Outcome {

@@ -26,6 +26,9 @@ use results::ResultFolder;
 pub use args::RunArgs;
 pub(super) use args::{bytes_per_s, faults_help};
 
+/// Size of a recording from which it is announced.
+const ANNOUNCED_BYTES: f64 = 100e6;
+
 /// Runs a part program.
 ///
 /// # Errors
@@ -89,6 +92,14 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         let duration_s = args.duration_s(&machine, &planned.plan);
         let bytes = args.recording_bytes(&machine, duration_s);
         results::check_space(&args.out_dir(), bytes)?;
+        if bytes >= ANNOUNCED_BYTES {
+            let what = format!("the recording takes about {:.0} MB", bytes / 1e6);
+            args.print_message(&what);
+        }
+        if planned.plan.figures.blocks == 0 {
+            let name = program.file_name();
+            args.print_message(&format!("{name}: no motion; the machine is homed, no more"));
+        }
         Work::Planned(Box::new(planned))
     };
     // The folder stays locked to the end of the command.

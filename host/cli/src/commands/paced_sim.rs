@@ -1,12 +1,12 @@
 //! The simulated machine in this process, in real time.
 
-use crate::commands::sim::Pace;
+use super::sim::Pace;
 use haptimill_client::Error;
 use haptimill_client::port::PortError;
 use haptimill_client::session::{self, Line};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::fault::Fault;
-use haptimill_hil_sim::process::CuttingConfig;
+use haptimill_hil_sim::process::{CuttingConfig, Workpiece};
 use haptimill_hil_sim::rig::Rig;
 use haptimill_machine_file::MachineFile;
 use haptimill_teleop::script::{Script, ScriptedOperator};
@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 const IDLE_SLEEP: Duration = Duration::from_micros(500);
 
 /// See the module documentation.
-pub(super) struct PacedSim {
+pub(crate) struct PacedSim {
     rig: Rig<Controller>,
     /// Operator model at its haptic arm.
     operator: Option<ScriptedOperator>,
@@ -29,7 +29,7 @@ impl PacedSim {
     ///
     /// # Errors
     /// The file has no `[plant]` section, or the machine cannot have one of the faults.
-    pub(super) fn new(
+    pub(crate) fn new(
         machine: &MachineFile,
         seed: Option<u64>,
         faults: Vec<Fault>,
@@ -71,6 +71,12 @@ impl Line for PacedSim {
     /// The session of the console begins with a closed line.
     fn open(&mut self) -> Result<Option<u64>, PortError> {
         Ok(Some(self.rig.time_ns() / 1000))
+    }
+
+    /// Without the last teeth, which the cut needs.
+    fn stock(&mut self) -> Option<&Workpiece> {
+        let cutting = self.rig.plant_mut().process_mut()?.cutting_mut()?;
+        Some(cutting.workpiece())
     }
 
     fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), Error> {

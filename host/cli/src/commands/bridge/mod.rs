@@ -1,0 +1,175 @@
+//! `haptimill bridge`: existing senders operate the machine in the dialect of their controller.
+
+mod feed;
+mod grbl;
+mod input;
+mod report;
+
+use super::args::{BoardArg, PortArgs, SimulatorArgs, StockArg, check_baud, seconds};
+use super::board::file_of;
+use super::paced_sim::PacedSim;
+use super::{CliError, Exit};
+use crate::commands::interrupt;
+use clap::{Args, Subcommand};
+use haptimill_client::client::Options;
+use haptimill_client::port::{PortSpec, PtyServer, Transport};
+use haptimill_client::session::{self, Line, PortLine, Session, check_has_tool};
+use haptimill_machine_file::MachineFile;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+const LONG: &str = "\
+Present the machine as a Grbl 1.1h controller on a pseudo-terminal, so that existing senders \
+operate it: banner, ?, $$, $#, $G, $I, $H, $X, $J=, !, ~, Ctrl-X, jog cancel, overrides.
+
+The first line on standard output is the path of the pseudo-terminal; --link makes a symbolic link \
+to it. Open it with any baud rate. Blocks are those of docs/gcode.md. A refused block is answered \
+with an error number after a [MSG:...] that names the cause. G38 and M66 are refused.
+
+Jog buttons of a sender that sends $J= with a distance move that distance: there is no dead-man \
+time. Ctrl-C stops the machine and ends the command.";
+
+/// Bridges.
+#[derive(Debug, Clone, Subcommand)]
+#[command(about = "Let existing senders operate the machine")]
+pub enum BridgeCommand {
+    /// As a Grbl 1.1h controller on a pseudo-terminal
+    Grbl(GrblArgs),
+}
+
+/// Arguments of `haptimill bridge grbl`.
+#[derive(Debug, Clone, Args)]
+#[command(long_about = LONG)]
+pub struct GrblArgs {
+    /// Symbolic link to the pseudo-terminal, for the settings of a sender
+    #[arg(long, value_name = "PTY")]
+    pub link: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: BoardArg,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub port: PortArgs,
+    /// Time to wait for the first answer of the controller
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = seconds)]
+    pub timeout: f64,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub stock: StockArg,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub simulator: SimulatorArgs,
+}
+
+/// Runs a bridge.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn run(command: BridgeCommand) -> Result<(), CliError> {
+    let BridgeCommand::Grbl(args) = command;
+    let (mut session, machine) = open(&args)?;
+    check_has_tool(&machine)?;
+    session.enable()?;
+    let stock = args.stock.load(&machine)?;
+    let mut bridge = grbl::Bridge::new(session, machine, stock)?;
+    let mut pty = PtyServer::open()?;
+    let link = args.link.as_deref().map(|path| Link::new(pty.name(), path));
+    let _link = link.transpose()?;
+    let mut out = std::io::stdout();
+    writeln!(out, "{}", pty.name())
+        .and_then(|()| out.flush())
+        .map_err(|error| CliError::new(Exit::Output, error))?;
+    let mut buffer = [0; 4096];
+    let mut answers = Vec::new();
+    let mut has_sender = false;
+    loop {
+        let count = pty.read(&mut buffer, Duration::ZERO)?;
+        has_sender |= count > 0;
+        if let Some(ended) = bridge.advance(&buffer[..count], &mut answers)? {
+            return Err(CliError::new(Exit::Stopped, ended));
+        }
+        if !has_sender {
+            // A pseudo-terminal would keep these bytes for the first sender.
+            answers.clear();
+        }
+        let sent = pty.write(&answers, Duration::ZERO)?;
+        answers.drain(..sent);
+        if answers.len() > MOST_UNREAD {
+            answers.clear();
+        }
+    }
+}
+
+/// Bytes that are kept for a sender that does not read, at most.
+const MOST_UNREAD: usize = 1 << 16;
+
+fn open(args: &GrblArgs) -> Result<(Session<Box<dyn Line>>, MachineFile), CliError> {
+    let chosen = args.machine.load()?;
+    let port = &args.port.port;
+    let is_simulated = *port == PortSpec::Simulator;
+    let line: Box<dyn Line> = match port {
+        PortSpec::Simulator => {
+            let faults = args.simulator.fault.clone();
+            Box::new(PacedSim::new(
+                &chosen.file,
+                args.simulator.seed,
+                faults,
+                None,
+            )?)
+        }
+        PortSpec::Emulated(_) | PortSpec::EmulatedPins => {
+            let what = format!(
+                "{port}: an emulated controller is slower than real time; use --port sim, or a \
+                 machine"
+            );
+            return Err(CliError::new(Exit::Usage, what));
+        }
+        PortSpec::Tcp(_) | PortSpec::Serial(_) => {
+            args.stock.check_unused()?;
+            args.simulator.check_unused()?;
+            check_baud(port, args.port.baud)?;
+            Box::new(PortLine::opened(port, args.port.baud_or_default())?)
+        }
+    };
+    let options = Options {
+        connect_us: (args.timeout * 1e6) as u64,
+        ..Options::default()
+    };
+    let mut session = Session::new(line, &chosen.file, options, interrupt::flag());
+    session.connect(session::fresh_number())?;
+    if is_simulated {
+        session.configure(&chosen.file)?;
+        return Ok((session, chosen.file));
+    }
+    let machine = file_of(&chosen, &mut session)?;
+    Ok((session, machine))
+}
+
+/// A symbolic link that is removed at the end.
+struct Link(PathBuf);
+
+impl Link {
+    fn new(target: &str, path: &Path) -> Result<Self, CliError> {
+        // A link of a bridge that was killed points to a pseudo-terminal that is gone or another's.
+        if path.is_symlink()
+            && path
+                .read_link()
+                .is_ok_and(|old| old.starts_with("/dev/pts"))
+        {
+            let _ = std::fs::remove_file(path);
+        }
+        std::os::unix::fs::symlink(target, path).map_err(|error| {
+            let path = path.display();
+            let what = format!("--link {path}: {error}; use another path, or remove the file");
+            CliError::new(Exit::Output, what)
+        })?;
+        Ok(Self(path.to_path_buf()))
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}

@@ -1,0 +1,93 @@
+//! Force, compliance, spindle and cut of a job.
+
+use super::chart::Backdrop;
+use super::{Outcome, Statistics};
+use serde::Serialize;
+
+/// What was cut from the stock of a simulated machine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cut {
+    /// Volume, mm^3.
+    pub removed_mm3: f64,
+    /// Greatest depth below the uncut top, mm.
+    pub depth_mm: f64,
+    /// The cut surface from above.
+    pub surface: Option<Backdrop>,
+}
+
+/// Figures of force, compliance, spindle and cut.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Process {
+    /// Greatest force on the tool, N.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_max_n: Option<f64>,
+    /// Its root mean square, N.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_rms_n: Option<f64>,
+    /// Time of the greatest, s from the start of the job.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_max_time_s: Option<f64>,
+    /// Program line of the greatest; 0 when there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_max_line: Option<u32>,
+    /// Greatest compliant displacement, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub yielded_max_mm: Option<f64>,
+    /// Greatest spindle speed, rev/min.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spindle_rpm: Option<u16>,
+    /// Volume that was cut, mm^3.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub removed_mm3: Option<f64>,
+    /// Greatest depth of the cut, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cut_depth_mm: Option<f64>,
+}
+
+impl Process {
+    pub(super) fn of(statistics: &Statistics, outcome: &Outcome) -> Self {
+        let (begin, _) = statistics.job.unwrap_or_default();
+        let force = Some(&statistics.force).filter(|force| force.max > 0.0);
+        Self {
+            force_max_n: force.map(|force| force.max),
+            force_rms_n: force.map(super::Spread::rms),
+            force_max_time_s: force.map(|force| (force.max_time_s - begin).max(0.0)),
+            force_max_line: force.map(|force| force.max_line),
+            yielded_max_mm: Some(statistics.yielded.max).filter(|most| *most > 0.0),
+            spindle_rpm: Some(statistics.spindle_rpm).filter(|speed| *speed > 0),
+            removed_mm3: outcome.cut.as_ref().map(|cut| cut.removed_mm3),
+            cut_depth_mm: outcome.cut.as_ref().map(|cut| cut.depth_mm),
+        }
+    }
+
+    /// Root mean square and greatest force.
+    pub(super) fn force_text(&self) -> String {
+        match (self.force_rms_n, self.force_max_n) {
+            (Some(rms), Some(most)) => format!("{rms:.3} / {most:.3} N"),
+            _ => String::new(),
+        }
+    }
+
+    /// Lines for the terminal; none without force and cut.
+    pub(super) fn terminal(&self) -> String {
+        let mut text = String::new();
+        if let (Some(most), Some(rms)) = (self.force_max_n, self.force_rms_n) {
+            let line = match self.force_max_line {
+                None | Some(0) => String::new(),
+                Some(line) => format!(", line {line}"),
+            };
+            let time = self.force_max_time_s.unwrap_or_default();
+            text.push_str(&format!(
+                "force: {most:.2} N largest (at {time:.2} s{line}), {rms:.2} N rms"
+            ));
+            if let Some(yielded) = self.yielded_max_mm {
+                text.push_str(&format!("; the tool yielded {yielded:.4} mm at most"));
+            }
+            text.push('\n');
+        }
+        if let (Some(volume), Some(depth)) = (self.removed_mm3, self.cut_depth_mm) {
+            text.push_str(&format!("cut: {volume:.1} mm^3, {depth:.2} mm deep\n"));
+        }
+        text
+    }
+}
