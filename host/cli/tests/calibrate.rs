@@ -1,5 +1,5 @@
-//! `haptimill calibrate`: a measurement of the simulated machine, the readings of a laser as a file,
-//! and the circle test.
+//! `haptimill calibrate`: a measurement of the simulated machine, the readings of a laser as a
+//! file, and the circle test.
 
 mod scene;
 

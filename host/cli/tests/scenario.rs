@@ -106,11 +106,22 @@ fn the_engraver_repeats_the_analysis_of_its_thesis() {
     let folder = TestFolder::new();
     let out = folder.path("engraver");
     let ran = haptimill(&["scenario", "run", "engraver", "--json", "--out", &out]).expect_code(0);
-    for number in ["113.705 mm", "97.854 mm", "114.061 mm", "146.290 mm", "lines 1 2 4 3"] {
+    for number in [
+        "113.705 mm",
+        "97.854 mm",
+        "114.061 mm",
+        "146.290 mm",
+        "lines 1 2 4 3",
+    ] {
         assert!(ran.out.contains(number), "{number}: {}", ran.out);
     }
-    let table = haptimill(&["scenario", "run", "engraver", "--out", &out]).expect_code(0).out;
-    assert!(table.contains("differs") && table.contains("stands in"), "{table}");
+    let table = haptimill(&["scenario", "run", "engraver", "--out", &out])
+        .expect_code(0)
+        .out;
+    assert!(
+        table.contains("differs") && table.contains("stands in"),
+        "{table}"
+    );
 }
 
 #[test]

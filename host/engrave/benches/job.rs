@@ -18,7 +18,12 @@ fn random_lines(count: usize) -> Vec<u8> {
     };
     let mut text = String::from("0\nSECTION\n2\nENTITIES\n");
     for _ in 0..count {
-        let (x, y, length, angle) = (next(1000.0), next(1000.0), 1.0 + next(7.0), next(6.28));
+        let (x, y, length, angle) = (
+            next(1000.0),
+            next(1000.0),
+            1.0 + next(7.0),
+            next(std::f64::consts::TAU),
+        );
         let (u, v) = (x + length * angle.cos(), y + length * angle.sin());
         text += &format!("0\nLINE\n8\n0\n10\n{x:.4}\n20\n{y:.4}\n11\n{u:.4}\n21\n{v:.4}\n");
     }

@@ -380,8 +380,9 @@ fn letters_that_are_placed_one_by_one_are_refused() {
 }
 
 /// One drawing as other programs write it: DXF of ezdxf 1.4 in four versions (blocks nested,
-/// mirrored, scaled unevenly and in arrays; arcs seen from below; hidden layers), an SVG as Inkscape
-/// writes it. The truth is ezdxf's own length and box of all entities, and that of svgelements.
+/// mirrored, scaled unevenly and in arrays; arcs seen from below; hidden layers), an SVG as
+/// Inkscape writes it. The truth is ezdxf's own length and box of all entities, and that of
+/// svgelements.
 #[test]
 fn drawings_of_other_programs_have_their_length() {
     let cases = [

@@ -210,6 +210,9 @@ mod tests {
         let short = text.replacen("back_off_mm = 3.0", "back_off_mm = 3.0\nrelease_mm = 29", 1);
         let problems = MachineFile::parse("delta3.toml", &short).expect_err("too short");
         let problems = problems.to_string();
-        assert!(problems.contains("release_mm: 29 does not release"), "{problems}");
+        assert!(
+            problems.contains("release_mm: 29 does not release"),
+            "{problems}"
+        );
     }
 }

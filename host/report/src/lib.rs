@@ -119,7 +119,7 @@ pub struct Summary {
     pub bytes_per_setpoint: f64,
     /// The same with keep-alive frames and acknowledgements.
     pub line_bytes_per_setpoint: f64,
-    /// Force, compliance, spindle and cut; a value is missing where the machine or the job has none.
+    /// Force, compliance, spindle and cut; a value is missing where machine or job have none.
     #[serde(flatten)]
     pub process: Process,
     /// Control periods recorded.

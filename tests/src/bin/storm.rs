@@ -1,6 +1,7 @@
 //! The command line of the storm (docs/storm.md); `cargo xtask storm` starts it.
 
-use haptimill_tests::storm::episode::{Episode, MACHINES};
+use haptimill_tests::storm::episode::Episode;
+use haptimill_tests::storm::machines::MACHINES;
 use haptimill_tests::storm::report::{Summary, failure_line};
 use haptimill_tests::storm::run::{capture_panics, run, trace_every};
 use haptimill_tests::storm::shrink::shrink;

@@ -1,5 +1,6 @@
 //! Episodes: the data that a seed stands for. A script is data, so a failing one can be shortened.
 
+use super::machines::MachineKind;
 use super::rng::Rng;
 use super::script::script;
 use haptimill_hil_sim::fault::FaultKind;
@@ -52,50 +53,6 @@ impl Theme {
     #[must_use]
     pub const fn has_clean_line(self) -> bool {
         !matches!(self, Self::Line | Self::AnyCommand)
-    }
-}
-
-/// The machine of an episode.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MachineKind {
-    /// `machines/h4.toml`.
-    Torque,
-    /// `machines/h4-step.toml`.
-    Step,
-    /// The first one with a haptic arm.
-    HapticArm,
-    /// The first one, led by a remote master.
-    RemoteMaster,
-    /// A haptic arm alone.
-    MasterAlone,
-    /// Another machine file of `machines/`, by its name in [`MACHINES`].
-    File(&'static str),
-}
-
-/// The machine files whose episodes an option of the command selects; `vmc3-tables` is `vmc3.toml`
-/// with its true errors as tables in the controller.
-pub const MACHINES: [&str; 11] = [
-    "mill3",
-    "mill3-servo",
-    "router3",
-    "mill4",
-    "trunnion5",
-    "facet",
-    "scara",
-    "delta3",
-    "vmc3",
-    "vmc3-tables",
-    "engraver",
-];
-
-impl MachineKind {
-    /// Returns the name of the machine file, if the episode is not one of the H-4 machines.
-    #[must_use]
-    pub const fn file(self) -> Option<&'static str> {
-        match self {
-            Self::File(name) => Some(name),
-            _ => None,
-        }
     }
 }
 

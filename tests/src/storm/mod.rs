@@ -6,6 +6,7 @@ pub mod checks;
 pub mod command;
 pub mod episode;
 pub mod files;
+pub mod machines;
 mod player;
 pub mod reference;
 pub mod report;

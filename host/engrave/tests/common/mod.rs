@@ -57,7 +57,8 @@ pub fn font() -> Vec<u8> {
         0,
         0,
     ]));
-    cmap[14..16].copy_from_slice(&((cmap.len() - 12) as u16).to_be_bytes());
+    let length = (cmap.len() - 12) as u16;
+    cmap[14..16].copy_from_slice(&length.to_be_bytes());
     let mut os2 = words(&[2]);
     os2.extend([0; 86]);
     os2.extend(words(&[700, 0, 0, 0]));

@@ -2,7 +2,8 @@
 
 use super::Player;
 use crate::storm::command;
-use crate::storm::episode::{JobPlan, MachineKind, PathPlan};
+use crate::storm::episode::{JobPlan, PathPlan};
+use crate::storm::machines::MachineKind;
 use crate::storm::rng::Rng;
 use crate::storm::units::{MM, PERIOD};
 use core::f64::consts::TAU;

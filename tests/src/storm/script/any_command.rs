@@ -1,7 +1,8 @@
 //! Any command in any state.
 
 use super::super::command;
-use super::super::episode::{JobPlan, MachineKind, Stimulus};
+use super::super::episode::{JobPlan, Stimulus};
+use super::super::machines::MachineKind;
 use super::super::rng::Rng;
 use super::operation::{jog, path};
 use super::{Steps, joint_name, periods};

@@ -1,6 +1,7 @@
 //! Faults of the machine, alone and in sequences that need a certain state.
 
-use super::super::episode::{MachineKind, Stimulus, joint_of};
+use super::super::episode::{Stimulus, joint_of};
+use super::super::machines::MachineKind;
 use super::super::rng::Rng;
 use super::operation::{jog, single_jog};
 use super::{Steps, joint_name, periods};

@@ -1,9 +1,9 @@
-//! Stimuli for other machine files than the H-4 ones: scripts that are made for five coordinates and
-//! five joints are fitted to the machine, and what only such a machine has is added.
+//! Stimuli for other machine files than the H-4 ones: scripts that are made for five coordinates
+//! and five joints are fitted to the machine, and what only such a machine has is added.
 
-use super::super::bench::machine;
 use super::super::command;
-use super::super::episode::{JOINTS, MachineKind, Step, Stimulus, Theme};
+use super::super::episode::{JOINTS, Step, Stimulus, Theme};
+use super::super::machines::{MachineKind, machine};
 use super::super::rng::Rng;
 use super::{Steps, joint_name, periods};
 use haptimill_firmware::config::AxisKind;

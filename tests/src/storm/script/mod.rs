@@ -9,8 +9,8 @@ mod line;
 mod operation;
 mod teleoperation;
 
-use super::bench::machine;
-use super::episode::{JOINTS, MachineKind, Step, Stimulus, Theme};
+use super::episode::{JOINTS, Step, Stimulus, Theme};
+use super::machines::{MachineKind, machine};
 use super::rng::Rng;
 use haptimill_protocol::message::Command;
 

@@ -1,7 +1,8 @@
 //! Teleoperation: a master that leads the tool, and a master alone.
 
 use super::super::command;
-use super::super::episode::{JobPlan, MachineKind, Stimulus};
+use super::super::episode::{JobPlan, Stimulus};
+use super::super::machines::MachineKind;
 use super::super::rng::Rng;
 use super::Steps;
 use super::operation::careful_host;
