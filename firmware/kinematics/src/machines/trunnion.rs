@@ -144,8 +144,9 @@ impl Machine for Trunnion {
         pose.0[A].angle()
     }
 
-    /// While a rotary axis is searched the slides stand still, so the tip moves in the workpiece
-    /// frame.
+    /// A slide moves alone: with turned rotary axes the tip then moves along several coordinates of
+    /// the workpiece. While a rotary axis is searched the slides stand still, so the tip moves in
+    /// the workpiece frame.
     fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
         let mut rates = [0; MAX_AXES];
         rates[Self::search_coordinate(joint)] = rate;
@@ -164,7 +165,16 @@ impl Machine for Trunnion {
                 rates[0] = swing(y, turn);
                 rates[1] = -swing(x, turn);
             }
-            _ => {}
+            _ => {
+                let back = |angle: Angle| {
+                    let (sine, cosine) = sin_cos(angle);
+                    (-sine, cosine)
+                };
+                let alone = |slide: usize| if joint == slide { rate } else { 0 };
+                let [q, height] = turned([alone(1), alone(2)], back(pose.0[A].angle()));
+                let [along_x, along_y] = turned([alone(0), q], back(pose.0[C].angle()));
+                [rates[0], rates[1], rates[2]] = [along_x, along_y, height];
+            }
         }
         rates
     }
