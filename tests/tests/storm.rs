@@ -89,6 +89,7 @@ fn tracked(periods: f64, reached: u32, x_mm: f64) -> JobSample {
         accepted: 2,
         pose: [x_mm * MM, 0.0, 0.0, 0.0, 0.0, 0.0],
         spindle: 0,
+        spindle_overrides: vec![100],
     }
 }
 

@@ -85,6 +85,8 @@ pub struct JobSample {
     pub pose: [f64; 6],
     /// Commanded speed of the spindle.
     pub spindle: i16,
+    /// Spindle overrides that may be in force; none where a lost answer leaves them unknown.
+    pub spindle_overrides: Vec<u8>,
 }
 
 /// A job as the host planned it.
@@ -204,9 +206,16 @@ impl PlannedJob {
                 _ => None,
             })
             .unwrap_or(0);
-        if spindle != seen.spindle {
+        let is_planned = |percent: &u8| {
+            let speed = i32::from(spindle) * i32::from(*percent) / 100;
+            let highest = i32::from(i16::MAX);
+            speed.clamp(-highest, highest) == i32::from(seen.spindle)
+        };
+        let overrides = &seen.spindle_overrides;
+        if !overrides.is_empty() && !overrides.iter().any(is_planned) {
             return Err(format!(
-                "the spindle is at {} after setpoint {place}, by the host's plan at {spindle}",
+                "the spindle is at {} after setpoint {place}, by the host's plan at {spindle} with \
+                 an override of {overrides:?} %",
                 seen.spindle
             ));
         }

@@ -94,6 +94,16 @@ impl Checks {
                 self.timeouts.percent = *percent;
                 self.timeouts.settled = 0;
             }
+            Command::SpindleOverride { percent } => {
+                if !(10..=200).contains(percent) {
+                    violated!(
+                        bench,
+                        "range",
+                        "a spindle override of {percent} % was accepted"
+                    );
+                }
+                self.timeouts.spindle_percent = *percent;
+            }
             Command::ForceLoop { axis, settings } => {
                 if let Some(limit) = self.compliance.limits.get_mut(usize::from(*axis)) {
                     *limit = limit.max(f64::from(settings.limit) / MM);

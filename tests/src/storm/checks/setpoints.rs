@@ -3,7 +3,7 @@
 use super::super::bench::StormBench;
 use super::super::reference::JobSample;
 use super::{CheckResult, Checks, bounds, commanded_pose};
-use haptimill_protocol::message::{Fault, Source, State};
+use haptimill_protocol::message::{Command, Fault, Source, State};
 
 impl Checks {
     /// Checks the commanded pose of a job against the interpolation of its setpoints.
@@ -28,6 +28,7 @@ impl Checks {
             accepted: program.accepted(),
             pose: commanded_pose(bench),
             spindle: bench.rig.outputs().spindle_rpm,
+            spindle_overrides: self.spindle_overrides(bench),
         };
         let off = match self.job.check(&sample) {
             Ok(off) => off,
@@ -42,5 +43,20 @@ impl Checks {
             );
         }
         Ok(())
+    }
+
+    /// Returns the spindle overrides that may be in force: the one accepted last, and those whose
+    /// answer is under way. None when a session ended before its answers.
+    fn spindle_overrides(&self, bench: &StormBench) -> Vec<u8> {
+        if !bench.abandoned.is_empty() {
+            return Vec::new();
+        }
+        let pending = bench.pending.iter().filter_map(|it| match it.command {
+            Command::SpindleOverride { percent } => Some(percent),
+            _ => None,
+        });
+        std::iter::once(self.timeouts.spindle_percent)
+            .chain(pending)
+            .collect()
     }
 }

@@ -11,13 +11,15 @@ use haptimill_protocol::message::{Command, Fault, State};
 pub(super) struct Timeouts {
     /// The feed override that was accepted last.
     pub percent: u8,
+    /// The spindle override that was accepted last.
+    pub spindle_percent: u8,
     /// Periods since the path rate should have settled.
     pub settled: u32,
     /// End of the latest accepted jog.
     pub jog_until: u64,
     /// Periods in a hold.
     hold: u32,
-    /// Start of the newest session. With it the override becomes 100 % when nothing is active.
+    /// Start of the newest session. With it the overrides become 100 % when nothing is active.
     session_start: u64,
 }
 
@@ -25,6 +27,7 @@ impl Default for Timeouts {
     fn default() -> Self {
         Self {
             percent: 100,
+            spindle_percent: 100,
             settled: 0,
             jog_until: 0,
             hold: 0,
@@ -153,6 +156,7 @@ impl Checks {
         if self.timeouts.session_start != bench.session_start && !safety.active() {
             self.timeouts.session_start = bench.session_start;
             self.timeouts.percent = 100;
+            self.timeouts.spindle_percent = 100;
             self.timeouts.settled = 0;
         }
         let program = &machine.motion.program;
