@@ -163,7 +163,11 @@ fn a_job_streamed_by_counting_characters_ends_in_its_place() {
     assert_eq!(sender.line("$$"), "ok");
     assert!(sender.has("$22=1") && sender.has("$132="));
     assert_eq!(sender.line("$G"), "ok");
-    assert!(sender.has("[GC:G1 G54 G17 G21 G90 G94 M5 M9") || sender.has("[GC:G0 G54 G17 G21"));
+    assert!(
+        sender.has("[GC:G80 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]"),
+        "{:?}",
+        sender.messages
+    );
     assert_eq!(sender.line("$#"), "ok");
     assert!(sender.has("[G54:0.000,0.000,0.000]"));
     // 60 sides of a polygon, then a known end.

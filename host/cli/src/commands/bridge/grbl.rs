@@ -217,8 +217,9 @@ impl Bridge {
                 self.say(&text);
             }
             RealTime::Hold => {
-                self.wishes.hold = matches!(self.activity, Activity::Job { run: Some(_), .. })
-                    && self.state() != State::Hold;
+                // A job whose first setpoint is not made yet is held when it starts.
+                self.wishes.hold =
+                    matches!(self.activity, Activity::Job { .. }) && self.state() != State::Hold;
                 self.wishes.resume = false;
                 // Homing cannot be continued: it ends.
                 if matches!(self.activity, Activity::Homing(_) | Activity::GoingHome(_)) {
@@ -312,7 +313,7 @@ impl Bridge {
         let pose = pose.unwrap_or_default();
         let machine = report::xyz(self.axes, &pose);
         let work = report::xyz(self.axes, &self.dialog.in_program(&pose));
-        let is_moving = telemetry.is_some_and(|now| now.path_rate > 0);
+        let is_moving = self.speed > 0.0;
         let state = match (&self.activity, self.state()) {
             (_, State::Fault | State::EmergencyStop) => "Alarm",
             (Activity::Homing(_) | Activity::GoingHome(_), _) => "Home",

@@ -52,6 +52,7 @@ impl Bridge {
     /// Ends a job that stands still; the answer to a command that needs an idle machine.
     fn idle(&mut self) -> Option<Answer> {
         let is_standing = self.is_standing();
+        let has_stopped = self.speed == 0.0;
         match &mut self.activity {
             Activity::Nothing => None,
             Activity::Job { feed, .. } if feed.is_drained() && is_standing => {
@@ -59,6 +60,8 @@ impl Bridge {
                 let _ = feed.end();
                 Some(Answer::Later)
             }
+            // The last setpoints of a job that was ended above.
+            Activity::Job { feed, .. } if feed.has_ended() && has_stopped => Some(Answer::Later),
             _ => Some(Answer::Error(error::NOT_IDLE)),
         }
     }
