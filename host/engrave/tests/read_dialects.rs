@@ -380,10 +380,11 @@ fn letters_that_are_placed_one_by_one_are_refused() {
 }
 
 /// One drawing as other programs write it: DXF of ezdxf 1.4 in four versions (blocks nested,
-/// mirrored, scaled unevenly and in arrays; arcs seen from below; hidden layers), an SVG as Inkscape
-/// writes it. Lengths of the DXF are those of the curves, integrated in 400,000 steps; that of the
-/// SVG, and the boxes, are those of svgelements and ezdxf. For the star, svgelements does not apply
-/// the size of its reference: 0.2 of the circumference of 32.3607 is subtracted here.
+/// mirrored, scaled unevenly and in arrays; arcs seen from below; hidden layers), an SVG as
+/// Inkscape writes it. Lengths of the DXF are those of the curves, integrated in 400,000 steps;
+/// that of the SVG, and the boxes, are those of svgelements and ezdxf. For the star, svgelements
+/// does not apply the size of its reference: 0.2 of the circumference of 32.3607 is subtracted
+/// here.
 #[test]
 fn drawings_of_other_programs_have_their_length() {
     let cases = [
