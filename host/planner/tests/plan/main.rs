@@ -8,3 +8,4 @@ mod properties;
 mod refusals;
 mod spans;
 mod stream;
+mod times;
