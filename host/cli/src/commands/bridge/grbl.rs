@@ -1,4 +1,4 @@
-//! The state of a Grbl bridge: what the machine does, and what the sender is told.
+//! The state of a Grbl bridge: what the machine does, and what the sender gets.
 
 mod lines;
 
@@ -206,9 +206,9 @@ impl Bridge {
     }
 
     fn real_time(&mut self, command: RealTime) {
-        let change = |now: u8, by: Option<i16>, most: i16| -> u8 {
+        let change = |now: u8, by: Option<i16>| -> u8 {
             let value = by.map_or(100, |by| i16::from(now) + by);
-            value.clamp(*OVERRIDES.start(), most) as u8
+            value.clamp(*OVERRIDES.start(), *OVERRIDES.end()) as u8
         };
         let [feed, rapid, spindle] = self.overrides;
         match command {
@@ -239,7 +239,7 @@ impl Bridge {
                 }
             }
             RealTime::Feed(by) => {
-                let percent = change(feed, by, *OVERRIDES.end());
+                let percent = change(feed, by);
                 self.overrides[0] = percent;
                 self.session
                     .client_mut()
@@ -252,8 +252,7 @@ impl Bridge {
             }
             RealTime::Rapid(_) => {}
             RealTime::Spindle(by) => {
-                // The controller accepts 50 to 150 %.
-                let percent = change(spindle, by, 150).max(50);
+                let percent = change(spindle, by);
                 self.overrides[2] = percent;
                 let command = Command::SpindleOverride { percent };
                 self.session.client_mut().request(command);

@@ -273,7 +273,7 @@ impl Bridge {
         Ok(Answer::Ok)
     }
 
-    /// Checks a block against language and limits.
+    /// Checks a block against the language; the limits are checked when it moves the machine.
     fn check_block(&mut self, text: &str) -> Answer {
         match self.steps(text) {
             Ok(_) => Answer::Ok,
