@@ -66,6 +66,12 @@ pub struct Trunnion {
     axes: [i64; 3],
 }
 
+/// Sine and cosine of the turn back by an angle.
+fn back(angle: Angle) -> (i32, i32) {
+    let (sine, cosine) = sin_cos(angle);
+    (-sine, cosine)
+}
+
 impl Trunnion {
     /// The tip relative to the table's axis, and its height above the trunnion's.
     #[inline(always)]
@@ -166,10 +172,6 @@ impl Machine for Trunnion {
                 rates[1] = -swing(x, turn);
             }
             _ => {
-                let back = |angle: Angle| {
-                    let (sine, cosine) = sin_cos(angle);
-                    (-sine, cosine)
-                };
                 let alone = |slide: usize| if joint == slide { rate } else { 0 };
                 let [q, height] = turned([alone(1), alone(2)], back(pose.0[A].angle()));
                 let [along_x, along_y] = turned([alone(0), q], back(pose.0[C].angle()));
@@ -238,10 +240,6 @@ impl Kinematics for Trunnion {
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError> {
         let [x, y, z, ..] = joints.0.map(|value| i64::from(value.0));
         let [axis_x, axis_y, axis_z] = self.axes;
-        let back = |angle: Angle| {
-            let (sine, cosine) = sin_cos(angle);
-            (-sine, cosine)
-        };
         let [q, height] = turned(
             [total(y, -axis_y), total(z, -axis_z)],
             back(joints.0[A].angle()),

@@ -145,7 +145,7 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
 /// Waits for the drive of a board in boot mode.
 fn find(board: &Board, places: &Places, wait: Duration) -> Result<Drive, CliError> {
     let end = Instant::now() + wait;
-    let mut told = false;
+    let mut is_announced = false;
     loop {
         let found = places.find(board);
         let what = match found {
@@ -178,9 +178,9 @@ fn find(board: &Board, places: &Places, wait: Duration) -> Result<Drive, CliErro
         if Instant::now() >= end {
             return Err(CliError::new(Exit::Port, what));
         }
-        if !told {
+        if !is_announced {
             eprintln!("{what}");
-            told = true;
+            is_announced = true;
         }
         std::thread::sleep(POLL.min(end.saturating_duration_since(Instant::now())));
     }
