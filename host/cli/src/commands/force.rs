@@ -246,7 +246,8 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     Ok(())
 }
 
-fn newtons(values: [i32; COMPONENTS]) -> [f64; COMPONENTS] {
+/// Forces of the protocol in N.
+pub(crate) fn newtons(values: [i32; COMPONENTS]) -> [f64; COMPONENTS] {
     values.map(|value| f64::from(value) / 65_536.0)
 }
 

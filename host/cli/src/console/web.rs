@@ -10,6 +10,7 @@ use super::keys::Action;
 use super::view_model::{Axis, Confirm, LinkState, Overlay, Severity, ViewModel};
 use crate::commands::console::ConsoleArgs;
 use crate::commands::exit::{CliError, Exit};
+use crate::commands::force::newtons;
 use crate::commands::interrupt;
 use crate::commands::preview::preview;
 use crate::commands::program::{LanguageArgs, PartProgram};
@@ -296,7 +297,7 @@ impl Web {
             "override": view.overrides[OverrideKind::Feed as usize],
             "overrides": view.overrides,
             "tool_axis": tool_axis(&app.machine, measured.or(commanded)),
-            "force": telemetry.and_then(|now| now.force.as_ref()).map(|force| force.high.map(newtons)),
+            "force": telemetry.and_then(|now| now.force.as_ref()).map(|force| newtons(force.high)),
             "columns": columns(&view),
             "spindle_rpm": program.and_then(|program| program.spindle_rpm),
             "selected": self.selected.as_deref().map(name_of),
@@ -401,11 +402,6 @@ fn tool_axis(machine: &MachineFile, pose: Option<&AxisValues>) -> Option<[f64; 3
     Some(tool.axis)
 }
 
-/// A force of the protocol in N.
-fn newtons(value: i32) -> f64 {
-    f64::from(value) / f64::from(1 << 16)
-}
-
 /// Further values that the page plots, by name.
 fn columns(view: &ViewModel) -> Value {
     let mut columns = serde_json::Map::new();
@@ -413,12 +409,8 @@ fn columns(view: &ViewModel) -> Value {
         return Value::Null;
     };
     for (axis, error) in view.static_info.joints.iter().zip(&now.following_error) {
-        let (scale, unit) = if axis.kind.is_rotary() {
-            (1e3, "mdeg")
-        } else {
-            (1e3, "um")
-        };
-        let value = f64::from(*error) / per_unit(axis.kind) * scale;
+        let unit = if axis.kind.is_rotary() { "mdeg" } else { "um" };
+        let value = f64::from(*error) / per_unit(axis.kind) * 1e3;
         columns.insert(
             format!("following error {}, {unit}", axis.name),
             json!(value),
@@ -438,12 +430,10 @@ fn columns(view: &ViewModel) -> Value {
         columns.insert("outputs, bits".to_string(), json!(io.outputs));
     }
     if let Some(force) = &now.force {
+        let (high, low) = (newtons(force.high), newtons(force.low));
         for (axis, name) in ["x", "y", "z"].iter().enumerate() {
-            columns.insert(format!("force {name}, N"), json!(newtons(force.high[axis])));
-            columns.insert(
-                format!("opposite force {name}, N"),
-                json!(newtons(force.low[axis])),
-            );
+            columns.insert(format!("force {name}, N"), json!(high[axis]));
+            columns.insert(format!("opposite force {name}, N"), json!(low[axis]));
             let yielded = f64::from(force.yielded[axis]) / f64::from(1 << 20);
             columns.insert(format!("displacement {name}, mm"), json!(yielded));
         }
