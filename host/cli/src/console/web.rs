@@ -160,7 +160,7 @@ impl Web {
                 let (kind, name, range) = match of {
                     Scaled::Feed => (OverrideKind::Feed, "feed", 1..=200),
                     Scaled::Rapid => (OverrideKind::Rapid, "rapid", 1..=100),
-                    Scaled::Spindle => (OverrideKind::Spindle, "spindle", 50..=150),
+                    Scaled::Spindle => (OverrideKind::Spindle, "spindle", 10..=200),
                 };
                 if app.is_ready() && range.contains(&percent) {
                     app.set_override(kind, percent);
