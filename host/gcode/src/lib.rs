@@ -16,8 +16,8 @@
 //! nothing is skipped. One block has at most one problem. All problems of a file are reported
 //! together, up to [`LISTED_PROBLEMS`]; those that follow from an earlier one are left out.
 //!
-//! The radii at both ends of an arc may differ by [`RADIUS_TOLERANCE_MM`], or by a thousandth up to
-//! [`LARGEST_RADIUS_TOLERANCE_MM`]. The radius then changes linearly along the arc, and both ends
+//! The radii at both ends of an arc may differ by [`RADIUS_TOLERANCE_MM`], or by a thousandth of
+//! the radius up to 100 times that. The radius then changes linearly along the arc, and both ends
 //! are as programmed. A larger difference is refused.
 //!
 //! The interpreter does not check the workspace of the machine; the planner does.
