@@ -17,6 +17,7 @@ fn axis(drive: Drive) -> JointAxis {
         high: Coordinate(i32::MAX),
         rate: Rate(60 << 20),
         backlash: Coordinate(10_486),
+        backlash_table: Default::default(),
         drive,
         law: ServoConfig {
             form: ServoForm::ModelBased,

@@ -133,6 +133,13 @@ const fn is_circle(kind: AxisKind, low: Coordinate, high: Coordinate) -> bool {
 /// 2^-16 turn/s^3.
 pub const JERK_SHIFT: u32 = 16;
 
+/// Largest number of places with a backlash of their own.
+pub const BACKLASH_NODES: usize = 16;
+
+/// Steepest change of the backlash along the stroke is 2 to the power of minus this: with that
+/// slope the motor gains or loses 0.2 % of the rate of the slide.
+pub const BACKLASH_SLOPE_SHIFT: u32 = 8;
+
 /// Joint: its screw, drive, servo loop, limits, and its encoder if it has one.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct JointAxis {
@@ -147,6 +154,9 @@ pub struct JointAxis {
     /// Full width of the backlash of the screw. The encoder sits on the motor side. 0 switches the
     /// compensation off.
     pub backlash: Coordinate,
+    /// Backlash at evenly spaced places from the lower to the upper end of the stroke, linear
+    /// between them, none above `backlash`. Empty where it is the same everywhere.
+    pub backlash_table: Vec<Coordinate, BACKLASH_NODES>,
     /// The drive.
     pub drive: Drive,
     /// The servo loop; a step drive has its own and ignores this one.

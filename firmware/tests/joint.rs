@@ -55,6 +55,7 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
         high: Coordinate((1500.0 * MM) as i32),
         rate: Rate((60.0 * MM) as i32),
         backlash: Coordinate((backlash_mm * MM) as i32),
+        backlash_table: Default::default(),
         drive,
         law: ServoConfig {
             form: ServoForm::ModelBased,
@@ -206,6 +207,47 @@ fn lost_motion_is_compensated() {
     assert!(none.0 - play.0 > 0.0045, "{none:?} {play:?}");
     assert!(play.0 - all.0 > 0.003, "{play:?} {all:?}");
     assert!(all.0 < 0.0065 && all.1 < 0.0065, "{all:?}");
+}
+
+/// With a table the commanded motor is ahead of the slide by half the lost motion at the place of
+/// the slide, on the side of its motion; the reference is the same interpolation in `f64`.
+#[test]
+fn lost_motion_depends_on_the_place() {
+    let nodes_mm = [0.010, 0.030, 0.0, 0.025];
+    let mut config = axis(torque(), 0.030);
+    let nodes = nodes_mm.iter().map(|mm| Coordinate((mm * MM) as i32));
+    config.backlash_table = nodes.collect();
+    let half_mm = |at: f64| {
+        let place = (at / 500.0).clamp(0.0, 3.0);
+        let node = (place as usize).min(2);
+        let part = place - node as f64;
+        0.5 * (nodes_mm[node] + part * (nodes_mm[node + 1] - nodes_mm[node]))
+    };
+    for (at, direction) in [
+        (0.0, 1.0),
+        (250.0, -1.0),
+        (499.999, 1.0),
+        (620.0, 1.0),
+        (999.0, -1.0),
+        (1300.0, 1.0),
+        (1500.0, -1.0),
+        (1510.0, 1.0),
+        (-3.0, 1.0),
+    ] {
+        let mut joint = JointDrive::new(&config, 200).unwrap();
+        joint.measure(&AxisInputs::default(), 0);
+        joint.enable();
+        let command = JointCommand {
+            coordinate: Coordinate((at * MM) as i32),
+            rate: Rate((direction * MM) as i32),
+            acceleration: Acceleration(0),
+        };
+        // 100 ms: the shift is complete after 19 ms.
+        let last = (0..500).map(|_| drive_to(&mut joint, &command)).last();
+        let shift = f64::from(last.unwrap().following_error.0) / MM - at;
+        let expected = direction * half_mm(at);
+        assert!((shift - expected).abs() < 5e-6, "{at}: {shift} {expected}");
+    }
 }
 
 #[test]

@@ -48,6 +48,7 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
         high,
         rate: Rate(100 * MM),
         backlash: Coordinate::ZERO,
+        backlash_table: Default::default(),
         drive: Drive::Torque {
             full_scale: Effort(1 << 16),
             limit: Effort(1 << 16),

@@ -54,6 +54,7 @@ fn slide(preset: f64) -> JointAxis {
         high: Coordinate(mm(preset + 250.0)),
         rate: Rate(mm(100.0)),
         backlash: Coordinate(mm(0.010)),
+        backlash_table: Default::default(),
         drive: Drive::Torque {
             full_scale: Effort(800 << 16),
             limit: Effort(700 << 16),
@@ -95,6 +96,7 @@ fn table() -> JointAxis {
         high: Coordinate(degrees(45.0)),
         rate: Rate(degrees(40.0)),
         backlash: Coordinate(0),
+        backlash_table: Default::default(),
         preset: Coordinate(0),
         encoder: Some(EncoderAxis {
             per_count: (i64::from(degrees(4.0)) << 24) / 8000,

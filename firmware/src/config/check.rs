@@ -3,8 +3,8 @@
 use super::{
     AxisKind, Config, Drive, EncoderAxis, Home, JointAxis, PoseAxis, ServoConfig, SwitchHome,
 };
-use crate::config::HAPTICS;
 use crate::config::volumetric::{CORRECTION, ERROR_AXES};
+use crate::config::{BACKLASH_SLOPE_SHIFT, HAPTICS};
 use crate::haptics::config::HapticConfig;
 use crate::motion::tracker::TrackerLimits;
 use crate::motion::{interpolator, jog};
@@ -229,6 +229,7 @@ impl Config {
             ConfigField::Backlash,
             here,
         )?;
+        require(has_sound_table(axis), ConfigField::Backlash, here)?;
         let preset = (axis.low..=axis.high).contains(&axis.preset);
         require(preset, ConfigField::Homing, here)?;
         match &axis.encoder {
@@ -406,4 +407,24 @@ fn stable(law: &ServoConfig, period_us: u16) -> bool {
 
 fn within(value: i32) -> bool {
     i64::from(value).abs() <= COORDINATE_MAX
+}
+
+/// Whether the backlash of a joint by its place is within its bounds, with room between the places.
+fn has_sound_table(axis: &JointAxis) -> bool {
+    let table = &axis.backlash_table;
+    let Some(spans) = table.len().checked_sub(1) else {
+        return true;
+    };
+    if spans == 0 || axis.wraps() {
+        return false;
+    }
+    let pitch = (i64::from(axis.high.0) - i64::from(axis.low.0)) / spans as i64;
+    let bounded = table
+        .iter()
+        .all(|node| (0..=axis.backlash.0).contains(&node.0));
+    let flat = table.windows(2).all(|pair| {
+        let change = (i64::from(pair[1].0) - i64::from(pair[0].0)).abs();
+        change << BACKLASH_SLOPE_SHIFT <= pitch
+    });
+    pitch >= 1 << 16 && bounded && flat
 }

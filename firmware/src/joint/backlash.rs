@@ -9,13 +9,18 @@
 //!   the flank is unknown. The middle is assumed until the first motion of more than the play.
 //! - **Commanded motor position.** It is half the play ahead of the slide, on the side of the next
 //!   motion. The side changes with the commanded rate, with a hysteresis of one play per second.
-//!   The noise of the measured rate would make the motor chatter between the flanks. The side does
-//!   not change at standstill, so a standing machine does not move.
+//!   The noise of the measured rate would make the motor chatter between the flanks. Slower motion,
+//!   such as that of a volumetric correction, changes the side after 1/16 of the play. The side
+//!   does not change at standstill, so a standing machine does not move.
 //! - **Transition.** A step of the commanded motor position would be a blow of K_P * play. The
 //!   shift passes two equal first-order filters in series, so position and rate are continuous, and
 //!   a reversal during the transition needs no special case. With [`SHIFT_US`] = 4 ms the crossing
 //!   is 95 % done in 19 ms. On the 30 mm circle at 4 mm/s the hysteresis takes 9 ms, in which the
 //!   slide should have moved 0.4 um: that is the remaining error.
+//!
+//! - **Place.** A worn screw has more play where it was used most. Half the play is then a table over
+//!   the stroke, linear between its nodes, taken at the motor for the slide position and at the
+//!   commanded slide for the commanded motor position.
 //!
 //! The compensated value is the lost motion of a reversal as measured on a machine: the play plus
 //! twice the wind-up of the screw under the friction of the slide.
@@ -25,11 +30,12 @@
 //! limit-cycle across it.
 
 use super::encoder::{difference, sum};
-use crate::config::AxisKind;
 use crate::config::digest::constants;
+use crate::config::{AxisKind, BACKLASH_NODES, JointAxis};
 use crate::joint::rate_filter::approach;
 use haptimill_math::reciprocal::{Factor, Scale, saturate};
 use haptimill_math::{Coordinate, Rate};
+use heapless::Vec;
 
 /// Time constant of each of the two filters, in microseconds.
 pub const SHIFT_US: u16 = 4_000;
@@ -42,19 +48,18 @@ const FRACTION: u32 = 24;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Backlash {
     kind: AxisKind,
-    /// Half of the play, axis units.
+    /// Half of the play, axis units: the largest, where it has a table.
     half: i32,
+    table: Table,
     /// Rate above which the commanded direction is valid.
     hysteresis: i32,
     /// 1 - pole of each filter, Q31.
     approach: i32,
     /// Conversion of the change of a state per period to a rate.
     rate: Scale,
-    /// Fractional bits of the states. `rounding` is half a unit and `flank` half of the play, both
-    /// with these bits.
+    /// Fractional bits of the states. `rounding` is half a unit with these bits.
     fraction: u32,
     rounding: i32,
-    flank: i32,
     /// Target of the states; their initial value until a direction is commanded.
     goal: i32,
     /// Filter states, axis units; both within +-half, which is below 2^30 with their fraction.
@@ -63,24 +68,81 @@ pub struct Backlash {
     /// The states no longer change.
     settled: bool,
     slide: Coordinate,
+    /// The commanded slide behind a play of 1/16: motion that carries it has a direction.
+    anchor: Coordinate,
 }
 
 constants!(Backlash {
-    kind, half, hysteresis, approach, rate, fraction, rounding, flank
-} of {} but { goal, first, second, settled, slide });
+    kind, half, table, hysteresis, approach, rate, fraction, rounding
+} of {} but { goal, first, second, settled, slide, anchor });
+
+/// Direction of a motion.
+enum Direction {
+    Up,
+    Down,
+    None,
+}
+
+/// Half of the play along the stroke.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+struct Table {
+    /// Halves at the nodes; empty where the play is the same everywhere.
+    halves: Vec<i32, BACKLASH_NODES>,
+    /// Place of the first node.
+    low: i32,
+    /// 2^47 divided by the distance of two nodes.
+    reciprocal: i64,
+}
+
+impl Table {
+    fn new(axis: &JointAxis) -> Self {
+        let spans = axis.backlash_table.len().saturating_sub(1).max(1) as i64;
+        let pitch = (i64::from(axis.high.0) - i64::from(axis.low.0)) / spans;
+        let halves = axis.backlash_table.iter().map(|play| half_of(*play));
+        Self {
+            halves: halves.collect(),
+            low: axis.low.0,
+            reciprocal: (1 << 47) / pitch.max(1 << 16),
+        }
+    }
+
+    /// Half of the play at a coordinate, `None` without a table. Beyond its ends the table is
+    /// constant.
+    #[inline(always)]
+    fn at(&self, coordinate: Coordinate) -> Option<i32> {
+        let last = self.halves.len().checked_sub(2)?;
+        // Below 2^32 times 2^31.
+        let from = (i64::from(coordinate.0) - i64::from(self.low)).max(0);
+        let place = (from * self.reciprocal) >> 23;
+        let (node, part) = ((place >> 24) as usize, place & 0xFF_FFFF);
+        let (node, part) = if node > last {
+            (last, 1 << 24)
+        } else {
+            (node, part)
+        };
+        let (lower, upper) = (self.halves.get(node)?, self.halves.get(node + 1)?);
+        Some(lower + ((i64::from(upper - lower) * part) >> 24) as i32)
+    }
+}
+
+/// Half of a play, below 2^30.
+const fn half_of(play: Coordinate) -> i32 {
+    let half = (play.0.unsigned_abs() / 2) as i32;
+    if half >= 1 << 30 { (1 << 30) - 1 } else { half }
+}
 
 impl Backlash {
-    /// Compensation of the full play `play` (its magnitude counts; 0 switches the compensation
+    /// Compensation of the backlash of a joint (its magnitude counts; 0 switches the compensation
     /// off).
-    pub const fn new(kind: AxisKind, play: Coordinate, period_us: u16) -> Self {
-        let half = (play.0.unsigned_abs() / 2) as i32;
-        let half = if half >= 1 << 30 { (1 << 30) - 1 } else { half };
+    pub fn new(axis: &JointAxis, period_us: u16) -> Self {
+        let half = half_of(axis.backlash);
         let room = half.leading_zeros() - 2;
         let fraction = if room > FRACTION { FRACTION } else { room };
         let period = if period_us < 50 { 50 } else { period_us as u64 };
         Self {
-            kind,
+            kind: axis.kind,
             half,
+            table: Table::new(axis),
             hysteresis: saturate(2 * half as i64),
             approach: (approach(period_us, SHIFT_US) >> 1) as i32,
             rate: Factor::of(1_000_000)
@@ -89,12 +151,12 @@ impl Backlash {
                 .scale(),
             fraction,
             rounding: (1 << fraction) >> 1,
-            flank: half << fraction,
             goal: 0,
             first: 0,
             second: 0,
             settled: true,
             slide: Coordinate(0),
+            anchor: Coordinate(0),
         }
     }
 
@@ -104,10 +166,7 @@ impl Backlash {
     // change.
     #[inline(always)]
     pub fn carry(&mut self, motor: Coordinate) -> Coordinate {
-        let ahead = difference(self.kind, motor, self.slide)
-            .0
-            .max(-self.half)
-            .min(self.half);
+        let ahead = self.ahead(motor);
         self.slide = difference(self.kind, motor, Coordinate(ahead));
         self.slide
     }
@@ -120,33 +179,46 @@ impl Backlash {
     /// Shifts the slide by `shift` after a reference was found.
     pub fn rebase(&mut self, shift: Coordinate) {
         self.slide = sum(self.kind, self.slide, shift);
+        self.anchor = sum(self.kind, self.anchor, shift);
     }
 
     /// Starts with `motor` as the commanded motor position for the present slide, so nothing moves.
     pub fn hold(&mut self, motor: Coordinate) {
-        let ahead = difference(self.kind, motor, self.slide)
-            .0
-            .max(-self.half)
-            .min(self.half);
+        let ahead = self.ahead(motor);
+        self.anchor = self.slide;
         self.goal = ahead << self.fraction;
         self.first = self.goal;
         self.second = self.goal;
         self.settled = true;
     }
 
+    /// How far the motor is ahead of the slide, within half the play.
+    #[inline(always)]
+    fn ahead(&self, motor: Coordinate) -> i32 {
+        let half = self.half_at(motor);
+        difference(self.kind, motor, self.slide)
+            .0
+            .max(-half)
+            .min(half)
+    }
+
+    /// Half of the play at a place.
+    #[inline(always)]
+    fn half_at(&self, coordinate: Coordinate) -> i32 {
+        self.table.at(coordinate).unwrap_or(self.half)
+    }
+
     /// Returns the shift of the commanded coordinate and rate for the next period, from the
-    /// commanded rate of the slide.
+    /// commanded coordinate and rate of the slide.
     #[inline]
-    pub fn shift(&mut self, rate: Rate) -> (Coordinate, Rate) {
+    pub fn shift(&mut self, coordinate: Coordinate, rate: Rate) -> (Coordinate, Rate) {
         if self.half == 0 {
             return (Coordinate(0), Rate(0));
         }
-        let goal = if rate.0 > self.hysteresis {
-            self.flank
-        } else if rate.0 < self.hysteresis.wrapping_neg() {
-            self.flank.wrapping_neg()
-        } else {
-            self.goal
+        let goal = match self.direction(coordinate, rate) {
+            Direction::Up => self.half_at(coordinate) << self.fraction,
+            Direction::Down => (self.half_at(coordinate) << self.fraction).wrapping_neg(),
+            Direction::None => self.goal,
         };
         let mut rate = Rate(0);
         if goal != self.goal || !self.settled {
@@ -164,6 +236,28 @@ impl Backlash {
             .wrapping_add(self.rounding)
             .wrapping_shr(self.fraction);
         (Coordinate(shift), rate)
+    }
+
+    /// Direction of the commanded motion.
+    #[inline(always)]
+    fn direction(&mut self, coordinate: Coordinate, rate: Rate) -> Direction {
+        let room = self.half >> 4;
+        let ahead = difference(self.kind, coordinate, self.anchor).0;
+        let within = ahead.max(room.wrapping_neg()).min(room);
+        if ahead != within {
+            self.anchor = difference(self.kind, coordinate, Coordinate(within));
+        }
+        if rate.0 > self.hysteresis {
+            Direction::Up
+        } else if rate.0 < self.hysteresis.wrapping_neg() {
+            Direction::Down
+        } else if ahead > within {
+            Direction::Up
+        } else if ahead < within {
+            Direction::Down
+        } else {
+            Direction::None
+        }
     }
 
     /// The part of `distance` that a filter covers in a period.

@@ -305,7 +305,7 @@ impl JointDrive {
             kind: axis.kind,
             encoder: Encoder::new(axis.kind, per_count),
             indexes,
-            backlash: Backlash::new(axis.kind, axis.backlash, period_us),
+            backlash: Backlash::new(axis, period_us),
             output,
             monitor: JointMonitor::default(),
             commanded: JointCommand::default(),
@@ -692,7 +692,7 @@ impl JointDrive {
             *command = DriveCommand::Off;
             return false;
         }
-        let (shift, shift_rate) = self.backlash.shift(rate);
+        let (shift, shift_rate) = self.backlash.shift(coordinate, rate);
         // The motor's rate includes the crossing of the play: friction reverses when the motor sets
         // off, before the slide does.
         let rate = Rate(rate.0.saturating_add(shift_rate.0));

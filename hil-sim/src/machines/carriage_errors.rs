@@ -28,7 +28,7 @@ pub enum ErrorModel {
 /// From the z carriage to the tool in the thesis, mm.
 const THESIS_TOOL: Vector = [0.0, 0.0, -375.6991];
 
-/// Distance that a carriage moves back until its direction counts as changed, mm.
+/// Smallest distance that a carriage moves back until its direction has changed, mm.
 const REVERSAL: f64 = 0.001;
 
 /// An error function.
@@ -48,9 +48,10 @@ pub struct CarriageErrors {
     /// `EC0Y`, `EB0Z`, `EA0Z`.
     squareness: [f64; 3],
     model: ErrorModel,
-    /// Extremes since the last reversal, and the directions of the last motion.
-    turned_at: [f64; 3],
-    upwards: [bool; 3],
+    /// Middle of the play of each carriage, mm, and the carriage's place in it: 1 after motion
+    /// upwards, -1 after motion downwards.
+    middle: [f64; 3],
+    flank: [f64; 3],
 }
 
 impl CarriageErrors {
@@ -156,23 +157,20 @@ impl CarriageErrors {
                 given(a0z, "EA0Z")?,
             ],
             model,
-            turned_at: [0.0; 3],
-            upwards: [true; 3],
+            middle: [0.0; 3],
+            flank: [1.0; 3],
         }))
     }
 
     /// Error of the tool relative to the workpiece with the carriages here, mm; keeps track of
-    /// their directions.
+    /// their directions. A reversal takes the play of the carriage, in which the tool stands still:
+    /// the difference of its positioning error between the directions.
     pub fn follow(&mut self, carriages: Vector) -> Vector {
         for (axis, carriage) in carriages.into_iter().enumerate() {
-            let ahead = carriage - self.turned_at[axis];
-            let ahead = if self.upwards[axis] { ahead } else { -ahead };
-            if ahead > 0.0 {
-                self.turned_at[axis] = carriage;
-            } else if ahead < -REVERSAL {
-                self.upwards[axis] = !self.upwards[axis];
-                self.turned_at[axis] = carriage;
-            }
+            let half = 0.5 * self.play(axis, carriage).max(REVERSAL);
+            let ahead = (carriage - self.middle[axis]).clamp(-half, half);
+            self.middle[axis] = carriage - ahead;
+            self.flank[axis] = ahead / half;
         }
         let [x, y, z] = [0, 1, 2].map(|axis| self.carriage(axis, carriages[axis]));
         match self.model {
@@ -185,10 +183,18 @@ impl CarriageErrors {
     /// y, z in mm, then rotations about them in radians.
     #[must_use]
     pub fn of_carriage(&mut self, axis: usize, at: f64, upwards: bool) -> [f64; 6] {
-        self.upwards[axis] = upwards;
+        self.flank[axis] = if upwards { 1.0 } else { -1.0 };
         let Carriage { by, turn } = self.carriage(axis, at);
         let ([x, y, z], [a, b, c]) = (by, turn);
         [x, y, z, a, b, c]
+    }
+
+    /// Lost motion of a carriage, mm.
+    fn play(&self, axis: usize, at: f64) -> f64 {
+        match &self.functions[axis][axis] {
+            Function::Form(..) => 0.0,
+            Function::Table(nodes, up, down) => between(nodes, down, at) - between(nodes, up, at),
+        }
     }
 
     /// Displacement and turn of a carriage.
@@ -205,7 +211,8 @@ impl CarriageErrors {
                 value + slope * at + sines.iter().map(sine).sum::<f64>()
             }
             Function::Table(nodes, up, down) => {
-                between(nodes, if self.upwards[axis] { up } else { down }, at)
+                let weight = 0.5 + 0.5 * self.flank[axis];
+                weight * between(nodes, up, at) + (1.0 - weight) * between(nodes, down, at)
             }
         });
         let [x, y, z, a, b, c] = values;

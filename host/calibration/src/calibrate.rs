@@ -317,19 +317,58 @@ pub fn identify(axes: &[MeasuredAxis]) -> ErrorSet {
     set
 }
 
+/// Smallest lost motion that is written by direction, mm: the resolution of a laser.
+const SMALLEST_LOST_MOTION: f64 = 1e-4;
+
+/// Mean difference between the readings downwards and upwards at each target, if it is a lost
+/// motion: its mean over the targets is above three times its standard error over the runs.
+fn lost_motion(measured: &Measured) -> Option<Vec<f64>> {
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let targets = || measured.up.iter().zip(&measured.down);
+    let runs = targets().map(|(up, down)| up.len().min(down.len())).min()?;
+    let of_runs: Vec<f64> = (0..runs)
+        .map(|run| {
+            let differences = targets().map(|(up, down)| down[run] - up[run]);
+            differences.sum::<f64>() / measured.up.len() as f64
+        })
+        .collect();
+    let whole = mean(&of_runs);
+    let scatter: f64 = of_runs.iter().map(|run| (run - whole).powi(2)).sum();
+    let error = (scatter / (runs.max(2) * (runs.max(2) - 1)) as f64).sqrt();
+    (whole > SMALLEST_LOST_MOTION && whole > 3.0 * error)
+        .then(|| targets().map(|(up, down)| mean(down) - mean(up)).collect())
+}
+
 /// The measured functions of an axis: means over all runs, straightness without its line, the
-/// others zero at the origin.
+/// others zero at the origin. A positioning error with lost motion has a value for each direction.
 fn identify_axis(measured: &MeasuredAxis, set: &mut ErrorSet) {
     for function in &measured.functions {
         let mut values = means(function);
         let nodes = &measured.targets;
+        let lost = match function.function.kind() {
+            Kind::Positioning => lost_motion(function),
+            _ => None,
+        };
         if function.function.kind() == Kind::Straightness {
             values = without_line(nodes, &values);
         } else {
             let offset = interpolate(nodes, &values, 0.0);
             values.iter_mut().for_each(|value| *value -= offset);
         }
-        let table = Table::both(nodes.clone(), values);
+        let table = match lost {
+            None => Table::both(nodes.clone(), values),
+            Some(lost) => {
+                let half = |sign: f64| {
+                    let pairs = values.iter().zip(&lost);
+                    pairs.map(|(mean, lost)| mean + 0.5 * sign * lost).collect()
+                };
+                Table {
+                    nodes: nodes.clone(),
+                    up: half(-1.0),
+                    down: Some(half(1.0)),
+                }
+            }
+        };
         set.set(function.function, Shape::Table(table));
     }
 }

@@ -2,10 +2,12 @@
 //! same file as the truth of the simulated machine, and the tool at standstill in between.
 
 use haptimill_calibration::drive::{Machine, SLOW};
-use haptimill_calibration::scenario::{with_exact_tables, worn};
+use haptimill_calibration::scenario::{travel, truth, with_exact_tables, worn};
 use haptimill_machine_file::MachineFile;
-use haptimill_volumetric::Vector;
+use haptimill_math::Coordinate;
+use haptimill_volumetric::errors::{Function, Shape, Table};
 use haptimill_volumetric::grid::{Grid, Sizes};
+use haptimill_volumetric::{Vector, file};
 use std::path::Path;
 
 fn machine() -> MachineFile {
@@ -14,7 +16,7 @@ fn machine() -> MachineFile {
 }
 
 /// Errors of the tool at standstill at every point of the grid, mm.
-fn errors(machine: &mut Machine) -> Vec<Vector> {
+fn errors_of(machine: &mut Machine) -> Vec<Vector> {
     let targets: Vec<[f64; 3]> = Grid::part()
         .points()
         .iter()
@@ -33,9 +35,9 @@ fn check(machine: &MachineFile, um: f64) {
     let compensated = with_exact_tables(machine).unwrap();
     let mut machine = Machine::new(&compensated, SLOW, &Default::default()).unwrap();
     machine.compensate(false).unwrap();
-    let before = Sizes::of(errors(&mut machine));
+    let before = Sizes::of(errors_of(&mut machine));
     machine.compensate(true).unwrap();
-    let after = Sizes::of(errors(&mut machine));
+    let after = Sizes::of(errors_of(&mut machine));
     println!("before {before:?}, after {after:?}");
     assert!((before.largest * 1e3 - um).abs() < 0.03 * um, "{before:?}");
     assert!(after.largest <= 0.1e-3, "{after:?}");
@@ -51,4 +53,54 @@ fn exact_tables_leave_a_tenth_of_a_micrometre() {
 #[test]
 fn exact_tables_of_a_worn_machine_leave_a_tenth_of_a_micrometre() {
     check(&worn(&machine(), 10.0).unwrap(), 48.1);
+}
+
+/// A screw with lost motion that grows along the travel, in an error file with a value for each
+/// direction. The mean alone leaves half of it; the joint's table of lost motion takes the rest.
+#[test]
+fn lost_motion_by_place_is_compensated() {
+    let plain = machine();
+    let (text, errors) = truth(&plain).unwrap();
+    let mut errors = errors.tabulated(&travel(&plain), [64; 3]);
+    for name in ["EXX", "EYY"] {
+        let function = Function::of_name(name).unwrap();
+        let Shape::Table(mean) = errors.function(function).clone() else {
+            panic!("a table");
+        };
+        // 3.2 um at the lower end of the part to 4.8 um at the upper one.
+        let half = |at: f64| 0.5 * (4e-3 + 1e-5 * at);
+        let side = |sign: f64| {
+            let values = mean.nodes.iter().zip(&mean.up);
+            values.map(|(at, value)| value + sign * half(*at)).collect()
+        };
+        let pair = Table {
+            nodes: mean.nodes.clone(),
+            up: side(-1.0),
+            down: Some(side(1.0)),
+        };
+        errors.set(function, Shape::Table(pair));
+    }
+    let pairs = file::write(&errors, "pairs");
+    let text = plain.text.replace(text.trim_end(), pairs.trim_end());
+    let file = MachineFile::parse("pairs.toml", &text).unwrap();
+    let mut compensated = with_exact_tables(&file).unwrap();
+    let sizes = |file: &MachineFile| {
+        let mut machine = Machine::new(file, SLOW, &Default::default()).unwrap();
+        machine.compensate(true).unwrap();
+        Sizes::of(errors_of(&mut machine))
+    };
+    let with_table = sizes(&compensated);
+    for joint in &mut compensated.config.joints {
+        joint.backlash = Coordinate(0);
+        joint.backlash_table.clear();
+    }
+    let mean_alone = sizes(&compensated);
+    println!("with the table {with_table:?}, the mean alone {mean_alone:?}");
+    // The largest errors are those of an axis that stands while its correction reverses: the
+    // carriage crosses the play within the wait, and the integrator has not ended.
+    assert!(
+        with_table.rms < 0.4e-3 && with_table.largest < 1.3e-3,
+        "{with_table:?}"
+    );
+    assert!(mean_alone.rms > 2e-3, "{mean_alone:?}");
 }

@@ -1,6 +1,6 @@
 //! Pose coordinates and joints of a machine file.
 
-use super::document::Section;
+use super::document::{self, Section};
 use super::place::{Place, unit};
 use super::scale::{
     self, PER_COUNT, PER_EFFORT, PER_GAIN, per_unit, to_i32, to_i64, to_u16, to_u32,
@@ -8,7 +8,8 @@ use super::scale::{
 use super::stability::{Gains, spectral_radius};
 use super::{encoder, homing};
 use haptimill_firmware::config::{
-    AxisKind, Drive, GantryAxis, JointAxis, PoseAxis, ServoConfig, ServoForm,
+    AxisKind, BACKLASH_NODES, BACKLASH_SLOPE_SHIFT, Drive, GantryAxis, JointAxis, PoseAxis,
+    ServoConfig, ServoForm,
 };
 use haptimill_machine_keys::Key;
 use haptimill_machine_keys::controller::{joint, joint_drive, joint_law, pose};
@@ -124,6 +125,51 @@ pub fn read_pose_axis(
     (axis, limits)
 }
 
+/// Reads the lost motion of a joint: the largest one, and its table where it depends on the place.
+fn read_backlash(
+    section: &Section<'_, '_>,
+    kind: AxisKind,
+    low: f64,
+    high: f64,
+) -> (f64, Vec<f64>) {
+    let backlash = section.value(joint::backlash);
+    let allowed = match kind.is_rotary() {
+        true => document::real(0.0, 30.0, "deg"),
+        false => document::real(0.0, 100.0, "mm"),
+    };
+    let table = section.number_list(joint::backlash_table, 2, BACKLASH_NODES, allowed);
+    if table.is_empty() {
+        return (backlash, table);
+    }
+    let refuse = |what: &str, remedy: &str| {
+        section.refuse(joint::backlash_table, what, remedy);
+        (backlash, Vec::new())
+    };
+    let constant = section.key(joint::backlash).name;
+    if section.has(constant) {
+        return refuse(
+            &format!("stands beside `{constant}`"),
+            "keep one of the two",
+        );
+    }
+    if !(high - low).is_finite() {
+        return refuse("needs a stroke, and the joint wraps", "remove it");
+    }
+    let pitch = (high - low) / (table.len() - 1) as f64;
+    let slope = f64::from(1_u32 << BACKLASH_SLOPE_SHIFT).recip();
+    let steep = |pair: &[f64]| (pair[1] - pair[0]).abs() > slope * pitch;
+    if let Some(at) = table.windows(2).position(steep) {
+        let what = format!(
+            "{} to {} in {pitch:.3} {} is steeper than 1/256",
+            table[at],
+            table[at + 1],
+            unit(kind)
+        );
+        return refuse(&what, "correct the two values");
+    }
+    (table.iter().copied().fold(0.0, f64::max), table)
+}
+
 /// Reads a joint; `period` in seconds is NaN if it is not known. `of` is the joint whose gantry it
 /// is the second motor of.
 pub fn read_joint_axis(
@@ -147,7 +193,7 @@ pub fn read_joint_axis(
     } else {
         travel
     };
-    let backlash = section.value(joint::backlash);
+    let (backlash, backlash_table) = read_backlash(section, kind, low, high);
     let preset = section.value(joint::preset);
     if preset < low || preset > high {
         let what = format!("{preset} {unit} is outside the stroke {low} to {high}");
@@ -192,6 +238,7 @@ pub fn read_joint_axis(
         high: coordinate(high),
         rate: Rate(to_i32(rate * scale)),
         backlash: coordinate(backlash),
+        backlash_table: backlash_table.into_iter().map(coordinate).collect(),
         drive,
         law,
         preset: coordinate(preset),

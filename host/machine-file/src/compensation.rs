@@ -4,20 +4,28 @@
 use super::document::Section;
 use super::scale::{PER_MM, to_i32};
 use super::{MachineFile, Problems};
-use haptimill_firmware::config::PoseAxis;
 use haptimill_firmware::config::volumetric::{
     ERROR_AXES, ERROR_VALUES, ERRORS, ErrorAxis, VolumetricConfig,
 };
+use haptimill_firmware::config::{BACKLASH_NODES, JointAxis, PoseAxis};
 use haptimill_machine_keys::controller::compensation as keys;
 use haptimill_math::Coordinate;
-use haptimill_volumetric::errors::{Approach, Axis, ErrorSet, Function, Shape};
+use haptimill_volumetric::errors::{Approach, Axis, ErrorSet, Function, Shape, interpolate};
 use haptimill_volumetric::file::{self, Limits};
 
 /// Largest number of nodes of an axis: all tables together have room for three such axes.
 pub const MOST_NODES: usize = ERROR_VALUES / ERRORS / ERROR_AXES;
 
-/// Reads the section; `travel` has the soft limits of the first three coordinates, mm.
-pub(super) fn read(section: &Section<'_, '_>, pose: &[PoseAxis]) -> Option<VolumetricConfig> {
+/// Largest negative lost motion that counts as none, mm: the noise of an instrument.
+const NO_LOST_MOTION: f64 = 0.001;
+
+/// Reads the section. `pose` has the soft limits. Where a positioning error depends on the
+/// direction, its joint in `joints` gets the difference as lost motion.
+pub(super) fn read<'a>(
+    section: &Section<'_, '_>,
+    pose: &[PoseAxis],
+    joints: impl IntoIterator<Item = &'a mut JointAxis>,
+) -> Option<VolumetricConfig> {
     let chain = section.text("chain", "write the bodies from w to t, such as \"wYbXZt\"");
     let arms = chain.and_then(|chain| {
         let arms = arms(chain);
@@ -42,7 +50,10 @@ pub(super) fn read(section: &Section<'_, '_>, pose: &[PoseAxis]) -> Option<Volum
         ..Limits::default()
     };
     match file::read(text, &limits) {
-        Ok(errors) => Some(config(&errors, &travel, arms, measured_at)),
+        Ok(errors) => {
+            add_lost_motion(section, &errors, joints);
+            Some(config(&errors, &travel, arms, measured_at))
+        }
         Err(problem) => {
             let place = match problem.line {
                 0 => String::new(),
@@ -51,6 +62,70 @@ pub(super) fn read(section: &Section<'_, '_>, pose: &[PoseAxis]) -> Option<Volum
             section.report("errors", format!("{place}{}", problem.what), problem.remedy);
             None
         }
+    }
+}
+
+/// Adds the differences between the directions of the positioning errors to the lost motion of the
+/// joints: a tool that is behind by half the lost motion upwards is ahead by half of it downwards.
+fn add_lost_motion<'a>(
+    section: &Section<'_, '_>,
+    errors: &ErrorSet,
+    joints: impl IntoIterator<Item = &'a mut JointAxis>,
+) {
+    for (index, joint) in joints.into_iter().enumerate() {
+        let of = joint
+            .gantry
+            .as_ref()
+            .map_or(index, |gantry| usize::from(gantry.of));
+        let Some(&axis) = Axis::ALL.get(of) else {
+            continue;
+        };
+        let positioning = Function {
+            moving: axis,
+            direction: axis,
+            rotates: false,
+        };
+        let Shape::Table(table) = errors.function(positioning) else {
+            continue;
+        };
+        if table.down.is_none() || joint.wraps() {
+            continue;
+        }
+        let mm = |place: Coordinate| f64::from(place.0) / PER_MM;
+        let known: Vec<f64> = joint.backlash_table.iter().map(|play| mm(*play)).collect();
+        let (low, high) = (mm(joint.low), mm(joint.high));
+        let place = |node: usize, count: usize| {
+            low + (high - low) * node as f64 / (count.max(2) - 1) as f64
+        };
+        let places: Vec<f64> = (0..known.len())
+            .map(|node| place(node, known.len()))
+            .collect();
+        let mut nodes = Vec::new();
+        for node in 0..BACKLASH_NODES {
+            let at = place(node, BACKLASH_NODES);
+            let before = match known.is_empty() {
+                true => mm(joint.backlash),
+                false => interpolate(&places, &known, at),
+            };
+            let play = before + table.value(at, Approach::Down) - table.value(at, Approach::Up);
+            if play < -NO_LOST_MOTION {
+                let what = format!(
+                    "{positioning} is {:.2} um larger upwards than downwards at {at:.1} mm: the lost \
+                     motion would be negative",
+                    -1e3 * (play - before)
+                );
+                section.report(
+                    "errors",
+                    what,
+                    "lower the lost motion of the joint, or swap up and down",
+                );
+                return;
+            }
+            nodes.push(play.max(0.0));
+        }
+        let units = |play: f64| Coordinate(to_i32(play * PER_MM));
+        joint.backlash = units(nodes.iter().copied().fold(0.0, f64::max));
+        joint.backlash_table = nodes.into_iter().map(units).collect();
     }
 }
 
@@ -138,7 +213,7 @@ fn config(
         for node in 0..count {
             let at = low + pitch * node as f64;
             let functions = Function::all().filter(|function| function.moving == axis);
-            // nm of mm, nrad of rad. A pair of directions counts with its mean.
+            // nm of mm, nrad of rad. A pair of directions counts with its mean here.
             raw.extend(functions.map(|function| {
                 let unit = if function.rotates { 1e9 } else { 1e6 };
                 errors.function(function).value(at, Approach::Any) * unit

@@ -370,6 +370,32 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
+    /// Reads an optional list of `few` to `most` numbers by its row in the table of keys; empty
+    /// where it is absent, or after a report.
+    pub fn number_list(&self, key: Key, few: usize, most: usize, allowed: Allowed) -> Vec<f64> {
+        let key = self.key(key).name;
+        let Some(value) = self.get(key) else {
+            return Vec::new();
+        };
+        let DeValue::Array(items) = value.get_ref() else {
+            self.wrong_type(key, value.get_ref(), "a list of numbers");
+            return Vec::new();
+        };
+        if !(few..=most).contains(&items.len()) {
+            let what = format!("has {} numbers", items.len());
+            self.report(key, what, format!("write {few} to {most}"));
+            return Vec::new();
+        }
+        let numbers: Vec<f64> = items
+            .iter()
+            .map(|item| self.check(key, item, allowed))
+            .collect();
+        if numbers.iter().any(|number| number.is_nan()) {
+            return Vec::new();
+        }
+        numbers
+    }
+
     /// Reads a boolean; `None` after a report.
     pub fn flag(&self, key: &'static str) -> Option<bool> {
         let remedy = || format!("add `{key} = true` or `{key} = false`");

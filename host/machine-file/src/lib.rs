@@ -272,7 +272,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         .map(|(section, place)| (section, axes::read_pose_axis(section, *place)))
         .collect();
     let places = model.map_or_else(Vec::new, |model| model.joints());
-    let joints = gantry::read_joints(&root, &places, period_us / 1e6);
+    let mut joints = gantry::read_joints(&root, &places, period_us / 1e6);
     check_pose_against_joints(&pose, &joints, model);
     let encoders = joints.is_empty() || joints.iter().any(|(joint, _)| joint.encoder.is_some());
     let (supervision, margin) = root
@@ -306,7 +306,8 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let volumetric = if root.has("compensation") {
         let axes: Vec<_> = pose.iter().map(|(_, (axis, _))| axis.clone()).collect();
         let section = root.section("compensation");
-        section.and_then(|section| compensation::read(&section, &axes))
+        let joints = joints.iter_mut().map(|(joint, _)| joint);
+        section.and_then(|section| compensation::read(&section, &axes, joints))
     } else {
         None
     };

@@ -87,6 +87,11 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
     direction = plus_minus().is("-1: the encoder counts backwards").only(super::ENCODER);
     backlash = real(0.0, 100.0, "mm").is("lost motion that is compensated").named("backlash_mm")
         .rotary("backlash_deg", real(0.0, 30.0, "deg")).or(0.0).bounded("below one motor turn");
+    backlash_table = other("2 to 16 numbers, 0 to 100 mm")
+        .is("lost motion at evenly spaced places from the lower to the upper end of the stroke, in place of `backlash_mm`")
+        .named("backlash_table_mm")
+        .rotary("backlash_table_deg", other("2 to 16 numbers, 0 to 30 deg")).or_absent()
+        .bounded("changes by at most 1/256 of the distance; below one motor turn").only("joints with a stroke");
     following_error = real(0.0, 100.0, "mm").is("largest following error at standstill")
         .named("following_error_mm").rotary("following_error_deg", real(0.0, 30.0, "deg"))
         .bounded("above 0, at most one motor turn").only(super::ENCODER);
