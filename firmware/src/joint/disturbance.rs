@@ -1,5 +1,5 @@
 //! Disturbance of a joint: an integrator, and an adaptation of the friction compensation
-//! ((C33) in docs/control.md).
+//! ((C42) in docs/control.md).
 //!
 //! The integrator removes the static error that a constant disturbance leaves: K_I times the
 //! integral of the error. While the joint moves, its value drains into an estimate of the friction

@@ -1,6 +1,6 @@
 //! The servo loop of a joint around an identified plant: margins and step responses.
 //!
-//! The loop is that of docs/control.md (3.36)-(3.38) with the integrator of (C33):
+//! The loop is that of docs/control.md (3.36)-(3.38) with the integrator of (C42):
 //! K_P + K_D s / (1 + T_f s) + K_I / s, times the inertia of the machine file. Computation and hold
 //! delay the effort by one and a half periods.
 
