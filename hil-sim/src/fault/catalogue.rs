@@ -85,7 +85,7 @@ pub(super) const CATALOGUE: [Entry; 36] = [
     entry(
         "switch-inverted",
         "axis=NAME switch=home|limit-low|limit-high",
-        "a switch is wired the wrong way",
+        "a switch is inverted: active and inactive are exchanged",
     ),
     entry(
         "switch-missing",

@@ -89,8 +89,8 @@ pub struct JointConfig {
     /// gantry, and no joint of the geometry.
     #[serde(default)]
     pub gantry_of: Option<String>,
-    /// Stiffness of the beam against racking, effort per axis unit; 0: its ends do not feel each
-    /// other.
+    /// Stiffness of the beam against racking, effort per axis unit; 0: its ends are not
+    /// coupled.
     #[serde(default)]
     pub racking_stiffness: f64,
     /// Racking at power-on: this joint minus that of the first motor, axis units.

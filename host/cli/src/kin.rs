@@ -163,7 +163,7 @@ impl Table {
     /// The rows begin with the coordinates of the grid.
     ///
     /// # Errors
-    /// A column that the machine does not have or that is there twice, or too many rows.
+    /// A column that the machine does not have or that occurs twice, or too many rows.
     pub fn of_grid(&self, grid: &[GridColumn]) -> Result<Vec<u8>, String> {
         let inputs = self.inputs();
         let (pose, joints) = self
@@ -191,7 +191,7 @@ impl Table {
                 )
             })?;
             if std::mem::replace(&mut named[place], true) {
-                return Err(format!("--grid {}: is there twice; leave one", column.name));
+                return Err(format!("--grid {}: occurs twice; leave one", column.name));
             }
             // A step that divides the range reaches its end in spite of rounding.
             let steps = ((column.high - column.low) / column.step + 1e-9).floor();
@@ -366,7 +366,7 @@ fn read(name: &str, csv: &[u8], columns: &[String]) -> Result<Vec<Vec<f64>>, Str
         let mut found = (0..header.len()).filter(|index| header[*index] == *column);
         match (found.next(), found.next()) {
             (Some(first), Some(second)) => problems.push(format!(
-                "{name}:1:1: column {column} is there twice, {} and {} in the row; leave one",
+                "{name}:1:1: column {column} occurs twice, {} and {} in the row; leave one",
                 first + 1,
                 second + 1
             )),

@@ -349,7 +349,7 @@ fn dead_controller_is_detected_and_the_trace_is_kept() {
         "{:?}",
         died.elapsed()
     );
-    assert!(ran.err.contains("the other end is gone"), "{}", ran.err);
+    assert!(ran.err.contains("the connection is lost"), "{}", ran.err);
     let summary = folder.summary("out");
     assert_eq!(
         (&summary["final_state"], &summary["completed"]),

@@ -197,7 +197,7 @@ impl Block {
         if scan.peek() != Some(b'=') {
             return Err(Box::new(Mistake::new(
                 start,
-                format!("the parameter {} stands alone", scan.text(start)),
+                format!("the parameter {} is not used", scan.text(start)),
                 "assign a value (#1=2), or write the letter that uses it (X#1)",
             )));
         }
@@ -309,7 +309,7 @@ fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
     let (what, remedy) = match byte {
         b'/' => (
             "a slash inside a block".into(),
-            "block delete (/) stands at the start of a line; divisions stand in [ ]",
+            "write block delete (/) at the start of the line, divisions in [ ]",
         ),
         b'[' | b']' | b'=' => (
             format!("'{}' without a letter or parameter", char::from(byte)),

@@ -209,7 +209,7 @@ pub(crate) fn g_remedy(tenths: u16) -> &'static str {
 /// Returns the remedy for an M code that is not supported.
 pub(crate) fn m_remedy(number: u16) -> &'static str {
     match number {
-        100..=199 => "it is a code of one machine's maker: remove it if the part does not need it",
+        100..=199 => "it is a code of one manufacturer: remove it if the part does not need it",
         _ => "remove it if the part does not need it",
     }
 }

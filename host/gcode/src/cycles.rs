@@ -371,7 +371,7 @@ impl Executor {
         let found = Mistake::new(
             hole.at,
             match turn {
-                None => format!("G{number} while the spindle stands"),
+                None => format!("G{number} while the spindle is off"),
                 Some(Turn::Clockwise) => {
                     format!("G{number} while the spindle does not turn clockwise")
                 }

@@ -97,7 +97,7 @@ impl Executor {
             _ => Turn::Off,
         };
         if turn != Turn::Off && self.state.modes.speed.unwrap_or(0.0) == 0.0 {
-            let what = "the spindle is started without a speed: it stands until an S word";
+            let what = "the spindle is started without a speed: it stays off until an S word";
             self.notice(here, code.at, "spindle", what.into())?;
         }
         if code.tenths == 190 {

@@ -558,7 +558,7 @@ impl Executor {
                 let rpm = self.rpm();
                 if modes.turn == Turn::Off || rpm < 1.0 {
                     return missing(
-                        "a feed per turn (G95) while the spindle stands",
+                        "a feed per turn (G95) while the spindle is off",
                         "start the spindle (S, M3) before",
                     );
                 }

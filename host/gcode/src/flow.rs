@@ -158,7 +158,7 @@ impl OWord {
                     return Err(Box::new(Mistake::new(
                         scan.at,
                         "a word after an O word",
-                        "write it on a line of its own; conditions and arguments stand in [ ]",
+                        "write it on a line of its own; conditions and arguments are in [ ]",
                     )));
                 }
             }

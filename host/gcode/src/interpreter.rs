@@ -339,7 +339,7 @@ impl<'a> Interpreter<'a> {
             return Ok(());
         }
         let what = format!(
-            "this block and those behind it are not run: the program ends in line {}",
+            "this block and those after it are not run: the program ends in line {}",
             ended.line
         );
         let here = Here {

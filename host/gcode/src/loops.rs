@@ -247,7 +247,7 @@ impl Interpreter<'_> {
                 "program number O{} is not alone in its block, before the first move",
                 word.label
             ),
-            "remove it; a subroutine begins with O100 sub, or stands after the end (M30)",
+            "remove it; a subroutine begins with O100 sub, or is after the end (M30)",
         )))
     }
 }

@@ -231,7 +231,7 @@ fn refusals_name_place_and_remedy() {
             "G0 X#<a>",
             "t.ngc:1:5: the parameter #<a> has no value; assign",
         ),
-        ("#1", "t.ngc:1:1: the parameter #1 stands alone"),
+        ("#1", "t.ngc:1:1: the parameter #1 is not used"),
         ("#0=3", "t.ngc:1:1: #0 is not a parameter"),
         ("#5420=3", "t.ngc:1:1: #5420 is read only"),
         ("G0 X1 (open", "t.ngc:1:7: the comment is not closed"),

@@ -148,7 +148,7 @@ fn read_backlash(
     let constant = section.key(joint::backlash).name;
     if section.has(constant) {
         return refuse(
-            &format!("stands beside `{constant}`"),
+            &format!("is given with `{constant}`"),
             "keep one of the two",
         );
     }

@@ -19,7 +19,7 @@ pub(super) fn read_joints(
     let first_second = sections.iter().position(is_second).unwrap_or(count);
     for section in sections.iter().skip(first_second) {
         if !is_second(section) {
-            let what = "stands after the second motor of a gantry";
+            let what = "is after the second motor of a gantry";
             let remedy = "write the joints of the model first";
             section.report("name", what, remedy);
         }

@@ -35,7 +35,7 @@ pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may
         .bounded("below the upper one; a tilt within +-90 deg; a coordinate that is a joint within its stroke");
     high = real(-2047.0, 2047.0, "mm").is("upper soft limit").named("high_mm")
         .rotary("high_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS);
-    wrap = flag().is("the coordinate turns without end and has no soft limits")
+    wrap = flag().is("the coordinate turns without limits and has no soft limits")
         .only("rotary coordinates without a role").or_text("false")
         .bounded("the joint of the same name wraps too");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
@@ -63,7 +63,7 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .rotary("low_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS).bounded("below the upper end");
     high = real(-2047.0, 2047.0, "mm").is("upper end of the stroke").named("high_mm")
         .rotary("high_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS);
-    wrap = flag().is("the joint turns without end and has no stroke")
+    wrap = flag().is("the joint turns without limits and has no stroke")
         .only("rotary joints").or_text("false")
         .bounded("the pose coordinate of the same name wraps too");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
@@ -73,7 +73,7 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
     travel = real(0.01, 200.0, "mm/turn").is("motion per motor turn").named("lead_mm")
         .rotary("gear_ratio", real(0.1, 1_000.0, "motor turns per turn"));
     home = word(&["index", "switch", "switch_and_index", "none"])
-        .is("how the joint finds its reference: by the index pulse nearest to the preset, by a switch, by the index pulse next to a switch, or not at all, as it stands at its preset")
+        .is("how the joint finds its reference: by the index pulse nearest to the preset, by a switch, by the index pulse next to a switch, or not at all: it is at its preset")
         .or_text("\"index\" with an encoder, required without one");
     home_active = word(&["high", "low"]).is("level of the home switch's line when it is active")
         .or_text("\"high\"");
@@ -107,7 +107,7 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .is("index pulse nearest to the preset, measured once for each machine").named("index_mm")
         .rotary("index_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS)
         .bounded("within the stroke, and within the search distance of the preset").only(super::ENCODER);
-    search = real(0.0, 100.0, "mm").is("how far an index pulse may be from its place")
+    search = real(0.0, 100.0, "mm").is("largest distance of an index pulse from its position")
         .named("search_mm").rotary("search_deg", real(0.0, 30.0, "deg"))
         .bounded("above 0, below half a motor turn").only(super::ENCODER);
     index_slack_counts = whole(0, 65_535, "counts")
@@ -129,7 +129,7 @@ joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \
     rate = real(0.001, 2000.0, "mm/s").is("rate to the switch, and off it").named("rate_mm_s")
         .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES)
         .bounded("at most the joint's; stops within the release distance");
-    touch_rate = real(0.001, 100.0, "mm/s").is("rate of the second touch, whose place counts")
+    touch_rate = real(0.001, 100.0, "mm/s").is("rate of the second touch, whose position is used")
         .named("touch_rate_mm_s").rotary("touch_rate_deg_s", real(0.001, 30.0, "deg/s"))
         .bounded("at most the rate to the switch");
     back_off = real(0.01, 100.0, "mm")
@@ -167,7 +167,7 @@ joint_drive "joint.drive" "The drive of a joint." {
         .bounded("two pulses, setup and hold together shorter than the control period");
     hold_us = real(0.0, 1000.0, "us").is("time of a direction level after the last pulse")
         .only_if("kind", "step");
-    lost = real(0.0, 100.0, "mm").is("disagreement of steps and encoder that means lost steps")
+    lost = real(0.0, 100.0, "mm").is("difference of steps and encoder that is a loss of steps")
         .named("lost_mm").rotary("lost_deg", real(0.0, 30.0, "deg")).only_if("kind", "step")
         .bounded("at least 2 steps").only(super::ENCODER);
     keeps_position = flag()
@@ -228,7 +228,7 @@ stopping "stopping" "The controlled stop along the path." {
     time_ms = whole(5, 2000, "ms").is("time of a controlled stop, whatever the rate")
         .bounded("rate / (time_ms - ramp_ms) at most 4 times the acceleration of each axis");
     ramp_ms = whole(1, 1000, "ms")
-        .is("part of that time in which the deceleration builds up, and in which it dies away")
+        .is("part of that time in which the deceleration builds up, and in which it decays")
         .bounded("at most half of time_ms");
 }
 

@@ -54,7 +54,7 @@ leg "haptic.leg" "Encoders and amplifiers of a leg; three sections." {
         .bounded("not 0");
     hinge_home_deg = real(-179.0, 179.0, "deg").is("theta4 at home").bounded("within its range");
     slide_full_scale_n = real(-30_000.0, 30_000.0, "N")
-        .is("force of full scale of the slide; negative: wired the other way round")
+        .is("force of full scale of the slide; negative: wired in reverse")
         .bounded("not 0");
     slide_limit_n = real(1e-3, 30_000.0, "N").is("largest force of the slide that is commanded")
         .bounded("at most the full scale");

@@ -6,7 +6,7 @@ sections! {
 
 input "input" "A digital input, at most 16. A probe or tool setter latches the position of its contact." {
     name = text("1 to 24 letters, digits, - and _").is("name in commands, messages and columns")
-        .bounded("another one than every other input or output");
+        .bounded("different from every other input and output");
     function = word(&["general", "probe", "tool_setter", "feed_hold", "door"])
         .is("what the controller does with it; each but `general` once");
     channel = whole(0, 31, "").is("channel of the board").bounded("each once");
@@ -25,7 +25,7 @@ input "input" "A digital input, at most 16. A probe or tool setter latches the p
 
 output "output" "A digital output, at most 16." {
     name = text("1 to 24 letters, digits, - and _").is("name in commands, messages and columns")
-        .bounded("another one than every other input or output");
+        .bounded("different from every other input and output");
     function = word(&["general", "coolant", "mist", "tool_clamp", "spindle_on", "spindle_reverse"])
         .is("what the controller does with it; each but `general` once");
     channel = whole(0, 31, "").is("channel of the board").bounded("each once");
@@ -39,7 +39,7 @@ output "output" "A digital output, at most 16." {
 
 analog_input "analog_input" "An analog input, at most 4." {
     name = text("1 to 24 letters, digits, - and _").is("name in messages and columns")
-        .bounded("another one than every other input or output");
+        .bounded("different from every other input and output");
     channel = whole(0, 3, "").is("channel of the board").bounded("each once");
     unit = text("a unit").is("unit of its values, for messages").or_text("none");
     full_scale = real(-1e9, 1e9, "").is("value of the code 32768").bounded("not 0");
@@ -47,7 +47,7 @@ analog_input "analog_input" "An analog input, at most 4." {
 
 analog_output "analog_output" "An analog output, at most 4." {
     name = text("1 to 24 letters, digits, - and _").is("name in commands, messages and columns")
-        .bounded("another one than every other input or output");
+        .bounded("different from every other input and output");
     channel = whole(0, 3, "").is("channel of the board").bounded("each once");
     unit = text("a unit").is("unit of its values, for messages").or_text("none");
     full_scale = real(-1e9, 1e9, "").is("value of the code 32768").bounded("not 0");

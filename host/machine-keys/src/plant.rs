@@ -74,7 +74,7 @@ joint "plant.joint" "A simulated joint, with the name of the controller's: motor
         .is("the joint is the second motor of a gantry, at the other end of the beam of that joint; it is no joint of the geometry, which sees the middle of the beam")
         .or_absent().bounded("a linear joint with one motor; both have the same preset");
     racking_stiffness = real(0.0, 1e6, "N/mm")
-        .is("stiffness of the beam against racking; 0: its ends do not feel each other").or(0.0)
+        .is("stiffness of the beam against racking; 0: its ends are not coupled").or(0.0)
         .only("second motors of gantries").bounded("a bound by substep and inertia");
     racked = real(-100.0, 100.0, "mm").is("racking at power-on: this joint minus the other one").or(0.0)
         .only("second motors of gantries").bounded("0 on other joints");
@@ -87,7 +87,7 @@ joint_encoder "plant.joint.encoder" "The encoder, on the motor shaft or on the s
     counts_per_turn = whole(4, 4_000_000, "counts")
         .is("counts per motor turn, or per lead of the slide, after x4 decoding")
         .bounded("a multiple of 4");
-    index = real(-4000.0, 4000.0, "mm").is("place of an index pulse; the others are whole leads away")
+    index = real(-4000.0, 4000.0, "mm").is("position of an index pulse; the others are whole leads away")
         .rotary("index", real(-400_000.0, 400_000.0, "deg"));
     reversed = flag().is("counts backwards").or_text("false");
 }
@@ -145,7 +145,7 @@ sensor "plant.sensor" "The force sensor under the workpiece; optional." {
     full_scale_n = real(0.1, 1e6, "N").is("force at the end of the range of the converter").or(100.0);
     range_n = real(0.1, f64::INFINITY, "N").is("largest force of the amplifier").or(100.0);
     high_pass_s = real(0.001, f64::INFINITY, "s")
-        .is("time constant with which the amplifier forgets").or(1000.0);
+        .is("time constant of the high-pass of the amplifier").or(1000.0);
     drift_n_s = list(3, -1000.0, 1000.0, "N/s").is("drift in x, y, z")
         .or_text("[0.01, -0.006, 0.015]");
     noise_n = real(0.0, 1000.0, "N").is("standard deviation of a sample").or(0.025);
@@ -154,7 +154,7 @@ sensor "plant.sensor" "The force sensor under the workpiece; optional." {
 
 workpiece "plant.workpiece" "A stock on the table from power-on; a stock file has the same keys." {
     stock = other("{ x_min, x_max, y_min, y_max }, -2000 to 2000 mm, at least 1 mm wide")
-        .is("where there is material")
+        .is("extent of the material")
         .or_text("{ x_min = -90.0, x_max = 50.0, y_min = -60.0, y_max = 60.0 }");
     map = other("as `stock`; at most 5e7 cells")
         .is("where the cut surface is kept; outside it the stock stays uncut")

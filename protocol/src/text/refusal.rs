@@ -202,7 +202,7 @@ impl Describe for InputProblem {
             ),
             Self::ProbeContact { input } => write!(
                 f,
-                "{} has its contact already; move it off, then probe again",
+                "{} is in contact already; move it off, then probe again",
                 axes.input(input)
             ),
         }

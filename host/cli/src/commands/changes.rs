@@ -21,8 +21,8 @@ pub struct ChangeArgs {
     /// With --from-line: do not ask
     #[arg(long, requires = "from_line")]
     pub yes: bool,
-    /// Dry run: spindle, coolant and outputs stay as they are; --lift raises the path. Required
-    /// with it behind a port
+    /// Dry run: spindle, coolant and outputs stay as they are; --lift raises the path, and is
+    /// required with a machine behind a port
     #[arg(long)]
     pub dry: bool,
     /// With --dry: raise every position of the program by this distance along Z
@@ -183,7 +183,7 @@ impl Frame {
         }
         let _ = write!(text, " of the machine. Approach:");
         if self.z.is_some() {
-            let _ = write!(text, " up to Z{top:.3}, over the place,");
+            let _ = write!(text, " up to Z{top:.3}, over that position,");
         }
         match rpm {
             0 => text.push_str(" spindle off,"),
@@ -191,7 +191,7 @@ impl Frame {
                 let _ = write!(text, " spindle {rpm} rev/min for {SPINDLE_UP_S} s,");
             }
         }
-        let _ = write!(text, " then there at {down:.0} mm/min.");
+        let _ = write!(text, " then down to it at {down:.0} mm/min.");
         if let Some(tool) = tool {
             let _ = write!(text, " Tool {tool} must be in the spindle.");
         }

@@ -25,8 +25,9 @@ stone is turned over. The folder of results gets
   stone.json   the same figures
   job.ngc      the job as one part program
 
-With --by force the stone yields where the force exceeds that of the lap, and sinks to its depth as \
-material is removed; with --by feed the feed of the lap takes it there; --by both does both.";
+With --by feed the feed of the lap moves the stone to its depth. With --by force the stone \
+complies above the force of the lap, and reaches its depth as material is removed. --by both does \
+both.";
 
 /// Commands of `haptimill facet`.
 #[derive(Debug, Clone, Subcommand)]
@@ -429,7 +430,7 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
     );
     if !measured.missing.is_empty() || measured.strange > 0 {
         print_line!(
-            "{} facets are missing, {} faces are no facet",
+            "{} facets are missing, {} faces are not facets",
             measured.missing.len(),
             measured.strange
         );

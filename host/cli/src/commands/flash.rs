@@ -27,10 +27,10 @@ pub struct FlashArgs {
     /// Board [default: pico2]
     #[arg(default_value = "pico2", value_parser = board, hide_default_value = true)]
     pub board: &'static Board,
-    /// UF2 file [default: the image that the source tree made]
+    /// UF2 file [default: the image built in the source tree]
     #[arg(long, value_name = "FILE")]
     pub image: Option<PathBuf>,
-    /// Folder of the drive of the boot ROM [default: it is looked for]
+    /// Folder of the drive of the boot ROM [default: found by a search]
     #[arg(long, value_name = "FOLDER")]
     pub drive: Option<PathBuf>,
     /// Port at which the board must answer: a serial port by its path, or tcp:HOST:PORT

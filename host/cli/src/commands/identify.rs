@@ -188,7 +188,7 @@ fn confirm(args: &IdentifyArgs, machine: &MachineFile, ranges: &[Travel]) -> Res
             give --yes";
         return Err(CliError::new(Exit::Usage, what));
     }
-    print!("Are they clear, and does the spindle stand? Type yes: ");
+    print!("Are they clear, and is the spindle off? Type yes: ");
     let _ = std::io::stdout().flush();
     let mut answer = String::new();
     let _ = std::io::stdin().lock().read_line(&mut answer);

@@ -116,7 +116,7 @@ Examples:
   haptimill output set coolant on --for 10 --port /dev/ttyACM0
       switch an output on for 10 s
   haptimill probe z=-20 --feed 60 --port /dev/ttyACM0
-      move down until the probe has its contact, and print where
+      move down until the probe makes contact, and print the position
   haptimill probe bore --reach 20 --set g54 --machine mill.toml --port /dev/ttyACM0
       find the centre of a bore and make it the zero; see also probe edge, boss and tool
   haptimill machine init mill --out mill.toml
@@ -140,7 +140,7 @@ Examples:
   haptimill flash pico2 --port /dev/ttyUSB0
       write the image into a board in boot mode, and check that it answers
   haptimill kin ik --in poses.csv --out joints.csv
-      compute the firmware's kinematics for a table of poses";
+      compute the kinematics of the controller for a table of poses";
 
 fn after_help() -> String {
     format!("{EXAMPLES}\n\n{EXIT_CODES}")
@@ -221,7 +221,7 @@ enum Command {
     /// Read recordings: content, CSV, plots, MCAP, the first difference of two
     Trace(trace::TraceArgs),
     Replay(replay::ReplayArgs),
-    /// Compute the firmware's kinematics for a table
+    /// Compute the kinematics of the controller for a table
     #[command(subcommand)]
     Kin(KinCommand),
 }

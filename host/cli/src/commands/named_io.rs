@@ -141,13 +141,13 @@ fn command_of(machine: &MachineFile, name: &str, value: &str) -> Result<(Command
 #[command(
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
-    about = "Move to a position until the probe has its contact, and print where that was; \
-             probing cycles",
-    long_about = "Move along a straight line to a position until the probe has its contact, and \
-                  print where that was.\n\nThe machine must be homed and idle. It decelerates along \
-                  its path at the contact, so the position must leave room beyond it. The \
-                  printed position is the measured one in the control period of the contact. A move \
-                  that ends without a contact is an error (exit code 8)."
+    about = "Move to a position until the probe makes contact, and print the position of the \
+             contact; probing cycles",
+    long_about = "Move along a straight line to a position until the probe makes contact, and \
+                  print the position of the contact.\n\nThe machine must be homed and idle. It \
+                  decelerates along its path at the contact, so the position must leave room beyond \
+                  it. The printed position is the measured one in the control period of the \
+                  contact. A move that ends without a contact is an error (exit code 8)."
 )]
 pub struct ProbeArgs {
     /// A probing cycle instead of a single move
@@ -163,7 +163,7 @@ pub struct ProbeArgs {
     /// Feed, mm/min (deg/min where only rotary coordinates move)
     #[arg(long, value_name = "FEED", default_value_t = 60.0)]
     pub feed: f64,
-    /// Input that has the contact [default: the one with the function "probe"]
+    /// Input of the contact [default: the one with the function "probe"]
     #[arg(long, value_name = "NAME")]
     pub input: Option<String>,
     /// Move until the contact is lost

@@ -38,10 +38,10 @@ pub struct CycleArgs {
     /// Feed of the first touch, which finds the surface, and of the moves between, mm/min
     #[arg(long, value_name = "FEED", default_value_t = 300.0)]
     pub search_feed: f64,
-    /// Way back between the two touches, mm
+    /// Distance back between the two touches, mm
     #[arg(long, value_name = "MM", default_value_t = 2.0)]
     pub back_off: f64,
-    /// Input that has the contact [default: the one with the function of the cycle]
+    /// Input of the contact [default: the one with the function of the cycle]
     #[arg(long, value_name = "NAME")]
     pub input: Option<String>,
     #[command(flatten)]
@@ -83,7 +83,7 @@ pub struct ZeroArgs {
                   the contact and the radius of the ball."
 )]
 pub struct EdgeArgs {
-    /// Axis and longest way with its direction, mm, as x=10 or z=-20
+    /// Axis and largest distance with its sign, mm, as x=10 or z=-20
     #[arg(value_name = "AXIS=DISTANCE", allow_negative_numbers = true)]
     pub axis: AxisRate,
     /// Radius of the ball of the probe along the axis, mm; 0 if the tip itself touches, as along Z
@@ -101,7 +101,7 @@ pub struct EdgeArgs {
 /// Arguments of `haptimill probe bore`.
 #[derive(Debug, Clone, Args)]
 pub struct BoreArgs {
-    /// Longest way from the start to the wall, mm
+    /// Largest distance from the start to the wall, mm
     #[arg(long, value_name = "MM")]
     pub reach: f64,
     /// Radius of the ball of the probe, mm; the diameter depends on it, the centre does not
@@ -121,7 +121,7 @@ pub struct BossArgs {
     /// Size of the boss along x and y, mm, as 40x35, or its diameter
     #[arg(long, value_name = "MM[xMM]", value_parser = size)]
     pub size: [f64; 2],
-    /// Way down beside the boss, mm
+    /// Distance down beside the boss, mm
     #[arg(long, value_name = "MM")]
     pub depth: f64,
     /// Distance from the wall at which the probe goes down, ball included, mm
@@ -143,10 +143,10 @@ pub struct BossArgs {
 #[command(
     about = "Measure the length of a tool on the tool setter",
     long_about = "Measure the length of a tool on the tool setter, and write it into the tool \
-                  table beside the machine file.\n\nThe tool stands above the setter. The command \
-                  moves down until the setter has its contact, goes back, touches again slowly, and \
-                  returns. The length is the machine's Z at the contact less --height, the Z at \
-                  which a tool of length 0 touches: that of the reference tool."
+                  table beside the machine file.\n\nThe tool must be above the setter. The command \
+                  moves down to the contact, goes back, touches again slowly, and returns. The \
+                  length is the machine's Z at the contact less --height, the Z at which a tool of \
+                  length 0 touches: that of the reference tool."
 )]
 pub struct ToolArgs {
     /// Number of the tool
@@ -155,7 +155,7 @@ pub struct ToolArgs {
     /// Machine Z at which the reference tool touches the setter, mm
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     pub height: f64,
-    /// Longest way down, mm
+    /// Largest distance down, mm
     #[arg(long, value_name = "MM", default_value_t = 50.0)]
     pub reach: f64,
     /// Diameter to write with it, mm [default: that of the table]
@@ -367,7 +367,7 @@ impl Prober<'_> {
         let axis = self.linear_axis(&args.axis.axis)?;
         let distance = args.axis.rate;
         if distance == 0.0 {
-            let what = format!("{}=0: write the longest way", args.axis.axis);
+            let what = format!("{}=0: write the largest distance", args.axis.axis);
             return Err(CliError::new(Exit::Usage, what));
         }
         let contact = self.touch(axis, distance)?;

@@ -9,11 +9,11 @@ use std::path::PathBuf;
 
 const LONG: &str = "\
 Serve a page with the live view of the machine: state, positions, feed, messages, the programmed \
-and the done path in 3D; jog, home, run, hold, resume, stop. Several viewers see the same, and one \
-commands. The command prints the address of the page.
+and the executed path in 3D; jog, home, run, hold, resume, stop. Several viewers see the same \
+state; one of them commands. The command prints the address of the page.
 
 A jog lasts while its button is held. It ends --dead-man milliseconds after the last message of \
-the page: also when the connection drops. A running program goes on without viewers.
+the page: also when the connection drops. A running program continues without viewers.
 
 On a loopback address (127.0.0.1, the default) every user of this computer may open the page. On \
 any other address a viewer needs the token, which the printed address has. The connection is not \

@@ -24,7 +24,7 @@ Serve the simulated machine in real time.
 The first line on standard output is the path of the pseudo-terminal, or the address of the TCP \
 port. Give it to another `haptimill` as --port. One host is served at a time. Ctrl-C ends the \
 command. The board is configured as the machine that is served. A stock (--stock) is clamped when \
-the machine first stands at its home pose.
+the machine is at its home pose for the first time.
 
 An address that other computers can reach (any but 127.0.0.1 and ::1) requires a token, which is \
 the second line; hosts give it with --token or in HAPTIMILL_TOKEN. The connection is not encrypted: \

@@ -237,7 +237,7 @@ fn report_ending(end: Ending, at_standstill: bool, app: &App) -> Result<(), CliE
         )),
         Ending::TerminalLost => Err(CliError::new(
             Exit::Stopped,
-            format!("the terminal is gone; {state}"),
+            format!("the terminal is closed; {state}"),
         )),
     }
 }

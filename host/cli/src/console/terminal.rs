@@ -95,7 +95,7 @@ pub(super) fn take_over(is_cancelled: &dyn Fn() -> bool) -> Result<(), CliError>
         if is_hung_up() {
             return CliError::new(
                 Exit::Stopped,
-                "the terminal is gone; the machine did not move",
+                "the terminal is closed; the machine did not move",
             );
         }
         CliError::new(Exit::Usage, format!("console: the terminal: {error}"))
@@ -136,7 +136,7 @@ fn reports_releases(is_cancelled: &dyn Fn() -> bool) -> bool {
     }
 }
 
-/// Reads keys in a thread until the terminal is gone.
+/// Reads keys in a thread until the terminal is closed.
 pub(super) fn spawn_reader(events: Sender<Option<Event>>) {
     std::thread::spawn(move || {
         while let Ok(event) = event::read() {

@@ -361,7 +361,7 @@ fn lost_arm_with_open_clutch_is_reported() {
     session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(500));
     arm.process.kill();
-    session.wait_for_output("the other end is gone");
+    session.wait_for_output("the connection is lost");
     let ran = session.end().expect_code(5);
     assert!(ran.err.contains("the master is lost: "), "{}", ran.err);
     let said = folder.summary("out");

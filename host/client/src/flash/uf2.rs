@@ -30,7 +30,7 @@ pub fn read(file: &[u8], family: u32) -> Result<Vec<Piece<'_>>, String> {
     }
     if !file.len().is_multiple_of(BLOCK) {
         return Err(format!(
-            "is cut off: {} bytes are no whole number of blocks of {BLOCK}",
+            "is truncated: {} bytes are not a whole number of blocks of {BLOCK}",
             file.len()
         ));
     }

@@ -23,7 +23,8 @@ use std::str::FromStr;
 use std::time::Duration;
 
 /// Message of a served TCP port to a second host, before it closes the connection.
-pub const BUSY: &[u8] = b"haptimill: busy: another host is connected; try again when it is gone\n";
+pub const BUSY: &[u8] =
+    b"haptimill: busy: another host is connected; try again when it has disconnected\n";
 
 /// Message to a host without the token.
 pub const DENIED: &[u8] =
@@ -265,7 +266,7 @@ impl fmt::Display for PortError {
         match self {
             Self::NoPort => write!(
                 out,
-                "the built-in simulator, emulated boards included, lives only inside `haptimill run`; start one with `haptimill sim serve` and give its port"
+                "the built-in simulator, emulated boards included, runs only inside `haptimill run`; start one with `haptimill sim serve` and give its port"
             ),
             Self::Open {
                 name,
@@ -292,7 +293,7 @@ impl fmt::Display for PortError {
             ),
             Self::Gone { name, reason } => write!(
                 out,
-                "{name}: the other end is gone ({reason}); check the cable and the power, then try again"
+                "{name}: the connection is lost ({reason}); check the cable and the power, then try again"
             ),
         }
     }

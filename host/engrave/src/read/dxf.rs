@@ -109,7 +109,7 @@ impl<'a> Reader<'a, '_> {
                     self.header(pair.line)?;
                 }
                 (code, word) => {
-                    let what = format!("group {code} with '{word}' stands outside of a section");
+                    let what = format!("group {code} with '{word}' is outside of a section");
                     return Err(Problem::at_line(pair.line, what, DAMAGED));
                 }
             }
@@ -139,7 +139,7 @@ impl<'a> Reader<'a, '_> {
         while let Some(pair) = self.pairs.next()? {
             if pair.code != 0 {
                 if name == "ENTITIES" || name == "BLOCKS" {
-                    let what = format!("group {} stands before the first entity", pair.code);
+                    let what = format!("group {} is before the first entity", pair.code);
                     return Err(Problem::at_line(pair.line, what, DAMAGED));
                 }
                 continue;

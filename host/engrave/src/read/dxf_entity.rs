@@ -180,7 +180,7 @@ fn light_polyline(record: &Record) -> Result<Read, Problem> {
             20 | 42 => {
                 let value = record.parse(pair)?;
                 let Some(vertex) = vertices.last_mut() else {
-                    let what = format!("group {} stands before the first vertex", pair.code);
+                    let what = format!("group {} is before the first vertex", pair.code);
                     return Err(record.refuse(what, "repair or delete the entity"));
                 };
                 if pair.code == 20 {

@@ -34,7 +34,7 @@ time. Ctrl-C stops the machine and ends the command.";
 #[derive(Debug, Clone, Subcommand)]
 #[command(about = "Let existing senders operate the machine")]
 pub enum BridgeCommand {
-    /// As a Grbl 1.1h controller on a pseudo-terminal
+    /// Present the machine as a Grbl 1.1h controller on a pseudo-terminal
     Grbl(GrblArgs),
 }
 

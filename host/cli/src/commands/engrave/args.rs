@@ -37,9 +37,9 @@ pub enum OperationName {
 pub enum SideName {
     /// The centre of the tool is on the path
     On,
-    /// The enclosed material stays
+    /// The tool runs outside of closed paths: the enclosed material remains
     Outside,
-    /// The enclosed material goes
+    /// The tool runs inside of closed paths: the enclosed material is removed
     Inside,
 }
 
@@ -145,7 +145,7 @@ pub struct EngraveArgs {
     /// Height of a tab above the floor, mm
     #[arg(long, value_name = "MM", default_value_t = 0.5)]
     pub tab_height: f64,
-    /// Cut upwards of the tool's rotation [default: down, climb]
+    /// Conventional (up-cut) milling [default: climb milling]
     #[arg(long)]
     pub conventional: bool,
     /// Join ends of paths that are at most this far apart, mm

@@ -111,7 +111,7 @@ fn open_loop(machine: &MachineFile) -> String {
         if !names.is_empty() {
             let names = names.join(", ");
             text.push_str(&format!(
-                "\nopen loop: {names}: no encoder, steps are counted; lost steps are not seen, and \
+                "\nopen loop: {names}: no encoder, steps are counted; lost steps are not detected, and \
                  {consequence}\n"
             ));
         }

@@ -302,7 +302,7 @@ impl Job<'_> {
         let last = match last {
             None => "nothing moved".to_string(),
             Some(line) => {
-                format!("the machine stopped under control; the last block done is line {line}")
+                format!("the machine stopped on its path; the last block done is line {line}")
             }
         };
         CliError {

@@ -98,7 +98,7 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
         }
         if planned.plan.figures.blocks == 0 {
             let name = program.file_name();
-            args.print_message(&format!("{name}: no motion; the machine is homed, no more"));
+            args.print_message(&format!("{name}: no motion; the machine is homed only"));
         }
         Work::Planned(Box::new(planned))
     };

@@ -179,7 +179,7 @@ impl Job<'_> {
         start: &AxisValues,
     ) -> Result<(), CliError> {
         self.args
-            .print_message("running in parts: the program asks the machine; nothing is recorded");
+            .print_message("running in parts: the program reads inputs; nothing is recorded");
         let options = self.program.options(self.machine, session.model(), start)?;
         let mut interpreter = Interpreter::new(Cursor::new(&self.program.text), &options);
         let mut part = Part::default();
