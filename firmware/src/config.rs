@@ -133,11 +133,11 @@ const fn is_circle(kind: AxisKind, low: Coordinate, high: Coordinate) -> bool {
 /// 2^-16 turn/s^3.
 pub const JERK_SHIFT: u32 = 16;
 
-/// Largest number of places with a backlash of their own.
+/// Largest number of nodes of a backlash table.
 pub const BACKLASH_NODES: usize = 16;
 
 /// Steepest change of the backlash along the stroke is 2 to the power of minus this: with that
-/// slope the motor gains or loses 0.2 % of the rate of the slide.
+/// slope the rates of motor and joint differ by 0.2 %.
 pub const BACKLASH_SLOPE_SHIFT: u32 = 8;
 
 /// Joint: its screw, drive, servo loop, limits, and its encoder if it has one.
@@ -226,7 +226,7 @@ pub struct SwitchHome {
     pub coordinate: Coordinate,
     /// Rate to the switch, and off it.
     pub rate: Rate,
-    /// Rate of the second touch, whose place counts.
+    /// Rate of the second touch, whose position is used.
     pub touch_rate: Rate,
     /// Acceleration of the search.
     pub acceleration: Acceleration,

@@ -20,7 +20,7 @@ pub(crate) struct Core {
     pub power_on: SincePowerOn,
 }
 
-/// The job that runs, and what commands and faults leave behind for later periods.
+/// The job that runs, and the state that commands and faults set for later periods.
 #[derive(Debug, Default)]
 pub(crate) struct Job {
     /// Number of the job, given by the host; `None` without a job.
@@ -219,7 +219,7 @@ impl Core {
     pub fn drop_job(&mut self) {
         if let Some(job) = self.job.number.take() {
             let program = self.machine.as_ref().map(|machine| &machine.motion.program);
-            // A setpoint that never came is reported as a late one.
+            // A missing setpoint is reported as a late one.
             if let Some(late) = program.and_then(|program| program.underrunning()) {
                 self.safety.push_event(Event::Underrun {
                     setpoint: late.setpoint,

@@ -21,7 +21,7 @@ const INTEGRITY_PERIODS: u64 = 16;
 /// Backlog of integrity checks from which on a period is reserved for one.
 pub(crate) const DIGEST_OVERDUE: u8 = 2;
 
-/// Checks everything that can be wrong and raises the faults.
+/// Runs all checks and raises the faults.
 #[inline]
 pub(crate) fn check(core: &mut Core, server: &mut Server, inputs: &Inputs) {
     if inputs.emergency_stop && core.safety.state() != State::EmergencyStop {

@@ -262,7 +262,7 @@ impl Machine {
         }
     }
 
-    /// The measured pose, if the forward kinematics certifies one.
+    /// The measured pose, if the forward kinematics verifies one.
     #[must_use]
     #[inline]
     pub fn measured_pose(&self) -> Option<Pose> {
@@ -423,7 +423,7 @@ impl Machine {
     }
 
     /// Fills in pose and joints of a telemetry sample. The measured pose is empty when the forward
-    /// kinematics does not certify one.
+    /// kinematics does not verify one.
     pub fn fill_telemetry(&self, inputs: &Inputs, sample: &mut Telemetry) {
         sample.commanded = self.commanded_values();
         if let Some(pose) = self.measured_pose() {

@@ -1,17 +1,17 @@
 //! Time slices of the link.
 //!
-//! A control period has time for one long job besides the control: its [`Slice`]. The first job
+//! A control period has time for one long task besides the control: its [`Slice`]. The first task
 //! that asks takes it; all others wait. Three rules share the slices:
 //!
 //! - interpolation that needs the whole period takes it, but never twice in a row;
-//! - reports or bytes that wait because another job has the slice get the next free one;
-//! - a message that was executed lets waiting telemetry go first.
+//! - reports or bytes that wait because another task has the slice get the next free one;
+//! - after an executed message, waiting telemetry has the next slice.
 //!
 //! Receive and transmit therefore alternate, and neither can block the other.
 
 use haptimill_protocol::link::ReceiveEffort;
 
-/// The long job of a control period.
+/// The long task of a control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Slice {
     /// None yet. Short transmissions may go.
@@ -31,7 +31,7 @@ pub enum Slice {
     Transmit,
 }
 
-/// Decides which job has the slice of a period.
+/// Decides which task has the slice of a period.
 #[derive(Debug, Default)]
 pub struct Schedule {
     slice: Slice,
@@ -95,7 +95,7 @@ impl Schedule {
         self.executed = false;
     }
 
-    /// Whether a report or a frame may be transmitted. If another job has the slice, the next free
+    /// Whether a report or a frame may be transmitted. If another task has the slice, the next free
     /// one is kept for it. Interpolation keeps none: a host could not send any more setpoints.
     #[inline]
     pub const fn may_transmit(&mut self) -> bool {

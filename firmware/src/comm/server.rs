@@ -1,12 +1,12 @@
 //! The controller's endpoint of the link: receives messages, transmits answers, events and
 //! telemetry.
 //!
-//! A period receives at most 64 bytes and has one [slice](super::schedule) for a long job. Frames
-//! are made while they are transmitted. What waits, waits in the link, whose window stops the host.
+//! A period receives at most 64 bytes and has one [slice](super::schedule) for a long task. Frames
+//! are encoded while they are transmitted. Messages wait in the link; its window stops the host.
 //!
 //! A refused setpoint ends its batch and changes nothing, not even the prediction for the next one.
-//! All later setpoints are out of order until it comes again or the job starts anew. No setpoint is
-//! skipped.
+//! All later setpoints are out of order until it comes again or the job is restarted. No setpoint
+//! is skipped.
 
 use super::schedule::{Schedule, Slice};
 use super::telemetry::{LineCount, Stream, Streams};
@@ -285,13 +285,13 @@ impl Server {
         self.streams.machine_due() || self.link.latest_waits()
     }
 
-    /// Tries to take the slice of this period for a background job.
+    /// Tries to take the slice of this period for a background task.
     #[inline]
     pub fn try_background(&mut self) -> bool {
         self.schedule.try_take(Slice::Background)
     }
 
-    /// The same for a job that can wait until all telemetry is sent.
+    /// The same for a task that can wait until all telemetry is sent.
     #[inline]
     pub fn try_background_idle(&mut self) -> bool {
         !self.streams.any_due() && !self.link.latest_waits() && self.try_background()
@@ -458,8 +458,8 @@ impl Server {
         sent
     }
 
-    /// Withdraws telemetry that has not gone yet. It is older than the report just queued, and the
-    /// host would take it for newer.
+    /// Withdraws telemetry that is not transmitted yet. It is older than the report just queued,
+    /// and the host would take it for newer.
     fn supersede_telemetry(&mut self) {
         if self.link.latest_waits() {
             self.link.withdraw_latest();

@@ -56,7 +56,7 @@ pub struct Streams {
     haptic: Interval,
     /// Stream of the message that the link got last.
     newest: Stream,
-    /// That message was withdrawn: reports wait until the next one has gone.
+    /// That message was withdrawn: reports wait until the next one is transmitted.
     pub(super) superseded: bool,
 }
 

@@ -190,7 +190,7 @@ impl ForceControl {
     }
 
     /// Runs the *measure* stage with the sample of this control period, the commanded spindle
-    /// speed, the measured position of the tool (the commanded one without a certified pose), the
+    /// speed, the measured position of the tool (the commanded one without a verified pose), the
     /// rotation of the workpiece, and whether the tool is unloaded.
     #[inline]
     pub fn measure(

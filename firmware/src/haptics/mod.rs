@@ -15,7 +15,7 @@
 //! A force measured in one control period reaches the operator in the next, because outputs take
 //! effect at its beginning.
 //!
-//! The fed-back force is the peak force of force control: the operator must know high forces
+//! The fed-back force is the peak force of force control: the operator must perceive high forces
 //! (docs/control.md 3.3), the peak rises in the control period of its sample, and a hand cannot
 //! follow the ripple of the teeth.
 //!
@@ -60,7 +60,7 @@ use walls::{TooSmall, Walls};
 
 mod motors;
 
-/// Blend time of the force feedback when the master starts or stops to lead, microseconds.
+/// Blend time of the force feedback when the master starts or stops leading, microseconds.
 const BLEND_US: u32 = 100_000;
 
 /// Time constant of the leak of an energy deficit (63 %), microseconds: as long as an operator

@@ -12,15 +12,15 @@
 //!   The noise of the measured rate would make the motor chatter between the flanks. Slower motion,
 //!   such as that of a volumetric correction, changes the side after 1/16 of the play. The side
 //!   does not change at standstill, so a standing machine does not move.
-//! - **Transition.** A step of the commanded motor position would be a blow of K_P * play. The
-//!   shift passes two equal first-order filters in series, so position and rate are continuous, and
-//!   a reversal during the transition needs no special case. With [`SHIFT_US`] = 4 ms the crossing
-//!   is 95 % done in 19 ms. On the 30 mm circle at 4 mm/s the hysteresis takes 9 ms, in which the
-//!   slide should have moved 0.4 um: that is the remaining error.
+//! - **Transition.** A step of the commanded motor position would cause an effort step of K_P *
+//!   play. The shift passes two equal first-order filters in series, so position and rate are
+//!   continuous, and a reversal during the transition needs no special case. With [`SHIFT_US`] = 4
+//!   ms the crossing is 95 % done in 19 ms. On the 30 mm circle at 4 mm/s the hysteresis takes 9
+//!   ms, in which the slide should have moved 0.4 um: that is the remaining error.
 //!
-//! - **Place.** A worn screw has more play where it was used most. Half the play is then a table over
-//!   the stroke, linear between its nodes, taken at the motor for the slide position and at the
-//!   commanded slide for the commanded motor position.
+//! - **Position.** A worn screw has more play where it was used most. Half the play is then a table
+//!   over the stroke, linear between its nodes, taken at the motor for the slide position and at
+//!   the commanded slide for the commanded motor position.
 //!
 //! The compensated value is the lost motion of a reversal as measured on a machine: the play plus
 //! twice the wind-up of the screw under the friction of the slide.

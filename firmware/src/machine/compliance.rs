@@ -101,7 +101,7 @@ impl Machine {
             return;
         };
         // A force above its limit is still valid: the tool complies with it while the machine
-        // brakes.
+        // decelerates.
         let unbelieved = force
             .condition()
             .is_some_and(|problem| !matches!(problem, ForceProblem::Limit { .. }));

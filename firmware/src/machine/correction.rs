@@ -1,9 +1,9 @@
 //! Volumetric compensation in the machine: between the commanded pose, or the reference under force
 //! control, and the inverse kinematics.
 //!
-//! The commanded pose stays the one of the program. The joints, and the strokes, see the corrected
-//! one. The measured pose has the correction taken out again, so that it compares with the
-//! commanded one.
+//! The commanded pose is the one of the program. Joints and strokes use the corrected one. The
+//! correction is subtracted from the measured pose, so that it can be compared with the commanded
+//! one.
 
 use super::Machine;
 use super::configure::VOLUMETRIC_PART;
@@ -13,8 +13,8 @@ use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;
 
 impl Machine {
-    /// One period of the fade. With the drives off there is no correction: the drives come on where
-    /// the machine is.
+    /// One period of the fade. With the drives off there is no correction: at enable the commanded
+    /// position becomes the measured one.
     #[inline]
     pub fn fade_compensation(&mut self, powered: bool, allowed: bool) {
         let locking = self.is_locking();
@@ -40,7 +40,7 @@ impl Machine {
         }
     }
 
-    /// The pose of the tool from the pose that the joints have: the correction is taken out.
+    /// The pose of the tool from the pose of the joints: the correction is subtracted.
     #[inline]
     pub(super) fn uncorrected(&self, mut pose: Pose) -> Pose {
         if let (Some(compensation), Some(config)) = (&self.compensation, &self.config.volumetric)

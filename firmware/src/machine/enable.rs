@@ -26,7 +26,7 @@ impl Machine {
             .iter()
             .zip(&self.config.joints)
             .all(|(joint, axis)| {
-                // Nobody sees a motor without an encoder move while its drive is off.
+                // Motion of a motor without an encoder is not measured while its drive is off.
                 axis.encoder.as_ref().is_none_or(|encoder| {
                     i64::from(joint.rate().0).abs() <= 2 * i64::from(encoder.following.0).abs()
                 })
@@ -67,8 +67,8 @@ impl Machine {
 
     /// One period in which the rotors of step motors lock. Each rotor moves to the nearest detent,
     /// by two full steps at most, and oscillates there; its encoder counts that. When all have
-    /// locked, the commanded position becomes the measured one, and steps count from there. A motor
-    /// without an encoder gets the time and is not seen.
+    /// locked, the commanded position becomes the measured one, and steps count from there. For a
+    /// motor without an encoder the time elapses without a check.
     ///
     /// # Errors
     /// A rotor that moved farther than the following-error limit at standstill, or that does not

@@ -3,8 +3,8 @@
 //!
 //! The kinematics know the first motor only. The second one gets the same joint motion, plus the
 //! distance that was left between the two when the commanded position was set last. That distance
-//! dies away at the touch rate of homing, so nothing jumps; until the machine is homed it stays,
-//! because nobody knows then which of the two motors is right.
+//! decays at the touch rate of homing, so the command does not step. Before homing it is constant,
+//! because the correct one of the two motors is unknown.
 //!
 //! Racking is the second motor minus the first one. Homing moves each motor to its own switch, and
 //! so squares the beam; the motors wait for each other before each step of the search.

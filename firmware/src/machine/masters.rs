@@ -1,7 +1,7 @@
 //! Masters of the machine: its own haptic arm, or a remote master, and the mapping from the master
 //! to the coordinates of the tool.
 //!
-//! Callers must use [`Machine::release_master`] when the machine brakes. Otherwise the mapping
+//! Callers must use [`Machine::release_master`] when the machine decelerates. Otherwise the mapping
 //! keeps the old positions of master and tool.
 
 use super::Machine;

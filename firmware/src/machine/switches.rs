@@ -1,5 +1,5 @@
-//! Homing by switches: each joint moves alone, in its own coordinate. The commanded pose waits
-//! until all joints are found.
+//! Homing by switches: each joint moves alone, in its own coordinate. The commanded pose is
+//! constant until all joints are found.
 
 use super::Machine;
 use crate::config::{Home, SwitchInput};
@@ -187,7 +187,7 @@ impl Machine {
     }
 
     /// Places the joints that home by a switch at their presets while the drives are off: their
-    /// positions are unknown, and nothing else keeps them within their strokes.
+    /// positions are unknown, so no other check keeps them within their strokes.
     pub fn forget_joints(&mut self, inputs: &Inputs) {
         for (index, axis) in self.config.joints.iter().enumerate() {
             if axis.home.switch().is_some()

@@ -1,5 +1,5 @@
 //! Configuration of the named inputs and outputs. The names are in the machine file; the controller
-//! knows an input or output by its index.
+//! uses the index of an input or output.
 
 use crate::io::ANALOG;
 use haptimill_protocol::message::{ConfigField, ConfigProblem};
@@ -47,7 +47,7 @@ pub struct InputConfig {
 pub enum InputFunction {
     /// None: the level is reported.
     General,
-    /// A probe at the tool. See [`ContactReaction`] for a contact that was not asked for.
+    /// A probe at the tool. See [`ContactReaction`] for a contact without armed probing.
     Probe(ContactReaction),
     /// A tool setter on the table; handled like a probe.
     ToolSetter(ContactReaction),

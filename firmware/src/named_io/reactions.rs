@@ -57,7 +57,7 @@ fn react_to_inputs(core: &mut Core) {
     }
 }
 
-/// Ends an armed motion at the contact; a contact that was not asked for is a fault or a warning.
+/// Ends an armed motion at the contact; a contact without armed probing is a fault or a warning.
 fn react_to_probes(core: &mut Core) {
     let Some(machine) = &mut core.machine else {
         return;
@@ -139,7 +139,7 @@ pub(crate) fn write_outputs(core: &mut Core, outputs: &mut Outputs) {
 }
 
 impl Machine {
-    /// Refuses to start or resume motion: for an open door, for the armed probe with its contact
+    /// Refuses to start or resume motion: for an open door, for the armed probe if it is in contact
     /// already, and for a job (`is_job`) for an active feed hold.
     ///
     /// # Errors
@@ -178,7 +178,7 @@ impl Machine {
             .unwrap_or_default()
     }
 
-    /// Checks the action of a setpoint: its output exists, and no spindle drives it.
+    /// Checks the action of a setpoint: its output exists, and it does not follow the spindle.
     ///
     /// # Errors
     /// [`Refusal::Output`] or [`Refusal::AnalogOutput`].

@@ -11,8 +11,8 @@
 //! does not move along, the envelope of the full rate may not fit in either direction: the search
 //! then starts again at a quarter of the rate, and at a sixteenth.
 //!
-//! Homing of all joints fails if a joint finds no index, finds one far from where the preset says,
-//! or if the machine cannot take a pose.
+//! Homing of all joints fails if a joint finds no index, finds one too far from its position by the
+//! preset, or if a pose is unreachable.
 
 use crate::config::{AxisKind, Config, EncoderAxis, JointAxis};
 use crate::motion::jog::Jog;
@@ -25,19 +25,19 @@ use haptimill_protocol::message::{Fault, HomingProblem, MAX_AXES};
 const SLOWER: u8 = 2;
 const SLOWEST: u8 = 4;
 
-/// Where the homing is.
+/// Step of the homing.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 enum Phase {
-    /// To set out: the period of the command had enough to do.
+    /// To start, in the period after the command.
     #[default]
     Aim,
-    /// Moving, looking for index pulses.
+    /// Moving, searching for index pulses.
     Search,
-    /// All of a kind found, or the workspace ends: coming to rest.
+    /// All pulses of a search found, or the workspace ends: decelerating.
     Rest,
 }
 
-/// What homing says after a period.
+/// Result of a period of homing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
     /// Not yet.
@@ -62,9 +62,9 @@ pub struct Homing {
     phase: Phase,
     /// Coordinate that moves in the present search.
     coordinate: Option<usize>,
-    /// Which way it searches.
+    /// Direction of the search.
     downwards: bool,
-    /// The present search has met the end of the workspace and turned back.
+    /// The present search has reached the end of the workspace and reversed.
     reversed: bool,
     /// Halvings of the search rate.
     slower: u8,
@@ -142,7 +142,7 @@ impl Homing {
     }
 
     /// One period, with the machine commanded to `pose`; `limited` is true while the jog was
-    /// held back. The first period starts the search.
+    /// limited. The first period starts the search.
     pub fn advance(
         &mut self,
         machine: &Searched<'_>,
@@ -204,7 +204,7 @@ fn search_rate(config: &Config, kind: AxisKind) -> i64 {
 }
 
 /// Periods in which a joint must have seen its index: a turn and a fifth at the search rate, and
-/// half a second to get going.
+/// half a second to accelerate.
 fn search_periods(config: &Config, joint: &JointAxis, slower: u8) -> u32 {
     let rate = (search_rate(config, joint.kind) >> slower).max(1);
     let pitch = joint
