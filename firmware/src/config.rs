@@ -161,8 +161,8 @@ pub struct JointAxis {
     pub drive: Drive,
     /// The servo loop; a step drive has its own and ignores this one.
     pub law: ServoConfig,
-    /// Coordinate at the home pose. A joint that homes by its index pulse or by its preset stands
-    /// here before power on, set up by the operator.
+    /// Coordinate at the home pose. The operator sets a joint that homes by its index pulse or by
+    /// its preset to it before power-on.
     pub preset: Coordinate,
     /// How the joint finds its reference.
     pub home: Home,
@@ -193,7 +193,7 @@ pub struct GantryAxis {
 pub enum Home {
     /// By the index pulse nearest to the preset.
     Index,
-    /// Not at all: the joint stands at its preset when the host commands homing.
+    /// Not at all: the joint is at its preset when the host commands homing.
     Preset,
     /// By a switch.
     Switch(SwitchHome),
@@ -369,8 +369,7 @@ pub struct Stopping {
     /// Time from the programmed speed to rest, in ms, 5 to 2000. It sets the largest change of the
     /// path rate.
     pub time_ms: u16,
-    /// Part of that time in which the deceleration builds up, and dies away, in ms. It sets the
-    /// jerk.
+    /// Part of that time in which the deceleration builds up, and decays, in ms. It sets the jerk.
     pub ramp_ms: u16,
 }
 

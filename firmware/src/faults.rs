@@ -150,7 +150,7 @@ fn check_force(core: &mut Core) {
     }
 }
 
-/// Missed periods, in a row or too often. Says whether the limit is exceeded.
+/// Missed periods, in a row or too often. Returns whether the limit is exceeded.
 #[inline]
 fn check_missed_periods(core: &mut Core, inputs: &Inputs) -> bool {
     let Some(machine) = &core.machine else {

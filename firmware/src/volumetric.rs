@@ -1,5 +1,5 @@
 //! Volumetric compensation: the commanded pose is moved by the known geometric errors of the
-//! machine, so that the tool goes where the program wants it.
+//! machine, so that the tool reaches its programmed position.
 //!
 //! The corrected pose is c = p - f Delta(c), with the error Delta of the tool relative to the
 //! workpiece, from measured tables ([`VolumetricConfig`]), and the fade f from 0 to 1. The machine
@@ -68,7 +68,7 @@ struct Correction {
 /// State of volumetric compensation.
 #[derive(Debug, Default)]
 pub struct Compensation {
-    /// The host wants it.
+    /// Requested by the host.
     requested: bool,
     /// Periods of the fade so far, and of a whole fade.
     faded: u32,
@@ -127,12 +127,12 @@ impl Compensation {
         }
     }
 
-    /// Asks for compensation, or for none. It fades.
+    /// Requests compensation, or none. It fades.
     pub const fn request(&mut self, requested: bool) {
         self.requested = requested;
     }
 
-    /// Whether the host wants compensation.
+    /// Whether the host requests compensation.
     #[must_use]
     pub const fn is_requested(&self) -> bool {
         self.requested

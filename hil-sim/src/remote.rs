@@ -152,7 +152,7 @@ impl<L: PlantLink> RemoteController<L> {
         let (should, line_inputs) = (LineInputs::of(inputs), done.line_inputs);
         if done.period != inputs.period || line_inputs != should {
             return Err(io::Error::other(format!(
-                "period {}: the board heard {line_inputs:?} in its period {}, and expected {should:?}",
+                "period {}: the board received {line_inputs:?} in its period {}, and expected {should:?}",
                 inputs.period, done.period
             )));
         }

@@ -1,8 +1,8 @@
 //! Descriptor of a machine: names, kinds, program letters and roles of its coordinates and joints.
 //!
-//! General code asks a [`Descriptor`] for what it needs. It knows no index and no machine by name:
-//! force control looks for [`Role::ToolX`] and its neighbours, a part program for the letter of a
-//! coordinate, a report for its name and kind.
+//! General code reads a [`Descriptor`]; it contains no index and no name of a machine. Force
+//! control uses [`Role::ToolX`] and the other roles of the tool, a part program the letter of a
+//! coordinate, a report its name and kind.
 
 use haptimill_protocol::message::MAX_AXES;
 pub use haptimill_protocol::text::AxisKind;

@@ -1,11 +1,11 @@
-//! What general code asks of a machine beyond its [`Kinematics`].
+//! Functions of a machine that general code uses beyond its [`Kinematics`].
 
 use crate::descriptor::Descriptor;
 use crate::{Kinematics, Pose, PoseError};
 use haptimill_math::{Angle, Length};
 use haptimill_protocol::message::MAX_AXES;
 
-/// A machine: its kinematics, its lengths, and what general code asks about it.
+/// A machine: its kinematics, its lengths, and the functions that general code uses.
 pub trait Machine: Kinematics + Copy {
     /// Lengths of the machine, as the configuration holds them.
     type Geometry;

@@ -24,12 +24,12 @@
 //!   contact, and against a retreat, the damper's force is at most f_d: it neither moves a free
 //!   tool away nor keeps it displaced.
 //! - **Rest.** A drive with friction and lost motion does not follow a creeping reference: the tool
-//!   stands still, the reference winds up against it, and some time later the tool jumps by more
-//!   than its error. On a stiff contact (level 1 and above), while the desired position is
-//!   constant, the tool therefore moves at least at the creep rate v_c, or rests. It comes to rest
-//!   when the error falls below D v_c / 8, rests while the error is below D v_c / 2 (f_d / 2 at
-//!   most), and then moves again at v_c or faster. See [`AdmittanceLaw::resting_below`]; without a
-//!   creep rate the tool does not rest.
+//!   is at rest, the reference winds up, and later the tool moves at once by more than its error.
+//!   On a stiff contact (level 1 and above), while the desired position is constant, the tool
+//!   therefore moves at least at the creep rate v_c, or rests. It comes to rest when the error
+//!   falls below D v_c / 8, rests while the error is below D v_c / 2 (f_d / 2 at most), and then
+//!   moves again at v_c or faster. See [`AdmittanceLaw::resting_below`]; without a creep rate the
+//!   tool does not rest.
 //!
 //! A change of gains or of f_d changes the acceleration; displacement and rate are continuous, so
 //! the tool does not jump. When the inverse kinematics refuses the reference,

@@ -2,9 +2,9 @@
 //!
 //! **Energy.** The force in the loop is late: the peak over a revolution falls up to one revolution
 //! after the force, and drive and control period add to the delay. Let the total delay be tau. On a
-//! contact of stiffness k an oscillation of the tool sees F(t - tau) = -k p(t - tau). Its part in
-//! phase with the rate is +k sin(w tau)/w p': negative damping of at most k tau. In a cycle of
-//! amplitude A it adds the energy pi k tau w A^2, and K_V dissipates pi K_V w A^2. A loop with a
+//! contact of stiffness k an oscillation of the tool is subject to F(t - tau) = -k p(t - tau). Its
+//! part in phase with the rate is +k sin(w tau)/w p': negative damping of at most k tau. In a cycle
+//! of amplitude A it adds the energy pi k tau w A^2, and K_V dissipates pi K_V w A^2. A loop with a
 //! damping of at least k tau dissipates more than it gains.
 //!
 //! The exact limit agrees. The roots of K_A s^2 + K_V s + k e^(-s tau) are in the left half plane
@@ -64,7 +64,7 @@ const MOTION: i64 = 524;
 
 /// Smallest standard deviation of the position for a stiffness estimate: 2^-20 mm, 1.5 um, a
 /// multiple of the encoder quantization. A force that varies with less motion is no contact that
-/// moves the loop: a plunge pushes the tool aside, or the tool stands still.
+/// moves the loop: a plunge displaces the tool sideways, or the tool is at standstill.
 const SIGNIFICANT_MOTION: i64 = 1573;
 
 /// Updates without a contact of this stiffness after which a level may fall.

@@ -11,7 +11,7 @@
 //! In the time t in which the loop answers, the force then changes by at most limit * (1 - exp(-t /
 //! T)), for every hand, contact and line. The filter has unit gain at rest and treats rising and
 //! falling forces alike, so the mean force remains that of the law. (With a filter that falls
-//! faster than it rises, the operator would feel the minimum of the last oscillations.)
+//! faster than it rises, the force would be the minimum of the last oscillations.)
 //!
 //! The filter delays forces during a deficit, and they persist as long after the contact ends.
 //! Virtual fixtures, damping and the velocity-proportional damping term are not delayed. Units:

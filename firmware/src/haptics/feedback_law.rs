@@ -1,10 +1,10 @@
-//! Force feedback law: the part of the cutting force that the operator feels (docs/control.md 3.4,
-//! 7.1 items 27-29).
+//! Force feedback law: the part of the cutting force that acts on the operator (docs/control.md
+//! 3.4, 7.1 items 27-29).
 //!
 //! Each axis feeds back a percentage of the force on the tool, with its sign, up to a limit. Where
-//! the force is too weak to feel (below 2 N), a velocity-proportional damping term of 0.1 N for
+//! the force is too weak to perceive (below 2 N), a velocity-proportional damping term of 0.1 N for
 //! each mm/s of the master opposes its motion. The term fades out over the last 0.5 N below that
-//! threshold, so the force is continuous. It only takes energy from the operator.
+//! threshold, so the force is continuous. It only dissipates energy of the operator.
 //!
 //! Units: forces 2^-16 N, rates 2^-20 mm/s. Changed settings ramp over `RAMP_US` for the whole
 //! range.

@@ -418,7 +418,7 @@ impl Haptic {
         let damped = deficit_of.map(|deficit_of| deficit_of.min(WHOLE) / 2);
         let swings = self.swings.damp(&rates, &idle, &damped);
         let shares = self.law.shares(&tool);
-        // The blend is applied after the filter: a released master feels no force.
+        // The blend is applied after the filter: a released master has no force.
         let shares = self
             .shares
             .smooth(&shares, &deficit_of)

@@ -13,7 +13,7 @@
 //! At standstill it is zero, so in steady contact the force is that of the law for every deficit.
 //! The deficit is limited to [`COUNTED`] times that value: a soft hand that a force pushes back
 //! takes energy that it keeps. The remaining deficit leaks with the time constant given by the
-//! owner of the observer. A hand that moves against the damping pays it back earlier.
+//! owner of the observer. Motion of the hand against the damping reduces it sooner.
 //!
 //! The filter and the force step limit bound the strength of a damper. The part that the damper
 //! cannot absorb is taken out of the force feedback: see [`super::feedback_filter`], which uses the

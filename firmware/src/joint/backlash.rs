@@ -5,13 +5,14 @@
 //! - **Slide position.** Friction of the guideways and wipers holds the slide until a flank of the
 //!   nut pushes it. This is the play operator: `slide` stays while `|motor - slide| <= play / 2`
 //!   and is carried along otherwise. Its input is the measured motor coordinate, not the commanded
-//!   one, so it is also right when the drives are off and somebody turns the screw. After power-on
-//!   the flank is unknown. The middle is assumed until the first motion of more than the play.
+//!   one, so it is also correct when the drives are off and the screw is turned by hand. After
+//!   power-on the flank is unknown. The middle is assumed until the first motion of more than the
+//!   play.
 //! - **Commanded motor position.** It is half the play ahead of the slide, on the side of the next
 //!   motion. The side changes with the commanded rate, with a hysteresis of one play per second.
 //!   The noise of the measured rate would make the motor chatter between the flanks. Slower motion,
 //!   such as that of a volumetric correction, changes the side after 1/16 of the play. The side
-//!   does not change at standstill, so a standing machine does not move.
+//!   does not change at standstill, so a machine at standstill does not move.
 //! - **Transition.** A step of the commanded motor position would cause an effort step of K_P *
 //!   play. The shift passes two equal first-order filters in series, so position and rate are
 //!   continuous, and a reversal during the transition needs no special case. With [`SHIFT_US`] = 4

@@ -3,11 +3,11 @@
 //!
 //! The integrator removes the static error that a constant disturbance leaves: K_I times the
 //! integral of the error. While the joint moves, its value drains into an estimate of the friction
-//! that the configuration does not know. The estimate acts on the side of the commanded rate and
+//! that the configuration does not contain. The estimate acts on the side of the commanded rate and
 //! changes its sign with the friction at a reversal. The integrator alone leaves a spike there.
 //!
-//! The integrator does not hunt at rest: while the commanded rate is 0 it ignores errors within the
-//! dead band of one and a half encoder counts.
+//! The integrator has no limit cycle at rest: while the commanded rate is 0 it ignores errors
+//! within the dead band of one and a half encoder counts.
 //!
 //! Units: axis units per second squared, with [`FRACTION`] fractional bits. The friction estimate
 //! is between the negative configured Coulomb friction and half the drive's limit. No input can

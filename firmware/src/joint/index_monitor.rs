@@ -1,8 +1,8 @@
 //! Encoder slip detection: comparison of index pulses with encoder counts.
 //!
 //! The counter advances a whole number of turns between two index pulses. Any difference was added
-//! or lost by noise or a bad contact. Motion supervision cannot see it, because the loop drives the
-//! joint to wherever the counter says. The monitor finds lost or gained counts within two turns,
+//! or lost by noise or a bad contact. Motion supervision cannot detect it, because the loop moves
+//! the joint to the counted position. The monitor finds lost or gained counts within two turns,
 //! however few they are. Index pulses of one position, approached from both sides, differ by the
 //! width of the pulse. That width is the slack, one line of most encoders.
 //!
@@ -11,13 +11,13 @@
 //! agrees. During the reference search every pulse counts, because the references come from these
 //! pulses.
 //!
-//! The monitor also clears a suspected encoder. A joint that was pushed or blocked looks like one
-//! with a dead encoder. If its next index pulse comes at the expected count, the encoder is good,
-//! and the joint may be homed without a manual preset.
+//! The monitor also clears a suspected encoder. A joint that was pushed or blocked has the signals
+//! of one with a stuck encoder. If its next index pulse comes at the expected count, the encoder is
+//! good, and the joint may be homed without a manual preset.
 //!
 //! The comparison uses raw counts, so it is exact after any number of turns. Nothing is compared if
-//! the pitch is not a whole number of counts. The pulses are remembered while the drives are off,
-//! when somebody may turn the screw.
+//! the pitch is not a whole number of counts. The pulses are kept while the drives are off, when
+//! the screw may be turned by hand.
 //!
 //! Callers must latch the count at the pulse itself, and the index must be on the same shaft as the
 //! encoder. Otherwise the offset is not an encoder fault.

@@ -425,8 +425,8 @@ impl JointDrive {
         )));
     }
 
-    /// References the joint to the power-on counts. The joint was set to its preset now; it stood
-    /// at the preset at power-on and has moved by `counted` since. Returns false if the counter
+    /// References the joint to the power-on counts. The coordinate is at the preset now. The joint
+    /// was at its preset at power-on and has moved by `counted` since. Returns false if the counter
     /// jumped.
     ///
     /// A motor without an encoder emitted no steps before its configuration.
@@ -636,8 +636,8 @@ impl JointDrive {
             .check(joint, axis, encoder, limits.illegal_transitions, &sample)
     }
 
-    /// Checks the encoder of a joint whose drive is off: a stuck channel, while somebody moves the
-    /// joint or it coasts. The distance is lost and may be any number of turns, so no index pulse
+    /// Checks the encoder of a joint whose drive is off: a stuck channel, while the joint is moved
+    /// by hand or coasts. The distance is lost and may be any number of turns, so no index pulse
     /// can confirm the position.
     #[inline(never)]
     pub fn supervise_unpowered(

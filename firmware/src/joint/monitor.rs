@@ -97,8 +97,8 @@ const AGAINST_PERIODS: u8 = 4;
 
 /// This many reversals about one position within [`REVERSAL_US`] microseconds come from a stuck
 /// channel. A stuck channel gives one reversal per two counts of motion and is found from 1.2 mm/s
-/// on. A loop that hunts about an edge, or a slide with stick-slip, reverses 160 times per second,
-/// which is a third of the limit.
+/// on. A loop with a limit cycle about an edge, or a slide with stick-slip, reverses 160 times per
+/// second, which is a third of the limit.
 const REVERSALS: u8 = 24;
 const REVERSAL_US: u32 = 50_000;
 
@@ -257,7 +257,7 @@ impl JointMonitor {
         })
     }
 
-    /// A joint that runs away from its commanded rate while its drive pushes the other way.
+    /// A joint that runs away from its commanded rate against the effort of its drive.
     ///
     /// With a reversed encoder the position loop is unstable: the error grows e-fold in 1/482 s at
     /// K_P = 40,000 1/s^2, K_D = 400 1/s. At a following error of 0.3 mm the slide moves at 100
@@ -491,7 +491,7 @@ fn friction(config: &JointAxis, most: u32) -> u32 {
     config.law.coulomb.0.unsigned_abs().max(most / 32)
 }
 
-/// Distance from `b` to `a`, the shorter way round on a joint of one turn, axis units.
+/// Distance from `b` to `a`, in the shorter direction on a joint of one turn, axis units.
 #[inline]
 fn distance(config: &JointAxis, a: Coordinate, b: Coordinate) -> u32 {
     if config.kind.is_circular() {

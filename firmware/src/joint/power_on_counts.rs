@@ -1,7 +1,7 @@
 //! Encoder counts from power-on to the first configuration.
 //!
 //! The presets of a machine file are the joint positions at power-on. The configuration arrives
-//! later, and a joint may have moved by then. Its counter knows the distance, but the scaling of a
+//! later, and a joint may have moved by then. Its counter has the distance, but the scaling of a
 //! count is still unknown. So raw counts are recorded and evaluated when the configuration arrives.
 //!
 //! Callers must make sure that the counters are running at the first period.

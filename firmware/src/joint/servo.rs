@@ -194,7 +194,7 @@ impl ServoLaw {
         saturate((effort << self.fraction) >> self.lift)
     }
 
-    /// Effort of the friction that the configuration does not know.
+    /// Effort of the friction that the configuration does not contain.
     #[inline(always)]
     fn adapted(&self) -> Effort {
         let friction = self.disturbance.friction();

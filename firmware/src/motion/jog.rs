@@ -127,7 +127,7 @@ pub(super) fn slope(acceleration: Acceleration, period_us: u16) -> Option<i64> {
     (i64::from(acceleration.0) << (8 + FRACTION)).checked_div(periods * periods)
 }
 
-/// A whole number: the configuration sees to it.
+/// A whole number: the configuration check ensures it.
 const fn periods_per_second(period_us: u16) -> i64 {
     1_000_000 / if period_us == 0 { 1 } else { period_us as i64 }
 }
@@ -356,7 +356,7 @@ impl Jog {
         pose
     }
 
-    /// Whether a coordinate must brake now to stop in front of its soft limit.
+    /// Whether a coordinate must decelerate now to stop before its soft limit.
     fn is_blocked(axis: &Axis, step: Option<&Step>) -> bool {
         let Some(step) = step else {
             return true;

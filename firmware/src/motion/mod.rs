@@ -77,7 +77,7 @@ pub struct Motion {
     program_rates: Rates,
     /// Positions that the master commands for its coordinates.
     targets: [Option<Coordinate>; MAX_AXES],
-    /// The master asks for motion beyond the stopping distance: its trackers decelerate to
+    /// The master commands motion beyond the stopping distance: its trackers decelerate to
     /// standstill.
     tracking_blocked: bool,
     /// The present block was reported.

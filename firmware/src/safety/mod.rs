@@ -11,15 +11,15 @@
 //! | Fault (latched) | off, or holding | reset |
 //! | EmergencyStop (latched) | off | reset |
 //!
-//! Some faults leave the machine under control: lost host, late periods, a soft limit, a joint
-//! rate, the force sensor or its force, the haptic arm, a probe. The machine then brakes along the
-//! path first, the fault latches at standstill, and the drives hold. Any other fault takes the
-//! drives off in the same period.
+//! After some faults the machine still follows its commands: lost host, late periods, a soft limit,
+//! a joint rate, the force sensor or its force, the haptic arm, a probe. The machine then
+//! decelerates along the path first, the fault latches at standstill, and the drives hold. Any
+//! other fault takes the drives off in the same period.
 //!
 //! Every stop reports whether the position is kept. It is lost when an encoder or the configuration
 //! is invalid, when steps were lost, or when a joint is measured away from its command or outside
-//! its stroke. A joint without an encoder loses it whenever its drive goes off, because nothing
-//! sees its motor move then.
+//! its stroke. A joint without an encoder loses it whenever its drive goes off, because no sensor
+//! measures its motor then.
 
 pub mod homing;
 pub mod switch_search;
@@ -54,7 +54,7 @@ pub struct Safety {
     events_lost: u32,
 }
 
-/// Whether the machine brakes along the path on this fault, with drives that hold afterwards.
+/// Whether the machine decelerates along the path on this fault, with drives that hold afterwards.
 #[must_use]
 pub const fn brakes_first(fault: &Fault) -> bool {
     matches!(
@@ -72,8 +72,8 @@ pub const fn brakes_first(fault: &Fault) -> bool {
 /// Whether a joint does not follow its command in this fault.
 ///
 /// Missed periods can cause such a fault, because the joint got no command in them. If it occurs
-/// while the machine brakes for missed periods, the drives go off, but the fault reported is the
-/// cause. The position is lost, because an encoder can fail in the same moment.
+/// while the machine decelerates for missed periods, the drives go off, but the missed periods are
+/// reported as the cause. The position is lost, because an encoder can fail in the same moment.
 const fn is_of_joint(fault: &Fault) -> bool {
     matches!(
         fault,
@@ -226,8 +226,9 @@ impl Safety {
         }
     }
 
-    /// Raises a fault: the machine brakes first if it is active and [`brakes_first`] holds for the
-    /// fault; otherwise the fault latches now. The first fault for which the machine brakes stays.
+    /// Raises a fault: the machine decelerates first if it is active and [`brakes_first`] holds for
+    /// the fault; otherwise the fault latches now. The first fault for which the machine
+    /// decelerates stays.
     #[inline(never)]
     pub fn raise(&mut self, fault: Fault) {
         if brakes_first(&fault) && self.active() {
@@ -255,7 +256,7 @@ impl Safety {
         self.holding = on && brakes_first(&fault);
         // What follows for the position is that of the joint's fault: its encoder is suspected.
         self.latched = Some(fault);
-        // A drive with an alarm has not followed, and no encoder has seen it.
+        // A drive with an alarm has not followed, and no encoder measured it.
         let unseen = self.open_loop && matches!(fault, Fault::Drive { .. });
         if unseen || !keeps_position(&fault) {
             self.forgotten |= unseen;

@@ -72,7 +72,7 @@ pub struct SwitchSearch {
     index: Option<Coordinate>,
 }
 
-/// What a search needs to know in a period.
+/// Inputs of a search in a period.
 pub struct Seen<'a> {
     /// Configuration of the search.
     pub config: &'a SwitchHome,

@@ -46,7 +46,7 @@ pub(super) const CATALOGUE: [Entry; 36] = [
         "axis=NAME per-second=N",
         "noise pulses on the channels of an encoder",
     ),
-    entry("index-missing", "axis=NAME", "the index line is dead"),
+    entry("index-missing", "axis=NAME", "the index line is open"),
     entry(
         "drive-dead",
         "axis=NAME",

@@ -103,7 +103,7 @@ pub(crate) fn check(joints: &[JointConfig], substep_us: f64, check: &mut Check) 
                 refuse(key, problem.into());
             }
             if joints[..index].iter().any(|it| it.gantry_of.is_some()) {
-                let problem = "stands after the second motor of a gantry; exchange them";
+                let problem = "is after the second motor of a gantry; exchange them";
                 refuse("name", problem.into());
             }
             continue;

@@ -90,7 +90,7 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
         Ok(raw) => raw,
         Err(error) => {
             let at = error.span().map_or(0, |span| line(span.start));
-            let remedy = "see `haptimill facet --help` for the keys of a list";
+            let remedy = "see docs/faceting.md for the keys of a list";
             problems.report(at, None, error.message().to_string(), remedy);
             return None;
         }

@@ -214,7 +214,7 @@ fn facets(body: &mut String, gem: &Gem, cutting: &Cutting) {
 fn meets(body: &mut String, gem: &Gem, cutting: &Cutting) {
     body.push_str(
         "<h2>Meet points</h2><p>Largest distance of a vertex of the stone from the point. The gain \
-         is the way of the point when its facets are off by 1 um in depth.</p>\
+         is the displacement of the point when its facets are off by 1 um in depth.</p>\
          <table><tr><th>facets<th>x, mm<th>y, mm<th>z, mm<th>gain<th>error, um",
     );
     for result in &cutting.measured.meets {

@@ -221,7 +221,7 @@ impl Bench<'_> {
         self.run(&operation.retract)?;
         if left > DONE_MM {
             let what = format!(
-                "{name} is not at its depth after {sweeps} spark-outs: the stone still yields by \
+                "{name} is not at its depth after {sweeps} spark-outs: the stone is still displaced by \
                  {left:.4} mm; raise force_n or spark_out_s of the lap, lower its stock, or grind \
                  by feed"
             );

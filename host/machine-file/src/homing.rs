@@ -86,11 +86,7 @@ fn read_switch(
     };
     if wrong {
         let what = "leads away from the limit switch of `input`";
-        section.refuse(
-            keys::towards,
-            what,
-            "turn it round, or name the other limit",
-        );
+        section.refuse(keys::towards, what, "reverse it, or name the other limit");
     }
     let order = section.value(keys::home_order);
     let at = section.value(keys::at);

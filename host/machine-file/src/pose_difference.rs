@@ -147,7 +147,7 @@ impl fmt::Display for PoseDifference {
         if self.compared == 0 {
             return write!(
                 f,
-                "the simulated machine can take none of the {} poses that were tried",
+                "the simulated machine reaches none of the {} poses that were tried",
                 self.impossible
             );
         }
@@ -165,7 +165,7 @@ impl fmt::Display for PoseDifference {
             let total = self.compared + self.impossible;
             write!(
                 f,
-                "; it cannot take {} of the {total} poses that were tried",
+                "; it does not reach {} of the {total} poses that were tried",
                 self.impossible
             )?;
         }

@@ -81,7 +81,7 @@ impl Process {
                 "force: {most:.2} N largest (at {time:.2} s{line}), {rms:.2} N rms"
             ));
             if let Some(yielded) = self.yielded_max_mm {
-                text.push_str(&format!("; the tool yielded {yielded:.4} mm at most"));
+                text.push_str(&format!("; compliant displacement {yielded:.4} mm at most"));
             }
             text.push('\n');
         }

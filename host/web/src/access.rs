@@ -101,7 +101,7 @@ pub fn check_host(head: &Head, local: SocketAddr) -> Result<&str, String> {
 pub fn check_origin(head: &Head, host: &str) -> Result<(), String> {
     match head.only("origin") {
         Some(origin) if origin.eq_ignore_ascii_case(&format!("http://{host}")) => Ok(()),
-        Some(origin) => Err(format!("the page {origin:?} is a stranger's")),
+        Some(origin) => Err(format!("the page {origin:?} is not the served page")),
         None => Err("there is not one Origin header".to_string()),
     }
 }

@@ -309,7 +309,7 @@ impl Describe for Event {
                 "{} is active: the machine decelerates along its path and holds",
                 axes.input(input)
             ),
-            Self::OutputsSafe => f.write_str("the outputs went to their safe values"),
+            Self::OutputsSafe => f.write_str("the outputs have their safe values"),
             Self::OutputRefused { output, problem } => write!(
                 f,
                 "the job was dropped, {} cannot be set: {problem}",

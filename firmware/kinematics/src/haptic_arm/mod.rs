@@ -1,9 +1,9 @@
 //! Forward kinematics of the haptic arm: poses of handle and tip from nine encoders
 //! (docs/control.md 2.2).
 //!
-//! Three legs stand on a circle at 0, 120 and 240 degrees. Each leg has a slide d along an axis
-//! that leans inwards by theta2. The leg turns about that axis (theta3) and carries a link that
-//! leans from the axis by theta4. The end of the link (joint 5) holds the platform of the handle.
+//! Three legs are on a circle at 0, 120 and 240 degrees. Each leg has a slide d along an axis that
+//! is inclined inwards by theta2. The leg turns about that axis (theta3) and carries a link that is
+//! inclined to the axis by theta4. The end of the link (joint 5) holds the platform of the handle.
 //! Nine readings give six degrees of freedom. The three sides of the platform have known lengths,
 //! and a side with a wrong length shows an encoder fault.
 //!
@@ -31,7 +31,7 @@ pub type Vector = [i32; 3];
 /// Lengths of the arm (docs/control.md 2.2, 7.2 REF-M).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct HapticGeometry {
-    /// r_b: radius of the circle on which the legs stand, 10 to 400 mm.
+    /// r_b: radius of the circle of the legs, 10 to 400 mm.
     pub base_radius: Length,
     /// r_p: radius of the circle of the platform's joints, 10 to 400 mm.
     pub platform_radius: Length,

@@ -41,8 +41,8 @@ pub struct Wrench {
 impl Wrench {
     /// Wrench about the platform's centre of a force at the tip, 2^-16 N.
     ///
-    /// The moment is that of the lever from the centre to the tip. So the operator feels the force
-    /// where it acts, and the passivity observer counts the power of the tip's motion
+    /// The moment is that of the lever from the centre to the tip. So the force acts on the
+    /// operator at its point, and the passivity observer counts the power of the tip's motion
     /// (docs/control.md, force feedback).
     #[must_use]
     pub fn at_tip(force: &[Force; 3], pose: &ArmPose) -> Self {

@@ -323,7 +323,7 @@ impl Machine for LinearDelta {
         })
     }
 
-    /// One slide moves, the others stand still.
+    /// One slide moves, the others are at rest.
     fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
         let mut rates = [0; MAX_AXES];
         let Ok(placed) = self.place(pose) else {

@@ -285,7 +285,7 @@ impl Machine for Scara {
         })
     }
 
-    /// One joint turns, the others stand still: the tip moves on a circle about the joint.
+    /// One joint turns, the others are at rest: the tip moves on a circle about the joint.
     fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
         let mut rates = [0; MAX_AXES];
         let turn = Rate(saturate(rate));

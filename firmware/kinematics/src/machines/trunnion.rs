@@ -151,7 +151,7 @@ impl Machine for Trunnion {
     }
 
     /// A slide moves alone: with turned rotary axes the tip then moves along several coordinates of
-    /// the workpiece. While a rotary axis is searched the slides stand still, so the tip moves in
+    /// the workpiece. While a rotary axis is searched the slides are at rest, so the tip moves in
     /// the workpiece frame.
     fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
         let mut rates = [0; MAX_AXES];

@@ -136,7 +136,7 @@ fn cycles_refuse_what_they_cannot_use() {
         ran.expect_code(2).err
     };
     assert!(edge("q=1").contains("no axis 'q'"));
-    assert!(edge("z=0").contains("longest way"));
+    assert!(edge("z=0").contains("largest distance"));
     scene
         .run(&["probe", "bore", "--reach", "-1"])
         .expect_code(2);

@@ -119,7 +119,7 @@ mod tests {
         let cut = &file()[..512];
         assert!(read(cut, FAMILY).unwrap_err().contains("1 of 2 blocks"));
         let cut = &file()[..700];
-        assert!(read(cut, FAMILY).unwrap_err().contains("cut off"));
+        assert!(read(cut, FAMILY).unwrap_err().contains("truncated"));
         assert!(read(&[], FAMILY).unwrap_err().contains("no UF2 file"));
     }
 }

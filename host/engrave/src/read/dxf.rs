@@ -101,9 +101,7 @@ impl<'a> Reader<'a, '_> {
                 // Old versions of dxflib close the header after its second variable.
                 (9, _) => {
                     self.drawing.notices.push(
-                        "variables of the header stand outside of a section; they count all the \
-                         same"
-                            .into(),
+                        "variables of the header are outside of a section; they are used".into(),
                     );
                     self.pairs.back = Some(pair);
                     self.header(pair.line)?;

@@ -2,9 +2,9 @@
 //!
 //! A centred form: the pose in the middle, and how far U, V and S may be from theirs, by the
 //! triangle inequality with terms of first and second order. The signs are left out, because
-//! coordinates that brake come to rest at different times: what cancels at full speed does not
-//! cancel all the way. One pose and these bounds take a tenth of the instructions that the corners
-//! of a box take, and hold between the corners as well.
+//! coordinates that decelerate stop at different times: terms that cancel at full speed do not
+//! cancel during the whole deceleration. One pose and these bounds take a tenth of the instructions
+//! that the corners of a box take, and hold between the corners as well.
 
 use super::errors::near_reach_limit;
 use super::motion::Slope;
