@@ -36,7 +36,7 @@ pub struct Lengths {
     pub g_e: f64,
     /// Tool length.
     pub t_l: f64,
-    /// Height of the table axis below the origin of the slave base.
+    /// Height of the table axis below the origin of the base frame.
     pub h: f64,
     /// Origin of the workpiece frame.
     pub offset: [f64; 3],
@@ -116,7 +116,7 @@ impl Arm {
         }
     }
 
-    /// Returns the tip in the frame of the slave base.
+    /// Returns the tip in the base frame.
     fn tip(&self, pose: &Reals) -> [f64; 3] {
         let g = &self.lengths;
         let (y, z) = (pose[1] + g.offset[1], pose[2] + g.offset[2]);

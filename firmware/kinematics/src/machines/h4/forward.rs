@@ -33,7 +33,7 @@ use haptimill_math::trig::atan2;
 use haptimill_math::{Coordinate, Length};
 
 impl H4 {
-    /// Pose of the tool in the frame of the slave base: x, y, z and theta of (3.17)-(3.19), without
+    /// Pose of the tool in the base frame: x, y, z and theta of (3.17)-(3.19), without
     /// the table.
     ///
     /// # Errors

@@ -25,13 +25,13 @@ pub struct H4Geometry {
     pub rail_offset: Length,
     /// T_L: tool length from the lower platform joint to the tip.
     pub tool: Length,
-    /// p + x_Ow^O1: from x_w to x of the slave base.
+    /// p + x_Ow^O1: from x_w to x of the base frame.
     pub x_offset: Length,
     /// y_Ow^O1.
     pub y_offset: Length,
     /// z_O1^O2.
     pub z_offset: Length,
-    /// h: height of the table axis below the slave's origin.
+    /// h: height of the table axis below the origin of the base frame.
     pub table_height: Length,
     /// The platform is below the rails (the minus root of (3.19)) instead of above.
     pub below: bool,

@@ -4,8 +4,8 @@
 //! The pose is `[x_w, y_w, z_w, theta, alpha]`, the joints are `[l1, l2, l3, l4, alpha]`. The arm
 //! moves the tool in x, y, z and theta (tilt about y); the table turns the workpiece by alpha about
 //! x. All formulas are those of docs/control.md 2.5 to 2.7, in the compact form. With x = x_w +
-//! x_offset, y = Y cos(alpha) - Z_t sin(alpha), z = Y sin(alpha) + Z_t cos(alpha) - h in the frame
-//! of the slave base:
+//! x_offset, y = Y cos(alpha) - Z_t sin(alpha), z = Y sin(alpha) + Z_t cos(alpha) - h in the base
+//! frame:
 //!
 //! ```text
 //! l_i = x + m_i sin(theta) + s_i (w + S_i),   S_i^2 = R^2 - U_i^2 - V_i^2      (3.23)-(3.26)
@@ -116,7 +116,7 @@ pub struct H4 {
     pub(super) quick_turn: u32,
 }
 
-/// Pose of the tool in the frame of the slave base, without table and offsets.
+/// Pose of the tool in the base frame, without table and offsets.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct BasePose {
     /// Along the rails.
@@ -140,7 +140,7 @@ pub(super) struct Pair {
     pub(super) root: Root,
 }
 
-/// A pose in the frame of the slave base.
+/// A pose in the base frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed {
     /// x.
@@ -257,7 +257,7 @@ impl H4 {
         Ok(Length(self.distance(&placed)))
     }
 
-    /// Converts a pose to the frame of the slave base: the inverse of (3.14)-(3.16).
+    /// Converts a pose to the base frame: the inverse of (3.14)-(3.16).
     #[inline(always)]
     pub(super) fn frame(&self, pose: &Pose) -> Result<Placed, PoseError> {
         let [x_w, y_w, z_w, theta, alpha, _] = pose.0;

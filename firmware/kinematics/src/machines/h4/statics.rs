@@ -1,8 +1,8 @@
 //! Statics of the H-4 arm: slide forces that correspond to a force on the tool (docs/control.md
 //! 2.7).
 //!
-//! By virtual work J^T f = W with W = [F_x, F_y, F_z, M_theta] at the tip, in the frame of the
-//! slave base. The structure of J splits the four equations into two pairs, solved in closed form.
+//! By virtual work J^T f = W with W = [F_x, F_y, F_z, M_theta] at the tip, in the base
+//! frame. The structure of J splits the four equations into two pairs, solved in closed form.
 //! With p = f1 - f2, r = f3 - f4, P = f1 + f2, Q = f3 + f4 and X = E Z - y D:
 //!
 //! ```text
@@ -18,7 +18,7 @@ use super::H4;
 use crate::{Pose, PoseError};
 use haptimill_math::Effort;
 
-/// Force and moment on the tool, in the frame of the slave base.
+/// Force and moment on the tool, in the base frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ToolForce {
     /// F_x, F_y, F_z at the tip.

@@ -95,7 +95,8 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
     }
 }
 
-/// The machine file of the slave, with its section [follow] and the settings of the command line.
+/// Machine file of the machine that follows, with its section [follow] and the settings of the
+/// command line.
 fn load_follower(args: &TeleopArgs, machine: &MachineFile) -> Result<MachineFile, CliError> {
     if machine.is_master() {
         let what = format!(
