@@ -202,9 +202,7 @@ fn a_period_stays_within_its_instructions() {
         std::fs::write(&file, &table).expect("written");
     }
     if std::fs::read_to_string(&file).unwrap_or_default() != table {
-        println!(
-            "docs/instructions.md says something else; `cargo xtask instructions` writes it anew"
-        );
+        println!("docs/instructions.md differs; `cargo xtask instructions` writes it anew");
     }
 }
 

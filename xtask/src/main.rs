@@ -32,13 +32,13 @@ Developer tasks of the project.
   cargo xtask board NAME           build the image of a board (mps2, pico2), print its size, check it against the budget
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
   cargo xtask board NAME --image   build the image and print only its path
-  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: hand, faults, checks, logging)
+  cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: haptics, faults, checks, logging)
   cargo xtask images               build the images that one can flash, named after the commit, with checksums, in target/images
   cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
   cargo xtask emulator             repair the emulator of the RP2350 (host/emulator), test the repairs, and run the image of the Pico 2 with a simulated mill
   cargo xtask emulator --build     build the emulator and the image, for `haptimill run --port emu:pico2`
   cargo xtask emulator --long      as `emulator`, with homing, a part program, and five joints at 1,000,000 steps/s
-  cargo xtask machines             do everything with every machine file and rewrite docs/machines.md
+  cargo xtask machines             run every machine file in the simulator and rewrite docs/machines.md
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
   cargo xtask storm [OPTION ...]   run random episodes against all checks, by seed (docs/storm.md; --help lists the options)
   cargo xtask storm --planted      plant bugs into a copy of the sources and show that the storm finds each
