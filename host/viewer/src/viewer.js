@@ -292,7 +292,7 @@ function create(root, scene) {
   function basis() {
     const [sy, cy, sp, cp] = [Math.sin(camera.yaw), Math.cos(camera.yaw),
       Math.sin(camera.pitch), Math.cos(camera.pitch)];
-    return { right: [cy, sy, 0], up: [sy * sp, -cy * sp, cp], eye: [sy * cp, -cy * cp, sp] };
+    return { right: [cy, sy, 0], up: [-sy * sp, cy * sp, cp], eye: [sy * cp, -cy * cp, sp] };
   }
 
   function dot(u, v) { return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]; }
@@ -464,7 +464,7 @@ function create(root, scene) {
     clock.textContent = `${time.toFixed(2)} s of ${end.toFixed(2)} s`
       + (here && here.line !== undefined ? `, line ${here.line}` : '')
       + (here && here.value !== undefined && here.layer.scale
-        ? `, ${rounded(here.value)}` : '');
+        ? `, ${here.layer.scale.label}: ${rounded(here.value)}` : '');
   }
 
   function draw() {
