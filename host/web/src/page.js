@@ -263,6 +263,9 @@ function showMachine(message) {
       starts: edges.map((_, k) => 2 * k) });
   }
   showJoints(message, low, high);
+  // Until there is a stock or a path, the view shows the whole workspace.
+  if (box !== showMachine.fitted && !scene && !showStock.seen) view.fit();
+  showMachine.fitted = box;
   const pose = JSON.stringify([message.tip, message.tool_axis, message.force, message.referenced]);
   if (pose === showMachine.pose) return;
   showMachine.pose = pose;
@@ -357,6 +360,8 @@ function showStock(message) {
   view.setLayer({ kind: 'mesh', name: 'stock', opacity: 1, points, triangles, values: depths,
     scale: { label: 'depth of cut, mm', low: 0, high: Math.max(...depths, 0.1),
       map: 'sequential' } });
+  if (!showStock.seen && !scene) view.fit();
+  showStock.seen = true;
 }
 
 // The last minute of the chosen values.
@@ -390,7 +395,10 @@ function plot(message) {
   const pen = canvas.getContext('2d');
   pen.scale(ratio, ratio);
   pen.font = '11px system-ui,sans-serif';
-  [...list.selectedOptions].slice(0, COLOURS.length).forEach((option, k) => {
+  const shown = [...list.selectedOptions].slice(0, COLOURS.length);
+  // The lines leave room for their labels.
+  const top = 18 + 14 * (shown.length - 1);
+  shown.forEach((option, k) => {
     const series = trace.map(({ t, values: v }) => [t, v[option.value]])
       .filter(([, value]) => typeof value === 'number');
     if (!series.length) return;
@@ -403,7 +411,7 @@ function plot(message) {
     pen.beginPath();
     series.forEach(([t, value], j) => {
       const x = w * (1 - (last - t) / PLOT_S);
-      const y = h - 4 - (h - 8) * (value - low) / (high - low);
+      const y = h - 4 - (h - 4 - top) * (value - low) / (high - low);
       if (j) pen.lineTo(x, y); else pen.moveTo(x, y);
     });
     pen.stroke();
