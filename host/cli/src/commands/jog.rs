@@ -37,7 +37,7 @@ pub struct JogArgs {
         allow_negative_numbers = true
     )]
     pub axes: Vec<AxisRate>,
-    /// Move by distances in mm or degrees instead, as x=5 or "x=5 y=-2"
+    /// Move by distances in mm or degrees instead, as x=5, or x=5 y=-2 without quotes
     #[arg(long, value_name = "AXIS=DISTANCE", num_args = 1.., allow_negative_numbers = true)]
     pub by: Vec<AxisRate>,
     /// With --by: feed in mm/min (deg/min where only rotary coordinates move)
