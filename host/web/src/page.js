@@ -65,7 +65,7 @@ function commands() {
 function showControl(message) {
   control = message;
   const mine = commands();
-  at('control').textContent = `viewer ${message.you} of ${message.viewers}: `
+  at('control').textContent = `viewer ${message.you}, ${message.viewers} connected: `
     + (mine ? 'you command' : message.commander === null ? 'nobody commands'
       : `viewer ${message.commander} commands`)
     + (message.asks === message.you ? '; asked for control' : '');
