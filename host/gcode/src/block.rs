@@ -28,6 +28,9 @@ pub(crate) struct Block {
     words: [Word; 26],
     /// Bit k is set if letter k (A is 0) has a word.
     present: u32,
+    /// Distance from the origin (`@`) and angle (`^`) of polar coordinates; X and Y then have words
+    /// without a value.
+    polar: [Option<Word>; 2],
     pub codes: Codes,
     pub assignments: Vec<(Parameter, f64)>,
     pub comments: Vec<CommentSpan>,
@@ -64,6 +67,7 @@ pub(crate) const AXIS_LETTERS: u32 = letters(&AXES);
 impl Block {
     fn clear(&mut self) {
         self.present = 0;
+        self.polar = [None; 2];
         self.codes = Codes::default();
         self.assignments.clear();
         self.comments.clear();
@@ -81,6 +85,12 @@ impl Block {
     /// Returns the value of a letter.
     pub(crate) fn value(&self, letter: u8) -> Option<f64> {
         self.word(letter).map(|word| word.value)
+    }
+
+    /// Returns the values of the polar words, distance and angle; `None` without any.
+    pub(crate) fn polar(&self) -> Option<[Option<f64>; 2]> {
+        let polar = self.polar.map(|word| word.map(|word| word.value));
+        (polar != [None; 2]).then_some(polar)
     }
 
     /// Multiplies the number of a word.
@@ -156,6 +166,10 @@ impl Block {
                     }
                     self.letter(&mut scan, letter, values)?;
                 }
+                b'@' | b'^' => {
+                    self.first.get_or_insert(start);
+                    self.polar_word(&mut scan)?;
+                }
                 _ => return Err(Box::new(refuse_symbol(line, start))),
             }
         }
@@ -207,6 +221,48 @@ impl Block {
         Ok(())
     }
 
+    fn polar_word(&mut self, scan: &mut Scan) -> Read<()> {
+        let start = scan.at;
+        let sign = scan.bytes[start];
+        scan.at += 1;
+        scan.skip_blanks();
+        let mistake = |what: String, remedy| Err(Box::new(Mistake::new(start, what, remedy)));
+        if !scan.has_value() {
+            let what = format!("'{}' has no number", char::from(sign));
+            return mistake(what, "write the distance after @ and the angle after ^");
+        }
+        let value = scan.value()?;
+        let text = || text_of(&scan.bytes[start..scan.at]);
+        if value.abs() > LARGEST_NUMBER {
+            let what = format!("the number of {} is too large", text());
+            return mistake(what, "write at most 10,000,000");
+        }
+        let axes = bit(b'X') | bit(b'Y');
+        if self.polar == [None; 2] && self.present & axes != 0 {
+            let what = format!("{} together with X or Y", text());
+            return mistake(what, "write the end point with @ and ^, or with X and Y");
+        }
+        let place = &mut self.polar[usize::from(sign == b'^')];
+        if place.is_some() {
+            let what = format!("'{}' occurs twice in one block", char::from(sign));
+            return mistake(what, "keep one");
+        }
+        let word = Word {
+            value,
+            at: start,
+            end: scan.at,
+            has_point: false,
+        };
+        *place = Some(word);
+        if self.present & axes == 0 {
+            self.present |= axes;
+            for letter in *b"XY" {
+                self.words[usize::from(letter - b'A')] = Word { value: 0.0, ..word };
+            }
+        }
+        Ok(())
+    }
+
     fn letter(&mut self, scan: &mut Scan, letter: u8, values: &dyn Values) -> Read<()> {
         let start = scan.at;
         scan.at += 1;
@@ -220,8 +276,12 @@ impl Block {
         let value = scan.value()?;
         let end = scan.at;
         let text = || text_of(&scan.bytes[start..end]);
-        // A feed that no machine has means: as fast as the limits allow.
-        let largest = if letter == b'F' { 1e12 } else { LARGEST_NUMBER };
+        // A feed that no machine has means: as fast as the limits allow. Long programs number their
+        // blocks by tens.
+        let largest = match letter {
+            b'F' | b'N' => 1e12,
+            _ => LARGEST_NUMBER,
+        };
         if value.abs() > largest {
             return Err(Box::new(Mistake::new(
                 start,
@@ -282,6 +342,11 @@ impl Block {
                 format!("program number {} is not alone in its block", text()),
                 "write O at the start of a line",
             ))),
+            b'X' | b'Y' if self.polar != [None; 2] => Err(Box::new(Mistake::new(
+                start,
+                format!("{} together with polar coordinates", text()),
+                "write the end point with @ and ^, or with X and Y",
+            ))),
             _ => {
                 if self.present & bit(letter) != 0 {
                     let what = format!(
@@ -326,13 +391,6 @@ fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
         b'0'..=b'9' | b'.' | b'+' | b'-' => (
             "a number without a letter".into(),
             "write the letter of the word in front of the number",
-        ),
-        b'@' | b'^' => (
-            format!(
-                "'{}': polar coordinates are not supported",
-                char::from(byte)
-            ),
-            "write the end point with X and Y",
         ),
         b',' => (
             "a comma is not supported".into(),

@@ -196,6 +196,8 @@ impl Executor {
             let times = if incremental { f64::from(repeat) } else { 1.0 };
             over[first] = start[first] + step[0] * times;
             over[second] = start[second] + step[1] * times;
+            // Each hole counts distance and angle from the last one.
+            self.polar_end(block, &mut over);
             self.exact_to(&hole, over, Pace::Rapid)?;
             if number != 87 {
                 self.level(&hole, r, Pace::Rapid)?;

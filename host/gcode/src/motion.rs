@@ -78,7 +78,57 @@ impl Executor {
             to[0] += turned[0];
             to[1] += turned[1];
         }
+        self.polar_end(block, &mut to);
         to
+    }
+
+    /// Sets X and Y of an end point in machine coordinates that the block states with a distance
+    /// from the origin of the program and an angle. Without one of them, that of the position.
+    pub(crate) fn polar_end(&self, block: &Block, to: &mut PerLetter) {
+        let Some([distance, angle]) = block.polar() else {
+            return;
+        };
+        let state = &self.state;
+        let mut at = state.in_program(&state.at);
+        let here = [libm::hypot(at[0], at[1]), libm::atan2(at[1], at[0])];
+        let given = [
+            distance.map(|distance| distance * state.unit()),
+            angle.map(f64::to_radians),
+        ];
+        let [distance, angle] = if state.modes.incremental {
+            [0, 1].map(|k| here[k] + given[k].unwrap_or(0.0))
+        } else {
+            [0, 1].map(|k| given[k].unwrap_or(here[k]))
+        };
+        let (sin, cos) = libm::sincos(angle);
+        (at[0], at[1]) = (distance * cos, distance * sin);
+        let at = state.in_machine(&at);
+        (to[0], to[1]) = (at[0], at[1]);
+    }
+
+    /// Refuses polar coordinates where they have no meaning.
+    fn check_polar(&self, block: &Block, in_machine: bool, at: usize) -> Read<()> {
+        if block.polar().is_none() {
+            return Ok(());
+        }
+        let state = &self.state;
+        let here = state.in_program(&state.at);
+        let (what, remedy) = if in_machine {
+            ("polar coordinates with G53", "write X and Y")
+        } else if state.modes.plane.axes()[2] != 2 {
+            (
+                "polar coordinates outside the plane of G17",
+                "write G17 before, or X, Y and Z",
+            )
+        } else if state.modes.incremental && libm::hypot(here[0], here[1]) < 1e-9 {
+            (
+                "incremental polar coordinates at the origin, which has no angle",
+                "move off the origin before, or write G90",
+            )
+        } else {
+            return Ok(());
+        };
+        mistake(at, what, remedy)
     }
 
     /// Whether the coordinate of a letter wraps around.
@@ -149,6 +199,7 @@ impl Executor {
         let first = first_axis.unwrap_or(first);
         let place = here.place(first.at);
         self.check_angles(block, machine.is_some())?;
+        self.check_polar(block, machine.is_some(), first.at)?;
         let to = self.target(block, machine.is_some());
         match motion {
             Motion::Rapid => self.travel_to(to, Pace::Rapid, place, first.at),

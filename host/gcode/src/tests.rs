@@ -175,13 +175,32 @@ fn refusals_name_place_and_remedy() {
         ),
         ("M117 hello", "t.ngc:1:1: M117 is not supported"),
         (
-            "G1 @5 ^30",
-            "t.ngc:1:4: '@': polar coordinates are not supported; write the end",
+            "G0 @5 X1",
+            "t.ngc:1:7: X1 together with polar coordinates; write",
+        ),
+        ("G0 X1 @5", "t.ngc:1:7: @5 together with X or Y; write"),
+        (
+            "G0 @5 @6",
+            "t.ngc:1:7: '@' occurs twice in one block; keep one",
+        ),
+        ("G0 @", "t.ngc:1:4: '@' has no number; write the distance"),
+        (
+            "G18 G0 @5",
+            "t.ngc:1:8: polar coordinates outside the plane of G17",
         ),
         (
-            "G1 ^30",
-            "t.ngc:1:4: '^': polar coordinates are not supported; write the end",
+            "G53 G0 @5",
+            "t.ngc:1:8: polar coordinates with G53; write X and Y",
         ),
+        (
+            "G91 G0 ^5",
+            "t.ngc:1:8: incremental polar coordinates at the origin",
+        ),
+        (
+            "G28 @5",
+            "t.ngc:1:5: polar coordinates without a motion; write X and Y",
+        ),
+        ("G80 @5", "t.ngc:1:5: @5 without a motion; write"),
         (
             "G71.1 P1",
             "t.ngc:1:1: G71.1 is not supported; turning cycles belong to lathes",

@@ -88,6 +88,17 @@ impl Executor {
             }
             return Err(Box::new(self.stray_word(letter, word, here)));
         }
+        let length = codes.tenths(Group::ToolLength);
+        if block.polar().is_some() && (takes_axes || length == Some(431) || self.options.no_decimal)
+        {
+            let what = if self.options.no_decimal {
+                "polar coordinates with --no-decimal"
+            } else {
+                "polar coordinates without a motion"
+            };
+            let at = block.first_of(AXIS_LETTERS).map_or(0, |(_, word)| word.at);
+            return mistake(at, what, "write X and Y");
+        }
         let missing = |axis: usize| self.out.coordinate(axis).is_none();
         if let Some((letter, word)) = block.first_of(AXIS_LETTERS)
             && AXES

@@ -516,6 +516,62 @@ fn probe_results_come_from_the_machine() {
     }
 }
 
+/// Distance and angle in place of X and Y; the positions were printed by LinuxCNC's rs274.
+#[test]
+fn polar_coordinates_have_the_ends_of_rs274() {
+    let near = |text: &str, expected: &[(char, [f64; 3])]| {
+        let ends = ends(text);
+        let kinds = |ends: &[(char, [f64; 3])]| ends.iter().map(|end| end.0).collect::<String>();
+        assert_eq!(kinds(&ends), kinds(expected), "{text}");
+        for (end, expected) in ends.iter().zip(expected) {
+            for axis in 0..3 {
+                assert!(
+                    (end.1[axis] - expected.1[axis]).abs() < 6e-5,
+                    "{end:?} {expected:?}"
+                );
+            }
+        }
+    };
+    let t = |x: f64, y: f64, z: f64| ('T', [x, y, z]);
+    let f = |x: f64, y: f64, z: f64| ('F', [x, y, z]);
+    near(
+        "G21 F100\nG0 @10 ^30 Z1\nG1 ^60\nG1 @5\nG91 @1 ^10\nG90 G10 L2 P1 X3 Y4\nG0 @10 ^0",
+        &[
+            t(8.6603, 5.0, 1.0),
+            f(5.0, 8.6603, 1.0),
+            f(2.5, 4.3301, 1.0),
+            f(2.0521, 5.6382, 1.0),
+            t(13.0, 4.0, 1.0),
+        ],
+    );
+    // A negative distance is one in the other direction.
+    near(
+        "F100\nG0 @-5 ^10\nG1 ^20",
+        &[t(-4.9240, -0.8682, 0.0), f(4.6985, 1.7101, 0.0)],
+    );
+    near("G20 F100\nG0 @1 ^90", &[t(0.0, 25.4, 0.0)]);
+    // Each hole of a series turns on, and moves outwards, from the last one.
+    near(
+        "F100\nG0 X10\nG91 G81 @1 ^30 R1 Z-1 L3",
+        &[
+            t(10.0, 0.0, 0.0),
+            t(10.0, 0.0, 1.0),
+            t(9.5263, 5.5, 1.0),
+            f(9.5263, 5.5, 0.0),
+            t(9.5263, 5.5, 1.0),
+            t(6.0, 10.3923, 1.0),
+            f(6.0, 10.3923, 0.0),
+            t(6.0, 10.3923, 1.0),
+            t(0.0, 13.0, 1.0),
+            f(0.0, 13.0, 0.0),
+            t(0.0, 13.0, 1.0),
+        ],
+    );
+    // In a turned coordinate system; the block number is that of a long program.
+    let turned = "G10 L2 P1 R30\nG0 @10 ^0\nN12345678 G91 ^30";
+    near(turned, &[t(8.6603, 5.0, 0.0), t(5.0, 8.6603, 0.0)]);
+}
+
 /// Differences that a corpus of programs found; the motion was printed by LinuxCNC's rs274.
 #[test]
 fn words_of_real_programs_have_the_motion_of_rs274() {
