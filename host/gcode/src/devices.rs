@@ -105,7 +105,9 @@ impl Executor {
             self.notice(here, code.at, "M19", what.into())?;
         }
         self.state.modes.turn = turn;
-        self.send_spindle(here.place(code.at));
+        // A wrong speed is named at its word.
+        let at = block.word(b'S').map_or(code.at, |word| word.at);
+        self.send_spindle(here.place(at));
         if matches!(code.tenths, 130 | 140) {
             self.send_coolant(here, code.at, self.state.modes.mist, true)?;
         }

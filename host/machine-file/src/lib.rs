@@ -92,6 +92,36 @@ pub struct Planner {
     pub shortest_span_ms: f64,
 }
 
+/// Speeds of the spindle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spindle {
+    /// Slowest and fastest speed in either direction, rev/min.
+    pub rpm: [i16; 2],
+    /// Time from standstill to the speed, seconds.
+    pub run_up_s: f64,
+}
+
+impl Spindle {
+    /// Checks the speeds of a program, slowest and fastest, at a spindle override in percent.
+    ///
+    /// # Errors
+    ///
+    /// The text states the speed that the spindle does not have.
+    pub fn check_override(&self, speeds: Option<[u16; 2]>, percent: u8) -> Result<(), String> {
+        let [low, high] = self.rpm.map(f64::from);
+        for speed in speeds.into_iter().flatten() {
+            let turns = f64::from(speed) * f64::from(percent) / 100.0;
+            if !(low..=high).contains(&turns) {
+                return Err(format!(
+                    "spindle override {percent} %: S{speed} of the program would be {turns:.0} \
+                     rev/min, and the spindle of the machine turns at {low} to {high} rev/min"
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
 /// A machine file without a problem.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MachineFile {
@@ -109,6 +139,8 @@ pub struct MachineFile {
     pub io: IoNames,
     /// Settings of the planner.
     pub planner: Planner,
+    /// Speeds of the spindle.
+    pub spindle: Spindle,
     /// Whether the file has a `[plant]` section; see [`MachineFile::plant`].
     pub has_plant: bool,
 }
@@ -265,6 +297,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     // Without a model the keys that depend on it are unknown: one report is enough.
     let singular = model.is_none_or(|model| model.has_singularity);
     let planner = root.section("planner").map(read_planner);
+    let spindle = read_spindle(&root);
     let places = model.map_or_else(Vec::new, |model| model.pose());
     let pose = read_axes(&root, "pose", &places);
     let pose: Vec<_> = pose
@@ -345,6 +378,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
         joints: joint_limits,
         io: io_names,
         planner: planner.unwrap_or(NO_PLANNER),
+        spindle,
         has_plant,
     }
 }
@@ -396,6 +430,7 @@ fn read_master(root: &Section<'_, '_>, name: heapless::String<24>, period_us: f6
         joints: Vec::new(),
         io: IoNames::default(),
         planner: NO_PLANNER,
+        spindle: ANY_SPINDLE,
         has_plant,
     }
 }
@@ -407,6 +442,12 @@ const NO_PLANNER: Planner = Planner {
     curvature_step: f64::NAN,
     longest_span_ms: f64::NAN,
     shortest_span_ms: f64::NAN,
+};
+
+/// The spindle of a machine file without the section: any speed of the protocol.
+const ANY_SPINDLE: Spindle = Spindle {
+    rpm: [0, i16::MAX],
+    run_up_s: 5.0,
 };
 
 fn read_name(root: &Section<'_, '_>) -> heapless::String<24> {
@@ -617,6 +658,29 @@ fn read_planner(section: Section<'_, '_>) -> Planner {
     }
     section.finish();
     result
+}
+
+fn read_spindle(root: &Section<'_, '_>) -> Spindle {
+    let Some(section) = root
+        .has("spindle")
+        .then(|| root.section("spindle"))
+        .flatten()
+    else {
+        return ANY_SPINDLE;
+    };
+    let rpm = [controller::spindle::min_rpm, controller::spindle::max_rpm];
+    let spindle = Spindle {
+        // The range of the keys is that of the type.
+        rpm: rpm.map(|key| section.value(key) as i16),
+        run_up_s: section.value(controller::spindle::run_up_s),
+    };
+    let [slowest, fastest] = spindle.rpm;
+    if slowest > fastest {
+        let what = format!("{slowest} is above max_rpm = {fastest}");
+        section.report("min_rpm", what, "exchange them");
+    }
+    section.finish();
+    spindle
 }
 
 impl MachineFile {

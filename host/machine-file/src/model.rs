@@ -330,6 +330,7 @@ pub fn settings(machine: &MachineFile) -> Settings {
         .collect();
     Settings {
         outputs: outputs(machine),
+        spindle_rpm: machine.spindle.rpm,
         tolerance_mm: machine.planner.corner_tolerance_mm,
         tolerance_deg: machine.planner.corner_tolerance_deg,
         curvature_step: machine.planner.curvature_step,

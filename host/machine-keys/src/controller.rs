@@ -210,6 +210,17 @@ planner "planner" "How the planner joins the blocks of a program." {
         .bounded("at most the longest");
 }
 
+spindle "spindle" "Speeds of the spindle; optional." {
+    min_rpm = whole(0, 32_767, "rev/min")
+        .is("slowest speed, clockwise and counter-clockwise; a program with a slower one but 0 is refused")
+        .or(0.0).bounded("at most max_rpm");
+    max_rpm = whole(1, 32_767, "rev/min").is("fastest speed; a program with a faster one is refused")
+        .or(32_767.0);
+    run_up_s = real(0.0, 60.0, "s")
+        .is("time from standstill to the speed: the wait of `run --from-line` and between the parts of a program with probe moves; elsewhere a program waits with G4")
+        .or(5.0);
+}
+
 compensation "compensation" "Volumetric compensation: the controller corrects the known geometric errors of three linear axes." {
     chain = text("letters w and t with the axes between them and b").is(
         "order of the bodies from the workpiece to the tool, such as \"wYbXZt\"",

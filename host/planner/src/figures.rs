@@ -13,6 +13,8 @@ pub struct Figures {
     pub blocks: usize,
     /// Number of moves that the joints keep below their feed.
     pub slowed: usize,
+    /// Slowest and fastest speed of the turning spindle, rev/min; `None` if it stands.
+    pub spindle_rpm: Option<[u16; 2]>,
     /// Number of setpoints; 0 in a check.
     pub setpoints: usize,
     /// Largest path speed of the tip, mm/s.

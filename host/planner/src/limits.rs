@@ -70,6 +70,10 @@ pub struct Settings {
     pub pose: Vec<PoseLimits>,
     /// Limits of the joints, in the machine's order, at most six.
     pub joints: Vec<JointLimits>,
+    /// Slowest and fastest speed of the spindle in either direction, rev/min; any by default.
+    pub spindle_rpm: [i16; 2],
+    /// Spindle override at which these limits hold, percent; 100 by default.
+    pub spindle_percent: u8,
     /// Outputs; none by default.
     pub outputs: Outputs,
     /// Control period, microseconds.
@@ -98,6 +102,8 @@ impl Settings {
         Settings {
             pose,
             joints,
+            spindle_rpm: [0, i16::MAX],
+            spindle_percent: 100,
             outputs: Outputs::default(),
             period_us,
             tolerance_mm: 0.005,

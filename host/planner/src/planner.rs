@@ -187,7 +187,9 @@ impl<M: MachineModel> Planner<M> {
             Step::Move(step) => return self.add(step),
             Step::Message { .. } => return Ok(()),
             Step::Dwell { seconds: dwell, .. } => seconds = *dwell,
-            Step::Spindle { rpm, .. } => first = Action::Spindle(*rpm),
+            Step::Spindle { rpm, place } => {
+                first = Action::Spindle(self.checked_speed(*rpm, *place)?);
+            }
             // The operator changes the tool during a pause.
             Step::Pause { .. } | Step::ToolChange { .. } => first = Action::Pause,
             Step::Coolant { mist, flood, .. } => {
@@ -290,6 +292,38 @@ impl<M: MachineModel> Planner<M> {
 
     pub(crate) fn into_trajectory(self) -> Trajectory {
         self.trajectory
+    }
+
+    /// Returns the speed of the spindle if it is within its limits at the override.
+    fn checked_speed(&mut self, rpm: i16, place: Place) -> Result<i16, Problem> {
+        let Settings {
+            spindle_rpm: [slowest, fastest],
+            spindle_percent: percent,
+            ..
+        } = self.settings;
+        let speed = rpm.unsigned_abs();
+        if speed == 0 {
+            return Ok(rpm);
+        }
+        let turns = f64::from(speed) * f64::from(percent) / 100.0;
+        if !(f64::from(slowest)..=f64::from(fastest)).contains(&turns) {
+            self.refused = true;
+            let scaled = match percent {
+                100 => String::new(),
+                percent => format!(" at a spindle override of {percent} % is {turns:.0} rev/min"),
+            };
+            return Err(Problem {
+                place,
+                what: format!(
+                    "S{speed}{scaled}: the spindle of the machine turns at {slowest} to {fastest} \
+                     rev/min"
+                ),
+                remedy: "change S, or min_rpm and max_rpm in [spindle] of the machine file".into(),
+            });
+        }
+        let [least, most] = self.figures.spindle_rpm.unwrap_or([speed; 2]);
+        self.figures.spindle_rpm = Some([least.min(speed), most.max(speed)]);
+        Ok(rpm)
     }
 
     fn add(&mut self, step: &Move) -> Result<(), Problem> {

@@ -261,3 +261,42 @@ fn test_model_matches_reference_values() {
         }
     }
 }
+
+#[test]
+fn the_spindle_has_its_limits() {
+    let settings = Settings {
+        spindle_rpm: [500, 6000],
+        ..settings()
+    };
+    let plan_at = |text: &str, spindle_percent: u8| {
+        let options = Options::of_letters("XYZBA", HOME);
+        let program = read("t.ngc", text.as_bytes(), &options).expect("read");
+        let settings = Settings {
+            spindle_percent,
+            ..settings.clone()
+        };
+        Plan::new(&program, &settings, &H4).map_err(|refused| refused.to_string())
+    };
+    let fast = plan_at("G0 X1\nM3 S6001\n", 100).expect_err("refused");
+    assert!(fast.starts_with("t.ngc:2:4: S6001: the spindle of the machine turns at 500 to 6000"));
+    assert!(fast.contains("[spindle] of the machine file"), "{fast}");
+    let slow = plan_at("M4 S499\n", 100).expect_err("refused");
+    assert!(slow.starts_with("t.ngc:1:4: S499:"), "{slow}");
+    let later = plan_at("M3 S600\nG0 X1\nS7000\n", 100).expect_err("refused");
+    assert!(later.starts_with("t.ngc:3:1: S7000:"), "{later}");
+    let scaled = plan_at("M3 S5000\n", 130).expect_err("refused");
+    assert!(
+        scaled.contains("S5000 at a spindle override of 130 % is 6500 rev/min"),
+        "{scaled}"
+    );
+    // Without a speed the spindle stands, and M5 is no speed.
+    let plan = plan_at("M3\nS500\nG0 X1\nM4 S6000\nM5\n", 100).expect("planned");
+    assert_eq!(plan.figures.spindle_rpm, Some([500, 6000]));
+    assert_eq!(
+        plan_at("G0 X1\n", 100)
+            .expect("planned")
+            .figures
+            .spindle_rpm,
+        None
+    );
+}
