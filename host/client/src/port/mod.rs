@@ -4,12 +4,16 @@
 //! one thread can serve a transport and everything else. Bytes that [`Transport::write`] accepted
 //! are not delivered yet: the link above acknowledges what arrived.
 
+#[cfg(unix)]
+mod control;
 mod observers;
 mod serial;
 mod serve;
 mod tcp;
 mod token;
 
+#[cfg(unix)]
+pub use control::{Control, ask};
 pub use observers::Observers;
 pub use serial::{Flow, SerialTransport, list};
 #[cfg(unix)]
@@ -245,6 +249,13 @@ pub enum PortError {
         /// The port.
         name: String,
     },
+    /// No process takes requests for it.
+    Uncommanded {
+        /// The port.
+        name: String,
+        /// Why.
+        reason: String,
+    },
     /// The controller of a simulated machine has failed.
     Failed {
         /// The controller.
@@ -286,6 +297,11 @@ impl fmt::Display for PortError {
             Self::Denied { name } => write!(
                 out,
                 "{name}: requires a token; give that of `haptimill sim serve` with --token, or in {TOKEN_VARIABLE}"
+            ),
+            Self::Uncommanded { name, reason } => write!(
+                out,
+                "{name}: nothing was changed: {reason}; give the name of the port as \
+                 `haptimill run` has it, while its job runs"
             ),
             Self::Failed { name, reason } => write!(
                 out,

@@ -72,6 +72,108 @@ impl RunTime {
     }
 }
 
+/// Rows of a [`TimeTable`] at most.
+const ROWS: usize = 2000;
+
+/// Time that is left of a job at overrides, by its program time.
+#[derive(Debug, Clone, Default)]
+pub struct TimeTable {
+    /// Program time in control periods, and the time until then, seconds.
+    rows: Vec<(u64, f64)>,
+}
+
+impl TimeTable {
+    /// Creates the table of a job at the overrides of feed and of rapid moves, percent.
+    #[must_use]
+    pub fn new(machine: &MachineFile, setpoints: &[Setpoint], feed: u8, rapid: u8) -> Self {
+        let mut time = RunTime::new(machine, feed, rapid);
+        let mut rows = vec![(0, 0.0)];
+        let mut periods = 0;
+        let every = setpoints.len().div_ceil(ROWS).max(1);
+        for (number, setpoint) in (1..).zip(setpoints) {
+            periods += u64::from(setpoint.periods);
+            time.add(setpoint);
+            if number % every == 0 || number == setpoints.len() {
+                rows.push((periods, time.seconds()));
+            }
+        }
+        Self { rows }
+    }
+
+    /// Time of the whole job, seconds.
+    #[must_use]
+    pub fn total_s(&self) -> f64 {
+        self.rows.last().map_or(0.0, |row| row.1)
+    }
+
+    /// Time that is left behind a program time in control periods, seconds.
+    #[must_use]
+    pub fn left_s(&self, program_periods: u64) -> f64 {
+        let next = self.rows.partition_point(|row| row.0 <= program_periods);
+        let (Some(before), Some(after)) =
+            (self.rows.get(next.wrapping_sub(1)), self.rows.get(next))
+        else {
+            return 0.0;
+        };
+        let part = (program_periods - before.0) as f64 / (after.0 - before.0).max(1) as f64;
+        self.total_s() - (before.1 + part * (after.1 - before.1))
+    }
+}
+
 fn target(pace: Pace, [feed, rapid]: [u8; 2]) -> i64 {
     FULL_RATE * i64::from(pace.factor(feed, rapid)) / 100
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptimill_protocol::message::AxisValues;
+
+    /// A standstill of 5 s at feed, then one of 5 s in a rapid move, in spans of 0.1 s.
+    fn setpoints() -> Vec<Setpoint> {
+        let rest = |number: u32| Setpoint {
+            periods: 500,
+            pose: AxisValues::from_slice(&[0; 5]).expect("five axes"),
+            rates: AxisValues::from_slice(&[0; 5]).expect("five axes"),
+            action: match number {
+                49 => Action::Pace(Pace::RAPID),
+                _ => Action::None,
+            },
+        };
+        (0..100).map(rest).collect()
+    }
+
+    #[test]
+    fn the_time_that_is_left_follows_both_overrides() {
+        let machine = MachineFile::built_in().expect("the built-in machine");
+        for (feed, rapid, total) in [
+            (100, 100, 10.0),
+            (50, 100, 15.0),
+            (100, 25, 25.0),
+            (10, 10, 100.0),
+        ] {
+            let table = TimeTable::new(&machine, &setpoints(), feed, rapid);
+            assert!(
+                (table.total_s() - total).abs() < 0.01,
+                "{}",
+                table.total_s()
+            );
+            // Behind a quarter, three quarters, all.
+            let slow = [feed, rapid].map(|percent| 100.0 / f64::from(percent));
+            for (periods, left) in [
+                (12_500, 2.5 * slow[0] + 5.0 * slow[1]),
+                (37_500, 2.5 * slow[1]),
+                (37_600, 2.48 * slow[1]),
+                (50_000, 0.0),
+                (60_000, 0.0),
+            ] {
+                let is = table.left_s(periods);
+                assert!(
+                    (is - left).abs() < 0.01,
+                    "{is} s instead of {left} at {feed}, {rapid}"
+                );
+            }
+        }
+        assert_eq!(TimeTable::default().left_s(5), 0.0);
+    }
 }
