@@ -197,7 +197,7 @@ function showState(message) {
   at('spindle').textContent = message.spindle_rpm === null ? '-' : message.spindle_rpm;
   const program = message.program;
   at('line').textContent = program
-    ? `${program.name}, line ${program.line} of ${program.lines}: ${program.text}`
+    ? `${program.name}, line ${program.line} of ${program.lines}, ${clock(program.left_s)} left: ${program.text}`
     : message.planning ? 'planning the path' : message.selected ? `selected: ${message.selected}` : '';
   if (document.activeElement !== at('programs')) at('programs').value = message.selected || '';
   showBar('question', message.question);
@@ -205,6 +205,12 @@ function showState(message) {
   showMessages(message.messages);
   showTip(message);
   if (first) enableButtons();
+}
+
+// Minutes and seconds.
+function clock(seconds) {
+  const whole = Math.ceil(seconds);
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, '0')}`;
 }
 
 function showBar(id, text) {

@@ -4,9 +4,6 @@ use crate::commands::{CliError, Exit};
 use haptimill_gcode::{AxisKind, Coordinates, Feed, Move, Options, Path, Place, Program, Step};
 use std::fmt::Write as _;
 
-/// Dwell after the start of the spindle in an approach, seconds.
-const SPINDLE_UP_S: f64 = 5.0;
-
 /// Feed of the way down of an approach to a rapid move, mm/min.
 const DOWN_FEED: f64 = 300.0;
 
@@ -70,7 +67,8 @@ impl ChangeArgs {
         Ok(())
     }
 
-    /// Changes a program; returns the description of the approach of --from-line.
+    /// Changes a program; returns the description of the approach of --from-line, in which the
+    /// spindle gets `run_up_s` seconds.
     ///
     /// # Errors
     /// The line is beyond the end of the program.
@@ -78,10 +76,11 @@ impl ChangeArgs {
         &self,
         program: &mut Program,
         options: &Options,
+        run_up_s: f64,
     ) -> Result<Option<String>, CliError> {
         let frame = Frame::of(options);
         let approach = match self.from_line {
-            Some(line) => Some(frame.begin_at(program, line)?),
+            Some(line) => Some(frame.begin_at(program, line, run_up_s)?),
             None => None,
         };
         if self.dry {
@@ -123,7 +122,12 @@ impl Frame {
     }
 
     /// Replaces the steps before a line by an approach, and describes it.
-    fn begin_at(&self, program: &mut Program, line: u32) -> Result<String, CliError> {
+    fn begin_at(
+        &self,
+        program: &mut Program,
+        line: u32,
+        run_up_s: f64,
+    ) -> Result<String, CliError> {
         let is_at = |step: &Step| step.place().file == 0 && step.place().line >= line;
         let Some(first) = program.steps.iter().position(is_at) else {
             let last = program.steps.last().map_or(0, |step| step.place().line);
@@ -172,7 +176,7 @@ impl Frame {
             steps.push(Step::Spindle { place, rpm });
             steps.push(Step::Dwell {
                 place,
-                seconds: SPINDLE_UP_S,
+                seconds: run_up_s,
             });
         }
         steps.extend(self.leg(place, over, at, Feed::PerMinute(down)));
@@ -188,7 +192,7 @@ impl Frame {
         match rpm {
             0 => text.push_str(" spindle off,"),
             rpm => {
-                let _ = write!(text, " spindle {rpm} rev/min for {SPINDLE_UP_S} s,");
+                let _ = write!(text, " spindle {rpm} rev/min for {run_up_s} s,");
             }
         }
         let _ = write!(text, " then down to it at {down:.0} mm/min.");
@@ -278,7 +282,9 @@ mod tests {
             from_line: Some(6),
             ..ChangeArgs::default()
         };
-        let text = change.apply(&mut program, &options).expect("an approach");
+        let text = change
+            .apply(&mut program, &options, 5.0)
+            .expect("an approach");
         let text = text.expect("a description");
         assert!(text.contains("X10.000 Y0.000 Z-1.000"), "{text}");
         assert!(text.contains("up to Z5.000"), "{text}");
@@ -307,7 +313,9 @@ mod tests {
             from_line: Some(900),
             ..ChangeArgs::default()
         };
-        let refused = change.apply(&mut program, &options).expect_err("refused");
+        let refused = change
+            .apply(&mut program, &options, 5.0)
+            .expect_err("refused");
         assert!(refused.message.contains("is in line 8"), "{refused}");
     }
 
@@ -320,7 +328,7 @@ mod tests {
             lift: Some(7.5),
             ..ChangeArgs::default()
         };
-        change.apply(&mut program, &options).expect("changed");
+        change.apply(&mut program, &options, 5.0).expect("changed");
         let ends = ends(&program);
         assert_eq!(ends[0].1[2], 8.5);
         assert_eq!(ends.len(), whole.len() + 1);
@@ -341,7 +349,7 @@ mod tests {
             single: true,
             ..ChangeArgs::default()
         };
-        change.apply(&mut program, &options).expect("changed");
+        change.apply(&mut program, &options, 5.0).expect("changed");
         let pauses = |step: &&Step| matches!(step, Step::Pause { .. });
         let pauses = program.steps.iter().filter(pauses).count();
         assert_eq!(pauses, blocks.len() - 1);

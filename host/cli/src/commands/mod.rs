@@ -32,7 +32,8 @@ pub mod machine;
 pub mod mdi;
 pub mod named_io;
 pub mod offset;
-pub(crate) mod operator_input;
+pub(crate) mod operate;
+mod operator_input;
 mod output;
 pub(crate) mod paced_sim;
 pub mod ports;
@@ -103,6 +104,8 @@ Examples:
       move x by 10 mm
   haptimill mdi \"G0 X10\" \"G1 Y5 F300\" --port /dev/ttyACM0
       run blocks; without blocks, at a prompt
+  haptimill override --feed 60 --port /dev/ttyACM0
+      change the feed of a job that another terminal runs; see also hold, resume and stop
   haptimill console --port /dev/ttyACM0 part.ngc
       operate the machine on a full screen
   haptimill teleop --master sim --stock examples/block.toml --spindle 5000
@@ -184,6 +187,11 @@ enum Command {
     Stop(simple::StopArgs),
     /// Clear a latched fault or emergency stop
     Reset(simple::SimpleArgs),
+    Override(operate::OverrideArgs),
+    /// Hold a job that another process runs, along its path
+    Hold(operate::OperateArgs),
+    /// End the hold or the pause of a job that another process runs
+    Resume(operate::OperateArgs),
     /// Run the experiments of the thesis in the simulator and compare them with its figures
     #[command(subcommand)]
     Scenario(scenario::ScenarioCommand),
@@ -243,6 +251,8 @@ impl Command {
                 args.json
             }
             Self::Stop(args) => args.json,
+            Self::Override(args) => args.job.json,
+            Self::Hold(args) | Self::Resume(args) => args.json,
             Self::Ports(args) => args.json,
             Self::Flash(args) => args.json,
             Self::Pulses(args) => args.json,
@@ -342,6 +352,9 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Disable(args) => simple::run(SimpleCommand::Disable, args),
         Command::Stop(args) => simple::stop(args),
         Command::Reset(args) => simple::run(SimpleCommand::Reset, args),
+        Command::Override(args) => operate::set_overrides(&args),
+        Command::Hold(args) => operate::hold(&args),
+        Command::Resume(args) => operate::resume(&args),
         Command::Scenario(command) => scenario::run(command),
         Command::Calibrate(command) => calibrate::run(command),
         Command::Identify(args) => identify::run(args),

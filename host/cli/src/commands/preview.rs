@@ -7,7 +7,7 @@ use clap::Args;
 use haptimill_client::ErrorKind;
 use haptimill_client::session;
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::model::{Model, settings};
+use haptimill_machine_file::model::Model;
 use haptimill_machine_file::scale::per_unit;
 use haptimill_planner::Planner;
 use haptimill_preview::{Joint, Preview};
@@ -69,8 +69,13 @@ pub(crate) fn preview<'a>(
     start: &AxisValues,
 ) -> Result<Preview<&'a Model>, CliError> {
     let options = program.options(machine, model, start)?;
-    let mut planner = Planner::new(options.start, settings(machine), model);
-    let mut preview = Preview::new(options.start, settings(machine), model, joints(machine));
+    let mut planner = Planner::new(options.start, program.settings(machine), model);
+    let mut preview = Preview::new(
+        options.start,
+        program.settings(machine),
+        model,
+        joints(machine),
+    );
     program.for_each_step(&options, |step| {
         let done = planner.step(step);
         planner.made().for_each(|planned| preview.add(&planned));

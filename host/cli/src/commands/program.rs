@@ -3,12 +3,14 @@
 use super::changes::ChangeArgs;
 use super::{CliError, Exit};
 use haptimill_client::{Error, ErrorKind};
-use haptimill_gcode::{Interpreter, Notice, Place, Problem, Refused, Step, file_name};
+use haptimill_gcode::{
+    Interpreter, Notice, Place, Problem, Program, ProgramBytes, Refused, Step, file_name,
+};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::input;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_machine_file::work_data::WorkData;
-use haptimill_planner::{CheckError, Figures, Plan};
+use haptimill_planner::{CheckError, Figures, Plan, Settings};
 use haptimill_protocol::message::{Action, AxisValues};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -180,12 +182,22 @@ pub(crate) struct PartProgram {
     folder: PathBuf,
     /// What is changed before it is planned.
     changes: ChangeArgs,
+    /// Spindle override from the start, percent.
+    spindle_percent: u8,
 }
 
 impl PartProgram {
     /// Reads the file.
     pub(crate) fn load(path: &Path, language: LanguageArgs) -> Result<Self, CliError> {
         let file = path.display().to_string();
+        if std::fs::metadata(path).is_ok_and(|data| data.len() > input::PROGRAM_BYTES) {
+            let what = format!(
+                "{file}: it is larger than {} MiB; check it with `haptimill run --check`, and run \
+                 it with --stream: both need no more memory for a longer program",
+                input::PROGRAM_BYTES >> 20
+            );
+            return Err(CliError::new(Exit::BadInput, what));
+        }
         let text = input::read(path, input::PROGRAM_BYTES)
             .map_err(|error| CliError::new(Exit::BadInput, format!("{file}: {error}")))?;
         let name = path
@@ -198,6 +210,7 @@ impl PartProgram {
             language,
             folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
             changes: ChangeArgs::default(),
+            spindle_percent: 100,
         })
     }
 
@@ -218,6 +231,7 @@ impl PartProgram {
             language,
             folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
             changes: ChangeArgs::default(),
+            spindle_percent: 100,
         }
     }
 
@@ -243,6 +257,23 @@ impl PartProgram {
         Self { changes, ..self }
     }
 
+    /// Runs the program at a spindle override, percent.
+    #[must_use]
+    pub(crate) fn at_spindle_override(self, spindle_percent: u8) -> Self {
+        Self {
+            spindle_percent,
+            ..self
+        }
+    }
+
+    /// Settings of the planner for the program.
+    pub(crate) fn settings(&self, machine: &MachineFile) -> Settings {
+        Settings {
+            spindle_percent: self.spindle_percent,
+            ..settings(machine)
+        }
+    }
+
     /// Checks and plans the program from a start pose, with the work offsets and the tool table
     /// beside the machine file.
     ///
@@ -255,10 +286,32 @@ impl PartProgram {
         start: &AxisValues,
     ) -> Result<Planned, CliError> {
         let options = self.options(machine, model, start)?;
-        let mut program = haptimill_gcode::read(&self.file, &self.text, &options)
-            .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused))?;
-        let approach = self.changes.apply(&mut program, &options)?;
-        let plan = Plan::new(&program, &settings(machine), model)
+        self.plan_steps(self.read(&options)?, machine, model, &options)
+    }
+
+    /// Interprets the program.
+    ///
+    /// # Errors
+    /// The mistakes of the program.
+    pub(crate) fn read(&self, options: &haptimill_gcode::Options) -> Result<Program, CliError> {
+        haptimill_gcode::read(&self.file, &self.text, options)
+            .map_err(|refused| Error::refused(ErrorKind::BadInput, &refused).into())
+    }
+
+    /// Plans the program that was interpreted with these options.
+    ///
+    /// # Errors
+    /// What the machine cannot do; nothing moves.
+    pub(crate) fn plan_steps(
+        &self,
+        mut program: Program,
+        machine: &MachineFile,
+        model: &Model,
+        options: &haptimill_gcode::Options,
+    ) -> Result<Planned, CliError> {
+        let run_up_s = machine.spindle.run_up_s;
+        let approach = self.changes.apply(&mut program, options, run_up_s)?;
+        let plan = Plan::new(&program, &self.settings(machine), model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         Ok(Planned {
             pauses: self.pauses_of(&plan, &program.steps),
@@ -300,16 +353,34 @@ impl PartProgram {
         model: &Model,
         start: &AxisValues,
     ) -> Result<Checked, CliError> {
+        self.check_bytes(
+            std::io::Cursor::new(&self.text),
+            machine,
+            (model, start),
+            |_| {},
+        )
+    }
+
+    /// As [`PartProgram::check`], of bytes that are read once, and shows `seen` each step.
+    ///
+    /// # Errors
+    /// As [`PartProgram::plan`].
+    pub(crate) fn check_bytes(
+        &self,
+        bytes: impl ProgramBytes,
+        machine: &MachineFile,
+        (model, start): (&Model, &AxisValues),
+        seen: impl FnMut(&Step),
+    ) -> Result<Checked, CliError> {
         let options = self.options(machine, model, start)?;
-        let mut interpreter = Interpreter::new(std::io::Cursor::new(&self.text), &options);
-        let settings = settings(machine);
+        let mut interpreter = Interpreter::new(bytes, &options);
         let checked = haptimill_planner::check(
             &self.file,
             &mut interpreter,
             options.start,
-            &settings,
+            &self.settings(machine),
             model,
-            |_| {},
+            seen,
         );
         let figures = checked.map_err(|error| match error {
             CheckError::Unreadable(refused) => Error::refused(ErrorKind::BadInput, &refused),

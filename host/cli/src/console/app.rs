@@ -311,6 +311,7 @@ impl App {
         self.jobs.clear();
         self.sources = [Source::Program; MAX_AXES];
         (self.overrides, self.requested_overrides) = ([100; 3], [100; 3]);
+        self.note_overrides();
         self.requested_loops = [RequestedLoop::default(); 3];
         if let Some(master) = &mut self.master {
             master.handle_link_loss();

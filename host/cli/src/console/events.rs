@@ -99,7 +99,10 @@ impl App {
                 self.notify(Severity::Info, "drives on");
                 self.home();
             }
-            OnAck::Override(kind, percent) => self.overrides[kind as usize] = percent,
+            OnAck::Override(kind, percent) => {
+                self.overrides[kind as usize] = percent;
+                self.note_overrides();
+            }
             OnAck::Source(axis, source) => {
                 self.sources[usize::from(axis)] = source;
                 let name = &self.static_info.pose[usize::from(axis)].name;

@@ -337,6 +337,15 @@ impl App {
 
     /// Requests an override, percent.
     pub(super) fn set_override(&mut self, kind: OverrideKind, percent: u8) {
+        let running = self.jobs.checked.as_ref();
+        let running = running.filter(|_| self.jobs.is_running_program());
+        if kind == OverrideKind::Spindle
+            && let Some(running) = running
+            && let Err(what) = self.check_spindle(running, percent)
+        {
+            self.notify(Severity::Warning, what);
+            return;
+        }
         self.requested_overrides[kind as usize] = percent;
         let command = match kind {
             OverrideKind::Feed => Command::Override { percent },

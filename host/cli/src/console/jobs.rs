@@ -6,7 +6,7 @@ use super::view_model::{Confirm, Overlay, Severity};
 use crate::commands::exit::CliError;
 use crate::commands::program::{LanguageArgs, PartProgram, Pause, Pauses, source_lines};
 use haptimill_client::client::JobEnding;
-use haptimill_client::session::{Line as _, plan_straight_move};
+use haptimill_client::session::{Line as _, TimeTable, plan_straight_move};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_planner::Plan;
@@ -30,6 +30,8 @@ pub(super) struct Checked {
     /// File name without folders.
     pub(super) name: String,
     pub(super) plan: Arc<Plan>,
+    /// The time that is left at the overrides.
+    pub(super) times: TimeTable,
     pauses: Pauses,
     /// Spindle speeds, rev/min, by the setpoints at which they are set.
     spindle: Arc<BTreeMap<u32, i16>>,
@@ -106,6 +108,7 @@ pub(super) fn check(
         .collect();
     Ok(Checked {
         name: job.name,
+        times: TimeTable::new(machine, &planned.plan.setpoints, 100, 100),
         plan: Arc::new(planned.plan),
         pauses: planned.pauses,
         spindle: Arc::new(spindle),
@@ -212,6 +215,10 @@ impl App {
         };
         match self.standstill_pose() {
             Some(pose) if pose == checked.plan.start => {
+                if let Err(what) = self.check_spindle(&checked, self.overrides[2]) {
+                    self.notify(Severity::Warning, what);
+                    return;
+                }
                 if self.start(Job::Program, &checked.plan) {
                     self.notify(Severity::Info, format!("{}: started", checked.name));
                 }
@@ -223,6 +230,23 @@ impl App {
             }
             None => self.notify(Severity::Warning, "the machine is not idle"),
         }
+    }
+
+    /// Computes the time that is left again, after a change of the overrides.
+    pub(super) fn note_overrides(&mut self) {
+        let [feed, rapid, _] = self.overrides;
+        if let Some(checked) = &mut self.jobs.checked {
+            checked.times = TimeTable::new(&self.machine, &checked.plan.setpoints, feed, rapid);
+        }
+    }
+
+    /// Checks the speeds of a program at a spindle override.
+    ///
+    /// # Errors
+    /// The speed that the spindle does not have.
+    pub(super) fn check_spindle(&self, checked: &Checked, percent: u8) -> Result<(), String> {
+        let speeds = checked.plan.figures.spindle_rpm;
+        self.machine.spindle.check_override(speeds, percent)
     }
 
     /// Moves one pose coordinate by an exact step.
@@ -307,6 +331,7 @@ impl App {
                     );
                     self.jobs.path = Some(path);
                     self.jobs.checked = Some(checked);
+                    self.note_overrides();
                     self.confirm(Confirm::Run(text));
                 }
                 Ok(Err(error)) => {

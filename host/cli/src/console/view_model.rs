@@ -192,6 +192,8 @@ pub(super) struct Counters {
 pub(super) struct ProgramView {
     pub(super) name: String,
     pub(super) duration_s: f64,
+    /// Time that is left at the overrides, seconds.
+    pub(super) left_s: f64,
     pub(super) is_running: bool,
     pub(super) line: u32,
     pub(super) lines: u32,

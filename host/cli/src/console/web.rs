@@ -305,6 +305,7 @@ impl Web {
             "program": program.map(|program| json!({
                 "name": program.name,
                 "line": program.line,
+                "left_s": program.left_s,
                 "lines": program.lines,
                 "text": program.text,
             })),

@@ -5,6 +5,7 @@
 mod dnc;
 mod mdi;
 mod observers;
+mod operate;
 mod posts;
 mod probing;
 mod run;

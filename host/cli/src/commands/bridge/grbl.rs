@@ -253,6 +253,12 @@ impl Bridge {
             RealTime::Rapid(_) => {}
             RealTime::Spindle(by) => {
                 let percent = change(spindle, by);
+                let speed = self.spindle_rpm.unsigned_abs();
+                let speeds = (speed != 0).then_some([speed; 2]);
+                if let Err(what) = self.machine.spindle.check_override(speeds, percent) {
+                    self.message(&what);
+                    return;
+                }
                 self.overrides[2] = percent;
                 let command = Command::SpindleOverride { percent };
                 self.session.client_mut().request(command);

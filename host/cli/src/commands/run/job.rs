@@ -1,6 +1,7 @@
 //! A run of a part program on a connected machine.
 
 use super::args::RunArgs;
+use super::operator::Operator;
 use super::progress::ProgressDisplay;
 use super::results::{self, ResultFolder};
 use super::stream::{self, Bytes, StreamOptions};
@@ -14,7 +15,6 @@ use haptimill_client::client::JobEnding;
 use haptimill_client::session::{EMERGENCY_STOP, JobEnd, JobLine, JobRecording, Line, Session};
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::model::settings;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
 use haptimill_report::Outcome;
@@ -31,8 +31,9 @@ pub(super) enum Work {
     Planned(Box<Planned>),
     /// A program that is checked while it runs, and whether its blocks may come late.
     Stream(Bytes, bool),
-    /// A program that was checked and asks the machine: it runs in parts.
-    Parts,
+    /// A program that was checked and asks the machine: it runs in parts. With the slowest and the
+    /// fastest speed of the spindle, rev/min.
+    Parts(Option<[u16; 2]>),
 }
 
 /// A run of a part program.
@@ -60,8 +61,8 @@ impl Job<'_> {
         session.enable()?;
         let status = session.status()?;
         let start = if status.homed && status.position_kept {
-            // A homed machine starts at its present pose, so the program is checked again from
-            // there.
+            // A homed machine starts at its present pose, so the program is interpreted and checked
+            // again from there: coordinates that the first block leaves out are those of the start.
             if let Work::Planned(planned) = &mut work {
                 let model = session.model();
                 **planned = self.program.plan(self.machine, model, &status.commanded)?;
@@ -88,11 +89,26 @@ impl Job<'_> {
             let every = every.clamp(1, u32::from(u16::MAX)) as u16;
             session.ask(Command::MasterTelemetry { every })?;
         }
-        let result = self.stream(session, start, work);
+        let speeds = match &work {
+            Work::Planned(planned) => planned.plan.figures.spindle_rpm,
+            Work::Stream(..) => self.streamed_speeds(),
+            Work::Parts(speeds) => *speeds,
+        };
+        let mut operator = Operator::new(self.args, self.machine, speeds);
+        let result = self.stream(session, start, work, &mut operator);
         match before {
             Some(before) => result.and(before.restore(session)),
             None => result,
         }
+    }
+
+    /// Speeds that a streamed program may have at its spindle override, rev/min.
+    fn streamed_speeds(&self) -> Option<[u16; 2]> {
+        let [low, high] = self.machine.spindle.rpm;
+        let percent = f64::from(self.args.spindle_override);
+        let of = |speed: i16| (f64::from(speed) * 100.0 / percent).min(f64::from(i16::MAX)) as u16;
+        // A machine file without limits allows every override.
+        ([low, high] != [0, i16::MAX]).then(|| [of(low), of(high)])
     }
 
     /// Shows the approach of a program that begins in the middle, and asks for it.
@@ -151,6 +167,7 @@ impl Job<'_> {
         session: &mut Session<L>,
         start: AxisValues,
         work: Work,
+        operator: &mut Operator,
     ) -> Result<(), CliError> {
         let dir = self.args.out_dir();
         let output = |error: &dyn std::fmt::Display| {
@@ -166,22 +183,24 @@ impl Job<'_> {
                 let model = session.model().clone();
                 stream::start(self.program, bytes, model, options)
             }
-            Work::Parts => return self.run_in_parts(session, &start),
+            Work::Parts(_) => return self.run_in_parts(session, &start, operator),
         };
         self.folder.clear()?;
         let recorder = Recorder::create(&dir.join(haptimill_report::RECORDING_FILE), &header)
             .map_err(|error| output(&error))?;
-        self.args.print_message(&match supply.duration_s {
-            Some([_, seconds]) => format!("running, {}", self.args.describe_duration(seconds)),
+        self.args.print_message(&match &supply.shown.times {
+            Some(times) => {
+                format!("running, {}", self.args.describe_duration(times.duration_s))
+            }
             None => "running; the program is checked while it runs".to_string(),
         });
-        let mut progress = ProgressDisplay::new(self.args, &supply);
         let Supply {
             setpoints,
-            track,
+            shown,
             end: stream_end,
-            ..
         } = supply;
+        let mut progress = ProgressDisplay::new(self.args, self.machine, &shown, operator);
+        let track = shown.track.clone();
         session.line_mut().begin_recording(JobRecording::new(
             recorder,
             track.clone(),
@@ -283,7 +302,7 @@ impl Job<'_> {
         let is_quiet = self.args.json || self.args.quiet;
         Ok(StreamOptions {
             options: self.program.options(self.machine, session.model(), start)?,
-            settings: settings(self.machine),
+            settings: self.program.settings(self.machine),
             is_live,
             waits: self.args.port.is_simulated(),
             refuses_pauses: !self.args.skips_pauses()

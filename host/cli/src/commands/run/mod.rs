@@ -4,6 +4,7 @@ mod args;
 mod emulated;
 pub(super) mod job;
 mod keys;
+mod operator;
 pub(crate) mod overrides;
 mod parts;
 mod progress;
@@ -12,15 +13,18 @@ mod stream;
 mod supply;
 
 use super::board::file_of;
-use super::program::{Checked, PartProgram};
+use super::program::{Checked, PartProgram, Planned};
 use super::{CliError, Exit, sim};
 use crate::commands::interrupt;
 use haptimill_client::client::Options;
 use haptimill_client::port::{Observers, PortSpec};
 use haptimill_client::session::{self, PortLine, Session, SimLine};
+use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
+use haptimill_protocol::message::AxisValues;
 use haptimill_report::count;
 use job::{Job, Work};
+use parts::Questions;
 use results::ResultFolder;
 
 pub use args::RunArgs;
@@ -42,65 +46,34 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     }
     let model = Model::new(&machine);
     let home = session::find_home_pose(&machine, &model)?;
-    let program = if args.stream {
+    // A check without changes reads the file once and keeps nothing of it.
+    let is_read_once = args.check && args.is_unchanged() && args.program.is_file();
+    let program = if args.stream || is_read_once {
         PartProgram::streamed(&args.program, args.language)
     } else {
         PartProgram::load(&args.program, args.language)?.with_changes(args.changes)
     };
-    let questions = if args.stream {
-        None
-    } else {
-        parts::find_questions(&program, &program.options(&machine, &model, &home)?)
-    };
-    if let Some(questions) = &questions {
-        parts::check_inputs(&machine, &program, questions)?;
-    }
+    let program = program.at_spindle_override(args.spindle_override);
     if args.check {
-        let (checked, approach) = if args.changes.is_none() && args.is_at_full_speed() {
-            (program.check(&machine, &model, &home)?, None)
-        } else {
-            let planned = program.plan(&machine, &model, &home)?;
-            let duration_s = args.duration_s(&machine, &planned.plan);
-            planned.into_checked(duration_s)
-        };
-        args.stock.load(&machine)?;
-        print_check(&args, &program, &checked);
-        if let Some(approach) = approach {
-            args.print_message(&approach);
-        }
-        return Ok(());
+        return check(&args, &program, &machine, &model, &home);
     }
     let stock = args.stock.load(&machine)?;
     let work = if args.stream {
         let (bytes, is_live) = stream::open(&args.program)?;
         Work::Stream(bytes, is_live)
-    } else if let Some(questions) = &questions {
-        parts::check_options(&args, &program, questions)?;
-        for notice in &program.check(&machine, &model, &home)?.notices {
-            args.print_message(notice);
-        }
-        Work::Parts
     } else {
-        let planned = program.plan(&machine, &model, &home)?;
-        for notice in &planned.notices {
-            args.print_message(notice);
+        // The steps are interpreted once. Only a program that asks the machine is interpreted
+        // again: to check it, and while it runs, with the answers.
+        let options = program.options(&machine, &model, &home)?;
+        let steps = program.read(&options)?;
+        let mut questions = Questions::default();
+        steps.steps.iter().for_each(|step| questions.note(step));
+        if questions.has_any() {
+            check_parts(&args, &program, &machine, (&model, &home), &questions)?
+        } else {
+            let planned = program.plan_steps(steps, &machine, &model, &options)?;
+            check_planned(&args, &program, &machine, planned)?
         }
-        if !args.skips_pauses() {
-            program.check_pauses(&planned)?;
-        }
-        job::check_can_ask(&args, &planned)?;
-        let duration_s = args.duration_s(&machine, &planned.plan);
-        let bytes = args.recording_bytes(&machine, duration_s);
-        results::check_space(&args.out_dir(), bytes)?;
-        if bytes >= ANNOUNCED_BYTES {
-            let what = format!("the recording takes about {:.0} MB", bytes / 1e6);
-            args.print_message(&what);
-        }
-        if planned.plan.figures.blocks == 0 {
-            let name = program.file_name();
-            args.print_message(&format!("{name}: no motion; the machine is homed only"));
-        }
-        Work::Planned(Box::new(planned))
     };
     // The folder stays locked to the end of the command.
     let folder = ResultFolder::open(&args.out_dir())?;
@@ -153,6 +126,79 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             job.run(&mut session, work)
         }
     }
+}
+
+/// Checks a program without a run.
+fn check(
+    args: &RunArgs,
+    program: &PartProgram,
+    machine: &MachineFile,
+    model: &Model,
+    home: &AxisValues,
+) -> Result<(), CliError> {
+    let (checked, approach) = if args.is_unchanged() && args.program.is_file() {
+        let mut questions = Questions::default();
+        let (bytes, _) = stream::open(&args.program)?;
+        let start = (model, home);
+        let checked = program.check_bytes(bytes, machine, start, |step| questions.note(step))?;
+        parts::check_inputs(machine, program, &questions)?;
+        (checked, None)
+    } else {
+        let planned = program.plan(machine, model, home)?;
+        let duration_s = args.duration_s(machine, &planned.plan);
+        planned.into_checked(duration_s)
+    };
+    args.stock.load(machine)?;
+    print_check(args, program, &checked);
+    if let Some(approach) = approach {
+        args.print_message(&approach);
+    }
+    Ok(())
+}
+
+/// Checks a program that asks the machine.
+fn check_parts(
+    args: &RunArgs,
+    program: &PartProgram,
+    machine: &MachineFile,
+    (model, home): (&Model, &AxisValues),
+    questions: &Questions,
+) -> Result<Work, CliError> {
+    parts::check_inputs(machine, program, questions)?;
+    parts::check_options(args, program, questions)?;
+    let checked = program.check(machine, model, home)?;
+    for notice in &checked.notices {
+        args.print_message(notice);
+    }
+    Ok(Work::Parts(checked.figures.spindle_rpm))
+}
+
+/// Checks that a planned program can run: pauses, questions to the operator, space on the disk.
+fn check_planned(
+    args: &RunArgs,
+    program: &PartProgram,
+    machine: &MachineFile,
+    planned: Planned,
+) -> Result<Work, CliError> {
+    for notice in &planned.notices {
+        args.print_message(notice);
+    }
+    if !args.skips_pauses() {
+        program.check_pauses(&planned)?;
+    }
+    job::check_can_ask(args, &planned)?;
+    let duration_s = args.duration_s(machine, &planned.plan);
+    let bytes = args.recording_bytes(machine, duration_s);
+    results::check_space(&args.out_dir(), bytes)?;
+    if bytes >= ANNOUNCED_BYTES {
+        let what = format!("the recording takes about {:.0} MB", bytes / 1e6);
+        args.print_message(&what);
+    }
+    if planned.plan.figures.blocks == 0 {
+        let name = program.file_name();
+        args.print_message(&format!("{name}: no motion; the machine is homed only"));
+    }
+    Ok(Work::Planned(Box::new(planned)))
 }
 
 /// Opens the port of the observers, and prints its address and a new token.

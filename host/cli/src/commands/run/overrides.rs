@@ -1,6 +1,7 @@
 //! Overrides that the operator changes while a program runs.
 
 use super::args::RunArgs;
+use haptimill_machine_file::Spindle;
 use haptimill_protocol::message::Command;
 use std::collections::VecDeque;
 use std::fmt;
@@ -29,39 +30,81 @@ pub(super) struct Overrides {
     feed: u8,
     rapid: u8,
     spindle: u8,
+    /// Limits of the spindle, and the slowest and fastest speed of the program, rev/min.
+    limits: Spindle,
+    speeds: Option<[u16; 2]>,
     commands: VecDeque<Command>,
 }
 
 impl Overrides {
-    pub(super) fn new(args: &RunArgs) -> Self {
+    pub(super) fn new(args: &RunArgs, limits: Spindle, speeds: Option<[u16; 2]>) -> Self {
         Self {
             feed: args.feed_override,
             rapid: args.rapid_override,
             spindle: args.spindle_override,
+            limits,
+            speeds,
             commands: VecDeque::new(),
         }
     }
 
+    /// Overrides of feed and of rapid moves, percent.
+    pub(super) const fn of_motion(&self) -> [u8; 2] {
+        [self.feed, self.rapid]
+    }
+
     /// Follows a key; other keys change nothing.
-    pub(super) fn key(&mut self, key: u8) {
-        let (values, now, up): (&[u8], &mut u8, bool) = match key {
-            b'+' | b'=' => (&FEED, &mut self.feed, true),
-            b'-' => (&FEED, &mut self.feed, false),
-            b'o' => (&RAPID, &mut self.rapid, true),
-            b'i' => (&RAPID, &mut self.rapid, false),
-            b'v' => (&SPINDLE, &mut self.spindle, true),
-            b'c' => (&SPINDLE, &mut self.spindle, false),
-            _ => return,
+    ///
+    /// # Errors
+    /// Why the override does not change.
+    pub(super) fn key(&mut self, key: u8) -> Result<(), String> {
+        let up = matches!(key, b'+' | b'=' | b'o' | b'v');
+        let [feed, rapid, spindle] = match key {
+            b'+' | b'=' | b'-' => [next(&FEED, self.feed, up), None, None],
+            b'o' | b'i' => [None, next(&RAPID, self.rapid, up), None],
+            b'v' | b'c' => [None, None, next(&SPINDLE, self.spindle, up)],
+            _ => return Ok(()),
         };
-        let Some(percent) = next(values, *now, up) else {
-            return;
-        };
-        *now = percent;
-        self.commands.push_back(match key {
-            b'o' | b'i' => Command::RapidOverride { percent },
-            b'v' | b'c' => Command::SpindleOverride { percent },
-            _ => Command::Override { percent },
-        });
+        self.set(feed, rapid, spindle)
+    }
+
+    /// Sets overrides, percent, or none of them.
+    ///
+    /// # Errors
+    /// One is out of its range, or the spindle does not have the speed.
+    pub(super) fn set(
+        &mut self,
+        feed: Option<u8>,
+        rapid: Option<u8>,
+        spindle: Option<u8>,
+    ) -> Result<(), String> {
+        for (name, percent, range) in [
+            ("feed", feed, 0..=200),
+            ("rapid", rapid, 0..=100),
+            ("spindle", spindle, 10..=200),
+        ] {
+            if let Some(percent) = percent.filter(|percent| !range.contains(percent)) {
+                let (low, high) = range.into_inner();
+                return Err(format!(
+                    "{name} override {percent} %: it is {low} to {high} %"
+                ));
+            }
+        }
+        if let Some(percent) = spindle {
+            self.limits.check_override(self.speeds, percent)?;
+            self.spindle = percent;
+            self.commands
+                .push_back(Command::SpindleOverride { percent });
+        }
+        if let Some(percent) = feed {
+            self.feed = percent;
+            self.commands.push_back(Command::Override { percent });
+        }
+        if let Some(percent) = rapid {
+            self.rapid = percent;
+            self.commands.push_back(Command::RapidOverride { percent });
+        }
+        Ok(())
     }
 
     /// Takes the next command.
@@ -95,11 +138,29 @@ mod tests {
             feed: 100,
             rapid: 100,
             spindle: 100,
+            limits: Spindle {
+                rpm: [300, 6000],
+                run_up_s: 1.0,
+            },
+            speeds: Some([1000, 5800]),
             commands: VecDeque::new(),
         };
         for key in b"+-x++++++oicv" {
-            overrides.key(*key);
+            overrides.key(*key).expect("within the limits");
         }
+        let refused = overrides.key(b'v').expect_err("too fast");
+        assert!(
+            refused.contains("S5800 of the program would be 6380"),
+            "{refused}"
+        );
+        let refused = overrides
+            .set(Some(120), None, Some(20))
+            .expect_err("too slow");
+        assert!(refused.contains("would be 200"), "{refused}");
+        let refused = overrides
+            .set(Some(201), None, None)
+            .expect_err("out of range");
+        assert!(refused.contains("0 to 200 %"), "{refused}");
         let commands: Vec<Command> = std::iter::from_fn(|| overrides.take()).collect();
         let feed = |percent| Command::Override { percent };
         let expected = [

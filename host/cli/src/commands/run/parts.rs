@@ -6,6 +6,7 @@
 
 use super::args::RunArgs;
 use super::job::Job;
+use super::operator::Operator;
 use super::progress::ProgressDisplay;
 use super::supply::Supply;
 use crate::commands::probing::{Touch, find_input, probe_along};
@@ -14,19 +15,16 @@ use crate::commands::{CliError, Exit};
 use haptimill_client::session::{JobLine, Session};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_gcode::{
-    Interpreter, Move, Options, Place, ProbeKind, Problem, Program, Refused, Step, WaitFor,
+    Interpreter, Move, Place, ProbeKind, Problem, Program, Refused, Step, WaitFor,
 };
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::model::settings;
 use haptimill_planner::Plan;
 use haptimill_protocol::message::{AxisValues, Telemetry};
 use std::collections::BTreeMap;
 use std::io::{Cursor, IsTerminal};
 
-/// Run-up of a spindle that a part found on, seconds.
-const RUN_UP_S: f64 = 5.0;
-
 /// What a program asks the machine.
+#[derive(Debug, Default)]
 pub(super) struct Questions {
     /// Line of the first probe move.
     probe: Option<u32>,
@@ -36,32 +34,30 @@ pub(super) struct Questions {
     pause: Option<u32>,
 }
 
-/// What a program asks the machine; `None` if it asks nothing.
-pub(super) fn find_questions(program: &PartProgram, options: &Options) -> Option<Questions> {
-    let mut found = Questions {
-        probe: None,
-        inputs: BTreeMap::new(),
-        pause: None,
-    };
-    // A program with a problem is refused later, with all its problems.
-    for step in Interpreter::new(Cursor::new(&program.text), options).map_while(Result::ok) {
+impl Questions {
+    /// Notes what a step asks.
+    pub(super) fn note(&mut self, step: &Step) {
         let line = step.place().line;
         match step {
             Step::Probe { .. } => {
-                found.probe.get_or_insert(line);
+                self.probe.get_or_insert(line);
             }
             Step::Wait {
                 number, analogue, ..
             } => {
-                found.inputs.entry((number, analogue)).or_insert(line);
+                self.inputs.entry((*number, *analogue)).or_insert(line);
             }
             Step::Pause { .. } | Step::ToolChange { .. } => {
-                found.pause.get_or_insert(line);
+                self.pause.get_or_insert(line);
             }
             _ => {}
         }
     }
-    (found.probe.is_some() || !found.inputs.is_empty()).then_some(found)
+
+    /// Whether the program asks anything.
+    pub(super) fn has_any(&self) -> bool {
+        self.probe.is_some() || !self.inputs.is_empty()
+    }
 }
 
 /// Checks that the machine has the probe and the inputs of a program.
@@ -127,6 +123,8 @@ pub(super) fn check_options(
 /// Steps of the next job, and what the jobs before left on.
 #[derive(Default)]
 struct Part {
+    /// Time of the spindle from standstill to its speed, seconds.
+    run_up_s: f64,
     steps: Vec<Step>,
     spindle: Option<Step>,
     coolant: Option<Step>,
@@ -137,21 +135,28 @@ impl Part {
         self.steps.push(step);
     }
 
-    /// Takes the steps. A job ends with spindle and coolant off: they are switched on again.
+    /// Takes the steps. A job ends with spindle and coolant off: they are switched on again. The
+    /// controller does not report the speed of the spindle, so that the first motion waits for the
+    /// run-up time of the machine file.
     fn take(&mut self) -> Vec<Step> {
         let own = std::mem::take(&mut self.steps);
         if own.is_empty() {
             return own;
         }
-        let mut steps: Vec<Step> = [&self.spindle, &self.coolant]
-            .into_iter()
-            .flatten()
-            .cloned()
-            .collect();
-        if let Some(Step::Spindle { place, .. }) = self.spindle {
+        // A part that sets the spindle before it moves needs no other start of it.
+        let first = own.iter().find_map(|step| match step {
+            Step::Spindle { .. } => Some(false),
+            Step::Move(_) | Step::Dwell { .. } => Some(true),
+            _ => None,
+        });
+        let mut steps: Vec<Step> = self.coolant.iter().cloned().collect();
+        if first == Some(true)
+            && let Some(spindle) = &self.spindle
+        {
+            steps.push(spindle.clone());
             steps.push(Step::Dwell {
-                place,
-                seconds: RUN_UP_S,
+                place: spindle.place(),
+                seconds: self.run_up_s,
             });
         }
         for step in &own {
@@ -177,12 +182,16 @@ impl Job<'_> {
         &self,
         session: &mut Session<L>,
         start: &AxisValues,
+        operator: &mut Operator,
     ) -> Result<(), CliError> {
         self.args
             .print_message("running in parts: the program reads inputs; nothing is recorded");
         let options = self.program.options(self.machine, session.model(), start)?;
         let mut interpreter = Interpreter::new(Cursor::new(&self.program.text), &options);
-        let mut part = Part::default();
+        let mut part = Part {
+            run_up_s: self.machine.spindle.run_up_s,
+            ..Part::default()
+        };
         while let Some(step) = interpreter.next() {
             let step = step.map_err(|problem| {
                 let kind = ErrorKind::BadInput;
@@ -195,7 +204,7 @@ impl Job<'_> {
                     kind,
                     must_change,
                 } => {
-                    self.run_part(session, part.take(), &interpreter)?;
+                    self.run_part(session, part.take(), &interpreter, operator)?;
                     self.probe(session, &mut interpreter, step, kind, must_change)?;
                 }
                 Step::Wait {
@@ -205,7 +214,7 @@ impl Job<'_> {
                     seconds,
                     ..
                 } => {
-                    self.run_part(session, part.take(), &interpreter)?;
+                    self.run_part(session, part.take(), &interpreter, operator)?;
                     let value =
                         self.wait(session, usize::from(number), analogue, until, seconds)?;
                     interpreter.report_input(value);
@@ -213,7 +222,7 @@ impl Job<'_> {
                 step => part.push(step),
             }
         }
-        self.run_part(session, part.take(), &interpreter)?;
+        self.run_part(session, part.take(), &interpreter, operator)?;
         self.args
             .print_message(&format!("{}: done", self.program.file_name()));
         Ok(())
@@ -240,7 +249,7 @@ impl Job<'_> {
             notices: Vec::new(),
             lines: interpreter.lines(),
         };
-        let plan = Plan::new(&program, &settings(self.machine), model)
+        let plan = Plan::new(&program, &self.program.settings(self.machine), model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         let planned = Planned {
             pauses: self.program.pauses_of(&plan, &program.steps),
@@ -257,13 +266,14 @@ impl Job<'_> {
         session: &mut Session<L>,
         steps: Vec<Step>,
         interpreter: &Interpreter<'_>,
+        operator: &mut Operator,
     ) -> Result<(), CliError> {
         if steps.is_empty() {
             return Ok(());
         }
         let (planned, status) = self.plan_part(session, steps, interpreter)?;
         let supply = Supply::of(planned, self.args, self.machine);
-        let mut progress = ProgressDisplay::new(self.args, &supply);
+        let mut progress = ProgressDisplay::new(self.args, self.machine, &supply.shown, operator);
         let end = session.run_job(2, status.commanded, supply.setpoints, &mut progress);
         progress.finish();
         Ok(session.check_completed(&end?)?)

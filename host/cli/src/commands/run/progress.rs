@@ -1,11 +1,12 @@
 //! Progress of a job on the terminal: bar, line, remaining time, pauses.
 
 use super::args::RunArgs;
-use super::keys::{Keys, is_enter, is_hold};
-use super::overrides::Overrides;
-use super::supply::Supply;
+use super::keys::Keys;
+use super::operator::Operator;
+use super::supply::{Shown, Times};
 use crate::commands::program::Pauses;
-use haptimill_client::session::JobObserver;
+use haptimill_client::session::{JobObserver, TimeTable};
+use haptimill_machine_file::MachineFile;
 use haptimill_planner::SharedTrack;
 use haptimill_protocol::message::{Command, Telemetry};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -15,14 +16,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// The progress bar with the remaining time.
-pub(super) struct ProgressDisplay {
+pub(super) struct ProgressDisplay<'a> {
     bar: ProgressBar,
     start: Instant,
-    /// Real time per programmed time on a machine. In the simulator, where it is measured, none.
-    pace: Option<f64>,
-    overrides: Overrides,
-    held: bool,
-    resumes: bool,
+    machine: &'a MachineFile,
+    times: Option<&'a Times>,
+    /// The time that is left on a machine; in the simulator the pace is measured.
+    left: Option<TimeTable>,
+    operator: &'a mut Operator,
+    /// The operator ordered the present hold: it ends by an order only.
+    is_operators: bool,
     period_s: f64,
     track: SharedTrack,
     pauses: Pauses,
@@ -36,15 +39,20 @@ pub(super) struct ProgressDisplay {
     keys: Option<Keys>,
 }
 
-impl ProgressDisplay {
+impl<'a> ProgressDisplay<'a> {
     /// Creates the progress bar of a job that starts now.
-    pub(super) fn new(args: &RunArgs, supply: &Supply) -> Self {
-        let duration_s = supply.duration_s;
-        let total = duration_s.map(|[seconds, _]| (seconds * 1000.0).round() as u64);
-        let shown = !args.json && !args.quiet;
+    pub(super) fn new(
+        args: &RunArgs,
+        machine: &'a MachineFile,
+        shown: &'a Shown,
+        operator: &'a mut Operator,
+    ) -> Self {
+        let times = shown.times.as_ref();
+        let total = times.map(|times| (times.programmed_s * 1000.0).round() as u64);
+        let is_shown = !args.json && !args.quiet;
         let bar = ProgressBar::with_draw_target(
             total,
-            if shown {
+            if is_shown {
                 ProgressDrawTarget::stderr()
             } else {
                 ProgressDrawTarget::hidden()
@@ -60,21 +68,20 @@ impl ProgressDisplay {
         Self {
             bar,
             start: Instant::now(),
-            pace: duration_s
-                .filter(|_| !args.port.is_simulated())
-                .map(|[programmed, taken]| taken / programmed.max(1e-9)),
-            overrides: Overrides::new(args),
-            held: false,
-            resumes: false,
-            period_s: supply.track.lock().period_s(),
-            track: supply.track.clone(),
-            pauses: supply.pauses.clone(),
+            machine,
+            times,
+            left: times.and_then(|times| times.left(machine, operator.overrides.of_motion())),
+            operator,
+            is_operators: false,
+            period_s: shown.track.lock().period_s(),
+            track: shown.track.clone(),
+            pauses: shown.pauses.clone(),
             // Enter cannot come from standard input that is the program.
             skips_pauses: args.skips_pauses() || args.reads_stdin(),
             line: 0,
             paused_at: None,
             enter_pressed: Arc::new(AtomicBool::new(false)),
-            keys: (shown && !args.port.is_simulated() && !args.reads_stdin())
+            keys: (is_shown && !args.port.is_simulated() && !args.reads_stdin())
                 .then(Keys::open)
                 .flatten(),
         }
@@ -86,7 +93,7 @@ impl ProgressDisplay {
     }
 }
 
-impl JobObserver for ProgressDisplay {
+impl JobObserver for ProgressDisplay<'_> {
     fn progress(&mut self, telemetry: &Telemetry) {
         let done = f64::from(telemetry.program_periods) * self.period_s;
         self.bar.set_position((done * 1000.0) as u64);
@@ -103,9 +110,13 @@ impl JobObserver for ProgressDisplay {
             return;
         };
         let total = total as f64 / 1000.0;
-        let measured = || self.start.elapsed().as_secs_f64() / done.max(0.1);
-        let pace = self.pace.unwrap_or_else(measured);
-        let remaining = ((total - done).max(0.0) * pace).ceil();
+        let measured = || {
+            let pace = self.start.elapsed().as_secs_f64() / done.max(0.1);
+            (total - done).max(0.0) * pace
+        };
+        let left = self.left.as_ref();
+        let left = left.map(|left| left.left_s(u64::from(telemetry.program_periods)));
+        let remaining = left.unwrap_or_else(measured).ceil();
         let remaining = match remaining {
             s if s < 60.0 => format!("{s} s"),
             s => haptimill_report::duration(s),
@@ -135,46 +146,54 @@ impl JobObserver for ProgressDisplay {
     }
 
     fn wants_hold(&mut self) -> bool {
-        self.read_keys();
-        let holds = std::mem::take(&mut self.held);
+        self.follow_operator();
+        let holds = std::mem::take(&mut self.operator.holds);
         if holds {
             self.wait_for_enter(self.line, "held by the operator");
+            self.is_operators = true;
         }
         holds
     }
 
     fn wants_override(&mut self) -> Option<Command> {
-        self.read_keys();
-        let command = self.overrides.take()?;
-        self.bar.println(self.overrides.to_string());
+        self.follow_operator();
+        let command = self.operator.overrides.take()?;
+        let overrides = &self.operator.overrides;
+        self.bar.println(overrides.to_string());
+        self.left = self
+            .times
+            .and_then(|times| times.left(self.machine, overrides.of_motion()));
         Some(command)
     }
 
     fn may_resume(&mut self) -> bool {
-        self.read_keys();
-        if std::mem::take(&mut self.resumes) {
+        self.follow_operator();
+        if std::mem::take(&mut self.operator.resumes) {
             self.enter_pressed.store(true, Ordering::Relaxed);
         }
-        let resumes = self.skips_pauses || self.enter_pressed.swap(false, Ordering::Relaxed);
+        let resumes = (self.skips_pauses && !self.is_operators)
+            || self.enter_pressed.swap(false, Ordering::Relaxed);
         if resumes {
             self.paused_at = None;
+            (self.is_operators, self.operator.is_held) = (false, false);
         }
         resumes
     }
 }
 
-impl ProgressDisplay {
-    /// Asks the user for Enter; [`JobObserver::may_resume`] reports it.
-    /// Sorts the keys that were pressed.
-    fn read_keys(&mut self) {
+impl ProgressDisplay<'_> {
+    /// Follows the keys that were pressed, and the requests of other processes.
+    fn follow_operator(&mut self) {
+        self.operator.serve();
         let Some(keys) = &mut self.keys else { return };
         while let Some(key) = keys.next() {
-            self.held |= is_hold(key);
-            self.resumes |= is_enter(key);
-            self.overrides.key(key);
+            if let Err(what) = self.operator.key(key) {
+                self.bar.println(what);
+            }
         }
     }
 
+    /// Asks the user for Enter; [`JobObserver::may_resume`] reports it.
     fn wait_for_enter(&mut self, line: u32, why: &str) {
         let what = format!("{why}; press Enter to continue, Ctrl-C to stop");
         if self.bar.is_hidden() {
@@ -185,11 +204,12 @@ impl ProgressDisplay {
             self.bar.println(what);
         }
         self.paused_at = Some(line);
+        self.operator.is_held = true;
         self.enter_pressed.store(false, Ordering::Relaxed);
         // An Enter before the pause must not end it.
         if let Some(keys) = &mut self.keys {
             keys.clear();
-            (self.held, self.resumes) = (false, false);
+            (self.operator.holds, self.operator.resumes) = (false, false);
             return;
         }
         #[cfg(unix)]

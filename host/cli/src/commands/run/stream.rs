@@ -5,7 +5,7 @@
 //! come slower than the machine runs it: the planner then ends the motion at standstill, and goes
 //! on with the next block.
 
-use super::supply::Supply;
+use super::supply::{Shown, Supply};
 use crate::commands::program::{PartProgram, Pause, Pauses};
 use crate::commands::{CliError, Exit};
 use haptimill_client::client::{SetpointSource, Setpoints};
@@ -216,9 +216,11 @@ pub(super) fn start(
     });
     Supply {
         setpoints: Setpoints::of(source),
-        track,
-        pauses,
-        duration_s: None,
+        shown: Shown {
+            track,
+            pauses,
+            times: None,
+        },
         end: Some(end),
     }
 }

@@ -419,8 +419,6 @@ fn program_rows(view: &ViewModel, width: u16) -> Vec<Line<'static>> {
         return vec![Line::raw(name), Line::default(), feed];
     };
     let part = done(view).clamp(0.0, 1.0);
-    let left_s =
-        program.duration_s * (1.0 - part) / (f64::from(view.overrides[0]) / 100.0).max(0.01);
     let (first, second) = if program.is_running {
         let bar = usize::from(width).saturating_sub(17).clamp(5, 40);
         (
@@ -429,13 +427,13 @@ fn program_rows(view: &ViewModel, width: u16) -> Vec<Line<'static>> {
                 " {} {:>3.0} % {:>7}",
                 from_left(part, bar),
                 part * 100.0,
-                clock(Duration::from_secs_f64(left_s.clamp(0.0, 1e9)))
+                clock(Duration::from_secs_f64(program.left_s.clamp(0.0, 1e9)))
             ),
         )
     } else {
         (
             format!(" {}", program.name),
-            format!(" {} lines, {:.0} s", program.lines, program.duration_s),
+            format!(" {} lines, {:.0} s", program.lines, program.left_s),
         )
     };
     vec![Line::raw(first), Line::raw(second), feed]

@@ -115,6 +115,9 @@ impl App {
             ProgramView {
                 name: checked.name.clone(),
                 duration_s: checked.plan.figures.duration_s,
+                left_s: checked
+                    .times
+                    .left_s(telemetry.map_or(0, |telemetry| u64::from(telemetry.program_periods))),
                 is_running,
                 line,
                 lines: checked.lines,

@@ -6,7 +6,7 @@ use crate::commands::{CliError, Exit};
 use haptimill_client::session::Homing;
 use haptimill_gcode::{Problem, Step};
 use haptimill_machine_file::model::{Model, settings};
-use haptimill_planner::Planner;
+use haptimill_planner::{Planner, Settings};
 use haptimill_protocol::message::{Command, State};
 
 /// How a line was handled.
@@ -177,7 +177,11 @@ impl Bridge {
         let here = self.session.model().to_engineering_units(&start);
         self.dialog.place_at(&here);
         let model = Model::new(&self.machine);
-        let planner = Planner::new(here, settings(&self.machine), model);
+        let settings = Settings {
+            spindle_percent: self.overrides[2],
+            ..settings(&self.machine)
+        };
+        let planner = Planner::new(here, settings, model);
         self.activity = Activity::Job {
             feed: Box::new(Feed::new(planner, self.dialog.line())),
             run: None,
