@@ -15,6 +15,7 @@ import os
 import random
 import re
 import resource
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -65,6 +66,21 @@ def lettering(count, seed):
             lines.append([(x + px * scale, y + py * scale) for px, py in stroke])
             segments += len(stroke) - 1
     rnd.shuffle(lines)
+    return lines
+
+
+def rows(count, _seed):
+    """Rows of a hatch, all in one direction."""
+    return [[(10, 10 + k * 980 / count), (900, 10 + k * 980 / count)] for k in range(count)]
+
+
+def squares(count, seed):
+    """Closed squares at random places."""
+    rnd = random.Random(seed)
+    lines = []
+    for _ in range(count // 4):
+        x, y, a = rnd.uniform(10, 980), rnd.uniform(10, 980), rnd.uniform(1, 8)
+        lines.append([(x, y), (x + a, y), (x + a, y + a), (x, y + a), (x, y)])
     return lines
 
 
@@ -120,14 +136,10 @@ def air_of_program(path):
     return length(jumps[:-1])  # the last one leads back to the origin
 
 
-def compare(folder, name, lines):
-    drawing, sorted_svg = os.path.join(folder, "d.svg"), os.path.join(folder, "s.svg")
-    ngc = os.path.join(folder, "d.ngc")
+def cut(folder, lines):
+    """Writes `d.ngc` for the lines, on a machine that is large enough; returns the CPU time, s."""
+    drawing, ngc = os.path.join(folder, "d.svg"), os.path.join(folder, "d.ngc")
     write_svg(drawing, lines)
-    vpype = [os.path.join(os.path.dirname(sys.executable), "vpype")]
-    read_only = run(vpype + ["read", drawing, "write", sorted_svg])
-    theirs = run(vpype + ["read", drawing, "linesort", "write", sorted_svg])
-    their_air, _ = air_of_svg(sorted_svg)
     machine = os.path.join(folder, "machine.toml")
     text = open("machines/engraver.toml").read()
     for low, high in (("low_mm = 0.0", "low_mm = -100.0"), ("low_mm = -4.0", "low_mm = -104.0"),
@@ -135,12 +147,23 @@ def compare(folder, name, lines):
                       ("high_mm = 112.0", "high_mm = 1204.0"), ("high_mm = 252.0", "high_mm = 1204.0")):
         text = text.replace(low, high)
     open(machine, "w").write(text)
-    ours = run([HAPTIMILL, "engrave", drawing, "-o", ngc, "--machine", machine])
+    return run([HAPTIMILL, "engrave", drawing, "-o", ngc, "--machine", machine])
+
+
+def compare(folder, name, lines):
+    """Writes a row of the table; returns what is saved, in percent."""
+    drawing, sorted_svg, ngc = (os.path.join(folder, name) for name in ("d.svg", "s.svg", "d.ngc"))
+    write_svg(drawing, lines)
+    vpype = [os.path.join(os.path.dirname(sys.executable), "vpype")]
+    read_only = run(vpype + ["read", drawing, "write", sorted_svg])
+    theirs = run(vpype + ["read", drawing, "linesort", "write", sorted_svg])
+    their_air, _ = air_of_svg(sorted_svg)
+    ours = cut(folder, lines)
     our_air = air_of_program(ngc)
     saved = 100 * (1 - our_air / their_air)
     print(f"| {name} | {len(lines)} | {their_air:.0f} | {our_air:.0f} | {saved:.1f} % | "
           f"{theirs:.2f} ({read_only:.2f}) | {ours:.2f} |", flush=True)
-    return saved, our_air
+    return saved
 
 
 def lkh(lines):
@@ -166,17 +189,16 @@ def main():
     gains = []
     with tempfile.TemporaryDirectory() as folder:
         for count in (1000, 10_000, 50_000):
-            for name, make in (("random", random_lines), ("lettering", lettering)):
-                lines = make(count, count)
-                gains.append(compare(folder, f"{name}, {count} segments", lines)[0])
-        gains.sort()
-        print(f"\nmedian {(gains[2] + gains[3]) / 2:.1f} % shorter, least {gains[0]:.1f} %")
+            for make in (random_lines, lettering, rows, squares):
+                name = f"{make.__name__.replace('_', ' ')}, {count} segments"
+                gains.append(compare(folder, name, make(count, count)))
+        print(f"\nmedian {statistics.median(gains):.1f} % shorter, least {min(gains):.1f} %")
         if "--lkh" in sys.argv:
             print("\n| drawing | paths | LKH, mm (closed tour) | haptimill, mm (closed tour) | longer |")
             print("| --- | ---: | ---: | ---: | ---: |")
             for name, lines in (("random", random_lines(300, 1)), ("random", random_lines(1000, 1000)),
                                 ("lettering", lettering(1000, 1000))):
-                compare(folder, name, lines)
+                cut(folder, lines)
                 best = lkh(lines)
                 closed = closed_air(os.path.join(folder, "d.ngc"))
                 print(f"| {name} | {len(lines)} | {best:.0f} | {closed:.0f} | "

@@ -15,19 +15,40 @@ impl Ends {
     }
 
     /// The earliest path with a free end within the tolerance; `true` if that is its last point.
-    fn meeting(&self, at: Point, tolerance: f64, paths: &[Option<Path>]) -> Option<(usize, bool)> {
+    fn meeting(
+        &mut self,
+        at: Point,
+        tolerance: f64,
+        paths: &[Option<Path>],
+    ) -> Option<(usize, bool)> {
         let [column, row] = self.square(at);
         let mut best: Option<(usize, bool)> = None;
         for x in column - 1..=column + 1 {
             for y in row - 1..=row + 1 {
-                for &(index, last) in self.squares.get(&[x, y]).into_iter().flatten() {
-                    let Some(path) = &paths[index] else { continue };
+                let Some(ends) = self.squares.get_mut(&[x, y]) else {
+                    continue;
+                };
+                let mut taken = 0;
+                let mut scanned = 0;
+                for &(index, last) in &*ends {
+                    scanned += 1;
+                    let Some(path) = &paths[index] else {
+                        taken += 1;
+                        continue;
+                    };
                     let end = if last { path.end() } else { path.start() };
-                    let meets = end.is_some_and(|end| distance(end, at) <= tolerance);
-                    // The start of a path comes before its end: directions are kept if possible.
-                    if meets && best.is_none_or(|best| (index, last) < best) {
-                        best = Some((index, last));
+                    if end.is_some_and(|end| distance(end, at) <= tolerance) {
+                        // The ends of a square are in the order of the paths, the start of a path
+                        // before its end: directions are kept if possible.
+                        if best.is_none_or(|best| (index, last) < best) {
+                            best = Some((index, last));
+                        }
+                        break;
                     }
+                }
+                // Ends of many paths may be in one square: those of joined paths go.
+                if 2 * taken > scanned {
+                    ends.retain(|&(index, _)| paths[index].is_some());
                 }
             }
         }
@@ -61,11 +82,11 @@ pub fn chain(paths: Vec<Path>, tolerance: f64) -> Vec<Path> {
             continue;
         };
         if !chain.closed {
-            grow(&mut chain, &ends, tolerance, &mut left);
+            grow(&mut chain, &mut ends, tolerance, &mut left);
             // The other way from its start.
             if !close(&mut chain, tolerance) {
                 let mut back = chain.reversed();
-                if grow(&mut back, &ends, tolerance, &mut left) {
+                if grow(&mut back, &mut ends, tolerance, &mut left) {
                     close(&mut back, tolerance);
                     chain = back.reversed();
                 }
@@ -77,7 +98,7 @@ pub fn chain(paths: Vec<Path>, tolerance: f64) -> Vec<Path> {
 }
 
 /// Appends paths at the end as long as one meets it. Returns whether there was one.
-fn grow(chain: &mut Path, ends: &Ends, tolerance: f64, left: &mut [Option<Path>]) -> bool {
+fn grow(chain: &mut Path, ends: &mut Ends, tolerance: f64, left: &mut [Option<Path>]) -> bool {
     let mut grown = false;
     while let Some(at) = chain.end() {
         // A closed chain is complete, even where further paths begin at its start.

@@ -26,14 +26,22 @@ const SMALLEST_RADIUS: f64 = 0.005;
 /// Radius above which an arc is written as lines of its chords, mm.
 const LARGEST_RADIUS: f64 = 20_000.0;
 
+/// A coordinate or a rate in its shortest form.
 fn number(value: f64) -> String {
-    let text = format!("{value:.*}", DECIMALS as usize);
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" {
-        "0".into()
-    } else {
-        text.into()
+    shortest(rounded(value))
+}
+
+/// A number in units of the last decimal.
+fn shortest(value: i64) -> String {
+    let unit = 10_u64.pow(DECIMALS as u32);
+    let sign = if value < 0 { "-" } else { "" };
+    let whole = value.unsigned_abs() / unit;
+    let part = value.unsigned_abs() % unit;
+    if part == 0 {
+        return format!("{sign}{whole}");
     }
+    let text = format!("{sign}{whole}.{part:0width$}", width = DECIMALS as usize);
+    text.trim_end_matches('0').into()
 }
 
 fn rounded(value: f64) -> i64 {
@@ -63,9 +71,9 @@ impl Writer {
             return;
         }
         self.text.push_str(word);
-        for (axis, (letter, value)) in [('X', to[0]), ('Y', to[1]), ('Z', z)].iter().enumerate() {
+        for (axis, letter) in ['X', 'Y', 'Z'].into_iter().enumerate() {
             if target[axis] != self.at[axis] {
-                let _ = write!(self.text, " {letter}{}", number(*value));
+                let _ = write!(self.text, " {letter}{}", shortest(target[axis]));
             }
         }
         if let Some(feed) = feed {
@@ -105,8 +113,8 @@ impl Writer {
         let _ = write!(
             self.text,
             " X{} Y{}",
-            number(segment.to[0]),
-            number(segment.to[1])
+            shortest(target[0]),
+            shortest(target[1])
         );
         if target[2] != self.at[2] {
             let _ = write!(self.text, " Z{}", number(z));
@@ -183,4 +191,15 @@ pub fn program(toolpath: &Toolpath, rates: Rates, reference: Point, title: &[Str
         "M2\n"
     });
     writer.text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_written_in_their_shortest_form() {
+        let written = [0.0, -0.00001, 1.5, -0.25, 100.0, 12.34567, -3.00004].map(number);
+        assert_eq!(written, ["0", "0", "1.5", "-0.25", "100", "12.3457", "-3"]);
+    }
 }

@@ -4,12 +4,16 @@
 //! A piece has two ends; a piece that is a point has them in the same place. The tour is an array
 //! of pieces. Both moves keep the inner lengths of pieces, so only gaps between pieces count.
 
-use super::neighbours::Grid;
+use super::neighbours::Neighbours;
 use crate::geometry::Point;
 use std::collections::VecDeque;
 
 /// Longest segment that or-opt moves, pieces.
 const SEGMENT: usize = 3;
+
+/// Farthest place to which or-opt moves a segment, pieces: all pieces between shift. Farther moves
+/// took two fifths of the time of 50,000 pieces and shortened the air by 0.6 %.
+const FARTHEST: usize = 3_000;
 
 /// Longest part of the tour that a kick exchanges, pieces.
 const KICK: usize = 30;
@@ -57,11 +61,11 @@ fn gap(a: Point, b: Point) -> f64 {
 
 /// Nearest ends of other pieces for every end; `u32::MAX` where there are fewer.
 pub fn near_ends(ends: &[Point], width: usize) -> Vec<u32> {
-    let grid = Grid::new(ends);
+    let tree = Neighbours::new(ends);
     let mut near = vec![u32::MAX; ends.len() * width];
     let mut found = Vec::new();
     for (end, &at) in ends.iter().enumerate() {
-        grid.nearest(at, width, &|other| other / 2 != end / 2, &mut found);
+        tree.nearest(at, width, &|other| other / 2 != end / 2, &mut found);
         for (slot, &(_, other)) in near[end * width..].iter_mut().zip(&found) {
             *slot = other;
         }
@@ -228,6 +232,12 @@ impl<'e> Search<'e> {
         }
     }
 
+    /// Whether a segment at one piece may move to another.
+    fn is_near(&self, one: u32, other: u32) -> bool {
+        let steps = self.steps(one, other);
+        steps.min(self.order.len() - steps) <= FARTHEST
+    }
+
     /// Moves the pieces from `from` on to `to` between `after` and the piece behind it.
     fn move_between(&mut self, from: u32, to: u32, after: u32, reversed: bool) {
         let total = self.order.len();
@@ -373,7 +383,7 @@ impl<'e> Search<'e> {
             };
             let near_b = if forward { self.start(b) } else { self.end(b) };
             let gain = saved + removed - gap(far, near_b);
-            if gain > GAIN {
+            if gain > GAIN && self.is_near(first, if forward { a } else { b }) {
                 let after = if forward { a } else { b };
                 self.move_between(first, end, after, reversed);
                 for piece in [a, b, c, last, p, n] {
@@ -430,7 +440,7 @@ impl<'e> Search<'e> {
             };
             let near_d = if before { self.end(d) } else { self.start(d) };
             let gain = saved + opened + beyond - gap(far, near_d);
-            if gain > GAIN {
+            if gain > GAIN && self.is_near(first, if before { d } else { c }) {
                 let after = if before { d } else { c };
                 self.move_between(first, end, after, reversed);
                 for piece in [a, b, c, d, p, n, last] {

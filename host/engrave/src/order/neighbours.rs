@@ -1,80 +1,103 @@
-//! Nearest points by a square grid.
+//! Nearest points by a k-d tree.
+//!
+//! The tree halves the points whatever their places are: dense clusters, a single far point and
+//! many equal points cost no more than scattered ones.
 
-use crate::geometry::{Point, distance};
+use crate::geometry::Point;
 
-/// Points in the squares of a grid.
-pub struct Grid<'p> {
-    points: &'p [Point],
-    low: Point,
-    cell: f64,
-    columns: usize,
-    rows: usize,
-    /// First entry of each square in `entries`, and the end of the last one.
-    first: Vec<u32>,
-    entries: Vec<u32>,
+/// Points of a leaf.
+const LEAF: usize = 6;
+
+/// A split of the points of a node into two halves.
+#[derive(Clone, Copy)]
+struct Split {
+    axis: usize,
+    at: f64,
+    /// Points of the node that are not removed.
+    left: u32,
 }
 
-impl<'p> Grid<'p> {
-    /// Sorts points into squares of about two points each.
-    pub fn new(points: &'p [Point]) -> Self {
+/// A k-d tree of points.
+pub struct Neighbours {
+    /// The points in the order of the leaves, with their indices.
+    points: Vec<(Point, u32)>,
+    /// Splits; the halves of node k are the nodes 2 k + 1 and 2 k + 2.
+    splits: Vec<Split>,
+    /// Place of each point in `points`.
+    places: Vec<u32>,
+}
+
+/// A query and what it found so far.
+struct Query<'q> {
+    at: Point,
+    count: usize,
+    allowed: &'q dyn Fn(usize) -> bool,
+    /// Squares of distances, nearest first.
+    out: &'q mut Vec<(f64, u32)>,
+}
+
+impl Neighbours {
+    /// Sorts points.
+    pub fn new(points: &[Point]) -> Self {
+        let indexed = points.iter().copied().zip(0..).collect();
+        let mut tree = Self {
+            points: indexed,
+            splits: Vec::new(),
+            places: vec![0; points.len()],
+        };
+        tree.split(0, 0, points.len());
+        for (place, &(_, index)) in tree.points.iter().enumerate() {
+            tree.places[index as usize] = place as u32;
+        }
+        tree
+    }
+
+    fn split(&mut self, node: usize, from: usize, to: usize) {
+        if to - from <= LEAF {
+            return;
+        }
+        let part = &mut self.points[from..to];
         let mut low = [f64::INFINITY; 2];
         let mut high = [f64::NEG_INFINITY; 2];
-        for at in points {
+        for (at, _) in &*part {
             for axis in 0..2 {
                 low[axis] = low[axis].min(at[axis]);
                 high[axis] = high[axis].max(at[axis]);
             }
         }
-        let (width, height) = if points.is_empty() {
-            low = [0.0; 2];
-            (0.0, 0.0)
-        } else {
-            (high[0] - low[0], high[1] - low[1])
-        };
-        let count = points.len().max(1) as f64;
-        let cell = (width * height * 2.0 / count).sqrt();
-        let cell = cell.max(width.max(height) * 2.0 / count).max(1e-9);
-        let columns = (width / cell) as usize + 1;
-        let rows = (height / cell) as usize + 1;
-        let mut grid = Self {
-            points,
-            low,
-            cell,
-            columns,
-            rows,
-            first: vec![0; columns * rows + 1],
-            entries: vec![0; points.len()],
-        };
-        for &at in points {
-            let square = grid.square(at);
-            grid.first[square + 1] += 1;
+        let axis = usize::from(high[1] - low[1] > high[0] - low[0]);
+        let half = part.len() / 2;
+        let (_, middle, _) = part.select_nth_unstable_by(half, |a, b| {
+            a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1))
+        });
+        let at = middle.0[axis];
+        let left = (to - from) as u32;
+        let split = Split { axis, at, left };
+        if self.splits.len() <= node {
+            self.splits.resize(node + 1, split);
         }
-        for square in 0..columns * rows {
-            grid.first[square + 1] += grid.first[square];
-        }
-        let mut next = grid.first.clone();
-        for (index, &at) in points.iter().enumerate() {
-            let square = grid.square(at);
-            grid.entries[next[square] as usize] = index as u32;
-            next[square] += 1;
-        }
-        grid
+        self.splits[node] = split;
+        self.split(2 * node + 1, from, from + half);
+        self.split(2 * node + 2, from + half, to);
     }
 
-    fn place(&self, at: Point) -> [usize; 2] {
-        let limit = [self.columns - 1, self.rows - 1];
-        std::array::from_fn(|axis| {
-            (((at[axis] - self.low[axis]) / self.cell).max(0.0) as usize).min(limit[axis])
-        })
+    /// Takes a point out of the search, once; the caller's `allowed` must refuse it from then on.
+    pub fn remove(&mut self, index: usize) {
+        let place = self.places[index] as usize;
+        let (mut node, mut from, mut to) = (0, 0, self.points.len());
+        while to - from > LEAF {
+            self.splits[node].left -= 1;
+            let half = from + (to - from) / 2;
+            if place < half {
+                (node, to) = (2 * node + 1, half);
+            } else {
+                (node, from) = (2 * node + 2, half);
+            }
+        }
     }
 
-    fn square(&self, at: Point) -> usize {
-        let [column, row] = self.place(at);
-        row * self.columns + column
-    }
-
-    /// Appends the `count` points nearest to `at` that `allowed` accepts, nearest first; fewer if
-    /// there are not that many.
+    /// Replaces `out` by the `count` points nearest to `at` that `allowed` accepts, nearest first,
+    /// with their distances; fewer if there are not that many.
     pub fn nearest(
         &self,
         at: Point,
@@ -83,50 +106,60 @@ impl<'p> Grid<'p> {
         out: &mut Vec<(f64, u32)>,
     ) {
         out.clear();
-        let [column, row] = self.place(at);
-        let most = self.columns.max(self.rows);
-        for ring in 0..=most {
-            // Points of later rings are at least this far away.
-            let reached = (ring as f64 - 1.0) * self.cell;
-            if out.len() >= count && out[count - 1].0 <= reached {
-                break;
-            }
-            self.ring(column, row, ring, |index| {
-                if allowed(index as usize) {
-                    let off = distance(self.points[index as usize], at);
-                    let full = out.len() >= count;
-                    if !full || off < out[count - 1].0 {
-                        let place = out.partition_point(|&(other, _)| other <= off);
-                        out.insert(place, (off, index));
-                        out.truncate(count);
-                    }
-                }
-            });
+        let mut query = Query {
+            at,
+            count,
+            allowed,
+            out,
+        };
+        self.visit(&mut query, 0, 0, self.points.len(), [0.0; 2]);
+        for (square, _) in out {
+            *square = square.sqrt();
         }
     }
 
-    fn ring(&self, column: usize, row: usize, ring: usize, mut visit: impl FnMut(u32)) {
-        let (column, row, ring) = (column as i64, row as i64, ring as i64);
-        let mut square = |x: i64, y: i64| {
-            if x >= 0 && y >= 0 && x < self.columns as i64 && y < self.rows as i64 {
-                let square = y as usize * self.columns + x as usize;
-                let (from, to) = (self.first[square], self.first[square + 1]);
-                for &index in &self.entries[from as usize..to as usize] {
-                    visit(index);
-                }
+    /// Visits a node; `off` is the distance of its half-planes from the point of the query.
+    fn visit(&self, query: &mut Query, node: usize, from: usize, to: usize, off: Point) {
+        if to - from <= LEAF {
+            for &(at, index) in &self.points[from..to] {
+                query.offer(at, index);
             }
-        };
-        if ring == 0 {
-            square(column, row);
             return;
         }
-        for x in column - ring..=column + ring {
-            square(x, row - ring);
-            square(x, row + ring);
+        let Split { axis, at, left } = self.splits[node];
+        if left == 0 {
+            return;
         }
-        for y in row - ring + 1..row + ring {
-            square(column - ring, y);
-            square(column + ring, y);
+        let half = from + (to - from) / 2;
+        let beyond = query.at[axis] - at;
+        let (near, far) = ((2 * node + 1, from, half), (2 * node + 2, half, to));
+        let (near, far) = if beyond < 0.0 {
+            (near, far)
+        } else {
+            (far, near)
+        };
+        self.visit(query, near.0, near.1, near.2, off);
+        let mut away = off;
+        away[axis] = beyond;
+        if query.reaches(away[0] * away[0] + away[1] * away[1]) {
+            self.visit(query, far.0, far.1, far.2, away);
+        }
+    }
+}
+
+impl Query<'_> {
+    /// Whether a point at this square of a distance can be among the nearest.
+    fn reaches(&self, square: f64) -> bool {
+        self.out.len() < self.count || self.out.last().is_some_and(|last| square < last.0)
+    }
+
+    fn offer(&mut self, at: Point, index: u32) {
+        let (x, y) = (at[0] - self.at[0], at[1] - self.at[1]);
+        let square = x * x + y * y;
+        if self.reaches(square) && (self.allowed)(index as usize) {
+            let place = self.out.partition_point(|&(other, _)| other <= square);
+            self.out.insert(place, (square, index));
+            self.out.truncate(self.count);
         }
     }
 }
@@ -134,6 +167,7 @@ impl<'p> Grid<'p> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::distance;
     use proptest::prelude::*;
     use proptest::test_runner::RngSeed;
 
@@ -144,20 +178,30 @@ mod tests {
             ..ProptestConfig::default()
         })]
 
+        /// Coordinates on a coarse grid have equal points and equal distances among them.
         #[test]
-        fn the_grid_finds_what_a_full_search_finds(
+        fn the_tree_finds_what_a_full_search_finds(
             points in prop::collection::vec(prop::array::uniform2(-50.0..50.0), 1..120),
-            at in prop::array::uniform2(-80.0..80.0), count in 1_usize..9,
+            at in prop::array::uniform2(-80.0..80.0), count in 1_usize..9, coarse in any::<bool>(),
         ) {
-            let grid = Grid::new(&points);
+            let points: Vec<Point> = points.into_iter()
+                .map(|at| if coarse { at.map(|value: f64| (value / 20.0).round()) } else { at })
+                .collect();
+            let mut tree = Neighbours::new(&points);
+            for index in (1..points.len()).step_by(3) {
+                tree.remove(index);
+            }
             let mut found = Vec::new();
-            grid.nearest(at, count, &|index| index % 3 != 1, &mut found);
+            tree.nearest(at, count, &|index| index % 3 != 1, &mut found);
             let mut all: Vec<f64> = points.iter().enumerate().filter(|(i, _)| i % 3 != 1)
                 .map(|(_, &point)| distance(point, at)).collect();
             all.sort_by(f64::total_cmp);
             all.truncate(count);
-            let found: Vec<f64> = found.iter().map(|one| one.0).collect();
-            prop_assert_eq!(found, all);
+            prop_assert_eq!(found.len(), all.len());
+            for (one, all) in found.iter().zip(&all) {
+                prop_assert!((one.0 - all).abs() < 1e-12);
+                prop_assert!((distance(points[one.1 as usize], at) - all).abs() < 1e-12);
+            }
         }
     }
 }
