@@ -4,6 +4,7 @@
 //! no lines, so an engraving could miss a part of the drawing without a word. This reader keeps the
 //! line, handle and layer of every entity and reports each kind that it leaves out.
 
+use super::dxf_codepage::decode;
 use super::dxf_entity;
 use super::dxf_pairs::{DAMAGED, Pair, Pairs};
 use super::dxf_record::{Insert, Read, Record};
@@ -48,6 +49,8 @@ struct Reader<'a, 'o> {
     metric: Option<i64>,
     drawing: Drawing,
     left_out: BTreeMap<String, Vec<Entity>>,
+    /// Entities that are drawn in another way than they ask for.
+    changed: BTreeMap<&'static str, Vec<Entity>>,
     hidden: usize,
     paper: usize,
     /// Whether the file stated Z coordinates other than 0.
@@ -60,8 +63,9 @@ struct Reader<'a, 'o> {
 
 /// Reads a DXF drawing.
 pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
+    let decoded = decode(bytes);
     let mut reader = Reader {
-        pairs: Pairs::new(bytes),
+        pairs: Pairs::new(&decoded.bytes),
         options,
         layers: HashMap::new(),
         blocks: HashMap::new(),
@@ -69,12 +73,14 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
         metric: None,
         drawing: Drawing::default(),
         left_out: BTreeMap::new(),
+        changed: BTreeMap::new(),
         hidden: 0,
         paper: 0,
         flattened: 0,
         placed: 0,
         reported: HashSet::new(),
     };
+    reader.drawing.notices.extend(decoded.notice);
     reader.file()?;
     reader.finish()
 }
@@ -366,6 +372,9 @@ impl<'a> Reader<'a, '_> {
                     .push(entity);
             }
             Read::Shapes(shapes) => {
+                for &note in &shapes.notes {
+                    self.changed.entry(note).or_default().push(entity.clone());
+                }
                 let index = self.drawing.add_entity(entity);
                 let tolerance = self.tolerance(Affine::IDENTITY);
                 for path in &shapes.paths {
@@ -441,7 +450,11 @@ impl<'a> Reader<'a, '_> {
         let scale = self.millimetres()?;
         self.note_unit();
         let drawing = &mut self.drawing;
-        for (reason, entities) in &self.left_out {
+        let left_out = self.left_out.iter();
+        let left_out = left_out.map(|(reason, all)| (format!("left out, {reason}"), all));
+        let changed = self.changed.iter();
+        let changed = changed.map(|(note, all)| (format!("text with {note}"), all));
+        for (what, entities) in left_out.chain(changed) {
             let shown: Vec<String> = entities.iter().take(3).map(ToString::to_string).collect();
             let more = match entities.len() {
                 0..=3 => String::new(),
@@ -449,7 +462,7 @@ impl<'a> Reader<'a, '_> {
             };
             drawing
                 .notices
-                .push(format!("left out, {reason}: {}{more}", shown.join("; ")));
+                .push(format!("{what}: {}{more}", shown.join("; ")));
         }
         let mut count = |count: usize, what: &str| {
             if count > 0 {

@@ -45,8 +45,8 @@ pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Re
         "POINT" => {
             let points = vec![record.point(10, 20)?];
             return Ok(Read::Shapes(Shapes {
-                paths: Vec::new(),
                 points,
+                ..Shapes::default()
             }));
         }
         "INSERT" => return insert(record).map(Read::Insert),
@@ -65,7 +65,7 @@ fn shapes(paths: Vec<Path>) -> Read {
     }
     Read::Shapes(Shapes {
         paths,
-        points: Vec::new(),
+        ..Shapes::default()
     })
 }
 

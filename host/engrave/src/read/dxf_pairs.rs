@@ -15,12 +15,9 @@ pub struct Pair<'a> {
 }
 
 impl<'a> Pair<'a> {
-    /// The value as text. Files before 2007 may have a code page of one byte a character.
+    /// The value as text.
     pub fn text(&self) -> Cow<'a, str> {
-        match std::str::from_utf8(self.value) {
-            Ok(text) => Cow::Borrowed(text),
-            Err(_) => Cow::Owned(self.value.iter().map(|&byte| char::from(byte)).collect()),
-        }
+        String::from_utf8_lossy(self.value)
     }
 
     pub fn word(&self) -> &'a str {

@@ -1,6 +1,7 @@
 //! Records of a DXF drawing, and what a record draws.
 
 use super::COORDINATE_LIMIT;
+use super::dxf_mtext::Notes;
 use super::dxf_pairs::Pair;
 use crate::drawing::{Entity, Problem};
 use crate::geometry::{Path, Point};
@@ -117,6 +118,8 @@ impl<'a> Record<'_, 'a> {
 pub struct Shapes {
     pub paths: Vec<Path>,
     pub points: Vec<Point>,
+    /// What the entity asks for and does not get.
+    pub notes: Notes,
 }
 
 /// A reference to a block.

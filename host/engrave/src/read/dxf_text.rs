@@ -1,6 +1,7 @@
 //! TEXT, MTEXT and ATTRIB entities.
 
 use super::ReadOptions;
+use super::dxf_mtext::{self, Line, Notes, Style};
 use super::dxf_record::{Read, Record, Shapes};
 use super::text::{Anchor, Font};
 use super::text_remedy;
@@ -14,13 +15,22 @@ const LINE_SPACING: f64 = 5.0 / 3.0;
 pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Read, Problem> {
     let multi = record.kind == "MTEXT";
     let raw = content(record);
-    let mut lines = if multi {
-        plain_lines(&raw)
-    } else {
-        vec![special(&raw)]
+    let height = record.or(40, 1.0)?;
+    let style = Style {
+        height,
+        width: 1.0,
+        oblique: 0.0,
     };
-    let shown: String = lines.join(" ").chars().take(40).collect();
-    if lines.iter().all(|line| line.trim().is_empty()) {
+    let mut notes = Notes::new();
+    let mut lines = if multi {
+        dxf_mtext::lines(&raw, style, &mut notes)
+    } else {
+        vec![dxf_mtext::single_line(&raw, style, &mut notes)]
+    };
+    let letters = |line: &Line| line.iter().map(|one| one.0).collect::<String>();
+    let all = lines.iter().map(letters).collect::<Vec<_>>().join(" ");
+    let shown: String = all.chars().take(40).collect();
+    if all.trim().is_empty() {
         return Ok(Read::LeftOut("its text is empty".into()));
     }
     let Some(font) = options.font else {
@@ -30,51 +40,74 @@ pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Re
         let what = format!("'{shown}' is text, which has no outlines of its own");
         return Err(record.refuse(what, text_remedy()));
     };
-    let height = record.or(40, 1.0)?;
+    if all.contains(char::REPLACEMENT_CHARACTER) {
+        return Err(record.refuse(
+            format!("'{shown}' has bytes that are no characters of the file's encoding"),
+            "save the drawing as DXF 2007 or later, which is UTF-8",
+        ));
+    }
     if height <= 0.0 {
         return Err(record.refuse(format!("its height is {height}"), "repair the entity"));
     }
-    let em = height / font.capital_height();
     let layout = if multi {
-        let width = record.or(41, 0.0)? / em;
+        let width = record.or(41, 0.0)?;
         if width > 0.0 {
             lines = wrapped(&lines, width, font);
         }
-        multi_layout(record, lines.len(), height)?
+        multi_layout(record, &lines, height)?
     } else {
-        single_layout(
-            record,
-            height,
-            lines.first().map_or(0.0, |line| font.width(line)) * em,
-        )?
+        let natural = lines.first().map_or(0.0, |line| width(line, font));
+        single_layout(record, height, natural)?
     };
-    let mut shapes = Shapes::default();
-    for (index, line) in lines.iter().enumerate() {
-        let below = layout.down + index as f64 * layout.pitch;
-        let map = layout.place
-            * Affine::translate((0.0, -below))
-            * Affine::skew(layout.oblique.tan(), 0.0)
-            * Affine::scale_non_uniform(em * layout.width, em);
-        let outline = font.outline(line, layout.anchor, map, tolerance);
-        let outline = outline.map_err(|what| {
-            record.refuse(
-                format!("'{shown}': {what}"),
-                "choose another font with --font",
-            )
-        })?;
-        shapes.paths.extend(outline);
+    let mut shapes = Shapes {
+        notes,
+        ..Shapes::default()
+    };
+    for (line, &below) in lines.iter().zip(&layout.baselines) {
+        let mut x = match layout.anchor {
+            Anchor::Start => 0.0,
+            Anchor::Middle => -width(line, font) / 2.0,
+            Anchor::End => -width(line, font),
+        } * layout.width;
+        for run in line.chunk_by(|a, b| a.1 == b.1) {
+            let style = run[0].1;
+            let em = style.height / font.capital_height();
+            let text: String = run.iter().map(|one| one.0).collect();
+            let map = layout.place
+                * Affine::translate((x, -below))
+                * Affine::skew((layout.oblique + style.oblique).tan(), 0.0)
+                * Affine::scale_non_uniform(em * style.width * layout.width, em);
+            let outline = font.outline(&text, Anchor::Start, map, tolerance);
+            let outline = outline.map_err(|what| {
+                record.refuse(
+                    format!("'{shown}': {what}"),
+                    "choose another font with --font",
+                )
+            })?;
+            shapes.paths.extend(outline);
+            x += font.width(&text) * em * style.width * layout.width;
+        }
     }
     Ok(Read::Shapes(shapes))
+}
+
+/// Width of letters, in units of the drawing.
+fn width(letters: &[(char, Style)], font: &Font) -> f64 {
+    let mut bytes = [0; 4];
+    let widths = letters.iter().map(|(one, style)| {
+        let em = style.height / font.capital_height();
+        font.width(one.encode_utf8(&mut bytes)) * em * style.width
+    });
+    widths.sum()
 }
 
 struct Layout {
     /// Map of the text's own axes, with the insertion point as origin, to the drawing.
     place: Affine,
     anchor: Anchor,
-    /// Distance from the point down to the first baseline.
-    down: f64,
-    /// Distance of two baselines.
-    pitch: f64,
+    /// Distances from the point down to the baselines of the lines.
+    baselines: Vec<f64>,
+    /// Factor of the width of letters.
     width: f64,
     oblique: f64,
 }
@@ -130,27 +163,43 @@ fn single_layout(record: &Record, height: f64, natural: f64) -> Result<Layout, P
     Ok(Layout {
         place,
         anchor,
-        down,
-        pitch: height * LINE_SPACING,
+        baselines: vec![down],
         width,
         oblique: record.or(51, 0.0)?.to_radians(),
     })
 }
 
-fn multi_layout(record: &Record, lines: usize, height: f64) -> Result<Layout, Problem> {
+fn multi_layout(record: &Record, lines: &[Line], height: f64) -> Result<Layout, Problem> {
     let attachment = record.integer(71)?.unwrap_or(1);
     let anchor = match attachment % 3 {
         1 => Anchor::Start,
         2 => Anchor::Middle,
         _ => Anchor::End,
     };
-    let pitch = height * LINE_SPACING * record.or(44, 1.0)?;
-    let tall = height + (lines.max(1) - 1) as f64 * pitch;
-    let down = match attachment {
-        4..=6 => height - tall / 2.0,
-        7..=9 => height - tall,
-        _ => height,
+    // Spacing "at least": higher letters push their line down. Spacing "exact" has even lines.
+    let exact = record.integer(73)? == Some(2);
+    let tallest = |line: &Line| {
+        let heights = line.iter().map(|one| one.1.height);
+        heights
+            .reduce(f64::max)
+            .filter(|_| !exact)
+            .unwrap_or(height)
     };
+    let factor = LINE_SPACING * record.or(44, 1.0)?;
+    let mut baselines = Vec::new();
+    let mut below = 0.0;
+    for line in lines {
+        below += tallest(line) * if baselines.is_empty() { 1.0 } else { factor };
+        baselines.push(below);
+    }
+    let up = match attachment {
+        4..=6 => below / 2.0,
+        7..=9 => below,
+        _ => 0.0,
+    };
+    for baseline in &mut baselines {
+        *baseline -= up;
+    }
     // The point and the direction are in the drawing plane, the angle is in the text's own plane.
     let plane = record.plane()?;
     let turn = match (record.number(11)?, record.number(21)?) {
@@ -164,29 +213,30 @@ fn multi_layout(record: &Record, lines: usize, height: f64) -> Result<Layout, Pr
     Ok(Layout {
         place: Affine::translate((at[0], at[1])) * turn,
         anchor,
-        down,
-        pitch,
+        baselines,
         width: 1.0,
         oblique: 0.0,
     })
 }
 
-/// Lines broken between words so that they fit a width, in ems.
-fn wrapped(lines: &[String], width: f64, font: &Font) -> Vec<String> {
+/// Lines broken between words so that they fit a width, in units of the drawing.
+fn wrapped(lines: &[Line], limit: f64, font: &Font) -> Vec<Line> {
     let mut out = Vec::new();
     for line in lines {
-        let mut present = String::new();
-        for word in line.split(' ') {
-            let longer = if present.is_empty() {
-                word.to_string()
-            } else {
-                format!("{present} {word}")
-            };
-            if present.is_empty() || font.width(&longer) <= width {
+        let mut present = Line::new();
+        // Each word with the blank in front of it.
+        let mut from = 0;
+        while from < line.len() {
+            let behind = line[from + 1..].iter().position(|one| one.0 == ' ');
+            let to = behind.map_or(line.len(), |length| from + 1 + length);
+            let word = &line[from..to];
+            let longer = [&present[..], word].concat();
+            if present.is_empty() || width(&longer, font) <= limit {
                 present = longer;
             } else {
-                out.push(std::mem::replace(&mut present, word.to_string()));
+                out.push(std::mem::replace(&mut present, word[1..].to_vec()));
             }
+            from = to;
         }
         out.push(present);
     }
@@ -201,92 +251,4 @@ fn content(record: &Record) -> String {
         .chain(last)
         .map(|pair| pair.text().into_owned())
         .collect()
-}
-
-/// Replaces the codes of special characters: `%%d`, `%%p`, `%%c`, `\U+XXXX`.
-fn special(text: &str) -> String {
-    let text = text
-        .replace("%%d", "\u{b0}")
-        .replace("%%D", "\u{b0}")
-        .replace("%%p", "\u{b1}")
-        .replace("%%P", "\u{b1}")
-        .replace("%%c", "\u{2300}")
-        .replace("%%C", "\u{2300}")
-        .replace("%%u", "")
-        .replace("%%U", "")
-        .replace("%%o", "")
-        .replace("%%O", "");
-    let mut out = String::new();
-    let mut rest = text.as_str();
-    while let Some(at) = rest.find("\\U+") {
-        let (before, after) = rest.split_at(at);
-        out.push_str(before);
-        let code = after
-            .get(3..7)
-            .and_then(|hex| u32::from_str_radix(hex, 16).ok());
-        match code.and_then(char::from_u32) {
-            Some(one) => {
-                out.push(one);
-                rest = &after[7..];
-            }
-            None => {
-                out.push_str("\\U+");
-                rest = &after[3..];
-            }
-        }
-    }
-    out.push_str(rest);
-    out
-}
-
-/// Lines of an MTEXT without its formatting codes.
-fn plain_lines(text: &str) -> Vec<String> {
-    let text = special(text);
-    let mut lines = vec![String::new()];
-    let mut chars = text.chars().peekable();
-    while let Some(one) = chars.next() {
-        let line = lines.len() - 1;
-        match one {
-            '{' | '}' => {}
-            '^' => {
-                // ^I is a tab, ^J a line end.
-                match chars.next() {
-                    Some('J') => lines.push(String::new()),
-                    Some('I') => lines[line].push(' '),
-                    _ => {}
-                }
-            }
-            '\\' => match chars.next() {
-                Some('P' | 'X') => lines.push(String::new()),
-                Some('~') => lines[line].push(' '),
-                Some(literal @ ('\\' | '{' | '}')) => lines[line].push(literal),
-                Some('L' | 'l' | 'O' | 'o' | 'K' | 'k' | 'N') | None => {}
-                Some('S') => {
-                    for part in chars.by_ref().take_while(|&part| part != ';') {
-                        lines[line].push(if part == '^' || part == '#' {
-                            '/'
-                        } else {
-                            part
-                        });
-                    }
-                }
-                // A code with a value up to the semicolon: font, height, width, colour.
-                Some(_) => for _ in chars.by_ref().take_while(|&part| part != ';') {},
-            },
-            other => lines[line].push(other),
-        }
-    }
-    lines
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn formatting_codes_of_a_multi_line_text_go() {
-        let text = r"\fTechnic|b0|i0|c2|p2;KMITL\P{\H2.5x;5%%d} \{a\} \S1/2;";
-        assert_eq!(plain_lines(text), ["KMITL", "5\u{b0} {a} 1/2"]);
-        assert_eq!(special(r"\U+00D8 5"), "\u{d8} 5");
-    }
 }

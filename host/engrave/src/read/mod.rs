@@ -1,7 +1,9 @@
 //! Readers of drawing files.
 
 mod dxf;
+mod dxf_codepage;
 mod dxf_entity;
+mod dxf_mtext;
 mod dxf_pairs;
 mod dxf_record;
 mod dxf_text;
