@@ -136,7 +136,7 @@ pub fn html(
     let _ = writeln!(
         body,
         "<p>Tool {} mm, {} mm deep, feed {} mm/s, rapid {} mm/s. Cuts are blue, air moves orange; \
-         numbers are the order of the starts.</p>",
+         numbers are the order of the first {NUMBERS} starts.</p>",
         options.tool_mm, options.depth_mm, speeds.feed, speeds.rapid
     );
     body.push_str("<table><tr><th>order<th>air, mm<th>lifts<th>time, s<th>saved</tr>\n");

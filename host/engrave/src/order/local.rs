@@ -53,8 +53,9 @@ pub struct Search<'e> {
     logging: bool,
 }
 
+/// Distance, mm; `hypot` takes several times as long and differs in the last bit only.
 #[inline]
-fn gap(a: Point, b: Point) -> f64 {
+pub fn gap(a: Point, b: Point) -> f64 {
     let (x, y) = (a[0] - b[0], a[1] - b[1]);
     (x * x + y * y).sqrt()
 }

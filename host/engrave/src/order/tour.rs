@@ -1,7 +1,7 @@
 //! A short order of paths: open paths in either direction, closed paths from any of their points.
 
 use super::exact;
-use super::local::{Random, Search, near_ends};
+use super::local::{Random, Search, gap, near_ends};
 use super::start::{greedy, length, nearest_first};
 use crate::geometry::{Path, Point, Segment, distance};
 use serde::Serialize;
@@ -232,21 +232,28 @@ fn settle_starts(paths: &[Path], order: &mut [Placed], reference: Point) {
 
 /// The point of a closed path with the shortest way from `a` over it to `b`.
 fn best_start(path: &Path, a: Point, b: Point) -> (f64, (usize, f64)) {
+    let over = |at: Point| gap(a, at) + gap(at, b);
+    let corners: Vec<f64> = path.vertices.iter().map(|one| over(one.at)).collect();
     let mut best = (f64::INFINITY, (0, 0.0));
-    for (index, segment) in path.segments().enumerate() {
-        let at = segment.from;
-        let length = distance(a, at) + distance(at, b);
+    for (index, &length) in corners.iter().enumerate() {
         if length < best.0 {
             best = (length, (index, 0.0));
         }
     }
-    for (index, segment) in path.segments().enumerate() {
+    for (index, &length) in corners.iter().enumerate() {
+        let segment = path.segment(index);
+        // The way changes by no more than twice the distance along the segment. An arc is no longer
+        // than its chord times 1 + bulge^2.
+        let next = corners[(index + 1) % corners.len()];
+        let longest = gap(segment.from, segment.to) * (1.0 + segment.bulge * segment.bulge);
+        if f64::midpoint(length, next) - longest >= best.0 {
+            continue;
+        }
         let part = best_part(&segment, a, b);
         if part <= 1e-6 || part >= 1.0 - 1e-6 {
             continue;
         }
-        let at = segment.point(part);
-        let length = distance(a, at) + distance(at, b);
+        let length = over(segment.point(part));
         if length < best.0 - 1e-9 {
             best = (length, (index, part));
         }
@@ -276,7 +283,7 @@ fn best_part(segment: &Segment, a: Point, b: Point) -> f64 {
     const PARTS: usize = 8;
     let length = |part: f64| {
         let at = segment.point(part);
-        distance(a, at) + distance(at, b)
+        gap(a, at) + gap(at, b)
     };
     let coarse = |k: usize| length(k as f64 / PARTS as f64);
     let k = (0..=PARTS)

@@ -39,8 +39,8 @@ fn special(text: &str) -> Option<(Option<char>, usize)> {
         let one = char::from_u32(u32::from(hex(3)?))?;
         return Some((Some(one), 7));
     }
-    if text.starts_with("\\M+") {
-        let page = text[3..].chars().next()?;
+    if let Some(page) = text.strip_prefix("\\M+") {
+        let page = page.chars().next()?;
         return Some((Some(multi_byte(page, hex(4)?)?), 8));
     }
     let code = text.strip_prefix("%%")?;

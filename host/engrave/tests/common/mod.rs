@@ -1,6 +1,7 @@
 //! Drawings for tests.
 
 /// A DXF with these entities: pairs of group code and value, one a line, `code value`.
+#[allow(dead_code)]
 pub fn dxf(entities: &str) -> String {
     sections(&[("ENTITIES", entities)])
 }

@@ -1,0 +1,176 @@
+//! The part program and the page of a job: what they show is the planned tool path.
+
+use haptimill_engrave::drawing::{Drawing, LayerChoice};
+use haptimill_engrave::gcode::{Rates, program};
+use haptimill_engrave::job::{Job, Operation, Options, Side, plan};
+use haptimill_engrave::preview::{Speeds, html, plan as picture};
+use haptimill_engrave::read::{ReadOptions, read};
+use haptimill_engrave::toolpath::Tabs;
+
+const LIFT: f64 = 1.5;
+
+fn layer(name: &str) -> Drawing {
+    let plate = include_bytes!("../../../examples/plate.dxf");
+    let mut drawing = read(plate, &ReadOptions::default()).unwrap();
+    let choice = LayerChoice {
+        only: vec![name.into()],
+        without: Vec::new(),
+    };
+    drawing.select_layers(&choice).unwrap();
+    drawing
+}
+
+/// Jobs of every operation, with tabs, ramps and several depths.
+fn jobs() -> Vec<(Drawing, Options, Job)> {
+    let plain = Options {
+        depth_mm: 0.6,
+        step_mm: 0.3,
+        ..Options::default()
+    };
+    let pocket = Options {
+        operation: Operation::Pocket,
+        ..plain
+    };
+    let tabs = Tabs {
+        count: 3,
+        width_mm: 2.0,
+        height_mm: 0.2,
+    };
+    let outline = Options {
+        side: Side::Outside,
+        tabs: Some(tabs),
+        lead_mm: Some(1.0),
+        ..plain
+    };
+    let ramped = Options {
+        ramp_deg: Some(5.0),
+        ..plain
+    };
+    let drill = Options {
+        operation: Operation::Drill,
+        ..plain
+    };
+    let all = [
+        ("PICTURE", pocket),
+        ("PICTURE", plain),
+        ("FRAME", outline),
+        ("FRAME", ramped),
+        ("HOLES", drill),
+    ];
+    let planned = all.into_iter().map(|(name, options)| {
+        let drawing = layer(name);
+        let job = plan(&drawing, &options).unwrap();
+        (drawing, options, job)
+    });
+    planned.collect()
+}
+
+fn text(job: &Job, speed: f64) -> String {
+    let rates = Rates {
+        feed: 300.0,
+        plunge: 60.0,
+        speed,
+        lift_mm: LIFT,
+    };
+    program(&job.toolpath, rates, [0.0; 2], &[])
+}
+
+/// Read by itself, word by word: rapid moves across are at the lift height, and cuts across are at
+/// most at the surface and at least at the depth. The air of the program is the stated one.
+#[test]
+fn the_tool_is_up_in_every_air_move_and_down_in_every_cut() {
+    for (_, options, job) in jobs() {
+        let (mut at, mut air, mut across) = ([f64::NAN, f64::NAN, f64::NAN], 0.0, 0);
+        for line in text(&job, 0.0).lines() {
+            let mut words = line.split(' ');
+            let word = words.next().unwrap_or_default();
+            if !matches!(word, "G0" | "G1" | "G2" | "G3") {
+                continue;
+            }
+            let (mut to, mut is_across) = (at, false);
+            for word in words {
+                let value: f64 = word[1..].parse().unwrap();
+                is_across |= matches!(&word[..1], "X" | "Y");
+                match &word[..1] {
+                    "X" => to[0] = value,
+                    "Y" => to[1] = value,
+                    "Z" => to[2] = value,
+                    "I" | "J" | "F" => {}
+                    other => panic!("{other} in {line}"),
+                }
+            }
+            if is_across && word == "G0" {
+                assert_eq!((at[2], to[2]), (LIFT, LIFT), "{line}");
+                if at[0].is_finite() {
+                    air += (to[0] - at[0]).hypot(to[1] - at[1]);
+                }
+            } else if is_across {
+                let cuts = |z: f64| (-options.depth_mm..=0.0).contains(&z);
+                assert!(cuts(at[2]) && cuts(to[2]), "{line} from {at:?}");
+                across += 1;
+            }
+            at = to;
+        }
+        assert!(options.operation == Operation::Drill || across > 0);
+        assert_eq!((at[0], at[1], at[2]), (0.0, 0.0, LIFT));
+        let stated = job.toolpath.lengths([0.0; 2]);
+        assert!((air - stated.air_mm).abs() < 0.001 * stated.lifts as f64);
+    }
+}
+
+#[test]
+fn a_pen_has_no_spindle() {
+    for (_, _, job) in jobs() {
+        let spindle = |text: &str| {
+            let words = text.split_whitespace();
+            words.filter(|word| matches!(*word, "M3" | "M5")).count()
+        };
+        assert_eq!(spindle(&text(&job, 0.0)), 0);
+        assert_eq!(spindle(&text(&job, 8000.0)), 2);
+    }
+}
+
+/// The plan has a number and a path for each start, and an air move to each and back.
+#[test]
+fn the_page_numbers_the_starts_and_shows_every_move() {
+    for (drawing, options, job) in jobs() {
+        let svg = picture(&drawing, &job, &options);
+        let svg = roxmltree::Document::parse(&svg).unwrap();
+        let texts: Vec<&str> = svg
+            .descendants()
+            .filter_map(|node| {
+                node.has_tag_name(("http://www.w3.org/2000/svg", "text"))
+                    .then(|| node.text())?
+            })
+            .collect();
+        let count = job.toolpath.cuts.len();
+        let numbers: Vec<String> = (1..=count).map(|number| number.to_string()).collect();
+        assert_eq!(texts, numbers);
+        let paths = svg
+            .descendants()
+            .filter(|node| node.attribute("d").is_some());
+        let data: Vec<&str> = paths.filter_map(|node| node.attribute("d")).collect();
+        // The arrow head, each cut at the tool's width and as a line, the air moves.
+        assert_eq!(data.len(), 1 + 2 * count + count + 1);
+        let dots = svg.descendants().filter(|node| node.has_attribute("cx"));
+        for (dot, cut) in dots.zip(&job.toolpath.cuts) {
+            let number = |name| dot.attribute(name).unwrap().parse::<f64>().unwrap();
+            let off = (number("cx") - cut.start[0]).hypot(number("cy") + cut.start[1]);
+            assert!(off < 0.001, "{off}");
+        }
+        let speeds = Speeds {
+            feed: 5.0,
+            plunge: 1.0,
+            rapid: 20.0,
+            lift_mm: LIFT,
+        };
+        let rows = [
+            ("file order".to_string(), 200.0, 9, 80.0),
+            ("chosen".to_string(), 100.0, 9, 60.0),
+        ];
+        let page = html("Plate & <name>", &drawing, &job, &options, speeds, &rows);
+        assert!(page.contains("Plate &amp; &lt;name&gt;"));
+        // The form of the thesis's table 5.1: 100 (1 - 60 / 80) = 25 %.
+        assert!(page.contains("<td>chosen<td>100.000<td>9<td>60.0<td>25.0 %"));
+    }
+}
