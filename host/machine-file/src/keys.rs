@@ -30,26 +30,25 @@ pub fn keys_of(path: &str) -> impl Iterator<Item = &'static Key> {
         .flat_map(|section| section.keys)
 }
 
-/// Names and kinds of the coordinates and joints of a model, as a sentence; empty for an unknown
-/// model.
+/// Names and kinds of the coordinates and joints of a model in their order, as a sentence; empty
+/// for an unknown model.
 #[must_use]
 pub fn axes_of(model: &str) -> String {
     let Some(machine) = DESCRIPTORS.iter().find(|it| it.code == model) else {
         return String::new();
     };
+    // In the order of the model, which is that of the sections of a machine file.
     let list = |axes: &[(&str, AxisKind)]| {
-        let of_kind = |kind| -> Vec<&str> {
-            let axes = axes.iter().filter(|axis| axis.1 == kind);
-            axes.map(|axis| axis.0).collect()
-        };
-        let kinds = [
-            (AxisKind::Linear, "linear"),
-            (AxisKind::Rotary, "rotary"),
-            (AxisKind::MultiTurn, "rotary, over many turns"),
-        ];
-        let kinds = kinds.map(|(kind, word)| (of_kind(kind), word));
-        let kinds = kinds.iter().filter(|(names, _)| !names.is_empty());
-        let texts = kinds.map(|(names, word)| format!("{} ({word})", names.join(", ")));
+        let groups = axes.chunk_by(|one, next| one.1 == next.1);
+        let texts = groups.map(|group| {
+            let names: Vec<_> = group.iter().map(|axis| axis.0).collect();
+            let word = match group[0].1 {
+                AxisKind::Linear => "linear",
+                AxisKind::Rotary => "rotary",
+                AxisKind::MultiTurn => "rotary, over many turns",
+            };
+            format!("{} ({word})", names.join(", "))
+        });
         texts.collect::<Vec<_>>().join(", ")
     };
     let pose: Vec<_> = machine.pose.iter().map(|it| (it.name, it.kind)).collect();

@@ -61,6 +61,49 @@ fn a_condition_names_a_key_and_a_word_of_its_section() {
 }
 
 /// `cargo xtask keys` rewrites the page.
+/// A reader writes the `[[pose]]` and `[[joint]]` of a new file in the order of the sentence.
+#[test]
+fn the_axes_of_a_model_are_listed_in_its_order() {
+    for machine in haptimill_kinematics::DESCRIPTORS {
+        let sentence = axes_of(machine.code);
+        let (pose, joints) = sentence.split_once("Joints: ").expect("two lists");
+        let places = |text: &str, names: &[&str]| -> Vec<Option<usize>> {
+            let marks = |it: char| !it.is_alphanumeric() && it != '_';
+            let words: Vec<&str> = text.split(marks).collect();
+            let place = |name: &&str| words.iter().position(|word| word == name);
+            names.iter().map(place).collect()
+        };
+        let names: Vec<_> = machine.pose.iter().map(|it| it.name).collect();
+        let found = places(pose, &names);
+        assert!(
+            found.iter().all(Option::is_some) && found.is_sorted(),
+            "{sentence}"
+        );
+        let names: Vec<_> = machine.joints.iter().map(|it| it.name).collect();
+        let found = places(joints, &names);
+        assert!(
+            found.iter().all(Option::is_some) && found.is_sorted(),
+            "{sentence}"
+        );
+    }
+}
+
+/// The first table of the page names each file of the folder.
+#[test]
+fn the_page_of_machine_files_lists_the_folder() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+    let page = std::fs::read_to_string(format!("{root}/docs/machine-files.md")).expect("the page");
+    let folder = std::fs::read_dir(format!("{root}/machines")).expect("the folder");
+    for entry in folder {
+        let name = entry.expect("an entry").file_name();
+        let row = format!("| `{}` |", name.to_str().expect("a name"));
+        assert!(
+            page.contains(&row),
+            "docs/machine-files.md has no row {row}"
+        );
+    }
+}
+
 #[test]
 fn the_page_of_machine_files_has_the_tables() {
     let page = include_str!("../../../docs/machine-files.md");
