@@ -7,6 +7,7 @@
 pub mod carriage_errors;
 pub mod cartesian;
 pub mod facet;
+pub mod five_bar;
 pub mod four_axis;
 pub mod h4;
 pub mod linear_delta;
@@ -211,6 +212,8 @@ geometries! {
     FourAxis("four_axis", four_axis::FourAxis);
     /// Three vertical slides with rods that hold a level platform.
     LinearDelta("linear_delta", linear_delta::LinearDelta);
+    /// Two arms of two links, from motors on one line to one tool, and a vertical slide.
+    FiveBar("five_bar", five_bar::FiveBar);
     /// Joints that carry nothing: the pose is the joint positions.
     Joints("joints", cartesian::BareJoints);
 }

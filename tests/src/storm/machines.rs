@@ -20,21 +20,32 @@ pub enum MachineKind {
     File(&'static str),
 }
 
-/// The machine files whose episodes an option of the command selects; `vmc3-tables` is `vmc3.toml`
-/// with its true errors as tables in the controller.
-pub const MACHINES: [&str; 11] = [
-    "mill3",
-    "mill3-servo",
-    "router3",
-    "mill4",
-    "trunnion5",
-    "facet",
-    "scara",
-    "delta3",
-    "vmc3",
-    "vmc3-tables",
-    "engraver",
-];
+/// Defines the list of the machine files, each by its name and the file in `machines/`.
+macro_rules! machine_files {
+    ($($name:literal, $file:literal;)*) => {
+        /// The machine files whose episodes an option of the command selects; `vmc3-tables` is
+        /// `vmc3.toml` with its true errors as tables in the controller.
+        pub const MACHINES: [&str; [$($name),*].len()] = [$($name),*];
+
+        const TEXTS: [&str; MACHINES.len()] =
+            [$(include_str!(concat!("../../../machines/", $file))),*];
+    };
+}
+
+machine_files! {
+    "mill3", "mill3.toml";
+    "mill3-servo", "mill3-servo.toml";
+    "router3", "router3.toml";
+    "mill4", "mill4.toml";
+    "trunnion5", "trunnion5.toml";
+    "facet", "facet.toml";
+    "scara", "scara.toml";
+    "delta3", "delta3.toml";
+    "vmc3", "vmc3.toml";
+    "vmc3-tables", "vmc3.toml";
+    "engraver", "engraver.toml";
+    "fivebar", "fivebar.toml";
+}
 
 impl MachineKind {
     /// Returns the name of the machine file, if the episode is not one of the H-4 machines.
@@ -112,19 +123,6 @@ pub fn machine(kind: MachineKind) -> &'static MachineFile {
 
 /// Returns a machine file of [`MACHINES`].
 fn machine_file(name: &str) -> &'static MachineFile {
-    const TEXTS: [&str; MACHINES.len()] = [
-        include_str!("../../../machines/mill3.toml"),
-        include_str!("../../../machines/mill3-servo.toml"),
-        include_str!("../../../machines/router3.toml"),
-        include_str!("../../../machines/mill4.toml"),
-        include_str!("../../../machines/trunnion5.toml"),
-        include_str!("../../../machines/facet.toml"),
-        include_str!("../../../machines/scara.toml"),
-        include_str!("../../../machines/delta3.toml"),
-        include_str!("../../../machines/vmc3.toml"),
-        include_str!("../../../machines/vmc3.toml"),
-        include_str!("../../../machines/engraver.toml"),
-    ];
     static FILES: [OnceLock<MachineFile>; MACHINES.len()] =
         [const { OnceLock::new() }; MACHINES.len()];
     let known = MACHINES.iter().position(|other| *other == name);

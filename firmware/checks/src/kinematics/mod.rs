@@ -11,6 +11,7 @@
 
 pub mod cartesian;
 pub mod facet;
+pub mod five_bar;
 pub mod h4;
 pub mod linear_delta;
 pub mod scara;
@@ -40,6 +41,8 @@ macro_rules! subjects {
             scara_left: scara::Arm::new(scara::LEFT), 0.1, 200;
             delta_even: linear_delta::Slides::new(linear_delta::EVEN), 0.2, 500;
             delta_uneven: linear_delta::Slides::new(linear_delta::UNEVEN), 0.1, 200;
+            five_bar_apart: five_bar::Arms::new(five_bar::APART), 0.2, 500;
+            five_bar_on_one_axis: five_bar::Arms::new(five_bar::ON_ONE_AXIS), 0.1, 200;
         }
     };
 }

@@ -5,6 +5,7 @@
 
 pub mod cartesian;
 pub mod facet;
+pub mod five_bar;
 pub mod h4;
 pub mod linear_delta;
 pub mod scara;
@@ -192,4 +193,6 @@ machines! {
     FourAxis(cartesian::FourAxis);
     /// Three vertical slides with rods that hold a level platform.
     LinearDelta(linear_delta::LinearDelta);
+    /// Two arms of two links, from motors on one line to one tool, and a vertical slide.
+    FiveBar(five_bar::FiveBar);
 }

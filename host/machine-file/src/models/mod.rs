@@ -2,6 +2,7 @@
 
 mod cartesian;
 mod facet;
+mod five_bar;
 mod four_axis;
 mod h4;
 mod linear_delta;
@@ -58,6 +59,7 @@ models! {
     Scara(scara::File);
     FourAxis(four_axis::File);
     LinearDelta(linear_delta::File);
+    FiveBar(five_bar::File);
 }
 
 /// A model and the reader of its keys.
