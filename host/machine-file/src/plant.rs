@@ -1,9 +1,13 @@
 //! Check of the `[plant]` section by the simulator, with the lines of its problems.
 
 use super::document::Document;
+use super::place::unit;
 use super::pose_difference::{ERROR, PoseDifference};
+use super::scale::{PER_COUNT, per_unit};
 use super::{MachineFile, Problems};
+use haptimill_firmware::config::{Drive, SwitchInput};
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::joint::DriveConfig;
 use haptimill_hil_sim::plant::Plant;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -45,6 +49,7 @@ pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &Machi
             }
             if document.is_valid() && !machine.is_master() {
                 check_poses(document, root, &plant, machine);
+                check_scales(document, root, &plant, machine);
             }
         }
     }
@@ -69,6 +74,70 @@ fn check_poses(
         );
         let remedy = "correct [plant.geometry], [kinematics] or the presets of [[plant.joint]]";
         document.report(offset, key, what, remedy);
+    }
+}
+
+/// Relative difference of a scale, above which it is that of another machine. No screw is as wrong.
+const SCALE: f64 = 0.01;
+
+/// Distance of the home switch of a simulated joint from that of the controller, mm or degrees,
+/// above which it is another switch.
+const SWITCH: f64 = 1.0;
+
+/// Checks that a step and a count move the simulated joint as far as the controller computes, and
+/// that its home switch is where the controller expects it.
+fn check_scales(
+    document: &Document<'_>,
+    root: &DeTable<'_>,
+    plant: &PlantConfig,
+    machine: &MachineFile,
+) {
+    for (index, (simulated, joint)) in plant.joint.iter().zip(&machine.config.joints).enumerate() {
+        let report = |field: &str, what: String, remedy: &str| {
+            let (offset, key) = place_in_plant(root, &format!("joint {index}: {field}"));
+            document.report(offset, key, what, remedy);
+        };
+        let unit = unit(joint.kind);
+        let per_unit = per_unit(joint.kind);
+        let scale = |field: &str, item: &str, raw: i64, truth: f64, remedy: &str| {
+            let computed = raw.unsigned_abs() as f64 / (PER_COUNT * per_unit);
+            if (truth / computed - 1.0).abs() > SCALE {
+                let what = format!(
+                    "a {item} moves the simulated joint by {truth:.6} {unit}, the controller \
+                     computes {computed:.6} {unit}"
+                );
+                report(field, what, remedy);
+            }
+        };
+        if let (Some(encoder), Some(read)) = (&simulated.encoder, &joint.encoder) {
+            let truth = simulated.per_count(encoder);
+            let remedy = "correct lead or counts_per_turn, here or in [[joint]]";
+            scale("encoder", "count", read.per_count, truth, remedy);
+        }
+        if let (DriveConfig::Steps(drive), Drive::Steps { per_step, .. }) =
+            (&simulated.drive, &joint.drive)
+        {
+            let steps = f64::from(drive.full_steps) * f64::from(drive.microsteps);
+            let remedy = "correct lead, full_steps and microsteps here, or lead (gear_ratio) and \
+                          steps_per_turn in [[joint]]";
+            scale("drive", "step", *per_step, simulated.lead / steps, remedy);
+        }
+        if let (Some(switch), Some(home)) = (&simulated.home, joint.home.switch())
+            && home.input == SwitchInput::Home
+        {
+            let expected = f64::from(home.coordinate.0) / per_unit;
+            if (switch.at - expected).abs() > SWITCH {
+                let what = format!(
+                    "the switch is at {} {unit}, the controller expects it at {expected} {unit}",
+                    switch.at
+                );
+                report(
+                    "home",
+                    what,
+                    "correct it, or [joint.switch] of the controller",
+                );
+            }
+        }
     }
 }
 

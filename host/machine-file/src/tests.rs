@@ -526,6 +526,52 @@ fn presets_of_the_simulated_machine_are_compared() {
     assert!(problems.contains("is another one"), "{problems}");
 }
 
+/// Whoever enters the lead, the steps or the switch of his machine for the controller alone had "no
+/// problem", and a simulated cut 54 mm beside the block.
+#[test]
+fn steps_counts_and_switches_of_the_simulated_machine_are_compared() {
+    let mill = include_str!("../../../machines/mill3.toml");
+    let servo = include_str!("../../../machines/mill3-servo.toml");
+    for (text, from, to, key, what) in [
+        (
+            mill,
+            "lead_mm = 5.0",
+            "lead_mm = 4.0",
+            "plant.joint[1].drive",
+            "a step moves the simulated joint by 0.001563 mm, the controller computes 0.001250 mm",
+        ),
+        (
+            mill,
+            "steps_per_turn = 3200",
+            "steps_per_turn = 1600",
+            "plant.joint[1].drive",
+            "the controller computes 0.003125 mm",
+        ),
+        (
+            servo,
+            "counts_per_turn = 8000",
+            "counts_per_turn = 4000",
+            "plant.joint[1].encoder",
+            "a count moves the simulated joint by",
+        ),
+        (
+            mill,
+            "at_mm = -150.0",
+            "at_mm = -140.0",
+            "plant.joint[1].home",
+            "the switch is at -150 mm, the controller expects it at -140 mm",
+        ),
+    ] {
+        assert!(MachineFile::parse("machine.toml", text).is_ok());
+        assert!(text.contains(from), "{from}");
+        let problems = problems(&text.replacen(from, to, 1));
+        assert!(
+            problems.contains(key) && problems.contains(what),
+            "{to}: {problems}"
+        );
+    }
+}
+
 /// A machine file without a problem has a simulated machine that can be built: nothing is refused
 /// by `run` or `sim serve` that was accepted before.
 #[test]
