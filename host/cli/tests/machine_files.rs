@@ -133,32 +133,30 @@ fn a_fragment_is_named_as_one() {
 #[test]
 fn a_new_machine_cuts_its_first_pocket() {
     let folder = Folder::new("first-cut");
-    let (code, _, err) = folder.run(&["machine", "init", "mine"]);
+    let (code, printed, err) = folder.run(&["machine", "init", "mine"]);
     assert_eq!(code, 0, "{err}");
     let (code, out, err) = folder.run(&["machine", "check", "mine.toml"]);
     assert_eq!(code, 0, "{err}");
     assert!(out.contains("mine.toml: no problem"), "{out}");
-    let examples = root().join("examples");
-    let path = |name: &str| examples.join(name).to_str().unwrap().to_string();
-    let (program, stock) = (path("mill3-pocket.ngc"), path("mill3-block.toml"));
-    let run = [
-        "run",
-        &program,
-        "--machine",
-        "mine.toml",
-        "--stock",
-        &stock,
-        "--quiet",
-    ];
-    let (code, out, err) = folder.run(&run);
-    assert_eq!(code, 0, "{out}{err}");
+    // The commands that `init` prints.
+    let mut commands = 0;
+    for line in printed.lines() {
+        if let Some(command) = line.strip_prefix("  haptimill ") {
+            let (code, out, err) = folder.run(&command.split(' ').collect::<Vec<_>>());
+            assert_eq!(code, 0, "{command}: {out}{err}");
+            commands += 1;
+        }
+    }
+    assert_eq!(commands, 2, "{printed}");
     assert!(folder.0.join("mill3-pocket.out/report.html").exists());
     let (code, out, err) = folder.run(&["replay", "mill3-pocket.out/recording.hmr"]);
     assert_eq!(code, 0, "{out}{err}");
 
     // The same in this process, to see the stock.
     let machine = MachineFile::load(&folder.0.join("mine.toml")).unwrap();
-    let removed = removed_mm3(&machine, Path::new(&program), Path::new(&stock));
+    let [program, stock] =
+        ["mill3-pocket.ngc", "mill3-block.toml"].map(|name| folder.0.join("examples").join(name));
+    let removed = removed_mm3(&machine, &program, &stock);
     let swept = swept_mm3();
     assert!(
         (removed / swept - 1.0).abs() < 0.02,

@@ -75,13 +75,14 @@ impl FromStr for AxisRate {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (axis, rate) = text.split_once('=').ok_or("write AXIS=RATE, as x=5")?;
+        let remedy = "write a coordinate and a number, each pair as a word of its own: x=5 y=-2";
+        let (axis, rate) = text.split_once('=').ok_or(remedy)?;
         match rate.trim().parse::<f64>() {
             Ok(rate) if rate.is_finite() && !axis.trim().is_empty() => Ok(Self {
                 axis: axis.trim().to_lowercase(),
                 rate,
             }),
-            _ => Err("write AXIS=RATE, as x=5 or b=-2".to_string()),
+            _ => Err(remedy.to_string()),
         }
     }
 }
@@ -285,4 +286,20 @@ pub(crate) fn axis_index(machine: &MachineFile, name: &str) -> Result<usize, Cli
         );
         CliError::new(Exit::Usage, what)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two pairs in one word are refused with the way to write them.
+    #[test]
+    fn a_pair_is_a_word_of_its_own() {
+        let pair: AxisRate = "X=-2.5".parse().expect("a pair");
+        assert_eq!((pair.axis.as_str(), pair.rate), ("x", -2.5));
+        for text in ["x=5,y=-3", "x=5 y=-3", "x", "=5", "x=inf"] {
+            let error = text.parse::<AxisRate>().expect_err(text);
+            assert!(error.contains("x=5 y=-2"), "{error}");
+        }
+    }
 }

@@ -52,6 +52,16 @@ pub enum Template {
     HapticArm,
 }
 
+impl Template {
+    /// Whether the example of a three-axis mill fits the machine.
+    const fn cuts_the_first_pocket(self) -> bool {
+        matches!(
+            self,
+            Self::Mill3 | Self::Mill3Servo | Self::Mill4 | Self::Router3
+        )
+    }
+}
+
 /// The text of every template.
 const TEMPLATES: &[(Template, &str)] = &[
     (
@@ -109,12 +119,18 @@ pub(super) fn run(args: InitArgs) -> Result<(), CliError> {
         ));
     }
     write_new(&path, &text)?;
+    let file = path.display();
     print_line!(
-        "{}: written; replace its values by those of your machine, then run `haptimill machine \
-         check {}`",
-        path.display(),
-        path.display()
+        "{file}: written; replace its values by those of your machine, in [plant] too, then run \
+         `haptimill machine check {file}`"
     );
+    if args.template.cuts_the_first_pocket() {
+        print_line!(
+            "it runs as it is, the first cut in the simulator:\n  haptimill examples --out .\n  \
+             haptimill run examples/mill3-pocket.ngc --machine {file} --stock \
+             examples/mill3-block.toml"
+        );
+    }
     Ok(())
 }
 
