@@ -123,9 +123,12 @@ fn add_lost_motion<'a>(
             }
             nodes.push(play.max(0.0));
         }
-        let units = |play: f64| Coordinate(to_i32(play * PER_MM));
-        joint.backlash = units(nodes.iter().copied().fold(0.0, f64::max));
-        joint.backlash_table = nodes.into_iter().map(units).collect();
+        let nodes = nodes
+            .into_iter()
+            .map(|play| Coordinate(to_i32(play * PER_MM)));
+        joint.backlash_table = nodes.collect();
+        let largest = joint.backlash_table.iter().max();
+        joint.backlash = largest.copied().unwrap_or(joint.backlash);
     }
 }
 
