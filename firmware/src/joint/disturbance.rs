@@ -7,7 +7,9 @@
 //! changes its sign with the friction at a reversal. The integrator alone leaves a spike there.
 //!
 //! The integrator has no limit cycle at rest: while the commanded rate is 0 it ignores errors
-//! within the dead band of one and a half encoder counts.
+//! within a dead band of one and a half encoder counts. A joint whose breakaway friction is far
+//! above its Coulomb friction jumps across that band. Each time the error comes out on its other
+//! side, the band doubles, to 16 times its width at most; the next motion makes it narrow again.
 //!
 //! Units: axis units per second squared, with [`FRACTION`] fractional bits. The friction estimate
 //! is between the negative configured Coulomb friction and half the drive's limit. No input can
@@ -20,6 +22,9 @@ use haptimill_math::{Coordinate, Rate};
 
 /// Fractional bits.
 pub const FRACTION: u32 = 20;
+
+/// Widest dead band at rest, in multiples of the narrow one: 24 counts.
+const WIDEST: u32 = 16;
 
 /// Constants of a [`Disturbance`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,10 +49,13 @@ pub struct Disturbance {
     most_friction: i64,
     integral: i64,
     friction: i64,
+    /// Dead band of the present rest, and the sign of the last error beyond it.
+    band: u32,
+    side: i32,
 }
 
 constants!(Disturbance { ki_period, drain, dead_band, limit, least_friction, most_friction } of {}
-    but { integral, friction });
+    but { integral, friction, band, side });
 
 impl Disturbance {
     /// A disturbance with K_I times the period (1/s^2, Q20), the time constant of the adaptation
@@ -76,6 +84,8 @@ impl Disturbance {
             most_friction: limits.integral / 2,
             integral: 0,
             friction: 0,
+            band: count.saturating_add(count / 2),
+            side: 0,
         }
     }
 
@@ -108,7 +118,21 @@ impl Disturbance {
     /// rate.
     #[inline]
     pub fn update(&mut self, error: Coordinate, rate: Rate, saturated: bool, full: bool) {
-        if saturated || (rate.0 == 0 && error.magnitude() <= self.dead_band) {
+        if rate.0 == 0 {
+            if error.magnitude() <= self.band {
+                return;
+            }
+            let side = error.0.signum();
+            if side.wrapping_neg() == self.side {
+                let widest = self.dead_band.saturating_mul(WIDEST);
+                self.band = self.band.saturating_mul(2).min(widest);
+            }
+            self.side = side;
+        } else {
+            self.band = self.dead_band;
+            self.side = 0;
+        }
+        if saturated {
             return;
         }
         // The integrator is within +-2^62 and a step below 2^63.
