@@ -296,6 +296,9 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
     let stroke = matches!(fault, Fault::Stroke { axis, .. } if of(axis));
     let homing = matches!(fault, Fault::Homing { axis, .. } if of(axis));
     let switch = matches!(fault, Fault::LimitSwitch { axis } if of(axis));
+    // One motor of a gantry that does not do what the other one does racks the beam. The name of
+    // the second motor is in the fault, and the first one may be the cause.
+    let racking = matches!(fault, Fault::Racking { .. });
     // The pose shows the motion of a joint that runs away.
     let pose = matches!(fault, Fault::Pose(_));
     match kind {
@@ -317,15 +320,15 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
                 Fault::EncoderIllegal { .. } | Fault::EncoderSlip { .. }
             );
             let unlocked = matches!(fault, Fault::NotLocked { axis, .. } if of(axis));
-            (counter && plausible) || following || stroke || switch || pose || unlocked
+            (counter && plausible) || following || stroke || switch || pose || unlocked || racking
         }
         K::SwitchStuck {
             switch: stuck,
             active,
             ..
-        } => (switch && *active && *stuck != Switch::Home) || homing,
+        } => (switch && *active && *stuck != Switch::Home) || homing || racking,
         K::SwitchInverted { .. } | K::SwitchMissing { .. } | K::SwitchBounces { .. } => {
-            switch || homing || stroke || pose
+            switch || homing || stroke || pose || racking
         }
         K::SensorStuck { .. }
         | K::SensorDropped { .. }

@@ -2,7 +2,7 @@
 
 use super::super::bench::StormBench;
 use super::super::reference::JobSample;
-use super::{CheckResult, Checks, bounds, commanded_pose};
+use super::{Cause, CheckResult, Checks, bounds, commanded_pose};
 use haptimill_protocol::message::{Command, Fault, Source, State};
 
 impl Checks {
@@ -46,9 +46,11 @@ impl Checks {
     }
 
     /// Returns the spindle overrides that may be in force: the one accepted last, and those whose
-    /// answer is under way. None when a session ended before its answers.
+    /// answer is under way. None when a session ended before its answers, or when a door may have
+    /// stopped the spindle.
     fn spindle_overrides(&self, bench: &StormBench) -> Vec<u8> {
-        if !bench.abandoned.is_empty() {
+        let door = self.causes.contains(&Cause::Input) && bench.rig.outputs().spindle_rpm == 0;
+        if door || !bench.abandoned.is_empty() {
             return Vec::new();
         }
         let pending = bench.pending.iter().filter_map(|it| match it.command {
