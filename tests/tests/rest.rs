@@ -1,5 +1,5 @@
-//! A joint at rest does not hunt: with an integrator and friction that sticks, a loop without a dead
-//! band creeps across its target again and again.
+//! A joint at rest does not hunt: with an integrator and friction that sticks, a loop without a
+//! dead band creeps across its target again and again.
 
 mod setup;
 
