@@ -409,7 +409,7 @@ fn within(value: i32) -> bool {
     i64::from(value).abs() <= COORDINATE_MAX
 }
 
-/// Whether the backlash of a joint by its place is within its bounds, with room between the places.
+/// Whether the backlash table of a joint is within its bounds: values, slopes, distance of nodes.
 fn has_sound_table(axis: &JointAxis) -> bool {
     let table = &axis.backlash_table;
     let Some(spans) = table.len().checked_sub(1) else {

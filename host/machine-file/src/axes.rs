@@ -1,6 +1,6 @@
 //! Pose coordinates and joints of a machine file.
 
-use super::document::{self, Section};
+use super::document::Section;
 use super::place::{Place, unit};
 use super::scale::{
     self, PER_COUNT, PER_EFFORT, PER_GAIN, per_unit, to_i32, to_i64, to_u16, to_u32,
@@ -133,11 +133,7 @@ fn read_backlash(
     high: f64,
 ) -> (f64, Vec<f64>) {
     let backlash = section.value(joint::backlash);
-    let allowed = match kind.is_rotary() {
-        true => document::real(0.0, 30.0, "deg"),
-        false => document::real(0.0, 100.0, "mm"),
-    };
-    let table = section.number_list(joint::backlash_table, 2, BACKLASH_NODES, allowed);
+    let table = section.number_list(joint::backlash_table, 2, BACKLASH_NODES, joint::backlash);
     if table.is_empty() {
         return (backlash, table);
     }

@@ -370,10 +370,10 @@ impl<'d, 'i> Section<'d, 'i> {
         }
     }
 
-    /// Reads an optional list of `few` to `most` numbers by its row in the table of keys; empty
-    /// where it is absent, or after a report.
-    pub fn number_list(&self, key: Key, few: usize, most: usize, allowed: Allowed) -> Vec<f64> {
-        let key = self.key(key).name;
+    /// Reads an optional list of `few` to `most` numbers, each in the range of the key `number`;
+    /// empty where it is absent, or after a report.
+    pub fn number_list(&self, key: Key, few: usize, most: usize, number: Key) -> Vec<f64> {
+        let (key, allowed) = (self.key(key).name, Allowed::of(self.key(number)));
         let Some(value) = self.get(key) else {
             return Vec::new();
         };
