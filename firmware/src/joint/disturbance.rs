@@ -9,7 +9,8 @@
 //! The integrator has no limit cycle at rest: while the commanded rate is 0 it ignores errors
 //! within a dead band of one and a half encoder counts. A joint whose breakaway friction is far
 //! above its Coulomb friction jumps across that band. Each time the error comes out on its other
-//! side, the band doubles, to 16 times its width at most; the next motion makes it narrow again.
+//! side after [`PATIENCE_US`] on one, the band doubles, to 16 times its width at most; the next
+//! motion makes it narrow again. A loop that settles after a motion changes sides faster.
 //!
 //! Units: axis units per second squared, with [`FRACTION`] fractional bits. The friction estimate
 //! is between the negative configured Coulomb friction and half the drive's limit. No input can
@@ -25,6 +26,9 @@ pub const FRACTION: u32 = 20;
 
 /// Widest dead band at rest, in multiples of the narrow one: 24 counts.
 const WIDEST: u32 = 16;
+
+/// Time on one side of the dead band from which on a change of the side is hunting, microseconds.
+const PATIENCE_US: u32 = 500_000;
 
 /// Constants of a [`Disturbance`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,18 +48,22 @@ pub struct Disturbance {
     /// adaptation.
     drain: u32,
     dead_band: u32,
+    /// [`PATIENCE_US`] in control periods.
+    patience: u32,
     limit: i64,
     least_friction: i64,
     most_friction: i64,
     integral: i64,
     friction: i64,
-    /// Dead band of the present rest, and the sign of the last error beyond it.
+    /// Dead band of the present rest, the sign of the last error beyond it, and the control periods
+    /// beyond it on that side.
     band: u32,
     side: i32,
+    since: u32,
 }
 
-constants!(Disturbance { ki_period, drain, dead_band, limit, least_friction, most_friction } of {}
-    but { integral, friction, band, side });
+constants!(Disturbance { ki_period, drain, dead_band, patience, limit, least_friction, most_friction } of {}
+    but { integral, friction, band, side, since });
 
 impl Disturbance {
     /// A disturbance with K_I times the period (1/s^2, Q20), the time constant of the adaptation
@@ -79,6 +87,7 @@ impl Disturbance {
             ki_period,
             drain,
             dead_band: count.saturating_add(count / 2),
+            patience: PATIENCE_US / if period_us == 0 { 1 } else { period_us as u32 },
             limit: limits.integral,
             least_friction: -limits.coulomb,
             most_friction: limits.integral / 2,
@@ -86,6 +95,7 @@ impl Disturbance {
             friction: 0,
             band: count.saturating_add(count / 2),
             side: 0,
+            since: 0,
         }
     }
 
@@ -123,11 +133,16 @@ impl Disturbance {
                 return;
             }
             let side = error.0.signum();
-            if side.wrapping_neg() == self.side {
-                let widest = self.dead_band.saturating_mul(WIDEST);
-                self.band = self.band.saturating_mul(2).min(widest);
+            if side == self.side {
+                self.since = self.since.saturating_add(1);
+            } else {
+                if self.side != 0 && self.since >= self.patience {
+                    let widest = self.dead_band.saturating_mul(WIDEST);
+                    self.band = self.band.saturating_mul(2).min(widest);
+                }
+                self.side = side;
+                self.since = 0;
             }
-            self.side = side;
         } else {
             self.band = self.dead_band;
             self.side = 0;
