@@ -165,7 +165,8 @@ impl Checks {
             _ => false,
         };
         // A controller cannot distinguish every cause: any injected fault may explain this one.
-        caused |= self.injected.iter().any(|kind| explains(kind, fault));
+        caused |= self.injected.iter().any(|kind| explains(kind, fault))
+            || self.explains_racking(bench, fault);
         if caused {
             return Ok(());
         }
@@ -183,6 +184,24 @@ impl Checks {
             "{fault:?} is not among the effects of {:?}",
             self.injected
         );
+    }
+
+    /// Returns whether a fault is the racking of a gantry with an injected fault of one of its two
+    /// motors, or of a switch of one of them.
+    fn explains_racking(&self, bench: &StormBench, fault: &Fault) -> bool {
+        let (Fault::Racking { axis, .. }, Some(machine)) = (fault, bench.controller().machine())
+        else {
+            return false;
+        };
+        let second = usize::from(*axis);
+        let gantry = machine.config.joints.get(second);
+        let first = gantry.and_then(|joint| joint.gantry.as_ref());
+        let motors = [Some(second), first.map(|gantry| usize::from(gantry.of))];
+        let mut injected = self.injected.iter();
+        injected.any(|kind| {
+            let joint = kind.axis().and_then(joint_of);
+            joint.is_some() && motors.contains(&joint)
+        })
     }
 
     /// Returns whether the planned path leaves the stroke of a joint between two setpoints whose
@@ -296,9 +315,6 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
     let stroke = matches!(fault, Fault::Stroke { axis, .. } if of(axis));
     let homing = matches!(fault, Fault::Homing { axis, .. } if of(axis));
     let switch = matches!(fault, Fault::LimitSwitch { axis } if of(axis));
-    // One motor of a gantry that does not do what the other one does racks the beam. The name of
-    // the second motor is in the fault, and the first one may be the cause.
-    let racking = matches!(fault, Fault::Racking { .. });
     // The pose shows the motion of a joint that runs away.
     let pose = matches!(fault, Fault::Pose(_));
     match kind {
@@ -320,15 +336,15 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
                 Fault::EncoderIllegal { .. } | Fault::EncoderSlip { .. }
             );
             let unlocked = matches!(fault, Fault::NotLocked { axis, .. } if of(axis));
-            (counter && plausible) || following || stroke || switch || pose || unlocked || racking
+            (counter && plausible) || following || stroke || switch || pose || unlocked
         }
         K::SwitchStuck {
             switch: stuck,
             active,
             ..
-        } => (switch && *active && *stuck != Switch::Home) || homing || racking,
+        } => (switch && *active && *stuck != Switch::Home) || homing,
         K::SwitchInverted { .. } | K::SwitchMissing { .. } | K::SwitchBounces { .. } => {
-            switch || homing || stroke || pose || racking
+            switch || homing || stroke || pose
         }
         K::SensorStuck { .. }
         | K::SensorDropped { .. }

@@ -1,6 +1,7 @@
 //! Following error: runaways, unreported errors, and the lag of a healthy machine.
 
 use super::super::bench::StormBench;
+use super::super::episode::joint_of;
 use super::super::units::{PERIOD, class, joint_unit};
 use super::position::is_position_known;
 use super::{Cause, CheckResult, Checks, bounds};
@@ -134,7 +135,9 @@ impl Checks {
         let limits = &machine.config.joints[joint];
         let far = distance(limits, bench.rig.truth().joints[joint], target);
         // Without an encoder nothing measures what a push or a reversed drive does to the joint.
-        let seen = limits.encoder.is_some() || self.injected.is_empty();
+        let mut injected = self.injected.iter();
+        let of_joint = injected.any(|kind| kind.axis().and_then(joint_of) == Some(joint));
+        let seen = limits.encoder.is_some() || !of_joint;
         let runaway = &mut self.following.runaway[joint];
         let away = known && seen && far > bounds::RUNAWAY[class(limits)];
         *runaway = if away { *runaway + 1 } else { 0 };

@@ -3,6 +3,7 @@
 use super::super::bench::StormBench;
 use super::super::reference::JobSample;
 use super::{Cause, CheckResult, Checks, bounds, commanded_pose};
+use haptimill_firmware::named_io::config::InputFunction;
 use haptimill_protocol::message::{Command, Fault, Source, State};
 
 impl Checks {
@@ -49,7 +50,13 @@ impl Checks {
     /// answer is under way. None when a session ended before its answers, or when a door may have
     /// stopped the spindle.
     fn spindle_overrides(&self, bench: &StormBench) -> Vec<u8> {
-        let door = self.causes.contains(&Cause::Input) && bench.rig.outputs().spindle_rpm == 0;
+        let machine = bench.controller().machine();
+        let has_door = machine.is_some_and(|machine| {
+            let mut inputs = machine.config.io.inputs.iter();
+            inputs.any(|input| matches!(input.function, InputFunction::Door { .. }))
+        });
+        let stopped = bench.rig.outputs().spindle_rpm == 0;
+        let door = has_door && stopped && self.causes.contains(&Cause::Input);
         if door || !bench.abandoned.is_empty() {
             return Vec::new();
         }
