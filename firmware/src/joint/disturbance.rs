@@ -9,7 +9,7 @@
 //! The integrator has no limit cycle at rest: while the commanded rate is 0 it ignores errors
 //! within a dead band of one and a half encoder counts. A joint whose breakaway friction is far
 //! above its Coulomb friction jumps across that band. Each time the error comes out on its other
-//! side after [`PATIENCE_US`] on one, the band doubles, to 16 times its width at most; the next
+//! side after 0.5 s on one, the band doubles, to 16 times its width at most; the next
 //! motion makes it narrow again. A loop that settles after a motion changes sides faster.
 //!
 //! Units: axis units per second squared, with [`FRACTION`] fractional bits. The friction estimate
