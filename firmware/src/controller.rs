@@ -66,7 +66,7 @@ impl Controller {
         named_io::react(core, server);
         profiler.mark(Stage::Supervise);
 
-        core.track_out_of_band_stop(inputs.urgent);
+        core.track_out_of_band_stop(inputs.out_of_band_stop);
         core.start_session(server.session_begun());
         match incoming {
             Some(Incoming::Request) => commands::execute(core, server, inputs),
@@ -183,14 +183,14 @@ impl Core {
 
     /// The window after an out-of-band stop in which commands sent before it are refused.
     #[inline]
-    fn track_out_of_band_stop(&mut self, urgent: bool) {
-        if urgent {
+    fn track_out_of_band_stop(&mut self, stop: bool) {
+        if stop {
             self.hold();
             self.job.stale_commands = true;
-            self.job.since_urgent = 0;
+            self.job.since_out_of_band_stop = 0;
         } else if self.job.stale_commands {
-            self.job.since_urgent = self.job.since_urgent.saturating_add(1);
-            let elapsed = u64::from(self.job.since_urgent) * u64::from(self.period_us);
+            self.job.since_out_of_band_stop = self.job.since_out_of_band_stop.saturating_add(1);
+            let elapsed = u64::from(self.job.since_out_of_band_stop) * u64::from(self.period_us);
             self.job.stale_commands = elapsed < STALE_COMMANDS_US;
         }
     }

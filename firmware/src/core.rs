@@ -51,7 +51,7 @@ pub(crate) struct Job {
     /// motion.
     pub stale_commands: bool,
     /// Periods since the out-of-band stop.
-    pub since_urgent: u32,
+    pub since_out_of_band_stop: u32,
     /// Integrity checks that are due and not done.
     pub digest_backlog: u8,
     /// The interpolator needs most of this period.

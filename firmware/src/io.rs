@@ -126,7 +126,7 @@ pub struct Inputs {
     /// Bytes that the board lost because its ring was full, free running, wraps around.
     pub lost_bytes: u16,
     /// The receive interrupt recognised the out-of-band stop since the last period.
-    pub urgent: bool,
+    pub out_of_band_stop: bool,
 }
 
 /// Pulses of one period on a step/direction drive, in ticks of the step clock.

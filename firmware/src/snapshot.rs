@@ -63,7 +63,7 @@ pub struct ForceSnapshot {
     /// The opposite extreme of the force in that revolution, 2^-16 N.
     pub low: [i32; COMPONENTS],
     /// Compliant displacement p_c, 2^-20 mm.
-    pub yielded: [i32; COMPONENTS],
+    pub displacement: [i32; COMPONENTS],
 }
 
 impl Controller {
@@ -117,12 +117,12 @@ impl Controller {
         snapshot.io = machine.io.snapshot(&machine.config.io);
         match &machine.force {
             Some(force) => {
-                let (extremes, yielded) = (force.extremes(), force.displacements());
+                let (extremes, displacement) = (force.extremes(), force.displacements());
                 for component in 0..COMPONENTS {
                     let extremes = &extremes[component];
                     snapshot.force.high[component] = extremes.peak().0;
                     snapshot.force.low[component] = extremes.other().0;
-                    snapshot.force.yielded[component] = yielded[component].length().0;
+                    snapshot.force.displacement[component] = displacement[component].length().0;
                 }
             }
             None => snapshot.force = ForceSnapshot::default(),

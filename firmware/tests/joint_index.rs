@@ -136,7 +136,7 @@ fn index_monitor_restarts_after_a_report() {
     let mut watch = watch();
     let said = [0, 8000, 16_100, 24_100].map(|raw| watch.pulse(raw));
     assert_eq!(said, [None, None, None, Some(100)]);
-    watch.forget();
+    watch.clear();
     assert!(!watch.is_armed());
     assert_eq!(
         [32_100, 40_100, 48_100].map(|raw| watch.pulse(raw)),

@@ -5,7 +5,7 @@ mod reference;
 use haptimill_firmware::config::{AxisKind, Drive, EncoderAxis, JointAxis, Stopping};
 use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
 use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
-use haptimill_firmware::safety::{EVENTS, Safety, brakes_first, keeps_position};
+use haptimill_firmware::safety::{EVENTS, Safety, decelerates_first, keeps_position};
 use haptimill_kinematics::Pose;
 use haptimill_math::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::{
@@ -374,7 +374,7 @@ fn missed_periods_explain_their_following_errors() {
         let mut safety = in_state(State::Run);
         safety.raise(late);
         safety.raise(other);
-        if brakes_first(&other) {
+        if decelerates_first(&other) {
             assert_eq!(safety.pending(), Some(late));
             continue;
         }
@@ -401,7 +401,7 @@ fn each_fault_latches_once_in_each_state() {
             let mut safety = in_state(state);
             let (on, moving) = (safety.drives_on(), safety.active());
             safety.raise(fault);
-            if brakes_first(&fault) && moving {
+            if decelerates_first(&fault) && moving {
                 // Still moving, in hand, braking.
                 assert_eq!(
                     (safety.state(), safety.pending(), safety.drives_on()),
@@ -416,7 +416,7 @@ fn each_fault_latches_once_in_each_state() {
             );
             assert_eq!(
                 safety.drives_on(),
-                on && brakes_first(&fault),
+                on && decelerates_first(&fault),
                 "{fault:?} in {state:?}"
             );
             assert_eq!(safety.position_kept(), keeps_position(&fault));
@@ -431,13 +431,13 @@ fn each_fault_latches_once_in_each_state() {
                 both.raise(fault);
                 both.settle();
                 both.raise(other);
-                let expected = if holding && !brakes_first(&other) {
+                let expected = if holding && !decelerates_first(&other) {
                     other
                 } else {
                     fault
                 };
                 assert_eq!(both.fault(), Some(expected), "{fault:?}, then {other:?}");
-                assert_eq!(both.drives_on(), holding && brakes_first(&other));
+                assert_eq!(both.drives_on(), holding && decelerates_first(&other));
             }
             assert!(safety.reset());
             assert_eq!(

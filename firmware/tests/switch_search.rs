@@ -1,7 +1,7 @@
 //! Search for a home switch, with a joint that follows its command exactly.
 
 use haptimill_firmware::config::{SwitchHome, SwitchInput};
-use haptimill_firmware::safety::switch_search::{Seen, SwitchSearch};
+use haptimill_firmware::safety::switch_search::{SearchInputs, SwitchSearch};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::HomingProblem;
 use proptest::prelude::*;
@@ -76,7 +76,7 @@ fn search(
         let place = start + search.moved() as f64 / MM;
         reached = [reached[0].min(place), reached[1].max(place)];
         noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        let seen = Seen {
+        let search_inputs = SearchInputs {
             config,
             partner: None,
             active: switch.level(place, config.downwards, noise >> 31 != 0),
@@ -86,7 +86,7 @@ fn search(
             period_us: PERIOD_US,
         };
         let rate = search.rate();
-        if let Err(problem) = search.advance(&seen) {
+        if let Err(problem) = search.advance(&search_inputs) {
             return (Err(problem), reached);
         }
         // The acceleration holds.

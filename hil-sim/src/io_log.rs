@@ -422,7 +422,7 @@ fn period(words: &Words, bytes: &mut &[u8]) -> Option<Period> {
     let (line_inputs, mut outputs) = (done.line_inputs, done.outputs);
     inputs.waiting = line_inputs.waiting;
     inputs.lost_bytes = line_inputs.lost_bytes;
-    inputs.urgent = line_inputs.urgent;
+    inputs.out_of_band_stop = line_inputs.out_of_band_stop;
     let (received, transmitted) = (
         usize::from(line_inputs.received),
         usize::from(done.transmitted),

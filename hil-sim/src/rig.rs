@@ -3,7 +3,8 @@
 //! [`Rig::step`] simulates one control period:
 //!
 //! * Faults that are due begin and end.
-//! * Bytes that have arrived pass the urgent detector and enter the receive ring of the board.
+//! * Bytes that have arrived pass the detector of out-of-band stops and enter the receive ring of
+//!   the board.
 //! * The inputs are latched, and the controller is called.
 //! * The plant advances by one period under the outputs of the call *before*, because outputs take
 //!   effect at the start of the next period.
@@ -22,7 +23,7 @@ use crate::schedule::Schedule;
 use core::fmt;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, RECEIVE_BYTES, StepSegment};
 use haptimill_firmware::snapshot::Snapshot;
-use haptimill_protocol::urgent::UrgentDetector;
+use haptimill_protocol::out_of_band::StopDetector;
 use std::collections::VecDeque;
 
 /// Capacity of the board's transmit ring, bytes.
@@ -132,8 +133,8 @@ pub struct Rig<C> {
     /// Periods that the controller is late.
     late: u16,
     ring_bytes: usize,
-    urgent: UrgentDetector,
-    urgent_seen: bool,
+    stop_detector: StopDetector,
+    out_of_band_stop: bool,
     lost_bytes: u16,
     missed: u16,
     inputs: Inputs,
@@ -173,8 +174,8 @@ impl<C: Control> Rig<C> {
             arrived: Vec::new(),
             late: 0,
             ring_bytes: options.ring_bytes,
-            urgent: UrgentDetector::new(),
-            urgent_seen: false,
+            stop_detector: StopDetector::new(),
+            out_of_band_stop: false,
             lost_bytes: 0,
             missed: 0,
             inputs: Inputs::default(),
@@ -202,7 +203,7 @@ impl<C: Control> Rig<C> {
         }
         self.plant.latch(&mut self.inputs);
         self.truth = *self.plant.truth();
-        self.inputs.urgent = core::mem::take(&mut self.urgent_seen);
+        self.inputs.out_of_band_stop = core::mem::take(&mut self.out_of_band_stop);
         self.inputs.missed = self.missed;
         self.missed = 0;
         self.inputs.lost_bytes = self.lost_bytes;
@@ -237,8 +238,8 @@ impl<C: Control> Rig<C> {
         self.arrived.clear();
         while let Some(byte) = self.to_machine.read(now) {
             self.arrived.push(byte);
-            if self.urgent.push(byte) {
-                self.urgent_seen = true;
+            if self.stop_detector.push(byte) {
+                self.out_of_band_stop = true;
             }
             if self.ring.len() < self.ring_bytes {
                 self.ring.push_back(byte);

@@ -287,13 +287,13 @@ fn the_out_of_band_stop_overtakes_waiting_bytes() {
     rig.host_write(&[0, 0x18, 0]);
     // The stop is behind 400 bytes, of which some are lost. It is recognised at once, and only
     // once.
-    let urgent: Vec<bool> = (0..4)
+    let stops: Vec<bool> = (0..4)
         .map(|_| {
             rig.step();
-            rig.inputs().urgent
+            rig.inputs().out_of_band_stop
         })
         .collect();
-    assert_eq!(urgent, [true, false, false, false]);
+    assert_eq!(stops, [true, false, false, false]);
 }
 
 #[test]

@@ -170,7 +170,7 @@ pub struct ForceTelemetry {
     /// Opposite extreme of the same revolution, 2^-16 N.
     pub low: [i32; COMPONENTS],
     /// Compliant displacement p_c, 2^-20 mm.
-    pub yielded: [i32; COMPONENTS],
+    pub displacement: [i32; COMPONENTS],
     /// Axes under force control: bit 0 for x.
     pub mask: u8,
     /// The sensor has a zero.

@@ -30,7 +30,7 @@ mod outgoing;
 
 pub use outgoing::OutgoingFrame;
 
-use crate::urgent;
+use crate::out_of_band;
 use heapless::Vec;
 
 /// Largest payload of a frame, bytes. The largest message, telemetry of six axes with force sensor,
@@ -424,7 +424,7 @@ impl FrameDecoder {
         self.left = 0;
         self.zero = false;
         self.skip = false;
-        if end == FIRST && (left == urgent::STOP_CODE - 1 || (left == 0 && !zero)) {
+        if end == FIRST && (left == out_of_band::STOP_CODE - 1 || (left == 0 && !zero)) {
             // An out-of-band stop between frames, or an empty frame.
             return None;
         }

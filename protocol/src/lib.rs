@@ -8,7 +8,7 @@
 //! * [`setpoint`]: compact coding of timed setpoints.
 //! * [`frame`]: COBS framing with a CRC-32 over each payload.
 //! * [`link`]: sequence numbers, acknowledgement, resend, window, session.
-//! * [`urgent`]: out-of-band stop, recognised byte by byte before framing.
+//! * [`out_of_band`]: out-of-band stop, recognised byte by byte before framing.
 //! * [`text`]: refusals, faults and events as sentences.
 //! * [`schema`]: hash of all message types, exchanged in Hello and Welcome.
 #![no_std]
@@ -21,8 +21,8 @@ pub mod frame;
 pub mod haptic;
 pub mod link;
 pub mod message;
+pub mod out_of_band;
 pub mod schema;
 pub mod setpoint;
 pub mod text;
-pub mod urgent;
 mod wire;

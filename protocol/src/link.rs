@@ -241,9 +241,9 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
                     acknowledgement,
                 } => {
                     outbox.acknowledge(now_us, acknowledgement);
-                    let urgent = inbox.reliable(sequence, frame.payload);
+                    let at_once = inbox.reliable(sequence, frame.payload);
                     self.acknowledge_since.get_or_insert(now_us);
-                    let more = if urgent { WINDOW as u8 } else { 1 };
+                    let more = if at_once { WINDOW as u8 } else { 1 };
                     self.acknowledge_count = self.acknowledge_count.saturating_add(more);
                     self.repeats = REPEATS;
                 }

@@ -122,7 +122,7 @@ mod tests {
             "WrongSign",
             "TareRefused",
             "Interrupted",
-            "yielded",
+            "displacement",
             "NotTared",
             "age_ms",
             "damping_below",

@@ -13,9 +13,9 @@ use haptimill_protocol::message::{
     Action, Command, ConfigChunk, Event, Hello, PROTOCOL_VERSION, Report, Request, SetpointBatch,
     State,
 };
+use haptimill_protocol::out_of_band;
 use haptimill_protocol::schema::schema_hash;
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
-use haptimill_protocol::urgent;
 
 /// Session of the frames in the corpus.
 const THEIRS: u32 = 7;
@@ -273,7 +273,7 @@ fn write_corpus() {
             write(target, format!("bit-{index}"), &broken);
         }
     }
-    let doubled = [&stream[..], &urgent::STOP, &stream[3..]].concat();
+    let doubled = [&stream[..], &out_of_band::STOP, &stream[3..]].concat();
     for target in ["frame_decoder", "link_ends"] {
         write(target, "stream".into(), &stream);
         write(target, "stop-and-shifted-stream".into(), &doubled);

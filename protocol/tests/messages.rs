@@ -198,7 +198,7 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
         force: Some(ForceTelemetry {
             high: [i32::MIN; COMPONENTS],
             low: [i32::MIN; COMPONENTS],
-            yielded: [i32::MIN; COMPONENTS],
+            displacement: [i32::MIN; COMPONENTS],
             mask: u8::MAX,
             tared: true,
             problem: Some(problem),

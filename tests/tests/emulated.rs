@@ -133,7 +133,9 @@ fn run_into_wall<C: haptimill_hil_sim::Control>(control: C) -> Vec<(Snapshot, Ou
 fn chip_and_native_outputs_are_equal_under_force_control() {
     let machine = MachineFile::built_in().expect("sound");
     let native = run_into_wall(Controller::new(machine.config.period_us));
-    let displacements = native.iter().map(|(snapshot, _)| snapshot.force.yielded[0]);
+    let displacements = native
+        .iter()
+        .map(|(snapshot, _)| snapshot.force.displacement[0]);
     let most = displacements.max().unwrap_or(0);
     assert!(most > 1 << 19, "the displacement is {most} units only");
     let image = pil::image(Board::Mps2).expect("builds");

@@ -19,7 +19,7 @@ use haptimill_hil_sim::rig::{Control, RigOptions};
 use haptimill_protocol::message::{
     CONFIG_CHUNK, Command, ConfigChunk, Event, Fault, Refusal, State,
 };
-use haptimill_protocol::urgent::STOP;
+use haptimill_protocol::out_of_band::STOP;
 use haptimill_tests::{Bench, line_in_x};
 
 /// A machine in the middle of a line at 10 mm/s, and its outputs from then on.

@@ -12,7 +12,7 @@ use haptimill_protocol::force::{EnableCondition, ForceLoop};
 use haptimill_protocol::message::{
     Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source, State,
 };
-use haptimill_protocol::urgent::STOP;
+use haptimill_protocol::out_of_band::STOP;
 use haptimill_tests::Bench;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

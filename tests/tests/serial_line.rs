@@ -9,8 +9,8 @@ use haptimill_protocol::link::{HostLink, LinkState, Timing};
 use haptimill_protocol::message::{
     Command, Event, HelloRefusal, Refusal, SetpointBatch, Source, State,
 };
+use haptimill_protocol::out_of_band::STOP;
 use haptimill_protocol::setpoint::SetpointCoder;
-use haptimill_protocol::urgent::STOP;
 use haptimill_tests::Bench;
 use setup::{
     MM, circle, commanded, commands, distance_from_path, line, moving, ready, rest, send_available,

@@ -8,7 +8,7 @@ use haptimill_protocol::frame::{
 };
 use haptimill_protocol::link::{ControllerLink, HostLink, Identity, LinkState, Timing};
 use haptimill_protocol::message::{Command, Event, Report, Request};
-use haptimill_protocol::urgent::{STOP, UrgentDetector};
+use haptimill_protocol::out_of_band::{STOP, StopDetector};
 use heapless::Deque;
 
 /// The checks of this module.
@@ -86,7 +86,7 @@ fn frames() {
 
 fn stops() {
     let mut sequence = Sequence(22);
-    let mut detector = UrgentDetector::new();
+    let mut detector = StopDetector::new();
     let mut room = [0; 60];
     for round in 0..500 {
         let length = sequence.below(61) as usize;

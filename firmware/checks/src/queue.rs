@@ -8,8 +8,8 @@ use haptimill_firmware::motion::interpolator::{Interpolator, QUEUE};
 use haptimill_kinematics::Pose;
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Action, Refusal};
+use haptimill_protocol::out_of_band;
 use haptimill_protocol::setpoint::Setpoint;
-use haptimill_protocol::urgent;
 
 /// The checks of this module.
 pub const CHECKS: &[Check] = &[
@@ -139,7 +139,9 @@ fn overrun() {
     let (mut receiver, mut waiting) = ring.split();
     let flood = |index: usize| (index % 23) as u8 + 40;
     (0..400).for_each(|index| receiver.push(flood(index)));
-    urgent::STOP.iter().for_each(|&byte| receiver.push(byte));
+    out_of_band::STOP
+        .iter()
+        .for_each(|&byte| receiver.push(byte));
     assert_eq!((waiting.received_count(), waiting.peak()), (403, 255));
     let mut inputs = Inputs::default();
     let mut heard = 0;
@@ -150,7 +152,7 @@ fn overrun() {
             heard += 1;
         }
         assert!(inputs.received.len() <= RECEIVE_BYTES);
-        assert_eq!(inputs.urgent, period == 0);
+        assert_eq!(inputs.out_of_band_stop, period == 0);
         assert_eq!(
             (usize::from(inputs.waiting), inputs.lost_bytes),
             (255 - heard, 148)

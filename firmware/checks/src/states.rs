@@ -15,8 +15,8 @@ use haptimill_protocol::message::{
     Action, AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Event, Fault, Refusal, Report, Request,
     SETPOINT_BATCH, SetpointBatch, State, Telemetry,
 };
+use haptimill_protocol::out_of_band::STOP;
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
-use haptimill_protocol::urgent::STOP;
 use heapless::Vec;
 
 /// The checks of this module.
@@ -117,7 +117,7 @@ impl Bed {
         inputs.transmit_room = 64;
         self.controller.tick(inputs, &mut self.outputs, &mut ());
         inputs.missed = 0;
-        inputs.urgent = false;
+        inputs.out_of_band_stop = false;
         self.link.receive(now_us, &self.outputs.transmit);
         while let Some(report) = self.link.poll_message() {
             match report {
@@ -369,7 +369,7 @@ fn stop() {
     assert_eq!(bed.state(), State::Run);
     // As in a receive interrupt.
     assert_eq!(STOP.len(), 3);
-    bed.inputs.urgent = true;
+    bed.inputs.out_of_band_stop = true;
     bed.step();
     assert_eq!(bed.state(), State::Hold);
     bed.steps(2000);

@@ -9,7 +9,7 @@
 
 use crate::io::{Inputs, RECEIVE_BYTES};
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use haptimill_protocol::urgent::UrgentDetector;
+use haptimill_protocol::out_of_band::StopDetector;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer, Queue};
 
@@ -19,7 +19,7 @@ pub const RING_BYTES: usize = 4095;
 /// State that both ends share, besides the bytes.
 #[derive(Debug, Default)]
 struct Shared {
-    urgent: AtomicBool,
+    stop: AtomicBool,
     lost: AtomicU32,
     peak: AtomicU32,
     received_count: AtomicU32,
@@ -29,14 +29,14 @@ struct Shared {
 #[derive(Default)]
 pub struct ReceiveRing<const N: usize> {
     queue: Queue<u8, N>,
-    detector: UrgentDetector,
+    detector: StopDetector,
     shared: Shared,
 }
 
 /// End of the receive interrupt.
 pub struct Receiver<'a> {
     queue: Producer<'a, u8>,
-    detector: &'a mut UrgentDetector,
+    detector: &'a mut StopDetector,
     shared: &'a Shared,
 }
 
@@ -52,9 +52,9 @@ impl<const N: usize> ReceiveRing<N> {
     pub const fn new() -> Self {
         Self {
             queue: Queue::new(),
-            detector: UrgentDetector::new(),
+            detector: StopDetector::new(),
             shared: Shared {
-                urgent: AtomicBool::new(false),
+                stop: AtomicBool::new(false),
                 lost: AtomicU32::new(0),
                 peak: AtomicU32::new(0),
                 received_count: AtomicU32::new(0),
@@ -83,7 +83,7 @@ impl Receiver<'_> {
     #[inline]
     pub fn push(&mut self, byte: u8) {
         if self.detector.push(byte) {
-            self.shared.urgent.store(true, Ordering::Release);
+            self.shared.stop.store(true, Ordering::Release);
         }
         if self.queue.enqueue(byte).is_err() {
             add(&self.shared.lost);
@@ -108,9 +108,9 @@ impl Waiting<'_> {
     pub fn take(&mut self, inputs: &mut Inputs) {
         // Read before the bytes: a stop that arrives now is seen now or in the next period, never
         // lost.
-        inputs.urgent = self.shared.urgent.load(Ordering::Acquire);
-        if inputs.urgent {
-            self.shared.urgent.store(false, Ordering::Release);
+        inputs.out_of_band_stop = self.shared.stop.load(Ordering::Acquire);
+        if inputs.out_of_band_stop {
+            self.shared.stop.store(false, Ordering::Release);
         }
         inputs.lost_bytes = self.shared.lost.load(Ordering::Acquire) as u16;
         let count = self.queue.len().min(RECEIVE_BYTES);
@@ -143,7 +143,7 @@ impl Waiting<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use haptimill_protocol::urgent;
+    use haptimill_protocol::out_of_band;
     use std::vec::Vec;
 
     extern crate std;
@@ -156,7 +156,7 @@ mod tests {
         let (mut receiver, mut waiting) = ring.split();
         let flood: Vec<u8> = (0..400).map(|k| (k % 23) as u8 + 40).collect();
         flood.iter().for_each(|&byte| receiver.push(byte));
-        urgent::STOP
+        out_of_band::STOP
             .iter()
             .chain(&[7])
             .for_each(|&byte| receiver.push(byte));
@@ -166,7 +166,7 @@ mod tests {
         for period in 0..5 {
             waiting.take(&mut inputs);
             received.extend_from_slice(&inputs.received);
-            assert_eq!(inputs.urgent, period == 0);
+            assert_eq!(inputs.out_of_band_stop, period == 0);
             assert_eq!(usize::from(inputs.waiting), 255 - received.len());
             assert_eq!(inputs.lost_bytes, 149);
         }

@@ -82,7 +82,7 @@ pub struct Server {
 /// Whether a command is executed in the slice that reads it: stops, and the values of a master,
 /// whose delay is a part of the force-feedback loop. They are short. Any other request has a slice
 /// of its own.
-const fn is_urgent(command: &Command) -> bool {
+const fn is_executed_at_once(command: &Command) -> bool {
     matches!(
         command,
         Command::EmergencyStop
@@ -197,9 +197,9 @@ impl Server {
         if self.batch.is_none() {
             if !BatchReader::fits(payload) {
                 let read = self.link.poll_into(&mut self.request);
-                let urgent = is_urgent(&self.request.command);
-                self.request_waits = read && !urgent;
-                return (read && urgent).then_some(Incoming::Request);
+                let at_once = is_executed_at_once(&self.request.command);
+                self.request_waits = read && !at_once;
+                return (read && at_once).then_some(Incoming::Request);
             }
             self.batch = BatchReader::open(payload);
         }

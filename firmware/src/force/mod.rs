@@ -225,9 +225,12 @@ impl ForceControl {
                     0 => (window / 4).max(1) as u16,
                     periods => periods,
                 };
-                let yielded = axis.compliance.displacement() != Displacement::default();
-                axis.stability_monitor
-                    .update(axis.extremes.peak(), axis.compliance.law(), yielded);
+                let is_displaced = axis.compliance.displacement() != Displacement::default();
+                axis.stability_monitor.update(
+                    axis.extremes.peak(),
+                    axis.compliance.law(),
+                    is_displaced,
+                );
                 if component == 0 {
                     self.conditioner.set_rotation(rotation);
                 }
@@ -556,7 +559,7 @@ impl ForceControl {
         ForceTelemetry {
             high: extremes.map(|extremes| extremes.peak().0),
             low: extremes.map(|extremes| extremes.other().0),
-            yielded: self.displacements().map(|by| by.length().0),
+            displacement: self.displacements().map(|by| by.length().0),
             mask: self.mask,
             tared: self.conditioner.tared(),
             problem: self.condition,

@@ -38,11 +38,11 @@
 //! motion of a drive without end. The added damping acts between the tool and the workpiece (p_c' +
 //! p_d'), so a steady push by the desired motion costs no force.
 //!
-//! A level rises at once. It falls by one when three conditions hold: [`PATIENCE`] updates showed
-//! no contact of this stiffness; the tool has moved by [`WAY`] since it was last detected; the
-//! force changed by less than half of what such a contact causes over that distance. The other half
-//! allows for lost motion, which the encoders do not measure. A tool at standstill gives no
-//! evidence and keeps its level. At level 0 the law is the equation alone.
+//! A level rises at once. It falls by one when three conditions hold: [`MIN_CALM_UPDATES`] updates
+//! showed no contact of this stiffness; the tool has moved by [`MIN_TRAVEL`] since it was last
+//! detected; the force changed by less than half of what such a contact causes over that distance.
+//! The other half allows for lost motion, which the encoders do not measure. A tool at standstill
+//! gives no evidence and keeps its level. At level 0 the law is the equation alone.
 //!
 //! **Sign.** The same regression finds a sensor with the wrong sign: its force grows as the tool
 //! moves *along* it. The check runs until the first contact shows the right sign.
@@ -68,11 +68,11 @@ const MOTION: i64 = 524;
 const SIGNIFICANT_MOTION: i64 = 1573;
 
 /// Updates without a contact of this stiffness after which a level may fall.
-pub const PATIENCE: u8 = 48;
+pub const MIN_CALM_UPDATES: u8 = 48;
 
 /// Distance over which a contact must show whether it persists, 2^-20 mm: 50 um, a multiple of the
 /// lost motion of a drive.
-pub const WAY: i64 = 52_429;
+pub const MIN_TRAVEL: i64 = 52_429;
 
 /// Updates without a contact force after which the contact has ended: four revolutions.
 const TOUCH: u8 = 16;
@@ -191,7 +191,7 @@ impl StabilityMonitor {
     /// Updates the monitor, four times per revolution, with the peak force, the admittance law, and
     /// whether the displacement differs from 0.
     #[inline(never)]
-    pub fn update(&mut self, force: Force, law: &AdmittanceLaw, yielded: bool) {
+    pub fn update(&mut self, force: Force, law: &AdmittanceLaw, is_displaced: bool) {
         let highest = law.highest();
         let desired = law.settings().desired;
         self.touch = if force.magnitude() >= desired.magnitude() / 2 {
@@ -211,7 +211,7 @@ impl StabilityMonitor {
         if turned {
             self.downward = downward;
         }
-        let open = !yielded && force.magnitude() <= desired.magnitude();
+        let open = !is_displaced && force.magnitude() <= desired.magnitude();
         if turned || open {
             self.begun = false;
             self.position_variance = 0;
@@ -283,7 +283,7 @@ impl StabilityMonitor {
         }
         self.calm = self.calm.saturating_add(1);
         let displacement_change = (i64::from(now.0) - i64::from(self.shown.0)).abs();
-        if self.calm < PATIENCE || displacement_change < WAY {
+        if self.calm < MIN_CALM_UPDATES || displacement_change < MIN_TRAVEL {
             return;
         }
         let change = (i64::from(now.1) - i64::from(self.shown.1)).abs();

@@ -120,7 +120,7 @@ impl MasterMapping {
 
     /// Whether the master leads any coordinate.
     #[must_use]
-    pub const fn leads(&self) -> bool {
+    pub const fn is_active(&self) -> bool {
         self.latched != 0
     }
 

@@ -125,7 +125,7 @@ pub struct Haptic {
     law: FeedbackLaw,
     walls: Walls,
     passivity: Passivity,
-    swings: OscillationDampers,
+    dampers: OscillationDampers,
     shares: FeedbackFilter,
     supply: OperatorPower,
     /// Counts at the presets.
@@ -153,7 +153,7 @@ pub struct Haptic {
 }
 
 constants!(Haptic { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods } of {} but {
-    law, walls, passivity, swings, shares, supply, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, remote, force, reflected, wall, enabled, problem, latched, fresh
+    law, walls, passivity, dampers, shares, supply, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, remote, force, reflected, wall, enabled, problem, latched, fresh
 });
 
 impl Haptic {
@@ -191,7 +191,7 @@ impl Haptic {
             law: FeedbackLaw::new(&config.feedback, period_us),
             walls: Walls::new(&config.wall, config.ball, period_us),
             passivity: Passivity::new(&config.passivity, period_us, FORGET_US),
-            swings: OscillationDampers::new(&config.passivity, period_us),
+            dampers: OscillationDampers::new(&config.passivity, period_us),
             shares: FeedbackFilter::new(period_us),
             supply: OperatorPower::new(period_us),
             zero: inputs.legs.map(|leg| leg.counts),
@@ -376,12 +376,12 @@ impl Haptic {
         self.remote.force.map(|part| (part.0 >> 10) as i16)
     }
 
-    /// Runs the *render* stage. `tool` is the force on a local tool, `leads` whether the master
+    /// Runs the *render* stage. `tool` is the force on a local tool, `leading` whether the master
     /// leads a tool now, `powered` whether the arm may have power.
     pub fn render(
         &mut self,
         tool: Option<[Force; COMPONENTS]>,
-        leads: bool,
+        leading: bool,
         powered: bool,
         outputs: &mut HapticOutputs,
     ) {
@@ -402,21 +402,21 @@ impl Haptic {
             [Force::ZERO; COMPONENTS]
         };
         let tool = tool.unwrap_or(there);
-        let towards = if leads { 1 << 16 } else { 0 };
+        let towards = if leading { 1 << 16 } else { 0 };
         self.blend += (towards - self.blend).clamp(-self.blend_step, self.blend_step);
         let rates = self.rates.map(|rate| Rate(saturate(rate >> 8)));
         self.wall = self.walls.push(&pose.tip);
         let stored = self.walls.stored();
         let works = works(&self.force, &self.moved);
         self.passivity.observe_work(&works, stored);
-        self.swings.watch(&self.force, &self.moved, stored);
-        let (all, swinging) = (self.passivity.deficit_of(), self.swings.deficit_of());
+        self.dampers.watch(&self.force, &self.moved, stored);
+        let (all, swinging) = (self.passivity.deficit_of(), self.dampers.deficit_of());
         let idle = self.supply.observe_work(&works);
         let deficit_of =
             idle.map(|idle| all.max(((i64::from(swinging) * i64::from(idle)) >> 16) as i32));
         // Axes that the operator does not drive get half the damping, applied to the full velocity.
         let damped = deficit_of.map(|deficit_of| deficit_of.min(WHOLE) / 2);
-        let swings = self.swings.damp(&rates, &idle, &damped);
+        let dampers = self.dampers.damp(&rates, &idle, &damped);
         let shares = self.law.shares(&tool);
         // The blend is applied after the filter: a released master has no force.
         let shares = self
@@ -427,7 +427,7 @@ impl Haptic {
         let mut force = self.force;
         for (axis, force) in force.iter_mut().enumerate() {
             let damping = self.passivity.damp_by(damped[axis], rates[axis]);
-            let damping = Force(damping.0.saturating_add(swings[axis].0));
+            let damping = Force(damping.0.saturating_add(dampers[axis].0));
             let commanded = self
                 .law
                 .together(axis, self.reflected[axis], damping, self.wall[axis]);
@@ -460,7 +460,7 @@ impl Haptic {
         self.reflected = self.force;
         self.wall = self.force;
         self.passivity.reset();
-        self.swings.reset();
+        self.dampers.reset();
         self.shares.reset();
         self.supply.reset();
     }
@@ -529,7 +529,7 @@ impl Haptic {
             force: short(&self.force),
             feedback: short(&self.reflected),
             fixture: short(&self.wall),
-            energy: (self.passivity.energy().min(self.swings.energy()) >> 28).clamp(-32768, 32767)
+            energy: (self.passivity.energy().min(self.dampers.energy()) >> 28).clamp(-32768, 32767)
                 as i16,
             enabled: self.enabled,
             problem: self.problem,

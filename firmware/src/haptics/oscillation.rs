@@ -40,7 +40,7 @@ const FORGET_US: u32 = 10_000_000;
 const MEAN_US: u32 = 1_000_000;
 
 /// Power of an operator that drives an axis, N mm/s, which are mW.
-const LEADS_N_MM_S: i64 = 5;
+const DRIVES_N_MM_S: i64 = 5;
 
 /// Fraction bits of the slow parts.
 const FRACTION: u32 = 12;
@@ -117,8 +117,8 @@ impl OscillationDampers {
             // A master that has stopped is not damped, although its slow part decays later: the
             // damped rate is at most the actual one.
             let most = rates[axis].0.saturating_abs();
-            let swings = self.rates[axis].of(rates[axis].0, self.shift);
-            let rate = Rate(swings.clamp(-most, most));
+            let swing = self.rates[axis].of(rates[axis].0, self.shift);
+            let rate = Rate(swing.clamp(-most, most));
             let led = ((i64::from(part) * i64::from(WHOLE - idle[axis])) >> 16) as i32;
             self.watch.damp_by(led - damped[axis], rate)
         })
@@ -142,9 +142,9 @@ impl OscillationDampers {
 pub struct OperatorPower {
     shift: u32,
     /// Energy per control period from which on the operator drives the axis, 2^-36 N mm.
-    leads: i64,
-    /// 2^56 divided by `leads`.
-    per_leads: i64,
+    driving: i64,
+    /// 2^56 divided by `driving`.
+    per_driving: i64,
     power: [i64; COMPONENTS],
 }
 
@@ -154,11 +154,11 @@ impl OperatorPower {
     pub fn new(period_us: u16) -> Self {
         let period = u32::from(period_us.max(1));
         // Below 2^16 * 2^3 * 2^36 / 10^6: 2^36.
-        let leads = ((i64::from(period) * LEADS_N_MM_S) << 36) / 1_000_000;
+        let driving = ((i64::from(period) * DRIVES_N_MM_S) << 36) / 1_000_000;
         Self {
             shift: (MEAN_US / period).next_power_of_two().trailing_zeros(),
-            leads,
-            per_leads: (1 << 56) / leads,
+            driving,
+            per_driving: (1 << 56) / driving,
             power: [0; COMPONENTS],
         }
     }
@@ -186,7 +186,7 @@ impl OperatorPower {
             let power = total(self.power[axis], shift_right(away, self.shift));
             self.power[axis] = power;
             // 2^48 at most.
-            let led = product(power.max(0).min(self.leads) >> 8, self.per_leads);
+            let led = product(power.max(0).min(self.driving) >> 8, self.per_driving);
             WHOLE - (led >> 32) as i32
         })
     }
@@ -211,7 +211,7 @@ mod tests {
     #[test]
     fn only_what_swings_is_damped() {
         let damped = |amplitude: f64, late: f64| {
-            let mut swings = OscillationDampers::new(&CONFIG, 200);
+            let mut dampers = OscillationDampers::new(&CONFIG, 200);
             let mut supply = OperatorPower::new(200);
             let mut most = 0;
             for period in 0..15_000_u32 {
@@ -225,13 +225,16 @@ mod tests {
                     Force(0),
                 ];
                 let moved = [of(rate * 200e-6, 1_048_576.0), 0, 0];
-                swings.watch(&force, &moved, 0);
+                dampers.watch(&force, &moved, 0);
                 let idle = supply.watch(&force, &moved);
                 let rates = [Rate(of(rate, 1_048_576.0)), Rate(0), Rate(0)];
-                let got = swings.damp(&rates, &idle, &[0; COMPONENTS]);
+                let got = dampers.damp(&rates, &idle, &[0; COMPONENTS]);
                 if period > 10_000 {
                     most = most.max(got[0].0.abs());
-                    assert!(idle[0] < 8 && idle[1..] == [WHOLE; 2], "it leads along x");
+                    assert!(
+                        idle[0] < 8 && idle[1..] == [WHOLE; 2],
+                        "the operator drives x"
+                    );
                 }
             }
             f64::from(most) / 65_536.0
@@ -247,18 +250,18 @@ mod tests {
     /// none on others, and a proportional one between.
     #[test]
     fn a_whole_debt_is_damped_wholly() {
-        let mut swings = OscillationDampers::new(&CONFIG, 200);
+        let mut dampers = OscillationDampers::new(&CONFIG, 200);
         for period in 0..20_000_u32 {
             // 8 Hz, 5 N along 10 mm/s.
             let swing = (f64::from(period) * 0.01).sin();
             let force = [Force(of(5.0 * swing, 65_536.0)), Force(0), Force(0)];
-            swings.watch(&force, &[of(0.002 * swing, 1_048_576.0), 0, 0], 0);
+            dampers.watch(&force, &[of(0.002 * swing, 1_048_576.0), 0, 0], 0);
         }
-        assert!(swings.deficit_of() > 2 * WHOLE);
+        assert!(dampers.deficit_of() > 2 * WHOLE);
         // A step of the rate differs from its high-passed value by 1/512. 0.3 N s/mm; motion that
         // is already damped is not damped again.
         let rates = [Rate(10 << 20); 3];
-        let got = swings.damp(&rates, &[0, WHOLE, WHOLE / 2], &[0, 0, WHOLE / 4]);
+        let got = dampers.damp(&rates, &[0, WHOLE, WHOLE / 2], &[0, 0, WHOLE / 4]);
         for (force, expected) in got.into_iter().zip([3.0, 0.0, 0.75]) {
             let force = -f64::from(force.0) / 65_536.0;
             assert!((force - expected).abs() < 0.01, "{force} {expected}");

@@ -76,7 +76,7 @@ pub struct Passivity {
     /// At most 2^15.
     damping: u32,
     /// Fraction of a deficit that leaks per control period, 2^-32; below 2^26.
-    forget: i64,
+    leak: i64,
     /// Surplus, or below 0 deficit.
     energy: i64,
 }
@@ -92,7 +92,7 @@ impl Passivity {
             least: -i64::from(COUNTED) * deficit,
             per_debt: (1 << 58) / deficit,
             damping: config.damping.min(1 << 15),
-            forget: ((i64::from(period_us) << 32) / i64::from(forget_us.max(1))).min(1 << 26),
+            leak: ((i64::from(period_us) << 32) / i64::from(forget_us.max(1))).min(1 << 26),
             energy: 0,
         }
     }
@@ -124,7 +124,7 @@ impl Passivity {
         // A deficit shifted by 8 bits is below 2^37.
         self.energy = match energy {
             0.. => energy,
-            _ => difference(energy, product(energy >> 8, self.forget) >> 24),
+            _ => difference(energy, product(energy >> 8, self.leak) >> 24),
         };
     }
 

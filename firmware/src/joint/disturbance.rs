@@ -28,7 +28,7 @@ pub const FRACTION: u32 = 20;
 const WIDEST: u32 = 16;
 
 /// Time on one side of the dead band from which on a change of the side is hunting, microseconds.
-const PATIENCE_US: u32 = 500_000;
+const SIDE_CHANGE_US: u32 = 500_000;
 
 /// Constants of a [`Disturbance`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,8 +48,8 @@ pub struct Disturbance {
     /// adaptation.
     drain: u32,
     dead_band: u32,
-    /// [`PATIENCE_US`] in control periods.
-    patience: u32,
+    /// [`SIDE_CHANGE_US`] in control periods.
+    side_change_periods: u32,
     limit: i64,
     least_friction: i64,
     most_friction: i64,
@@ -62,7 +62,7 @@ pub struct Disturbance {
     since: u32,
 }
 
-constants!(Disturbance { ki_period, drain, dead_band, patience, limit, least_friction, most_friction } of {}
+constants!(Disturbance { ki_period, drain, dead_band, side_change_periods, limit, least_friction, most_friction } of {}
     but { integral, friction, band, side, since });
 
 impl Disturbance {
@@ -87,7 +87,7 @@ impl Disturbance {
             ki_period,
             drain,
             dead_band: count.saturating_add(count / 2),
-            patience: PATIENCE_US / if period_us == 0 { 1 } else { period_us as u32 },
+            side_change_periods: SIDE_CHANGE_US / if period_us == 0 { 1 } else { period_us as u32 },
             limit: limits.integral,
             least_friction: -limits.coulomb,
             most_friction: limits.integral / 2,
@@ -136,7 +136,7 @@ impl Disturbance {
             if side == self.side {
                 self.since = self.since.saturating_add(1);
             } else {
-                if self.side != 0 && self.since >= self.patience {
+                if self.side != 0 && self.since >= self.side_change_periods {
                     let widest = self.dead_band.saturating_mul(WIDEST);
                     self.band = self.band.saturating_mul(2).min(widest);
                 }

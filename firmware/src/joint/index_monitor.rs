@@ -127,8 +127,8 @@ impl IndexMonitor {
         self.searching = searching;
     }
 
-    /// Forgets the pulse positions, after the offset was reported.
-    pub const fn forget(&mut self) {
+    /// Clears the pulse positions, after the offset was reported.
+    pub const fn clear(&mut self) {
         self.due = None;
         self.doubt = None;
     }

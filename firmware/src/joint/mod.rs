@@ -464,7 +464,7 @@ impl JointDrive {
         let motor = self.measurement.motor;
         self.backlash.hold(motor);
         if self.measurement.off != 0 {
-            self.indexes.forget();
+            self.indexes.clear();
         }
         self.encoder.clear_illegal();
         self.measurement.illegal = 0;

@@ -141,7 +141,7 @@ impl Machine {
             .master()
             .filter(|frame| frame.engaged && !late && mask != 0);
         let Some(frame) = frame else {
-            let led = self.masters.mapping.leads();
+            let led = self.masters.mapping.is_active();
             self.release_master();
             if late && led && mask != 0 {
                 let age_ms = u64::from(age) * u64::from(self.config.period_us) / 1000;
@@ -184,8 +184,8 @@ impl Machine {
             return;
         };
         let here = !self.joints.is_empty();
-        let leads = if here {
-            self.masters.mapping.leads()
+        let leading = if here {
+            self.masters.mapping.is_active()
         } else {
             arm.frame().is_some_and(|frame| frame.engaged)
         };
@@ -200,7 +200,7 @@ impl Machine {
         } else {
             None
         };
-        arm.render(tool, leads, powered, outputs);
+        arm.render(tool, leading, powered, outputs);
     }
 
     /// A problem of the haptic arm that was not reported yet.

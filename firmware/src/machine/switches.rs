@@ -5,7 +5,7 @@ use super::Machine;
 use crate::config::{Home, SwitchInput};
 use crate::io::{AxisInputs, Inputs};
 use crate::joint::encoder::sum;
-use crate::safety::switch_search::{Seen, SwitchSearch};
+use crate::safety::switch_search::{SearchInputs, SwitchSearch};
 use haptimill_kinematics::Joints;
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Fault, HomingProblem, MAX_AXES};
@@ -105,7 +105,7 @@ impl Machine {
                 };
                 let measurement = joint.measurement();
                 let partner = self.config.partner(index).and_then(|it| before.get(it));
-                let seen = Seen {
+                let search_inputs = SearchInputs {
                     config,
                     partner,
                     active: axis.active_switches(&inputs.axes[index]) & config.input.bit() != 0,
@@ -114,10 +114,12 @@ impl Machine {
                     index_travel,
                     period_us,
                 };
-                search.advance(&seen).map_err(|problem| Fault::Homing {
-                    axis: index as u8,
-                    problem,
-                })?;
+                search
+                    .advance(&search_inputs)
+                    .map_err(|problem| Fault::Homing {
+                        axis: index as u8,
+                        problem,
+                    })?;
             }
             let moved = Coordinate(search.moved() as i32);
             self.target.joints.0[index] = sum(axis.kind, self.switches.origin.0[index], moved);

@@ -138,7 +138,7 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
     words.put_all([
         u32::from(done.outputs.spindle_rpm as u16) | u32::from(done.transmitted) << 16,
         u32::from(line_inputs.received) | u32::from(line_inputs.waiting) << 16,
-        u32::from(line_inputs.lost_bytes) | u32::from(line_inputs.urgent) << 16,
+        u32::from(line_inputs.lost_bytes) | u32::from(line_inputs.out_of_band_stop) << 16,
     ]);
     words.put(done.outputs.digital);
     put_analog(words, done.outputs.analog);
@@ -168,7 +168,7 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
     let (force, haptic) = (&snapshot.force, &snapshot.haptic);
     words.put_vector(&force.high);
     words.put_vector(&force.low);
-    words.put_vector(&force.yielded);
+    words.put_vector(&force.displacement);
     words.put_vector(&haptic.tip);
     words.put_vector(&haptic.force);
     words.put_vector(&haptic.reflected);
@@ -217,7 +217,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
         received: bytes as u16,
         waiting: (bytes >> 16) as u16,
         lost_bytes: rest as u16,
-        urgent: rest >> 16 & 1 != 0,
+        out_of_band_stop: rest >> 16 & 1 != 0,
     };
     done.outputs.digital = words.take();
     done.outputs.analog = take_analog(words);
@@ -248,7 +248,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
         force: ForceSnapshot {
             high: words.take_row(),
             low: words.take_row(),
-            yielded: words.take_row(),
+            displacement: words.take_row(),
         },
         haptic: HapticSnapshot {
             tip: words.take_row(),

@@ -64,7 +64,7 @@ pub enum ToBoard {
         period_us: u16,
     },
     /// A control period. The board fills in the serial-line inputs itself: `received`, `waiting`,
-    /// `lost_bytes`, `urgent`.
+    /// `lost_bytes`, `out_of_band_stop`.
     Period {
         /// Inputs of the plant.
         inputs: Inputs,
@@ -123,7 +123,7 @@ pub struct LineInputs {
     /// Bytes lost because the ring was full.
     pub lost_bytes: u16,
     /// The out-of-band stop was recognised.
-    pub urgent: bool,
+    pub out_of_band_stop: bool,
 }
 
 impl Done {
@@ -147,7 +147,7 @@ impl LineInputs {
             received: inputs.received.len() as u16,
             waiting: inputs.waiting,
             lost_bytes: inputs.lost_bytes,
-            urgent: inputs.urgent,
+            out_of_band_stop: inputs.out_of_band_stop,
         }
     }
 }

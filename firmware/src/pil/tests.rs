@@ -51,7 +51,7 @@ prop_compose! {
         (homed, position_kept, fault, compensated, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
         (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
-        [high, low, yielded]: [[i32; 3]; 3],
+        [high, low, displacement]: [[i32; 3]; 3],
         [tip, felt, reflected, wall]: [[i32; 3]; 4],
         (inputs, outputs, analog_inputs, analog_outputs) in any::<(u16, u16, [i16; 4], [i16; 4])>(),
     ) -> Snapshot {
@@ -59,7 +59,7 @@ prop_compose! {
         Snapshot {
             state, homed, position_kept, fault, compensated, more, queued, setpoint, path_rate, spindle_rpm, program_time,
             commanded, joints_commanded, joints, following_error, drive,
-            force: ForceSnapshot { high, low, yielded },
+            force: ForceSnapshot { high, low, displacement },
             haptic: HapticSnapshot { tip, force: felt, reflected, wall },
             io: IoSnapshot { inputs, outputs, analog_inputs, analog_outputs },
         }
@@ -72,7 +72,7 @@ prop_compose! {
         axes in prop::array::uniform6(command()),
         (spindle_rpm, transmitted) in any::<(i16, u16)>(),
         (digital, analog) in any::<(u32, [i16; 4])>(),
-        (received, waiting, lost_bytes, urgent) in any::<(u16, u16, u16, bool)>(),
+        (received, waiting, lost_bytes, out_of_band_stop) in any::<(u16, u16, u16, bool)>(),
         stages: [u32; STAGES],
         (enabled, currents) in any::<(bool, [[i16; 2]; 3])>(),
         snapshot in prop::option::of(snapshot()),
@@ -81,7 +81,7 @@ prop_compose! {
             period,
             outputs: Outputs { axes, spindle_rpm, digital, analog, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
             transmitted,
-            line_inputs: LineInputs { received, waiting, lost_bytes, urgent },
+            line_inputs: LineInputs { received, waiting, lost_bytes, out_of_band_stop },
             stages,
             snapshot,
         }

@@ -56,7 +56,7 @@ pub struct Safety {
 
 /// Whether the machine decelerates along the path on this fault, with drives that hold afterwards.
 #[must_use]
-pub const fn brakes_first(fault: &Fault) -> bool {
+pub const fn decelerates_first(fault: &Fault) -> bool {
     matches!(
         fault,
         Fault::LostHost { .. }
@@ -226,12 +226,12 @@ impl Safety {
         }
     }
 
-    /// Raises a fault: the machine decelerates first if it is active and [`brakes_first`] holds for
-    /// the fault; otherwise the fault latches now. The first fault for which the machine
+    /// Raises a fault: the machine decelerates first if it is active and [`decelerates_first`]
+    /// holds for the fault; otherwise the fault latches now. The first fault for which the machine
     /// decelerates stays.
     #[inline(never)]
     pub fn raise(&mut self, fault: Fault) {
-        if brakes_first(&fault) && self.active() {
+        if decelerates_first(&fault) && self.active() {
             self.pending.get_or_insert(fault);
         } else {
             self.latch(fault);
@@ -248,12 +248,12 @@ impl Safety {
     fn latch(&mut self, fault: Fault) {
         // Only a fault that must switch holding drives off replaces a latched fault.
         if matches!(self.state, State::EmergencyStop)
-            || (matches!(self.state, State::Fault) && (!self.holding || brakes_first(&fault)))
+            || (matches!(self.state, State::Fault) && (!self.holding || decelerates_first(&fault)))
         {
             return;
         }
         let on = self.drives_on();
-        self.holding = on && brakes_first(&fault);
+        self.holding = on && decelerates_first(&fault);
         // What follows for the position is that of the joint's fault: its encoder is suspected.
         self.latched = Some(fault);
         // A drive with an alarm has not followed, and no encoder measured it.

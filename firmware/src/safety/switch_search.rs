@@ -73,7 +73,7 @@ pub struct SwitchSearch {
 }
 
 /// Inputs of a search in a period.
-pub struct Seen<'a> {
+pub struct SearchInputs<'a> {
     /// Configuration of the search.
     pub config: &'a SwitchHome,
     /// Search of the other motor of a gantry, as it was a period ago. The two wait for each other
@@ -137,13 +137,13 @@ impl SwitchSearch {
     ///
     /// # Errors
     /// The problem that ends the homing of all joints.
-    pub fn advance(&mut self, seen: &Seen<'_>) -> Result<(), HomingProblem> {
-        self.watch(seen);
-        let config = seen.config;
+    pub fn advance(&mut self, inputs: &SearchInputs<'_>) -> Result<(), HomingProblem> {
+        self.watch(inputs);
+        let config = inputs.config;
         if self.halting {
-            let rest = self.halt(config, seen.period_us);
+            let rest = self.halt(config, inputs.period_us);
             self.begun = self.moved;
-            let together = seen
+            let together = inputs
                 .partner
                 .is_none_or(|partner| partner.awaits(self.phase));
             if !rest || !together {
@@ -162,9 +162,9 @@ impl SwitchSearch {
         let requested = match self.phase {
             Phase::Start => {
                 self.waited += 1;
-                if self.waited > 2 * steady(seen.period_us) {
+                if self.waited > 2 * steady(inputs.period_us) {
                     // The motors of a gantry move off together if one of them is on its switch.
-                    let pressed = self.level || seen.partner.is_some_and(|it| it.level);
+                    let pressed = self.level || inputs.partner.is_some_and(|it| it.level);
                     self.phase = if pressed { Phase::Off } else { Phase::Seek };
                 }
                 0
@@ -196,20 +196,20 @@ impl SwitchSearch {
                 if off > back_off / 4 {
                     return Err(HomingProblem::SwitchUnsteady);
                 }
-                self.halt_before(match seen.index_travel {
+                self.halt_before(match inputs.index_travel {
                     Some(_) => Phase::Index,
                     None => Phase::Retreat,
                 })
             }
             Phase::Touch if gone > 2 * back_off + release => return Err(HomingProblem::NoSwitch),
             Phase::Touch => towards * slow,
-            Phase::Index if seen.index.is_some() => {
-                self.index = seen.index;
+            Phase::Index if inputs.index.is_some() => {
+                self.index = inputs.index;
                 self.begun = self.moved;
                 self.phase = Phase::Retreat;
                 -towards * slow
             }
-            Phase::Index if seen.index_travel.is_some_and(|most| gone > most) => {
+            Phase::Index if inputs.index_travel.is_some_and(|most| gone > most) => {
                 return Err(HomingProblem::NoIndex);
             }
             Phase::Index => -towards * slow,
@@ -217,7 +217,7 @@ impl SwitchSearch {
             Phase::Retreat => -towards * rate,
             Phase::Done => 0,
         };
-        self.drive(requested, config, seen.period_us);
+        self.drive(requested, config, inputs.period_us);
         Ok(())
     }
 
@@ -239,17 +239,17 @@ impl SwitchSearch {
     }
 
     /// Follows the level of the switch.
-    fn watch(&mut self, seen: &Seen<'_>) {
-        if seen.active == self.level {
+    fn watch(&mut self, inputs: &SearchInputs<'_>) {
+        if inputs.active == self.level {
             self.differs = 0;
             return;
         }
         if self.differs == 0 {
-            self.edge = seen.place;
+            self.edge = inputs.place;
         }
         self.differs += 1;
-        if self.differs >= steady(seen.period_us) {
-            self.level = seen.active;
+        if self.differs >= steady(inputs.period_us) {
+            self.level = inputs.active;
             self.differs = 0;
         }
     }

@@ -130,7 +130,7 @@ impl Bench {
         self.inputs.transmit_room = 64;
         self.controller
             .tick(&self.inputs, &mut self.outputs, &mut ());
-        self.inputs.urgent = false;
+        self.inputs.out_of_band_stop = false;
         self.link.receive(now_us, &self.outputs.transmit);
         while let Some(report) = self.link.poll_message() {
             match report {

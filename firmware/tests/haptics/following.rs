@@ -152,7 +152,7 @@ fn every_stop_ends_following_until_a_command() {
     bench.lead([-4.0, 0.0, 0.0], 2000);
     bench.steps(4000);
     assert!((bench.at(0).0 - held + 4.0).abs() < 0.03);
-    bench.inputs.urgent = true;
+    bench.inputs.out_of_band_stop = true;
     bench.lead([-4.0, 0.0, 0.0], 2000);
     assert_eq!((bench.state(), bench.at(0).1), (State::Hold, 0.0));
     bench.steps(3000);

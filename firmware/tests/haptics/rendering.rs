@@ -113,7 +113,7 @@ fn virtual_walls_push_back_and_move() {
     bench.lead([-9.0, 0.0, 0.0], 5000);
     assert_eq!(bench.felt()[0], 0.0);
     bench.lead([-6.0, 0.0, 0.0], 5000);
-    // At rest: what watches the swings takes some tenths of a second to see that there is none.
+    // At rest: the oscillation damper takes some tenths of a second to find no oscillation.
     bench.steps(4000);
     assert!(
         (bench.felt()[0] - 5.0 * 0.35).abs() < 0.02,

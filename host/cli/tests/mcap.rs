@@ -113,7 +113,7 @@ mod built {
                 "/pose/programmed",
                 "/pose/tool",
                 "/state",
-                "/yielded"
+                "/displacement"
             ]
         );
         // 1000 messages per second, with the values of the recording.

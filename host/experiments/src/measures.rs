@@ -60,7 +60,7 @@ const fn teleoperated(
 
 /// Deviation of the tool from commanded position plus compliant displacement.
 fn following_error(sample: &HapticTraceSample, axis: usize) -> f64 {
-    (sample.tool[axis] - sample.desired[axis] - sample.yielded[axis]).abs()
+    (sample.tool[axis] - sample.desired[axis] - sample.displacement[axis]).abs()
 }
 
 const QUANTITIES: &[Quantity] = &[
@@ -74,7 +74,7 @@ const QUANTITIES: &[Quantity] = &[
         name: "compliant_displacement",
         has_axis: true,
         programmed: Some(|sample, axis| sample.compliant_displacement[axis]),
-        teleoperated: Some(|sample, axis| sample.yielded[axis]),
+        teleoperated: Some(|sample, axis| sample.displacement[axis]),
     },
     programmed("low_force", true, |sample, axis| sample.low_force[axis]),
     programmed("tool_position", true, |sample, axis| sample.tool[axis]),

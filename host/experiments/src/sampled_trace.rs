@@ -212,7 +212,7 @@ fn sample(
         is_moving,
         peak_force,
         low_force,
-        compliant_displacement: record.force.yielded.map(mm),
+        compliant_displacement: record.force.displacement.map(mm),
         impulse,
     }
 }

@@ -184,10 +184,10 @@ impl Bench<'_> {
     }
 
     /// How far the stone yields under force control, mm.
-    fn yielded_mm(&mut self) -> Result<f64, Error> {
+    fn displacement_mm(&mut self) -> Result<f64, Error> {
         let status = self.session.status()?;
         let force = status.force.as_ref();
-        let raw = force.map_or(0, |force| force.yielded[usize::from(HEIGHT)]);
+        let raw = force.map_or(0, |force| force.displacement[usize::from(HEIGHT)]);
         Ok(f64::from(raw) / f64::from(1 << 20))
     }
 
@@ -203,7 +203,7 @@ impl Bench<'_> {
         let mut pressure_n = self.run(&operation.grind)?;
         let mut sweeps = 0;
         while sweeps < MAX_SWEEPS {
-            let yields = mode.has_force() && self.yielded_mm()?.abs() > DONE_MM;
+            let yields = mode.has_force() && self.displacement_mm()?.abs() > DONE_MM;
             if !yields && pressure_n < SPARKED_OUT_N {
                 break;
             }
@@ -214,7 +214,7 @@ impl Bench<'_> {
         let turns = self.grinding()?.turns().iter().copied();
         let turns = turns.take_while(|turn| turn.height_mm > end).collect();
         let left = if mode.has_force() {
-            self.yielded_mm()?.abs()
+            self.displacement_mm()?.abs()
         } else {
             0.0
         };
@@ -347,7 +347,7 @@ impl Bench<'_> {
         self.session.set_force_mask(&[])?;
         // The stone returns from its displacement before the sensor gets its zero.
         let by = self.session.now_us() + RETURN_US;
-        while self.yielded_mm()? != 0.0 && self.session.now_us() < by {}
+        while self.displacement_mm()? != 0.0 && self.session.now_us() < by {}
         self.session.tare()?;
         if mode.has_force() {
             let changes = ForceLoopChanges {

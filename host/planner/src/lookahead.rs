@@ -63,7 +63,7 @@ impl Run {
     }
 
     /// Removes the first blocks, which are planned.
-    pub(crate) fn forget(&mut self, count: usize) {
+    pub(crate) fn discard(&mut self, count: usize) {
         self.blocks.drain(..count);
         self.corners.drain(..count);
         // The stop after the last block.

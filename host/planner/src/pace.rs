@@ -61,7 +61,7 @@ impl Pacer {
     }
 
     /// Follows the removal of the first pieces.
-    pub(crate) fn forget(&mut self, pieces: usize) {
+    pub(crate) fn discard(&mut self, pieces: usize) {
         for (window, _) in &mut self.levels {
             window.next = window.next.saturating_sub(pieces);
         }

@@ -143,7 +143,7 @@ impl<M: MachineModel> Planner<M> {
         } else {
             return Ok(());
         };
-        self.forget();
+        self.discard();
         made
     }
 
@@ -236,7 +236,7 @@ impl<M: MachineModel> Planner<M> {
                 self.emitter.act(&self.at, action, place, &self.settings);
             }
         }
-        self.forget();
+        self.discard();
         stopped
     }
 
@@ -256,7 +256,7 @@ impl<M: MachineModel> Planner<M> {
             };
             self.emitter.rest(&self.at, 0.0, end, &self.settings);
         }
-        self.forget();
+        self.discard();
         self.ended = true;
         stopped
     }
@@ -343,7 +343,7 @@ impl<M: MachineModel> Planner<M> {
         let count = self.run.blocks.len() / 2;
         self.window = (2 * self.window).min(FULL_WINDOW);
         let made = self.plan_blocks(count);
-        self.forget();
+        self.discard();
         made
     }
 
@@ -383,7 +383,7 @@ impl<M: MachineModel> Planner<M> {
     }
 
     /// Removes what nobody needs any more.
-    fn forget(&mut self) {
+    fn discard(&mut self) {
         if let Some(track) = &self.track {
             let mut track = track.lock();
             track.add_pieces(&self.trajectory, self.tracked);
@@ -392,7 +392,7 @@ impl<M: MachineModel> Planner<M> {
         match self.keep {
             Keep::All => {}
             Keep::Nothing => {
-                self.trajectory.forget(self.time);
+                self.trajectory.discard(self.time);
                 // The next action may be that of the last setpoint.
                 let last = self.emitter.made.len().saturating_sub(1);
                 self.emitter.made.drain(..last);
@@ -401,8 +401,8 @@ impl<M: MachineModel> Planner<M> {
                 // The next setpoint begins at the last one; a place is that of a period before.
                 let period = f64::from(self.settings.period_us) * 1e-6;
                 let from = self.emitter.time() - 2.0 * period;
-                let pieces = self.trajectory.forget(from);
-                self.emitter.forget(pieces);
+                let pieces = self.trajectory.discard(from);
+                self.emitter.discard(pieces);
                 self.tracked = self.tracked.saturating_sub(pieces);
             }
         }
@@ -432,7 +432,7 @@ impl<M: MachineModel> Planner<M> {
             }
         }
         self.run.blocks = blocks;
-        self.run.forget(count);
+        self.run.discard(count);
         Ok(())
     }
 

@@ -183,11 +183,11 @@ impl Emitter {
         self.time()
     }
 
-    /// Follows [`Trajectory::forget`], which removed so many pieces.
-    pub(crate) fn forget(&mut self, pieces: usize) {
+    /// Follows [`Trajectory::discard`], which removed so many pieces.
+    pub(crate) fn discard(&mut self, pieces: usize) {
         self.next_piece = self.next_piece.saturating_sub(pieces);
         self.span_piece = self.span_piece.saturating_sub(pieces);
-        self.pacer.forget(pieces);
+        self.pacer.discard(pieces);
         self.cursor = Cursor::default();
     }
 

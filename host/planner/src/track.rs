@@ -10,7 +10,7 @@ const ENDED_PIECES: usize = 1024;
 
 /// Programmed poses and places of a job, as far as its setpoints are made.
 ///
-/// A planner appends to it; [`Track::forget`] removes what the machine has passed, so that its
+/// A planner appends to it; [`Track::discard`] removes what the machine has passed, so that its
 /// memory does not depend on the length of the program.
 #[derive(Debug, Clone, Default)]
 pub struct Track {
@@ -48,7 +48,7 @@ impl Track {
     }
 
     /// Removes what the motion towards a setpoint, at a time, has passed.
-    pub fn forget(&mut self, setpoint: u32, time_s: f64) {
+    pub fn discard(&mut self, setpoint: u32, time_s: f64) {
         while self
             .places
             .get(1)
@@ -61,7 +61,7 @@ impl Track {
             .get(ENDED_PIECES)
             .is_some_and(|piece| piece.time <= time_s)
         {
-            self.trajectory.forget(time_s);
+            self.trajectory.discard(time_s);
             self.cursor = Cursor::default();
         }
     }

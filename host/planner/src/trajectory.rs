@@ -165,7 +165,7 @@ impl Trajectory {
 
     /// Removes what ends before a time, and returns the number of removed pieces. Cursors are void
     /// after it.
-    pub(crate) fn forget(&mut self, time: f64) -> usize {
+    pub(crate) fn discard(&mut self, time: f64) -> usize {
         let ended = self.pieces.partition_point(|piece| piece.time <= time);
         let pieces = ended.saturating_sub(1);
         self.pieces.drain(..pieces);

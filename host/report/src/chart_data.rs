@@ -3,7 +3,7 @@
 use super::Statistics;
 use super::contour::{Contour, Point, distance};
 use super::series::{Columns, PathPoints};
-use super::statistics::{force_n, reference, yielded_mm};
+use super::statistics::{displacement_mm, force_n, reference};
 use super::tip::Tip;
 use haptimill_trace::{Quantity, Record, Recording, flag};
 use std::collections::VecDeque;
@@ -42,7 +42,7 @@ pub struct ChartData {
     /// Force on the tool along x, y, z, N; the peak of the sensor, and of the simulated tool.
     pub force: [[Columns; 2]; 3],
     /// Compliant displacement along x, y, z, mm.
-    pub yielded: [Columns; 3],
+    pub displacement: [Columns; 3],
     /// Spindle speed, rev/min.
     pub spindle: Columns,
     /// The tip of the tool.
@@ -86,7 +86,7 @@ impl ChartData {
             tip_speed: [columns(), columns()],
             drives: many(),
             force: std::array::from_fn(|_| [columns(), columns()]),
-            yielded: std::array::from_fn(|_| columns()),
+            displacement: std::array::from_fn(|_| columns()),
             spindle: columns(),
             angles: pose.iter().map(|_| [columns(), columns()]).collect(),
             history: VecDeque::new(),
@@ -125,11 +125,11 @@ impl ChartData {
             self.tip.point(&record.tool),
         );
         let (sensor, actual) = (force_n(record, false), force_n(record, true));
-        let yielded = yielded_mm(record);
+        let displacement = displacement_mm(record);
         for axis in 0..3 {
             self.force[axis][0].add(time, sensor[axis]);
             self.force[axis][1].add(time, actual[axis]);
-            self.yielded[axis].add(time, yielded[axis]);
+            self.displacement[axis].add(time, displacement[axis]);
         }
         self.spindle.add(time, f64::from(record.spindle_rpm));
         let in_job = record.has(flag::PROGRAMMED);

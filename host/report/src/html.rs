@@ -117,13 +117,13 @@ fn process(page: &mut String, recording: &Recording, statistics: &Statistics, da
         let caption = "Force on the simulated tool";
         card(page, caption, &over_time("force, N", actual, false));
     }
-    if statistics.yielded.max > 0.0 {
-        let yielded = three(data.yielded.each_ref());
+    if statistics.displacement.max > 0.0 {
+        let displacement = three(data.displacement.each_ref());
         let caption = "Compliant displacement: by how much the tool yields to the force";
         card(
             page,
             caption,
-            &over_time("displacement, mm", yielded, false),
+            &over_time("displacement, mm", displacement, false),
         );
     }
     if has_spindle {

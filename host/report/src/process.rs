@@ -32,7 +32,7 @@ pub struct Process {
     pub force_max_line: Option<u32>,
     /// Greatest compliant displacement, mm.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub yielded_max_mm: Option<f64>,
+    pub displacement_max_mm: Option<f64>,
     /// Greatest spindle speed, rev/min.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spindle_rpm: Option<u16>,
@@ -53,7 +53,7 @@ impl Process {
             force_rms_n: force.map(super::Spread::rms),
             force_max_time_s: force.map(|force| (force.max_time_s - begin).max(0.0)),
             force_max_line: force.map(|force| force.max_line),
-            yielded_max_mm: Some(statistics.yielded.max).filter(|most| *most > 0.0),
+            displacement_max_mm: Some(statistics.displacement.max).filter(|most| *most > 0.0),
             spindle_rpm: Some(statistics.spindle_rpm).filter(|speed| *speed > 0),
             removed_mm3: outcome.cut.as_ref().map(|cut| cut.removed_mm3),
             cut_depth_mm: outcome.cut.as_ref().map(|cut| cut.depth_mm),
@@ -80,8 +80,10 @@ impl Process {
             text.push_str(&format!(
                 "force: {most:.2} N largest (at {time:.2} s{line}), {rms:.2} N rms"
             ));
-            if let Some(yielded) = self.yielded_max_mm {
-                text.push_str(&format!("; compliant displacement {yielded:.4} mm at most"));
+            if let Some(displacement) = self.displacement_max_mm {
+                text.push_str(&format!(
+                    "; compliant displacement {displacement:.4} mm at most"
+                ));
             }
             text.push('\n');
         }

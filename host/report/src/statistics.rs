@@ -131,7 +131,7 @@ pub struct Statistics {
     /// Magnitude of the force on the tool, N: of the simulated tool, else of the sensor.
     pub force: Spread,
     /// Compliant displacement of the tool, mm.
-    pub yielded: Spread,
+    pub displacement: Spread,
     /// Greatest magnitude of the spindle speed, rev/min.
     pub spindle_rpm: u16,
     has_sensor: bool,
@@ -148,17 +148,17 @@ pub(crate) fn force_n(record: &Record, is_true: bool) -> [f64; 3] {
 }
 
 /// The compliant displacement, mm.
-pub(crate) fn yielded_mm(record: &Record) -> [f64; 3] {
+pub(crate) fn displacement_mm(record: &Record) -> [f64; 3] {
     record
         .force
-        .yielded
+        .displacement
         .map(|value| f64::from(value) / f64::from(1 << 20))
 }
 
 /// The point where the tool should be: the programmed one, with the compliant displacement.
 pub(crate) fn reference(programmed: Point, record: &Record) -> Point {
-    let yielded = yielded_mm(record);
-    std::array::from_fn(|axis| programmed[axis] + yielded[axis])
+    let displacement = displacement_mm(record);
+    std::array::from_fn(|axis| programmed[axis] + displacement[axis])
 }
 
 impl Statistics {
@@ -192,7 +192,7 @@ impl Statistics {
             tool: Default::default(),
             tool_is_true: true,
             force: Spread::default(),
-            yielded: Spread::default(),
+            displacement: Spread::default(),
             spindle_rpm: 0,
             has_sensor: config.force.is_some(),
         }
@@ -246,8 +246,8 @@ impl Statistics {
             self.force.add(magnitude(force), time, record.line);
         }
         if self.has_sensor {
-            let yielded = magnitude(yielded_mm(record));
-            self.yielded.add(yielded, time, record.line);
+            let displacement = magnitude(displacement_mm(record));
+            self.displacement.add(displacement, time, record.line);
         }
         self.spindle_rpm = self.spindle_rpm.max(record.spindle_rpm.unsigned_abs());
     }

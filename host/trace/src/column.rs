@@ -95,7 +95,7 @@ impl Column {
         let is_present = match self.group {
             "programmed" => record.has(flag::PROGRAMMED),
             "tool" => record.has(tool),
-            "force_high" | "force_low" | "yielded" => record.has(flag::FORCE),
+            "force_high" | "force_low" | "displacement" => record.has(flag::FORCE),
             "force_true" => record.has(flag::FORCE) && record.has(flag::TOOL_TRUE),
             "master" | "master_force" | "master_reflected" | "master_wall" => {
                 record.haptic_flags & flag::HAPTIC_KNOWN != 0
@@ -145,7 +145,7 @@ impl Column {
                 | "tool"
                 | "force_high"
                 | "force_low"
-                | "yielded"
+                | "displacement"
                 | "force_true"
                 | "master"
                 | "master_force"
@@ -223,7 +223,12 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
     let forces: [(&'static str, &'static str, Forces, f64); 4] = [
         ("force_high", "n", |record| &record.force.high, NEWTON),
         ("force_low", "n", |record| &record.force.low, NEWTON),
-        ("yielded", "mm", |record| &record.force.yielded, 1.0 / MM),
+        (
+            "displacement",
+            "mm",
+            |record| &record.force.displacement,
+            1.0 / MM,
+        ),
         ("force_true", "n", |record| &record.true_force, NEWTON),
     ];
     for (group, unit, row, scale) in forces {

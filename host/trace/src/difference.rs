@@ -153,8 +153,8 @@ pub fn first_unequal_field(
         ("low force", &one.force.low, &other.force.low),
         (
             "compliant displacement",
-            &one.force.yielded,
-            &other.force.yielded,
+            &one.force.displacement,
+            &other.force.displacement,
         ),
         ("true force", &one.true_force, &other.true_force),
         ("tip of the handle", &one.haptic.tip, &other.haptic.tip),

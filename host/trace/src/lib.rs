@@ -369,7 +369,12 @@ impl Record {
             &self.programmed,
         ];
         let force = &self.force;
-        let forces = [&force.high, &force.low, &force.yielded, &self.true_force];
+        let forces = [
+            &force.high,
+            &force.low,
+            &force.displacement,
+            &self.true_force,
+        ];
         let cells = rows
             .into_iter()
             .flatten()
@@ -411,7 +416,7 @@ impl Record {
             force: ForceSnapshot {
                 high: forces(192),
                 low: forces(204),
-                yielded: forces(216),
+                displacement: forces(216),
             },
             true_force: forces(228),
             io: IoSnapshot {

@@ -46,7 +46,7 @@ fn any_record() -> impl Strategy<Value = Record> {
                 (period, setpoint, line, path_rate, spindle_rpm),
                 (state, flags),
                 rows,
-                [high, low, yielded, true_force],
+                [high, low, displacement, true_force],
                 (inputs, outputs, analog_inputs, analog_outputs),
             )| {
                 let [
@@ -73,7 +73,11 @@ fn any_record() -> impl Strategy<Value = Record> {
                     drive,
                     tool,
                     programmed,
-                    force: ForceSnapshot { high, low, yielded },
+                    force: ForceSnapshot {
+                        high,
+                        low,
+                        displacement,
+                    },
                     true_force,
                     io: IoSnapshot {
                         inputs,
@@ -295,7 +299,7 @@ fn any_period() -> impl Strategy<Value = Period> {
                     axes,
                     waiting: line.0,
                     lost_bytes: line.1,
-                    urgent: line.2,
+                    out_of_band_stop: line.2,
                     emergency_stop: line.3,
                     received: heapless::Vec::from_slice(&received).unwrap(),
                     ..Inputs::default()

@@ -165,7 +165,7 @@ fn check_value_is_the_standard_one() {
 }
 
 #[test]
-fn urgent_stops_and_idle_zeros_are_no_bad_frames() {
+fn out_of_band_stops_and_idle_zeros_are_no_bad_frames() {
     let mut decoder = FrameDecoder::new();
     assert!(frames(&mut decoder, &[0, 0, 0x18, 0, 0x18, 0, 0, 0]).is_empty());
     assert_eq!(decoder.bad_frames(), 0);

@@ -121,7 +121,7 @@ impl<const BYTES: usize> Outbox<BYTES> {
         if self.queue.is_empty() {
             return None;
         }
-        let patience = self.patience_us(bounds);
+        let timeout = self.resend_timeout_us(bounds);
         let mut start = 0;
         for (index, outgoing) in self.queue.iter_mut().enumerate() {
             let range = start..start + usize::from(outgoing.length);
@@ -132,7 +132,7 @@ impl<const BYTES: usize> Outbox<BYTES> {
                 Some((at, _)) => Some(now_us.saturating_sub(at)),
             };
             if let Some(waited) = waited {
-                let late = waited >= patience;
+                let late = waited >= timeout;
                 if !late && !outgoing.lost {
                     continue;
                 }
@@ -159,7 +159,7 @@ impl<const BYTES: usize> Outbox<BYTES> {
         let waits = self.queue.iter().filter(|outgoing| !outgoing.arrived);
         waits.fold(u64::MAX, |soonest, outgoing| {
             let sent_us = outgoing.sent.map_or(0, |(at, _)| at);
-            soonest.min(sent_us.saturating_add(self.patience_us(bounds)))
+            soonest.min(sent_us.saturating_add(self.resend_timeout_us(bounds)))
         })
     }
 
@@ -231,7 +231,7 @@ impl<const BYTES: usize> Outbox<BYTES> {
     }
 
     /// Time that a frame waits for its acknowledgement, microseconds.
-    fn patience_us(&self, (least, most): (u32, u32)) -> u64 {
+    fn resend_timeout_us(&self, (least, most): (u32, u32)) -> u64 {
         // Before the first measurement: a quarter of the longest time.
         let usual = self.round_trip.map_or(most / 4, |(smooth, deviation)| {
             (smooth / 8).saturating_add(deviation)

@@ -6,7 +6,7 @@ use haptimill_firmware::pil::{FROM_BOARD_WORDS, FromBoardRef, Order, TO_BOARD_WO
 use haptimill_firmware::snapshot::Snapshot;
 
 /// Polls of the receive ring before announced bytes are treated as lost.
-const PATIENCE: u32 = 200_000_000;
+const MAX_POLLS: u32 = 200_000_000;
 
 /// Serves the simulator until the run ends.
 ///
@@ -70,7 +70,7 @@ fn wait_for_bytes(expected: u32) {
         .flatten()
         .unwrap_or(expected)
     };
-    for _ in 0..PATIENCE {
+    for _ in 0..MAX_POLLS {
         if received_count() == expected {
             return;
         }

@@ -6,7 +6,7 @@
 //! | --- | --- |
 //! | 0 | number of the period, lower half; written last |
 //! | 1 | missed periods; from bit 16 room of the transmitter |
-//! | 2 | home switches; from bit 8 drives that are ready; bit 16 emergency stop, bit 17 urgent stop |
+//! | 2 | home switches; from bit 8 drives that are ready; bit 16 emergency stop, bit 17 out-of-band stop |
 //! | 3 | digital inputs; from bit 16 digital outputs |
 //! | 4 | received bytes; from bit 16 bytes that wait |
 //! | 5 | lost bytes; from bit 16 spindle speed |
@@ -51,7 +51,7 @@ pub fn write(inputs: &Inputs, outputs: &Outputs, cycles: &Cycles) {
     words[2] = bits(|axis| axis.home)
         | bits(|axis| axis.drive_ready) << 8
         | u32::from(inputs.emergency_stop) << 16
-        | u32::from(inputs.urgent) << 17;
+        | u32::from(inputs.out_of_band_stop) << 17;
     words[3] = pair(inputs.digital as u16, outputs.digital as u16);
     words[4] = pair(inputs.received.len() as u16, inputs.waiting);
     words[5] = pair(inputs.lost_bytes, outputs.spindle_rpm as u16);

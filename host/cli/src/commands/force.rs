@@ -212,7 +212,7 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     print_line!("{:<14}{:>10}{:>10}{:>10}", "", "x", "y", "z");
     row("force, high", "N", newtons(force.high));
     row("force, low", "N", newtons(force.low));
-    row("displacement", "mm", millimetres(force.yielded));
+    row("displacement", "mm", millimetres(force.displacement));
     row("f_d", "N", newtons(loops.map(|x| x.desired)));
     row(
         "K_A",
@@ -290,7 +290,7 @@ pub(super) fn to_json(force: &ForceTelemetry, problem: Option<&str>) -> serde_js
     serde_json::json!({
         "high_n": named(newtons(force.high)),
         "low_n": named(newtons(force.low)),
-        "yielded_mm": named(millimetres(force.yielded)),
+        "displacement_mm": named(millimetres(force.displacement)),
         "under_control": axes_under_control(force),
         "tared": force.tared,
         "problem": problem,

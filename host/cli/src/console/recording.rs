@@ -97,7 +97,11 @@ impl Columns {
         add("following_error", &self.joints, true);
         add("drive", &self.joints, false);
         if self.force {
-            for (quantity, unit) in [("force_high", "n"), ("force_low", "n"), ("yielded", "mm")] {
+            for (quantity, unit) in [
+                ("force_high", "n"),
+                ("force_low", "n"),
+                ("displacement", "mm"),
+            ] {
                 for name in ["x", "y", "z"] {
                     header.push_str(&format!(",{quantity}_{name}_{unit}"));
                 }
@@ -150,7 +154,7 @@ impl Columns {
                     for value in newtons {
                         row.push_str(&format!(",{:.4}", f64::from(*value) / PER_EFFORT));
                     }
-                    for value in force.yielded {
+                    for value in force.displacement {
                         row.push_str(&format!(",{:.6}", f64::from(value) / PER_MM));
                     }
                     row.push_str(&format!(",{}", force.mask));
@@ -318,7 +322,7 @@ mod tests {
             force: Some(haptimill_protocol::force::ForceTelemetry {
                 high: [65_536; 3],
                 low: [0; 3],
-                yielded: [0; 3],
+                displacement: [0; 3],
                 mask: 1,
                 tared: true,
                 problem: None,

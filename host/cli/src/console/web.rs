@@ -435,8 +435,8 @@ fn columns(view: &ViewModel) -> Value {
         for (axis, name) in ["x", "y", "z"].iter().enumerate() {
             columns.insert(format!("force {name}, N"), json!(high[axis]));
             columns.insert(format!("opposite force {name}, N"), json!(low[axis]));
-            let yielded = f64::from(force.yielded[axis]) / f64::from(1 << 20);
-            columns.insert(format!("displacement {name}, mm"), json!(yielded));
+            let displacement = f64::from(force.displacement[axis]) / f64::from(1 << 20);
+            columns.insert(format!("displacement {name}, mm"), json!(displacement));
         }
     }
     Value::Object(columns)

@@ -109,7 +109,7 @@ fn csv_has_the_selected_columns_rows_and_times() {
     let rows: Vec<&str> = ran.out.lines().collect();
     assert_eq!(
         rows[0],
-        "time_s,x_commanded_mm,x_programmed_mm,x_tool_mm,x_yielded_mm,state"
+        "time_s,x_commanded_mm,x_programmed_mm,x_tool_mm,x_displacement_mm,state"
     );
     assert_eq!(rows.len(), 12, "{}", ran.out);
     assert!(

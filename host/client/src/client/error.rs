@@ -113,7 +113,7 @@ pub enum RequestError {
         /// Quality of the line.
         line: LineHealth,
     },
-    /// An urgent stop preceded its transmission.
+    /// An out-of-band stop preceded its transmission.
     Withdrawn,
     /// The session ended.
     Lost(ClientError),
@@ -141,7 +141,7 @@ impl fmt::Display for RequestError {
                 }
                 Ok(())
             }
-            Self::Withdrawn => f.write_str("withdrawn because of an urgent stop"),
+            Self::Withdrawn => f.write_str("withdrawn because of an out of band stop"),
             Self::Lost(error) => error.fmt(f),
         }
     }

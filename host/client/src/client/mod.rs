@@ -49,7 +49,7 @@ use haptimill_protocol::link::HostLink;
 use haptimill_protocol::message::{
     AxisValues, CONFIG_CHUNK, Command, ConfigChunk, Refusal, Request, Telemetry, Welcome,
 };
-use haptimill_protocol::urgent;
+use haptimill_protocol::out_of_band;
 use requests::Requests;
 use std::collections::VecDeque;
 use stream::Stream;
@@ -82,17 +82,17 @@ pub struct Client {
     notices: VecDeque<Notification>,
     jog_epoch: u16,
     master_epoch: u16,
-    urgent: Option<Urgent>,
-    urgent_sent: u32,
+    stop: Option<RepeatedStop>,
+    stops_sent: u32,
 }
 
-/// An urgent stop that is repeated until the controller reports standstill.
+/// An out-of-band stop that is repeated until the controller reports standstill.
 #[derive(Debug)]
-struct Urgent {
+struct RepeatedStop {
     /// Time of the next transmission.
     next_us: u64,
-    /// The ordinary stop that follows the urgent one. Reports after its acknowledgement are later
-    /// than all requests before it.
+    /// The ordinary stop that follows the out-of-band one. Reports after its acknowledgement are
+    /// later than all requests before it.
     acknowledged: Option<Ticket>,
 }
 
@@ -116,8 +116,8 @@ impl Client {
             notices: VecDeque::new(),
             jog_epoch: 1,
             master_epoch: 1,
-            urgent: None,
-            urgent_sent: 0,
+            stop: None,
+            stops_sent: 0,
         }
     }
 
@@ -179,7 +179,7 @@ impl Client {
     }
 
     /// Sends a request. Its acknowledgement is a [`Notification::Answered`] with the same ticket.
-    /// Jobs, jogs, configurations and urgent stops have methods of their own.
+    /// Jobs, jogs, configurations and out-of-band stops have methods of their own.
     pub fn request(&mut self, command: Command) -> Ticket {
         if matches!(command, Command::Hold | Command::Stop) {
             self.next_jog_epoch();
@@ -316,11 +316,11 @@ impl Client {
             .map_err(|_| ClientError::Closed)
     }
 
-    /// Stops the machine as fast as possible: the next [`Client::advance`] sends the urgent bytes
-    /// before everything else, and repeats them until standstill is reported. A job is dropped.
-    /// Acknowledged as `stop`, unless an urgent stop was being sent already.
-    pub fn urgent_stop(&mut self) {
-        if self.urgent.is_some() {
+    /// Stops the machine as fast as possible: the next [`Client::advance`] sends the bytes of the
+    /// out-of-band stop before everything else, and repeats them until standstill is reported. A
+    /// job is dropped. Acknowledged as `stop`, unless an out-of-band stop was being sent already.
+    pub fn stop_out_of_band(&mut self) {
+        if self.stop.is_some() {
             return;
         }
         // Requests that are not sent yet must not arrive after the stop.
@@ -333,15 +333,15 @@ impl Client {
         }
         let acknowledged =
             (self.state == ClientState::Ready).then(|| self.requests.ask(Command::Stop));
-        self.urgent = Some(Urgent {
+        self.stop = Some(RepeatedStop {
             next_us: 0,
             acknowledged,
         });
     }
 
-    /// Whether an urgent stop is still being repeated, and how many were sent in total.
-    pub fn urgent(&self) -> (bool, u32) {
-        (self.urgent.is_some(), self.urgent_sent)
+    /// Whether an out-of-band stop is still being repeated, and how many were sent in total.
+    pub fn repeated_stop(&self) -> (bool, u32) {
+        (self.stop.is_some(), self.stops_sent)
     }
 
     /// Takes the received bytes and appends the bytes to send. Must be called regularly, also when
@@ -349,15 +349,11 @@ impl Client {
     pub fn advance(&mut self, now_us: u64, received: &[u8], transmit: &mut Vec<u8>) {
         self.now_us = self.now_us.max(now_us);
         let now_us = self.now_us;
-        if let Some(urgent) = self
-            .urgent
-            .as_mut()
-            .filter(|urgent| now_us >= urgent.next_us)
-        {
+        if let Some(stop) = self.stop.as_mut().filter(|stop| now_us >= stop.next_us) {
             // This breaks a frame that is being sent; the link sends it again.
-            transmit.extend_from_slice(&urgent::STOP);
-            self.urgent_sent += 1;
-            urgent.next_us = now_us.saturating_add(self.options.urgent_repeat_us);
+            transmit.extend_from_slice(&out_of_band::STOP);
+            self.stops_sent += 1;
+            stop.next_us = now_us.saturating_add(self.options.stop_repeat_us);
         }
         // In chunks, so that no burst overruns the inbox.
         let mut chunks = received.chunks(256);

@@ -13,8 +13,8 @@ pub struct Options {
     pub connect_us: u64,
     /// Timeout of the acknowledgement of a request.
     pub answer_us: u64,
-    /// Repeat time of an urgent stop while no standstill is reported.
-    pub urgent_repeat_us: u64,
+    /// Repeat time of an out-of-band stop while no standstill is reported.
+    pub stop_repeat_us: u64,
 }
 
 impl Default for Options {
@@ -27,7 +27,7 @@ impl Default for Options {
             timing,
             connect_us: 3_000_000,
             answer_us: 2_000_000,
-            urgent_repeat_us: 20_000,
+            stop_repeat_us: 20_000,
         }
     }
 }

@@ -55,9 +55,9 @@ impl Client {
                 .push_back(Notification::Job(stream.lost(error.clone())));
         }
         self.notices.push_back(Notification::Lost(error));
-        if let Some(urgent) = self.urgent.as_mut() {
+        if let Some(stop) = self.stop.as_mut() {
             // The bytes are still repeated: they may arrive where messages do not.
-            urgent.acknowledged = None;
+            stop.acknowledged = None;
         }
     }
 
@@ -93,12 +93,12 @@ impl Client {
                     .as_mut()
                     .and_then(|stream| stream.answered(ticket, result));
                 self.finish_job(ending);
-                if let Some(urgent) = self
-                    .urgent
+                if let Some(stop) = self
+                    .stop
                     .as_mut()
-                    .filter(|urgent| urgent.acknowledged == Some(ticket))
+                    .filter(|stop| stop.acknowledged == Some(ticket))
                 {
-                    urgent.acknowledged = None;
+                    stop.acknowledged = None;
                 }
             }
             Report::Event { period, event } => {
@@ -142,8 +142,8 @@ impl Client {
         }
     }
 
-    /// Ends an urgent stop at standstill. Before the ordinary stop is acknowledged, a report may be
-    /// older than the motion to be stopped.
+    /// Ends an out-of-band stop at standstill. Before the ordinary stop is acknowledged, a report
+    /// may be older than the motion to be stopped.
     fn check_standstill(&mut self, state: State) {
         let at_rest = matches!(
             state,
@@ -152,11 +152,11 @@ impl Client {
         if at_rest
             && self.state == ClientState::Ready
             && self
-                .urgent
-                .take_if(|urgent| urgent.acknowledged.is_none())
+                .stop
+                .take_if(|stop| stop.acknowledged.is_none())
                 .is_some()
         {
-            // A repeated urgent stop may arrive after the ordinary one. Another stop keeps the
+            // A repeated out-of-band stop may arrive after the ordinary one. Another stop keeps the
             // order: later requests arrive after both.
             self.requests.send_unacknowledged(Command::Stop);
         }

@@ -9,9 +9,9 @@ use super::*;
 use haptimill_protocol::link::{ControllerLink, HelloOutcome, Identity, SHORT_REPORT, Timing};
 use haptimill_protocol::message::{Action, HelloRefusal};
 use haptimill_protocol::message::{Event, Report, State};
+use haptimill_protocol::out_of_band::StopDetector;
 use haptimill_protocol::setpoint::Setpoint;
 use haptimill_protocol::setpoint::SetpointCoder;
-use haptimill_protocol::urgent::UrgentDetector;
 use line::{Faults, Line, Random};
 use responder::{QUEUE, Responder};
 
@@ -291,18 +291,20 @@ fn an_urgent_stop_precedes_the_stream_and_is_repeated_until_standstill() {
         let mut world = World::connected(seed, faults);
         world.client.start_job(1, pose(), path(seed, 2000)).unwrap();
         assert!(world.until(20_000_000, |world| world.responder.done >= 20 + seed as u32));
-        world.client.urgent_stop();
+        world.client.stop_out_of_band();
         let from = world.now_us;
         assert!(world.until(2_000_000, |world| world.responder.state != State::Run));
         // Bytes before it on the line take 20 ms; every stop that the line corrupts costs 20 ms
         // more.
         assert!(
-            world.now_us - from <= 24_000 + 20_000 * u64::from(world.client.urgent().1),
+            world.now_us - from <= 24_000 + 20_000 * u64::from(world.client.repeated_stop().1),
             "{} us",
             world.now_us - from
         );
-        assert!(world.until(5_000_000, |world| !world.client.urgent().0
-            && world.client.job().is_none()));
+        assert!(
+            world.until(5_000_000, |world| !world.client.repeated_stop().0
+                && world.client.job().is_none())
+        );
         let done = world.responder.done;
         assert_eq!(
             world.ending(),
@@ -321,8 +323,8 @@ fn an_urgent_stop_precedes_the_stream_and_is_repeated_until_standstill() {
 fn an_urgent_stop_before_the_start_is_sent_withdraws_the_job() {
     let mut world = World::connected(4, Faults::default());
     world.client.start_job(1, pose(), path(4, 10)).unwrap();
-    world.client.urgent_stop();
-    assert!(world.until(1_000_000, |world| !world.client.urgent().0));
+    world.client.stop_out_of_band();
+    assert!(world.until(1_000_000, |world| !world.client.repeated_stop().0));
     world.until(500_000, |_| false);
     assert_eq!(
         world.ending(),
@@ -331,7 +333,7 @@ fn an_urgent_stop_before_the_start_is_sent_withdraws_the_job() {
             error: RequestError::Withdrawn
         })
     );
-    assert!(world.responder.reached.is_empty() && world.responder.urgent_heard > 0);
+    assert!(world.responder.reached.is_empty() && world.responder.stops_heard > 0);
 }
 
 #[test]

@@ -183,8 +183,8 @@ pub fn open(spec: &PortSpec, baud: u32) -> Result<Box<dyn Transport>, PortError>
     }
 }
 
-/// Sends the urgent stop several times to a port that another host has locked: the lock does not
-/// exclude a stop.
+/// Sends the out-of-band stop several times to a port that another host has locked: the lock does
+/// not exclude a stop.
 ///
 /// # Errors
 /// The port cannot be written.
@@ -198,7 +198,7 @@ pub fn stop_past_lock(spec: &PortSpec) -> Result<(), PortError> {
     };
     let repeat = |out: &mut dyn std::io::Write| -> std::io::Result<()> {
         for _ in 0..TIMES {
-            out.write_all(&haptimill_protocol::urgent::STOP)?;
+            out.write_all(&haptimill_protocol::out_of_band::STOP)?;
             out.flush()?;
             std::thread::sleep(PAUSE);
         }

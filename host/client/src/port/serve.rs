@@ -10,7 +10,7 @@
 use super::token::{LONGEST_LINE, TOKEN_PREFIX, Token};
 use super::{BUSY, CLOSED, DENIED, PortError, SLOW, TcpTransport, Transport, is_quiet};
 use haptimill_protocol::frame::FrameDecoder;
-use haptimill_protocol::urgent::{STOP, UrgentDetector};
+use haptimill_protocol::out_of_band::{STOP, StopDetector};
 use sha2::{Digest, Sha256};
 use std::collections::VecDeque;
 use std::io::{Read, Write};
@@ -38,7 +38,7 @@ pub struct TcpServer {
     /// Connections that are not the host, the oldest first.
     candidates: VecDeque<Candidate>,
     accepted_at: Instant,
-    /// A rejected connection sent an urgent stop.
+    /// A rejected connection sent an out-of-band stop.
     stop: bool,
 }
 
@@ -181,7 +181,7 @@ impl TcpServer {
         };
         let known = check_token(self.token.as_ref(), &candidate.received);
         if let Ok(Some(from)) = known
-            && UrgentDetector::new().push_all(&candidate.received[from..])
+            && StopDetector::new().push_all(&candidate.received[from..])
         {
             self.stop = true;
             candidate.received.truncate(from);

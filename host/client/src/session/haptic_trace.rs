@@ -22,7 +22,7 @@ pub struct HapticTraceSample {
     /// True position of the tool.
     pub tool: [f64; 3],
     /// Compliant displacement of the tool, p_c.
-    pub yielded: [f64; 3],
+    pub displacement: [f64; 3],
     /// Measured force on the tool of largest magnitude in the last revolution.
     pub high: [f64; 3],
     /// Opposite extreme of that force in that revolution.
@@ -55,7 +55,7 @@ impl HapticTrace {
             "master_mm_s",
             "desired_mm",
             "tool_mm",
-            "yielded_mm",
+            "displacement_mm",
             "high_n",
             "reflected_n",
             "master_n",
@@ -76,7 +76,7 @@ impl HapticTrace {
                 s.velocity,
                 s.desired,
                 s.tool,
-                s.yielded,
+                s.displacement,
                 s.high,
                 s.reflected,
                 s.push,
@@ -148,7 +148,7 @@ impl HapticTraceRecorder {
             velocity: truth.tip_velocity,
             desired: from(commanded, origins[1]),
             tool: from([x, y, z], origins[2]),
-            yielded: three(&snapshot.force.yielded).map(|raw: f64| raw / MM),
+            displacement: three(&snapshot.force.displacement).map(|raw: f64| raw / MM),
             high: three(&snapshot.force.high).map(|raw: f64| raw / NEWTON),
             low: three(&snapshot.force.low).map(|raw: f64| raw / NEWTON),
             reflected: [fx, fy, fz],

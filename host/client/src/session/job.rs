@@ -273,7 +273,7 @@ impl JobRun {
                     ..
                 } => match self.pause {
                     Pause::Reached => self.pause = Pause::Held,
-                    // An urgent stop of another program on the port.
+                    // An out-of-band stop of another program on the port.
                     Pause::None if !self.is_stopped => {
                         session.client.request(Command::Stop);
                     }

@@ -307,7 +307,7 @@ impl<L: Line> Session<L> {
     /// Stops the machine: the next exchange sends the out-of-band stop, which needs no session. It
     /// is repeated, also in the next session, until the controller reports standstill.
     pub fn stop(&mut self) {
-        self.client.urgent_stop();
+        self.client.stop_out_of_band();
     }
 
     /// As [`Session::stop`]; then switches the drives off, as the first request of the next session
@@ -327,7 +327,7 @@ impl<L: Line> Session<L> {
 
     /// Whether a stop is repeated until the controller reports standstill.
     pub fn is_stopping(&self) -> bool {
-        self.client.urgent().0
+        self.client.repeated_stop().0
     }
 
     /// Whether the controller has answered and the link works.

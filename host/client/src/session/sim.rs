@@ -334,7 +334,7 @@ impl JobRecording {
             record.force = ForceSnapshot {
                 high: force.high,
                 low: force.low,
-                yielded: force.yielded,
+                displacement: force.displacement,
             };
         }
         if let Some(io) = &telemetry.io {
@@ -407,7 +407,7 @@ impl JobRecording {
         let time_s = periods * track.period_s();
         let programmed = track.programmed(time_s);
         let line = track.place_of(record.setpoint).line;
-        track.forget(record.setpoint, time_s);
+        track.discard(record.setpoint, time_s);
         drop(track);
         for (axis, (slot, value)) in record.programmed.iter_mut().zip(&programmed).enumerate() {
             *slot = self.axis_units(axis, *value);

@@ -145,7 +145,7 @@ fn the_track_is_that_of_the_plan() {
             );
             assert_eq!(at, expected, "setpoint {setpoint}");
             assert_eq!(track.place_of(setpoint), plan.place_of(setpoint as usize));
-            track.forget(setpoint, time_s);
+            track.discard(setpoint, time_s);
             setpoint += 1;
             compared += 1;
         }

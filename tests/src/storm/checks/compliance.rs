@@ -48,14 +48,14 @@ impl Checks {
             if !on && displaced != 0.0 {
                 violated!(
                     bench,
-                    "yield",
+                    "compliance bounds",
                     "axis {axis} is displaced by {displaced} mm with the drives off"
                 );
             }
             if displaced.abs() > self.compliance.limits[axis] + 0.001 {
                 violated!(
                     bench,
-                    "yield",
+                    "compliance bounds",
                     "axis {axis} is displaced by {displaced} mm of at most {}",
                     self.compliance.limits[axis]
                 );

@@ -104,8 +104,8 @@ impl Checks {
             ),
             None => {}
         }
-        if inputs.urgent && state == State::Run {
-            violated!(bench, "urgent stop", "the job continues");
+        if inputs.out_of_band_stop && state == State::Run {
+            violated!(bench, "out-of-band stop", "the job continues");
         }
         Ok(())
     }

@@ -18,7 +18,7 @@ pub fn fingerprint(bench: &StormBench) -> String {
     let all = format!("{controller:?}");
     if let Some(at) = all.rfind("job: Job {") {
         let changing = [
-            "since_urgent",
+            "since_out_of_band_stop",
             "digest_backlog",
             "busy",
             "missed",

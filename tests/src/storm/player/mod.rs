@@ -302,12 +302,12 @@ impl Player {
         })
     }
 
-    /// Sends a request and waits for its answer, for at most `patience` periods.
-    fn ask(&mut self, command: &Command, patience: u32) -> Result<Answer, Violation> {
+    /// Sends a request and waits for its answer, for at most `periods` periods.
+    fn ask(&mut self, command: &Command, periods: u32) -> Result<Answer, Violation> {
         let mut sent = false;
         // A last-value message has no answer; an older answer must not be taken for it.
         self.last_answer = None;
-        for _ in 0..patience {
+        for _ in 0..periods {
             if !sent {
                 sent = self.bench.send(command);
             }

@@ -8,7 +8,7 @@ use crate::storm::rng::Rng;
 use haptimill_hil_sim::fault::FaultKind;
 use haptimill_hil_sim::operator::trajectory::{Live, Trajectory};
 use haptimill_protocol::message::{AxisValues, Command};
-use haptimill_protocol::urgent::STOP;
+use haptimill_protocol::out_of_band::STOP;
 
 impl Player {
     #[allow(clippy::too_many_lines, reason = "one arm for each stimulus")]

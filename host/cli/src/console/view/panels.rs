@@ -308,7 +308,7 @@ fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'stat
     let last = match &force.problem {
         Some(problem) => Line::styled(format!(" {problem}"), style_of(Severity::Warning)),
         None => {
-            let mm = force.yielded.map(|value| f64::from(value) / PER_MM);
+            let mm = force.displacement.map(|value| f64::from(value) / PER_MM);
             Line::raw(format!(
                 " displ{:>7.3}{:>7.3}{:>7.3} mm",
                 mm[0], mm[1], mm[2]

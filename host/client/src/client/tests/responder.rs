@@ -10,7 +10,7 @@ const PERIOD_US: u16 = 200;
 /// The controller side.
 pub(super) struct Responder {
     pub(super) link: ControllerLink,
-    pub(super) urgent: UrgentDetector,
+    pub(super) stop_detector: StopDetector,
     pub(super) state: State,
     pub(super) period: u64,
     pub(super) staged: Vec<u8>,
@@ -33,7 +33,7 @@ pub(super) struct Responder {
     /// Record of its actions.
     pub(super) reached: Vec<Setpoint>,
     pub(super) jogs: Vec<(u64, u16)>,
-    pub(super) urgent_heard: u32,
+    pub(super) stops_heard: u32,
     pub(super) activated: u32,
 }
 
@@ -44,7 +44,7 @@ impl Responder {
                 line_rate: 11_520,
                 ..Timing::default()
             }),
-            urgent: UrgentDetector::new(),
+            stop_detector: StopDetector::new(),
             state: State::Idle,
             period: 0,
             staged: Vec::new(),
@@ -65,7 +65,7 @@ impl Responder {
             dead: false,
             reached: Vec::new(),
             jogs: Vec::new(),
-            urgent_heard: 0,
+            stops_heard: 0,
             activated: 0,
         }
     }
@@ -76,8 +76,8 @@ impl Responder {
         if self.dead {
             return 0;
         }
-        if self.urgent.push_all(bytes) {
-            self.urgent_heard += 1;
+        if self.stop_detector.push_all(bytes) {
+            self.stops_heard += 1;
             self.jog_left = 0;
             if self.state == State::Run {
                 self.go(State::Hold);

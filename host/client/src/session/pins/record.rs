@@ -32,7 +32,7 @@ impl Period {
             transmit_room: (words[1] >> 16) as u16,
             time_ns: words[0].wrapping_mul(period_us * 1000),
             emergency_stop: words[2] >> 16 & 1 != 0,
-            urgent: words[2] >> 17 & 1 != 0,
+            out_of_band_stop: words[2] >> 17 & 1 != 0,
             digital: words[3] & 0xFFFF,
             waiting: (words[4] >> 16) as u16,
             lost_bytes: words[5] as u16,

@@ -1,7 +1,7 @@
 //! Out-of-band stop.
 //!
 //! The bytes `00 18 00` on the line request a stop in any state of the framing and with any number
-//! of queued messages. A receive interrupt runs [`UrgentDetector`] on every byte as it arrives and
+//! of queued messages. A receive interrupt runs [`StopDetector`] on every byte as it arrives and
 //! sets a flag. No frame contains these bytes: between two zeros, 18 (hexadecimal) would be a COBS
 //! code that announces 23 more bytes. Bytes lost on the line may produce the pattern. The machine
 //! then stops unnecessarily, along its path, with its position kept.
@@ -19,18 +19,18 @@ pub const STOP: [u8; 3] = [0, STOP_CODE, 0];
 /// suits a receive interrupt.
 ///
 /// ```
-/// use haptimill_protocol::urgent::UrgentDetector;
-/// let mut detector = UrgentDetector::new();
+/// use haptimill_protocol::out_of_band::StopDetector;
+/// let mut detector = StopDetector::new();
 /// let found: Vec<bool> = [7, 0, 0x18, 0, 0x18, 0].iter().map(|&b| detector.push(b)).collect();
 /// assert_eq!(found, [false, false, false, true, false, true]);
 /// ```
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct UrgentDetector {
+pub struct StopDetector {
     /// Bytes of the pattern matched so far: 0, 1 or 2.
     seen: u8,
 }
 
-impl UrgentDetector {
+impl StopDetector {
     /// Creates a detector in its initial state.
     pub const fn new() -> Self {
         Self { seen: 0 }
@@ -77,7 +77,7 @@ mod tests {
                 prop::collection::vec(prop_oneof![Just(0u8), Just(STOP_CODE), Just(0x17), any::<u8>()], 0..MAX_PAYLOAD), 1..6),
             sequence: u8, next: u8, beyond: u8, session: u32, kind in 0..5,
         ) {
-            let mut detector = UrgentDetector::new();
+            let mut detector = StopDetector::new();
             let mut frame = FrameBytes::new();
             for payload in payloads {
                 let acknowledgement = Acknowledgement { next, beyond };
@@ -97,8 +97,8 @@ mod tests {
         /// The detector agrees with a search over the whole stream.
         #[test]
         fn finds_every_stop(bytes in prop::collection::vec(prop_oneof![Just(0u8), Just(STOP_CODE), any::<u8>()], 0..200)) {
-            let mut detector = UrgentDetector::new();
-            let mut together = UrgentDetector::new();
+            let mut detector = StopDetector::new();
+            let mut together = StopDetector::new();
             let stops = bytes.windows(STOP.len()).any(|window| window == STOP);
             prop_assert_eq!(together.push_all(&bytes), stops);
             for end in 1..=bytes.len() {
