@@ -31,6 +31,7 @@ pub mod quadrature;
 pub mod rate_filter;
 pub mod servo;
 pub mod step_gen;
+mod step_supervision;
 pub mod torque;
 
 use crate::config::digest::{Constants, Digest, constants};
@@ -45,6 +46,7 @@ use haptimill_protocol::message::Fault;
 use index_monitor::IndexMonitor;
 use power_on_counts::Counted;
 use step_gen::{PulseTiming, StepPlanner};
+use step_supervision::StepSupervision;
 use torque::TorqueOutput;
 
 /// Reason why the configuration of a joint is invalid.
@@ -135,31 +137,6 @@ enum Output {
         planner: StepPlanner,
         supervision: StepSupervision,
     },
-}
-
-/// Comparison of the emitted steps with the encoder.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct StepSupervision {
-    per_step: i64,
-    lost: i32,
-    /// Free-running step counter and motor coordinate at the start of supervision.
-    last_steps: i32,
-    steps: i64,
-    start: Coordinate,
-    /// State of the rotor lock, until the rotor has locked.
-    lock: Option<Lock>,
-}
-
-constants!(StepSupervision { per_step, lost } of {} but { last_steps, steps, start, lock });
-
-/// Rotor that moves to a detent after its drive was switched on.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Lock {
-    /// Motor coordinate when the drive was switched on.
-    origin: Coordinate,
-    /// Middle of the band in which the rotor stays, and the number of periods in that band.
-    middle: Coordinate,
-    quiet: u32,
 }
 
 /// One joint.
@@ -290,14 +267,7 @@ impl JointDrive {
                 }
                 Output::Steps {
                     planner: StepPlanner::new(axis.kind, per_step, timing, period_us),
-                    supervision: StepSupervision {
-                        per_step,
-                        lost: lost.0,
-                        last_steps: 0,
-                        steps: 0,
-                        start: Coordinate(0),
-                        lock: None,
-                    },
+                    supervision: StepSupervision::new(per_step, lost),
                 }
             }
         };
@@ -332,8 +302,7 @@ impl JointDrive {
             self.measured_once = true;
             self.backlash.place(measured.coordinate);
             if let Output::Steps { supervision, .. } = &mut self.output {
-                supervision.last_steps = inputs.steps;
-                supervision.start = measured.coordinate;
+                supervision.start(inputs.steps, measured.coordinate);
             }
         }
         if let Output::Steps { supervision, .. } = &mut self.output {
@@ -496,12 +465,7 @@ impl JointDrive {
         let Output::Steps { supervision, .. } = &mut self.output else {
             return false;
         };
-        let motor = self.measurement.motor;
-        supervision.lock = Some(Lock {
-            origin: motor,
-            middle: motor,
-            quiet: 0,
-        });
+        supervision.begin_lock(self.measurement.motor);
         true
     }
 
@@ -512,25 +476,15 @@ impl JointDrive {
         let Output::Steps { supervision, .. } = &mut self.output else {
             return None;
         };
-        let motor = self.measurement.motor;
-        let band = u64::from(supervision.lost.unsigned_abs() / 8);
-        let lock = supervision.lock.as_mut()?;
-        let moved = difference(self.kind, motor, lock.middle).magnitude();
-        let count = axis.encoder.as_ref().map_or(0, |encoder| encoder.per_count);
-        if u64::from(moved) > band.max(count.unsigned_abs() >> 23) {
-            lock.middle = motor;
-            lock.quiet = 0;
-        } else {
-            lock.quiet = lock.quiet.saturating_add(1);
-        }
-        Some((difference(self.kind, motor, lock.origin), lock.quiet))
+        let per_count = axis.encoder.as_ref().map_or(0, |encoder| encoder.per_count);
+        supervision.locking(self.kind, self.measurement.motor, per_count)
     }
 
     /// Ends the rotor lock: steps count from the present position, and lost steps are supervised.
     /// Returns the slide's coordinate, which becomes the commanded one. `None` for a torque drive.
     pub fn end_lock(&mut self) -> Option<Coordinate> {
         let locks =
-            matches!(&self.output, Output::Steps { supervision, .. } if supervision.lock.is_some());
+            matches!(&self.output, Output::Steps { supervision, .. } if supervision.is_locking());
         locks.then(|| self.enable())
     }
 
@@ -565,7 +519,7 @@ impl JointDrive {
         } = &mut self.output
         {
             planner.rebase(shift);
-            supervision.start = sum(self.kind, supervision.start, shift);
+            supervision.rebase(self.kind, shift);
         }
         self.measurement.coordinate = sum(self.kind, self.measurement.coordinate, shift);
         self.measurement.motor = sum(self.kind, self.measurement.motor, shift);
@@ -718,53 +672,5 @@ impl JointDrive {
             }
         }
         servo_output.saturated
-    }
-}
-
-impl StepSupervision {
-    /// Restarts the comparison with steps and encoder in agreement.
-    const fn restart(&mut self, motor: Coordinate) {
-        self.steps = 0;
-        self.start = motor;
-        self.lock = None;
-    }
-
-    /// Steps minus encoder, and whether the difference is above the limit.
-    #[inline(never)]
-    fn compare(
-        &mut self,
-        kind: AxisKind,
-        enabled: bool,
-        steps: i32,
-        motor: Coordinate,
-    ) -> (Coordinate, bool) {
-        self.steps = self
-            .steps
-            .wrapping_add(i64::from(steps.wrapping_sub(self.last_steps)));
-        self.last_steps = steps;
-        // Without an encoder there is nothing to compare.
-        if !enabled || self.lock.is_some() || self.lost == 0 {
-            return (Coordinate(0), false);
-        }
-        let by_steps = match kind {
-            AxisKind::Linear | AxisKind::MultiTurn => {
-                let travel = self
-                    .steps
-                    .saturating_mul(self.per_step)
-                    .saturating_add(1 << 23)
-                    >> 24;
-                sum(
-                    kind,
-                    self.start,
-                    Coordinate(haptimill_math::reciprocal::saturate(travel)),
-                )
-            }
-            AxisKind::Rotary => {
-                let travel = self.steps.wrapping_mul(self.per_step).wrapping_add(1 << 23) >> 24;
-                sum(kind, self.start, Coordinate(travel as i32))
-            }
-        };
-        let slip = difference(kind, by_steps, motor);
-        (slip, slip.0.unsigned_abs() > self.lost.unsigned_abs())
     }
 }
