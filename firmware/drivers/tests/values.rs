@@ -78,5 +78,6 @@ fn levels_that_do_not_last_are_counted() {
     }
     assert_eq!((filter.glitches(0), filter.glitches(1)), (0, 2));
     assert_eq!((filter.glitches(31), filter.glitches(32)), (0, 0));
+    assert_eq!(filter.all_glitches(), 2);
     assert_eq!(InputFilter::new(0, 0).add(u32::MAX), u32::MAX);
 }
