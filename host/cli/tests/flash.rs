@@ -88,7 +88,8 @@ fn without_a_port_the_next_step_is_named() {
     let folder = folder();
     let rom = boot_rom(folder.path("drive"), 512);
     let (image_path, drive) = (folder.path("own.uf2"), folder.path("drive"));
-    let done = haptimill(&["flash", "--image", &image_path, "--drive", &drive]).expect_code(0);
+    let arguments = ["flash", "--image", &image_path, "--drive", &drive];
+    let done = haptimill(&[&arguments[..], &["--wait", "2"]].concat()).expect_code(0);
     rom.join().unwrap();
     assert!(done.out.contains("its answer was not checked"), "{done:?}");
     assert!(done.out.contains("--baud 1000000"), "{done:?}");

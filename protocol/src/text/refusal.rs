@@ -185,7 +185,8 @@ impl Describe for InputProblem {
             ),
             Self::Drive { axis } => write!(
                 f,
-                "the drive of {} is not ready; check the drive",
+                "the drive of {} is not ready; check the drive, and that the board can drive this \
+                 joint (kind of drive, step clock, encoder)",
                 joint(axis)
             ),
             Self::Coasting => f.write_str("the machine still coasts; wait for its standstill"),

@@ -6,7 +6,7 @@ use crate::commands::interrupt;
 use clap::Args;
 use haptimill_client::client::Options;
 use haptimill_client::flash::{BOARDS, Board, Drive, Found, Places, drive_in};
-use haptimill_client::port::PortSpec;
+use haptimill_client::port::{self, PortSpec};
 use haptimill_client::session::{self, PortLine, Session};
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Welcome;
@@ -20,8 +20,8 @@ use std::time::{Duration, Instant};
     long_about = "Write the image into the flash of a board.
 
 Waits for a board in boot mode, whose boot ROM appears as a drive, copies the image, and waits for \
-the restart of the board. With --port it then opens a session, which checks that the protocol of \
-the board is that of this program. Nothing moves."
+the restart of the board. It then opens a session on the USB port of the board, or at --port, which \
+checks that the protocol of the board is that of this program. Nothing moves."
 )]
 pub struct FlashArgs {
     /// Board [default: pico2]
@@ -33,7 +33,8 @@ pub struct FlashArgs {
     /// Folder of the drive of the boot ROM [default: found by a search]
     #[arg(long, value_name = "FOLDER")]
     pub drive: Option<PathBuf>,
-    /// Port at which the board must answer: a serial port by its path, or tcp:HOST:PORT
+    /// Port at which the board must answer: a serial port by its path, or tcp:HOST:PORT [default:
+    /// its USB port]
     #[arg(long, value_name = "PORT")]
     pub port: Option<PortSpec>,
     /// Baud rate of the serial port [default: that of the image]
@@ -96,7 +97,11 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
     let name = path.file_name().and_then(|name| name.to_str());
     drive.write(name.unwrap_or("image.uf2"), &image, wait)?;
     say("the board has restarted");
-    let answer = match &args.port {
+    let port = match &args.port {
+        Some(port) => Some(port.clone()),
+        None => find_port(board, wait)?,
+    };
+    let answer = match &port {
         Some(port) => Some(answer(board, port, args.baud, wait)?),
         None => None,
     };
@@ -115,13 +120,13 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
                 "image": path.display().to_string(),
                 "bytes": image.len(),
                 "drive": drive.folder.display().to_string(),
-                "port": args.port.as_ref().map(ToString::to_string),
+                "port": port.as_ref().map(ToString::to_string),
                 "answer": answer,
             })
         );
         return Ok(());
     }
-    match (answer, &args.port) {
+    match (answer, &port) {
         (Some(welcome), Some(port)) => {
             let machine = match welcome.machine.as_str() {
                 "" => "no configuration",
@@ -134,7 +139,8 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
             );
         }
         _ => print_line!(
-            "its answer was not checked: connect {}, then `haptimill status --port PORT --baud {}`",
+            "its answer was not checked, because it has no USB port here: its line to the host is \
+             {}; `haptimill status --port PORT --baud {}`",
             board.line,
             board.baud
         ),
@@ -183,6 +189,26 @@ fn find(board: &Board, places: &Places, wait: Duration) -> Result<Drive, CliErro
             is_announced = true;
         }
         std::thread::sleep(POLL.min(end.saturating_duration_since(Instant::now())));
+    }
+}
+
+/// Waits for the USB port of a board; none appears with an image for another line.
+fn find_port(board: &Board, wait: Duration) -> Result<Option<PortSpec>, CliError> {
+    let end = Instant::now() + wait;
+    loop {
+        let ports = port::list_of(board)?;
+        match &ports[..] {
+            [one] => return Ok(Some(PortSpec::Serial(one.clone()))),
+            [_, _, ..] => {
+                let what = format!(
+                    "the image was written; several boards are on the USB: {}; name one with --port",
+                    ports.join(", ")
+                );
+                return Err(CliError::new(Exit::Port, what));
+            }
+            [] if Instant::now() >= end => return Ok(None),
+            [] => std::thread::sleep(POLL.min(end.saturating_duration_since(Instant::now()))),
+        }
     }
 }
 

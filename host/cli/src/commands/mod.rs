@@ -140,7 +140,7 @@ Examples:
       replay a job through a new controller and compare bit by bit
   haptimill trace plot e11-circle.out/recording.hmr 'l?_joint_error_mm'
       plot on the terminal; see also trace info, csv and mcap
-  haptimill flash pico2 --port /dev/ttyUSB0
+  haptimill flash
       write the image into a board in boot mode, and check that it answers
   haptimill kin ik --in poses.csv --out joints.csv
       compute the kinematics of the controller for a table of poses";

@@ -6,6 +6,9 @@
 pub mod uf2;
 
 use crate::{Error, ErrorKind};
+use haptimill_firmware::config::Drive as JointDrive;
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::Model;
 use std::fmt;
 use std::fs::{self, File};
 use std::io::{self, Write as _};
@@ -23,6 +26,10 @@ pub struct Board {
     pub boot_id: &'static str,
     /// USB ids of its boot ROM: vendor and product.
     pub boot_usb: (u16, u16),
+    /// USB ids of its image; other devices have them, too.
+    pub usb: (u16, u16),
+    /// Name of the product on the USB.
+    pub usb_product: &'static str,
     /// Family of its chip in UF2 files.
     pub family: u32,
     /// How the boot ROM is started.
@@ -35,6 +42,9 @@ pub struct Board {
     pub baud: u32,
     /// Its line to the host.
     pub line: &'static str,
+    /// Joints with a step drive, and ticks of their step clock in a microsecond. It has no torque
+    /// drives and no encoders.
+    pub step_drives: (usize, u16),
 }
 
 /// All boards that take UF2 files.
@@ -43,12 +53,15 @@ pub const BOARDS: &[Board] = &[Board {
     title: "Raspberry Pi Pico 2",
     boot_id: "RP2350",
     boot_usb: (0x2E8A, 0x000F),
+    usb: (0x2E8A, 0x0009),
+    usb_product: "Haptimill Pico 2",
     family: 0xE48B_FF59,
     boot_mode: "hold the button BOOTSEL while you plug the board in",
     image: "firmware/boards/pico2/target/thumbv8m.main-none-eabihf/release/haptimill-pico2.uf2",
     make: "cargo xtask board pico2 --uf2",
     baud: 1_000_000,
-    line: "GP0 and GP1 at a serial converter",
+    line: "its USB port, or, with the image for the UART, GP0 and GP1 at a serial converter",
+    step_drives: (5, 75),
 }];
 
 impl Board {
@@ -56,6 +69,35 @@ impl Board {
     #[must_use]
     pub fn named(name: &str) -> Option<&'static Self> {
         BOARDS.iter().find(|board| board.name == name)
+    }
+
+    /// Checks that it can drive the joints of a machine.
+    ///
+    /// # Errors
+    /// The first joint that it cannot drive, and why.
+    pub fn check_drives(&self, machine: &MachineFile) -> Result<(), Error> {
+        let (joints, ticks) = self.step_drives;
+        let model = Model::new(machine);
+        let names = model.joint_names();
+        for (joint, config) in machine.config.joints.iter().enumerate() {
+            let what = match config.drive {
+                _ if joint >= joints => format!("the board has {joints} drives"),
+                JointDrive::Torque { .. } => "the board has no torque drives".to_string(),
+                JointDrive::Steps { ticks_per_us, .. } if ticks_per_us != ticks => format!(
+                    "ticks_per_us = {ticks_per_us}, but the step clock of the board has {ticks}; \
+                     change it here and below [plant]"
+                ),
+                JointDrive::Steps { .. } if config.encoder.is_some() => {
+                    "the board has no encoder inputs; remove its encoder".to_string()
+                }
+                JointDrive::Steps { .. } => continue,
+            };
+            let file = &machine.file;
+            let name = names.get(joint).copied().unwrap_or("?");
+            let what = format!("{file}: joint {name}: {what} ({})", self.title);
+            return Err(Error::new(ErrorKind::BadInput, what));
+        }
+        Ok(())
     }
 
     /// The image of the source tree.

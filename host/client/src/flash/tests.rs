@@ -2,6 +2,7 @@
 
 use super::{BOARDS, Drive, Found, Places, drive_in, unescape};
 use crate::ErrorKind;
+use haptimill_machine_file::MachineFile;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -155,4 +156,29 @@ fn a_drive_that_cannot_be_written_is_an_error_and_one_that_is_gone_is_none() {
     // A board that was unplugged before the copy has no image.
     fs::remove_dir_all(&folder).unwrap();
     assert_eq!(write().unwrap_err().kind, ErrorKind::Output);
+}
+
+/// What a board cannot drive is said with the file, the joint and the remedy.
+#[test]
+fn a_machine_file_for_another_board_is_refused() {
+    let problem = |text: &str| {
+        let machine = MachineFile::parse("own.toml", text).unwrap();
+        let checked = BOARDS[0].check_drives(&machine);
+        checked.map_err(|error| {
+            assert_eq!(error.kind, ErrorKind::BadInput);
+            error.message
+        })
+    };
+    let mill = include_str!("../../../../machines/mill3.toml");
+    let clock = problem(mill).unwrap_err();
+    assert!(
+        clock.starts_with("own.toml: joint x: ticks_per_us = 84"),
+        "{clock}"
+    );
+    assert_eq!(
+        problem(&mill.replace("ticks_per_us = 84", "ticks_per_us = 75")),
+        Ok(())
+    );
+    let h4 = include_str!("../../../../machines/h4.toml");
+    assert!(problem(h4).unwrap_err().contains("no torque drives"));
 }

@@ -15,7 +15,7 @@ mod token;
 #[cfg(unix)]
 pub use control::{Control, ask};
 pub use observers::Observers;
-pub use serial::{Flow, SerialTransport, list};
+pub use serial::{Flow, SerialTransport, list, list_of};
 #[cfg(unix)]
 pub use serve::PtyServer;
 pub use serve::TcpServer;

@@ -1,7 +1,8 @@
 //! Serial ports and pseudo-terminals.
 
 use super::{PortError, Transport, is_quiet};
-use serialport::{ErrorKind, SerialPort, SerialPortType};
+use crate::flash::{BOARDS, Board};
+use serialport::{ErrorKind, SerialPort, SerialPortInfo, SerialPortType};
 use std::io::ErrorKind as IoKind;
 use std::time::Duration;
 
@@ -153,38 +154,106 @@ fn known(vendor: u16, product: u16) -> Option<&'static str> {
     })
 }
 
-/// The serial ports of this computer, with their kinds.
-///
-/// # Errors
-/// The system does not list them.
-pub fn list() -> Result<Vec<(String, String)>, PortError> {
-    // The library panics without this folder, for instance in a container.
-    if cfg!(target_os = "linux") && !std::path::Path::new("/sys/class/tty").is_dir() {
-        return Ok(Vec::new());
-    }
-    let ports = serialport::available_ports().map_err(|error| PortError::Open {
-        name: "serial ports".to_string(),
-        reason: error.to_string(),
-        remedy: "give the port by its path",
-    })?;
-    let describe = |kind: SerialPortType| match kind {
+/// What a serial port is.
+fn describe(kind: &SerialPortType) -> String {
+    match kind {
         SerialPortType::UsbPort(usb) => {
-            let parts = [usb.manufacturer, usb.product, usb.serial_number];
-            let parts: Vec<String> = parts.into_iter().flatten().collect();
+            let parts = [&usb.manufacturer, &usb.product, &usb.serial_number];
+            let parts: Vec<&str> = parts.into_iter().flatten().map(String::as_str).collect();
             let text = format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, parts.join(" "));
-            match known(usb.vid, usb.pid) {
-                Some(name) => format!("{name} ({})", text.trim()),
-                None => text,
+            let text = text.trim();
+            let board = BOARDS.iter().find(|board| is_board(kind, board));
+            match (board, known(usb.vid, usb.pid)) {
+                (Some(board), _) => format!("controller on a {} ({text})", board.title),
+                (None, Some(name)) => format!("{name} ({text})"),
+                (None, None) => text.to_string(),
             }
         }
         SerialPortType::PciPort => "on board".to_string(),
         SerialPortType::BluetoothPort => "Bluetooth".to_string(),
         SerialPortType::Unknown => "serial port".to_string(),
+    }
+}
+
+/// Whether a serial port is the USB of a board. Other devices have its ids, too: the name counts.
+fn is_board(kind: &SerialPortType, board: &Board) -> bool {
+    let SerialPortType::UsbPort(usb) = kind else {
+        return false;
     };
-    let mut ports: Vec<_> = ports
+    (usb.vid, usb.pid) == board.usb && usb.product.as_deref() == Some(board.usb_product)
+}
+
+fn available() -> Result<Vec<SerialPortInfo>, PortError> {
+    // The library panics without this folder, for instance in a container.
+    if cfg!(target_os = "linux") && !std::path::Path::new("/sys/class/tty").is_dir() {
+        return Ok(Vec::new());
+    }
+    serialport::available_ports().map_err(|error| PortError::Open {
+        name: "serial ports".to_string(),
+        reason: error.to_string(),
+        remedy: "give the port by its path",
+    })
+}
+
+/// The serial ports of this computer, with their kinds.
+///
+/// # Errors
+/// The system does not list them.
+pub fn list() -> Result<Vec<(String, String)>, PortError> {
+    let mut ports: Vec<_> = available()?
         .into_iter()
-        .map(|port| (port.port_name, describe(port.port_type).trim().to_string()))
+        .map(|port| (port.port_name, describe(&port.port_type)))
         .collect();
     ports.sort();
     Ok(ports)
+}
+
+/// The serial ports that are the USB of a board.
+///
+/// # Errors
+/// The system does not list its serial ports.
+pub fn list_of(board: &Board) -> Result<Vec<String>, PortError> {
+    let ports = available()?.into_iter();
+    let mut ports: Vec<String> = ports
+        .filter(|port| is_board(&port.port_type, board))
+        .map(|port| port.port_name)
+        .collect();
+    ports.sort();
+    Ok(ports)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BOARDS, describe, is_board};
+    use serialport::{SerialPortType, UsbPortInfo};
+
+    fn port(vid: u16, pid: u16, product: Option<&str>) -> SerialPortType {
+        SerialPortType::UsbPort(UsbPortInfo {
+            vid,
+            pid,
+            serial_number: Some("0123456789ABCDEF".to_string()),
+            manufacturer: None,
+            product: product.map(str::to_string),
+        })
+    }
+
+    #[test]
+    fn a_board_is_told_from_others_by_its_name() {
+        let own = port(0x2E8A, 0x0009, Some("Haptimill Pico 2"));
+        assert!(is_board(&own, &BOARDS[0]));
+        assert_eq!(
+            describe(&own),
+            "controller on a Raspberry Pi Pico 2 (USB 2e8a:0009 Haptimill Pico 2 0123456789ABCDEF)"
+        );
+        let other = port(0x2E8A, 0x0009, Some("Pico"));
+        assert!(!is_board(&other, &BOARDS[0]));
+        assert_eq!(
+            describe(&other),
+            "Raspberry Pi Pico (USB 2e8a:0009 Pico 0123456789ABCDEF)"
+        );
+        let unknown = port(0x1234, 0x0009, None);
+        assert_eq!(describe(&unknown), "USB 1234:0009 0123456789ABCDEF");
+        let converter = describe(&port(0x10C4, 0xEA60, None));
+        assert!(converter.starts_with("serial converter CP210x (USB 10c4:ea60"));
+    }
 }

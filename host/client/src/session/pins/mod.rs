@@ -15,6 +15,7 @@ pub use frame::{Answer, Turn, read_bytes};
 
 use super::sim::PeriodSeen;
 use super::{JobLine, JobRecording, Line};
+use crate::flash::Board;
 use crate::port::PortError;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::controller::Controller;
@@ -30,6 +31,8 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
+/// Name of the board.
+const BOARD: &str = "pico2";
 /// Name of the port.
 pub const NAME: &str = "emu:pico2";
 
@@ -83,13 +86,16 @@ impl PinLine {
     /// tree; `vcd` is a file for the lines that the board drove.
     ///
     /// # Errors
-    /// Emulator or image are missing, or do not start.
+    /// The board cannot drive the machine; emulator or image are missing, or do not start.
     pub fn start(
         machine: &MachineFile,
         image: Option<&Path>,
         vcd: Option<&Path>,
     ) -> Result<Self, Error> {
         let failed = |error: io::Error| Error::new(ErrorKind::Port, format!("{NAME}: {error}"));
+        if let Some(board) = Board::named(BOARD) {
+            board.check_drives(machine)?;
+        }
         let program = find("HAPTIMILL_EMULATOR", EMULATOR)?;
         let image = match image {
             Some(image) => image.to_path_buf(),
