@@ -15,6 +15,8 @@ pub struct Board {
     binary: &'static str,
     /// Images other than the product's: name, feature, and additional cargo arguments.
     others: &'static [(&'static str, &'static str, &'static [&'static str])],
+    /// Features of the product image that one can choose: `cargo xtask board NAME --FEATURE`.
+    pub options: &'static [&'static str],
     /// Its boot ROM takes UF2 files.
     pub has_uf2: bool,
     /// Largest flash and static RAM of an image, bytes.
@@ -48,6 +50,7 @@ const MPS2: Board = Board {
         ("checks", "checks", &[]),
         ("logging", "defmt", &[]),
     ],
+    options: &[],
     has_uf2: false,
     flash: 256 * 1024,
     ram: 64 * 1024,
@@ -60,6 +63,7 @@ const PICO2: Board = Board {
     target: "thumbv8m.main-none-eabihf",
     binary: "haptimill-pico2",
     others: &[],
+    options: &["uart"],
     has_uf2: true,
     flash: 384 * 1024,
     ram: 384 * 1024,
@@ -228,17 +232,30 @@ impl Board {
         self.cargo(root, quiet, self.binary, &[])
     }
 
-    /// Builds the product image, checks its memory map, and writes it as a UF2 file beside the ELF
-    /// file. Returns its path.
+    /// Builds the product image with an option; its name ends with that of the option.
+    ///
+    /// # Errors
+    /// The board has no such option, or the image cannot be built.
+    pub fn build_with(&self, root: &Path, quiet: bool, option: &str) -> Result<PathBuf, String> {
+        if !self.options.contains(&option) {
+            return Err(format!("the board {} has no option '{option}'", self.name));
+        }
+        let built = self.cargo(root, quiet, self.binary, &["--features", option])?;
+        let image = built.with_file_name(format!("{}-{option}", self.binary));
+        fs::copy(&built, &image).map_err(|error| format!("{}: {error}", image.display()))?;
+        Ok(image)
+    }
+
+    /// Checks the memory map of an image, and writes it as a UF2 file beside the ELF file. Returns
+    /// its path.
     ///
     /// # Errors
     /// The board has no boot ROM that takes UF2 files, or the image is wrong.
-    pub fn uf2(&self, root: &Path) -> Result<PathBuf, String> {
+    pub fn uf2(&self, image: &Path) -> Result<PathBuf, String> {
         if !self.has_uf2 {
             return Err(format!("the board {} takes no UF2 files", self.name));
         }
-        let image = self.build(root, true)?;
-        let bytes = fs::read(&image).map_err(|error| format!("{}: {error}", image.display()))?;
+        let bytes = fs::read(image).map_err(|error| format!("{}: {error}", image.display()))?;
         let flash =
             crate::uf2::check(&bytes).map_err(|error| format!("{}: {error}", image.display()))?;
         let path = image.with_extension("uf2");

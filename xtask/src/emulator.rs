@@ -13,6 +13,8 @@ const FOLDER: &str = "host/emulator";
 
 /// Board whose image runs in the emulator.
 const BOARD: &str = "pico2";
+/// Option of the board whose image is tested, too.
+const UART: &str = "uart";
 
 /// What is done with the repaired emulator.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -33,9 +35,15 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     let folder = root.join(FOLDER);
     repair(root, &folder)?;
     let board = crate::named(BOARD)?;
-    let image = board.uf2(root)?;
     let mut cargo = crate::cargo();
-    cargo.current_dir(&folder).env("HAPTIMILL_IMAGE", &image);
+    cargo.current_dir(&folder);
+    if task != Task::Build {
+        let image = board.uf2(&board.build_with(root, true, UART)?)?;
+        cargo.env("HAPTIMILL_UART_IMAGE", image);
+    }
+    // Last: the path of the ELF file then has the image that the board has without options.
+    let image = board.uf2(&board.build(root, true)?)?;
+    cargo.env("HAPTIMILL_IMAGE", &image);
     match task {
         Task::Build => cargo.args(["build", "--release", "--locked"]),
         Task::Test | Task::LongTest => {

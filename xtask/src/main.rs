@@ -31,6 +31,7 @@ Developer tasks of the project.
   cargo xtask lint                 list lines longer than 100 columns, general code that names a machine, and import circles
   cargo xtask board NAME           build the image of a board (mps2, pico2), print its size, check it against the budget
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
+  cargo xtask board NAME --uart    as `board NAME`, with a UART as the line to the host (pico2)
   cargo xtask board NAME --image   build the image and print only its path
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: haptics, faults, checks, logging)
   cargo xtask images               build the images that one can flash, named after the commit, with checksums, in target/images
@@ -182,7 +183,8 @@ fn main() -> ExitCode {
             println!("SKIPPED  boards and emulated runs (--native-only): the controller was not tested on a chip");
         }),
         ["lint"] => lint(&root()).and(names::lint(&root())).and(circles::lint(&root())),
-        ["board", name] => board(name),
+        ["board", name] => board(name, None),
+        ["board", name, "--uart"] => board(name, Some("uart")),
         ["board", name, "--uf2"] => uf2(name),
         ["board", name, "--image"] => image(name, None),
         ["board", name, "--image", other] => image(name, Some(other)),
@@ -234,7 +236,7 @@ fn test() -> Result<(), String> {
         let image = board.build(&root(), false)?;
         board.measure(&image)?;
         if board.has_uf2 {
-            board.uf2(&root())?;
+            board.uf2(&image)?;
         }
     }
     emulator::emulator(&root(), emulator::Task::Test)?;
@@ -250,21 +252,26 @@ fn named(name: &str) -> Result<&'static Board, String> {
     })
 }
 
-/// Builds the product image of a board and prints its size.
-fn board(name: &str) -> Result<(), String> {
+/// Builds the product image of a board, or the one with an option, and prints its size.
+fn board(name: &str, option: Option<&str>) -> Result<(), String> {
     let board = named(name)?;
-    let image = board.build(&root(), false)?;
+    let image = match option {
+        Some(option) => board.build_with(&root(), false, option)?,
+        None => board.build(&root(), false)?,
+    };
     board.measure(&image)?;
     println!("{}", image.display());
     if board.has_uf2 {
-        println!("{}", board.uf2(&root())?.display());
+        println!("{}", board.uf2(&image)?.display());
     }
     Ok(())
 }
 
 /// Builds the product image of a board as a UF2 file and prints its path.
 fn uf2(name: &str) -> Result<(), String> {
-    println!("{}", named(name)?.uf2(&root())?.display());
+    let board = named(name)?;
+    let image = board.build(&root(), true)?;
+    println!("{}", board.uf2(&image)?.display());
     Ok(())
 }
 

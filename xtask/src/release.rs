@@ -24,13 +24,19 @@ pub fn images(root: &Path) -> Result<Vec<PathBuf>, String> {
     fs::create_dir_all(&folder).map_err(problem)?;
     let mut names = Vec::new();
     for board in BOARDS.iter().filter(|board| board.has_uf2) {
-        let image = board.build(root, true)?;
-        board.measure(&image)?;
-        let uf2 = board.uf2(root)?;
-        let name = format!("haptimill-{}-{commit}.uf2", board.name);
-        let target = folder.join(&name);
-        fs::copy(&uf2, &target).map_err(|error| format!("{}: {error}", target.display()))?;
-        names.push(name);
+        let mut images = vec![(board.name.to_string(), board.build(root, true)?)];
+        for option in board.options {
+            let name = format!("{}-{option}", board.name);
+            images.push((name, board.build_with(root, true, option)?));
+        }
+        for (name, image) in images {
+            board.measure(&image)?;
+            let uf2 = board.uf2(&image)?;
+            let name = format!("haptimill-{name}-{commit}.uf2");
+            let target = folder.join(&name);
+            fs::copy(&uf2, &target).map_err(|error| format!("{}: {error}", target.display()))?;
+            names.push(name);
+        }
     }
     let sums = output(Command::new("sha256sum").current_dir(&folder).args(&names))?;
     let file = folder.join("SHA256SUMS");

@@ -1,5 +1,7 @@
 //! An emulated chip with its pins.
 
+use crate::usb_host::UsbHost;
+use rp2350_emu::peripherals::usb::UsbCtrl;
 use rp2350_emu::{Config, Emulator, EmulatorBuilder};
 use std::sync::atomic::Ordering::Relaxed;
 
@@ -9,9 +11,21 @@ const FLASH: u32 = 0x1000_0000;
 /// Clock of the chip once its image has set it, Hz.
 pub const CLOCK_HZ: u64 = 150_000_000;
 
+/// Register of the devices that are in reset, and the bit of the USB controller.
+const RESETS: u32 = 0x4002_0000;
+const USB_RESET: u32 = 1 << 28;
+
 /// A chip that runs an image.
 pub struct Chip {
     emulator: Emulator,
+    /// Cycles before the last reset of the chip.
+    before: u64,
+    /// Resets by the watchdog.
+    resets: u32,
+    /// Pins that are driven from outside, and their levels.
+    driven: (u32, u32),
+    /// The host on the USB.
+    pub usb_host: UsbHost,
 }
 
 impl Chip {
@@ -34,22 +48,38 @@ impl Chip {
             .build()
             .map_err(|error| error.to_string())?;
         emulator.load_flash(flash);
-        emulator.reset();
-        let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|byte| flash[at + byte]));
+        let mut chip = Self {
+            emulator,
+            before: 0,
+            resets: 0,
+            driven: (0, 0),
+            usb_host: UsbHost::default(),
+        };
+        chip.reset();
+        Ok(chip)
+    }
+
+    /// Starts the image as the boot ROM does: at the vector table in the flash.
+    fn reset(&mut self) {
+        self.before = self.cycles();
+        self.emulator.reset();
+        let [stack, entry] = [0, 4].map(|at| self.emulator.peek(FLASH + at));
         for core in 0..2 {
-            let core = emulator.core_mut(core);
-            core.regs.msp = word(0);
-            core.regs.r[13] = word(0);
-            core.regs.set_pc(word(4) & !1);
+            let core = self.emulator.core_mut(core);
+            core.regs.msp = stack;
+            core.regs.r[13] = stack;
+            core.regs.set_pc(entry & !1);
             core.ppb.vtor = FLASH;
         }
         // The second core waits.
-        emulator.bus.atomics.set_halted(1);
-        Ok(Self { emulator })
+        self.emulator.bus.atomics.set_halted(1);
+        let (pins, levels) = self.driven;
+        self.drive(pins, levels);
     }
 
     /// Drives pins from outside: one bit each.
     pub fn drive(&mut self, pins: u32, levels: u32) {
+        self.driven = (pins, levels);
         self.emulator.bus.gpio_external_mask = pins;
         self.emulator.bus.gpio_external_in.store(levels, Relaxed);
     }
@@ -60,7 +90,37 @@ impl Chip {
     /// The emulator cannot go on.
     pub fn cycle(&mut self) -> Result<u32, String> {
         self.emulator.step().map_err(|error| error.to_string())?;
+        if self.emulator.bus.watchdog_reset_requested() {
+            self.reset();
+            self.resets += 1;
+        }
+        let now = self.cycles();
+        if now >= self.usb_host.due() {
+            let host = &mut self.usb_host;
+            self.emulator
+                .bus
+                .with_usb(|device| host.serve(device, now))?;
+        }
         Ok(self.emulator.bus.gpio_in.load(Relaxed))
+    }
+
+    /// Resets by the watchdog.
+    #[must_use]
+    pub const fn resets(&self) -> u32 {
+        self.resets
+    }
+
+    /// Words of buffers that the image gave to the USB controller wrongly: it may see the bits of
+    /// before.
+    pub fn wrong_usb_writes(&mut self) -> u32 {
+        self.emulator
+            .bus
+            .with_usb(|device| device.concurrent_writes)
+    }
+
+    /// The device at the USB, for a test that is the host.
+    pub fn usb<R>(&mut self, act: impl FnOnce(&mut UsbCtrl) -> R) -> R {
+        self.emulator.bus.with_usb(act)
     }
 
     /// Reads a register of a device.
@@ -84,26 +144,43 @@ impl Chip {
         self.emulator.poke(address, value);
     }
 
+    /// Replaces an instruction in the RAM.
+    pub fn set_code(&mut self, address: u32, value: u32) {
+        self.emulator.poke(address, value);
+        self.emulator.bus.invalidate_all();
+    }
+
     /// A register of the first core.
     #[must_use]
     pub fn core_register(&self, number: usize) -> u32 {
         self.emulator.core(0).regs.r[number]
     }
 
-    /// Gives the line of UART0 bytes, which arrive at its rate.
-    pub fn receive(&mut self, bytes: &[u8]) {
-        self.emulator.bus.uart[0].rx_line.extend(bytes);
+    /// The image uses the USB, and not the UART.
+    pub fn uses_usb(&mut self) -> bool {
+        self.register(RESETS) & USB_RESET == 0
     }
 
-    /// Takes the bytes that left on the line of UART0.
+    /// Gives the line of the image bytes, which arrive at its rate.
+    pub fn receive(&mut self, bytes: &[u8]) {
+        match self.uses_usb() {
+            true => self.usb_host.send(bytes),
+            false => self.emulator.bus.uart[0].rx_line.extend(bytes),
+        }
+    }
+
+    /// Takes the bytes that left on the line of the image.
     pub fn take_sent(&mut self) -> Vec<u8> {
-        std::mem::take(&mut self.emulator.bus.uart[0].tx_log)
+        match self.uses_usb() {
+            true => self.usb_host.take(),
+            false => std::mem::take(&mut self.emulator.bus.uart[0].tx_log),
+        }
     }
 
     /// Cycles since the start.
     #[must_use]
     pub fn cycles(&self) -> u64 {
-        self.emulator.cycles()
+        self.before + self.emulator.cycles()
     }
 
     /// Address of the next instruction of the first core.

@@ -4,9 +4,11 @@
 //! for the D registers of the FPU. It does not show misses of the flash cache, the two cycles of
 //! the input synchronisers of the PIO, and contention on the bus. Times of code are lower bounds;
 //! times of pulses do not depend on code. It does not model pads and functions of pins: a pin that
-//! an image forgot to assign works here.
+//! an image forgot to assign works here. Of the USB it models the device controller by transactions
+//! (patch of `peripherals/usb.rs`), and a host ([`usb_host`]); not the wire and its errors.
 
 pub mod checks;
 pub mod chip;
 pub mod image;
 pub mod pico2;
+pub mod usb_host;

@@ -12,6 +12,7 @@ use haptimill_trace::Recorder;
 /// Pins, as in `firmware/boards/pico2/src/pins.rs`.
 const FIRST_STEP: u32 = 2;
 const ENABLE: u32 = 12;
+const CHARGE_PUMP: u32 = 13;
 const EMERGENCY_STOP: u32 = 14;
 const FIRST_HOME: u32 = 15;
 const INPUTS: [u32; 2] = [20, 27];
@@ -66,8 +67,15 @@ pub struct Pico2 {
     levels: u32,
     /// Level of the emergency stop, besides that of the machine.
     emergency_stop: bool,
+    /// A drive reports an alarm, besides those of the machine.
+    alarm: bool,
+    /// Inputs with noise: their levels are wrong in every other control period.
+    noise: u32,
+    is_noisy: bool,
     /// Lines that the board drove.
     pub lines: Lines,
+    /// Changes of the line of the charge pump.
+    pub pump: u64,
     /// Steps of each joint, by its lines.
     pub steps: [i64; JOINTS],
     /// Control periods of the board.
@@ -93,6 +101,10 @@ impl Pico2 {
             plant,
             levels: 0,
             emergency_stop: false,
+            alarm: false,
+            noise: 0,
+            is_noisy: false,
+            pump: 0,
             lines: Lines::default(),
             steps: [0; JOINTS],
             periods: Vec::new(),
@@ -134,6 +146,23 @@ impl Pico2 {
         self.emergency_stop = open;
         self.plant.set_emergency_stop(open);
         self.drive_inputs();
+    }
+
+    /// Gives the wires of inputs noise, one bit a pin: a wrong level in every other control period.
+    pub const fn set_noise(&mut self, pins: u32) {
+        self.noise = pins;
+    }
+
+    /// Lets a drive report an alarm, besides those of the machine; or not.
+    pub fn set_alarm(&mut self, alarm: bool) {
+        self.alarm = alarm;
+        self.drive_inputs();
+    }
+
+    /// The enable line is high.
+    #[must_use]
+    pub const fn is_enabled(&self) -> bool {
+        self.levels >> ENABLE & 1 != 0
     }
 
     /// The machine.
@@ -214,7 +243,7 @@ impl Pico2 {
             }
         }
         let mut outputs = Outputs::default();
-        if self.levels >> ENABLE & 1 != 0 {
+        if self.is_enabled() {
             let on = DriveCommand::Steps(StepSegment::default());
             outputs.axes[..self.plant.axes()].fill(on);
         }
@@ -223,8 +252,9 @@ impl Pico2 {
         Ok(())
     }
 
-    /// Keeps the record of the last control period, if it is a new one.
-    fn read_record(&mut self) {
+    /// Keeps the record of the last control period, if it is a new one. Callers of
+    /// [`Pico2::run_cycles`] must call it before the next control period ends.
+    pub fn read_record(&mut self) {
         if self.chip.memory(self.record) == self.last {
             return;
         }
@@ -254,6 +284,7 @@ impl Pico2 {
         self.levels = levels;
         let now = self.chip.cycles();
         let time = femtoseconds(now);
+        self.pump += u64::from(changed >> CHARGE_PUMP & 1);
         if changed >> ENABLE & 1 != 0 {
             self.lines.enable.changes.push(time);
         }
@@ -294,9 +325,13 @@ impl Pico2 {
         let alarm = inputs.axes[..self.plant.axes()]
             .iter()
             .any(|axis| !axis.drive_ready);
-        set(ALARM, alarm && !inputs.emergency_stop);
+        set(ALARM, self.alarm || alarm && !inputs.emergency_stop);
         for (channel, pin) in INPUTS.into_iter().enumerate() {
             set(pin, inputs.digital >> channel & 1 != 0);
+        }
+        self.is_noisy = !self.is_noisy;
+        if self.is_noisy {
+            levels ^= self.noise;
         }
         self.chip.drive(mask, levels);
     }

@@ -1,6 +1,7 @@
 //! Repairs of the emulator, with a few instructions or registers of the chip.
 
 use haptimill_emulator::chip::Chip;
+use rp2350_emu::peripherals::usb::UsbAnswer;
 
 const RAM: u32 = 0x2000_0000;
 const CODE: u32 = 0x1000_0100;
@@ -180,4 +181,95 @@ fn the_uart_receives_and_sends() {
     }
     let taken = (0..40).filter(|_| chip.register(0x4007_0000) & 0xFF == 7);
     assert_eq!(taken.count(), 32);
+}
+
+/// The device controller of the USB, driven by its registers and a host.
+#[test]
+fn the_usb_controller_has_transactions() {
+    const USB: u32 = 0x5011_0000;
+    const MEMORY: u32 = 0x5010_0000;
+    let mut chip = chip(&[]);
+    chip.set_register(0x4002_0000, 0);
+    assert_eq!(chip.usb(|it| it.setup(0, [0; 8])), UsbAnswer::Silence);
+    // To the pads, supply there, device enabled, events of endpoint 0, pull-up.
+    for (at, word) in [
+        (0x74, 9),
+        (0x78, 0xC),
+        (0x40, 1),
+        (0x4C, 1 << 29 | 1 << 16),
+        (0x00, 7),
+    ] {
+        chip.set_register(USB + at, word);
+    }
+    // Endpoint 1 of both directions, enabled, each with a buffer of its own, reported.
+    chip.set_register(MEMORY + 0x8, 0xA800_0180);
+    chip.set_register(MEMORY + 0xC, 0xA800_01C0);
+    assert_eq!(chip.usb(|it| it.setup(6, [0; 8])), UsbAnswer::Silence);
+    let packet = [1, 2, 3, 4, 5, 6, 7, 8];
+    assert_eq!(chip.usb(|it| it.setup(7, packet)), UsbAnswer::Ack);
+    assert_eq!(chip.register(MEMORY), 0x0403_0201);
+    assert_eq!(chip.register(USB + 0x50), 1 << 17 | 1);
+    chip.set_register(USB + 0x50, 1 << 17);
+    assert_eq!(chip.register(USB + 0x50), 1);
+    // Not given, given for another toggle, given.
+    let send = |chip: &mut Chip| chip.usb(|it| it.receive(7, 1, true, b"abcd"));
+    assert_eq!(send(&mut chip), UsbAnswer::Nak);
+    chip.set_register(MEMORY + 0x8C, 64);
+    chip.set_register(MEMORY + 0x8C, 64 | 1 << 10);
+    assert_eq!(send(&mut chip), UsbAnswer::Ack);
+    assert_eq!(chip.register(USB + 0x58), 0, "a packet that came twice");
+    chip.set_register(MEMORY + 0x8C, 64 | 1 << 13);
+    chip.set_register(MEMORY + 0x8C, 64 | 1 << 13 | 1 << 10);
+    assert_eq!(send(&mut chip), UsbAnswer::Ack);
+    assert_eq!(chip.register(USB + 0x58), 1 << 3);
+    assert_eq!(chip.register(MEMORY + 0x8C), 4 | 1 << 13 | 1 << 15);
+    assert_eq!(chip.register(MEMORY + 0x1C0), u32::from_le_bytes(*b"abcd"));
+    chip.set_register(USB + 0x58, 1 << 3);
+    assert_eq!(chip.register(USB + 0x58), 0);
+    assert_eq!(send(&mut chip), UsbAnswer::Nak);
+    // Two bytes to the host.
+    assert_eq!(chip.usb(|it| it.transmit(7, 1)), UsbAnswer::Nak);
+    chip.set_register(MEMORY + 0x180, 0x6261);
+    chip.set_register(MEMORY + 0x88, 2 | 1 << 15);
+    assert_eq!(chip.wrong_usb_writes(), 0);
+    chip.set_register(MEMORY + 0x88, 2 | 1 << 15 | 1 << 10 | 1 << 13);
+    assert_eq!(chip.wrong_usb_writes(), 1, "the toggle came with AVAILABLE");
+    let bytes = b"ab".to_vec();
+    let sent = UsbAnswer::Data {
+        toggle: true,
+        bytes,
+    };
+    assert_eq!(chip.usb(|it| it.transmit(7, 1)), sent);
+    assert_eq!(chip.usb(|it| it.transmit(7, 1)), UsbAnswer::Nak);
+    assert_eq!(chip.register(USB + 0x58), 1 << 2);
+    // Endpoint 1 stalls; endpoint 0 only while it is armed.
+    chip.set_register(MEMORY + 0x88, 1 << 11);
+    assert_eq!(chip.usb(|it| it.transmit(7, 1)), UsbAnswer::Stall);
+    chip.set_register(MEMORY + 0x80, 1 << 11);
+    assert_eq!(chip.usb(|it| it.transmit(7, 0)), UsbAnswer::Nak);
+    chip.set_register(USB + 0x68, 1);
+    assert_eq!(chip.usb(|it| it.transmit(7, 0)), UsbAnswer::Stall);
+    assert_eq!(chip.usb(|it| it.setup(7, packet)), UsbAnswer::Ack);
+    assert_eq!(chip.usb(|it| it.transmit(7, 0)), UsbAnswer::Nak);
+}
+
+/// The watchdog resets the chip, which starts again, and tells why.
+#[test]
+fn the_watchdog_resets_the_chip() {
+    // r1 = WATCHDOG; ldr r2, [r1, #8]
+    let mut chip = run(&[0xF248, 0x0100, 0xF2C4, 0x010D, 0x688A], 200);
+    assert_eq!(chip.core_register(2), 0);
+    chip.set_register(0x4010_8034, 12);
+    chip.set_register(0x4010_8030, 1);
+    chip.set_register(0x400D_8010, 77);
+    chip.set_register(0x400D_8004, 2);
+    chip.set_register(0x400D_8000, 1 << 30);
+    let before = chip.cycles();
+    for _ in 0..2000 {
+        chip.cycle().unwrap();
+    }
+    assert_eq!(chip.resets(), 1);
+    assert!(chip.cycles() >= before + 2000, "the time goes on");
+    assert_eq!(chip.core_register(2), 1, "the timer of the watchdog");
+    assert_eq!(chip.register(0x400D_8010), 77, "its scratch registers stay");
 }

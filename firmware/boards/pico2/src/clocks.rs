@@ -1,7 +1,7 @@
 //! Clocks and resets: 150 MHz for the cores, the PIO and the devices, from the crystal of 12 MHz.
 
 use crate::registers::{
-    CLOCKS, DWT, PLL_SYS, RESETS, TICKS, WATCHDOG, XOSC, clear, read, set, write,
+    CLOCKS, DWT, PLL_SYS, PLL_USB, RESETS, TICKS, WATCHDOG, XOSC, clear, read, set, write,
 };
 
 /// Control period, us. The period of the machine file must be the same.
@@ -13,8 +13,14 @@ pub const PERIOD_CYCLES: u32 = CYCLES_PER_US * PERIOD_US as u32;
 /// Frequency of the crystal, MHz.
 const CRYSTAL_MHZ: u32 = 12;
 
-/// Devices that are used: DMA, I/O bank, pads, PIO0, PIO1, PLL, PWM, UART0.
-const USED: u32 = 1 << 2 | 1 << 6 | 1 << 9 | 1 << 11 | 1 << 12 | 1 << 14 | 1 << 16 | 1 << 26;
+/// Devices of the line to the host: UART0, or the USB controller and its PLL.
+const LINE: u32 = if cfg!(feature = "uart") {
+    1 << 26
+} else {
+    1 << 15 | 1 << 28
+};
+/// Devices that are used: DMA, I/O bank, pads, PIO0, PIO1, PLL, PWM, the line to the host.
+const USED: u32 = 1 << 2 | 1 << 6 | 1 << 9 | 1 << 11 | 1 << 12 | 1 << 14 | 1 << 16 | LINE;
 
 /// Present count of the cycle counter.
 #[inline(always)]
@@ -38,20 +44,32 @@ pub fn start() {
     set(RESETS, 0x0, USED);
     clear(RESETS, 0x0, USED);
     while read(RESETS, 0x8) & USED != USED {}
-    // PLL: 12 MHz * 125 = 1500 MHz, divided by 5 and by 2.
-    write(PLL_SYS, 0x0, 1);
-    write(PLL_SYS, 0x8, 125);
-    clear(PLL_SYS, 0x4, 1 | 1 << 5);
-    while read(PLL_SYS, 0x0) >> 31 == 0 {}
-    write(PLL_SYS, 0xC, 5 << 16 | 2 << 12);
-    clear(PLL_SYS, 0x4, 1 << 3);
+    // 12 MHz * 125 = 1500 MHz, divided by 5 and by 2.
+    start_pll(PLL_SYS, 125, 5, 2);
     write(CLOCKS, 0x3C, 0);
     write(CLOCKS, 0x3C, 1);
     while read(CLOCKS, 0x44) != 1 << 1 {}
     // Devices: the system clock.
     write(CLOCKS, 0x48, 1 << 11);
+    if !cfg!(feature = "uart") {
+        // 12 MHz * 100 = 1200 MHz, divided by 5 and by 5: the 48 MHz of the USB.
+        start_pll(PLL_USB, 100, 5, 5);
+        write(CLOCKS, 0x60, 0);
+        write(CLOCKS, 0x64, 1 << 16);
+        write(CLOCKS, 0x60, 1 << 11);
+    }
     // Microseconds of the watchdog.
     write(WATCHDOG, 0x0, 0);
     write(TICKS, 0x34, CRYSTAL_MHZ);
     write(TICKS, 0x30, 1);
+}
+
+/// Starts a PLL: crystal times `multiplier`, divided by `first` and by `second`.
+fn start_pll(pll: usize, multiplier: u32, first: u32, second: u32) {
+    write(pll, 0x0, 1);
+    write(pll, 0x8, multiplier);
+    clear(pll, 0x4, 1 | 1 << 5);
+    while read(pll, 0x0) >> 31 == 0 {}
+    write(pll, 0xC, first << 16 | second << 12);
+    clear(pll, 0x4, 1 << 3);
 }

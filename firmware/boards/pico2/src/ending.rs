@@ -5,6 +5,7 @@ use crate::clocks::{CYCLES_PER_US, cycles};
 use crate::pins;
 use crate::registers::{PIO, PSM, WATCHDOG, read, set, write};
 use core::cell::UnsafeCell;
+use core::sync::atomic::{AtomicU8, Ordering};
 
 /// Time without a completed control period after which the chip is reset, us. The period in which a
 /// configuration is activated takes 3 ms.
@@ -30,16 +31,26 @@ pub enum Cause {
     Fault = 4,
 }
 
-/// The cause of the last reset.
+/// The cause that [`take_cause`] found.
+static LAST: AtomicU8 = AtomicU8::new(0);
+
+/// Finds the cause of the last reset.
 pub fn take_cause() -> Cause {
     let marked = read(WATCHDOG, MARK) == MARKED;
     write(WATCHDOG, MARK, 0);
-    match (marked, read(WATCHDOG, CAUSE)) {
+    let cause = match (marked, read(WATCHDOG, CAUSE)) {
         (true, 3) => Cause::Panic,
         (true, 4) => Cause::Fault,
         _ if read(WATCHDOG, 0x8) & 0b11 != 0 => Cause::Watchdog,
         _ => Cause::Power,
-    }
+    };
+    LAST.store(cause as u8, Ordering::Relaxed);
+    cause
+}
+
+/// The cause of the last reset, as the flashes of the LED.
+pub fn last_cause() -> u8 {
+    LAST.load(Ordering::Relaxed)
 }
 
 /// Starts the watchdog.
@@ -71,20 +82,42 @@ fn end(cause: Cause, place: u32) -> ! {
     }
 }
 
-/// Shows the cause of the last reset: its number in flashes, then a pause. One flash a second means
-/// normal operation after power-on.
-pub fn show(cause: Cause) {
-    let wait = |milliseconds: u32| {
-        let start = cycles();
-        while cycles().wrapping_sub(start) < milliseconds * 1000 * CYCLES_PER_US {}
-    };
-    for _ in 0..cause as u32 {
-        pins::light(true);
-        wait(100);
-        pins::light(false);
-        wait(200);
+/// The LED: the cause of the last reset as a number of flashes, then a pause. One flash a second
+/// means normal operation after power-on.
+pub struct Lamp {
+    flashes: u32,
+    /// Present phase: two a flash, on and off, then the pause.
+    phase: u32,
+    /// Cycle at which the phase began.
+    since: u32,
+}
+
+impl Lamp {
+    /// The LED is off.
+    pub const fn new(cause: Cause) -> Self {
+        let flashes = cause as u32;
+        Self {
+            flashes,
+            phase: 2 * flashes,
+            since: 0,
+        }
     }
-    wait(700);
+
+    /// Switches the LED when it is time.
+    pub fn update(&mut self) {
+        let milliseconds = match self.phase {
+            phase if phase == 2 * self.flashes => 700,
+            phase if phase % 2 == 0 => 100,
+            _ => 200,
+        };
+        let now = cycles();
+        if now.wrapping_sub(self.since) < milliseconds * 1000 * CYCLES_PER_US {
+            return;
+        }
+        self.since = now;
+        self.phase = (self.phase + 1) % (2 * self.flashes + 1);
+        pins::light(self.phase < 2 * self.flashes && self.phase % 2 == 0);
+    }
 }
 
 #[panic_handler]

@@ -6,7 +6,9 @@
 //! | --- | --- |
 //! | [`steps`] | pulses: PIO state machines, fed by DMA |
 //! | [`period`] | control period: SysTick latches and starts the pulses, PendSV computes |
-//! | [`serial`] | line to the host, UART0 |
+//! | `usb`, `usb_bus` | line to the host: a serial port on the USB |
+//! | `uart` | line to the host with the feature `uart`: UART0 |
+//! | [`link`] | rings between the line and the controller |
 //! | [`ending`] | panic, processor fault, watchdog, and what the LED shows of them |
 //! | [`record`] | last control period, for a debugger or an emulator |
 //!
@@ -17,12 +19,23 @@
 mod boot_block;
 mod clocks;
 mod ending;
+mod link;
 mod period;
 mod pins;
 mod record;
 mod registers;
-mod serial;
 mod steps;
+#[cfg(feature = "uart")]
+mod uart;
+#[cfg(not(feature = "uart"))]
+mod usb;
+#[cfg(not(feature = "uart"))]
+mod usb_bus;
+
+#[cfg(feature = "uart")]
+use uart as line;
+#[cfg(not(feature = "uart"))]
+use usb as line;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -30,11 +43,10 @@ fn main() -> ! {
     let cause = ending::take_cause();
     clocks::start();
     pins::start();
-    serial::start();
-    period::start();
+    let (wire, bytes) = link::start();
+    let (in_period, between) = line::start(wire);
+    period::start(in_period, bytes);
     // The drives stay off until the controller enables them, so the watchdog starts last.
     ending::start_watchdog();
-    loop {
-        ending::show(cause);
-    }
+    between.serve(ending::Lamp::new(cause))
 }

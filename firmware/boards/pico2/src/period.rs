@@ -1,15 +1,17 @@
 //! The control period.
 //!
-//! SysTick begins it: it hands the pulses over, latches the inputs, and exchanges bytes with the
-//! host. It then pends PendSV, which calls the controller and makes the words of the next period.
-//! While PendSV still computes, SysTick counts a missed period and leaves the data alone.
+//! SysTick begins it: it hands the pulses over, latches the inputs, and serves the UART if that is
+//! the line to the host. It then pends PendSV, which calls the controller and makes the words of
+//! the next period. While PendSV still computes, SysTick counts a missed period and leaves the data
+//! alone.
 
 use crate::clocks::{PERIOD_CYCLES, PERIOD_US, cycles};
 use crate::ending;
+use crate::line::InPeriod;
+use crate::link::Bytes;
 use crate::pins::{self, JOINTS, Levels};
 use crate::record::{self, Cycles};
 use crate::registers::{SYSTICK, read, write};
-use crate::serial::{Bytes, Rings, Wire};
 use crate::steps::{Batch, Engine, Filler, requirements};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
@@ -17,13 +19,15 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::SCB;
 use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m_rt::exception;
+use haptimill_drivers::input_filter::InputFilter;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 
 /// Data of SysTick.
 struct Front {
     engine: Engine,
-    wire: Wire,
+    line: InPeriod,
+    filter: InputFilter,
     period: u64,
     missed: u16,
 }
@@ -40,6 +44,8 @@ struct Back {
     batch: Option<Batch>,
     /// Joints that this board cannot drive, one bit each.
     wrong: u8,
+    /// Changes of the inputs that the noise filter suppressed.
+    glitches: u32,
 }
 
 /// Data of the handlers, set up before they run.
@@ -68,12 +74,11 @@ impl<T> Shared<T> {
 
 static FRONT: Shared<Front> = Shared::new();
 static BACK: Shared<Back> = Shared::new();
-static RINGS: Shared<Rings> = Shared::new();
 /// PendSV computes.
 static BUSY: AtomicBool = AtomicBool::new(false);
 
 /// Starts the control periods.
-pub fn start() {
+pub fn start(line: InPeriod, bytes: Bytes) {
     let Some(mut core) = cortex_m::Peripherals::take() else {
         return;
     };
@@ -85,12 +90,11 @@ pub fn start() {
     write(SYSTICK, 0x0, 0b101);
     // SAFETY: no handler runs yet, and this function runs once.
     unsafe {
-        (*RINGS.0.get()).write(Rings::new());
-        let (wire, bytes) = RINGS.get().split();
         put(&mut *BACK.0.get(), bytes);
         (*FRONT.0.get()).write(Front {
             engine: Engine::start(),
-            wire,
+            line,
+            filter: Levels::read().filter(),
             period: 0,
             missed: 0,
         });
@@ -114,6 +118,7 @@ fn put(place: &mut MaybeUninit<Back>, bytes: Bytes) {
         buffer: 0,
         batch: None,
         wrong: 0,
+        glitches: 0,
     });
 }
 
@@ -133,13 +138,14 @@ fn SysTick() {
     let mut back = (!busy).then(|| unsafe { BACK.get() });
     let batch = back.as_mut().and_then(|back| back.batch.take());
     front.engine.begin(batch, late);
-    let levels = Levels::read();
-    front.wire.exchange();
+    let levels = Levels::read().filtered(&mut front.filter);
+    front.line.exchange();
     match back {
         None => front.missed = front.missed.saturating_add(1),
         Some(back) => {
             apply(front, &back.outputs);
             latch(front, back, levels);
+            back.glitches = front.filter.all_glitches();
             front.missed = 0;
             back.buffer = front.engine.free();
             BUSY.store(true, Ordering::Release);
@@ -204,7 +210,7 @@ fn PendSV() {
     back.wrong = wrong;
     back.batch = Some(filler.fill(back.buffer, &outputs.axes, &widths));
     profile.end(cycles());
-    record::write(&back.inputs, &back.outputs, &profile);
+    record::write(&back.inputs, &back.outputs, &profile, back.glitches);
     ending::feed_watchdog();
     pins::pump();
     BUSY.store(false, Ordering::Release);

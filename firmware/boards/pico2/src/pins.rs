@@ -3,7 +3,7 @@
 //!
 //! | pin | direction | |
 //! | --- | --- | --- |
-//! | GP0, GP1 | out, in | line to the host: transmit, receive |
+//! | GP0, GP1 | out, in | line to the host with the feature `uart`: transmit, receive |
 //! | GP2, GP4, GP6, GP8, GP10 | out | steps of joints 0 to 4 |
 //! | GP3, GP5, GP7, GP9, GP11 | out | directions of joints 0 to 4 |
 //! | GP12 | out | enable of all drives |
@@ -19,6 +19,7 @@
 //! | GP28 | in | alarm of the drives |
 
 use crate::registers::{IO_BANK0, PADS_BANK0, PWM, SIO, read, write};
+use haptimill_drivers::input_filter::InputFilter;
 
 /// Joints with a drive.
 pub const JOINTS: usize = 5;
@@ -28,8 +29,7 @@ pub const FIRST_STEP: u32 = 2;
 /// Emergency stop.
 pub const EMERGENCY_STOP: u32 = 14;
 
-const UART_TRANSMIT: u32 = 0;
-const UART_RECEIVE: u32 = 1;
+const UART_PINS: [u32; 2] = [0, 1];
 const ENABLE: u32 = 12;
 const CHARGE_PUMP: u32 = 13;
 const FIRST_HOME: u32 = 15;
@@ -39,6 +39,11 @@ const SPINDLE_CLOCKWISE: u32 = 22;
 const LED: u32 = 25;
 const OUTPUT: u32 = 26;
 const ALARM: u32 = 28;
+
+/// Inputs with a noise filter: home switches, digital inputs, alarm.
+const FILTERED: u32 = 0x1F << FIRST_HOME | 1 << INPUTS[0] | 1 << INPUTS[1] | 1 << ALARM;
+/// Control periods that a new level must last.
+const SAMPLES: u8 = 3;
 
 /// Spindle speed at a duty of 100 %, rev/min.
 const SPINDLE_FULL_RPM: u32 = 24_000;
@@ -78,8 +83,11 @@ pub fn start() {
     for pin in homes.chain(INPUTS).chain([EMERGENCY_STOP, ALARM]) {
         assign(pin, BY_SOFTWARE, PULL_UP);
     }
-    assign(UART_TRANSMIT, UART, DRIVE_4_MA | PULL_UP);
-    assign(UART_RECEIVE, UART, PULL_UP);
+    if cfg!(feature = "uart") {
+        for pin in UART_PINS {
+            assign(pin, UART, DRIVE_4_MA | PULL_UP);
+        }
+    }
     write(PWM, SLICE + 0x10, PWM_COUNTS - 1);
     write(PWM, SLICE + 0xC, 0);
     write(PWM, SLICE, 1);
@@ -103,6 +111,17 @@ impl Levels {
     #[inline(always)]
     pub fn read() -> Self {
         Self(read(SIO, 0x4))
+    }
+
+    /// The levels after the noise filter; the emergency stop is not filtered.
+    pub fn filtered(self, filter: &mut InputFilter) -> Self {
+        let unfiltered = 1 << EMERGENCY_STOP;
+        Self(filter.add(self.0 & FILTERED) | self.0 & unfiltered)
+    }
+
+    /// A noise filter that starts with these levels.
+    pub const fn filter(self) -> InputFilter {
+        InputFilter::new(SAMPLES, self.0 & FILTERED)
     }
 
     const fn is_high(self, pin: u32) -> bool {

@@ -6,7 +6,8 @@
 //! | --- | --- |
 //! | 0 | number of the period, lower half; written last |
 //! | 1 | missed periods; from bit 16 room of the transmitter |
-//! | 2 | home switches; from bit 8 drives that are ready; bit 16 emergency stop, bit 17 out-of-band stop |
+//! | 2 | home switches; from bit 8 drives that are ready; bit 16 emergency stop, bit 17 out-of-band |
+//! | | stop; from bit 24 cause of the last reset, as the flashes of the LED |
 //! | 3 | digital inputs; from bit 16 digital outputs |
 //! | 4 | received bytes; from bit 16 bytes that wait |
 //! | 5 | lost bytes; from bit 16 spindle speed |
@@ -16,15 +17,17 @@
 //! | 28 to 47 | their segments: count, delay, interval, ramp |
 //! | 48 to 58 | cycles of the stages of the controller |
 //! | 59 | cycles from its end to the end of the words |
+//! | 60 | changes of inputs that the noise filter suppressed |
 
 use crate::clocks::cycles;
+use crate::ending::last_cause;
 use crate::pins::JOINTS;
 use core::cell::UnsafeCell;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_firmware::profiler::{Profiler, STAGES, Stage};
 
 /// Words of the record.
-const WORDS: usize = 60;
+const WORDS: usize = 61;
 
 #[repr(C, align(8))]
 struct Record(UnsafeCell<[u32; WORDS]>);
@@ -37,7 +40,7 @@ unsafe impl Sync for Record {}
 static RECORD: Record = Record(UnsafeCell::new([0; WORDS]));
 
 /// Writes the record of a period.
-pub fn write(inputs: &Inputs, outputs: &Outputs, cycles: &Cycles) {
+pub fn write(inputs: &Inputs, outputs: &Outputs, cycles: &Cycles, glitches: u32) {
     // SAFETY: see `Record`.
     let words = unsafe { &mut *RECORD.0.get() };
     let pair = |low: u16, high: u16| u32::from(low) | u32::from(high) << 16;
@@ -51,7 +54,8 @@ pub fn write(inputs: &Inputs, outputs: &Outputs, cycles: &Cycles) {
     words[2] = bits(|axis| axis.home)
         | bits(|axis| axis.drive_ready) << 8
         | u32::from(inputs.emergency_stop) << 16
-        | u32::from(inputs.out_of_band_stop) << 17;
+        | u32::from(inputs.out_of_band_stop) << 17
+        | u32::from(last_cause()) << 24;
     words[3] = pair(inputs.digital as u16, outputs.digital as u16);
     words[4] = pair(inputs.received.len() as u16, inputs.waiting);
     words[5] = pair(inputs.lost_bytes, outputs.spindle_rpm as u16);
@@ -74,6 +78,7 @@ pub fn write(inputs: &Inputs, outputs: &Outputs, cycles: &Cycles) {
     }
     words[48..48 + STAGES].copy_from_slice(&cycles.stages);
     words[59] = cycles.words;
+    words[60] = glitches;
     // SAFETY: the word is part of the record. The write is volatile so that it stays the last one.
     unsafe {
         RECORD

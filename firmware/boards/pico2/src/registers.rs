@@ -1,4 +1,4 @@
-//! Memory-mapped registers of the RP2350.
+//! Memory-mapped registers of the RP2350. The devices of the line to the host are in its modules.
 
 /// Resets of the devices.
 pub const RESETS: usize = 0x4002_0000;
@@ -14,8 +14,8 @@ pub const PADS_BANK0: usize = 0x4003_8000;
 pub const XOSC: usize = 0x4004_8000;
 /// PLL of the system clock.
 pub const PLL_SYS: usize = 0x4005_0000;
-/// Serial line.
-pub const UART0: usize = 0x4007_0000;
+/// PLL of the USB.
+pub const PLL_USB: usize = 0x4005_8000;
 /// Pulse-width modulation.
 pub const PWM: usize = 0x400A_8000;
 /// Watchdog.
@@ -40,15 +40,15 @@ const CLEAR: usize = 0x3000;
 /// Reads a register.
 #[inline(always)]
 pub fn read(device: usize, offset: usize) -> u32 {
-    // SAFETY: callers pass the devices above; reading their registers has no effect on memory.
+    // SAFETY: callers pass a device; reading its registers has no effect on memory.
     unsafe { ((device + offset) as *const u32).read_volatile() }
 }
 
 /// Writes a register.
 #[inline(always)]
 pub fn write(device: usize, offset: usize, value: u32) {
-    // SAFETY: callers pass the devices above. Of these only the DMA accesses memory; `steps` gives
-    // it the addresses of its own buffers.
+    // SAFETY: callers pass a device. Only the DMA accesses memory; `steps` gives it the addresses
+    // of its own buffers.
     unsafe { ((device + offset) as *mut u32).write_volatile(value) }
 }
 

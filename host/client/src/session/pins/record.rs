@@ -5,7 +5,7 @@ use haptimill_firmware::io::{DriveCommand, Inputs, StepSegment};
 use haptimill_firmware::profiler::STAGES;
 
 /// Words of the record.
-pub const WORDS: usize = 60;
+pub const WORDS: usize = 61;
 /// Joints of the board.
 pub const JOINTS: usize = 5;
 
@@ -20,6 +20,10 @@ pub struct Period {
     pub stages: [u32; STAGES],
     /// Cycles from the end of the controller to the end of the words for the PIO.
     pub words: u32,
+    /// Cause of the last reset, as the flashes of the LED.
+    pub cause: u8,
+    /// Changes of inputs that the noise filter suppressed.
+    pub glitches: u32,
 }
 
 impl Period {
@@ -68,6 +72,8 @@ impl Period {
             commands,
             stages: core::array::from_fn(|stage| words[48 + stage]),
             words: words[59],
+            cause: (words[2] >> 24) as u8,
+            glitches: words[60],
         }
     }
 
