@@ -26,8 +26,8 @@
 //! ```
 //!
 //! Callers must poll every [`Notification`]; of telemetry only the newest 4,096 frames are kept.
-//! The call rate bounds the latency of a stop: [`Client::urgent_stop`] is sent by the next call of
-//! `advance`, before everything else.
+//! The call rate bounds the latency of a stop: [`Client::stop_out_of_band`] is sent by the next
+//! call of `advance`, before everything else.
 
 mod ending;
 mod error;
