@@ -16,6 +16,7 @@
 //! | `view.setMarker([x, y, z])` | shows a mark, such as the tool; `null` removes it |
 //! | `view.setTime(t)` | shows polylines up to a time; `null` shows all |
 //! | `view.fit()` | fits the view to the scene |
+//! | `view.project([x, y, z])` | place on the screen (pixels), and depth |
 //!
 //! # Data format
 //!

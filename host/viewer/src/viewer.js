@@ -177,6 +177,38 @@ function element(parent, name, className, text) {
   return made;
 }
 
+function dot(u, v) { return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]; }
+
+// Directions on the screen and towards the eye: `right` times `up` is `eye`, so nothing is mirrored.
+function basis(camera) {
+  const [sy, cy, sp, cp] = [Math.sin(camera.yaw), Math.cos(camera.yaw),
+    Math.sin(camera.pitch), Math.cos(camera.pitch)];
+  return { right: [cy, sy, 0], up: [-sy * sp, cy * sp, cp], eye: [sy * cp, -cy * cp, sp] };
+}
+
+// Orthographic matrix by columns, for a stage of width `w` and height `h`; `size` is the length of
+// the scene along the line of sight at most.
+function matrixOf(camera, w, h, size) {
+  const { right, up, eye } = basis(camera);
+  const sy = 2 / camera.span, sx = sy * h / w;
+  const depth = 2 / (4 * size + camera.span + 1);
+  const rows = [right.map(x => x * sx), up.map(x => x * sy), eye.map(x => -x * depth)];
+  const m = new Float32Array(16);
+  for (let r = 0; r < 3; r++) {
+    for (let c = 0; c < 3; c++) m[4 * c + r] = rows[r][c];
+    m[12 + r] = -dot(rows[r], camera.target);
+  }
+  m[15] = 1;
+  return m;
+}
+
+// Place of a point on the stage: pixels from the left and from the top, and the depth, which grows
+// away from the eye.
+function project(m, w, h, point) {
+  const at = r => m[r] * point[0] + m[4 + r] * point[1] + m[8 + r] * point[2] + m[12 + r];
+  return [(at(0) + 1) / 2 * w, (1 - at(1)) / 2 * h, at(2)];
+}
+
 // Creates a view of a scene in an element.
 function create(root, scene) {
   const unit = scene.unit || 'mm';
@@ -289,44 +321,23 @@ function create(root, scene) {
     }
   }
 
-  function basis() {
-    const [sy, cy, sp, cp] = [Math.sin(camera.yaw), Math.cos(camera.yaw),
-      Math.sin(camera.pitch), Math.cos(camera.pitch)];
-    return { right: [cy, sy, 0], up: [-sy * sp, cy * sp, cp], eye: [sy * cp, -cy * cp, sp] };
+  function matrix() {
+    const size = Math.hypot(...high.map((x, k) => x - low[k]));
+    return matrixOf(camera, stage.clientWidth || 1, stage.clientHeight || 1, size);
   }
 
-  function dot(u, v) { return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]; }
-
-  // Orthographic view matrix, by columns.
-  function matrix() {
-    const { right, up, eye } = basis();
-    const [w, h] = [stage.clientWidth || 1, stage.clientHeight || 1];
-    const sy = 2 / camera.span, sx = sy * h / w;
-    const depth = 2 / (4 * Math.hypot(...high.map((x, k) => x - low[k])) + camera.span + 1);
-    const rows = [right.map(x => x * sx), up.map(x => x * sy), eye.map(x => -x * depth)];
-    const m = new Float32Array(16);
-    for (let r = 0; r < 3; r++) {
-      for (let c = 0; c < 3; c++) m[4 * c + r] = rows[r][c];
-      m[12 + r] = -dot(rows[r], camera.target);
-    }
-    m[15] = 1;
-    return m;
+  function place(point) {
+    return project(matrix(), stage.clientWidth || 1, stage.clientHeight || 1, point);
   }
 
   function fit() {
-    const { right, up } = basis();
+    const { right, up } = basis(camera);
     const [w, h] = [stage.clientWidth || 1, stage.clientHeight || 1];
     camera.target = low.map((x, k) => 0.5 * (x + high[k]));
     const size = high.map((x, k) => x - low[k]);
     const extent = axis => size.reduce((sum, part, k) => sum + Math.abs(part * axis[k]), 0);
     camera.span = 1.15 * Math.max(extent(up), extent(right) * h / w, 1e-3);
     draw();
-  }
-
-  function project(point) {
-    const m = matrix();
-    const at = r => m[r] * point[0] + m[4 + r] * point[1] + m[8 + r] * point[2] + m[12 + r];
-    return [(at(0) + 1) / 2 * stage.clientWidth, (1 - at(1)) / 2 * stage.clientHeight];
   }
 
   // Position, line and value at a time: on the layer whose times contain it.
@@ -379,7 +390,7 @@ function create(root, scene) {
       if (isMesh(data)) {
         gl.useProgram(meshPrograms);
         gl.uniformMatrix4fv(gl.getUniformLocation(meshPrograms, 'view'), false, view);
-        gl.uniform3fv(gl.getUniformLocation(meshPrograms, 'eye'), basis().eye);
+        gl.uniform3fv(gl.getUniformLocation(meshPrograms, 'eye'), basis(camera).eye);
         gl.uniform1f(gl.getUniformLocation(meshPrograms, 'opacity'), opacity(data));
         gl.enable(gl.POLYGON_OFFSET_FILL);
         gl.polygonOffset(1, 1);
@@ -413,7 +424,7 @@ function create(root, scene) {
     pen.clearRect(0, 0, w, h);
     pen.font = '12px system-ui,sans-serif';
     pen.lineWidth = 2;
-    const { right, up } = basis();
+    const { right, up } = basis(camera);
     ['#c0392b', '#2e8b57', '#2f6fb3'].forEach((colour, k) => {
       const [x, y] = [46 + 30 * right[k], h - 46 - 30 * up[k]];
       pen.strokeStyle = pen.fillStyle = colour;
@@ -451,9 +462,9 @@ function create(root, scene) {
     }
     const time = isFinite(until) ? until : end;
     const here = end > 0 ? at(time) : null;
-    const place = marker || (here && isFinite(until) ? here.place : null);
-    if (place) {
-      const [x, y] = project(place);
+    const spot = marker || (here && isFinite(until) ? here.place : null);
+    if (spot) {
+      const [x, y] = place(spot);
       pen.strokeStyle = '#c0392b';
       pen.beginPath();
       pen.arc(x, y, 6, 0, 2 * Math.PI);
@@ -530,25 +541,46 @@ function create(root, scene) {
     playing = requestAnimationFrame(step);
   };
 
-  let held = null;
+  // One pointer turns (with the right button or Shift it moves) the view; two zoom and move it.
+  const pointers = new Map();
+  const spread = () => {
+    const [a, b] = [...pointers.values()];
+    return { size: Math.hypot(a[0] - b[0], a[1] - b[1]), x: (a[0] + b[0]) / 2, y: (a[1] + b[1]) / 2 };
+  };
+  const pan = (dx, dy) => {
+    const { right, up } = basis(camera);
+    const step = camera.span / stage.clientHeight;
+    camera.target = camera.target.map((x, k) => x + step * (up[k] * dy - right[k] * dx));
+  };
+  let moves = false;
   stage.onpointerdown = event => {
-    held = [event.clientX, event.clientY, event.button || event.shiftKey];
+    moves = event.button > 0 || event.shiftKey;
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
     stage.setPointerCapture(event.pointerId);
   };
-  stage.onpointerup = () => { held = null; };
+  const leave = event => pointers.delete(event.pointerId);
+  stage.onpointerup = leave;
+  stage.onpointercancel = leave;
   stage.oncontextmenu = event => event.preventDefault();
   stage.onpointermove = event => {
-    if (!held) return;
-    const [dx, dy] = [event.clientX - held[0], event.clientY - held[1]];
-    held[0] = event.clientX;
-    held[1] = event.clientY;
-    if (held[2]) {
-      const { right, up } = basis();
-      const step = camera.span / stage.clientHeight;
-      camera.target = camera.target.map((x, k) => x + step * (up[k] * dy - right[k] * dx));
+    const last = pointers.get(event.pointerId);
+    if (!last || pointers.size > 2) return;
+    const here = [event.clientX, event.clientY];
+    if (pointers.size === 2) {
+      const before = spread();
+      pointers.set(event.pointerId, here);
+      const now = spread();
+      camera.span *= before.size / Math.max(now.size, 1);
+      pan(now.x - before.x, now.y - before.y);
     } else {
-      camera.yaw -= dx * 0.008;
-      camera.pitch = Math.min(Math.max(camera.pitch + dy * 0.008, -Math.PI / 2), Math.PI / 2);
+      pointers.set(event.pointerId, here);
+      const [dx, dy] = [here[0] - last[0], here[1] - last[1]];
+      if (moves) {
+        pan(dx, dy);
+      } else {
+        camera.yaw -= dx * 0.008;
+        camera.pitch = Math.min(Math.max(camera.pitch + dy * 0.008, -Math.PI / 2), Math.PI / 2);
+      }
     }
     draw();
   };
@@ -566,7 +598,7 @@ function create(root, scene) {
   }
   fit();
   return {
-    setLayer, setTime, fit,
+    setLayer, setTime, fit, project: place,
     removeLayer: name => {
       if (!layers.has(name)) return;
       release(layers.get(name));
@@ -578,7 +610,7 @@ function create(root, scene) {
   };
 }
 
-window.HaptimillViewer = { create };
+window.HaptimillViewer = { create, matrixOf, project };
 // Scenes that are written into the page.
 for (const data of document.querySelectorAll('script[data-haptimill-scene]')) {
   const root = document.createElement('div');
