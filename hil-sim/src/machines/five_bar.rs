@@ -164,6 +164,29 @@ impl Geometry for FiveBar {
         true
     }
 
+    fn links(&self, joints: &JointArray, _: &JointArray) -> Vec<Vec<Vector>> {
+        let Some(links) = Self::links(self, joints) else {
+            return Vec::new();
+        };
+        let [x, y, z] = self.column;
+        let origin = [self.config.x_off, self.config.y_off, 0.0];
+        let at = |[ahead, aside]: Planar, up: f64| {
+            let point = plus(plus(times(x, ahead), times(y, aside)), times(z, up));
+            minus(point, origin)
+        };
+        let mut lines: Vec<Vec<Vector>> = [-0.5, 0.5]
+            .iter()
+            .zip(links.proximal)
+            .map(|(side, [ahead, aside])| {
+                let motor = side * self.config.base;
+                let elbow = [motor + ahead, aside];
+                vec![at([motor, 0.0], 0.0), at(elbow, 0.0), at(links.tip, 0.0)]
+            })
+            .collect();
+        lines.push(vec![at(links.tip, 0.0), at(links.tip, joints[2])]);
+        lines
+    }
+
     fn tool_pose(&self, pose: &JointArray) -> ToolPose {
         ToolPose {
             tip: [pose[0], pose[1], pose[2]],

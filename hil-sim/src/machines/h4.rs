@@ -353,6 +353,46 @@ impl Arm {
         ]
     }
 
+    /// A point of the arm's base frame in the workpiece frame.
+    fn point_in_work(&self, [x, y, z]: Vector, alpha: f64) -> Vector {
+        let tip = Tip {
+            x,
+            y,
+            z,
+            sin_theta: 0.0,
+        };
+        let [x, y, z, ..] = self.in_work(&tip, alpha);
+        [x, y, z]
+    }
+
+    /// The rods, and the platform down to the tip, in the workpiece frame.
+    fn links(&self, tip: &Tip, slides: &[f64; 4], alpha: f64) -> Vec<Vec<Vector>> {
+        let g = &self.geometry;
+        let cos = libm::sqrt(1.0 - tip.sin_theta * tip.sin_theta);
+        let on_axis = |lever: f64| [tip.x + lever * tip.sin_theta, tip.y, tip.z + lever * cos];
+        let platform = |rod: usize| {
+            let [x, y, z] = on_axis(self.lever[rod]);
+            [x, y + SIGMA[rod] * g.b, z]
+        };
+        let slide = |rod: usize| {
+            [
+                slides[rod] - S[rod] * g.w,
+                SIGMA[rod] * (g.a - g.e),
+                SIGMA[rod] * g.d - g.ge,
+            ]
+        };
+        let mut lines: Vec<Vec<Vector>> =
+            (0..4).map(|rod| vec![slide(rod), platform(rod)]).collect();
+        // The two joint pairs of the platform, and the tool.
+        let (upper, lower) = (on_axis(self.lever[0]), on_axis(self.lever[2]));
+        lines.push(vec![platform(0), upper, lower, platform(2)]);
+        lines.push(vec![lower, on_axis(0.0)]);
+        for point in lines.iter_mut().flatten() {
+            *point = self.point_in_work(*point, alpha);
+        }
+        lines
+    }
+
     /// Joint loads of a force between tool and workpiece: N on each slide, N m on the table.
     ///
     /// `force` acts on the tool, and its opposite on the workpiece, in N along x_w, y_w, z_w. The
@@ -439,6 +479,10 @@ impl Geometry for H4 {
         self.tip = tip;
         pose[..5].copy_from_slice(&self.arm.in_work(&tip, joints[ALPHA]));
         true
+    }
+
+    fn links(&self, joints: &JointArray, pose: &JointArray) -> Vec<Vec<Vector>> {
+        self.arm.links(&self.tip, &slides(joints), pose[ALPHA])
     }
 
     fn tool_pose(&self, pose: &JointArray) -> ToolPose {

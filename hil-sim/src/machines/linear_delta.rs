@@ -146,6 +146,12 @@ impl Geometry for LinearDelta {
         true
     }
 
+    /// Each rod, from the upper end to the tip: the model has no platform.
+    fn links(&self, joints: &JointArray, pose: &JointArray) -> Vec<Vec<Vector>> {
+        let tip = [pose[0], pose[1], pose[2]];
+        self.heads(joints).map(|head| vec![head, tip]).to_vec()
+    }
+
     fn tool_pose(&self, pose: &JointArray) -> ToolPose {
         ToolPose::upright([pose[0], pose[1], pose[2]])
     }

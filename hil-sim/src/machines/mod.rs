@@ -55,6 +55,13 @@ pub trait Geometry: Sized {
         pose[..3].copy_from_slice(&tip);
     }
 
+    /// The links of an arm as polylines in the workpiece frame, mm, for a picture; none where the
+    /// joints are slides and dials alone.
+    fn links(&self, joints: &JointArray, pose: &JointArray) -> Vec<Vec<Vector>> {
+        let _ = (joints, pose);
+        Vec::new()
+    }
+
     /// Directions of x, y and z of the workpiece frame in the machine frame, at a pose.
     fn workpiece_axes(&self, pose: &JointArray) -> [Vector; 3] {
         let _ = pose;
@@ -122,6 +129,25 @@ macro_rules! geometries {
                 let mut pose = JointArray::default();
                 let mut machine = AnyGeometry::new(self, joints).ok()?;
                 machine.follow(joints, &mut pose).then_some(pose)
+            }
+        }
+
+        impl GeometryConfig {
+            /// The links of an arm with its joints at these positions, mm and degrees, as polylines
+            /// in the workpiece frame; none where the machine cannot be assembled there, or is no
+            /// arm.
+            #[must_use]
+            pub fn links(&self, joints: &JointArray) -> Vec<Vec<Vector>> {
+                let mut pose = JointArray::default();
+                let Ok(mut machine) = AnyGeometry::new(self, joints) else {
+                    return Vec::new();
+                };
+                if !machine.follow(joints, &mut pose) {
+                    return Vec::new();
+                }
+                match &machine {
+                    $(AnyGeometry::$name(machine) => Geometry::links(machine, joints, &pose),)*
+                }
             }
         }
 

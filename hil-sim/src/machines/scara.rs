@@ -118,6 +118,14 @@ impl Geometry for Scara {
         true
     }
 
+    fn links(&self, joints: &JointArray, _: &JointArray) -> Vec<Vec<Vector>> {
+        let origin = [self.config.x_off, self.config.y_off, 0.0];
+        let [elbow, tip] = self.chain(joints);
+        let hand = minus(tip, times(self.column[2], joints[2]));
+        let chain = [[0.0; 3], elbow, hand, tip];
+        vec![chain.map(|point| minus(point, origin)).to_vec()]
+    }
+
     fn tool_pose(&self, pose: &JointArray) -> ToolPose {
         ToolPose {
             tip: [pose[0], pose[1], pose[2]],
