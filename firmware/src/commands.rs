@@ -28,7 +28,11 @@ use haptimill_protocol::message::{
 pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
     let request = server.take_request();
     let result = match request.command {
-        Command::Home | Command::JobStart { .. } | Command::Resume | Command::Jog { .. }
+        Command::Home
+        | Command::JobStart { .. }
+        | Command::Resume
+        | Command::Jog { .. }
+        | Command::MoveOff { .. }
             if core.job.stale_commands =>
         {
             Err(Refusal::State(core.safety.state()))
@@ -118,6 +122,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
             named_io::set_analog_output(core, output, code)
         }
         Command::Compensation { on } => set_compensation(core, on),
+        Command::MoveOff { axis } => move_off(core, axis, inputs),
         Command::ArmProbe { input, active } => {
             named_io::arm_probe(core, Probing { input, active }, inputs)
         }
@@ -253,6 +258,27 @@ fn home(core: &mut Core) -> Done {
     machine.check_inputs(false)?;
     machine.begin_homing(core.safety.homed() && core.safety.position_kept());
     core.safety.set_homed(false);
+    core.job.stopping = false;
+    core.safety.enter(State::Homing);
+    Ok(())
+}
+
+/// Moves a joint off its limit switch. The drives stay on afterwards where no limit switch is
+/// active.
+#[cold]
+#[inline(never)]
+fn move_off(core: &mut Core, axis: u8, inputs: &Inputs) -> Done {
+    in_state(core, &[State::Disabled])?;
+    let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
+    if inputs.emergency_stop {
+        return Err(Refusal::Input(InputProblem::EmergencyStop));
+    }
+    let counted = machine.encoders_counted();
+    machine.begin_leaving(axis, inputs)?;
+    core.safety.lose_position();
+    core.job.preset_valid &= counted;
+    core.job.saturated = 0;
+    core.job.missed = 0;
     core.job.stopping = false;
     core.safety.enter(State::Homing);
     Ok(())

@@ -9,6 +9,7 @@ mod correction;
 mod enable;
 mod gantry;
 mod joint_rates;
+mod leaving;
 pub mod masters;
 mod switches;
 
@@ -64,7 +65,7 @@ pub struct Machine {
     pub homing: Homing,
     /// Search for the home switches.
     switches: Switches,
-    /// No switch needs [`Machine::hardware_fault`].
+    /// No switch needs [`Machine::hardware_fault`] now.
     plain_switches: bool,
     /// Second motors of gantries.
     gantries: Gantries,

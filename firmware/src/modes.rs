@@ -135,6 +135,9 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
     let Some(machine) = &mut core.machine else {
         return;
     };
+    if machine.leaves_switch() {
+        return leave_switch(core, inputs);
+    }
     if machine.searches_switches() {
         match machine.advance_switches(inputs, core.job.stopping) {
             Ok(true) if core.job.stopping => core.finish_at_standstill(),
@@ -174,6 +177,30 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
             }
             Err(error) => core.safety.raise(Fault::Pose(error)),
         },
+    }
+}
+
+/// One period in which a joint moves off its limit switch.
+#[cold]
+#[inline(never)]
+fn leave_switch(core: &mut Core, inputs: &Inputs) {
+    let Some(machine) = &mut core.machine else {
+        return;
+    };
+    let axis = machine.leaving_joint();
+    match machine.advance_leaving(inputs, core.job.stopping) {
+        Ok(false) => {}
+        Ok(true) => {
+            let holds = machine.end_leaving(inputs);
+            if !core.job.stopping {
+                core.safety.push_event(Event::MovedOff { axis });
+            }
+            core.finish_at_standstill();
+            if !holds && core.safety.state() == State::Idle {
+                core.safety.enter(State::Disabled);
+            }
+        }
+        Err(fault) => core.safety.raise(fault),
     }
 }
 

@@ -294,6 +294,13 @@ pub enum Command {
         /// Percent.
         percent: u8,
     },
+    /// Moves a joint off the limit switch on which it stands, from disabled: alone, slowly, away
+    /// from the switch, by a sixteenth of its stroke at most. The position is lost.
+    /// [`Event::MovedOff`] reports the success.
+    MoveOff {
+        /// The joint; of a gantry, either motor.
+        axis: u8,
+    },
 }
 
 /// A piece of the configuration.
@@ -465,6 +472,12 @@ impl State {
         Self::Fault,
         Self::EmergencyStop,
     ];
+
+    /// Whether the drives are off. In a fault they may be off, too: that depends on the fault.
+    #[must_use]
+    pub const fn has_drives_off(self) -> bool {
+        matches!(self, Self::Disabled | Self::EmergencyStop)
+    }
 
     /// Returns the index in [`State::ALL`].
     #[must_use]
@@ -734,5 +747,10 @@ pub enum Event {
         output: u8,
         /// The reason.
         problem: OutputProblem,
+    },
+    /// A joint is at rest off the limit switch on which it stood.
+    MovedOff {
+        /// The joint.
+        axis: u8,
     },
 }

@@ -126,6 +126,7 @@ fn every_request_fits_a_frame() {
             active: true,
         },
         Command::Compensation { on: true },
+        Command::MoveOff { axis: u8::MAX },
     ];
     let sizes = commands.map(|command| size(&Request { id: 255, command }));
     println!("requests: {sizes:?} bytes");

@@ -6,7 +6,7 @@ use crate::config::Home;
 use crate::io::Inputs;
 use crate::joint::JointDrive;
 use crate::safety::homing::Homing;
-use haptimill_kinematics::{Joints, Kinematics, PoseError};
+use haptimill_kinematics::{JointMotion, Joints, Kinematics, PoseError};
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Fault, MAX_AXES};
 
@@ -37,13 +37,28 @@ impl Machine {
     pub fn enable(&mut self) -> Result<(), PoseError> {
         let measured = self.measured;
         self.set_joints(&measured)?;
+        self.enable_joints();
+        Ok(())
+    }
+
+    fn enable_joints(&mut self) {
         let mut locks = false;
         for joint in &mut self.joints {
             joint.enable();
             locks |= joint.begin_lock();
         }
         self.locking = locks.then(|| LOCKING_US / u32::from(self.config.period_us.max(1)));
-        Ok(())
+    }
+
+    /// Switches the drives on with the joints commanded to their measured positions, which need not
+    /// give a pose: a joint may be beyond its stroke.
+    pub(super) fn switch_on(&mut self) {
+        self.target = JointMotion {
+            joints: self.measured,
+            ..JointMotion::default()
+        };
+        self.enable_joints();
+        self.settle();
     }
 
     /// Commands these joint positions, at rest. An error changes nothing.
@@ -113,6 +128,12 @@ impl Machine {
             if let Some(locked) = joint.end_lock() {
                 *coordinate = locked;
             }
+        }
+        if self.leaves_switch() {
+            self.target.joints = joints;
+            self.switches.origin = joints;
+            self.settle();
+            return Ok(());
         }
         self.set_joints(&joints)
     }

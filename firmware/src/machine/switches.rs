@@ -2,6 +2,7 @@
 //! constant until all joints are found.
 
 use super::Machine;
+use super::leaving::Leaving;
 use crate::config::{Home, SwitchInput};
 use crate::io::{AxisInputs, Inputs};
 use crate::joint::encoder::sum;
@@ -15,7 +16,11 @@ use haptimill_protocol::message::{Fault, HomingProblem, MAX_AXES};
 pub struct Switches {
     active: bool,
     /// Commanded joints at the start.
-    origin: Joints,
+    pub(super) origin: Joints,
+    /// A joint moves off its limit switch, in place of a search.
+    pub(super) leaving: Option<Leaving>,
+    /// Active limit switches that are no fault meanwhile, by joint.
+    ignored: [u8; MAX_AXES],
     /// The position was known at the start.
     known: bool,
     /// Shifts of the coordinates of the joints that were found.
@@ -60,10 +65,29 @@ impl Machine {
         self.set_placed(!self.switches.active);
     }
 
-    /// Ends the search without a result.
+    /// Starts the motion of a joint off its limit switch, with the drives just switched on.
+    pub(super) fn begin_leave(&mut self, leaving: Leaving, ignored: [u8; MAX_AXES]) {
+        self.switches = Switches {
+            active: true,
+            origin: self.target.joints,
+            leaving: Some(leaving),
+            ignored,
+            ..Switches::default()
+        };
+        self.plain_switches = false;
+        // A joint on its limit switch is beyond its stroke.
+        self.joints
+            .iter_mut()
+            .for_each(|joint| joint.set_placed(false));
+    }
+
+    /// Ends the search, or the motion off a limit switch, without a result.
     pub(super) fn leave_switches(&mut self) {
         if self.switches.active {
             self.switches.active = false;
+            self.switches.leaving = None;
+            self.switches.ignored = [0; MAX_AXES];
+            self.plain_switches = self.has_plain_switches();
             self.set_placed(true);
         }
     }
@@ -150,7 +174,7 @@ impl Machine {
 
     /// Places the joints at the coordinates of their switches; joints that were not found are
     /// placed at their presets. Nothing moves.
-    fn place_joints(&mut self, inputs: &Inputs, found: bool) -> Result<(), Fault> {
+    pub(super) fn place_joints(&mut self, inputs: &Inputs, found: bool) -> Result<(), Fault> {
         let mut commanded = self.target.joints;
         for (index, axis) in self.config.joints.iter().enumerate() {
             let (Some(config), Some(joint)) = (axis.home.switch(), self.joints.get_mut(index))
@@ -202,13 +226,14 @@ impl Machine {
     }
 
     /// A limit switch that is active, or a drive that reports a fault, on a machine whose switches
-    /// are active at a low level or serve for homing.
+    /// are active at a low level or serve for homing, or while a joint moves off its limit switch.
     #[cold]
     #[inline(never)]
     pub fn hardware_fault(&self, inputs: &[AxisInputs; MAX_AXES], homed: bool) -> Option<Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
             let inputs = inputs.get(index)?;
             let mut limits = SwitchInput::LimitLow.bit() | SwitchInput::LimitHigh.bit();
+            limits &= !self.switches.ignored[index];
             if let Some(home) = axis.home.switch()
                 && !homed
             {

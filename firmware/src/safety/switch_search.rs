@@ -47,6 +47,8 @@ enum Phase {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct SwitchSearch {
     phase: Phase,
+    /// The joint only moves off the switch on which it stands.
+    leaves: bool,
     /// The joint comes to rest before the phase begins.
     halting: bool,
     /// It has come to rest, and the other motor of its gantry has not.
@@ -92,6 +94,21 @@ pub struct SearchInputs<'a> {
 }
 
 impl SwitchSearch {
+    /// A search that ends off the switch on which the joint stands.
+    #[must_use]
+    pub fn leaving() -> Self {
+        Self {
+            leaves: true,
+            ..Self::default()
+        }
+    }
+
+    /// Moves on from where the joint has come to rest off the switch, by the back-off.
+    pub const fn move_on(&mut self) {
+        self.phase = Phase::Clear;
+        self.begun = self.moved;
+    }
+
     /// Distance from the start of the search.
     #[must_use]
     pub const fn moved(&self) -> i64 {
@@ -165,7 +182,11 @@ impl SwitchSearch {
                 if self.waited > 2 * steady(inputs.period_us) {
                     // The motors of a gantry move off together if one of them is on its switch.
                     let pressed = self.level || inputs.partner.is_some_and(|it| it.level);
-                    self.phase = if pressed { Phase::Off } else { Phase::Seek };
+                    self.phase = match pressed {
+                        true => Phase::Off,
+                        false if self.leaves => Phase::Clear,
+                        false => Phase::Seek,
+                    };
                 }
                 0
             }
@@ -184,7 +205,10 @@ impl SwitchSearch {
             }
             Phase::Off if gone > release => return Err(HomingProblem::SwitchStuck),
             Phase::Off => -towards * rate,
-            Phase::Clear if gone >= back_off => self.halt_before(Phase::Touch),
+            Phase::Clear if gone >= back_off => self.halt_before(match self.leaves {
+                true => Phase::Done,
+                false => Phase::Touch,
+            }),
             Phase::Clear => -towards * rate,
             Phase::Touch if self.level => {
                 self.touched = self.edge;

@@ -193,6 +193,16 @@ pub enum InputProblem {
         /// The input.
         input: u8,
     },
+    /// A joint that must move off its limit switch is on none, and within its stroke.
+    NoLimitSwitch {
+        /// The joint.
+        axis: u8,
+    },
+    /// Both limit switches of a joint are active: the direction off them is not known.
+    BothLimitSwitches {
+        /// The joint.
+        axis: u8,
+    },
 }
 
 /// Invalid field of a configuration.
@@ -393,4 +403,6 @@ pub enum HomingProblem {
     SwitchStuck,
     /// The home switch came at two different places.
     SwitchUnsteady,
+    /// The limit switch did not open while the joint moved off it.
+    LimitStuck,
 }

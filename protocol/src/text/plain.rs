@@ -82,6 +82,7 @@ impl Display for HomingProblem {
             Self::Stopped => "homing was stopped",
             Self::SwitchStuck => "the home switch stays active where it must be released; check its wiring, its active level in the machine file, and that it is not stuck",
             Self::SwitchUnsteady => "the home switch came at two different places; check that it is tight and its cable, and that the motor has not lost steps",
+            Self::LimitStuck => "the limit switch did not open while the joint moved off it by a sixteenth of its stroke; check that the joint moves, that the switch is not stuck, its active level, and that the switches of the two ends are not exchanged; then try again or move it off by hand",
         })
     }
 }
@@ -175,6 +176,7 @@ impl Command {
             Self::ArmProbe { .. } => "arm probe",
             Self::RapidOverride { .. } => "rapid override",
             Self::SpindleOverride { .. } => "spindle override",
+            Self::MoveOff { .. } => "move off",
         }
     }
 }

@@ -180,7 +180,21 @@ impl Describe for InputProblem {
             Self::EmergencyStop => f.write_str("the emergency stop is pressed; release it first"),
             Self::LimitSwitch { axis } => write!(
                 f,
-                "{} is on its limit switch; move it off by hand, then try again",
+                "{} is on its limit switch; move it off (`haptimill move-off`, or by hand), then try \
+                 again",
+                joint(axis)
+            ),
+            Self::NoLimitSwitch { axis } => {
+                write!(
+                    f,
+                    "{} is on no limit switch and within its stroke; nothing was moved",
+                    joint(axis)
+                )
+            }
+            Self::BothLimitSwitches { axis } => write!(
+                f,
+                "both limit switches of {} are active, so the direction off them is not known; \
+                 check their wiring and active levels, or move the joint by hand",
                 joint(axis)
             ),
             Self::Drive { axis } => write!(

@@ -2,7 +2,7 @@
 
 use super::refusal::write_joint_rate;
 use super::{Axes, Describe, Named, amount};
-use crate::message::{Event, Fault};
+use crate::message::{Event, Fault, HomingProblem, State};
 use core::fmt::{Formatter, Result};
 
 /// Remedy after a fault that makes the encoder of a joint suspected: homing checks the encoder
@@ -63,7 +63,8 @@ impl Describe for Fault {
             Self::LimitSwitch { axis } => {
                 write!(
                     f,
-                    "{} reached its limit switch; move it off by hand, {HOME}",
+                    "{} reached its limit switch; move it off (`haptimill move-off`, or by hand), \
+                     {HOME}",
                     joint(axis)
                 )
             }
@@ -123,6 +124,10 @@ impl Describe for Fault {
                 "the controller missed control periods, {missed} of them in a row; \
                  its computations take longer than a period, report this"
             ),
+            Self::Homing {
+                axis,
+                problem: problem @ HomingProblem::LimitStuck,
+            } => write!(f, "{}: {problem}; the drives are off", joint(axis)),
             Self::Homing { axis, problem } => {
                 write!(
                     f,
@@ -195,12 +200,13 @@ impl Describe for Event {
                 to,
                 position_kept,
             } => {
-                let kept = if position_kept {
-                    "kept"
-                } else {
-                    "lost; home the machine before the next job"
-                };
-                write!(f, "{from} -> {to}, position {kept}")
+                write!(f, "{from} -> {to}")?;
+                match to {
+                    // The position is being found.
+                    State::Homing => Ok(()),
+                    _ if position_kept => f.write_str(", position kept"),
+                    _ => f.write_str(", position lost; home the machine before the next job"),
+                }
             }
             Self::JobDone { job, setpoints } => {
                 write!(f, "job {job} is done, {setpoints} setpoints")
@@ -308,6 +314,11 @@ impl Describe for Event {
                 f,
                 "{} is active: the machine decelerates along its path and holds",
                 axes.input(input)
+            ),
+            Self::MovedOff { axis } => write!(
+                f,
+                "{} is off its limit switch; home the machine",
+                Named(axes.joints, axis)
             ),
             Self::OutputsSafe => f.write_str("the outputs have their safe values"),
             Self::OutputRefused { output, problem } => write!(

@@ -162,6 +162,7 @@ pub const fn name(command: &Command) -> &'static str {
         Command::SetAnalogOutput { .. } => "SetAnalogOutput",
         Command::ArmProbe { .. } => "ArmProbe",
         Command::Compensation { .. } => "Compensation",
+        Command::MoveOff { .. } => "MoveOff",
     }
 }
 

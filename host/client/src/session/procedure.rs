@@ -4,7 +4,7 @@
 use super::{EMERGENCY_STOP, Line, Session};
 use crate::client::Ticket;
 use crate::{Error, ErrorKind};
-use haptimill_protocol::message::{Command, Event, State, Telemetry};
+use haptimill_protocol::message::{Command, Event, Fault, State, Telemetry};
 
 /// A procedure on a session: its owner steps the session and advances the procedure in turn.
 pub trait Procedure<L> {
@@ -143,7 +143,78 @@ impl<L: Line> Procedure<L> for Homing {
     }
 }
 
+/// Moves a joint off its limit switch.
+#[derive(Debug, Clone, Copy)]
+struct MovingOff {
+    request: Option<Ticket>,
+    next_event: usize,
+    is_stopping: bool,
+    is_off: bool,
+}
+
+impl<L: Line> Procedure<L> for MovingOff {
+    type Output = ();
+
+    fn advance(&mut self, session: &mut Session<L>) -> Result<Option<()>, Error> {
+        if let Some(request) = self.request {
+            if let Some(answer) = session.answer(request) {
+                answer?;
+                self.request = None;
+            }
+            return Ok(None);
+        }
+        if session.is_interrupted() && !self.is_stopping {
+            self.is_stopping = true;
+            session.stop();
+        }
+        while let Some((_, event)) = session.events.get(self.next_event) {
+            self.next_event += 1;
+            match event {
+                Event::MovedOff { .. } => self.is_off = true,
+                Event::Fault(fault) => return Err(session.fault(fault)),
+                Event::State {
+                    from: State::Homing,
+                    to: State::EmergencyStop,
+                    ..
+                } => return Err(Error::new(ErrorKind::Fault, EMERGENCY_STOP)),
+                Event::State {
+                    from: State::Homing,
+                    ..
+                } if self.is_off => return Ok(Some(())),
+                Event::State {
+                    from: State::Homing,
+                    ..
+                } => {
+                    let what = "the motion off the limit switch was stopped";
+                    return Err(Error::new(ErrorKind::Stopped, what));
+                }
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+}
+
 impl<L: Line> Session<L> {
+    /// Moves a joint off the limit switch on which it stands, after a reset of the fault of a limit
+    /// switch, and waits until it is off. The machine must be homed afterwards.
+    ///
+    /// # Errors
+    /// The controller refuses, the switch does not open, another fault, or the user stopped it.
+    pub fn move_off(&mut self, joint: u8) -> Result<(), Error> {
+        let status = self.status()?;
+        if let (State::Fault, Some(Fault::LimitSwitch { .. })) = (status.state, status.fault) {
+            self.ask(Command::Reset)?;
+        }
+        let moving = MovingOff {
+            next_event: self.events.len(),
+            request: Some(self.client.request(Command::MoveOff { axis: joint })),
+            is_stopping: false,
+            is_off: false,
+        };
+        self.complete(moving)
+    }
+
     /// Steps the session until a procedure is finished.
     ///
     /// # Errors

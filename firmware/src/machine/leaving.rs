@@ -1,0 +1,252 @@
+//! Moving a joint off the limit switch on which it stands: the joint moves alone, slowly, away from
+//! the switch, until the switch opens and the joint is within its stroke.
+//!
+//! The side of the active switch gives the direction. A switch that is stuck, inverted or wired to
+//! the input of the other end must not run the joint through its stroke: the motion ends after a
+//! sixteenth of the stroke. The two motors of a gantry move together, by the same distance.
+//!
+//! Limit switches that are active at the start are no fault until the end, because the other
+//! joints do not move. Any other limit switch is. The position is lost: homing follows.
+
+use super::Machine;
+use crate::config::{JointAxis, SwitchHome, SwitchInput};
+use crate::io::Inputs;
+use crate::joint::encoder::sum;
+use crate::safety::switch_search::{SearchInputs, SwitchSearch};
+use haptimill_math::{Acceleration, Coordinate, Rate};
+use haptimill_protocol::message::{Fault, HomingProblem, InputProblem, MAX_AXES, Refusal};
+
+/// Parts of the stroke: travel in which the switch must open, and distance beyond the opened
+/// switch.
+const TRAVEL_SHIFT: u32 = 4;
+const BACK_OFF_SHIFT: u32 = 8;
+
+/// Part of the stroke by which the joint ends within it, as a power of two.
+const INSIDE_SHIFT: u32 = 5;
+
+/// Part of the maximum rate of the joint with which it moves, as a power of two.
+const RATE_SHIFT: u32 = 5;
+
+/// The joint reaches the rate in this part of a second, as a power of two.
+const RISE_SHIFT: u32 = 3;
+
+/// Both limit switches.
+const LIMITS: u8 = SwitchInput::LimitLow.bit() | SwitchInput::LimitHigh.bit();
+
+/// A joint that moves off its limit switch.
+#[derive(Debug)]
+pub(super) struct Leaving {
+    joint: usize,
+    /// The other motor of its gantry.
+    partner: Option<usize>,
+    /// The switch, and the distances and rates of the motion.
+    motion: SwitchHome,
+    search: SwitchSearch,
+    /// The joint moved on from the opened switch into its stroke.
+    is_extended: bool,
+}
+
+/// Width of the stroke; of a joint without ends that of the whole circle.
+fn stroke(axis: &JointAxis) -> u32 {
+    axis.high.0.wrapping_sub(axis.low.0) as u32
+}
+
+fn part(of: u32, shift: u32) -> Coordinate {
+    Coordinate((of >> shift) as i32)
+}
+
+/// The motion off the limit switch at the lower or the upper end.
+fn motion_off(axis: &JointAxis, input: SwitchInput) -> SwitchHome {
+    let rate = Rate((axis.rate.0 >> RATE_SHIFT).max(1));
+    let travel = part(stroke(axis), TRAVEL_SHIFT);
+    SwitchHome {
+        input,
+        order: 0,
+        downwards: matches!(input, SwitchInput::LimitLow),
+        coordinate: Coordinate(0),
+        rate,
+        touch_rate: rate,
+        // The unit of an acceleration is 2^8 axis units per second squared.
+        acceleration: Acceleration(((rate.0 >> 8) << RISE_SHIFT).max(1)),
+        back_off: part(stroke(axis), BACK_OFF_SHIFT),
+        release: travel,
+        travel,
+    }
+}
+
+impl Machine {
+    /// Whether a joint moves off its limit switch.
+    #[must_use]
+    pub const fn leaves_switch(&self) -> bool {
+        self.switches.leaving.is_some()
+    }
+
+    /// The joint that moves off its limit switch.
+    #[must_use]
+    pub fn leaving_joint(&self) -> u8 {
+        let leaving = self.switches.leaving.as_ref();
+        leaving.map_or(0, |leaving| leaving.joint as u8)
+    }
+
+    /// Starts to move a joint off its limit switch. The drives are off until now.
+    ///
+    /// # Errors
+    /// The joint is on no limit switch and within its stroke, or on both switches; a drive is not
+    /// ready; the machine coasts.
+    #[cold]
+    #[inline(never)]
+    pub fn begin_leaving(&mut self, index: u8, inputs: &Inputs) -> Result<(), Refusal> {
+        let joint = usize::from(index);
+        let axis = self.config.joints.get(joint).ok_or(Refusal::Range)?;
+        let mut ignored = [0; MAX_AXES];
+        let joints = self.config.joints.iter().zip(&inputs.axes);
+        for (other, (slot, (axis, seen))) in ignored.iter_mut().zip(joints).enumerate() {
+            if !seen.drive_ready {
+                let axis = other as u8;
+                return Err(Refusal::Input(InputProblem::Drive { axis }));
+            }
+            *slot = axis.active_switches(seen) & LIMITS;
+        }
+        let partner = self.config.partner(joint);
+        let active = ignored[joint] | partner.map_or(0, |partner| ignored[partner]);
+        let none = Refusal::Input(InputProblem::NoLimitSwitch { axis: index });
+        let input = match active {
+            // Of a motion that was stopped between the switch and the stroke.
+            0 => self.side_beyond_stroke(joint).ok_or(none)?,
+            LIMITS => {
+                let both = InputProblem::BothLimitSwitches { axis: index };
+                return Err(Refusal::Input(both));
+            }
+            _ if active == SwitchInput::LimitLow.bit() => SwitchInput::LimitLow,
+            _ => SwitchInput::LimitHigh,
+        };
+        if !self.is_at_standstill() {
+            return Err(Refusal::Input(InputProblem::Coasting));
+        }
+        let leaving = Leaving {
+            joint,
+            partner,
+            motion: motion_off(axis, input),
+            search: SwitchSearch::leaving(),
+            is_extended: false,
+        };
+        self.forget_joints(inputs);
+        self.reset_force();
+        self.motion.begin_jog(false);
+        self.switch_on();
+        self.begin_leave(leaving, ignored);
+        Ok(())
+    }
+
+    /// The end of its stroke that a joint is beyond. A joint that homes by a switch has no
+    /// coordinate before it is homed.
+    fn side_beyond_stroke(&self, joint: usize) -> Option<SwitchInput> {
+        let axis = self.config.joints.get(joint)?;
+        if axis.home.switch().is_some() || axis.wraps() {
+            return None;
+        }
+        match self.measured.0[joint] {
+            at if at < axis.low => Some(SwitchInput::LimitLow),
+            at if at > axis.high => Some(SwitchInput::LimitHigh),
+            _ => None,
+        }
+    }
+
+    /// One period of the motion. Returns whether the joint is at rest, off the switch or after a
+    /// stop.
+    ///
+    /// # Errors
+    /// The switch did not open within the travel.
+    #[cold]
+    #[inline(never)]
+    pub fn advance_leaving(&mut self, inputs: &Inputs, stopping: bool) -> Result<bool, Fault> {
+        if self.is_locking() {
+            return Ok(stopping);
+        }
+        let period_us = self.config.period_us;
+        let Some(leaving) = &mut self.switches.leaving else {
+            return Ok(true);
+        };
+        let (joint, partner) = (leaving.joint, leaving.partner);
+        let motors = [Some(joint), partner];
+        let motors = motors.into_iter().flatten();
+        let bit = leaving.motion.input.bit();
+        let active = motors.clone().any(|motor| {
+            let switches = self.config.joints.get(motor).zip(inputs.axes.get(motor));
+            switches.is_some_and(|(axis, seen)| axis.active_switches(seen) & bit != 0)
+        });
+        let at_rest = if stopping {
+            leaving.search.halt(&leaving.motion, period_us)
+        } else {
+            let search_inputs = SearchInputs {
+                config: &leaving.motion,
+                partner: None,
+                active,
+                place: self.measured.0[joint],
+                index: None,
+                index_travel: None,
+                period_us,
+            };
+            let failed = |_| Fault::Homing {
+                axis: joint as u8,
+                problem: HomingProblem::LimitStuck,
+            };
+            leaving.search.advance(&search_inputs).map_err(failed)?;
+            leaving.search.is_done()
+        };
+        let moved = Coordinate(leaving.search.moved() as i32);
+        let change = leaving.search.change() * 1_000_000 / i64::from(period_us.max(1)) / 256;
+        for motor in motors {
+            let origin = self.switches.origin.0[motor];
+            let Some(axis) = self.config.joints.get(motor) else {
+                continue;
+            };
+            self.target.joints.0[motor] = sum(axis.kind, origin, moved);
+            self.target.rates[motor] = Rate::saturating_from(leaving.search.rate());
+            self.target.accelerations[motor] = Acceleration(change as i32);
+        }
+        if !at_rest || stopping {
+            return Ok(at_rest);
+        }
+        Ok(!self.extend_leaving())
+    }
+
+    /// Moves on where the joint is beyond its stroke or near its end, where soft limits would
+    /// refuse the pose. Returns false where it is not, or where its coordinate says that the stroke
+    /// is so far that the coordinate must be wrong.
+    fn extend_leaving(&mut self) -> bool {
+        let Some(leaving) = &mut self.switches.leaving else {
+            return false;
+        };
+        let Some(axis) = self.config.joints.get(leaving.joint) else {
+            return false;
+        };
+        let at = i64::from(self.target.joints.0[leaving.joint].0);
+        let inside = i64::from(stroke(axis) >> INSIDE_SHIFT);
+        let beyond = inside
+            + if leaving.motion.downwards {
+                i64::from(axis.low.0) - at
+            } else {
+                at - i64::from(axis.high.0)
+            };
+        let most = i64::from(leaving.motion.travel.0) * 2;
+        if leaving.is_extended || beyond <= 0 || beyond > most {
+            return false;
+        }
+        leaving.is_extended = true;
+        leaving.motion.back_off.0 += beyond as i32;
+        leaving.search.move_on();
+        true
+    }
+
+    /// Ends the motion at rest. Returns whether the drives may hold the machine: no limit switch
+    /// is active, and the joints give a pose.
+    #[cold]
+    #[inline(never)]
+    pub fn end_leaving(&mut self, inputs: &Inputs) -> bool {
+        self.leave_switches();
+        self.locking.is_none()
+            && self.hardware_fault(&inputs.axes, false).is_none()
+            && self.place_joints(inputs, false).is_ok()
+    }
+}
