@@ -107,6 +107,8 @@ pub struct HapticSnapshot {
     pub reflected: [i32; COMPONENTS],
     /// Force of the virtual fixtures, 2^-16 N.
     pub wall: [i32; COMPONENTS],
+    /// Directions of the x and z axes of the handle, 32767 for 1; zeros where its pose is invalid.
+    pub axes: [[i16; COMPONENTS]; 2],
 }
 
 /// Haptic arm.
@@ -507,7 +509,15 @@ impl Haptic {
             force: raw(&self.force),
             reflected: raw(&self.reflected),
             wall: raw(&self.wall),
+            axes: self.axes(),
         }
+    }
+
+    /// Directions of the x and z axes of the handle, 32767 for 1; zeros where its pose is invalid.
+    fn axes(&self) -> [[i16; COMPONENTS]; 2] {
+        let axes = self.pose.map_or([[0; 3]; 3], |pose| pose.axes);
+        let direction = |axis: [i32; 3]| axis.map(|part| (part >> 15).clamp(-32767, 32767) as i16);
+        [direction(axes[0]), direction(axes[2])]
     }
 
     /// Telemetry of the master.
@@ -516,14 +526,12 @@ impl Haptic {
         let short = |forces: &[Force; COMPONENTS]| {
             forces.map(|force| (force.0 >> 8).clamp(-32768, 32767) as i16)
         };
-        let axes = self.pose.map_or([[0; 3]; 3], |pose| pose.axes);
-        let direction = |axis: [i32; 3]| axis.map(|part| (part >> 15).clamp(-32767, 32767) as i16);
         MasterTelemetry {
             period,
             pose: MasterPose {
                 tip: self.tip,
                 rate: self.rates().map(|rate| rate.0 >> 8),
-                axes: [direction(axes[0]), direction(axes[2])],
+                axes: self.axes(),
                 engaged: self.engaged && self.problem.is_none() && self.pose.is_some(),
             },
             force: short(&self.force),

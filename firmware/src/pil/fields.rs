@@ -173,10 +173,22 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
     words.put_vector(&haptic.force);
     words.put_vector(&haptic.reflected);
     words.put_vector(&haptic.wall);
+    let [x, z] = haptic.axes;
+    let pair = |low: i16, high: i16| u32::from(low as u16) | u32::from(high as u16) << 16;
+    words.put_all([pair(x[0], x[1]), pair(x[2], z[0]), pair(z[1], z[2])]);
     let io = &snapshot.io;
     words.put(u32::from(io.inputs) | u32::from(io.outputs) << 16);
     put_analog(words, io.analog_inputs);
     put_analog(words, io.analog_outputs);
+}
+
+fn take_directions(words: &mut Reader<'_>) -> [[i16; 3]; 2] {
+    let [first, second, third] = words.take_all();
+    let (low, high) = (|pair: u32| pair as i16, |pair: u32| (pair >> 16) as i16);
+    [
+        [low(first), high(first), low(second)],
+        [high(second), low(third), high(third)],
+    ]
 }
 
 fn take_io(words: &mut Reader<'_>) -> IoSnapshot {
@@ -255,6 +267,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
             force: words.take_row(),
             reflected: words.take_row(),
             wall: words.take_row(),
+            axes: take_directions(words),
         },
         io: take_io(words),
     });

@@ -45,7 +45,7 @@ use words::{Reader, Writer, check, from_bytes, to_bytes};
 /// Size of a frame to the board, in words.
 pub const TO_BOARD_WORDS: usize = 59;
 /// Size of a frame from the board, in words.
-pub const FROM_BOARD_WORDS: usize = 113;
+pub const FROM_BOARD_WORDS: usize = 116;
 /// Size of a frame to the board, in bytes.
 pub const TO_BOARD_BYTES: usize = 4 * TO_BOARD_WORDS;
 /// Size of a frame from the board, in bytes.

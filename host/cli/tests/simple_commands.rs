@@ -167,3 +167,52 @@ fn force_command_transcript() {
     }
     insta::assert_snapshot!(text);
 }
+
+#[test]
+fn a_joint_is_moved_off_its_limit_switch() {
+    let mill = "machines/mill3-servo.toml";
+    let push = "push axis=x effort=45 at=1s for=5s";
+    let served = SimServer::on_tcp(&["--machine", mill, "--fault", push]);
+    let run = |command: &[&str]| served.run(&[command, &["--machine", mill]].concat());
+    run(&["status"]).expect_code(0);
+    // The push moves the joint with the drives off, onto its switch at 158 mm.
+    let mut tries = 0;
+    while !run(&["enable"])
+        .err
+        .contains("x is on its limit switch; move it off")
+    {
+        tries += 1;
+        assert!(tries < 100, "{:?}", run(&["enable"]));
+        run(&["disable"]);
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    std::thread::sleep(Duration::from_secs(6));
+    let refused = run(&["move-off", "w"]).expect_code(2);
+    assert!(
+        refused.err.contains("the machine has x, y, z"),
+        "{}",
+        refused.err
+    );
+    let refused = run(&["move-off"]).expect_code(2);
+    assert!(refused.err.contains("name the joint"), "{}", refused.err);
+    let refused = run(&["move-off", "y"]).expect_code(8);
+    assert!(
+        refused.err.contains("y is on no limit switch"),
+        "{}",
+        refused.err
+    );
+    let done = run(&["move-off", "x", "--json"]).expect_code(0).json();
+    assert_eq!(
+        (&done["state"], &done["homed"]),
+        (&"Idle".into(), &false.into()),
+        "{done:#}"
+    );
+    let x = scene::number(&done["joints"], "x");
+    assert!((140.0..155.0).contains(&x), "{x}");
+    run(&["home"]).expect_code(0);
+    // A switch that stays active ends the motion with a fault.
+    let stuck = "switch-stuck axis=l2 switch=limit-low active=yes";
+    let served = SimServer::on_tcp(&["--fault", stuck]);
+    let ended = served.run(&["move-off", "l2"]).expect_code(6);
+    assert!(ended.err.contains("did not open"), "{}", ended.err);
+}

@@ -2,7 +2,7 @@
 
 mod scene;
 
-use scene::{Running, TestFolder, haptimill, start};
+use scene::{Running, SimServer, TestFolder, haptimill, start};
 use serde_json::{Value, json};
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
@@ -75,6 +75,10 @@ struct Viewer {
     scene: Value,
     programs: Value,
     refused: Vec<String>,
+    /// Heights of the stock.
+    stock: Vec<f64>,
+    /// Changes of the stock that came.
+    parts: usize,
 }
 
 impl Viewer {
@@ -91,6 +95,8 @@ impl Viewer {
             scene: Value::Null,
             programs: Value::Null,
             refused: Vec::new(),
+            stock: Vec::new(),
+            parts: 0,
         }
     }
 
@@ -104,6 +110,15 @@ impl Viewer {
             "state" => self.state = message,
             "control" => self.control = message,
             "scene" => self.scene = message,
+            "stock" => self.stock = numbers(&message["heights"]),
+            "stock-part" => {
+                self.parts += 1;
+                for run in message["runs"].as_array().unwrap() {
+                    let run = numbers(run);
+                    let first = run[0] as usize;
+                    self.stock[first..first + run.len() - 1].copy_from_slice(&run[1..]);
+                }
+            }
             "programs" => self.programs = message,
             "refused" => self
                 .refused
@@ -177,6 +192,11 @@ impl Viewer {
     fn actual(&self, axis: usize) -> f64 {
         self.state["pose"][axis]["actual"].as_f64().unwrap()
     }
+}
+
+fn numbers(array: &Value) -> Vec<f64> {
+    let array = array.as_array().unwrap();
+    array.iter().map(|value| value.as_f64().unwrap()).collect()
 }
 
 fn has_message(viewer: &Viewer, part: &str) -> bool {
@@ -439,8 +459,15 @@ fn a_program_is_uploaded_run_held_and_ends_without_its_viewer() {
     viewer.send(json!({"order": "override", "percent": 50}));
     viewer.wait("override", |viewer| viewer.state["override"] == 50);
     viewer.order("run");
+    viewer.wait("question", |viewer| viewer.state["question"].is_string());
+    viewer.send(json!({"order": "jog", "axis": 17, "up": true, "repeat": false}));
+    viewer.wait("message", |viewer| {
+        has_message(viewer, "there is no coordinate 17")
+    });
     viewer.answer();
     viewer.wait("line", |viewer| viewer.state["program"]["line"] == 2);
+    // The line end of the last line begins no sixth one.
+    assert_eq!(viewer.state["program"]["lines"], 5);
     viewer.order("hold");
     viewer.wait_for_state("on hold");
     viewer.order("resume");
@@ -461,4 +488,95 @@ fn a_program_is_uploaded_run_held_and_ends_without_its_viewer() {
         "{}",
         ended.err
     );
+}
+
+/// A viewer that saw every change of the stock, and one that comes afterwards, have one surface.
+#[test]
+fn the_stock_is_sent_once_and_then_its_changes() {
+    let served = serve(&["--stock", "examples/block.toml"]);
+    let mut viewer = Viewer::open(&served.address);
+    viewer.home();
+    viewer.wait("stock", |viewer| !viewer.stock.is_empty());
+    let blank = viewer.stock.clone();
+    let program = std::fs::read_to_string(scene::root().join("examples/e7-slot.ngc")).unwrap();
+    viewer.next();
+    viewer.send(json!({"order": "upload", "name": "slot.ngc", "text": program}));
+    viewer.wait("list", |viewer| {
+        viewer.programs["names"] == json!(["slot.ngc"])
+    });
+    viewer.send(json!({"order": "select", "name": "slot.ngc"}));
+    viewer.wait("path", |viewer| viewer.state["selected"] == "slot.ngc");
+    viewer.order("run");
+    viewer.answer();
+    viewer.wait("end", |viewer| has_message(viewer, "slot.ngc: done"));
+    let settled = Instant::now() + Duration::from_secs(2);
+    while Instant::now() < settled {
+        viewer.next();
+    }
+    let mut late = Viewer::open(&served.address);
+    late.wait("stock", |late| !late.stock.is_empty());
+    let settled = Instant::now() + Duration::from_secs(1);
+    while Instant::now() < settled {
+        late.next();
+    }
+    assert!(viewer.parts > 3, "{} changes", viewer.parts);
+    assert_eq!(viewer.stock, late.stock);
+    let deepest = blank
+        .iter()
+        .zip(&viewer.stock)
+        .map(|(blank, now)| blank - now);
+    let deepest = deepest.fold(0.0, f64::max);
+    assert!((1.9..2.1).contains(&deepest), "{deepest} mm");
+}
+
+/// The viewer in control makes the position of the tool the zero of a system; another process of
+/// the user holds and resumes the job.
+#[test]
+fn work_offsets_are_set_and_another_process_holds_the_job() {
+    let machine = SimServer::on_tcp(&[]);
+    let folder = TestFolder::new();
+    let text = std::fs::read_to_string(scene::root().join("machines/h4.toml")).unwrap();
+    let file = folder.file("h4.toml", text);
+    let served = serve(&["--port", &machine.port, "--machine", &file]);
+    let mut viewer = Viewer::open(&served.address);
+    viewer.home();
+    let systems = |viewer: &Viewer| viewer.state["offsets"]["systems"].clone();
+    assert_eq!(systems(&viewer), json!([]));
+    let mut other = Viewer::open(&served.address);
+    other.wait("state", |other| other.state["ready"] == true);
+    other.send(json!({"order": "zero", "text": "g55 z=0"}));
+    other.wait("refusal", |other| {
+        other.refused.iter().any(|why| why == "take control first")
+    });
+    viewer.next();
+    viewer.send(json!({"order": "zero", "text": "g55 z=0"}));
+    viewer.wait("offset", |viewer| systems(viewer)[0]["name"] == "G55");
+    let z = viewer.state["offsets"]["letters"].as_array().unwrap();
+    let z = z.iter().position(|letter| letter == "z").unwrap();
+    let origin = systems(&viewer)[0]["origin"][z].as_f64().unwrap();
+    assert!((origin - viewer.actual(z)).abs() < 0.01, "{origin}");
+    assert!(folder.read("h4.offsets.toml").contains("g55"));
+    viewer.send(json!({"order": "zero", "text": "g99 z=0"}));
+    viewer.wait("refusal", |viewer| has_message(viewer, "g99"));
+
+    let text = "G21 G90 F300\nG1 X10\nG1 X0\nG1 X10\nG1 X0\nM30\n";
+    viewer.send(json!({"order": "upload", "name": "part.ngc", "text": text}));
+    viewer.wait("list", |viewer| {
+        viewer.programs["names"] == json!(["part.ngc"])
+    });
+    viewer.send(json!({"order": "select", "name": "part.ngc"}));
+    viewer.wait("path", |viewer| viewer.state["selected"] == "part.ngc");
+    let nothing = machine.run(&["resume"]).expect_code(8);
+    assert!(nothing.err.contains("not held"), "{nothing:?}");
+    viewer.order("run");
+    viewer.answer();
+    viewer.wait_for_state("running");
+    let set = machine.run(&["override", "--feed", "50"]).expect_code(0);
+    assert!(set.out.contains("feed 50 %"), "{}", set.out);
+    viewer.wait("override", |viewer| viewer.state["override"] == 50);
+    machine.run(&["hold"]).expect_code(0);
+    viewer.wait_for_state("on hold");
+    machine.run(&["resume"]).expect_code(0);
+    viewer.wait_for_state("running");
+    viewer.wait("end", |viewer| has_message(viewer, "part.ngc: done"));
 }

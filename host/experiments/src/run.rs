@@ -223,8 +223,9 @@ fn run_job<C: Controlled>(
         line_bytes_per_setpoint: f64::from(end.sent.bytes) / f64::from(end.setpoints.max(1)),
         // The page of the experiment has the cut surface.
         cut: None,
+        recorded_part: None,
     };
-    let summary = haptimill_report::write_all(dir, &recorded, &outcome, TRACE_EVERY)
+    let summary = haptimill_report::write_all(dir, &recorded, &outcome, TRACE_EVERY, None)
         .map_err(|error| output(&error))?;
     let recording = Recording::open(&dir.join(haptimill_report::RECORDING_FILE))
         .map_err(|error| output(&error))?;

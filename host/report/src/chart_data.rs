@@ -29,6 +29,8 @@ pub struct ChartData {
     pub contour_error: Columns,
     contour: Contour,
     contour_times: VecDeque<f64>,
+    /// The recording has every point of the path: the nearest one is that of the contour error.
+    pub has_whole_path: bool,
     /// Following error of each joint, 1/1000 mm or degree.
     pub following: Vec<Columns>,
     /// Travel of each joint from the start of the job, mm or degrees.
@@ -72,7 +74,7 @@ impl ChartData {
             pose_units: recording.pose_units(),
             joint_units: recording.joint_units(),
             drive_units: recording.drive_units().iter().map(|(s, _)| *s).collect(),
-            first_period: None,
+            first_period: statistics.first_period,
             first_joints: None,
             tip,
             path: PathPoints::new(spacing.max(1e-4)),
@@ -80,6 +82,7 @@ impl ChartData {
             contour_error: columns(),
             contour: Contour::default(),
             contour_times: VecDeque::new(),
+            has_whole_path: recording.records() >= statistics.records,
             following: many(),
             joints: many(),
             joint_speed: many(),
@@ -149,9 +152,11 @@ impl ChartData {
             self.path.add(programmed, tool);
             let error = distance(&programmed, &tool);
             self.tool_error.add(time, error * 1000.0);
-            self.contour_times.push_back(time);
-            if let Some(error) = self.contour.add(programmed, tool) {
-                self.add_contour(error);
+            if self.has_whole_path {
+                self.contour_times.push_back(time);
+                if let Some(error) = self.contour.add(programmed, tool) {
+                    self.add_contour(error);
+                }
             }
         } else {
             self.path.add(programmed, programmed);

@@ -338,15 +338,11 @@ fn time_charts(
     groups.retain(|(_, axes, _)| !axes.is_empty());
 
     page.push_str("<h2>Errors</h2>");
-    let errors = vec![
-        line("at the same time", COLOURS[1], 1.2, &data.tool_error),
-        line(
-            "from the path (contour)",
-            COLOURS[0],
-            1.2,
-            &data.contour_error,
-        ),
-    ];
+    let mut errors = vec![line("at the same time", COLOURS[1], 1.2, &data.tool_error)];
+    if data.has_whole_path {
+        let name = "from the path (contour)";
+        errors.push(line(name, COLOURS[0], 1.2, &data.contour_error));
+    }
     let caption = if statistics.tool_is_true {
         "True position of the tool against the program"
     } else {
@@ -486,6 +482,10 @@ fn table(page: &mut String, summary: &Summary) {
             ),
         ),
         ("Control periods recorded", summary.periods.to_string()),
+        (
+            "Recorded part; the figures are of all control periods",
+            summary.recorded_part.clone().unwrap_or_default(),
+        ),
         (
             "Final state",
             format!(

@@ -63,6 +63,8 @@ pub struct Outcome {
     pub line_bytes_per_setpoint: f64,
     /// What was cut from the stock of the simulated machine.
     pub cut: Option<Cut>,
+    /// Which part of the control periods the recording has; none where it has all.
+    pub recorded_part: Option<String>,
 }
 
 /// The summary of a job; summary.json has these fields.
@@ -124,6 +126,10 @@ pub struct Summary {
     pub process: Process,
     /// Control periods recorded.
     pub periods: u64,
+    /// Which part of the control periods is recorded; missing where all are. The figures are of
+    /// all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recorded_part: Option<String>,
     /// SHA-256 of the recording.
     pub trace_sha256: String,
 }
@@ -143,13 +149,24 @@ impl Summary {
             statistics.add(&record?);
         }
         statistics.finish();
+        let summary = Self::of_statistics(recording, &statistics, recorded, outcome);
+        Ok((summary, statistics))
+    }
+
+    /// The summary of finished statistics.
+    fn of_statistics(
+        recording: &Recording,
+        statistics: &Statistics,
+        recorded: &Recorded,
+        outcome: &Outcome,
+    ) -> Self {
         let header = recording.header();
         let (begin, end) = statistics.job.unwrap_or((0.0, 0.0));
         let name = |following: &Following| {
             let joint = following.joint.and_then(|joint| header.joints.get(joint));
             joint.cloned().unwrap_or_default()
         };
-        let summary = Self {
+        Self {
             machine: header.machine.clone(),
             program: header.program.clone(),
             duration_s: end - begin,
@@ -177,11 +194,11 @@ impl Summary {
             position_kept: outcome.position_kept,
             bytes_per_setpoint: outcome.bytes_per_setpoint,
             line_bytes_per_setpoint: outcome.line_bytes_per_setpoint,
-            process: Process::of(&statistics, outcome),
+            process: Process::of(statistics, outcome),
             periods: recorded.records,
+            recorded_part: outcome.recorded_part.clone(),
             trace_sha256: recorded.sha256.clone(),
-        };
-        Ok((summary, statistics))
+        }
     }
 
     /// Largest following errors of the linear and of the rotary joints, with their joints.
@@ -248,6 +265,12 @@ impl Summary {
             self.following_error(4),
         );
         text.push_str(&self.process.terminal());
+        if let Some(part) = &self.recorded_part {
+            let records = count(self.periods as usize, "record");
+            text.push_str(&format!(
+                "recorded: {part}, {records}; the figures are of all\n"
+            ));
+        }
         for fault in &self.injected {
             text.push_str(&format!("injected fault: {fault}\n"));
         }
@@ -280,7 +303,8 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// Writes trace, summary and report of `DIR/recording.hmr`.
+/// Writes trace, summary and report of `DIR/recording.hmr`. `statistics` are those of all records
+/// of the job where the recording has a part of them.
 ///
 /// # Errors
 /// The recording cannot be read, or a file cannot be written.
@@ -289,6 +313,7 @@ pub fn write_all(
     recorded: &Recorded,
     outcome: &Outcome,
     trace_every: u32,
+    statistics: Option<Statistics>,
 ) -> Result<Summary, RecordingError> {
     let recording = Recording::open(&dir.join(RECORDING_FILE))?;
     let create = |name: &str| {
@@ -297,7 +322,14 @@ pub fn write_all(
         Ok(BufWriter::new(file))
     };
     write_csv(&recording, &mut create(TRACE_FILE)?, trace_every)?;
-    let (summary, statistics) = Summary::of(&recording, recorded, outcome)?;
+    let (summary, statistics) = match statistics {
+        None => Summary::of(&recording, recorded, outcome)?,
+        Some(mut statistics) => {
+            statistics.finish();
+            let summary = Summary::of_statistics(&recording, &statistics, recorded, outcome);
+            (summary, statistics)
+        }
+    };
     let mut file = create(SUMMARY_FILE)?;
     let io = |error| RecordingError::Io(dir.join(SUMMARY_FILE), error);
     serde_json::to_writer_pretty(&mut file, &summary).map_err(|error| io(error.into()))?;

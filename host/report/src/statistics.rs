@@ -102,7 +102,10 @@ pub struct Statistics {
     joint_units: Vec<f64>,
     rotary_pose: Vec<bool>,
     joint_kinds: Vec<AxisKind>,
-    first_period: Option<u64>,
+    /// Control period of the first record.
+    pub(crate) first_period: Option<u64>,
+    /// Number of records.
+    pub(crate) records: u64,
     before: Option<Point>,
     contour: Contour,
     contour_places: std::collections::VecDeque<(f64, u32)>,
@@ -177,6 +180,7 @@ impl Statistics {
                 .collect(),
             joint_kinds: config.joints.iter().map(|axis| axis.kind).collect(),
             first_period: None,
+            records: 0,
             before: None,
             contour: Contour::default(),
             contour_places: std::collections::VecDeque::new(),
@@ -201,6 +205,7 @@ impl Statistics {
     /// Adds the next record; returns its time in s.
     pub fn add(&mut self, record: &Record) -> f64 {
         let first = *self.first_period.get_or_insert(record.period);
+        self.records += 1;
         let time = record.period.saturating_sub(first) as f64 * self.period_s;
         if !record.has(flag::PROGRAMMED) {
             self.before = None;

@@ -15,6 +15,8 @@ pub struct Row {
     pub state: State,
     /// Position of the master's tip from its home, of the newest sample.
     pub master: [f64; COMPONENTS],
+    /// Directions of the x and z axes of the master's handle, in the frame of its base.
+    pub axes: [[f64; COMPONENTS]; 2],
     /// The enabling switch is pressed.
     pub engaged: bool,
     /// Age of the sample, ms.
@@ -34,7 +36,9 @@ impl Row {
     pub const HEAD: &str = "time_s,state,master_x_mm,master_y_mm,master_z_mm,engaged,age_ms,\
         commanded_x_mm,commanded_y_mm,commanded_z_mm,tool_x_mm,tool_y_mm,tool_z_mm,\
         force_x_n,force_y_n,force_z_n,feedback_x_n,feedback_y_n,feedback_z_n,\
-        reflected_x_n,reflected_y_n,reflected_z_n\n";
+        reflected_x_n,reflected_y_n,reflected_z_n,\
+        master_axis_x_x,master_axis_x_y,master_axis_x_z,\
+        master_axis_z_x,master_axis_z_y,master_axis_z_z\n";
 
     /// The row as a line of CSV.
     #[must_use]
@@ -54,6 +58,8 @@ impl Row {
             &self.tool_force,
             &self.master_force.force,
             &self.master_force.reflected,
+            &self.axes[0],
+            &self.axes[1],
         ] {
             add(&mut text, values);
         }

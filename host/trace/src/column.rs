@@ -42,6 +42,8 @@ enum Field {
     Spindle,
     Flag(u8),
     Clutch,
+    /// Component of an axis of the handle: 0 for its x axis, 1 for its z axis.
+    Direction(usize, usize),
     Input(usize),
     Output(usize),
     /// Whether it is an output, its index, and the value of the code 32768.
@@ -97,7 +99,7 @@ impl Column {
             "tool" => record.has(tool),
             "force_high" | "force_low" | "displacement" => record.has(flag::FORCE),
             "force_true" => record.has(flag::FORCE) && record.has(flag::TOOL_TRUE),
-            "master" | "master_force" | "master_reflected" | "master_wall" => {
+            "master" | "master_axes" | "master_force" | "master_reflected" | "master_wall" => {
                 record.haptic_flags & flag::HAPTIC_KNOWN != 0
             }
             _ => true,
@@ -116,6 +118,10 @@ impl Column {
             ),
             Field::Spindle => Value::Whole(i64::from(record.spindle_rpm)),
             Field::Flag(flag) => Value::Flag(record.has(flag)),
+            Field::Direction(row, component) => {
+                let direction = f64::from(record.haptic.axes[row][component]);
+                Value::Real(direction / f64::from(i16::MAX), 6)
+            }
             Field::Clutch => Value::Flag(record.haptic_flags & flag::CLUTCH_CLOSED != 0),
             Field::Input(input) => Value::Flag(record.io.inputs >> input & 1 != 0),
             Field::Output(output) => Value::Flag(record.io.outputs >> output & 1 != 0),
@@ -243,6 +249,13 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
             1.0 / MM,
         ));
         all.push(Column::plain("master_engaged", "master", "", Field::Clutch));
+        for (row, handle_axis) in [(0, 'x'), (1, 'z')] {
+            for (component, name) in ["x", "y", "z"].iter().enumerate() {
+                let name = format!("{name}_master_axis_{handle_axis}");
+                let field = Field::Direction(row, component);
+                all.push(Column::plain(&name, "master_axes", "", field));
+            }
+        }
         let masters: [(&'static str, Forces); 3] = [
             ("master_force", |record| &record.haptic.force),
             ("master_reflected", |record| &record.haptic.reflected),

@@ -8,9 +8,12 @@
 //! the outputs bit by bit. A controller behind a port was started earlier and sends only telemetry:
 //! its recording has no periods.
 //!
-//! ## Format, versions 5 and 6
+//! A [`Recorder`] may keep a part of the records only ([`Keep`]): such a recording has no periods
+//! either, and cannot be replayed.
 //!
-//! Version 6 has a longer record, for a controller with a haptic arm. A recording of a controller
+//! ## Format, versions 5 and 7
+//!
+//! Version 7 has a longer record, for a controller with a haptic arm. A recording of a controller
 //! without one is of version 5.
 //!
 //! All numbers are little-endian. The file is a header and then blocks, each with a check. A
@@ -20,7 +23,7 @@
 //! | header | |
 //! | --- | --- |
 //! | 8 bytes | magic `HMRECORD` |
-//! | u16 | version: 5, or 6 with a haptic arm |
+//! | u16 | version: 5, or 7 with a haptic arm |
 //! | u16 | size of a record: [`RECORD_BYTES`], with a haptic arm [`HAPTIC_BYTES`] more |
 //! | u32 | size of the header in bytes, all of this table |
 //! | u32 | CRC-32 (ISO-HDLC, as all here) of the configuration |
@@ -72,11 +75,12 @@
 //! | 242 | u16 | values of the named outputs, one bit each; 1 is on |
 //! | 244 | 4 x i16 | codes of the named analog inputs |
 //! | 252 | 4 x i16 | codes of the named analog outputs |
-//! | 260 | u32 | version 6: flags of the haptic arm, see [`flag::HAPTIC_KNOWN`] |
+//! | 260 | u32 | version 7: flags of the haptic arm, see [`flag::HAPTIC_KNOWN`] |
 //! | 264 | 3 x i32 | tip of the handle in the frame of the arm's base, 2^-20 mm |
 //! | 276 | 3 x i32 | force of the arm on the operator, 2^-16 N |
 //! | 288 | 3 x i32 | force feedback alone, 2^-16 N |
 //! | 300 | 3 x i32 | force of the virtual fixtures, 2^-16 N |
+//! | 312 | 6 x i16 | directions of the x and z axes of the handle in that frame, 32767 for 1 |
 
 mod blocks;
 mod column;
@@ -86,6 +90,7 @@ mod header;
 #[cfg(feature = "mcap")]
 mod mcap;
 mod reader;
+mod recorder;
 pub mod replay;
 #[cfg(test)]
 mod tests;
@@ -98,7 +103,8 @@ pub use header::Header;
 #[cfg(feature = "mcap")]
 pub use mcap::write_mcap;
 pub use reader::{Periods, RecordedEvent, Recording, RecordingError, Records};
-pub use writer::{RESERVE_BYTES, Recorded, Recorder, free_bytes};
+pub use recorder::{Keep, Recorder, earlier_file};
+pub use writer::{RESERVE_BYTES, Recorded, free_bytes};
 
 pub use haptimill_hil_sim::io_log::{IoLog, Period};
 
@@ -141,13 +147,16 @@ pub fn write_mcap(
 pub const RECORD_BYTES: usize = 260;
 
 /// Additional size of a record of a machine with a haptic arm.
-pub const HAPTIC_BYTES: usize = 52;
+pub const HAPTIC_BYTES: usize = 64;
+
+/// Place of the directions of the handle in the bytes of the haptic arm.
+const AXES_AT: usize = 52;
 
 const MAGIC: &[u8; 8] = b"HMRECORD";
 
 /// Format versions without and with a haptic arm.
 const VERSION: u16 = 5;
-const HAPTIC_VERSION: u16 = 6;
+const HAPTIC_VERSION: u16 = 7;
 
 /// Check of header and blocks.
 const CRC: crc::Crc<u32, crc::Table<16>> =
@@ -331,6 +340,10 @@ impl Record {
         for (slot, value) in slots.iter_mut().zip(cells.as_flattened()) {
             *slot = value.to_le_bytes();
         }
+        let slots = bytes[AXES_AT..].as_chunks_mut::<2>().0;
+        for (slot, value) in slots.iter_mut().zip(haptic.axes.as_flattened()) {
+            *slot = value.to_le_bytes();
+        }
         bytes
     }
 
@@ -346,6 +359,12 @@ impl Record {
             force: three(1),
             reflected: three(2),
             wall: three(3),
+            axes: std::array::from_fn(|row| {
+                std::array::from_fn(|axis| {
+                    let at = AXES_AT + 6 * row + 2 * axis;
+                    i16::from_le_bytes([bytes[at], bytes[at + 1]])
+                })
+            }),
         };
     }
 

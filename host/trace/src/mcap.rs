@@ -40,6 +40,7 @@ fn topic(group: &str) -> String {
         "force_high" => "/force/high".to_string(),
         "force_low" => "/force/low".to_string(),
         "force_true" => "/force/true".to_string(),
+        "master_axes" => "/master/axes".to_string(),
         "master_force" => "/master/force".to_string(),
         "master_reflected" => "/master/reflected".to_string(),
         "master_wall" => "/master/wall".to_string(),

@@ -77,6 +77,29 @@ impl fmt::Display for RecordingError {
 impl std::error::Error for RecordingError {}
 
 impl Recording {
+    /// A recording without records yet, for the evaluation of records while they are made.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if the configuration in the header cannot be read.
+    pub fn of_header(path: &Path, header: &Header) -> Result<Self, RecordingError> {
+        let config = postcard::from_bytes(&header.config).map_err(|error| {
+            let what = format!("has a configuration that cannot be read: {error}");
+            RecordingError::Format(path.to_path_buf(), what)
+        })?;
+        Ok(Self {
+            path: path.to_path_buf(),
+            header: header.clone(),
+            config,
+            blocks: Vec::new(),
+            records: 0,
+            periods: 0,
+            bytes: 0,
+            cut_bytes: 0,
+            whole: false,
+        })
+    }
+
     /// Opens a recording, reads its header and finds its blocks. The content of a block is checked
     /// when it is read.
     ///

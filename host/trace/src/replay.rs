@@ -94,8 +94,10 @@ pub fn why_not_replayable(recording: &Recording) -> Option<String> {
         format!("{file}: has no records")
     } else {
         format!(
-            "{file}: has the telemetry of its controller, but not its inputs: it was recorded through a port, or of a controller that had run for long; \
-             it cannot be replayed. Recordings of `haptimill run` without --port or with pil: can"
+            "{file}: has the telemetry of its controller, but not its inputs: it was recorded \
+             through a port, of a controller that had run for long, or with --record every or \
+             last; it cannot be replayed. Recordings of `haptimill run` without --port or with pil: \
+             can"
         )
     })
 }

@@ -1,4 +1,5 @@
 use super::*;
+use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, IoSnapshot};
 use haptimill_machine_file::MachineFile;
 use proptest::prelude::*;
@@ -100,15 +101,15 @@ proptest! {
 
     #[test]
     fn haptic_values_are_recorded_only_with_a_haptic_arm(
-        records in prop::collection::vec((any_record(), any::<[[i32; 3]; 4]>()), 1..5),
+        records in prop::collection::vec((any_record(), any::<([[i32; 3]; 4], [[i16; 3]; 2])>()), 1..5),
     ) {
         for has_haptic_arm in [false, true] {
             let file = TemporaryFile::new("haptic.hmr");
             let header = Header { has_haptic_arm, ..header() };
             let mut recorder = Recorder::create(&file.0, &header).unwrap();
             let mut expected = Vec::new();
-            for (record, [tip, force, reflected, wall]) in &records {
-                let with = Record { haptic_flags: 3, haptic: HapticSnapshot { tip: *tip, force: *force, reflected: *reflected, wall: *wall }, ..*record };
+            for (record, ([tip, force, reflected, wall], axes)) in &records {
+                let with = Record { haptic_flags: 3, haptic: HapticSnapshot { tip: *tip, force: *force, reflected: *reflected, wall: *wall, axes: *axes }, ..*record };
                 recorder.record(&with);
                 expected.push(if has_haptic_arm { with } else { *record });
             }
@@ -116,7 +117,7 @@ proptest! {
             let recording = Recording::open(&file.0).unwrap();
             prop_assert_eq!(recording.header(), &header);
             let version = std::fs::read(&file.0).unwrap()[8];
-            prop_assert_eq!(version, if has_haptic_arm { 6 } else { 5 });
+            prop_assert_eq!(version, if has_haptic_arm { 7 } else { 5 });
             let read: Vec<Record> = recording.iter().unwrap().map(|record| record.unwrap()).collect();
             prop_assert_eq!(&read, &expected);
             prop_assert_eq!(recording.last().unwrap(), expected.last().copied());
@@ -546,4 +547,81 @@ fn recording_ends_before_the_disk_is_full() {
     assert!(recording.is_whole());
     assert_eq!(recording.records(), recorded.records);
     std::fs::remove_file(path).unwrap();
+}
+
+fn periods_of(path: &std::path::Path) -> Vec<u64> {
+    let recording = Recording::open(path).unwrap();
+    let records = recording.iter().unwrap();
+    records.map(|record| record.unwrap().period).collect()
+}
+
+#[test]
+fn a_part_of_the_records_is_kept_and_all_are_observed() {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU64, Ordering};
+    let write = |file: &TemporaryFile, keep: Keep, periods: u64, seen: &Arc<AtomicU64>| {
+        let count = Arc::clone(seen);
+        let mut recorder = Recorder::create_thinned(&file.0, &header(), keep)
+            .unwrap()
+            .observed(move |_| {
+                count.fetch_add(1, Ordering::SeqCst);
+            });
+        recorder.start_io_log(IoLog::new());
+        recorder.event(5, 1, "the first event");
+        for period in 1000..1000 + periods {
+            recorder.period(&Inputs::default(), &Outputs::default());
+            recorder.record(&Record {
+                period,
+                ..Record::default()
+            });
+        }
+        recorder.event(9, 1, "the last event");
+        recorder
+    };
+    for (keep, periods, expected) in [
+        (
+            Keep::Every(10),
+            95,
+            (0..10).map(|k| 1000 + 10 * k).collect::<Vec<u64>>(),
+        ),
+        (Keep::Last(300), 200, (1000..1200).collect()),
+        (Keep::Last(300), 300, (1000..1300).collect()),
+        (Keep::Last(300), 301, (1001..1301).collect()),
+        (Keep::Last(300), 1000, (1700..2000).collect()),
+        (Keep::Last(3000), 20_000, (18_000..21_000).collect()),
+    ] {
+        let file = TemporaryFile::new(&format!("part-{periods}.hmr"));
+        let seen = Arc::default();
+        let recorded = write(&file, keep, periods, &seen).finish().unwrap();
+        assert_eq!(seen.load(Ordering::SeqCst), periods);
+        assert_eq!(periods_of(&file.0), expected, "{keep:?} of {periods}");
+        assert_eq!(recorded.records, expected.len() as u64);
+        let recording = Recording::open(&file.0).unwrap();
+        assert!(recording.is_whole() && !recorder::earlier_file(&file.0).exists());
+        assert_eq!(recorded.sha256, recording.sha256().unwrap());
+        // The inputs are not kept, so nothing can be replayed.
+        assert_eq!(recording.periods(), 0);
+        assert!(
+            replay::why_not_replayable(&recording)
+                .unwrap()
+                .contains("--record")
+        );
+        let events: Vec<String> = recording
+            .events()
+            .unwrap()
+            .into_iter()
+            .map(|it| it.text)
+            .collect();
+        assert_eq!(
+            events,
+            ["the first event", "the last event"],
+            "{keep:?} of {periods}"
+        );
+    }
+    // Of a process that ended in the middle both files are readable.
+    let file = TemporaryFile::new("part-killed.hmr");
+    drop(write(&file, Keep::Last(300), 700, &Arc::default()));
+    let earlier = TemporaryFile(recorder::earlier_file(&file.0));
+    assert_eq!(periods_of(&earlier.0), (1300..1600).collect::<Vec<u64>>());
+    assert_eq!(periods_of(&file.0), (1600..1700).collect::<Vec<u64>>());
 }

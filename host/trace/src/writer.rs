@@ -1,5 +1,5 @@
-//! Writer of recordings. The caller fills blocks in memory; a writing thread encodes, hashes and
-//! writes them to disk.
+//! Writer of a recording file. The caller fills blocks in memory; a writing thread encodes, hashes
+//! and writes them to disk.
 //!
 //! A full block is sent to the thread, and its memory returns when it is on disk. A slow disk costs
 //! the memory of a few blocks, then time of the caller, but no record.
@@ -46,9 +46,9 @@ struct Memory {
     batches: SyncSender<Vec<Period>>,
 }
 
-/// Writer of a recording. Dropped without [`Recorder::finish`], it leaves a readable, truncated
+/// Writer of a file. Dropped without [`FileRecorder::finish`], it leaves a readable, truncated
 /// recording.
-pub struct Recorder {
+pub(super) struct FileRecorder {
     block: Vec<u8>,
     /// Whether records have the values of a haptic arm.
     has_haptic_arm: bool,
@@ -81,16 +81,16 @@ pub const RESERVE_BYTES: u64 = 64 << 20;
 const SPACE_CHECK_BYTES: u64 = 1 << 20;
 
 /// Returns the free bytes of the disk of a file, if the system reports them.
-type FreeSpace = fn(&File) -> Option<u64>;
+pub(super) type FreeSpace = fn(&File) -> Option<u64>;
 
 #[cfg(unix)]
-fn free_space(file: &File) -> Option<u64> {
+pub(super) fn free_space(file: &File) -> Option<u64> {
     let disk = rustix::fs::fstatvfs(file).ok()?;
     Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
 #[cfg(not(unix))]
-fn free_space(_: &File) -> Option<u64> {
+pub(super) fn free_space(_: &File) -> Option<u64> {
     None
 }
 
@@ -119,21 +119,13 @@ pub struct Recorded {
     pub disk_full: bool,
 }
 
-impl Recorder {
+impl FileRecorder {
     /// Creates (or overwrites) a file and writes its header.
     ///
     /// # Errors
     ///
     /// Returns an error if the file cannot be created.
-    pub fn create(path: &Path, header: &Header) -> io::Result<Self> {
-        Self::create_with(path, header, free_space)
-    }
-
-    pub(super) fn create_with(
-        path: &Path,
-        header: &Header,
-        free_space: FreeSpace,
-    ) -> io::Result<Self> {
+    pub fn create_with(path: &Path, header: &Header, free_space: FreeSpace) -> io::Result<Self> {
         let file = File::create(path)?;
         let (has_haptic_arm, record_bytes) = (header.has_haptic_arm, header.record_bytes());
         let header = header.encode();
@@ -166,7 +158,7 @@ impl Recorder {
     }
 
     /// Writes an I/O log with all periods of the controller up to now. Callers must pass each later
-    /// period to [`Recorder::period`].
+    /// period to [`FileRecorder::period`].
     pub fn start_io_log(&mut self, io_log: IoLog) {
         if io_log.is_whole() {
             self.send(Task::IoLog(Box::new(io_log)));
@@ -195,7 +187,7 @@ impl Recorder {
         }
     }
 
-    /// Appends a record. [`Recorder::finish`] returns an error of the disk.
+    /// Appends a record. [`FileRecorder::finish`] returns an error of the disk.
     #[inline]
     pub fn record(&mut self, record: &Record) {
         // With an I/O log, `period` has checked the disk already: both end together.
@@ -330,7 +322,7 @@ impl Recorder {
     }
 }
 
-impl Drop for Recorder {
+impl Drop for FileRecorder {
     fn drop(&mut self) {
         if self.writer.is_some() {
             self.send_rest();

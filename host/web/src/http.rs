@@ -39,26 +39,27 @@ pub(super) fn serve(shared: &Arc<Shared>, mut stream: TcpStream, peer: SocketAdd
         // The peer left.
         Ok(None) => return,
         Err(what) => {
-            shared.warn(format!("{peer}: refused, {what}"));
+            shared.refuse(peer, what);
             return answer(&mut stream, "400 Bad Request", "text/plain", what);
         }
     };
     let head = match Head::parse(&text) {
         Ok(head) => head,
         Err(what) => {
-            shared.warn(format!("{peer}: refused, {what}"));
+            shared.refuse(peer, what);
             return answer(&mut stream, "400 Bad Request", "text/plain", what);
         }
     };
     let host = match check_host(&head, local) {
         Ok(host) => host,
         Err(what) => {
-            shared.warn(format!("{peer}: refused, {what}"));
+            shared.refuse(peer, &what);
             return answer(&mut stream, "421 Misdirected Request", "text/plain", &what);
         }
     };
     if head.method != "GET" {
         let what = "only GET is served";
+        shared.refuse(peer, what);
         return answer(&mut stream, "405 Method Not Allowed", "text/plain", what);
     }
     let (kind, body) = match head.path() {
@@ -78,17 +79,27 @@ pub(super) fn serve(shared: &Arc<Shared>, mut stream: TcpStream, peer: SocketAdd
             return match admitted {
                 Ok(key) => upgrade(shared, stream, peer, &key, rest),
                 Err(what) => {
-                    shared.warn(format!("{peer}: refused, {what}"));
+                    shared.refuse(peer, &what);
                     answer(&mut stream, "403 Forbidden", "text/plain", &what);
                 }
             };
         }
         _ => {
             let what = "there is / only";
+            // A browser asks for the icon of a page by itself.
+            if head.path() != "/favicon.ico" {
+                shared.refuse(peer, &format!("no such page {}", shown(head.path())));
+            }
             return answer(&mut stream, "404 Not Found", "text/plain", what);
         }
     };
     answer(&mut stream, "200 OK", kind, &body);
+}
+
+/// The begin of a text of a stranger, without control characters.
+fn shown(text: &str) -> String {
+    let begin: String = text.chars().take(60).collect();
+    format!("{begin:?}")
 }
 
 /// The head up to its empty line, and what came after it.

@@ -23,8 +23,8 @@
 //! The page sends JSON objects with the key `order` ([`Order`], and `take`, `hand-over`, `keep`,
 //! `list`, `upload`, `select`) and `t`, the time of the newest state that it has. An order that
 //! waited on the line for longer than [`FRESH`] (a jog: [`FRESH_JOG`]) is refused: it moves nothing
-//! late. The page gets JSON objects with the key `kind`: `state`, `scene`, `stock`, `control`,
-//! `programs`, `refused`.
+//! late. The page gets JSON objects with the key `kind`: `state`, `scene`, `stock`,
+//! `stock-part`, `control`, `programs`, `refused`.
 
 pub mod access;
 pub mod control;
@@ -36,7 +36,7 @@ use control::Control;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::io::{self, Write as _};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -90,6 +90,8 @@ pub enum Order {
     Reset,
     /// Home the machine, after a question.
     Home,
+    /// Move a joint off its limit switch, after a question.
+    MoveOff,
     /// Continue a job on hold.
     Resume,
     /// Run the selected program, after a question.
@@ -123,6 +125,12 @@ pub enum Order {
     },
     /// The jog button is released.
     JogEnd,
+    /// Make the present position the place of coordinates in a work coordinate system, as
+    /// `g54 x=0 y=0`.
+    Zero {
+        /// System and coordinates.
+        text: String,
+    },
     /// Select a part program.
     #[serde(skip)]
     Select(PathBuf),
@@ -170,6 +178,15 @@ impl Published {
     }
 }
 
+/// The surface of the stock: a whole one, and what changed since.
+#[derive(Debug, Default)]
+struct Stock {
+    /// Counts the whole surfaces.
+    version: u64,
+    whole: Arc<str>,
+    parts: Vec<Arc<str>>,
+}
+
 /// What all threads share.
 struct Shared {
     started: Instant,
@@ -178,7 +195,7 @@ struct Shared {
     programs: PathBuf,
     state: Mutex<Published>,
     scene: Mutex<Published>,
-    stock: Mutex<Published>,
+    stock: Mutex<Stock>,
     control: Mutex<Control>,
     orders: SyncSender<Order>,
     connections: AtomicUsize,
@@ -200,6 +217,12 @@ impl Shared {
     /// Reports a refusal; left out when more wait than the owner takes.
     fn warn(&self, text: String) {
         let _ = self.orders.try_send(Order::Warn(text));
+    }
+
+    /// Reports a request that was refused. The port of the peer is left out: the report of a peer
+    /// that tries again is the same one.
+    fn refuse(&self, peer: SocketAddr, what: &str) {
+        self.warn(format!("{}: refused, {what}", peer.ip()));
     }
 
     /// Passes an order; false when too many wait. A stop waits for its turn.
@@ -270,10 +293,11 @@ impl Server {
         self.shared.address
     }
 
-    /// The address of the page, with the token.
+    /// The address of the page, with the token. A server on all addresses of the computer names the
+    /// one towards other computers, and the loopback address without such a one.
     #[must_use]
     pub fn link(&self) -> String {
-        let address = self.address();
+        let address = reachable(self.address());
         match &self.shared.token {
             // Behind '#': the browser sends it to nobody by itself.
             Some(token) => format!("http://{address}/#token={token}"),
@@ -303,11 +327,48 @@ impl Server {
 }
 
 impl Server {
-    /// Publishes the surface of the stock, a JSON object.
-    pub fn publish_stock(&self, mut stock: Value) {
-        stock["kind"] = json!("stock");
-        lock(&self.shared.stock).set(stock.to_string());
+    /// Publishes the surface of the stock: the members of a JSON object, without braces.
+    pub fn publish_stock(&self, members: &str) {
+        let mut stock = lock(&self.shared.stock);
+        stock.version += 1;
+        stock.whole = format!("{{\"kind\":\"stock\",{members}}}").into();
+        stock.parts.clear();
     }
+
+    /// Publishes a change of the surface, as [`Server::publish_stock`]. A viewer that comes later
+    /// gets the surface and then all its changes: a caller must publish the whole surface again
+    /// when these are longer.
+    pub fn publish_stock_part(&self, members: &str) {
+        let part = format!("{{\"kind\":\"stock-part\",{members}}}");
+        lock(&self.shared.stock).parts.push(part.into());
+    }
+}
+
+/// The address under which other computers reach a listener.
+fn reachable(listening: SocketAddr) -> SocketAddr {
+    if !listening.ip().is_unspecified() {
+        return listening;
+    }
+    let port = listening.port();
+    // No packet is sent: the system names the address from which it would send one to these
+    // addresses of documentation.
+    let towards = |from: &str, to: &str| {
+        let socket = UdpSocket::bind(from).ok()?;
+        socket.connect(to).ok()?;
+        let ip = socket.local_addr().ok()?.ip();
+        (!ip.is_unspecified()).then(|| SocketAddr::new(ip, port))
+    };
+    let four = || towards("0.0.0.0:0", "192.0.2.1:9");
+    let loopback = match listening.ip() {
+        IpAddr::V4(_) => IpAddr::V4(Ipv4Addr::LOCALHOST),
+        IpAddr::V6(_) => IpAddr::V6(Ipv6Addr::LOCALHOST),
+    };
+    let found = match listening.ip() {
+        IpAddr::V4(_) => four(),
+        // A listener on all addresses of version 6 has those of version 4, too.
+        IpAddr::V6(_) => four().or_else(|| towards("[::]:0", "[2001:db8::1]:9")),
+    };
+    found.unwrap_or(SocketAddr::new(loopback, port))
 }
 
 impl Drop for Server {
@@ -325,7 +386,8 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
         let Some(counted) = Counted::new(shared) else {
             refuse_busy(stream);
             shared.warn(format!(
-                "{peer}: refused, {MOST_CONNECTIONS} connections are open; close a page"
+                "{}: refused, {MOST_CONNECTIONS} connections are open; close a page",
+                peer.ip()
             ));
             continue;
         };

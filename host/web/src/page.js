@@ -12,6 +12,7 @@ const MOST_DONE = 20000;
 const FORCE_MM_PER_N = 0.5;
 // Length of the plot, and the colours of its lines.
 const PLOT_S = 60;
+const SYSTEMS = ['G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3'];
 const COLOURS = ['#0072b2', '#d55e00', '#009e73', '#cc79a7'];
 
 let socket = null;
@@ -45,7 +46,8 @@ function connect() {
   socket = new WebSocket(`ws://${location.host}/ws${query}`);
   socket.onmessage = event => {
     const message = JSON.parse(event.data);
-    ({ state: showState, scene: showScene, stock: showStock, control: showControl, programs: showPrograms,
+    ({ state: showState, scene: showScene, stock: showStock, 'stock-part': showStockPart,
+      control: showControl, programs: showPrograms,
       refused: refused => say(refused.text) })[message.kind](message);
   };
   socket.onclose = () => {
@@ -80,7 +82,7 @@ function showControl(message) {
 function enableButtons() {
   const mine = commands() && state !== null;
   for (const button of document.querySelectorAll(
-    '[data-order], .jog, #run, #file, .percent, #programs, #slower, #faster, #question button, '
+    '[data-order], .jog, .zero, #run, #file, .percent, #programs, #slower, #faster, #question button, '
     + '#problems button')) {
     button.disabled = !mine;
   }
@@ -203,8 +205,43 @@ function showState(message) {
   showBar('question', message.question);
   showBar('problems', message.problems && message.problems.join('\n'));
   showMessages(message.messages);
+  showOffsets(message);
   showTip(message);
   if (first) enableButtons();
+}
+
+// Origins of the chosen work coordinate system, and the position of the tool in it.
+function showOffsets(message) {
+  const root = at('offsets');
+  const offsets = message.offsets;
+  const why = offsets && offsets.error;
+  root.querySelector('.warning').hidden = !why;
+  root.querySelector('.warning').textContent = why || '';
+  root.querySelector('table').hidden = !!why;
+  root.querySelector('.row').hidden = !!why;
+  if (!offsets || why) return;
+  const list = at('system');
+  if (!list.options.length) list.replaceChildren(...SYSTEMS.map(name => new Option(name, name)));
+  // The message has those that are not zero.
+  const system = offsets.systems.find(one => one.name === list.value)
+    || { origin: offsets.letters.map(() => 0), rotation: 0 };
+  at('rotation').textContent = system.rotation ? `turned by ${system.rotation} deg` : '';
+  const body = root.querySelector('tbody');
+  rows(body, offsets.letters.length, 4, (row, axis) => {
+    const button = document.createElement('button');
+    button.className = 'zero';
+    button.textContent = 'zero here';
+    button.onclick = () => send({ order: 'zero',
+      text: `${list.value.toLowerCase()} ${state.offsets.letters[axis]}=0` });
+    row.lastChild.append(button);
+    button.disabled = !commands();
+  });
+  offsets.letters.forEach((letter, k) => {
+    const axis = message.pose[k];
+    const here = message.referenced && !system.rotation && axis && axis.actual !== null
+      ? axis.actual - system.origin[k] : null;
+    cells(body.children[k], [letter, number(system.origin[k], 4), number(here, 4)]);
+  });
 }
 
 // Minutes and seconds.
@@ -276,9 +313,16 @@ function showMachine(message) {
   if (pose === showMachine.pose) return;
   showMachine.pose = pose;
   if (!message.referenced || !message.tip) {
-    view.removeLayer('tool');
-    view.removeLayer('force');
+    for (const name of ['tool', 'force', 'links']) view.removeLayer(name);
     return;
+  }
+  if (message.links.length) {
+    const starts = [];
+    message.links.forEach((line, k) => {
+      starts.push(k ? starts[k - 1] + message.links[k - 1].length : 0);
+    });
+    view.setLayer({ kind: 'lines', name: 'links', colour: '#b8860b', width: 4, aside: true,
+      points: message.links.flat(2), starts });
   }
   view.setLayer(toolMesh(message.tip, message.tool_axis));
   const force = message.force || [0, 0, 0];
@@ -347,25 +391,46 @@ function showJoints(message, low, high) {
 }
 
 // The surface of the stock, coloured by depth.
+let stock = null;
 function showStock(message) {
-  if (!view) return;
-  const { columns, rows, heights, depths } = message;
-  const points = [], triangles = [];
-  for (let row = 0; row < rows; row += 1) {
-    for (let column = 0; column < columns; column += 1) {
-      points.push(message.x[0] + (message.x[1] - message.x[0]) * column / (columns - 1 || 1),
-        message.y[0] + (message.y[1] - message.y[0]) * row / (rows - 1 || 1),
-        heights[row * columns + column]);
-      if (row && column) {
-        const here = row * columns + column;
-        triangles.push(here, here - 1, here - columns, here - 1, here - columns - 1,
-          here - columns);
-      }
+  const { columns, rows: count, heights, depths } = message;
+  // The surface before the cut.
+  const blank = heights.map((height, k) => height + depths[k]);
+  const triangles = [];
+  for (let row = 1; row < count; row += 1) {
+    for (let column = 1; column < columns; column += 1) {
+      const here = row * columns + column;
+      triangles.push(here, here - 1, here - columns, here - 1, here - columns - 1,
+        here - columns);
     }
   }
-  view.setLayer({ kind: 'mesh', name: 'stock', opacity: 1, points, triangles, values: depths,
-    scale: { label: 'depth of cut, mm', low: 0, high: Math.max(...depths, 0.1),
-      map: 'sequential' } });
+  stock = Object.assign({ blank, triangles }, message);
+  drawStock();
+}
+
+function showStockPart(message) {
+  if (!stock) return;
+  for (const [first, ...heights] of message.runs) {
+    heights.forEach((height, k) => { stock.heights[first + k] = height; });
+  }
+  drawStock();
+}
+
+function drawStock() {
+  if (!view) return;
+  const { columns, rows: count, heights, blank, triangles, x, y } = stock;
+  const points = new Float32Array(3 * heights.length);
+  const values = new Float32Array(heights.length);
+  let deepest = 0.1;
+  heights.forEach((height, k) => {
+    points[3 * k] = x[0] + (x[1] - x[0]) * (k % columns) / (columns - 1 || 1);
+    points[3 * k + 1] = y[0] + (y[1] - y[0]) * Math.floor(k / columns) / (count - 1 || 1);
+    points[3 * k + 2] = height;
+    values[k] = blank[k] - height;
+    deepest = Math.max(deepest, values[k]);
+  });
+  view.setLayer({ kind: 'mesh', name: 'stock', opacity: 1, points, triangles, values,
+    scale: { label: 'depth of cut, mm', low: 0, high: deepest, map: 'sequential' } });
   if (!showStock.seen && !scene) view.fit();
   showStock.seen = true;
 }
@@ -474,6 +539,8 @@ window.addEventListener('pagehide', endJog);
 
 try {
   view = window.HaptimillViewer.create(at('view'), { layers: [], height: 600 });
+  // For tests of the picture.
+  window.haptimillView = view;
 } catch (error) {
   at('view').textContent = `no 3D view: ${error.message}`;
 }

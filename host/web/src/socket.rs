@@ -70,7 +70,8 @@ struct Viewer<'a> {
     /// Versions that the viewer has.
     state: u64,
     scene: u64,
-    stock: u64,
+    /// Version of the whole surface of the stock, and the number of its changes.
+    stock: (u64, usize),
     control: u64,
     last_received: Instant,
     pinged: Instant,
@@ -93,7 +94,7 @@ pub(super) fn serve(shared: &Arc<Shared>, stream: TcpStream, peer: SocketAddr, r
         socket: WebSocket::from_partially_read(stream, rest, Role::Server, Some(config)),
         state: 0,
         scene: 0,
-        stock: 0,
+        stock: (0, 0),
         control: u64::MAX,
         last_received: now,
         pinged: now,
@@ -107,7 +108,8 @@ pub(super) fn serve(shared: &Arc<Shared>, stream: TcpStream, peer: SocketAddr, r
         shared.send(Order::ControlEnded);
     }
     if let Err(what) = ended {
-        shared.warn(format!("viewer {} ({peer}): closed, {what}", viewer.number));
+        let ip = peer.ip();
+        shared.warn(format!("viewer {} ({ip}): closed, {what}", viewer.number));
     }
     let _ = viewer.socket.close(None);
     let _ = viewer.socket.flush();
@@ -183,7 +185,6 @@ impl Viewer<'_> {
         }
         for (published, seen) in [
             (&self.shared.scene, &mut self.scene),
-            (&self.shared.stock, &mut self.stock),
             (&self.shared.state, &mut self.state),
         ] {
             let text = {
@@ -194,6 +195,19 @@ impl Viewer<'_> {
             if let Some(text) = text {
                 self.socket.send(Message::text(text))?;
             }
+        }
+        let changes: Vec<Arc<str>> = {
+            let stock = lock(&self.shared.stock);
+            let (version, count) = self.stock;
+            self.stock = (stock.version, stock.parts.len());
+            let is_new = version != stock.version;
+            let whole = is_new.then(|| Arc::clone(&stock.whole));
+            let seen = if is_new { 0 } else { count };
+            let parts = stock.parts.iter().skip(seen).cloned();
+            whole.into_iter().chain(parts).collect()
+        };
+        for text in changes {
+            self.socket.send(Message::text(text.to_string()))?;
         }
         if self.pinged.elapsed() > PING {
             self.pinged = Instant::now();
@@ -292,7 +306,7 @@ impl Viewer<'_> {
         if let Err(what) = &result {
             let number = self.number;
             self.shared
-                .warn(format!("viewer {number} ({}): {what}", self.peer));
+                .warn(format!("viewer {number} ({}): {what}", self.peer.ip()));
         }
         result
     }

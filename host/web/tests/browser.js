@@ -84,6 +84,23 @@ async function run() {
     const { page, seen, wait } = first;
     await wait('the machine', state => state.ready && state.state === 'disabled');
     assert(await page.isDisabled('#run'), 'nobody commands at first');
+    // The picture is not mirrored: in the view from above x is to the right and y up, in the first
+    // view the axes are right-handed.
+    const axes = () => page.evaluate(() => {
+      const zero = window.haptimillView.project([0, 0, 0]);
+      return [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(axis => {
+        const [x, y, depth] = window.haptimillView.project(axis);
+        return [x - zero[0], zero[1] - y, zero[2] - depth];
+      });
+    });
+    const [a, b, c] = await axes();
+    const determinant = a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
+      + a[2] * (b[0] * c[1] - b[1] * c[0]);
+    assert(determinant > 0, 'the view is right-handed');
+    await page.click('.hv-bar button:text-is("top")');
+    const [x, y] = await axes();
+    assert(x[0] > 0 && Math.abs(x[1]) < 1e-6 && y[1] > 0, 'from above x is to the right and y up');
+    await page.click('.hv-bar button:text-is("3D")');
     await page.click('#take');
     await page.click('[data-order=home]');
     await answer(first);

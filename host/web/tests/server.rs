@@ -244,7 +244,33 @@ fn only_the_served_page_is_admitted() {
     let long = format!("{host}X: {}\r\n", "a".repeat(20_000));
     assert!(!get(at, "/", &long).starts_with("HTTP/1.1 200"));
     served.wait_for_warning("evil.test");
+    served.wait_for_warning("no such page \"/../Cargo.toml\"");
+    served.wait_for_warning("only GET");
+    // The same refusal is the same text, whatever the port of the peer: the owner counts it.
+    let orders = served.orders.lock().unwrap().clone();
+    let same = |order: &&Order| {
+        **order == Order::Warn(format!("{}: refused, only GET is served", at.ip()))
+    };
+    assert_eq!(orders.iter().filter(same).count(), 1, "{orders:?}");
     assert_eq!(served.moves(), []);
+}
+
+/// The page of a server on all addresses has an address that a browser can open.
+#[test]
+fn the_printed_address_is_one_of_the_computer() {
+    for (listen, loopback) in [("0.0.0.0:0", "127.0.0.1"), ("127.0.0.1:0", "127.0.0.1")] {
+        let served = Served::new(listen, Some("abcdefghijklmnop"));
+        let rest = served.link.strip_prefix("http://").unwrap();
+        let address = rest.strip_suffix("/#token=abcdefghijklmnop").unwrap();
+        let address: SocketAddr = address.parse().unwrap();
+        assert!(!address.ip().is_unspecified(), "{listen}: {address}");
+        assert_eq!(address.port(), served.address.port());
+        if listen.starts_with("127") {
+            assert_eq!(address.ip().to_string(), loopback);
+        }
+        let page = get(address, "/", &format!("Host: {address}\r\n"));
+        assert!(page.starts_with("HTTP/1.1 200"), "{page}");
+    }
 }
 
 #[test]

@@ -43,6 +43,7 @@ mod probing;
 pub(crate) mod program;
 pub mod pulses;
 pub mod replay;
+pub(crate) mod requests;
 pub mod run;
 pub mod scenario;
 pub mod serve;
@@ -185,6 +186,9 @@ enum Command {
     Disable(simple::SimpleArgs),
     /// Decelerate along the path and abort the job; the position stays valid
     Stop(simple::StopArgs),
+    /// Move a joint off its limit switch, slowly and by a sixteenth of its stroke at most; a
+    /// latched fault of a limit switch is reset first
+    MoveOff(simple::MoveOffArgs),
     /// Clear a latched fault or emergency stop
     Reset(simple::SimpleArgs),
     Override(operate::OverrideArgs),
@@ -247,6 +251,7 @@ impl Command {
             Self::Teleop(args) => args.json,
             Self::Facet(command) => command.is_json(),
             Self::Home(args) => args.simple.json,
+            Self::MoveOff(args) => args.simple.json,
             Self::Status(args) | Self::Enable(args) | Self::Disable(args) | Self::Reset(args) => {
                 args.json
             }
@@ -350,6 +355,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::Status(args) => simple::run(SimpleCommand::Status, args),
         Command::Enable(args) => simple::run(SimpleCommand::Enable, args),
         Command::Disable(args) => simple::run(SimpleCommand::Disable, args),
+        Command::MoveOff(args) => simple::move_off(args),
         Command::Stop(args) => simple::stop(args),
         Command::Reset(args) => simple::run(SimpleCommand::Reset, args),
         Command::Override(args) => operate::set_overrides(&args),

@@ -27,9 +27,6 @@ pub(crate) struct Planned {
     pub(crate) approach: Option<String>,
     /// Words that change nothing on this machine, as lines of text.
     pub(crate) notices: Vec<String>,
-    /// Number of lines of the file.
-    #[cfg_attr(not(feature = "console"), allow(dead_code))]
-    pub(crate) lines: u32,
 }
 
 /// A program that was checked from a start pose.
@@ -318,7 +315,6 @@ impl PartProgram {
             plan,
             approach,
             notices: self.describe_notices(&program.notices, &program.called),
-            lines: program.lines,
         })
     }
 

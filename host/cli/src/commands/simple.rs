@@ -1,5 +1,5 @@
-//! `haptimill home`, `status`, `enable`, `disable`, `stop`, `reset`: one command to a running
-//! controller.
+//! `haptimill home`, `status`, `enable`, `disable`, `move-off`, `stop`, `reset`: one command to a
+//! running controller.
 
 use super::args::{BoardArg, ConnectArgs, check_baud};
 use super::board::{agree, file_of};
@@ -12,7 +12,7 @@ use haptimill_client::client::Options;
 use haptimill_client::port::{self, DEFAULT_BAUD};
 use haptimill_client::session::{self, PortLine, Session};
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{AxisValues, Command, FULL_PATH_RATE, State};
+use haptimill_protocol::message::{AxisValues, Command, FULL_PATH_RATE, Fault, State};
 
 /// Arguments of the simple commands.
 #[derive(Debug, Clone, Args)]
@@ -127,6 +127,50 @@ pub fn home(args: HomeArgs) -> Result<(), CliError> {
     } else if !args.simple.json {
         print_line!("the machine is homed already; --again homes it again");
     }
+    print_status(&mut session, args.simple.json)
+}
+
+/// Arguments of `haptimill move-off`.
+#[derive(Debug, Clone, Args)]
+pub struct MoveOffArgs {
+    /// Name of the joint [default: that of the latched fault]
+    #[arg(value_name = "JOINT")]
+    pub joint: Option<String>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub simple: SimpleArgs,
+}
+
+/// Moves a joint off its limit switch.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn move_off(args: MoveOffArgs) -> Result<(), CliError> {
+    let chosen = args.simple.machine.load()?;
+    let mut session = open(&args.simple.connect, &chosen.file)?;
+    agree(&chosen, &mut session, Need::Configuration)?;
+    let names = session.model().joint_names();
+    let list = names.join(", ");
+    let joint = match &args.joint {
+        Some(name) => names
+            .iter()
+            .position(|joint| joint == name)
+            .ok_or_else(|| {
+                let what = format!("move-off: there is no joint {name:?}; the machine has {list}");
+                CliError::new(Exit::Usage, what)
+            })? as u8,
+        None => match session.status()?.fault {
+            Some(Fault::LimitSwitch { axis }) => axis,
+            _ => {
+                let what = format!(
+                    "move-off: the latched fault, if any, is none of a limit switch; name the joint \
+                     ({list})"
+                );
+                return Err(CliError::new(Exit::Usage, what));
+            }
+        },
+    };
+    session.move_off(joint)?;
     print_status(&mut session, args.simple.json)
 }
 
@@ -296,7 +340,11 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         let (pose_units, joint_units) = (model.pose_units(), model.joint_units());
         let measured = line(pose(&status.measured), pose_units.clone());
         print_line!("measured {measured}");
-        print_line!("commanded{}", line(pose(&status.commanded), pose_units));
+        if status.state.has_drives_off() {
+            print_line!("commanded  nothing: the drives are off");
+        } else {
+            print_line!("commanded{}", line(pose(&status.commanded), pose_units));
+        }
         if !open_loop.is_empty() {
             let names: Vec<&str> = open_loop.iter().map(|name| name.as_str()).collect();
             print_line!(

@@ -10,10 +10,12 @@
 
 use super::jobs::Jobs;
 use super::jogging::{JogCommand, Jogging};
+use super::keys::Action;
 use super::master::Master;
 use super::recording::Recording;
 use super::view_model::{Axis, Confirm, LinkState, Log, Motion, Overlay, Severity, StaticInfo};
 use crate::commands::exit::{CliError, Exit};
+use crate::commands::requests::{Request, Requests, describe_overrides};
 use haptimill_client::board::Chosen;
 use haptimill_client::client::{Options, Ticket};
 use haptimill_client::session::{Line, Phase, Session, Startup, fresh_number};
@@ -136,10 +138,14 @@ pub(super) struct App {
     pub(super) recording: Option<Recording>,
     pub(super) stopping: Option<&'static str>,
     pub(super) fault: Option<Fault>,
+    /// Joint that is on its limit switch, as the controller said last.
+    pub(super) on_switch: Option<u8>,
     /// Time at which the overlay was opened, us.
     pub(super) opened_us: u64,
     /// Quit was confirmed.
     pub(super) quitting: bool,
+    /// Requests of other processes.
+    pub(super) requests_of_others: Requests,
 }
 
 impl App {
@@ -208,8 +214,10 @@ impl App {
             recording: None,
             stopping: None,
             fault: None,
+            on_switch: None,
             opened_us: 0,
             quitting: false,
+            requests_of_others: Requests::default(),
             machine,
         })
     }
@@ -271,6 +279,7 @@ impl App {
     /// No session was ever open, and the port or the session fails; or the board has another
     /// configuration.
     pub(super) fn update(&mut self) -> Result<(), CliError> {
+        self.answer_others();
         self.send_jog();
         self.send_force_loops();
         // Key input is sent with this exchange, not with the next one.
@@ -294,6 +303,51 @@ impl App {
         self.update_arm();
         self.advance_jobs();
         Ok(())
+    }
+
+    /// Answers the requests of other processes.
+    fn answer_others(&mut self) {
+        let mut requests = std::mem::take(&mut self.requests_of_others);
+        requests.serve(|request| self.answer_other(request));
+        self.requests_of_others = requests;
+    }
+
+    /// Does what another process requests, and describes it.
+    fn answer_other(&mut self, request: Request) -> Result<String, String> {
+        let state = self.state().ok_or("there is no link to the controller")?;
+        match request {
+            Request::Override(percents) => {
+                if let (Some(percent), Some(running)) = (percents[2], &self.jobs.checked)
+                    && self.jobs.is_running_program()
+                {
+                    self.check_spindle(running, percent)?;
+                }
+                let kinds = [
+                    OverrideKind::Feed,
+                    OverrideKind::Rapid,
+                    OverrideKind::Spindle,
+                ];
+                for (kind, percent) in kinds.into_iter().zip(percents) {
+                    if let Some(percent) = percent {
+                        self.set_override(kind, percent);
+                    }
+                }
+                Ok(describe_overrides(self.requested_overrides))
+            }
+            Request::Hold => match state {
+                State::Hold => Ok("the job is held".into()),
+                State::Run | State::Jog | State::Homing => {
+                    self.execute(Action::Hold);
+                    Ok("the machine holds along its path".into())
+                }
+                _ => Err(format!("nothing moves: the machine is {state}")),
+            },
+            Request::Resume if state == State::Hold => {
+                self.execute(Action::Resume);
+                Ok("the job goes on".into())
+            }
+            Request::Resume => Err("the job is not held, and does not pause".into()),
+        }
     }
 
     /// Ends everything that belonged to the lost session.

@@ -7,7 +7,7 @@ use haptimill_client::client::{Notification, RequestError, Ticket};
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::scale::{PER_EFFORT, per_unit};
 use haptimill_protocol::force::{ForceLoop, ForceParameter};
-use haptimill_protocol::message::{Command, Event, Refusal, State, Telemetry};
+use haptimill_protocol::message::{Command, Event, Fault, InputProblem, Refusal, State, Telemetry};
 use std::time::{Duration, Instant};
 
 /// Time for which a full scale that is too large is kept.
@@ -19,8 +19,15 @@ const BUSY_US: u64 = 20_000;
 /// Longest time between two reports that give a speed, s.
 const SPEED_S: f64 = 1.0;
 
-/// The commanded motion between two reports; none where they are too far apart.
+/// The commanded motion between two reports; none where they are too far apart, or where the drives
+/// are off in one of them: the commanded pose is set to the measured one when they switch on.
 fn motion(axes: &[Axis], period_s: f64, before: &Telemetry, now: &Telemetry) -> Option<Motion> {
+    if [before, now]
+        .iter()
+        .any(|report| report.state.has_drives_off())
+    {
+        return None;
+    }
     let time_s = now.period.checked_sub(before.period)? as f64 * period_s;
     if time_s <= 0.0 || time_s > SPEED_S {
         return None;
@@ -81,6 +88,10 @@ impl App {
                     return;
                 }
                 _ => {}
+            }
+            if let RequestError::Refused(Refusal::Input(InputProblem::LimitSwitch { axis })) = error
+            {
+                self.on_switch = Some(axis);
             }
             let reason = match &error {
                 RequestError::Refused(refusal) => self.session.describe(refusal),
@@ -200,6 +211,9 @@ impl App {
         let severity = match event {
             Event::Fault(fault) => {
                 self.fault = Some(*fault);
+                if let Fault::LimitSwitch { axis } = fault {
+                    self.on_switch = Some(*axis);
+                }
                 Severity::Alarm
             }
             Event::State {
@@ -215,6 +229,13 @@ impl App {
             | Event::Paused { .. } => Severity::Warning,
             _ => Severity::Info,
         };
+        if let Event::MovedOff { .. }
+        | Event::State {
+            to: State::Idle, ..
+        } = event
+        {
+            self.on_switch = None;
+        }
         self.update_jobs(event);
         // Start and end of each jog and step are not logged.
         let routine = matches!(
@@ -298,6 +319,7 @@ mod tests {
             let raw = |mm: f64| (mm * per_unit(AxisKind::Linear)).round() as i32;
             Telemetry {
                 period,
+                state: State::Idle,
                 commanded: [raw(x), raw(y), tilt].into_iter().collect(),
                 ..Telemetry::default()
             }
@@ -314,5 +336,29 @@ mod tests {
         assert_eq!(moved(&report(1000, 9.0, 2.0, 0)), None);
         assert_eq!(moved(&report(900, 9.0, 2.0, 0)), None);
         assert_eq!(moved(&report(9000, 9.0, 2.0, 0)), None);
+    }
+
+    #[test]
+    fn a_commanded_pose_that_jumps_as_the_drives_switch_is_no_feed() {
+        let axes = [Axis {
+            name: String::new(),
+            kind: AxisKind::Linear,
+        }];
+        let report = |period: u64, state: State, x: f64| Telemetry {
+            period,
+            state,
+            commanded: [(x * per_unit(AxisKind::Linear)) as i32]
+                .into_iter()
+                .collect(),
+            ..Telemetry::default()
+        };
+        for off in [State::Disabled, State::EmergencyStop] {
+            let (dark, lit) = (report(1000, off, 0.0), report(1250, State::Idle, 98.3));
+            assert_eq!(motion(&axes, 2e-4, &dark, &lit), None);
+            let dark = report(1500, off, 0.0);
+            assert_eq!(motion(&axes, 2e-4, &lit, &dark), None);
+        }
+        let (first, second) = (report(0, State::Idle, 0.0), report(250, State::Idle, 0.0));
+        assert!(motion(&axes, 2e-4, &first, &second).is_some());
     }
 }

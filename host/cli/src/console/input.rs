@@ -10,7 +10,7 @@ use crate::commands::jog::{AxisRate, axis_index};
 use crate::commands::probe_cycle::{kept_beside, set_origin};
 use crate::commands::run::overrides;
 use haptimill_machine_file::work_data::offsets_path;
-use haptimill_protocol::message::{Command, Source, State};
+use haptimill_protocol::message::{Command, Fault, Source, State};
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 /// Change of a force setpoint per key press, 2^-16 N: 0.5 N.
@@ -25,7 +25,7 @@ pub(super) const ZERO: &str = "Work offset: coordinates of the present position"
 
 impl App {
     /// Makes the present position the place of coordinates, as `g54 x=0 z=2`.
-    fn set_zero(&mut self, text: &str) {
+    pub(super) fn set_zero(&mut self, text: &str) {
         match self.zero_of(text) {
             Ok(written) => self.notify(Severity::Info, written),
             Err(error) => self.notify(Severity::Warning, error.message),
@@ -160,6 +160,7 @@ impl App {
                 }
                 None => {}
             },
+            Action::MoveOff => self.ask_to_move_off(),
             Action::OverrideUp => self.select_override(OverrideKind::Feed, true),
             Action::OverrideDown => self.select_override(OverrideKind::Feed, false),
             Action::RapidUp => self.select_override(OverrideKind::Rapid, true),
@@ -199,6 +200,40 @@ impl App {
             self.notify(Severity::Warning, error.message);
         }
         self.request(Command::Enable, on_ack);
+    }
+
+    /// Asks whether to move the joint of the fault, or of the refused enable, off its limit switch.
+    fn ask_to_move_off(&mut self) {
+        let state = self.state();
+        let at_fault = state == Some(State::Fault);
+        let joint = match self.fault {
+            Some(Fault::LimitSwitch { axis }) if at_fault => Some(axis),
+            _ => self.on_switch.filter(|_| state == Some(State::Disabled)),
+        };
+        match (joint, state) {
+            (Some(joint), _) => {
+                let joint = usize::from(joint);
+                self.open(Overlay::Confirm(Confirm::MoveOff(joint)));
+            }
+            (None, Some(State::Disabled)) => {
+                let what = "move off: no joint is known to be on its limit switch; enable, which \
+                            names it";
+                self.notify(Severity::Warning, what);
+            }
+            (None, Some(state)) => {
+                let what = format!("move off: not possible while the machine is {state}");
+                self.notify(Severity::Warning, what);
+            }
+            (None, None) => {}
+        }
+    }
+
+    /// Moves a joint off its limit switch.
+    fn move_off(&mut self, joint: usize) {
+        if self.state() == Some(State::Fault) {
+            self.request(Command::Reset, OnAck::Nothing);
+        }
+        self.request(Command::MoveOff { axis: joint as u8 }, OnAck::Nothing);
     }
 
     /// Homes the enabled machine.
@@ -389,6 +424,7 @@ impl App {
             }
             Confirm::Home => self.home(),
             Confirm::EnableAndHome => self.enable(OnAck::EnabledToHome),
+            Confirm::MoveOff(joint) => self.move_off(joint),
             Confirm::Tare => self.request(Command::Tare, OnAck::Notify("tare started")),
             Confirm::Quit(_) => self.quitting = true,
         }

@@ -99,6 +99,7 @@ pub(super) fn check(
 ) -> Result<Checked, CliError> {
     let job = PartProgram::load(path, LanguageArgs::default())?;
     let planned = job.plan(machine, model, start)?;
+    let source = source_lines(&job.text);
     let actions = (0..).zip(&planned.plan.setpoints);
     let spindle = actions
         .filter_map(|(index, setpoint)| match setpoint.action {
@@ -112,8 +113,8 @@ pub(super) fn check(
         plan: Arc::new(planned.plan),
         pauses: planned.pauses,
         spindle: Arc::new(spindle),
-        lines: planned.lines,
-        source: Arc::new(source_lines(&job.text)),
+        lines: source.len() as u32,
+        source: Arc::new(source),
     })
 }
 

@@ -28,6 +28,8 @@ pub enum Action {
     Disable,
     /// Home the machine.
     Home,
+    /// Move a joint off its limit switch.
+    MoveOff,
     /// Clear a latched fault.
     Reset,
     /// Move a pose coordinate.
@@ -219,6 +221,12 @@ pub const BINDINGS: &[Binding] = &[
         "h",
         Action::Home,
         "home: find the index pulses, then move to the home pose (asks first)",
+    ),
+    bind(
+        &[plain('b')],
+        "b",
+        Action::MoveOff,
+        "move a joint off its limit switch, after a reset of that fault (asks first)",
     ),
     bind(
         &[plain('x')],

@@ -37,6 +37,7 @@ pub mod web;
 use crate::commands::console::ConsoleArgs;
 use crate::commands::exit::{CliError, Exit};
 use crate::commands::paced_sim::PacedSim;
+use crate::commands::requests::Requests;
 use app::{App, Settings};
 use haptimill_client::client::Options;
 use haptimill_client::port::PortSpec;
@@ -47,6 +48,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 use terminal::Renderer;
+use view_model::Severity;
 
 /// Period of view model updates.
 const VIEW_INTERVAL: Duration = Duration::from_millis(33);
@@ -132,7 +134,13 @@ fn open_app(args: ConsoleArgs, needs_terminal: bool) -> Result<App, CliError> {
         stock,
     };
     let board = (!is_simulated).then_some(chosen);
-    App::new(machine, line, options, board, settings)
+    let requests = Requests::listen(&args.port.port);
+    let mut app = App::new(machine, line, options, board, settings)?;
+    match requests {
+        Ok(requests) => app.requests_of_others = requests,
+        Err(error) => app.notify(Severity::Warning, error),
+    }
+    Ok(app)
 }
 
 /// Refuses combinations of arguments that make no sense.

@@ -17,6 +17,9 @@ use std::time::Duration;
 /// Capacity of the message log.
 const LOG_CAPACITY: usize = 200;
 
+/// Messages among which a repeated one is counted.
+const RECENT: usize = 30;
+
 /// The commanded motion between the last two reports.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Motion {
@@ -69,6 +72,21 @@ impl Log {
             text,
             times: 1,
         });
+    }
+
+    /// Adds a message that may repeat among others, such as the refusal of a peer that tries again:
+    /// a recent message of the same text comes to the end with its count.
+    pub(super) fn add_repeated(&mut self, at: Duration, severity: Severity, text: String) {
+        let recent = self.0.len().saturating_sub(RECENT)..self.0.len();
+        let mut same = recent.rev().filter(|index| self.0[*index].text == text);
+        match same.next().and_then(|index| self.0.remove(index)) {
+            Some(entry) => self.0.push_back(LogEntry {
+                at,
+                times: entry.times + 1,
+                ..entry
+            }),
+            None => self.add(at, severity, text),
+        }
     }
 
     /// The newest messages, oldest first.
@@ -159,6 +177,8 @@ pub(super) enum Confirm {
     Home,
     /// The drives are off.
     EnableAndHome,
+    /// Index of the joint that moves off its limit switch.
+    MoveOff(usize),
     Tare,
     /// Summary of the checked program.
     Run(String),
@@ -270,4 +290,27 @@ pub(super) struct JogView {
     pub(super) dead_man_ms: u64,
     pub(super) has_release_events: bool,
     pub(super) held: [Option<(bool, u64)>; MAX_AXES],
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refusals_that_alternate_are_counted_and_other_messages_stay() {
+        let mut log = Log::default();
+        let at = Duration::from_secs;
+        log.add(at(0), Severity::Info, "drives on");
+        for second in 1..=70 {
+            log.add_repeated(at(second), Severity::Warning, "busy".to_string());
+            log.add_repeated(at(second), Severity::Warning, "no request".to_string());
+        }
+        let shown: Vec<_> = log
+            .newest(30)
+            .map(|it| (it.text.as_str(), it.times))
+            .collect();
+        let expected = [("drives on", 1), ("busy", 70), ("no request", 70)];
+        assert_eq!(shown, expected);
+        assert_eq!(log.newest(1).next().map(|it| it.at), Some(at(70)));
+    }
 }

@@ -4,10 +4,12 @@
 //! dead-man time of the jog keys holds for the buttons: the page repeats a press while its button
 //! is held.
 
+mod values;
+
 use super::app::{App, OverrideKind};
 use super::jogging::KeyPhase;
 use super::keys::Action;
-use super::view_model::{Axis, Confirm, LinkState, Overlay, Severity, ViewModel};
+use super::view_model::{Axis, Confirm, LinkState, Overlay, Severity};
 use crate::commands::console::ConsoleArgs;
 use crate::commands::exit::{CliError, Exit};
 use crate::commands::force::newtons;
@@ -16,13 +18,11 @@ use crate::commands::preview::preview;
 use crate::commands::program::{LanguageArgs, PartProgram};
 use crate::commands::serve::ServeArgs;
 use crate::commands::sim::token_of;
-use haptimill_firmware::config::AxisKind;
-use haptimill_hil_sim::process::ToolPose;
-use haptimill_kinematics::descriptor::Role;
+use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::machines::GeometryConfig;
+use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
-use haptimill_machine_file::scale::per_unit;
-use haptimill_machine_file::{AxisLimits, MachineFile};
-use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, State};
+use haptimill_protocol::message::{AxisValues, MAX_AXES, State};
 use haptimill_web::{Config, Order, Scaled, Server};
 use serde_json::{Value, json};
 use std::io::Write as _;
@@ -31,6 +31,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
+use values::{changed_runs, columns, numbers, offsets, rows, tip, tool_axis};
 
 /// Time between two states.
 const PUBLISH: Duration = Duration::from_millis(50);
@@ -38,6 +39,9 @@ const PUBLISH: Duration = Duration::from_millis(50);
 /// Time between two looks at the stock, and points along its longer side.
 const STOCK: Duration = Duration::from_millis(500);
 const STOCK_POINTS: usize = 120;
+
+/// Time between two looks at the work offsets.
+const OFFSETS: Duration = Duration::from_secs(1);
 
 /// Messages in a state.
 const MESSAGES: usize = 30;
@@ -52,8 +56,13 @@ struct Web {
     planning: Option<Receiver<Path3d>>,
     /// Next look at the surface of the stock.
     stock_at: Instant,
-    /// Heights that were published.
+    /// Heights that were published, and the length of the changes since the whole surface.
     heights: Vec<f32>,
+    stock_parts: usize,
+    /// Geometry of the simulated machine, whose links are drawn.
+    geometry: Option<GeometryConfig>,
+    offsets: Value,
+    offsets_at: Instant,
 }
 
 /// Serves the page.
@@ -93,12 +102,27 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
     writeln!(out, "{}", server.link())
         .and_then(|()| out.flush())
         .map_err(|error| CliError::new(Exit::Output, error))?;
+    if args.listen.ip().is_unspecified() {
+        eprintln!(
+            "--listen {}: the page is on every address of this computer; where the printed address \
+             is not reachable, put another one of it in its place",
+            args.listen
+        );
+    }
     let mut web = Web {
         server,
         selected: None,
         planning: None,
         stock_at: Instant::now(),
         heights: Vec::new(),
+        stock_parts: 0,
+        geometry: app
+            .machine
+            .plant()
+            .ok()
+            .and_then(|plant: PlantConfig| plant.geometry),
+        offsets: Value::Null,
+        offsets_at: Instant::now(),
     };
     let mut next = Instant::now();
     let outcome = loop {
@@ -116,7 +140,10 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
         if Instant::now() >= next {
             // The mean rate stays, also where a state was late.
             next = (next + PUBLISH).max(Instant::now());
-            web.server.publish(web.state(&app));
+            let offsets = web.offsets(&app);
+            let mut state = web.state(&app);
+            state["offsets"] = offsets;
+            web.server.publish(state);
         }
     };
     let at_standstill = app.shut_down();
@@ -144,6 +171,7 @@ impl Web {
             Order::Reset => app.execute(Action::Reset),
             Order::Resume => app.execute(Action::Resume),
             Order::Home => app.execute(Action::Home),
+            Order::MoveOff => app.execute(Action::MoveOff),
             Order::Run => match &self.selected {
                 Some(path) => app.check_program(&path.display().to_string()),
                 None => app.notify(Severity::Warning, "run: select a part program first"),
@@ -152,7 +180,14 @@ impl Web {
                 match std::mem::replace(&mut app.overlay, Overlay::None) {
                     // Quitting is no matter of a page.
                     Overlay::Confirm(Confirm::Quit(_)) => {}
-                    Overlay::Confirm(confirm) if yes => app.accept(confirm),
+                    Overlay::Confirm(confirm) if yes => {
+                        app.accept(confirm);
+                        if matches!(app.overlay, Overlay::Confirm(Confirm::Run(_))) {
+                            let what = "the answer came less than 0.4 s after the question: read \
+                                        the question, then answer again";
+                            app.notify(Severity::Warning, what);
+                        }
+                    }
                     _ => {}
                 }
             }
@@ -171,6 +206,13 @@ impl Web {
                 }
             }
             Order::JogRate { more } => app.jogging.select(more),
+            Order::Jog { axis, .. } if axis >= app.machine.pose.len() => {
+                let what = format!(
+                    "jog: there is no coordinate {axis}; the machine has {}, from 0 on",
+                    app.machine.pose.len()
+                );
+                app.notify(Severity::Warning, what);
+            }
             Order::Jog { axis, up, repeat } if app.overlay == Overlay::None => {
                 let phase = match repeat {
                     true => KeyPhase::Repeat,
@@ -184,10 +226,19 @@ impl Web {
                 app.jogging.release();
                 app.overlay = Overlay::None;
             }
+            Order::Zero { text } => {
+                app.set_zero(&text);
+                self.offsets_at = Instant::now();
+                // The programmed path moves with the zero.
+                if let Some(path) = self.selected.clone() {
+                    self.select(app, path);
+                }
+            }
             Order::Select(path) => self.select(app, path),
             Order::Warn(what) => {
                 eprintln!("{what}");
-                app.notify(Severity::Warning, what);
+                let at = app.started.elapsed();
+                app.log.add_repeated(at, Severity::Warning, what);
             }
         }
     }
@@ -224,7 +275,7 @@ impl Web {
         self.planning = None;
     }
 
-    /// Publishes the surface of the stock when it has changed.
+    /// Publishes the surface of the stock, then its changes.
     fn show_stock(&mut self, app: &mut App) {
         if Instant::now() < self.stock_at {
             return;
@@ -234,27 +285,72 @@ impl Web {
             return;
         };
         let picture = stock.picture(STOCK_POINTS);
-        if picture.heights == self.heights {
-            return;
+        if picture.heights.len() == self.heights.len() {
+            let part = changed_runs(&self.heights, &picture.heights);
+            if part.is_empty() {
+                return;
+            }
+            self.stock_parts += part.len();
+            // About the length of the whole surface: a viewer that comes later gets all parts.
+            if self.stock_parts < 8 * picture.heights.len() {
+                self.server
+                    .publish_stock_part(&format!("\"runs\":[{part}]"));
+                self.heights = picture.heights;
+                return;
+            }
         }
         let area = &picture.area;
-        let rounded = |value: &f32| (f64::from(*value) * 1e3).round() / 1e3;
-        self.server.publish_stock(json!({
-            "x": [area.x_min, area.x_max],
-            "y": [area.y_min, area.y_max],
-            "columns": picture.columns,
-            "rows": picture.rows,
-            "heights": picture.heights.iter().map(rounded).collect::<Vec<_>>(),
-            "depths": picture.depths.iter().map(rounded).collect::<Vec<_>>(),
-        }));
+        let members = format!(
+            "\"x\":[{},{}],\"y\":[{},{}],\"columns\":{},\"rows\":{},\"heights\":[{}],\"depths\":[{}]",
+            area.x_min,
+            area.x_max,
+            area.y_min,
+            area.y_max,
+            picture.columns,
+            picture.rows,
+            numbers(&picture.heights),
+            numbers(&picture.depths)
+        );
+        self.server.publish_stock(&members);
+        self.stock_parts = 0;
         self.heights = picture.heights;
+    }
+
+    /// The work offsets beside the machine file, read again once a second.
+    fn offsets(&mut self, app: &App) -> Value {
+        if Instant::now() >= self.offsets_at {
+            self.offsets_at = Instant::now() + OFFSETS;
+            self.offsets = offsets(&app.machine);
+        }
+        self.offsets.clone()
+    }
+
+    /// The links of an arm as polylines, mm, from the simulated geometry of the machine file.
+    fn links(&self, app: &App) -> Vec<Vec<[f64; 3]>> {
+        let (Some(geometry), Some(now)) = (&self.geometry, &app.telemetry) else {
+            return Vec::new();
+        };
+        if !is_referenced(app) || now.joints.is_empty() {
+            return Vec::new();
+        }
+        let mut joints = [0.0; MAX_AXES];
+        let measured = app.model.joints_to_engineering_units(&now.joints);
+        joints
+            .iter_mut()
+            .zip(measured)
+            .for_each(|(slot, joint)| *slot = joint);
+        let mut links = geometry.links(&joints);
+        for value in links.iter_mut().flatten().flatten() {
+            *value = (*value * 100.0).round() / 100.0;
+        }
+        links
     }
 
     fn state(&self, app: &App) -> Value {
         let view = app.view_model();
         let telemetry = view.telemetry.as_ref();
         let state = telemetry.map(|now| now.state);
-        let has_drives = !matches!(state, Some(State::Disabled | State::EmergencyStop));
+        let has_drives = !state.is_some_and(State::has_drives_off);
         let commanded = telemetry.map(|now| &now.commanded).filter(|_| has_drives);
         let measured = telemetry.map(|now| &now.measured);
         let pose = rows(
@@ -293,6 +389,7 @@ impl Web {
             "pose": pose,
             "joints": joints,
             "tip": tip(&app.machine, measured.or(commanded)),
+            "links": self.links(app),
             "feed_mm_min": view.motion.map(|motion| motion.feed_mm_min),
             "override": view.overrides[OverrideKind::Feed as usize],
             "overrides": view.overrides,
@@ -312,7 +409,7 @@ impl Web {
             "stopping": view.stopping,
             "jog": {"rate": view.jog.rate, "dead_man_ms": view.jog.dead_man_ms,
                     "held": view.jog.held.map(|held| held.map(|(up, _)| up))},
-            "question": question(&view.overlay),
+            "question": question(&view.overlay, &view.static_info.joints),
             "problems": problems(&view.overlay),
             "messages": messages.collect::<Vec<_>>(),
         })
@@ -341,107 +438,6 @@ fn plan(file: &Path, machine: &MachineFile, start: Option<AxisValues>) -> Result
     Ok(preview(&program, machine, &model, &start)?.scene().json())
 }
 
-fn rows(
-    view: &ViewModel,
-    axes: &[Axis],
-    commanded: Option<&AxisValues>,
-    actual: Option<&AxisValues>,
-    limits: &[AxisLimits],
-) -> Vec<Value> {
-    let rows = axes.iter().enumerate().map(|(index, axis)| {
-        let limit = |value: f64| value.is_finite().then_some(value);
-        let value = |values: Option<&AxisValues>| {
-            let value = values?.get(index)?;
-            Some(view.unwound(axis, *value) as f64 / per_unit(axis.kind))
-        };
-        json!({
-            "name": axis.name,
-            "unit": if axis.kind.is_rotary() { "deg" } else { "mm" },
-            "commanded": value(commanded),
-            "actual": value(actual),
-            "low": limits.get(index).and_then(|it| limit(it.low)),
-            "high": limits.get(index).and_then(|it| limit(it.high)),
-        })
-    });
-    rows.collect()
-}
-
-/// Place of the tool tip, mm; none where the pose is not known.
-fn tip(machine: &MachineFile, pose: Option<&AxisValues>) -> Option<[f64; 3]> {
-    let pose = pose.filter(|pose| !pose.is_empty())?;
-    let described = machine.config.model.descriptor().pose;
-    Some(['X', 'Y', 'Z'].map(|letter| {
-        let index = described.iter().position(|axis| axis.letter == letter);
-        let value = index.and_then(|index| pose.get(index)).copied();
-        f64::from(value.unwrap_or(0)) / per_unit(AxisKind::Linear)
-    }))
-}
-
-/// Unit vector from the tip towards the spindle, in the workpiece; none for a machine with a rotary
-/// coordinate whose role does not say how it turns the tool.
-fn tool_axis(machine: &MachineFile, pose: Option<&AxisValues>) -> Option<[f64; 3]> {
-    let pose = pose.filter(|pose| !pose.is_empty())?;
-    let described = machine.config.model.descriptor().pose;
-    let known = |role| matches!(role, Role::ToolTilt | Role::WorkpieceRotation);
-    let mut turning = described.iter().zip(&machine.pose);
-    if turning.any(|(axis, limits)| limits.kind.is_rotary() && !known(axis.role)) {
-        return None;
-    }
-    let angle = |role| {
-        let index = described.iter().position(|axis| axis.role == role);
-        let value = index
-            .and_then(|index| pose.get(index))
-            .copied()
-            .unwrap_or(0);
-        f64::from(value) / per_unit(AxisKind::Rotary)
-    };
-    let tool = ToolPose::leaning(
-        [0.0; 3],
-        angle(Role::ToolTilt),
-        angle(Role::WorkpieceRotation),
-    );
-    Some(tool.axis)
-}
-
-/// Further values that the page plots, by name.
-fn columns(view: &ViewModel) -> Value {
-    let mut columns = serde_json::Map::new();
-    let Some(now) = &view.telemetry else {
-        return Value::Null;
-    };
-    for (axis, error) in view.static_info.joints.iter().zip(&now.following_error) {
-        let unit = if axis.kind.is_rotary() { "mdeg" } else { "um" };
-        let value = f64::from(*error) / per_unit(axis.kind) * 1e3;
-        columns.insert(
-            format!("following error {}, {unit}", axis.name),
-            json!(value),
-        );
-    }
-    for (axis, drive) in view.static_info.joints.iter().zip(&now.drive) {
-        columns.insert(format!("drive {}", axis.name), json!(drive));
-    }
-    let rate = f64::from(now.path_rate) / f64::from(FULL_PATH_RATE) * 100.0;
-    columns.insert("path rate, %".to_string(), json!(rate));
-    columns.insert(
-        "program line".to_string(),
-        json!(view.program.as_ref().map(|it| it.line)),
-    );
-    if let Some(io) = &now.io {
-        columns.insert("inputs, bits".to_string(), json!(io.inputs));
-        columns.insert("outputs, bits".to_string(), json!(io.outputs));
-    }
-    if let Some(force) = &now.force {
-        let (high, low) = (newtons(force.high), newtons(force.low));
-        for (axis, name) in ["x", "y", "z"].iter().enumerate() {
-            columns.insert(format!("force {name}, N"), json!(high[axis]));
-            columns.insert(format!("opposite force {name}, N"), json!(low[axis]));
-            let displacement = f64::from(force.displacement[axis]) / f64::from(1 << 20);
-            columns.insert(format!("displacement {name}, mm"), json!(displacement));
-        }
-    }
-    Value::Object(columns)
-}
-
 fn link_text(state: &LinkState) -> String {
     match state {
         LinkState::Opening => "opening the port".to_string(),
@@ -452,7 +448,7 @@ fn link_text(state: &LinkState) -> String {
     }
 }
 
-fn question(overlay: &Overlay) -> Option<String> {
+fn question(overlay: &Overlay, joints: &[Axis]) -> Option<String> {
     let Overlay::Confirm(confirm) = overlay else {
         return None;
     };
@@ -460,6 +456,12 @@ fn question(overlay: &Overlay) -> Option<String> {
         Confirm::Home => "Home the machine? It moves.".to_string(),
         Confirm::EnableAndHome => {
             "Switch the drives on and home the machine? It moves.".to_string()
+        }
+        Confirm::MoveOff(joint) => {
+            let name = joints
+                .get(*joint)
+                .map_or("a joint", |joint| joint.name.as_str());
+            format!("Move {name} off its limit switch? It moves slowly, then home the machine.")
         }
         Confirm::Run(what) => format!("Run {what}?"),
         Confirm::Tare => "Tare the force sensor?".to_string(),

@@ -60,6 +60,7 @@ fn screen_adapts_to_the_terminal_size() {
 fn homing_enables_and_positions_before_it_are_marked() {
     let terminal = console(&[], Keyboard::Plain);
     terminal.expect_state("DISABLED");
+    terminal.expect_text("not homed. h enables and homes");
     terminal.expect_text("? not referenced");
     let is_marked = |text: &str| {
         let row = text.lines().find(|row| row.starts_with(" x "));

@@ -437,3 +437,53 @@ fn ctrl_c_stops_along_the_path_and_keeps_the_trace() {
     assert!(folder.read("out/trace.csv").lines().count() > 10);
     assert!(ran.out.contains("stopped"), "{}", ran.out);
 }
+
+/// A recording of a part of the control periods: the figures are those of all, bit by bit.
+#[test]
+fn figures_of_a_partial_recording_are_those_of_the_whole_one() {
+    let folder = TestFolder::new();
+    let stock = ["--stock", "examples/block.toml"];
+    let whole = job(&folder, "all", "e7-slot.ngc", &stock);
+    let bytes = |out: &str| folder.path(&format!("{out}/recording.hmr"));
+    let size = |out: &str| std::fs::metadata(bytes(out)).unwrap().len();
+    for (out, part, records) in [
+        (
+            "every",
+            "every=50",
+            whole["periods"].as_u64().unwrap().div_ceil(50),
+        ),
+        ("last", "last=3s", 15_000),
+    ] {
+        let more = [&stock[..], &["--record", part]].concat();
+        let thinned = job(&folder, out, "e7-slot.ngc", &more);
+        for (name, value) in whole.as_object().unwrap() {
+            if !matches!(name.as_str(), "periods" | "trace_sha256") {
+                assert_eq!(&thinned[name], value, "{part}: {name}");
+            }
+        }
+        assert_eq!(thinned["periods"], records, "{part}");
+        assert!(
+            size(out) < size("all") / 3,
+            "{part}: {} of {}",
+            size(out),
+            size("all")
+        );
+        let refused = haptimill(&["replay", &bytes(out)]).expect_code(3);
+        assert!(
+            refused.err.contains("with --record every or last"),
+            "{refused:?}"
+        );
+        let info = haptimill(&["trace", "info", &bytes(out)]).expect_code(0);
+        assert!(info.out.contains("recorded: "), "{}", info.out);
+        let page = folder.read(&format!("{out}/report.html"));
+        assert!(page.contains("Recorded part") && !page.contains("from the path (contour)"));
+    }
+    let last = Recording::open(Path::new(&bytes("last"))).unwrap();
+    let end = Recording::open(Path::new(&bytes("all"))).unwrap();
+    let (last, end) = (last.last().unwrap(), end.last().unwrap());
+    assert_eq!(last, end, "the last record is the same one");
+    for wrong in ["every=1", "last=10", "some"] {
+        let refused = haptimill(&["run", "examples/e7-slot.ngc", "--record", wrong]).expect_code(2);
+        assert!(refused.err.contains("write all, every=N"), "{refused:?}");
+    }
+}

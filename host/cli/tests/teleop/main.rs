@@ -191,6 +191,45 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     assert_eq!(most(13), 0.0);
     let info = haptimill(&["trace", "info", &trace]).expect_code(0);
     assert!(info.out.contains("x_master_reflected_n"), "{}", info.out);
+    // The axes of the handle are unit vectors at right angles, in the recording and in the table.
+    let columns = "?_master_axis_x,?_master_axis_z";
+    let ran = haptimill(&[
+        "trace",
+        "csv",
+        &trace,
+        "--columns",
+        columns,
+        "--every",
+        "500",
+    ]);
+    let axes = ran.expect_code(0).out;
+    let table = folder.read("one/teleop.csv");
+    let rows = axes.lines().skip(1).map(str::to_string);
+    let ends = table.lines().skip(1).map(|row| {
+        let cells: Vec<&str> = row.split(',').collect();
+        cells[cells.len() - 6..].join(",")
+    });
+    let mut checked = 0;
+    for row in rows.chain(ends.step_by(100)) {
+        let axes: Vec<f64> = row.split(',').map(|value| value.parse().unwrap()).collect();
+        let dot = |a: usize, b: usize| (0..3).map(|k| axes[a + k] * axes[b + k]).sum::<f64>();
+        assert!(
+            (dot(0, 0) - 1.0).abs() < 1e-3 && (dot(3, 3) - 1.0).abs() < 1e-3,
+            "{row}"
+        );
+        assert!(dot(0, 3).abs() < 1e-3, "{row}");
+        checked += 1;
+    }
+    assert!(checked > 50, "{checked}");
+    let page = folder.read("one/report.html");
+    for part in [
+        "Orientation of the handle",
+        "Force of the master on the operator",
+        "error, mm",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(page.matches("<svg").count() >= 7 && !page.contains("NaN"));
 
     let made = read_records(&folder.path("one/recording.hmr"));
     expect_within_limits(&made);

@@ -368,6 +368,7 @@ impl JobRecording {
                 force: newtons(master.force),
                 reflected: newtons(master.feedback),
                 wall: newtons(master.fixture),
+                axes: master.pose.axes,
             };
             record.haptic_flags = flag::HAPTIC_KNOWN;
             if master.pose.engaged {

@@ -108,6 +108,11 @@ impl<L: JobLine> Teleop<'_, L> {
             time_s: self.time_s(),
             state: telemetry.state,
             master: self.sample.pose.tip.map(mm),
+            axes: self
+                .sample
+                .pose
+                .axes
+                .map(|axis| axis.map(|part| f64::from(part) / f64::from(i16::MAX))),
             engaged: self.sample.pose.engaged,
             age_ms: self
                 .sampled_us

@@ -5,6 +5,7 @@ mod lines;
 use super::feed::{Feed, Wishes};
 use super::input::{Input, Line as SenderLine, RealTime};
 use super::report::{self, Status, alarm};
+use crate::commands::requests::{Request, Requests, describe_overrides};
 use crate::commands::{CliError, Exit};
 use haptimill_client::client::{JobEnding, Setpoints};
 use haptimill_client::session::{
@@ -78,6 +79,8 @@ pub(super) struct Bridge {
     speed: f64,
     is_stopping: bool,
     answers: Vec<u8>,
+    /// Requests of other processes.
+    pub(super) requests: Requests,
 }
 
 impl Bridge {
@@ -115,6 +118,7 @@ impl Bridge {
             speed: 0.0,
             is_stopping: false,
             answers: Vec::new(),
+            requests: Requests::default(),
         };
         bridge.report_always();
         Ok(bridge)
@@ -138,6 +142,9 @@ impl Bridge {
         bytes: &[u8],
         answers: &mut Vec<u8>,
     ) -> Result<Option<String>, CliError> {
+        let mut requests = std::mem::take(&mut self.requests);
+        requests.serve(|request| self.answer_other(request));
+        self.requests = requests;
         for byte in bytes {
             if let Some(command) = self.input.add(*byte) {
                 self.real_time(command);
@@ -238,34 +245,71 @@ impl Bridge {
                     self.drop_activity();
                 }
             }
-            RealTime::Feed(by) => {
-                let percent = change(feed, by);
-                self.overrides[0] = percent;
-                self.session
-                    .client_mut()
-                    .request(Command::Override { percent });
-            }
+            RealTime::Feed(by) => self.set_overrides([Some(change(feed, by)), None, None]),
             RealTime::Rapid(percent) if percent != rapid => {
-                self.overrides[1] = percent;
-                let command = Command::RapidOverride { percent };
-                self.session.client_mut().request(command);
+                self.set_overrides([None, Some(percent), None]);
             }
             RealTime::Rapid(_) => {}
             RealTime::Spindle(by) => {
                 let percent = change(spindle, by);
-                let speed = self.spindle_rpm.unsigned_abs();
-                let speeds = (speed != 0).then_some([speed; 2]);
-                if let Err(what) = self.machine.spindle.check_override(speeds, percent) {
-                    self.message(&what);
-                    return;
+                match self.check_spindle(percent) {
+                    Ok(()) => self.set_overrides([None, None, Some(percent)]),
+                    Err(what) => self.message(&what),
                 }
-                self.overrides[2] = percent;
-                let command = Command::SpindleOverride { percent };
-                self.session.client_mut().request(command);
             }
             RealTime::Switch => {
                 self.message("spindle and coolant are switched by the program only");
             }
+        }
+    }
+
+    /// Checks a spindle override at the present speed.
+    fn check_spindle(&self, percent: u8) -> Result<(), String> {
+        let speed = self.spindle_rpm.unsigned_abs();
+        let speeds = (speed != 0).then_some([speed; 2]);
+        self.machine.spindle.check_override(speeds, percent)
+    }
+
+    /// Sets overrides of feed, rapid moves and spindle, percent.
+    fn set_overrides(&mut self, percents: [Option<u8>; 3]) {
+        let commands = [
+            |percent| Command::Override { percent },
+            |percent| Command::RapidOverride { percent },
+            |percent| Command::SpindleOverride { percent },
+        ];
+        for (index, percent) in percents.into_iter().enumerate() {
+            if let Some(percent) = percent {
+                self.overrides[index] = percent;
+                let command = commands[index](percent);
+                self.session.client_mut().request(command);
+            }
+        }
+    }
+
+    /// Does what another process requests, and describes it.
+    fn answer_other(&mut self, request: Request) -> Result<String, String> {
+        let is_held = self.state() == State::Hold;
+        match request {
+            Request::Override(percents) => {
+                if let Some(percent) = percents[2] {
+                    self.check_spindle(percent)?;
+                }
+                self.set_overrides(percents);
+                Ok(describe_overrides(self.overrides))
+            }
+            Request::Hold if is_held => Ok("the job is held".into()),
+            Request::Hold if matches!(self.activity, Activity::Nothing) => {
+                Err("nothing moves".into())
+            }
+            Request::Hold => {
+                self.real_time(RealTime::Hold);
+                Ok("the machine holds along its path".into())
+            }
+            Request::Resume if is_held => {
+                self.real_time(RealTime::Resume);
+                Ok("the job goes on".into())
+            }
+            Request::Resume => Err("the job is not held, and does not pause".into()),
         }
     }
 

@@ -10,6 +10,7 @@ use super::board::file_of;
 use super::paced_sim::PacedSim;
 use super::{CliError, Exit};
 use crate::commands::interrupt;
+use crate::commands::requests::Requests;
 use clap::{Args, Subcommand};
 use haptimill_client::client::Options;
 use haptimill_client::port::{PortSpec, PtyServer, Transport};
@@ -73,6 +74,11 @@ pub fn run(command: BridgeCommand) -> Result<(), CliError> {
     session.enable()?;
     let stock = args.stock.load(&machine)?;
     let mut bridge = grbl::Bridge::new(session, machine, stock)?;
+    match Requests::listen(&args.port.port) {
+        Ok(requests) => bridge.requests = requests,
+        // The bridge works without them.
+        Err(error) => eprintln!("{error}"),
+    }
     let mut pty = PtyServer::open()?;
     let link = args.link.as_deref().map(|path| Link::new(pty.name(), path));
     let _link = link.transpose()?;

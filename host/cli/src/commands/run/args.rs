@@ -11,7 +11,7 @@ use haptimill_client::session::RunTime;
 use haptimill_machine_file::MachineFile;
 use haptimill_planner::Plan;
 use haptimill_protocol::message::Command;
-use haptimill_trace::{MCAP, RECORD_BYTES, RecordingError};
+use haptimill_trace::{Keep, MCAP, RECORD_BYTES, RecordingError};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
@@ -86,6 +86,11 @@ pub struct RunArgs {
     /// Write one row of trace.csv every N control periods
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     pub trace_every: u32,
+    /// What is recorded: all (a simulated job can then be replayed), every=N (one of N control
+    /// periods), or last=TIME (as 90s, 10min, 2h). The figures of the summary are of all control
+    /// periods
+    #[arg(long, value_name = "PART", default_value = "all", value_parser = recorded_part)]
+    pub record: RecordedPart,
     /// Also write recording.mcap, 1000 samples per second, for Foxglove and PlotJuggler
     /// (`haptimill trace mcap` writes it later)
     #[arg(long)]
@@ -247,13 +252,39 @@ impl RunArgs {
         self.stream && self.program == Path::new("-")
     }
 
-    /// Estimated size of the recording of a program with this duration.
+    /// Estimated size of the recording of a program with this duration, and of the files from
+    /// which it is made.
     pub(super) fn recording_bytes(&self, machine: &MachineFile, seconds: f64) -> f64 {
-        if self.port.is_simulated() {
-            seconds * bytes_per_s(machine)
-        } else {
-            // One record per telemetry frame, one frame every 20 ms.
-            seconds * 50.0 * RECORD_BYTES as f64
+        let is_simulated = self.port.is_simulated();
+        // One record per telemetry frame, one frame every 20 ms.
+        let telemetry = 50.0 * RECORD_BYTES as f64;
+        let records = match is_simulated {
+            true => periods_per_s(machine) * RECORD_BYTES as f64,
+            false => telemetry,
+        };
+        match self.record {
+            RecordedPart::All if is_simulated => seconds * bytes_per_s(machine),
+            RecordedPart::All => seconds * telemetry,
+            RecordedPart::Every(periods) => {
+                let thinned = periods_per_s(machine) / f64::from(periods) * RECORD_BYTES as f64;
+                seconds * records.min(thinned)
+            }
+            // Two files in turn, and the one that is made of them.
+            RecordedPart::Last(last_s) => {
+                let turns = if seconds > last_s { 3.0 } else { 1.0 };
+                seconds.min(last_s) * turns * records
+            }
+        }
+    }
+
+    /// The records that are kept.
+    pub(super) fn keep(&self, machine: &MachineFile) -> Keep {
+        match self.record {
+            RecordedPart::All => Keep::All,
+            RecordedPart::Every(periods) => Keep::Every(periods),
+            RecordedPart::Last(seconds) => {
+                Keep::Last((seconds * periods_per_s(machine)).round() as u64)
+            }
         }
     }
 
@@ -327,12 +358,82 @@ impl RunArgs {
     }
 }
 
+/// The part of the control periods that is recorded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum RecordedPart {
+    /// All.
+    All,
+    /// One of so many.
+    Every(u32),
+    /// The last ones, seconds.
+    Last(f64),
+}
+
+/// Reads `all`, `every=N` or `last=TIME`.
+fn recorded_part(text: &str) -> Result<RecordedPart, String> {
+    let usage = || "write all, every=N (N from 2 on), or last=TIME (as 90s, 10min, 2h)".to_string();
+    match text.split_once('=') {
+        None if text == "all" => Ok(RecordedPart::All),
+        Some(("every", number)) => match number.parse() {
+            Ok(number) if number >= 2 => Ok(RecordedPart::Every(number)),
+            _ => Err(usage()),
+        },
+        Some(("last", time)) => {
+            let units = [("min", 60.0), ("h", 3600.0), ("s", 1.0)];
+            let mut read = units.iter().filter_map(|(unit, seconds)| {
+                Some(time.strip_suffix(unit)?.parse::<f64>().ok()? * seconds)
+            });
+            let seconds = read.next().filter(|seconds| (1.0..=1e6).contains(seconds));
+            seconds.map(RecordedPart::Last).ok_or_else(usage)
+        }
+        _ => Err(usage()),
+    }
+}
+
+fn periods_per_s(machine: &MachineFile) -> f64 {
+    1e6 / f64::from(machine.config.period_us.max(1))
+}
+
 /// Bytes per second of the recording of a simulated machine: a record and the logged inputs and
 /// outputs of every control period.
 pub(in crate::commands) fn bytes_per_s(machine: &MachineFile) -> f64 {
-    let periods = 1e6 / f64::from(machine.config.period_us.max(1));
-    periods * (RECORD_BYTES + PERIOD_BYTES) as f64
+    periods_per_s(machine) * (RECORD_BYTES + PERIOD_BYTES) as f64
 }
 
 /// Approximate bytes of a control period in the I/O log.
 const PERIOD_BYTES: usize = 40;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_recorded_part_is_read_with_its_unit() {
+        for (text, part) in [
+            ("all", RecordedPart::All),
+            ("every=50", RecordedPart::Every(50)),
+            ("last=90s", RecordedPart::Last(90.0)),
+            ("last=10min", RecordedPart::Last(600.0)),
+            ("last=0.5h", RecordedPart::Last(1800.0)),
+        ] {
+            assert_eq!(recorded_part(text), Ok(part), "{text}");
+        }
+        for text in [
+            "",
+            "every",
+            "every=1",
+            "every=-3",
+            "every=2.5",
+            "last=",
+            "last=10",
+            "last=0s",
+            "last=-5min",
+            "last=nans",
+            "last=infs",
+            "last=ms",
+            "none",
+        ] {
+            assert!(recorded_part(text).is_err(), "{text}");
+        }
+    }
+}

@@ -17,10 +17,14 @@ use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
-use haptimill_report::Outcome;
+use haptimill_report::{Outcome, Statistics};
 use haptimill_trace::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
 use std::fs::File;
 use std::io::{BufWriter, IsTerminal as _, Write};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Statistics that the recorder adds to.
+type SharedStatistics = Arc<Mutex<Statistics>>;
 
 /// Time between two telemetry frames of a haptic arm behind a port, microseconds.
 const MASTER_TELEMETRY_US: u32 = 20_000;
@@ -186,8 +190,7 @@ impl Job<'_> {
             Work::Parts(_) => return self.run_in_parts(session, &start, operator),
         };
         self.folder.clear()?;
-        let recorder = Recorder::create(&dir.join(haptimill_report::RECORDING_FILE), &header)
-            .map_err(|error| output(&error))?;
+        let (recorder, statistics) = self.recorder(&header).map_err(|error| output(&error))?;
         self.args.print_message(&match &supply.shown.times {
             Some(times) => {
                 format!("running, {}", self.args.describe_duration(times.duration_s))
@@ -225,6 +228,10 @@ impl Job<'_> {
             .line_mut()
             .stock()
             .map(haptimill_experiments::cut_of);
+        let recorded_part = self
+            .args
+            .keep(self.machine)
+            .describe(self.machine.config.period_us);
         let outcome = match &end {
             Ok(end) => Outcome {
                 setpoints: u64::from(end.setpoints),
@@ -239,6 +246,7 @@ impl Job<'_> {
                 line_bytes_per_setpoint: f64::from(end.sent.bytes)
                     / f64::from(end.setpoints.max(1)),
                 cut,
+                recorded_part,
             },
             // The session is lost, so only the last telemetry is known.
             Err(error) => Outcome {
@@ -248,10 +256,15 @@ impl Job<'_> {
                     .map_or(0, |last| u64::from(last.setpoint)),
                 faults: vec![error.message.clone()],
                 injected,
+                recorded_part,
                 ..Outcome::default()
             },
         };
-        let summary = haptimill_report::write_all(&dir, &recorded, &outcome, self.args.trace_every)
+        let every = self.args.trace_every;
+        // The recorder, which had the other reference to them, has ended.
+        let statistics = statistics.and_then(Arc::into_inner).map(Mutex::into_inner);
+        let statistics = statistics.map(|all| all.unwrap_or_else(PoisonError::into_inner));
+        let summary = haptimill_report::write_all(&dir, &recorded, &outcome, every, statistics)
             .map_err(|error| output(&error))?;
         if self.args.mcap {
             let recording = Recording::open(&dir.join(haptimill_report::RECORDING_FILE))
@@ -290,6 +303,27 @@ impl Job<'_> {
             return Err(self.ended_early(error, (!stream_end.is_empty()).then_some(line)));
         }
         Ok(())
+    }
+
+    /// The recorder of the run, and the statistics of all records where it keeps a part of them.
+    fn recorder(&self, header: &Header) -> Result<(Recorder, Option<SharedStatistics>), CliError> {
+        let output = |error: &dyn std::fmt::Display| CliError::new(Exit::Output, error);
+        let path = self.args.out_dir().join(haptimill_report::RECORDING_FILE);
+        let keep = self.args.keep(self.machine);
+        let mut recorder =
+            Recorder::create_thinned(&path, header, keep).map_err(|error| output(&error))?;
+        let Some(part) = keep.describe(self.machine.config.period_us) else {
+            return Ok((recorder, None));
+        };
+        recorder.event(0, 0, &format!("recorded: {part}"));
+        let empty = Recording::of_header(&path, header).map_err(|error| output(&error))?;
+        let statistics = Arc::new(Mutex::new(Statistics::new(&empty)));
+        let all = Arc::clone(&statistics);
+        let recorder = recorder.observed(move |record| {
+            let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
+            all.add(record);
+        });
+        Ok((recorder, Some(statistics)))
     }
 
     /// How a program is streamed.

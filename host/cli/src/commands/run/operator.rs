@@ -3,10 +3,8 @@
 use super::args::RunArgs;
 use super::keys::{is_enter, is_hold};
 use super::overrides::Overrides;
-#[cfg(unix)]
-use haptimill_client::port::Control;
+use crate::commands::requests::{Request, Requests};
 use haptimill_machine_file::MachineFile;
-use serde_json::{Value, json};
 
 /// What the operator orders, from the first job of a run to the last one.
 pub(super) struct Operator {
@@ -17,8 +15,7 @@ pub(super) struct Operator {
     pub(super) resumes: bool,
     /// The job holds or pauses.
     pub(super) is_held: bool,
-    #[cfg(unix)]
-    control: Option<Control>,
+    requests: Requests,
 }
 
 impl Operator {
@@ -30,8 +27,11 @@ impl Operator {
             holds: false,
             resumes: false,
             is_held: false,
-            #[cfg(unix)]
-            control: listen(args),
+            // A job runs without them.
+            requests: Requests::listen(&args.port.port).unwrap_or_else(|error| {
+                eprintln!("{error}");
+                Requests::default()
+            }),
         }
     }
 
@@ -47,53 +47,31 @@ impl Operator {
 
     /// Answers the requests of other processes.
     pub(super) fn serve(&mut self) {
-        #[cfg(unix)]
-        if let Some(mut control) = self.control.take() {
-            control.serve(|request| match self.answer(request) {
-                Ok(what) => json!({ "done": what }).to_string(),
-                Err(what) => json!({ "error": what }).to_string(),
-            });
-            self.control = Some(control);
-        }
+        let mut requests = std::mem::take(&mut self.requests);
+        requests.serve(|request| self.answer(request));
+        self.requests = requests;
     }
 
     /// Does what a request asks, and describes it.
     ///
     /// # Errors
     /// Why it is not done.
-    fn answer(&mut self, request: &str) -> Result<String, String> {
-        let request: Value = serde_json::from_str(request).map_err(|error| error.to_string())?;
-        match request["order"].as_str() {
-            Some("override") => {
-                let [feed, rapid, spindle] = ["feed", "rapid", "spindle"].map(|key| {
-                    let percent = request[key].as_u64();
-                    // A number that is too large is refused as out of range.
-                    percent.map(|percent| u8::try_from(percent).unwrap_or(u8::MAX))
-                });
+    fn answer(&mut self, request: Request) -> Result<String, String> {
+        match request {
+            Request::Override([feed, rapid, spindle]) => {
                 self.overrides.set(feed, rapid, spindle)?;
                 Ok(self.overrides.to_string())
             }
-            Some("hold") if self.is_held => Ok("the job is held".into()),
-            Some("hold") => {
+            Request::Hold if self.is_held => Ok("the job is held".into()),
+            Request::Hold => {
                 self.holds = true;
                 Ok("the job holds along its path".into())
             }
-            Some("resume") if self.is_held => {
+            Request::Resume if self.is_held => {
                 self.resumes = true;
                 Ok("the job goes on".into())
             }
-            Some("resume") => Err("the job is not held, and does not pause".into()),
-            _ => Err("the request is not known; use the same version of haptimill".into()),
+            Request::Resume => Err("the job is not held, and does not pause".into()),
         }
     }
-}
-
-/// Listens for requests. A job runs without them.
-#[cfg(unix)]
-fn listen(args: &RunArgs) -> Option<Control> {
-    if args.port.is_simulated() {
-        return None;
-    }
-    let control = Control::listen(&args.port.port);
-    control.inspect_err(|error| eprintln!("{error}")).ok()
 }

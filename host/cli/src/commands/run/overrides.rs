@@ -1,6 +1,7 @@
 //! Overrides that the operator changes while a program runs.
 
 use super::args::RunArgs;
+use crate::commands::requests::{check_overrides, describe_overrides};
 use haptimill_machine_file::Spindle;
 use haptimill_protocol::message::Command;
 use std::collections::VecDeque;
@@ -78,18 +79,7 @@ impl Overrides {
         rapid: Option<u8>,
         spindle: Option<u8>,
     ) -> Result<(), String> {
-        for (name, percent, range) in [
-            ("feed", feed, 0..=200),
-            ("rapid", rapid, 0..=100),
-            ("spindle", spindle, 10..=200),
-        ] {
-            if let Some(percent) = percent.filter(|percent| !range.contains(percent)) {
-                let (low, high) = range.into_inner();
-                return Err(format!(
-                    "{name} override {percent} %: it is {low} to {high} %"
-                ));
-            }
-        }
+        check_overrides([feed, rapid, spindle])?;
         if let Some(percent) = spindle {
             self.limits.check_override(self.speeds, percent)?;
             self.spindle = percent;
@@ -121,10 +111,7 @@ impl fmt::Display for Overrides {
             spindle,
             ..
         } = self;
-        write!(
-            out,
-            "overrides: feed {feed} %, rapid {rapid} %, spindle {spindle} %"
-        )
+        out.write_str(&describe_overrides([*feed, *rapid, *spindle]))
     }
 }
 

@@ -256,7 +256,6 @@ impl Job<'_> {
             plan,
             approach: None,
             notices: Vec::new(),
-            lines: program.lines,
         };
         Ok((planned, status))
     }

@@ -141,6 +141,9 @@ fn check_writable(dir: &Path) -> std::io::Result<()> {
 fn remove_results(dir: &Path) -> std::io::Result<()> {
     for name in [
         haptimill_report::RECORDING_FILE,
+        // Of a run with --record last that was killed.
+        "recording.earlier.hmr",
+        "recording.joined.hmr",
         haptimill_report::MCAP_FILE,
         haptimill_report::TRACE_FILE,
         haptimill_report::SUMMARY_FILE,

@@ -137,8 +137,18 @@ impl TeleopArgs {
         let scripted = matches!(self.master, MasterSpec::Script(_));
         let has_arm = scripted || matches!(self.master, MasterSpec::Port(_));
         let port = &self.port.port;
-        let what = if matches!(port, PortSpec::Emulated(_) | PortSpec::EmulatedPins) {
-            format!("--port {port}: teleop has no emulated boards; use sim, or a port")
+        let emulated = matches!(port, PortSpec::Emulated(_) | PortSpec::EmulatedPins);
+        let what = if emulated && !scripted {
+            format!(
+                "--port {port}: an emulated controller is slower than real time, so no hand can \
+                 lead it; use --master sim or script:FILE"
+            )
+        } else if *port == PortSpec::EmulatedPins && self.stock.stock.is_some() {
+            "--stock is for --port sim or pil:mps2; leave it out".to_string()
+        } else if *port == PortSpec::EmulatedPins
+            && (self.simulator.seed.is_some() || !self.simulator.fault.is_empty())
+        {
+            "--seed and --fault are for --port sim or pil:mps2; leave them out".to_string()
         } else if matches!(
             self.master,
             MasterSpec::Port(PortSpec::Simulator | PortSpec::Emulated(_) | PortSpec::EmulatedPins)

@@ -4,6 +4,7 @@ mod args;
 mod display;
 mod master;
 mod orders;
+mod page;
 mod session;
 
 use super::run::results::ResultFolder;

@@ -4,6 +4,7 @@ use super::args::{TeleopArgs, line_rate};
 use super::display::{Display, describe};
 use super::master::MasterSpec;
 use super::orders;
+use super::page::page;
 use crate::commands::board::file_of;
 use crate::commands::run::bytes_per_s;
 use crate::commands::run::job::refuse_latched_fault;
@@ -11,9 +12,15 @@ use crate::commands::run::results::{self, ResultFolder};
 use crate::commands::{CliError, Exit, interrupt};
 use haptimill_client::board::Chosen;
 use haptimill_client::client::Options;
+#[cfg(unix)]
+use haptimill_client::port::Board;
 use haptimill_client::port::PortSpec;
 use haptimill_client::session::{self, JobLine, JobRecording, PortLine, Session, SimLine};
+#[cfg(unix)]
+use haptimill_client::session::{pil, pins::PinLine};
 use haptimill_hil_sim::process::CuttingConfig;
+#[cfg(unix)]
+use haptimill_hil_sim::remote::RemoteController;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Command;
 use haptimill_teleop::{Ended, MasterDevice, Outcome, Row, Teleop, TeleopOptions};
@@ -22,7 +29,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 /// The table of reports.
-const TABLE_FILE: &str = "teleop.csv";
+pub(super) const TABLE_FILE: &str = "teleop.csv";
 
 /// A teleoperation session.
 pub(super) struct TeleopSession<'a> {
@@ -86,7 +93,9 @@ impl TeleopSession<'_> {
         on_ready: impl FnOnce(&mut S) -> Result<(), CliError>,
     ) -> Result<(Outcome, Recorded), CliError> {
         let (args, machine) = (self.args, self.machine);
-        if let (Some(seconds), PortSpec::Simulator) = (self.options.duration_s, &args.port.port) {
+        if let Some(seconds) = self.options.duration_s
+            && args.port.is_simulated()
+        {
             results::check_space(self.dir, seconds * bytes_per_s(machine))?;
         }
         source.prepare()?;
@@ -98,6 +107,22 @@ impl TeleopSession<'_> {
                 let line = SimLine::new(rig);
                 let session = Session::new(line, machine, Options::default(), interrupted);
                 // A constant session number makes every run of a script bit-identical.
+                self.run_session(session, 1, source, folder, on_ready)
+            }
+            #[cfg(unix)]
+            PortSpec::Emulated(board) => {
+                let faults = args.simulator.fault.clone();
+                let remote = emulated(*board, machine)?;
+                let seed = args.simulator.seed;
+                let rig = session::rig_around(remote, machine, seed, args.port.baud, faults)?;
+                let line = SimLine::named(rig, &board.to_string());
+                let session = Session::new(line, machine, Options::default(), interrupted);
+                self.run_session(session, 1, source, folder, on_ready)
+            }
+            #[cfg(unix)]
+            PortSpec::EmulatedPins => {
+                let line = PinLine::start(machine, None, None)?;
+                let session = Session::new(line, machine, Options::default(), interrupted);
                 self.run_session(session, 1, source, folder, on_ready)
             }
             spec => {
@@ -181,7 +206,7 @@ impl TeleopSession<'_> {
             return Err(CliError::new(Exit::Command, what));
         }
         let status = refuse_latched_fault(session)?;
-        if args.port.port == PortSpec::Simulator {
+        if args.port.is_simulated() {
             session.configure(machine)?;
         } else {
             refuse_own_arm(&file_of(self.chosen, session)?)?;
@@ -221,11 +246,16 @@ impl TeleopSession<'_> {
         let text = format!("{value:#}\n");
         std::fs::write(self.dir.join(haptimill_report::SUMMARY_FILE), &text)
             .map_err(|error| self.output_error(&error))?;
+        let page = page(self.dir, self.machine.config.name.as_str(), &outcome);
+        let report = self.dir.join(haptimill_report::REPORT_FILE);
+        page.and_then(|page| Ok(std::fs::write(&report, page)?))
+            .map_err(|error| self.output_error(&error))?;
         if self.args.json {
             print_line!("{value:#}");
         } else {
             print_line!("{}", describe(&outcome).trim_end());
             print_line!("results in {}", self.dir.display());
+            print_line!("report     {}", report.display());
         }
         if recorded.disk_full {
             return Err(results::disk_full(self.dir).reported());
@@ -253,6 +283,20 @@ impl TeleopSession<'_> {
             error
         })
     }
+}
+
+/// Starts an emulated board with the image for a machine.
+#[cfg(unix)]
+fn emulated(
+    board: Board,
+    machine: &MachineFile,
+) -> Result<RemoteController<pil::Emulator>, CliError> {
+    let emulator = pil::Emulator::start(board, &pil::image_for(board, machine)?)?;
+    let period_us = machine.config.period_us;
+    let mut remote = RemoteController::begin(emulator, period_us)
+        .map_err(|reason| CliError::new(Exit::Port, format!("{board}: {reason}")))?;
+    remote.set_budget(pil::counts(pil::budget(period_us)));
+    Ok(remote)
 }
 
 /// Refuses a machine with a haptic arm on its own board, which takes no remote master.

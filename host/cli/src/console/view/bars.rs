@@ -19,6 +19,11 @@ pub(super) fn around_zero(low: f64, high: f64, width: usize) -> String {
     bar
 }
 
+/// A part in percent, without the sign of a negative value that rounds to zero.
+pub(super) fn percent(part: f64) -> String {
+    format!("{:.0}", (part * 100.0).round() + 0.0)
+}
+
 fn fill(low: f64, high: f64, from: f64, to: f64) -> char {
     let middle = (from + to) / 2.0;
     // The bar always starts at zero.
@@ -39,6 +44,13 @@ pub(super) fn from_left(part: f64, width: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn zero_percent_has_no_sign() {
+        for (part, text) in [(-0.004, "0"), (0.0, "0"), (-0.006, "-1"), (0.5, "50")] {
+            assert_eq!(percent(part), text);
+        }
+    }
 
     #[test]
     fn bars_start_at_zero() {

@@ -4,7 +4,7 @@ use super::panels::wrapped;
 use super::{master, style_of};
 use crate::console::input::ZERO;
 use crate::console::keys::BINDINGS;
-use crate::console::view_model::{Confirm, Overlay, Severity, ViewModel};
+use crate::console::view_model::{Axis, Confirm, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::PER_EFFORT;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::Source;
@@ -66,7 +66,7 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
             )
         }
         Overlay::Confirm(confirm) => {
-            let rows = wrapped(&question(confirm), width, 0)
+            let rows = wrapped(&question(confirm, &view.static_info.joints), width, 0)
                 .into_iter()
                 .map(Line::from);
             let help = highlighted("Enter confirms, any other key cancels");
@@ -148,7 +148,7 @@ fn key_rows(view: &ViewModel, from: usize, width: usize) -> Vec<Line<'static>> {
     scrolled(rows.flat_map(|row| wrapped(&row, width, 11)), from)
 }
 
-fn question(confirm: &Confirm) -> String {
+fn question(confirm: &Confirm, joints: &[Axis]) -> String {
     match confirm {
         Confirm::Home => {
             "Home? The machine moves: it searches for the index pulses, then moves to \
@@ -158,6 +158,15 @@ fn question(confirm: &Confirm) -> String {
         Confirm::EnableAndHome => "Home? The drives are switched on, and the machine moves: it \
                                    searches for the index pulses, then moves to the home pose."
             .to_string(),
+        Confirm::MoveOff(joint) => {
+            let name = joints
+                .get(*joint)
+                .map_or("a joint", |joint| joint.name.as_str());
+            format!(
+                "Move {name} off its limit switch? It moves alone, slowly, away from the switch. \
+                 Then home the machine."
+            )
+        }
         Confirm::Tare => {
             "Tare? The present force becomes zero: nothing may touch the tool.".to_string()
         }

@@ -1,6 +1,6 @@
 //! Panels: position, joints, force, jog, program, messages, link.
 
-use super::bars::{around_zero, from_left};
+use super::bars::{around_zero, from_left, percent};
 use super::{STALE_MS, master, style_of};
 use crate::console::jogging::Mode;
 use crate::console::view_model::{Axis, LinkState, LogEntry, Overlay, Severity, ViewModel};
@@ -175,7 +175,7 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
         let motor = match telemetry.and_then(|t| t.drive.get(index)) {
             Some(code) if view.static_info.analogue.get(index) == Some(&true) => {
                 let part = f64::from(*code) / FULL_CODE;
-                format!("{} {:>4.0} %", around_zero(part, part, bar), part * 100.0)
+                format!("{} {:>4} %", around_zero(part, part, bar), percent(part))
             }
             Some(steps) if telemetry.is_some_and(|t| t.open_loop >> index & 1 != 0) => {
                 format!("{steps} steps, open loop")
@@ -196,8 +196,7 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
 /// Feed, spindle speed, and the line of the program that is being executed.
 fn feed_rows(view: &ViewModel, width: u16) -> [Line<'static>; FEED_ROWS as usize] {
     let telemetry = view.telemetry.as_ref();
-    let is_driven =
-        telemetry.is_some_and(|t| !matches!(t.state, State::Disabled | State::EmergencyStop));
+    let is_driven = telemetry.is_some_and(|t| !t.state.has_drives_off());
     let feed = match view.motion.filter(|_| is_driven) {
         Some(motion) => format!("{:.0}", motion.feed_mm_min),
         None => "-".to_string(),

@@ -5,7 +5,7 @@ use crate::console::master::to_ratio;
 use crate::console::view_model::{
     ArmView, Counters, JogView, LinkState, MasterView, ProgramView, Severity, ViewModel,
 };
-use haptimill_protocol::message::State;
+use haptimill_protocol::message::{Fault, State};
 use std::sync::Arc;
 
 impl App {
@@ -34,7 +34,11 @@ impl App {
         };
         if let (State::Fault, Some(fault)) = (telemetry.state, &self.fault) {
             let message = self.session.describe(fault);
-            return alarm(format!("FAULT (x resets): {message}"));
+            let keys = match fault {
+                Fault::LimitSwitch { .. } => "b moves it off, x resets",
+                _ => "x resets",
+            };
+            return alarm(format!("FAULT ({keys}): {message}"));
         }
         if !self.session.is_configured() && telemetry.state != State::EmergencyStop {
             return (
@@ -47,6 +51,13 @@ impl App {
             State::Fault => alarm("FAULT; x resets".to_string()),
             State::EmergencyStop => {
                 alarm("EMERGENCY STOP: drives off. Remove the cause, then x resets".to_string())
+            }
+            State::Disabled if self.on_switch.is_some() => (
+                Severity::Warning,
+                "a joint is on its limit switch. b moves it off".to_string(),
+            ),
+            State::Disabled if !telemetry.homed => {
+                note("drives off, not homed. h enables and homes: the machine moves")
             }
             State::Disabled => note("drives off. e enables them"),
             State::Idle if !telemetry.homed => note("not homed. h homes: the machine moves"),

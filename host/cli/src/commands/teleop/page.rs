@@ -1,0 +1,273 @@
+//! The report page of a session: figures, holds, and charts of the table of reports and of the
+//! recording of the machine.
+
+use super::session::TABLE_FILE;
+use haptimill_report::chart::{COLOURS, Chart, Line};
+use haptimill_report::markup::{self, card, escape, put};
+use haptimill_report::series::Columns;
+use haptimill_report::{count, duration};
+use haptimill_teleop::Outcome;
+use haptimill_trace::{Column, Recording, columns};
+use std::error::Error;
+use std::path::Path;
+
+/// A chart of columns of the table of reports.
+struct Group {
+    caption: &'static str,
+    y_label: &'static str,
+    /// Columns and their labels.
+    lines: &'static [(&'static str, &'static str)],
+}
+
+const GROUPS: &[Group] = &[
+    Group {
+        caption: "Tip of the master, from where it began",
+        y_label: "master, mm",
+        lines: &[
+            ("master_x_mm", "x"),
+            ("master_y_mm", "y"),
+            ("master_z_mm", "z"),
+        ],
+    },
+    Group {
+        caption: "Tool as measured, in the frame of the workpiece",
+        y_label: "tool, mm",
+        lines: &[("tool_x_mm", "x"), ("tool_y_mm", "y"), ("tool_z_mm", "z")],
+    },
+    Group {
+        caption: "Orientation of the handle: components of the direction of its z axis",
+        y_label: "direction",
+        lines: &[
+            ("master_axis_z_x", "x"),
+            ("master_axis_z_y", "y"),
+            ("master_axis_z_z", "z"),
+        ],
+    },
+    Group {
+        caption: "Force on the tool: the peak of the last revolution of the spindle",
+        y_label: "force, N",
+        lines: &[("force_x_n", "x"), ("force_y_n", "y"), ("force_z_n", "z")],
+    },
+    Group {
+        caption: "Force of the master on the operator",
+        y_label: "force, N",
+        lines: &[
+            ("feedback_x_n", "x"),
+            ("feedback_y_n", "y"),
+            ("feedback_z_n", "z"),
+        ],
+    },
+    Group {
+        caption: "Age of the newest master sample, and whether the enabling switch is pressed (1)",
+        y_label: "ms",
+        lines: &[("age_ms", "age, ms"), ("engaged", "engaged")],
+    },
+];
+
+/// A chart over time.
+fn chart(y_label: &str, lines: Vec<Line>) -> String {
+    let chart = Chart {
+        x_label: "time, s".into(),
+        y_label: y_label.into(),
+        lines,
+        width: 1120.0,
+        height: 290.0,
+        equal: false,
+        from_zero: false,
+        backdrop: None,
+    };
+    chart.svg()
+}
+
+fn line(label: &str, index: usize, series: &Columns) -> Line {
+    Line {
+        label: label.to_string(),
+        colour: COLOURS[index % COLOURS.len()],
+        width: 1.3,
+        pieces: series.line(),
+    }
+}
+
+/// Makes the page of the session whose files are in a folder.
+///
+/// # Errors
+/// A file of the folder cannot be read.
+pub(super) fn page(dir: &Path, machine: &str, outcome: &Outcome) -> Result<String, Box<dyn Error>> {
+    let mut page = markup::head(&format!("teleoperation, {machine}"), "");
+    put(
+        &mut page,
+        format_args!(
+            "<h1>Teleoperation</h1><p class=\"sub\">{}, {}</p>",
+            escape(machine),
+            duration(outcome.duration_s)
+        ),
+    );
+    tiles(&mut page, outcome);
+    lists(&mut page, outcome);
+    page.push_str("<h2>Master and tool</h2>");
+    for (group, lines) in GROUPS.iter().zip(table_lines(dir, outcome)?) {
+        card(&mut page, group.caption, &chart(group.y_label, lines));
+    }
+    page.push_str("<h2>Joints of the machine</h2>");
+    let recording = Recording::open(&dir.join(haptimill_report::RECORDING_FILE))?;
+    for (unit, lines) in error_lines(&recording)? {
+        let caption = "Following error: commanded minus measured position";
+        card(&mut page, caption, &chart(&format!("error, {unit}"), lines));
+    }
+    page.push_str(markup::END);
+    Ok(page)
+}
+
+fn tiles(page: &mut String, outcome: &Outcome) {
+    let size = |force: &[f64; 3]| force.iter().fold(0.0_f64, |most, part| most.max(*part));
+    let latency = outcome.latency.as_ref();
+    let tiles = [
+        (duration(outcome.duration_s), "duration"),
+        (outcome.samples_sent.to_string(), "master samples"),
+        (
+            format!("{:.2} N", size(&outcome.largest_force_n)),
+            "largest force on the tool along an axis",
+        ),
+        (
+            format!("{:.2} N", size(&outcome.largest_feedback_n)),
+            "largest force on the operator along an axis",
+        ),
+        (
+            latency.map_or("-".to_string(), |it| format!("{:.1} ms", it.median_ms)),
+            "latency of the force feedback, median",
+        ),
+        (
+            latency.map_or("-".to_string(), |it| format!("{:.1} ms", it.p95_ms)),
+            "latency, 95th percentile",
+        ),
+        (
+            format!(
+                "{:.1} / {:.1} ms",
+                outcome.machine_round_trip_ms, outcome.master_round_trip_ms
+            ),
+            "round trip to the machine / to the master",
+        ),
+        (count(outcome.holds.len(), "hold"), "of the machine"),
+    ];
+    page.push_str("<div class=\"tiles\">");
+    for (value, label) in tiles {
+        let value = escape(&value);
+        put(
+            page,
+            format_args!("<div class=\"tile\"><b>{value}</b><span>{label}</span></div>"),
+        );
+    }
+    page.push_str("</div>");
+}
+
+/// How it ended, faults, holds, refused orders, notes.
+fn lists(page: &mut String, outcome: &Outcome) {
+    let kept = if outcome.position_kept {
+        "position kept"
+    } else {
+        "position lost"
+    };
+    let mut end = vec![format!("{}, {kept}", outcome.final_state)];
+    end.extend(outcome.because.clone());
+    let holds = outcome.holds.iter().map(|hold| {
+        let resumed = hold.resumed_s.map_or("not resumed".to_string(), |at| {
+            format!("resumed at {at:.2} s")
+        });
+        format!("{:.2} s: {}; {resumed}", hold.at_s, hold.why)
+    });
+    for (title, class, lines) in [
+        ("End", "card", end),
+        ("Faults", "card bad", outcome.faults.clone()),
+        ("Holds", "card", holds.collect()),
+        ("Refused orders", "card", outcome.refused.clone()),
+        ("Notes", "card", outcome.notes.clone()),
+    ] {
+        if lines.is_empty() {
+            continue;
+        }
+        put(
+            page,
+            format_args!("<h2>{title}</h2><div class=\"{class}\">"),
+        );
+        for text in lines {
+            put(page, format_args!("<p>{}</p>", escape(&text)));
+        }
+        page.push_str("</div>");
+    }
+}
+
+/// The lines of [`GROUPS`], from the table of reports.
+fn table_lines(dir: &Path, outcome: &Outcome) -> Result<Vec<Vec<Line>>, Box<dyn Error>> {
+    let mut reader = csv::Reader::from_path(dir.join(TABLE_FILE))?;
+    let names = reader.headers()?.clone();
+    let place = |name: &str| {
+        let found = names.iter().position(|known| known == name);
+        found.ok_or_else(|| format!("{TABLE_FILE} has no column {name}"))
+    };
+    let end = outcome.duration_s.max(1e-3);
+    let mut groups = Vec::new();
+    for group in GROUPS {
+        let places = group.lines.iter().map(|(name, _)| place(name));
+        let places = places.collect::<Result<Vec<_>, _>>()?;
+        let series = places.into_iter().map(|at| (at, Columns::new(0.0, end)));
+        groups.push(series.collect::<Vec<_>>());
+    }
+    let mut row = csv::StringRecord::new();
+    // The tip of the master is far from the origin of its base.
+    let mut begun = vec![None; names.len()];
+    let is_tip = |at: usize| names[at].starts_with("master_") && names[at].ends_with("_mm");
+    while reader.read_record(&mut row)? {
+        let value = |at: usize| row.get(at).and_then(|text| text.parse::<f64>().ok());
+        let Some(time_s) = value(0) else { continue };
+        for (at, series) in groups.iter_mut().flatten() {
+            if let Some(value) = value(*at) {
+                let begin = *begun[*at].get_or_insert(value);
+                series.add(time_s, if is_tip(*at) { value - begin } else { value });
+            }
+        }
+    }
+    let lines = GROUPS.iter().zip(groups).map(|(group, series)| {
+        let labels = group.lines.iter().zip(series).enumerate();
+        let lines = labels.map(|(index, ((_, label), (_, series)))| line(label, index, &series));
+        lines.collect()
+    });
+    Ok(lines.collect())
+}
+
+/// Following errors of the joints, with their unit: linear and rotary ones apart.
+fn error_lines(
+    recording: &Recording,
+) -> Result<Vec<(&'static str, Vec<Line>)>, haptimill_trace::RecordingError> {
+    let all = columns(recording).into_iter();
+    let errors: Vec<Column> = all.filter(|column| column.group == "joint_error").collect();
+    let Some(first) = recording.iter()?.next().transpose()? else {
+        return Ok(Vec::new());
+    };
+    let last = recording.last()?.map_or(first.period, |last| last.period);
+    let seconds = |period: u64| period.saturating_sub(first.period) as f64 * recording.period_s();
+    let end = seconds(last).max(1e-3);
+    let mut series: Vec<Columns> = errors.iter().map(|_| Columns::new(0.0, end)).collect();
+    for record in recording.iter()? {
+        let record = record?;
+        let time_s = seconds(record.period);
+        for (column, series) in errors.iter().zip(&mut series) {
+            if let Some(value) = column.value(&record, time_s) {
+                series.add(time_s, value.number());
+            }
+        }
+    }
+    let mut groups = Vec::new();
+    for unit in ["mm", "deg"] {
+        let of_unit = errors.iter().zip(&series);
+        let of_unit = of_unit
+            .filter(|(column, _)| column.unit == unit)
+            .enumerate();
+        let lines: Vec<Line> = of_unit
+            .map(|(index, (column, series))| line(&column.name, index, series))
+            .collect();
+        if !lines.is_empty() {
+            groups.push((unit, lines));
+        }
+    }
+    Ok(groups)
+}
