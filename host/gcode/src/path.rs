@@ -36,6 +36,23 @@ pub struct Arc {
     pub sweep: f64,
 }
 
+impl Arc {
+    /// Sets the coordinates of the plane at a fraction `u`, with sine and cosine of its angle.
+    fn place(&self, u: f64, (sin, cos): (f64, f64), point: &mut Coordinates) {
+        let radius = self.radius[0] + (self.radius[1] - self.radius[0]) * u;
+        point[self.plane[0]] = self.centre[0] + radius * cos;
+        point[self.plane[1]] = self.centre[1] + radius * sin;
+    }
+
+    /// Sets the derivatives of the coordinates of the plane by length.
+    fn turn(&self, u: f64, (sin, cos): (f64, f64), length: f64, tangent: &mut Coordinates) {
+        let growth = self.radius[1] - self.radius[0];
+        let radius = self.radius[0] + growth * u;
+        tangent[self.plane[0]] = (growth * cos - radius * self.sweep * sin) / length;
+        tangent[self.plane[1]] = (growth * sin + radius * self.sweep * cos) / length;
+    }
+}
+
 /// A line or an arc, parametrised by length: 0 at `from`, [`Path::length`] at `to`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
@@ -133,32 +150,58 @@ impl Path {
             return self.to;
         }
         let u = s / self.length;
-        let mut point = self.from;
-        for (value, to) in point.iter_mut().zip(&self.to) {
-            *value += (to - *value) * u;
-        }
+        let mut point = self.on_chord(u);
         if let Some(arc) = &self.arc {
-            let (sin, cos) = libm::sincos(arc.angle + arc.sweep * u);
-            let radius = arc.radius[0] + (arc.radius[1] - arc.radius[0]) * u;
-            point[arc.plane[0]] = arc.centre[0] + radius * cos;
-            point[arc.plane[1]] = arc.centre[1] + radius * sin;
+            arc.place(u, libm::sincos(arc.angle + arc.sweep * u), &mut point);
         }
         point
     }
 
     /// Returns the derivative of the point by length, at `s`.
     pub fn tangent(&self, s: f64) -> Coordinates {
+        let mut tangent = self.along_chord();
+        if let Some(arc) = &self.arc {
+            let u = (s / self.length).clamp(0.0, 1.0);
+            let angle = libm::sincos(arc.angle + arc.sweep * u);
+            arc.turn(u, angle, self.length, &mut tangent);
+        }
+        tangent
+    }
+
+    /// Returns [`Path::at`] and [`Path::tangent`], with the same bits, in less time.
+    pub fn at_with_tangent(&self, s: f64) -> (Coordinates, Coordinates) {
+        let mut tangent = self.along_chord();
+        let u = (s / self.length).clamp(0.0, 1.0);
+        let is_between = s > 0.0 && s < self.length;
+        let mut point = match is_between {
+            true => self.on_chord(u),
+            false if s <= 0.0 => self.from,
+            false => self.to,
+        };
+        if let Some(arc) = &self.arc {
+            let angle = libm::sincos(arc.angle + arc.sweep * u);
+            arc.turn(u, angle, self.length, &mut tangent);
+            if is_between {
+                arc.place(u, angle, &mut point);
+            }
+        }
+        (point, tangent)
+    }
+
+    /// Point of the straight line at a fraction.
+    fn on_chord(&self, u: f64) -> Coordinates {
+        let mut point = self.from;
+        for (value, to) in point.iter_mut().zip(&self.to) {
+            *value += (to - *value) * u;
+        }
+        point
+    }
+
+    /// Derivative of the straight line by length.
+    fn along_chord(&self) -> Coordinates {
         let mut tangent = [0.0; 6];
         for (value, (from, to)) in tangent.iter_mut().zip(self.from.iter().zip(&self.to)) {
             *value = (to - from) / self.length;
-        }
-        if let Some(arc) = &self.arc {
-            let u = (s / self.length).clamp(0.0, 1.0);
-            let (sin, cos) = libm::sincos(arc.angle + arc.sweep * u);
-            let growth = arc.radius[1] - arc.radius[0];
-            let radius = arc.radius[0] + growth * u;
-            tangent[arc.plane[0]] = (growth * cos - radius * arc.sweep * sin) / self.length;
-            tangent[arc.plane[1]] = (growth * sin + radius * arc.sweep * cos) / self.length;
         }
         tangent
     }

@@ -26,7 +26,27 @@ pub struct Model {
     wrapping: u8,
     pose: Vec<(String, config::AxisKind)>,
     joints: Vec<(String, config::AxisKind)>,
+    /// Axis units per millimetre or degree of `pose` and `joints`.
+    pose_scale: Vec<f64>,
+    joint_scale: Vec<f64>,
     io: IoNames,
+}
+
+/// Rounds to the nearest whole number, half away from 0, as `f64::round` does without a call.
+fn round(value: f64) -> f64 {
+    const WHOLE: f64 = 4_503_599_627_370_496.0;
+    if !(-WHOLE..=WHOLE).contains(&value) {
+        return value;
+    }
+    let part = value as i64 as f64;
+    let rest = value - part;
+    if rest >= 0.5 {
+        part + 1.0
+    } else if rest <= -0.5 {
+        part - 1.0
+    } else {
+        part
+    }
 }
 
 fn program_kind(kind: config::AxisKind) -> AxisKind {
@@ -54,6 +74,8 @@ impl Model {
                 .iter()
                 .map(|axis| (axis.name.clone(), axis.kind))
                 .collect(),
+            pose_scale: machine.pose.iter().map(|it| per_unit(it.kind)).collect(),
+            joint_scale: machine.joints.iter().map(|it| per_unit(it.kind)).collect(),
             io: machine.io.clone(),
         }
     }
@@ -68,13 +90,15 @@ impl Model {
     pub fn forget_axes(&mut self) {
         self.pose.clear();
         self.joints.clear();
+        self.pose_scale.clear();
+        self.joint_scale.clear();
         self.io = IoNames::default();
     }
 
     /// Axis units of a coordinate in millimetres or degrees, rounded; within half a turn of 0 if it
     /// wraps around.
-    fn whole_units(&self, axis: usize, kind: config::AxisKind, value: f64) -> f64 {
-        let value = (value * per_unit(kind)).round();
+    fn whole_units(&self, axis: usize, scale: f64, value: f64) -> f64 {
+        let value = round(value * scale);
         if self.wrapping >> axis & 1 != 0 {
             f64::from(value as i64 as i32)
         } else {
@@ -85,8 +109,8 @@ impl Model {
     /// Converts a pose in millimetres and degrees to axis units, rounded.
     #[must_use]
     pub fn to_axis_units(&self, pose: &Coordinates) -> AxisValues {
-        let axes = self.pose.iter().zip(pose).enumerate();
-        axes.map(|(axis, ((_, kind), value))| self.whole_units(axis, *kind, *value) as i32)
+        let axes = self.pose_scale.iter().zip(pose).enumerate();
+        axes.map(|(axis, (scale, value))| self.whole_units(axis, *scale, *value) as i32)
             .collect()
     }
 
@@ -208,15 +232,51 @@ impl Model {
 
     fn pose(&self, pose: &Coordinates) -> Option<Pose> {
         let mut units_of = Pose::default();
-        let values = self.pose.iter().zip(pose).enumerate();
-        for (slot, (axis, ((_, kind), value))) in units_of.0.iter_mut().zip(values) {
-            let value = self.whole_units(axis, *kind, *value);
+        let values = self.pose_scale.iter().zip(pose).enumerate();
+        for (slot, (axis, (scale, value))) in units_of.0.iter_mut().zip(values) {
+            let value = self.whole_units(axis, *scale, *value);
             if !(f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&value) {
                 return None;
             }
             *slot = Coordinate(value as i32);
         }
         Some(units_of)
+    }
+}
+
+impl Model {
+    /// Joint rates for rates of a pose; `None` if the firmware refuses the pose.
+    fn solved_rates(&self, pose: &Coordinates, rates: &Coordinates) -> Option<[f64; MAX_AXES]> {
+        // The firmware's rates are below 2^31 axis units per second. The map is linear, so larger
+        // rates are scaled down.
+        let scaled = self.pose_scale.iter().zip(rates);
+        let largest = scaled
+            .map(|(scale, rate)| (rate * scale).abs())
+            .fold(0.0, f64::max);
+        let shrink = if largest > 1e8 { 1e8 / largest } else { 1.0 };
+        let mut scaled_rates = Rates::default();
+        for (slot, (scale, rate)) in scaled_rates
+            .iter_mut()
+            .zip(self.pose_scale.iter().zip(rates))
+        {
+            *slot = Rate(round(rate * scale * shrink) as i32);
+        }
+        let units_of = self.pose(pose)?;
+        let motion = self
+            .machine
+            .inverse_motion(&units_of, &scaled_rates, &Accelerations::default())
+            .ok()?;
+        let mut values = [0.0; MAX_AXES];
+        for (slot, (scale, rate)) in values
+            .iter_mut()
+            .zip(self.joint_scale.iter().zip(motion.rates))
+        {
+            *slot = f64::from(rate.0) / scale;
+            if shrink < 1.0 {
+                *slot /= shrink;
+            }
+        }
+        Some(values)
     }
 }
 
@@ -228,10 +288,10 @@ impl MachineModel for Model {
         match self.machine.inverse(&units_of) {
             Ok(joints) => {
                 let mut values = [0.0; MAX_AXES];
-                for (slot, ((_, kind), value)) in
-                    values.iter_mut().zip(self.joints.iter().zip(joints.0))
+                for (slot, (scale, value)) in
+                    values.iter_mut().zip(self.joint_scale.iter().zip(joints.0))
                 {
-                    *slot = f64::from(value.0) / per_unit(*kind);
+                    *slot = f64::from(value.0) / scale;
                 }
                 Ok(values)
             }
@@ -242,34 +302,19 @@ impl MachineModel for Model {
     }
 
     fn joint_rates(&self, pose: &Coordinates, rates: &Coordinates) -> [f64; 6] {
-        // The firmware's rates are below 2^31 axis units per second. The map is linear, so larger
-        // rates are scaled down.
-        let largest = self
-            .pose
-            .iter()
-            .zip(rates)
-            .map(|((_, kind), rate)| (rate * per_unit(*kind)).abs())
-            .fold(0.0, f64::max);
-        let shrink = if largest > 1e8 { 1e8 / largest } else { 1.0 };
-        let mut scaled_rates = Rates::default();
-        for (slot, ((_, kind), rate)) in scaled_rates.iter_mut().zip(self.pose.iter().zip(rates)) {
-            *slot = Rate((rate * per_unit(*kind) * shrink).round() as i32);
+        self.solved_rates(pose, rates).unwrap_or_default()
+    }
+
+    fn checked_joint_rates(
+        &self,
+        pose: &Coordinates,
+        rates: &Coordinates,
+    ) -> Result<[f64; 6], PoseProblem> {
+        // The firmware refuses a moving pose for the reasons for which it refuses one at rest.
+        match self.solved_rates(pose, rates) {
+            Some(joints) => Ok(joints),
+            None => self.joints(pose).map(|_| [0.0; MAX_AXES]),
         }
-        let mut values = [0.0; MAX_AXES];
-        let Some(units_of) = self.pose(pose) else {
-            return values;
-        };
-        if let Ok(motion) =
-            self.machine
-                .inverse_motion(&units_of, &scaled_rates, &Accelerations::default())
-        {
-            for (slot, ((_, kind), rate)) in
-                values.iter_mut().zip(self.joints.iter().zip(motion.rates))
-            {
-                *slot = f64::from(rate.0) / per_unit(*kind) / shrink;
-            }
-        }
-        values
     }
 }
 

@@ -1,6 +1,6 @@
 //! Check of a move: every pose must be reachable, and the limits give its largest speed.
 
-use super::limits::{MachineModel, Settings};
+use super::limits::{MachineModel, PoseProblem, Settings};
 use super::profile::Along;
 use haptimill_gcode::{AxisKind, Coordinates, Feed, Measure, Move, Path, Place, Problem};
 
@@ -71,17 +71,59 @@ impl Block {
 /// Largest magnitude of a coordinate in the protocol, axis units: a little below 2^31.
 const NUMBER_RANGE: f64 = 2_146_435_072.0;
 
+/// Problem and remedy.
+type Refusal = (String, String);
+
 /// Checks a pose against soft limits, the number range of the protocol, and the machine.
 pub(super) fn check_pose(
     pose: &Coordinates,
     settings: &Settings,
     model: &impl MachineModel,
-) -> Result<[f64; 6], (String, String)> {
+) -> Result<[f64; 6], Refusal> {
+    check_soft_limits(pose, settings)?;
+    let joints = model.joints(pose);
+    joints.map_err(|problem| out_of_reach(&problem, pose, settings))
+}
+
+/// Checks a pose as [`check_pose`], and returns the joint rates for rates of the pose.
+pub(super) fn check_motion(
+    pose: &Coordinates,
+    rates: &Coordinates,
+    settings: &Settings,
+    model: &impl MachineModel,
+) -> Result<[f64; 6], Refusal> {
+    check_soft_limits(pose, settings)?;
+    let rates = model.checked_joint_rates(pose, rates);
+    rates.map_err(|problem| out_of_reach(&problem, pose, settings))
+}
+
+fn out_of_reach(problem: &PoseProblem, pose: &Coordinates, settings: &Settings) -> Refusal {
+    // The message of the model may have a remedy.
+    let problem = problem.to_string();
+    let (what, remedy) = problem.rsplit_once("; ").unwrap_or((
+        &problem,
+        "move the workpiece, or keep the tool nearer to the middle of the workspace",
+    ));
+    (
+        format!(
+            "the machine cannot reach {}: {what}",
+            format_pose(pose, settings)
+        ),
+        remedy.to_owned(),
+    )
+}
+
+/// Checks a pose against soft limits and the number range of the protocol.
+fn check_soft_limits(pose: &Coordinates, settings: &Settings) -> Result<(), Refusal> {
     for (value, axis) in pose.iter().zip(&settings.pose) {
         let unit = match axis.kind {
             AxisKind::Linear => "mm",
             AxisKind::Rotary => "deg",
         };
+        let is_in_range = (value * axis.units).abs() < NUMBER_RANGE * (1.0 - 1e-12);
+        if is_in_range && (axis.low..=axis.high).contains(value) {
+            continue;
+        }
         // One that wraps around has no range.
         let range = if axis.high == f64::INFINITY {
             f64::INFINITY
@@ -102,21 +144,7 @@ pub(super) fn check_pose(
             ));
         }
     }
-    model.joints(pose).map_err(|problem| {
-        // The message of the model may have a remedy.
-        let problem = problem.to_string();
-        let (what, remedy) = problem.rsplit_once("; ").unwrap_or((
-            &problem,
-            "move the workpiece, or keep the tool nearer to the middle of the workspace",
-        ));
-        (
-            format!(
-                "the machine cannot reach {}: {what}",
-                format_pose(pose, settings)
-            ),
-            remedy.to_owned(),
-        )
-    })
+    Ok(())
 }
 
 /// Formats a pose as program words.
@@ -129,22 +157,27 @@ pub(super) fn format_pose(pose: &Coordinates, settings: &Settings) -> String {
     words.join(" ")
 }
 
-/// Checks a move and finds its limits. A move whose joints allow very different speeds, as near a
-/// singularity, is divided.
+/// Checks a move, finds its limits, and adds its blocks. A move whose joints allow very different
+/// speeds, as near a singularity, is divided.
+///
+/// # Errors
+///
+/// Returns what the machine cannot do. Some blocks of the move may have been added.
 pub(super) fn prepare(
     step: &Move,
     settings: &Settings,
     model: &impl MachineModel,
-) -> Result<Vec<Block>, Problem> {
-    let mut blocks = Vec::with_capacity(1);
-    divide(step, settings, model, &mut blocks)?;
-    if let Some((last, others)) = blocks.split_last_mut() {
+    blocks: &mut Vec<Block>,
+) -> Result<(), Problem> {
+    let first = blocks.len();
+    divide(step, settings, model, blocks)?;
+    if let Some((last, others)) = blocks[first..].split_last_mut() {
         last.exact_stop = step.exact_stop;
         for block in others {
             block.continues = true;
         }
     }
-    Ok(blocks)
+    Ok(())
 }
 
 fn divide(
@@ -153,8 +186,14 @@ fn divide(
     model: &impl MachineModel,
     blocks: &mut Vec<Block>,
 ) -> Result<(), Problem> {
-    let (block, fastest) = examine(step, settings, model)?;
-    if block.along.speed >= EVEN_SPEED * fastest || block.path.length < 2.0 * SHORTEST_PART {
+    let (block, allowed) = examine(step, settings, model)?;
+    // The speed that the fastest part of the move allows is at most the one that feed and rates of
+    // the pose allow.
+    let is_even = |fastest: f64| block.along.speed >= EVEN_SPEED * fastest;
+    if is_even(allowed)
+        || block.path.length < 2.0 * SHORTEST_PART
+        || is_even(fastest(&step.path, settings, model).min(allowed))
+    {
         blocks.push(block);
         return Ok(());
     }
@@ -168,30 +207,94 @@ fn divide(
     Ok(())
 }
 
-/// Returns the block of a move, and the speed that its fastest part allows.
+/// Returns the largest speed that the joints allow at a sample of a path that was examined.
+fn fastest(path: &Path, settings: &Settings, model: &impl MachineModel) -> f64 {
+    let intervals = intervals(path, settings);
+    let mut fastest = 0.0_f64;
+    let mut before: Option<(f64, [f64; 6], [f64; 6])> = None;
+    for index in 0..=intervals {
+        let s = path.length * index as f64 / intervals as f64;
+        let (pose, tangent) = path.at_with_tangent(s);
+        let joints = model.joint_rates(&pose, &tangent);
+        let mut derivatives = [[0.0; 3]; 6];
+        let seconds = derive(&joints, s, before.as_ref(), &mut derivatives);
+        fastest = fastest.max(joint_speed(settings, &derivatives));
+        before = Some((s, joints, seconds));
+    }
+    fastest
+}
+
+/// Raises the largest derivatives of the joints by length by those of a sample, and returns the
+/// second ones. The sample before has its length, first and second derivatives.
+fn derive(
+    joints: &[f64; 6],
+    s: f64,
+    before: Option<&(f64, [f64; 6], [f64; 6])>,
+    largest: &mut [[f64; 3]; 6],
+) -> [f64; 6] {
+    let mut seconds = [0.0; 6];
+    for (k, largest) in largest.iter_mut().enumerate() {
+        largest[0] = largest[0].max(joints[k].abs());
+        let Some((at, rates, before)) = before else {
+            continue;
+        };
+        seconds[k] = (joints[k] - rates[k]) / (s - at);
+        largest[1] = largest[1].max(seconds[k].abs());
+        // The second derivative of the first interval is the first one.
+        if *at > 0.0 {
+            let third = (seconds[k] - before[k]) / (s - at);
+            largest[2] = largest[2].max(third.abs());
+        }
+    }
+    seconds
+}
+
+/// Returns the largest speed that rates, accelerations and jerks of the joints allow.
+fn joint_speed(settings: &Settings, derivatives: &[[f64; 3]; 6]) -> f64 {
+    let mut speed = f64::INFINITY;
+    // Its square, and its cube: roots keep the order.
+    let (mut square, mut cube) = (f64::INFINITY, f64::INFINITY);
+    for (axis, [first, second, third]) in settings.joints.iter().zip(derivatives) {
+        if *first > 1e-12 {
+            speed = speed.min(axis.rate / first);
+        }
+        if *second > 1e-12 {
+            square = square.min(JOINT_CURVATURE_SHARE * axis.acceleration / second);
+        }
+        if *third > 1e-9 {
+            cube = cube.min(JOINT_SPEED_JERK * axis.jerk / third);
+        }
+    }
+    speed.min(square.sqrt()).min(libm::cbrt(cube))
+}
+
+/// Returns the block of a move, and the speed that its feed and the rates of the pose allow.
 fn examine(
     step: &Move,
     settings: &Settings,
     model: &impl MachineModel,
 ) -> Result<(Block, f64), Problem> {
-    let problem = |(what, remedy): (String, String)| Problem {
+    let problem = |(what, remedy): Refusal| Problem {
         place: step.place,
         what,
         remedy,
     };
     let path = &step.path;
-    check_pose(&path.to, settings, model).map_err(problem)?;
-
     let mut limits = Search::new(settings);
-    let intervals = intervals(path, &settings.kinds());
+    let intervals = intervals(path, settings);
     let mut tangents = [[0.0; 6]; 2];
     let mut joint_tangents = [[0.0; 6]; 2];
     for index in 0..=intervals {
         let s = path.length * index as f64 / intervals as f64;
-        let pose = path.at(s);
-        check_pose(&pose, settings, model).map_err(problem)?;
-        let tangent = path.tangent(s);
-        let joints = model.joint_rates(&pose, &tangent);
+        let (pose, tangent) = path.at_with_tangent(s);
+        let joints = check_motion(&pose, &tangent, settings, model).map_err(|refusal| {
+            // The end of the move is what its block has in words.
+            problem(
+                check_pose(&path.to, settings, model)
+                    .err()
+                    .unwrap_or(refusal),
+            )
+        })?;
         limits.sample(s, &pose, &tangent, &joints);
         if index == 0 {
             (tangents[0], joint_tangents[0]) = (tangent, joints);
@@ -201,8 +304,9 @@ fn examine(
     if let Feed::PerMinute(feed) = step.feed {
         limits.feed(feed, path.measure).map_err(problem)?;
     }
+    limits.joints();
     let (along, most) = limits.along(path);
-    let fastest = limits.fastest.min(limits.speed).min(limits.rate_speed);
+    let allowed = limits.speed.min(limits.rate_speed);
     let block = Block {
         place: step.place,
         path: path.clone(),
@@ -216,15 +320,15 @@ fn examine(
         tangents,
         joint_tangents,
     };
-    Ok((block, fastest))
+    Ok((block, allowed))
 }
 
 /// Returns the number of samples of a path: at most 1 mm, 1 degree of a rotary axis and 10 degrees
 /// of arc apart.
-fn intervals(path: &Path, kinds: &[AxisKind]) -> usize {
+fn intervals(path: &Path, settings: &Settings) -> usize {
     let mut count = path.tip_length().max(1.0);
-    for (k, kind) in kinds.iter().enumerate() {
-        if *kind == AxisKind::Rotary {
+    for (k, axis) in settings.pose.iter().enumerate() {
+        if axis.kind == AxisKind::Rotary {
             count = count.max((path.to[k] - path.from[k]).abs());
         }
     }
@@ -241,10 +345,8 @@ struct Search<'a> {
     /// per speed, and pose.
     rate_speed: f64,
     slowest: (usize, f64, Coordinates),
-    /// Largest speed that rates, accelerations and jerks of the joints allow, at their slowest and
-    /// at their fastest sample.
+    /// Largest speed that rates, accelerations and jerks of the joints allow.
     joint_speed: f64,
-    fastest: f64,
     acceleration: f64,
     jerk: f64,
     /// Programmed speed.
@@ -263,7 +365,6 @@ impl<'a> Search<'a> {
             rate_speed: infinite,
             slowest: (0, 0.0, [0.0; 6]),
             joint_speed: infinite,
-            fastest: 0.0,
             acceleration: infinite,
             jerk: infinite,
             speed: infinite,
@@ -287,39 +388,20 @@ impl<'a> Search<'a> {
                 self.jerk = self.jerk.min(JERK_SHARE * axis.jerk / part);
             }
         }
-        let mut speed = f64::INFINITY;
-        let mut seconds = [0.0; 6];
-        for (k, (axis, tangent)) in settings.joints.iter().zip(joints).enumerate() {
-            let part = tangent.abs();
-            if part > 1e-12 {
-                speed = speed.min(axis.rate / part);
+        let seconds = derive(joints, s, self.before.as_ref(), &mut self.derivatives);
+        self.before = Some((s, *joints, seconds));
+    }
+
+    /// Applies the limits of the joints, after the last sample.
+    fn joints(&mut self) {
+        for (axis, [first, ..]) in self.settings.joints.iter().zip(&self.derivatives) {
+            if *first > 1e-12 {
                 self.acceleration = self
                     .acceleration
-                    .min(JOINT_RAMP_SHARE * axis.acceleration / part);
-            }
-            let largest = &mut self.derivatives[k];
-            largest[0] = largest[0].max(part);
-            let Some((at, rates, before)) = &self.before else {
-                continue;
-            };
-            seconds[k] = (joints[k] - rates[k]) / (s - at);
-            let curvature = seconds[k].abs();
-            if curvature > 1e-12 {
-                largest[1] = largest[1].max(curvature);
-                speed = speed.min((JOINT_CURVATURE_SHARE * axis.acceleration / curvature).sqrt());
-            }
-            // The second derivative of the first interval is the first one.
-            if *at > 0.0 {
-                let third = ((seconds[k] - before[k]) / (s - at)).abs();
-                largest[2] = largest[2].max(third);
-                if third > 1e-9 {
-                    speed = speed.min(libm::cbrt(JOINT_SPEED_JERK * axis.jerk / third));
-                }
+                    .min(JOINT_RAMP_SHARE * axis.acceleration / first);
             }
         }
-        self.joint_speed = self.joint_speed.min(speed);
-        self.fastest = self.fastest.max(speed);
-        self.before = Some((s, *joints, seconds));
+        self.joint_speed = joint_speed(self.settings, &self.derivatives);
     }
 
     /// Applies the programmed feed, per minute.
@@ -327,7 +409,7 @@ impl<'a> Search<'a> {
     /// # Errors
     ///
     /// Returns problem and remedy if the feed exceeds a rate of the pose. The joints lower it.
-    fn feed(&mut self, feed: f64, measure: Measure) -> Result<(), (String, String)> {
+    fn feed(&mut self, feed: f64, measure: Measure) -> Result<(), Refusal> {
         let speed = feed / 60.0;
         if speed > self.rate_speed {
             let (index, part, pose) = &self.slowest;

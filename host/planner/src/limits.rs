@@ -151,6 +151,21 @@ pub trait MachineModel {
     /// Returns the joint rates for `rates` of the pose, in which they are linear. Callers must pass
     /// a pose for which [`MachineModel::joints`] succeeds.
     fn joint_rates(&self, pose: &Coordinates, rates: &Coordinates) -> [f64; 6];
+
+    /// Checks a pose as [`MachineModel::joints`] does, and returns [`MachineModel::joint_rates`]
+    /// there. A model may do both at once.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`MachineModel::joints`].
+    fn checked_joint_rates(
+        &self,
+        pose: &Coordinates,
+        rates: &Coordinates,
+    ) -> Result<[f64; 6], PoseProblem> {
+        self.joints(pose)?;
+        Ok(self.joint_rates(pose, rates))
+    }
 }
 
 impl<T: MachineModel + ?Sized> MachineModel for &T {
@@ -160,5 +175,13 @@ impl<T: MachineModel + ?Sized> MachineModel for &T {
 
     fn joint_rates(&self, pose: &Coordinates, rates: &Coordinates) -> [f64; 6] {
         (**self).joint_rates(pose, rates)
+    }
+
+    fn checked_joint_rates(
+        &self,
+        pose: &Coordinates,
+        rates: &Coordinates,
+    ) -> Result<[f64; 6], PoseProblem> {
+        (**self).checked_joint_rates(pose, rates)
     }
 }

@@ -4,6 +4,7 @@
 use super::block::Block;
 use super::corner::Corner;
 use super::limits::Settings;
+use super::profile::largest_within;
 
 /// Blocks without a standstill between them, of which the first may be planned already.
 #[derive(Debug)]
@@ -18,6 +19,8 @@ pub(crate) struct Run {
     pub moves: bool,
     /// Whether the last planned block is an arc.
     pub follows_arc: bool,
+    /// Whether the last planned block is a rapid move.
+    pub follows_rapid: bool,
 }
 
 impl Default for Run {
@@ -28,6 +31,7 @@ impl Default for Run {
             speeds: vec![0.0],
             moves: false,
             follows_arc: false,
+            follows_rapid: false,
         }
     }
 }
@@ -79,19 +83,10 @@ impl Run {
         let speed = self.speeds[fast];
         let room = block.path.length - self.corners[fixed].reach(slow);
         let corner = &self.corners[fast];
-        let fits = |speed: f64| block.along.ramp_length(slow, speed) + corner.reach(speed) <= room;
-        if speed <= slow || fits(speed) {
+        let excess = |speed: f64| block.along.ramp_length(slow, speed) + corner.reach(speed) - room;
+        if speed <= slow || excess(speed) <= 0.0 {
             return;
         }
-        let (mut low, mut high) = (slow, speed);
-        for _ in 0..50 {
-            let middle = 0.5 * (low + high);
-            if fits(middle) {
-                low = middle;
-            } else {
-                high = middle;
-            }
-        }
-        self.speeds[fast] = low;
+        self.speeds[fast] = largest_within(slow, speed, 50, excess);
     }
 }

@@ -56,6 +56,10 @@ pub struct Planner<M> {
     window: usize,
     /// Time of the end of the last planned block.
     time: f64,
+    /// Blocks of the step that is added, and phases of the block that is laid: kept for their
+    /// memory.
+    prepared: Vec<Block>,
+    phases: Vec<Phase>,
     /// End of the last step.
     at: Coordinates,
     /// Whether a step was refused.
@@ -106,6 +110,8 @@ impl<M: MachineModel> Planner<M> {
             run: Run::default(),
             window: FULL_WINDOW,
             time: 0.0,
+            prepared: Vec::new(),
+            phases: Vec::new(),
             at: start,
             refused: false,
             ended: false,
@@ -327,14 +333,15 @@ impl<M: MachineModel> Planner<M> {
     }
 
     fn add(&mut self, step: &Move) -> Result<(), Problem> {
-        let blocks = block::prepare(step, &self.settings, &self.model)
+        self.prepared.clear();
+        block::prepare(step, &self.settings, &self.model, &mut self.prepared)
             .inspect_err(|_| self.refused = true)?;
         if self.refused {
             return Ok(());
         }
         self.at = step.path.to;
-        self.figures.slowed += usize::from(blocks.iter().any(|block| block.is_slowed));
-        for block in blocks {
+        self.figures.slowed += usize::from(self.prepared.iter().any(|block| block.is_slowed));
+        for block in self.prepared.drain(..) {
             self.run.push(block, &self.settings);
         }
         if self.run.blocks.len() < self.window {
@@ -354,12 +361,14 @@ impl<M: MachineModel> Planner<M> {
             return Ok(());
         }
         self.run.plan();
+        self.ended_rapid = match self.run.blocks.last() {
+            Some(block) => block.is_rapid,
+            None => self.run.follows_rapid,
+        };
         self.lay_blocks(count)?;
         self.run = Run::default();
         let path = self.trajectory.last_path();
-        let leg = self.trajectory.leg(path);
-        let length = leg.path.length;
-        self.ended_rapid = leg.is_rapid;
+        let length = self.trajectory.leg(path).path.length;
         let made = self.emit(true);
         self.trajectory
             .pieces
@@ -436,29 +445,16 @@ impl<M: MachineModel> Planner<M> {
         Ok(())
     }
 
-    /// Adds the pieces of a block and the rounding at its end.
+    /// Adds the pieces of a block and the rounding at its end; a check only counts them.
     fn lay(&mut self, block: &Block, index: usize) {
         let speeds = [self.run.speeds[index], self.run.speeds[index + 1]];
         let corners = [&self.run.corners[index], &self.run.corners[index + 1]];
         let [into, out] = speeds;
         let reach = [corners[0].reach(into), corners[1].reach(out)];
-        self.trajectory.paths.push(Leg {
-            place: block.place,
-            path: block.path.clone(),
-            is_rapid: block.is_rapid,
-        });
-        let path = self.trajectory.last_path();
         self.figures.path_length_mm += block.path.tip_length();
         self.figures.blocks += usize::from(!block.continues);
-
-        let is_rounded = |corner: &Corner, speed: f64| {
-            let above = |parts: &Coordinates, factor: f64, least: f64| {
-                parts.iter().any(|part| part.abs() * factor > least)
-            };
-            above(&corner.change, speed, NO_CORNER) || above(&corner.bend, speed * speed, NO_BEND)
-        };
-        let rounded = [is_rounded(corners[0], into), is_rounded(corners[1], out)];
-        let mut phases = Vec::with_capacity(9);
+        let mut phases = std::mem::take(&mut self.phases);
+        phases.clear();
         let steady = |length: f64, speed: f64| Phase {
             duration: length / speed,
             acceleration: 0.0,
@@ -479,6 +475,39 @@ impl<M: MachineModel> Planner<M> {
         if block.path.tip_length() > 0.0 {
             self.figures.peak_tip_mm_s = self.figures.peak_tip_mm_s.max(peak);
         }
+        if self.keep == Keep::Nothing {
+            for phase in &phases {
+                self.time += phase.duration;
+            }
+        } else {
+            self.lay_phases(block, index, &phases);
+        }
+        if block.is_rapid {
+            for phase in &phases {
+                self.figures.rapid_s += phase.duration;
+            }
+        }
+        self.run.follows_rapid = block.is_rapid;
+        self.phases = phases;
+    }
+
+    /// Adds a piece for each phase of a block, and the rounding at its end.
+    fn lay_phases(&mut self, block: &Block, index: usize, phases: &[Phase]) {
+        let [into, out] = [self.run.speeds[index], self.run.speeds[index + 1]];
+        let corners = [&self.run.corners[index], &self.run.corners[index + 1]];
+        self.trajectory.paths.push(Leg {
+            place: block.place,
+            path: block.path.clone(),
+            is_rapid: block.is_rapid,
+        });
+        let path = self.trajectory.last_path();
+        let is_rounded = |corner: &Corner, speed: f64| {
+            let above = |parts: &Coordinates, factor: f64, least: f64| {
+                parts.iter().any(|part| part.abs() * factor > least)
+            };
+            above(&corner.change, speed, NO_CORNER) || above(&corner.bend, speed * speed, NO_BEND)
+        };
+        let rounded = [is_rounded(corners[0], into), is_rounded(corners[1], out)];
         let is_arc = block.path.arc.is_some();
         let bends = is_arc || self.run.follows_arc;
         self.run.follows_arc = is_arc;
@@ -528,9 +557,6 @@ impl<M: MachineModel> Planner<M> {
                 piece.most = (most.min(2.0) * 100.0 + 1e-3).max(100.0) as u8;
             }
             self.time += duration;
-            if block.is_rapid {
-                self.figures.rapid_s += duration;
-            }
             piece.longest = longest_on(&piece, self.time - piece.time, block);
             self.trajectory.pieces.push(piece);
             s += duration * (speed + duration * (0.5 * acceleration + duration * jerk / 6.0));
@@ -541,7 +567,7 @@ impl<M: MachineModel> Planner<M> {
             let bend = corners[1].bend.map(|part| part * out * out);
             self.trajectory.bumps.push(Bump {
                 time: self.time,
-                half: reach[1] / out,
+                half: corners[1].reach(out) / out,
                 change,
                 bend,
             });

@@ -1,6 +1,6 @@
 //! Setpoints: samples of the trajectory on whole control periods, in protocol units.
 
-use super::block::check_pose;
+use super::block::check_motion;
 use super::limits::{MachineModel, Settings};
 use super::pace::Pacer;
 use super::trajectory::{CUBIC_ERROR_MM, Cursor, Knot, Trajectory};
@@ -327,13 +327,8 @@ impl Emitter {
             // The exact end, without the rounding errors of the phases.
             (pose, rates) = (leg.path.to, [0.0; 6]);
         }
-        let checked = check_pose(&pose, settings, model).map_err(|(what, remedy)| Problem {
-            place,
-            what,
-            remedy,
-        });
-        if checked.is_ok() {
-            let joint_rates = model.joint_rates(&pose, &rates);
+        let checked = check_motion(&pose, &rates, settings, model);
+        if let Ok(joint_rates) = &checked {
             for (peak, rate) in self.peak_joint_rates.iter_mut().zip(joint_rates) {
                 *peak = peak.max(rate.abs());
             }
@@ -341,7 +336,11 @@ impl Emitter {
         let is_rapid = leg.is_rapid;
         self.set_pace(trajectory, [from, to]);
         self.push(to, &pose, &rates, (place, is_rapid), settings);
-        checked.map(|_| ())
+        checked.map(|_| ()).map_err(|(what, remedy)| Problem {
+            place,
+            what,
+            remedy,
+        })
     }
 
     /// Sets the pace of the motion between two periods, as the action of the last setpoint. An

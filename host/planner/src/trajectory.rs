@@ -227,8 +227,8 @@ impl Trajectory {
         };
         let (s, speed) = piece.along((time - piece.time).max(0.0));
         let path = &self.leg(piece.path).path;
-        let mut pose = path.at(s);
-        let mut rates = path.tangent(s).map(|part| part * speed);
+        let (mut pose, tangent) = path.at_with_tangent(s);
+        let mut rates = tangent.map(|part| part * speed);
         // Roundings do not overlap: only the one that has not ended matters.
         let ended = |bump: &Bump| bump.time + bump.half <= time;
         let passed = cursor.bump;

@@ -1,0 +1,83 @@
+//! Setpoints of plans keep their bits: changes for speed must not move a machine otherwise.
+
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_planner::Plan;
+use std::fmt::Write as _;
+
+/// Lines with and without a tilt, half circles, a helix, rapid moves, exact stops, corners.
+fn program(letters: &str, height: f64) -> String {
+    let mut text = format!("G21 G90 G17\nG0 X0 Y0 Z{height}\nG1 F900\n");
+    for block in 0..600 {
+        let angle = f64::from(block) * 0.05;
+        let radius = 10.0 + 5.0 * libm::sin(0.13 * angle);
+        let (sin, cos) = libm::sincos(angle);
+        let (x, y) = (radius * cos, radius * sin);
+        let z = height + 0.5 * libm::sin(0.7 * angle);
+        // Writing to a string cannot fail.
+        let _ = match block % 50 {
+            40 => writeln!(text, "G3 X{:.4} Y{y:.4} R2.5", x + 4.0),
+            41 => writeln!(text, "G2 X{x:.4} Y{y:.4} Z{z:.4} R2.5"),
+            42 => writeln!(text, "G0 X{:.4} Y{y:.4}", x + 6.0),
+            43 => writeln!(text, "G61 G1 X{x:.4} Y{:.4}", y + 3.0),
+            44 => writeln!(text, "G64 P0.02 G1 X{x:.4} Y{y:.4}"),
+            45.. if letters.len() > 3 => {
+                let turn = 0.4 * libm::sin(0.31 * angle);
+                let letter = &letters[3..4];
+                writeln!(text, "G1 X{x:.4} Y{y:.4} Z{z:.4} {letter}{turn:.4}")
+            }
+            _ => writeln!(text, "G1 X{x:.4} Y{y:.4} Z{z:.4}"),
+        };
+    }
+    text + "M2\n"
+}
+
+/// FNV-1a.
+fn digest(plan: &Plan) -> u64 {
+    let text = format!("{:?}", plan.setpoints);
+    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    })
+}
+
+#[test]
+fn setpoints_keep_their_bits() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../machines/");
+    let mut found = Vec::new();
+    for (name, height) in [
+        ("h4", 30.0),
+        ("mill3-servo", -20.0),
+        ("trunnion5", 30.0),
+        ("delta3", 30.0),
+    ] {
+        let path = format!("{folder}{name}.toml");
+        let machine = MachineFile::load(std::path::Path::new(&path)).expect("a machine");
+        let letters: String = settings(&machine)
+            .pose
+            .iter()
+            .map(|axis| axis.letter)
+            .collect();
+        let mut start = [0.0; 6];
+        start[2] = height;
+        let options = program_options(&machine, start);
+        let text = program(&letters, height);
+        let read = haptimill_gcode::read("bits.ngc", text.as_bytes(), &options)
+            .unwrap_or_else(|refused| panic!("{name}: {refused}"));
+        let plan = Plan::new(&read, &settings(&machine), &Model::new(&machine))
+            .unwrap_or_else(|refused| panic!("{name}: {refused}"));
+        found.push(format!(
+            "{name} {} {:016x}",
+            plan.setpoints.len(),
+            digest(&plan)
+        ));
+    }
+    assert_eq!(
+        found,
+        [
+            "h4 2700 197e924037436a80",
+            "mill3-servo 2527 8da0599f80723a3b",
+            "trunnion5 2536 1c7b3e756305c83c",
+            "delta3 2675 1143c6888316e6ae",
+        ]
+    );
+}
