@@ -15,6 +15,11 @@ const SEGMENT: usize = 3;
 /// took two fifths of the time of 50,000 pieces and shortened the air by 0.6 %.
 const FARTHEST: usize = 3_000;
 
+/// Pieces of a tour times the longest part of it that is reversed: up to 50,000 pieces any part may
+/// be, in longer tours only shorter parts, so that the time does not grow with the square of the
+/// number of pieces.
+const REVERSALS: usize = 50_000 * 25_000;
+
 /// Longest part of the tour that a kick exchanges, pieces.
 const KICK: usize = 30;
 
@@ -333,6 +338,15 @@ impl<'e> Search<'e> {
         } else {
             self.previous(c)
         };
+        let count = if forward {
+            self.steps(b, c) + 1
+        } else {
+            self.steps(c, b) + 1
+        };
+        let total = self.order.len();
+        if count.min(total - count) > (REVERSALS / total).max(FARTHEST) {
+            return None;
+        }
         let gain = if forward {
             saved + gap(self.end(c), self.start(d)) - gap(self.start(b), self.start(d))
         } else {

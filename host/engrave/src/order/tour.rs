@@ -204,6 +204,9 @@ fn settle_starts(paths: &[Path], order: &mut [Placed], reference: Point) {
     if !order.iter().any(|placed| paths[placed.path].closed) {
         return;
     }
+    // Neighbours for which the start of each place is the best one: the next sweep searches only
+    // where they have changed.
+    let mut settled: Vec<Option<[Point; 2]>> = vec![None; order.len()];
     for _ in 0..SWEEPS {
         let mut gain = 0.0;
         let mut before = reference;
@@ -213,7 +216,8 @@ fn settle_starts(paths: &[Path], order: &mut [Placed], reference: Point) {
                 .get(index + 1)
                 .map_or(reference, |next| ends(paths, next)[0]);
             let path = &paths[placed.path];
-            if path.closed {
+            if path.closed && settled[index] != Some([before, after]) {
+                settled[index] = Some([before, after]);
                 let present = ends(paths, &placed)[0];
                 let length = distance(before, present) + distance(present, after);
                 let (best, start) = best_start(path, before, after);
@@ -280,23 +284,39 @@ fn best_part(segment: &Segment, a: Point, b: Point) -> f64 {
         let part = if off > 0.0 { off_a / off } else { 0.5 };
         return (along_a + (along_b - along_a) * part).clamp(0.0, 1.0);
     }
+    let Some(arc) = segment.arc() else {
+        return 0.0;
+    };
     const PARTS: usize = 8;
+    /// Golden-section steps, after which the interval is below 2e-5 of the segment.
+    const STEPS: usize = 20;
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
     let length = |part: f64| {
-        let at = segment.point(part);
+        let at = arc.point(part);
         gap(a, at) + gap(at, b)
     };
-    let coarse = |k: usize| length(k as f64 / PARTS as f64);
-    let k = (0..=PARTS)
-        .min_by(|&i, &j| coarse(i).total_cmp(&coarse(j)))
-        .unwrap_or(0);
+    let mut nearest = (f64::INFINITY, 0);
+    for k in 0..=PARTS {
+        let one = length(k as f64 / PARTS as f64);
+        if one < nearest.0 {
+            nearest = (one, k);
+        }
+    }
+    let k = nearest.1;
     let mut low = k.saturating_sub(1) as f64 / PARTS as f64;
     let mut high = (k + 1).min(PARTS) as f64 / PARTS as f64;
-    for _ in 0..30 {
-        let third = (high - low) / 3.0;
-        if length(low + third) < length(high - third) {
-            high -= third;
+    let inner = |low: f64, high: f64| [high - GOLDEN * (high - low), low + GOLDEN * (high - low)];
+    let [mut left, mut right] = inner(low, high);
+    let (mut at_left, mut at_right) = (length(left), length(right));
+    for _ in 0..STEPS {
+        if at_left < at_right {
+            (high, right, at_right) = (right, left, at_left);
+            left = inner(low, high)[0];
+            at_left = length(left);
         } else {
-            low += third;
+            (low, left, at_left) = (left, right, at_right);
+            right = inner(low, high)[1];
+            at_right = length(right);
         }
     }
     f64::midpoint(low, high)
