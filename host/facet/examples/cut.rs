@@ -48,7 +48,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let shown: Vec<String> = turns.map(|turn| format!("{:.2}", turn.force_n)).collect();
         println!("  mean force of turns, N: {}", shown.join(" "));
     }
-    std::fs::write("stone.html", haptimill_facet::report(&gem, &job, &cutting))?;
+    std::fs::write(
+        "stone.html",
+        haptimill_facet::report(&gem, &job, &cutting, None),
+    )?;
     let measured = &cutting.measured;
     for facet in &measured.facets {
         println!(

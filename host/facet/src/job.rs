@@ -25,7 +25,8 @@ pub struct Lap {
     pub stock_mm: f64,
     /// Feed into the stone, mm/s.
     pub feed_mm_s: f64,
-    /// Pressure of the stone on the lap under force control, N.
+    /// Force of the stone on the lap under force control, N. A facet on which it would remove more
+    /// than the largest feed gets the force that removes as much.
     pub force_n: f64,
     /// Time at the final depth in which the stone sparks out, s.
     pub spark_out_s: f64,
@@ -61,6 +62,9 @@ const FORCE_FEED: f64 = 0.15;
 /// Ratio of the feed by force to the removal at the force setpoint. Above 1, so that the stone
 /// yields and the force loop is closed; the rest of the feed raises the force by K_V times it.
 const LEAD: f64 = 1.1;
+
+/// Smallest force setpoint, N: below, noise and friction are a large part of it.
+const LEAST_FORCE_N: f64 = 0.5;
 
 /// Largest number of strokes of a facet.
 const MAX_STROKES: usize = 20_000;
@@ -201,6 +205,8 @@ pub struct Operation {
     pub lap: usize,
     /// Stage.
     pub stage: Stage,
+    /// Force setpoint under force control, N: that of the lap, or less on a small facet.
+    pub force_n: f64,
     /// Part program from the retracted height to the end of the facet.
     pub grind: String,
     /// Part program of more sweeps at the depth.
@@ -279,6 +285,7 @@ impl Job {
                     let at = Place {
                         settings: &settings,
                         lap,
+                        force_n: force_n(&settings, lap, &stone, &goal),
                         retracted: retracted_mm,
                         start: above + APPROACH_MM,
                         goal: goal.distance,
@@ -296,6 +303,7 @@ impl Job {
                         lap: number,
                         stage: of.stage,
                         depth_mm: goal.distance,
+                        force_n: at.force_n,
                         grind: at.grind(&of.name, mount.pose(goal.normal), &depths),
                         sweep: at.sweep(),
                         retract: at.retract(),
@@ -349,10 +357,26 @@ impl Job {
 /// Distance of the stone from the lap at which the feed begins, mm.
 const APPROACH_MM: f64 = 0.05;
 
+/// Depth that a newton removes by Preston's law where the plane of a facet is `plane`, K v / A,
+/// mm/s.
+fn removal_mm_s(settings: &JobSettings, lap: &Lap, stone: &Polyhedron, plane: &Plane) -> f64 {
+    let area = 0.5 * dot(area_vector(&stone.section(plane)), plane.normal);
+    let speed = core::f64::consts::TAU * settings.radius_mm * lap.rpm.abs() / 60.0;
+    lap.preston_mm2_n * speed / area.max(1e-9)
+}
+
+/// Force setpoint of a facet: that of the lap, or what removes as much as the largest feed.
+fn force_n(settings: &JobSettings, lap: &Lap, stone: &Polyhedron, goal: &Plane) -> f64 {
+    let most = FORCE_FEED / LEAD / removal_mm_s(settings, lap, stone, goal);
+    lap.force_n.min(most.max(LEAST_FORCE_N))
+}
+
 /// Heights of the tip for a facet on a lap, mm.
 struct Place<'a> {
     settings: &'a JobSettings,
     lap: &'a Lap,
+    /// Force setpoint, N.
+    force_n: f64,
     retracted: f64,
     /// Where the feed begins.
     start: f64,
@@ -375,12 +399,9 @@ impl Place<'_> {
         60.0 * self.settings.sweep_mm_s
     }
 
-    /// Depth that the force setpoint removes by Preston's law where the plane of the facet is
-    /// `plane`, K f v / A, mm/s.
+    /// Depth that the force setpoint removes where the plane of the facet is `plane`, mm/s.
     fn removal_mm_s(&self, stone: &Polyhedron, plane: &Plane) -> f64 {
-        let area = 0.5 * dot(area_vector(&stone.section(plane)), plane.normal);
-        let speed = core::f64::consts::TAU * self.settings.radius_mm * self.lap.rpm.abs() / 60.0;
-        self.lap.preston_mm2_n * self.lap.force_n * speed / area.max(1e-9)
+        removal_mm_s(self.settings, self.lap, stone, plane) * self.force_n
     }
 
     /// Heights at the ends of the strokes; `None` if there are too many. Strokes at the depth are

@@ -12,6 +12,7 @@
 mod asc;
 mod calibrate;
 mod design;
+mod forces;
 mod gem;
 mod job;
 mod list;
@@ -19,6 +20,7 @@ mod measure;
 mod page;
 mod problem;
 mod run;
+pub mod thesis;
 
 pub use calibrate::{ArmLengths, Reading, calibrate};
 pub use design::{Design, Facet, Side, Stage, Symmetry};

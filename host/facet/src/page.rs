@@ -1,7 +1,8 @@
 //! The report of a stone: a page with the stone in 3D, the facets against the design, and the job.
 
+use crate::forces;
 use crate::gem::Gem;
-use crate::job::{Job, Mode};
+use crate::job::Job;
 use crate::run::Cutting;
 use core::fmt::Write as _;
 use haptimill_hil_sim::polyhedron::Polyhedron;
@@ -18,15 +19,15 @@ font-size:20px}.over{color:#a3191f;font-weight:600}";
 const ANGLE_DEG: f64 = 0.02;
 const MEET_MM: f64 = 0.02;
 
-fn escape(text: &str) -> String {
+pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")
 }
 
-/// The report page.
+/// The report page. `other` is another run of the same design, to show beside.
 #[must_use]
-pub fn report(gem: &Gem, job: &Job, cutting: &Cutting) -> String {
+pub fn report(gem: &Gem, job: &Job, cutting: &Cutting, other: Option<(&Job, &Cutting)>) -> String {
     let measured = &cutting.measured;
     let design = &gem.design;
     let title = if design.title.is_empty() {
@@ -56,11 +57,14 @@ pub fn report(gem: &Gem, job: &Job, cutting: &Cutting) -> String {
     let _ = write!(body, "<h2>The stone</h2>{}", scene(gem, cutting).fragment());
     facets(&mut body, gem, cutting);
     meets(&mut body, gem, cutting);
-    stages(&mut body, job, cutting);
+    forces::stages(&mut body, (job, cutting));
+    if let Some(other) = other {
+        forces::beside(&mut body, [(job, cutting), other], [ANGLE_DEG, MEET_MM]);
+    }
     page(title, CSS, &body)
 }
 
-fn micrometres(mm: f64) -> String {
+pub fn micrometres(mm: f64) -> String {
     if mm.is_finite() {
         format!("{:.1} um", 1e3 * mm)
     } else {
@@ -68,12 +72,9 @@ fn micrometres(mm: f64) -> String {
     }
 }
 
-fn minutes(seconds: f64) -> String {
-    format!(
-        "{:.0} min {:02.0} s",
-        (seconds / 60.0).floor(),
-        seconds % 60.0
-    )
+pub fn minutes(seconds: f64) -> String {
+    let whole = seconds.round();
+    format!("{:.0} min {:02.0} s", (whole / 60.0).floor(), whole % 60.0)
 }
 
 fn problems(body: &mut String, gem: &Gem, cutting: &Cutting) {
@@ -181,7 +182,7 @@ fn scene(gem: &Gem, cutting: &Cutting) -> Scene {
     }
 }
 
-fn class(is_over: bool) -> &'static str {
+pub fn class(is_over: bool) -> &'static str {
     if is_over { " class=over" } else { "" }
 }
 
@@ -235,64 +236,6 @@ fn meets(body: &mut String, gem: &Gem, cutting: &Cutting) {
             class(error > MEET_MM),
             micrometres(error)
         );
-    }
-    body.push_str("</table>");
-}
-
-fn stages(body: &mut String, job: &Job, cutting: &Cutting) {
-    let mode = match job.settings.mode {
-        Mode::Feed => "by feed",
-        Mode::Force => "by force to the depth",
-        Mode::Both => "by feed, with the force held",
-    };
-    let _ = write!(
-        body,
-        "<h2>Job</h2><p>Ground {mode}. Forces are those of the contact with the most turns of the \
-         lap; turns are means over whole turns of its middle half.</p><table><tr><th>lap\
-         <th>side<th>stage<th>facets<th>time<th>peak, N<th>least turn, N<th>largest turn, N"
-    );
-    for (number, pass) in job.passes.iter().enumerate() {
-        let mut stages: Vec<crate::Stage> = Vec::new();
-        for operation in &pass.operations {
-            if !stages.contains(&operation.stage) {
-                stages.push(operation.stage);
-            }
-        }
-        for stage in stages {
-            let of_stage = |facet: usize| {
-                pass.operations
-                    .iter()
-                    .any(|operation| operation.facet == facet && operation.stage == stage)
-            };
-            let done = cutting
-                .operations
-                .iter()
-                .filter(|it| it.pass == number && of_stage(it.facet));
-            let (mut count, mut seconds) = (0, 0.0);
-            let (mut peak, mut least, mut most) = (0.0_f64, f64::INFINITY, 0.0_f64);
-            for operation in done {
-                count += 1;
-                seconds += operation.seconds;
-                peak = peak.max(operation.force.peak_n);
-                least = least.min(operation.force.least_turn_n);
-                most = most.max(operation.force.most_turn_n);
-            }
-            if count == 0 {
-                continue;
-            }
-            let side = match pass.mount.side {
-                crate::Side::Pavilion => "pavilion",
-                crate::Side::Crown => "crown",
-            };
-            let _ = write!(
-                body,
-                "<tr><td>{}<td>{side}<td>{}<td>{count}<td>{}<td>{peak:.2}<td>{least:.2}\
-                 <td>{most:.2}",
-                escape(&job.settings.laps[pass.lap].name),
-                stage.name(),
-                minutes(seconds)
-            );
-        }
     }
     body.push_str("</table>");
 }

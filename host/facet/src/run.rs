@@ -35,35 +35,58 @@ const DONE_MM: f64 = 5e-4;
 /// A facet has sparked out when the force of the last second was less, N.
 const SPARKED_OUT_N: f64 = 0.08;
 
-/// Pressure on the lap in the last second of a program, as the force sensor reports it.
-struct Pressure {
+/// What the controller reports of a program: the force on the lap in its last second, and when
+/// force control displaced the stone.
+struct Watch {
     /// Control periods of a second.
     second: u64,
     /// Control period and force, N.
     forces: VecDeque<(u64, f64)>,
+    /// First and last control period in which the stone was displaced while it was lowered.
+    displaced: Option<[u64; 2]>,
+    /// Commanded height, axis units.
+    height: i32,
+    /// Last control period.
+    last: u64,
 }
 
-impl Pressure {
-    /// Largest pressure of the last second, N; 0 without a sensor.
+impl Watch {
+    /// Largest force of the last second, N; 0 without a sensor.
     fn largest_n(&self) -> f64 {
         self.forces
             .iter()
             .map(|(_, force)| *force)
             .fold(0.0, f64::max)
     }
+
+    /// Seconds before the end between which the stone was displaced.
+    fn displaced_s(&self) -> Option<[f64; 2]> {
+        let second = self.second as f64;
+        let before = |period: u64| self.last.saturating_sub(period) as f64 / second;
+        self.displaced.map(|periods| periods.map(before))
+    }
 }
 
-impl JobObserver for Pressure {
+impl JobObserver for Watch {
     fn progress(&mut self, telemetry: &Telemetry) {
+        self.last = telemetry.period;
+        let height = telemetry.commanded.get(usize::from(HEIGHT)).copied();
+        let is_lowered = height != Some(self.height);
+        self.height = height.unwrap_or_default();
         let Some(force) = &telemetry.force else {
             return;
         };
         let newton = f64::from(1 << 16);
-        let force = f64::from(force.high[usize::from(HEIGHT)]) / newton;
-        self.forces.push_back((telemetry.period, force));
+        let height = usize::from(HEIGHT);
+        let pressure = f64::from(force.high[height]) / newton;
+        self.forces.push_back((telemetry.period, pressure));
         let from = telemetry.period.saturating_sub(self.second);
         while self.forces.front().is_some_and(|(at, _)| *at < from) {
             self.forces.pop_front();
+        }
+        if is_lowered && millimetres(force.displacement[height]) > DONE_MM {
+            let [_, last] = self.displaced.get_or_insert([telemetry.period; 2]);
+            *last = telemetry.period;
         }
     }
 
@@ -74,6 +97,11 @@ impl JobObserver for Pressure {
     }
 
     fn held_by_input(&mut self, _: &str) {}
+}
+
+/// A displacement of telemetry, mm.
+fn millimetres(raw: i32) -> f64 {
+    f64::from(raw) / f64::from(1 << 20)
 }
 
 /// The stone is near its depth, where it lands, when its tip is no higher above it, mm.
@@ -113,6 +141,9 @@ pub struct OperationResult {
     pub force: ForceStatistics,
     /// Turns of the lap until the stone was within 10 um of its depth.
     pub turns: Vec<Turn>,
+    /// Turns in which force control displaced the stone while the program lowered it: their force
+    /// is that of the setpoint. Then the stone lands.
+    pub held: Vec<Turn>,
 }
 
 /// A stone that was cut.
@@ -128,6 +159,15 @@ pub struct Cutting {
     pub operations: Vec<OperationResult>,
     /// Wear of the last lap by radius, mm.
     pub wear: Vec<f64>,
+}
+
+/// What was observed while a facet was ground.
+struct FacetRun {
+    /// Further spark-outs.
+    sweeps: u32,
+    /// As in [`OperationResult`].
+    turns: Vec<Turn>,
+    held: Vec<Turn>,
 }
 
 /// The machine in the simulator.
@@ -154,8 +194,8 @@ fn refused<E: ToString>(problems: Vec<E>) -> Error {
 }
 
 impl Bench<'_> {
-    /// Runs a part program from where the machine stands; returns the pressure at its end, N.
-    fn run(&mut self, text: &str) -> Result<f64, Error> {
+    /// Runs a part program from where the machine stands.
+    fn run(&mut self, text: &str) -> Result<Watch, Error> {
         let start: AxisValues = self.session.status()?.commanded;
         let model = Model::new(self.machine);
         let options = program_options(self.machine, model.to_engineering_units(&start));
@@ -164,15 +204,18 @@ impl Bench<'_> {
         let plan = Plan::new(&program, &settings(self.machine), &model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         self.job += 1;
-        let mut pressure = Pressure {
+        let mut watch = Watch {
             second: 1_000_000 / u64::from(self.machine.config.period_us.max(1)),
             forces: VecDeque::new(),
+            displaced: None,
+            height: 0,
+            last: 0,
         };
         let end = self
             .session
-            .run_job(self.job, start, plan.setpoints, &mut pressure)?;
+            .run_job(self.job, start, plan.setpoints, &mut watch)?;
         self.session.check_completed(&end)?;
-        Ok(pressure.largest_n())
+        Ok(watch)
     }
 
     fn grinding(&mut self) -> Result<&mut Grinding, Error> {
@@ -188,30 +231,44 @@ impl Bench<'_> {
         let status = self.session.status()?;
         let force = status.force.as_ref();
         let raw = force.map_or(0, |force| force.displacement[usize::from(HEIGHT)]);
-        Ok(f64::from(raw) / f64::from(1 << 20))
+        Ok(millimetres(raw))
     }
 
-    /// Grinds a facet; returns the further spark-outs, and the turns of the lap until the
-    /// stone was near its depth. A facet that does not reach its depth under force control is an
-    /// error.
+    /// Turns of the lap of the facet on it since its contact began.
+    fn turns(&mut self) -> Result<Vec<Turn>, Error> {
+        Ok(self.grinding()?.turns().to_vec())
+    }
+
+    /// Grinds a facet. A facet that does not reach its depth under force control is an error.
     fn operate(
         &mut self,
         operation: &Operation,
         mode: Mode,
+        lap: &Lap,
         name: &str,
-    ) -> Result<(u32, Vec<Turn>), Error> {
-        let mut pressure_n = self.run(&operation.grind)?;
+    ) -> Result<FacetRun, Error> {
+        let watch = self.run(&operation.grind)?;
+        // Turns are as long as those of the lap, and end with the program.
+        let turns = self.turns()?;
+        let held = watch.displaced_s().map_or(Vec::new(), |[first, last]| {
+            let at = |seconds: f64| {
+                let left = (seconds * lap.rpm.abs() / 60.0).ceil() as usize;
+                turns.len().saturating_sub(left)
+            };
+            turns[at(first)..at(last)].to_vec()
+        });
+        let mut pressure_n = watch.largest_n();
         let mut sweeps = 0;
         while sweeps < MAX_SWEEPS {
             let yields = mode.has_force() && self.displacement_mm()?.abs() > DONE_MM;
             if !yields && pressure_n < SPARKED_OUT_N {
                 break;
             }
-            pressure_n = self.run(&operation.sweep)?;
+            pressure_n = self.run(&operation.sweep)?.largest_n();
             sweeps += 1;
         }
         let end = operation.depth_mm + AT_DEPTH_MM;
-        let turns = self.grinding()?.turns().iter().copied();
+        let turns = self.turns()?.into_iter();
         let turns = turns.take_while(|turn| turn.height_mm > end).collect();
         let left = if mode.has_force() {
             self.displacement_mm()?.abs()
@@ -227,7 +284,11 @@ impl Bench<'_> {
             );
             return Err(Error::new(ErrorKind::Stopped, what));
         }
-        Ok((sweeps, turns))
+        Ok(FacetRun {
+            sweeps,
+            turns,
+            held,
+        })
     }
 }
 
@@ -296,12 +357,13 @@ pub fn cut(
             bench.grinding()?.set_hard_spot(spot);
         }
         mount = Some(pass.mount);
-        bench.set_force(job.settings.mode, lap)?;
+        bench.tare(job.settings.mode)?;
         for operation in pass.operations.iter().filter(chosen) {
             let from = bench.session.now_us();
             let before = bench.grinding()?.ground().len();
             let name = &gem.design.facets[operation.facet].name;
-            let (sweeps, turns) = bench.operate(operation, job.settings.mode, name)?;
+            bench.set_force(job.settings.mode, operation.force_n)?;
+            let done = bench.operate(operation, job.settings.mode, lap, name)?;
             let seconds = (bench.session.now_us() - from) as f64 * 1e-6;
             let grinding = bench.grinding()?;
             let longest = grinding.ground()[before..]
@@ -311,8 +373,9 @@ pub fn cut(
                 pass: number,
                 facet: operation.facet,
                 seconds,
-                sweeps,
-                turns,
+                sweeps: done.sweeps,
+                turns: done.turns,
+                held: done.held,
                 force: longest.map_or(ForceStatistics::default(), |ground| ground.force),
             });
             progress(operations.len(), total);
@@ -335,8 +398,8 @@ pub fn cut(
 }
 
 impl Bench<'_> {
-    /// Sets the force control of a lap, with the stone in the air.
-    fn set_force(&mut self, mode: Mode, lap: &Lap) -> Result<(), Error> {
+    /// Tares the force sensor for a lap, with the stone in the air and no axis under force control.
+    fn tare(&mut self, mode: Mode) -> Result<(), Error> {
         if self.machine.config.force.is_none() {
             if !mode.has_force() {
                 return Ok(());
@@ -348,16 +411,20 @@ impl Bench<'_> {
         // The stone returns from its displacement before the sensor gets its zero.
         let by = self.session.now_us() + RETURN_US;
         while self.displacement_mm()? != 0.0 && self.session.now_us() < by {}
-        self.session.tare()?;
-        if mode.has_force() {
-            let changes = ForceLoopChanges {
-                desired_n: Some(lap.force_n),
-                ..ForceLoopChanges::default()
-            };
-            self.session
-                .set_force_loops(self.machine, &[HEIGHT], &changes)?;
-            self.session.set_force_mask(&[HEIGHT])?;
+        self.session.tare()
+    }
+
+    /// Sets the force of a facet, with the stone in the air.
+    fn set_force(&mut self, mode: Mode, force_n: f64) -> Result<(), Error> {
+        if !mode.has_force() {
+            return Ok(());
         }
-        Ok(())
+        let changes = ForceLoopChanges {
+            desired_n: Some(force_n),
+            ..ForceLoopChanges::default()
+        };
+        self.session
+            .set_force_loops(self.machine, &[HEIGHT], &changes)?;
+        self.session.set_force_mask(&[HEIGHT])
     }
 }

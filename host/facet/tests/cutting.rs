@@ -1,14 +1,10 @@
 //! A whole stone on the simulated machine: both sides, three laps, the transfer.
 
+use haptimill_facet::thesis::{SMALL, SMALL_MM};
 use haptimill_facet::{Cutting, Gem, Job, JobSettings, Mode, RunOptions, Side, cut, read};
 use haptimill_hil_sim::process::grinding::HardSpot;
 use haptimill_hil_sim::vector::dot;
 use haptimill_machine_file::MachineFile;
-
-/// A square stone of 13 facets.
-const SMALL: &str = "GemCad 5.0\ng 64 0.0\ny 4 y\nI 1.54\nH Small\n\
-a -90 1.0 0 n G 16 32 48\na -45 0.72 0 n P 16 32 48\n\
-a 40 0.70 0 n C 16 32 48\na 0 0.3 0 n T\n";
 
 fn machine() -> MachineFile {
     let text = include_str!("../../../machines/facet.toml");
@@ -17,7 +13,7 @@ fn machine() -> MachineFile {
 
 fn stone(mode: Mode, options: &RunOptions) -> (Gem, Cutting) {
     let design = read("small.asc", SMALL.as_bytes()).unwrap();
-    let gem = Gem::new("small.asc", design, 2.5, None).unwrap();
+    let gem = Gem::new("small.asc", design, SMALL_MM, None).unwrap();
     let settings = JobSettings {
         mode,
         ..JobSettings::default()
@@ -134,4 +130,39 @@ fn the_mean_force_of_each_turn_is_held() {
     }
     let off = |mean: &&f64| (*mean / setpoint - 1.0).abs() > 0.1;
     assert!(2 * feed.iter().filter(off).count() > feed.len(), "{feed:?}");
+}
+
+/// The sweep wears the lap evenly: in the whole rings of the swept annulus the wear differs by the
+/// ratio that docs/faceting.md states, and beyond the annulus there is none.
+#[test]
+fn the_sweep_wears_the_lap_evenly() {
+    let options = RunOptions {
+        wear: 0.01,
+        only: vec![12],
+        ..RunOptions::default()
+    };
+    for (mode, ratio) in [(Mode::Feed, 1.1), (Mode::Force, 1.3)] {
+        let (_, cutting) = stone(mode, &options);
+        let settings = JobSettings::default();
+        let ring = 75.0 / cutting.wear.len() as f64;
+        let half = 0.5 * settings.sweep_mm;
+        let [inner, outer] = [settings.radius_mm - half, settings.radius_mm + half];
+        let (mut within, mut beyond) = (Vec::new(), 0.0);
+        for (cell, wear) in cutting.wear.iter().enumerate() {
+            let [low, high] = [cell as f64 * ring, (cell + 1) as f64 * ring];
+            if low >= inner && high <= outer {
+                within.push(*wear);
+            } else if high < inner - 0.1 || low > outer + 0.1 {
+                beyond += wear;
+            }
+        }
+        let least = within.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = within.iter().copied().fold(0.0, f64::max);
+        println!(
+            "{mode:?}: {} rings, wear {least:.3e} to {most:.3e} mm",
+            within.len()
+        );
+        assert!(within.len() >= 7 && beyond == 0.0);
+        assert!(least > 0.0 && most / least < ratio, "{most} / {least}");
+    }
 }

@@ -83,7 +83,7 @@ pub struct JobArgs {
 }
 
 /// How facets are ground.
-#[derive(Debug, Clone, Copy, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum By {
     /// By feed to the depth
     Feed,
@@ -91,6 +91,16 @@ pub enum By {
     Force,
     /// By feed, with the force held
     Both,
+}
+
+impl By {
+    const fn mode(self) -> Mode {
+        match self {
+            Self::Feed => Mode::Feed,
+            Self::Force => Mode::Force,
+            Self::Both => Mode::Both,
+        }
+    }
 }
 
 /// Arguments of `haptimill facet check`.
@@ -148,6 +158,9 @@ pub struct RunArgs {
     /// Hard ball in the stone: centre x,y,z, radius, and its part of the removal
     #[arg(long, value_name = "X,Y,Z,RADIUS,PART", allow_hyphen_values = true, value_parser = hard_spot)]
     pub hard_spot: Option<HardSpot>,
+    /// Cut the design a second time, ground in this way, and show both side by side
+    #[arg(long, value_enum, value_name = "BY")]
+    pub beside: Option<By>,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
@@ -239,7 +252,7 @@ fn reading(text: &str) -> Result<Reading, String> {
 }
 
 /// The built-in machine file.
-const MACHINE: &str = include_str!("../../../../machines/facet.toml");
+pub(super) const MACHINE: &str = include_str!("../../../../machines/facet.toml");
 
 /// Runs a command.
 ///
@@ -278,11 +291,7 @@ fn settings(args: &JobArgs) -> Result<JobSettings, CliError> {
         lap: Vec<Lap>,
     }
     let mut settings = JobSettings {
-        mode: match args.by {
-            By::Feed => Mode::Feed,
-            By::Force => Mode::Force,
-            By::Both => Mode::Both,
-        },
+        mode: args.by.mode(),
         ..JobSettings::default()
     };
     if let Some(path) = &args.laps {
@@ -400,24 +409,87 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
     } else {
         indicatif::ProgressBar::new(0)
     };
-    let cutting = cut(&gem, &job, &machine, &options, &mut |done, of| {
-        bar.set_length(of as u64);
-        bar.set_position(done as u64);
-    })?;
+    let other = match args.beside {
+        None => None,
+        Some(by) if by == args.job.by => {
+            return Err(CliError::new(
+                Exit::Usage,
+                "--beside is the same as --by; choose another of feed, force and both",
+            ));
+        }
+        Some(by) => {
+            let by = JobArgs {
+                by,
+                ..args.job.clone()
+            };
+            Some(Job::new(&gem, settings(&by)?).map_err(bad)?)
+        }
+    };
+    let jobs: Vec<&Job> = std::iter::once(&job).chain(&other).collect();
+    let mut cuttings = cut_all(&gem, &jobs, &machine, &options, &bar)?.into_iter();
     bar.finish_and_clear();
-    let figures = figures(&gem, &cutting);
-    written(&dir.join("report.html"), &report(&gem, &job, &cutting))?;
+    let Some(cutting) = cuttings.next() else {
+        return Err(CliError::new(Exit::Internal, "no stone was cut"));
+    };
+    let second = cuttings.next();
+    let beside = other.as_ref().zip(second.as_ref());
+    let mut figures = figures(&gem, &cutting);
+    if let Some((_, second)) = beside {
+        figures["beside"] = self::figures(&gem, second);
+    }
+    written(
+        &dir.join("report.html"),
+        &report(&gem, &job, &cutting, beside),
+    )?;
     written(&dir.join("stone.json"), &format!("{figures:#}\n"))?;
     written(&dir.join("job.ngc"), &job.program(&gem.design.title))?;
     if args.json {
         print_line!("{figures:#}");
         return Ok(());
     }
+    let design = args.design.design.display();
+    print_stone(&format!("{design}"), &cutting);
+    if let Some((_, second)) = beside {
+        print_stone(&format!("{design}, beside"), second);
+    }
+    print_line!("report      {}", dir.join("report.html").display());
+    Ok(())
+}
+
+/// Cuts the jobs of a design at the same time, each on a simulated machine of its own.
+fn cut_all(
+    gem: &Gem,
+    jobs: &[&Job],
+    machine: &MachineFile,
+    options: &RunOptions,
+    bar: &indicatif::ProgressBar,
+) -> Result<Vec<Cutting>, CliError> {
+    let count = jobs.iter().flat_map(|job| &job.passes);
+    let count: usize = count.map(|pass| pass.operations.len()).sum();
+    bar.set_length(count as u64);
+    std::thread::scope(|scope| {
+        let run = |job| {
+            let mut progress = |_, _| bar.inc(1);
+            cut(gem, job, machine, options, &mut progress)
+        };
+        let threads: Vec<_> = jobs
+            .iter()
+            .map(|job| scope.spawn(move || run(job)))
+            .collect();
+        let results = threads.into_iter().map(|thread| match thread.join() {
+            Ok(result) => result.map_err(CliError::from),
+            Err(panic) => std::panic::resume_unwind(panic),
+        });
+        results.collect()
+    })
+}
+
+/// Prints the errors of a stone.
+fn print_stone(name: &str, cutting: &Cutting) {
     let measured = &cutting.measured;
     let seconds: f64 = cutting.operations.iter().map(|it| it.seconds).sum();
     print_line!(
-        "{}: {} facets in {:.1} min of the machine, {:.1} % of the rough",
-        args.design.design.display(),
+        "{name}: {} facets in {:.1} min of the machine, {:.1} % of the rough",
         measured.facets.len(),
         seconds / 60.0,
         100.0 * measured.yield_part
@@ -435,8 +507,6 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
             measured.strange
         );
     }
-    print_line!("report      {}", dir.join("report.html").display());
-    Ok(())
 }
 
 fn figures(gem: &Gem, cutting: &Cutting) -> serde_json::Value {

@@ -71,6 +71,10 @@ pub fn run(command: ScenarioCommand) -> Result<(), CliError> {
             print_line!(
                 "{ENGRAVER:<5} path analysis of the thesis on the engraver, with its pockets"
             );
+            print_line!(
+                "{FACETING:<5} equations of the thesis on the faceting machine; a stone by feed and \
+                 by force"
+            );
             print_line!("{VOLUMETRIC:<5} volumetric errors, calibration, compensation, test piece");
             Ok(())
         }
@@ -84,18 +88,35 @@ const VOLUMETRIC: &str = "vmc";
 /// Name of the scenario that repeats the analysis of the thesis on the engraver.
 const ENGRAVER: &str = "engraver";
 
-/// Stated and found results of the thesis on the engraver (docs/engraving.md).
-fn run_engraver(args: &RunArgs) -> Result<(), CliError> {
-    let rows = haptimill_engrave::thesis::rows();
-    let json = serde_json::to_string_pretty(&rows)
-        .map_err(|error| CliError::new(Exit::Internal, error))?;
-    write(&args.out.join(ENGRAVER).join("summary.json"), &json)?;
+/// Name of the scenario that repeats the statements of the thesis on the faceting machine.
+const FACETING: &str = "faceting";
+
+/// A statement of a thesis beside what is found here.
+struct Statement<'a> {
+    section: &'a str,
+    what: &'a str,
+    stated: &'a str,
+    ours: &'a str,
+    agrees: bool,
+    reason: &'a str,
+}
+
+/// Writes the rows as JSON; prints them as such, or as a table.
+fn show<'a, T: serde::Serialize>(
+    args: &RunArgs,
+    name: &str,
+    rows: &'a [T],
+    of: impl Fn(&'a T) -> Statement<'a>,
+) -> Result<(), CliError> {
+    let json =
+        serde_json::to_string_pretty(rows).map_err(|error| CliError::new(Exit::Internal, error))?;
+    write(&args.out.join(name).join("summary.json"), &json)?;
     if args.json {
         print_line!("{json}");
         return Ok(());
     }
     print_line!("{:<7} {:<66} {:<27} ours", "section", "result", "stated");
-    for row in &rows {
+    for row in rows.iter().map(of) {
         let mark = if row.agrees { "" } else { "  differs" };
         print_line!(
             "{:<7} {:<66} {:<27} {}{mark}",
@@ -109,6 +130,45 @@ fn run_engraver(args: &RunArgs) -> Result<(), CliError> {
         }
     }
     Ok(())
+}
+
+/// Stated and found results of the thesis on the engraver (docs/engraving.md).
+fn run_engraver(args: &RunArgs) -> Result<(), CliError> {
+    let rows = haptimill_engrave::thesis::rows();
+    show(args, ENGRAVER, &rows, |row| Statement {
+        section: row.section,
+        what: &row.what,
+        stated: &row.stated,
+        ours: &row.ours,
+        agrees: row.agrees,
+        reason: row.reason,
+    })
+}
+
+/// Stated and found results of the thesis on the faceting machine (docs/faceting.md).
+fn run_faceting(args: &RunArgs) -> Result<(), CliError> {
+    let machine = match args.machine.machine {
+        Some(_) => args.machine.load()?,
+        None => MachineFile::parse("facet.toml", super::facet::MACHINE)?,
+    };
+    let options = haptimill_facet::RunOptions {
+        interrupted: interrupt::flag(),
+        ..haptimill_facet::RunOptions::default()
+    };
+    let is_quiet = args.json;
+    let rows = haptimill_facet::thesis::rows(&machine, &options, &mut |what| {
+        if !is_quiet {
+            eprintln!("{what}");
+        }
+    })?;
+    show(args, FACETING, &rows, |row| Statement {
+        section: row.section,
+        what: &row.what,
+        stated: &row.stated,
+        ours: &row.ours,
+        agrees: row.agrees,
+        reason: row.reason,
+    })
 }
 
 /// Errors, calibration, compensation and test piece in one run (docs/volumetric.md).
@@ -149,6 +209,9 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
     if args.name.eq_ignore_ascii_case(ENGRAVER) {
         return run_engraver(args);
     }
+    if args.name.eq_ignore_ascii_case(FACETING) {
+        return run_faceting(args);
+    }
     let machine = args.machine.load()?;
     let mut experiments = haptimill_experiments::all()?;
     if !args.name.eq_ignore_ascii_case("all") {
@@ -158,7 +221,12 @@ fn run_named(args: &RunArgs) -> Result<(), CliError> {
             let what = format!(
                 "there is no experiment \"{}\"; write one of {}, or all",
                 args.name,
-                names.join(", ")
+                [
+                    &names[..],
+                    &[ENGRAVER.into(), FACETING.into(), VOLUMETRIC.into()]
+                ]
+                .concat()
+                .join(", ")
             );
             return Err(CliError::new(Exit::Usage, what));
         }

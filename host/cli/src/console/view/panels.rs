@@ -349,11 +349,11 @@ fn jog_rows(view: &ViewModel) -> Vec<Line<'static>> {
             .get(index)
             .map_or("", |axis| &axis.name)
     };
-    let others = if view.static_info.pose.len() > 4 {
-        "  ,. nm"
-    } else {
-        ""
-    };
+    let others: String = [",.", "nm"]
+        .iter()
+        .zip(view.static_info.pose.iter().skip(3))
+        .map(|(keys, axis)| format!("  {keys} {}", axis.name))
+        .collect();
     let keys = format!(
         " arrows {} {}  PgUp/Dn {}{others}",
         name(0),
