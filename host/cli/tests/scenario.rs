@@ -124,6 +124,31 @@ fn the_engraver_repeats_the_analysis_of_its_thesis() {
     );
 }
 
+/// The equations of the faceting machine as printed and as corrected, and a stone by feed and by
+/// force within its aims.
+#[test]
+fn the_faceting_machine_repeats_the_equations_of_its_thesis() {
+    let folder = TestFolder::new();
+    let out = folder.path("faceting");
+    let ran = haptimill(&["scenario", "run", "faceting", "--json", "--out", &out]).expect_code(0);
+    let rows: serde_json::Value = serde_json::from_str(&ran.out).expect("JSON");
+    assert_eq!(
+        folder.read("faceting/faceting/summary.json").trim(),
+        ran.out.trim()
+    );
+    let rows = rows.as_array().expect("rows");
+    let of = |section: &'static str| rows.iter().filter(move |row| row["section"] == section);
+    assert_eq!(
+        of("4.13").next().expect("a row")["stated"],
+        "22.3130 mm, -45.000, -30.000 deg"
+    );
+    for row in of("4.2").chain(of("-")) {
+        assert_eq!(row["agrees"], true, "{row}");
+        assert_ne!(row["reason"], "", "{row}");
+    }
+    assert_eq!(of("-").count(), 6);
+}
+
 #[test]
 fn experiments_are_listed_and_others_refused() {
     let list = haptimill(&["scenario", "list"]).expect_code(0).out;
@@ -131,11 +156,13 @@ fn experiments_are_listed_and_others_refused() {
         let name = &format!("e{number} ");
         assert!(list.lines().any(|line| line.starts_with(name)), "{list}");
     }
-    assert!(list.contains("engraver "), "{list}");
+    for name in ["engraver ", "faceting ", "vmc "] {
+        assert!(list.lines().any(|line| line.starts_with(name)), "{list}");
+    }
     let ran = haptimill(&["scenario", "run", "e13"]).expect_code(2);
     assert_eq!(
         ran.err,
-        "there is no experiment \"e13\"; write one of e1, e2, e3, e4, e5, e6, e7, e8, e9, e10, e11, e12, or all\n"
+        "there is no experiment \"e13\"; write one of e1, e2, e3, e4, e5, e6, e7, e8, e9, e10, e11, e12, engraver, faceting, vmc, or all\n"
     );
 }
 

@@ -98,3 +98,99 @@ fn a_stream_refuses_what_needs_the_whole_program() {
     let refused = haptimill(&["run", &missing, "--stream"]).expect_code(3);
     assert!(refused.err.contains("missing.ngc"), "{}", refused.err);
 }
+
+/// Exit code, standard error and peak memory in KiB of a command.
+fn watched(arguments: &[&str]) -> (i32, String, u64) {
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_haptimill"))
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let status = format!("/proc/{}/status", child.id());
+    let mut peak = 0;
+    while child.try_wait().expect("a status").is_none() {
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let kib = line.and_then(|line| line.trim().trim_end_matches(" kB").parse().ok());
+        peak = peak.max(kib.unwrap_or(0));
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let ended = child.wait_with_output().expect("its output");
+    let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+    (ended.status.code().unwrap_or(-1), error, peak)
+}
+
+/// A program beyond 64 MiB is refused where it would be kept in memory, with the remedy; its check
+/// finds the mistake in its last block in much less memory than it is long.
+#[test]
+fn a_program_beyond_64_mib() {
+    use std::fmt::Write as _;
+    let folder = TestFolder::new();
+    let comment = "x".repeat(120);
+    let mut text = String::from("G21 G90 F600\n");
+    for block in 0..520_000 {
+        let _ = writeln!(text, "G1 X{} ({comment})", block % 2);
+    }
+    assert!(text.len() > 65 << 20);
+    let blocks = 520_002;
+    let file = folder.file("long.ngc", &(text.clone() + "X1\nM2\n"));
+    let kept = haptimill(&["run", &file]).expect_code(3);
+    for part in ["long.ngc: it is larger than 64 MiB", "--check", "--stream"] {
+        assert!(kept.err.contains(part), "{}", kept.err);
+    }
+    let (code, error, peak) = watched(&["run", &file, "--check"]);
+    assert_eq!(code, 0, "{error}");
+    println!("{} MiB, peak {peak} KiB", text.len() >> 20);
+    assert!(peak > 0 && peak < 40 << 10, "{peak} KiB");
+    let file = folder.file("wrong.ngc", &(text + "X5000\nM2\n"));
+    let (code, error, peak) = watched(&["run", &file, "--check"]);
+    assert_eq!(code, 4, "{error}");
+    assert!(error.contains(&format!("wrong.ngc:{blocks}:1:")), "{error}");
+    assert!(peak < 40 << 10, "{peak} KiB");
+}
+
+/// Work offsets and tool tables that are damaged on disk: a run and its check name the file, what
+/// is wrong, and the backup or that there is none, before anything moves.
+#[test]
+fn damaged_tables_are_refused_with_their_backup() {
+    let folder = TestFolder::new();
+    let machine = folder.machine_with("");
+    let name = std::path::Path::new(&machine).file_stem();
+    let name = name
+        .and_then(|name| name.to_str())
+        .expect("a name")
+        .to_owned();
+    let file = folder.file("part.ngc", "G21 G90 F600\nG1 X4\nM2\n");
+    for kind in ["offsets", "tools"] {
+        let table = format!("{name}.{kind}.toml");
+        for (text, backup) in [
+            ("[g54\nx = 1", true),
+            ("[g54]\nx = nan\n[t1]\nz = nan\n", false),
+        ] {
+            folder.file(&table, text);
+            if backup {
+                folder.file(&format!("{table}.bak"), "");
+            }
+            for option in ["--check", "--dry"] {
+                let out = folder.path("out");
+                let ran = ["run", &file, option, "--machine", &machine, "--out", &out];
+                let refused = haptimill(&ran).expect_code(3);
+                let hint = if backup {
+                    format!(
+                        "restore its backup {}",
+                        folder.path(&format!("{table}.bak"))
+                    )
+                } else {
+                    "it has no backup".to_owned()
+                };
+                let error = &refused.err;
+                assert!(error.contains(&table) && error.contains(&hint), "{error}");
+                assert!(!std::path::Path::new(&out).exists(), "{kind} {option}");
+            }
+            let _ = std::fs::remove_file(folder.path(&format!("{table}.bak")));
+        }
+        std::fs::remove_file(folder.path(&table)).expect("removed");
+    }
+}
