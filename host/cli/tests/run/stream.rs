@@ -128,7 +128,7 @@ fn watched(arguments: &[&str]) -> (i32, String, u64) {
 fn a_program_beyond_64_mib() {
     use std::fmt::Write as _;
     let folder = TestFolder::new();
-    let comment = "x".repeat(120);
+    let comment = "x".repeat(135);
     let mut text = String::from("G21 G90 F600\n");
     for block in 0..520_000 {
         let _ = writeln!(text, "G1 X{} ({comment})", block % 2);
