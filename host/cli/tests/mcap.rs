@@ -101,6 +101,7 @@ mod built {
         assert_eq!(
             names,
             [
+                "/displacement",
                 "/drives",
                 "/events",
                 "/force/high",
@@ -112,8 +113,7 @@ mod built {
                 "/pose/commanded",
                 "/pose/programmed",
                 "/pose/tool",
-                "/state",
-                "/displacement"
+                "/state"
             ]
         );
         // 1000 messages per second, with the values of the recording.
