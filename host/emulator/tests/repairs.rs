@@ -253,7 +253,7 @@ fn the_usb_controller_has_transactions() {
     assert_eq!(chip.usb(|it| it.transmit(7, 0)), UsbAnswer::Nak);
 }
 
-/// The watchdog resets the chip, which starts again, and tells why.
+/// The watchdog resets the chip, which starts again, and reports the cause.
 #[test]
 fn the_watchdog_resets_the_chip() {
     // r1 = WATCHDOG; ldr r2, [r1, #8]

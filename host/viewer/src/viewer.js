@@ -179,7 +179,7 @@ function element(parent, name, className, text) {
 
 function dot(u, v) { return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]; }
 
-// Directions on the screen and towards the eye: `right` times `up` is `eye`, so nothing is mirrored.
+// Directions on the screen and towards the eye. `right` times `up` is `eye`: no mirror image.
 function basis(camera) {
   const [sy, cy, sp, cp] = [Math.sin(camera.yaw), Math.cos(camera.yaw),
     Math.sin(camera.pitch), Math.cos(camera.pitch)];

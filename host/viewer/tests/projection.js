@@ -1,4 +1,5 @@
-// Projects the axes by the script of the viewer, without a browser. Usage: node projection.js VIEWER
+// Projects the axes by the script of the viewer, without a browser.
+// Usage: node projection.js VIEWER
 'use strict';
 const fs = require('fs');
 const vm = require('vm');
