@@ -3,14 +3,15 @@
 //!
 //! An error file names 18 functions and 3 angles (docs/volumetric.md). The error of the tool is
 //! computed by moving frames: a carriage goes to its place, is displaced and turned by its errors,
-//! and carries the next frame. Nothing is linearised, and no formula of the controller is used. The
-//! errors are those of the tool relative to the workpiece, so the table takes them with the
+//! and carries the next frame. Rotations are exact; a squareness error is the tangent of its angle,
+//! and the model of the thesis uses small angles as printed. No formula of the controller is used.
+//! The errors are those of the tool relative to the workpiece, so the table takes them with the
 //! opposite sign.
 //!
 //! Units: mm and radians; a file has um and urad.
 
 use crate::vector::{Vector, cross, plus};
-use core::f64::consts::TAU;
+use core::f64::consts::{PI, TAU};
 use serde::{Deserialize, Serialize};
 
 /// Model that turns the errors of the carriages into the error of the tool.
@@ -20,8 +21,8 @@ pub enum ErrorModel {
     /// The frames of the machine, with squareness errors.
     #[default]
     Physical,
-    /// The frames as S. Pimpet's thesis (Thai-Nichi Institute of Technology, 2012) places them: the
-    /// work point is the arm of every rotation; no squareness errors.
+    /// The frames as the thesis of P. Sratong-on (Thai-Nichi Institute of Technology, 2012) places
+    /// them: the work point is the arm of every rotation; no squareness errors.
     Thesis,
 }
 
@@ -51,7 +52,7 @@ pub struct CarriageErrors {
     /// Middle of the play of each carriage, mm, and the carriage's place in it: 1 after motion
     /// upwards, -1 after motion downwards.
     middle: [f64; 3],
-    flank: [f64; 3],
+    play_side: [f64; 3],
 }
 
 impl CarriageErrors {
@@ -73,7 +74,8 @@ impl CarriageErrors {
             Some("unit") => false,
             _ => {
                 return Err(format!(
-                    "line {at}: \"{header}\" is not the header of an error file"
+                    "line {at}: \"{header}\" is not the header of an error file; write \
+                     \"function,position_mm,direction,value,unit\""
                 ));
             }
         };
@@ -84,18 +86,23 @@ impl CarriageErrors {
             let parts: Vec<&str> = line.split(',').map(str::trim).collect();
             let wrong = |what: &str| format!("line {at}: \"{line}\": {what}");
             if parts.len() != if table { 5 } else { 10 } {
-                return Err(wrong("has another number of values than the header"));
+                return Err(wrong(
+                    "complete the line: it has another number of values than the header",
+                ));
             }
             let number = |index: usize| {
                 let number: Option<f64> = parts[index].parse().ok();
                 number
                     .filter(|it| it.is_finite())
-                    .ok_or_else(|| wrong("needs numbers"))
+                    .ok_or_else(|| wrong("write a number in each column of values"))
             };
-            let unit = match parts[if table { 4 } else { 1 }] {
-                "um" => 1e-3,
-                "urad" => 1e-6,
-                _ => return Err(wrong("needs the unit um or urad")),
+            let (unit, turns) = match parts[if table { 4 } else { 1 }] {
+                "nm" => (1e-6, false),
+                "um" => (1e-3, false),
+                "mm" => (1.0, false),
+                "urad" => (1e-6, true),
+                "arcsec" => (PI / 648_000.0, true),
+                _ => return Err(wrong("write the unit um, mm, nm, urad or arcsec")),
             };
             let name = parts[0].trim_start_matches('E');
             if let Some(index) = ["C0Y", "B0Z", "A0Z"].iter().position(|it| *it == name) {
@@ -107,10 +114,14 @@ impl CarriageErrors {
             let error = place(letters.next(), "XYZABC");
             let carriage = place(letters.next(), "XYZ");
             let (Some(error), Some(carriage), None) = (error, carriage, letters.next()) else {
-                return Err(wrong("names no error of a carriage"));
+                return Err(wrong(
+                    "write a name such as EXX, EBY or EC0Y: this is no error of a carriage",
+                ));
             };
-            if (error >= 3) != (unit == 1e-6) {
-                return Err(wrong("has the unit of the other kind of error"));
+            if (error >= 3) != turns {
+                return Err(wrong(
+                    "write um, mm or nm for a translation, urad or arcsec for a rotation",
+                ));
             }
             if table {
                 let row = (number(1)?, number(3)? * unit, parts[2].to_string());
@@ -158,7 +169,7 @@ impl CarriageErrors {
             ],
             model,
             middle: [0.0; 3],
-            flank: [1.0; 3],
+            play_side: [1.0; 3],
         }))
     }
 
@@ -170,7 +181,7 @@ impl CarriageErrors {
             let half = 0.5 * self.play(axis, carriage).max(REVERSAL);
             let ahead = (carriage - self.middle[axis]).clamp(-half, half);
             self.middle[axis] = carriage - ahead;
-            self.flank[axis] = ahead / half;
+            self.play_side[axis] = ahead / half;
         }
         let [x, y, z] = [0, 1, 2].map(|axis| self.carriage(axis, carriages[axis]));
         match self.model {
@@ -183,7 +194,7 @@ impl CarriageErrors {
     /// y, z in mm, then rotations about them in radians.
     #[must_use]
     pub fn of_carriage(&mut self, axis: usize, at: f64, upwards: bool) -> [f64; 6] {
-        self.flank[axis] = if upwards { 1.0 } else { -1.0 };
+        self.play_side[axis] = if upwards { 1.0 } else { -1.0 };
         let Carriage { by, turn } = self.carriage(axis, at);
         let ([x, y, z], [a, b, c]) = (by, turn);
         [x, y, z, a, b, c]
@@ -211,7 +222,7 @@ impl CarriageErrors {
                 value + slope * at + sines.iter().map(sine).sum::<f64>()
             }
             Function::Table(nodes, up, down) => {
-                let weight = 0.5 + 0.5 * self.flank[axis];
+                let weight = 0.5 + 0.5 * self.play_side[axis];
                 weight * between(nodes, up, at) + (1.0 - weight) * between(nodes, down, at)
             }
         });
@@ -306,12 +317,14 @@ fn table_of(name: &str, rows: &[(f64, f64, String)]) -> Result<Function, String>
         Function::Table(up.0, up.1, down.1)
     } else {
         return Err(format!(
-            "{name} needs the same positions in both directions"
+            "{name} needs the same positions in both directions; measure both at the same targets"
         ));
     };
     if let Function::Table(nodes, ..) = &function {
         if nodes.len() < 2 {
-            return Err(format!("{name} needs at least two positions"));
+            return Err(format!(
+                "{name} needs at least two positions; write both ends of the travel"
+            ));
         }
         if nodes.windows(2).any(|pair| pair[0] >= pair[1]) {
             return Err(format!(

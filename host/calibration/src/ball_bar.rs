@@ -83,8 +83,8 @@ pub fn run(machine: &mut Machine, test: &CircleTest) -> Result<CircleResult, Err
     let samples = machine.run("circle test", &test.program())?;
     evaluate(&samples, test).ok_or_else(|| {
         Error::new(
-            ErrorKind::Internal,
-            "the circle test has angles without a reading",
+            ErrorKind::Command,
+            "the circle test has angles without a reading; use a slower feed or a larger circle",
         )
     })
 }

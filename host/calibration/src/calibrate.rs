@@ -4,14 +4,19 @@
 //! Every axis runs along its line through the origin of the work, five times in each direction. One
 //! drive of the machine serves all set-ups of the instruments; their noise is independent.
 //!
-//! What the instruments cannot know is not in the tables:
-//! - An offset. Positioning and angles are zero at the origin.
+//! The reflectors for positioning and straightness stand between the tool and the table: their
+//! readings are deviations of the tool relative to the work, on a compensated machine those that
+//! are left. Angles are those of the carriages, which no axis corrects.
+//!
+//! The tables do not contain what these readings do not contain:
+//! - An offset. A channel shows 0 at the first target; positioning and angles are then shifted to
+//!   zero at the origin.
 //! - The slope of a straightness: an optical straight edge is aligned with the axis, so the line of
 //!   least squares is removed. The angles between the axes come from a square.
 //!
-//! A table of errors therefore equals the truth up to a motion of the whole work. The square stands
-//! on the table, and its readings contain what the rotations of the table do on their arms; that
-//! part is taken off.
+//! A table of errors therefore equals the truth up to a rigid motion of the whole work. Straight
+//! edge and square stand on the table, and their readings contain what the rotations of the table
+//! do on their arms; that part is taken off.
 
 use crate::drive::Machine;
 use crate::laser::{Channel, Environment, Laser, LaserOptions};
@@ -24,7 +29,7 @@ use haptimill_hil_sim::machines::GeometryConfig;
 use haptimill_hil_sim::machines::carriage_errors::CarriageErrors;
 use haptimill_machine_file::MachineFile;
 use haptimill_volumetric::errors::{
-    Axis, ErrorSet, Function, Kind, Shape, Squareness, Table, even_nodes, interpolate,
+    Approach, Axis, ErrorSet, Function, Kind, Shape, Squareness, Table, even_nodes, interpolate,
 };
 use haptimill_volumetric::gdt::fit_line;
 use haptimill_volumetric::readings::{self, Readings};
@@ -131,7 +136,8 @@ pub struct Calibration {
 /// Drives the machine to all targets and identifies its errors.
 ///
 /// # Errors
-/// The machine is not homed or not simulated, or a run fails; nothing moves then.
+/// The machine is not homed or not simulated: nothing moves then. A run fails: the machine stands
+/// where it stopped.
 pub fn calibrate(
     machine: &mut Machine,
     file: &MachineFile,
@@ -223,10 +229,23 @@ fn read_axis(
     plan: &Plan,
 ) -> MeasuredAxis {
     let count = targets.len();
+    // What an instrument without noise shows, by pass and target.
+    let seen = |function: Function, truth: &mut CarriageErrors| {
+        let deviations = visited.iter().enumerate().map(|(index, sample)| {
+            let upwards = (index / count).is_multiple_of(2);
+            deviation(function, targets[index % count], sample, upwards, truth)
+        });
+        let deviations: Vec<f64> = deviations.collect();
+        set_up(function, targets, deviations)
+    };
     let all = Function::all().filter(|function| function.moving == axis);
-    let mut functions: Vec<Measured> = all
-        .map(|function| Measured {
-            function,
+    let seen: Vec<(Function, Vec<f64>)> = all
+        .map(|function| (function, seen(function, truth)))
+        .collect();
+    let mut functions: Vec<Measured> = seen
+        .iter()
+        .map(|(function, _)| Measured {
+            function: *function,
             up: vec![Vec::new(); count],
             down: vec![Vec::new(); count],
             result: Positioning::default(),
@@ -237,23 +256,16 @@ fn read_axis(
         let upwards = pass % 2 == 0;
         let mut laser = Laser::new(&plan.laser, 100 * axis.index() as u64 + pass as u64);
         for (target, sample) in samples.iter().enumerate() {
-            let at = sample.carriages[axis.index()];
-            let errors = truth.of_carriage(axis.index(), at, upwards);
-            for measured in &mut functions {
-                let function = measured.function;
-                let mut value = errors[function.index() % 6];
+            for (measured, (function, seen)) in functions.iter_mut().zip(&seen) {
                 let channel = match function.kind() {
-                    Kind::Positioning => {
-                        // The carriage itself may be off its target.
-                        value += at - targets[target];
-                        Channel::Linear
-                    }
+                    Kind::Positioning => Channel::Linear,
                     Kind::Straightness => Channel::Straightness,
                     Kind::Roll => Channel::Roll,
                     _ => Channel::Angle,
                 };
                 let path = targets[target] - targets[0];
-                if let Ok(reading) = laser.read(channel, value, path) {
+                // Roll without an instrument for it has no reading.
+                if let Ok(reading) = laser.read(channel, seen[pass * count + target], path) {
                     let column = if upwards {
                         &mut measured.up
                     } else {
@@ -285,6 +297,42 @@ fn read_axis(
     }
 }
 
+/// Deviation at a target: of the tool relative to the table where the beam stands between the two,
+/// as the controller may correct it with any axis; of the carriage for a rotation, which no axis
+/// corrects.
+fn deviation(
+    function: Function,
+    target: f64,
+    sample: &Sample,
+    upwards: bool,
+    truth: &mut CarriageErrors,
+) -> f64 {
+    let axis = function.moving.index();
+    let component = function.direction.index();
+    if function.rotates {
+        let at = sample.carriages[axis];
+        return truth.of_carriage(axis, at, upwards)[3 + component];
+    }
+    let ideal = if component == axis { target } else { 0.0 };
+    sample.tool[component] - ideal
+}
+
+/// Deviations as the optics show them after their set-up: the first one is 0, and the straight edge
+/// is aligned with the first and the last target of the first run.
+fn set_up(function: Function, targets: &[f64], deviations: Vec<f64>) -> Vec<f64> {
+    let count = targets.len();
+    let first = deviations[0];
+    let slope = if function.kind() == Kind::Straightness && count > 1 {
+        (deviations[count - 1] - first) / (targets[count - 1] - targets[0])
+    } else {
+        0.0
+    };
+    let shown = deviations.iter().enumerate().map(|(index, deviation)| {
+        deviation - first - slope * (targets[index % count] - targets[0])
+    });
+    shown.collect()
+}
+
 /// Means over all runs in both directions at each target.
 fn means(measured: &Measured) -> Vec<f64> {
     let targets = measured.up.iter().zip(&measured.down);
@@ -302,6 +350,9 @@ pub fn identify(axes: &[MeasuredAxis]) -> ErrorSet {
     let mut set = ErrorSet::default();
     for measured in axes {
         identify_axis(measured, &mut set);
+    }
+    take_off_arms(&mut set);
+    for measured in axes {
         // A roll that nobody measured is zero.
         for function in Function::all().filter(|function| function.moving == measured.axis) {
             if !matches!(set.function(function), Shape::Table(_)) {
@@ -373,6 +424,30 @@ fn identify_axis(measured: &MeasuredAxis, set: &mut ErrorSet) {
     }
 }
 
+/// Takes what the measured rotations of the table do on the line along y off the straightness of
+/// the table: the straight edge stands on it and turns with it about the origin of the work.
+fn take_off_arms(set: &mut ErrorSet) {
+    for (direction, about, sign) in [(Axis::X, Axis::Z, 1.0), (Axis::Z, Axis::X, -1.0)] {
+        let of = |direction, rotates| Function {
+            moving: Axis::Y,
+            direction,
+            rotates,
+        };
+        let (straightness, rotation) = (of(direction, false), of(about, true));
+        let turn = |at: f64| set.function(rotation).value(at, Approach::Any);
+        let Shape::Table(table) = set.function(straightness) else {
+            continue;
+        };
+        let nodes = table.nodes.clone();
+        let pairs = nodes.iter().zip(&table.up);
+        let values: Vec<f64> = pairs
+            .map(|(at, value)| value + sign * at * turn(*at))
+            .collect();
+        let values = without_line(&nodes, &values);
+        set.set(straightness, Shape::Table(Table::both(nodes, values)));
+    }
+}
+
 fn without_line(nodes: &[f64], values: &[f64]) -> Vec<f64> {
     let points: Vec<[f64; 2]> = nodes.iter().zip(values).map(|(u, v)| [*u, *v]).collect();
     fit_line(&points).map_or_else(|_| values.to_vec(), |line| line.residuals)
@@ -410,7 +485,7 @@ fn squareness(axes: &[MeasuredAxis], set: &ErrorSet) -> Squareness {
         let values = y
             .targets
             .iter()
-            .map(|at| at * shape.value(*at, Default::default()));
+            .map(|at| at * shape.value(*at, Approach::Any));
         slope(&y.targets, values)
     };
     Squareness {
@@ -443,6 +518,7 @@ pub fn of_readings(readings: &Readings, travel: &[(f64, f64); 3]) -> (ErrorSet, 
     for axis in &axes {
         identify_axis(axis, &mut set);
     }
+    take_off_arms(&mut set);
     set.squareness = readings.squareness;
     let mut text = results(&axes, &set);
     for function in Function::all() {
@@ -499,7 +575,10 @@ impl Calibration {
         let compensation = match self.compensation {
             None => "the machine has none".to_string(),
             Some(0) => "off".to_string(),
-            Some(percent) => format!("ON ({percent} %): these are the errors that it leaves"),
+            Some(percent) => format!(
+                "ON ({percent} %): positioning, straightness and squareness are what it leaves on \
+                 the measured lines; rotations remain; do not compensate with this file"
+            ),
         };
         let wavelength = if self.options.corrects_wavelength {
             "corrected by sensors".to_string()

@@ -49,7 +49,8 @@ fn find(cut_at: impl Fn(&ProbePoint) -> Option<Vector>) -> Result<Features<Vecto
         Some(point) => {
             let place = point.surface;
             let what = format!(
-                "the program cuts nothing at x = {:.1}, y = {:.1}, z = {:.1}",
+                "the program cuts nothing at x = {:.1}, y = {:.1}, z = {:.1}: add the pass that \
+                 cuts this surface of the test piece",
                 place.x, place.y, place.z
             );
             Err(Error::new(ErrorKind::BadInput, what))

@@ -81,8 +81,9 @@ impl Machine {
                 self.session.step()?;
             }
         }
-        let what = "volumetric compensation does not fade; is the machine homed?";
-        Err(Error::new(ErrorKind::Internal, what))
+        let what = "volumetric compensation does not fade: it needs a homed machine with its drives on; \
+                    home it first";
+        Err(Error::new(ErrorKind::Command, what))
     }
 
     /// The newest telemetry.
@@ -176,7 +177,10 @@ fn standstills(
             .position(is_there)
             .map(|first| at + first);
         let missing = || {
-            let what = format!("the machine did not stand still at {target:?}");
+            let what = format!(
+                "the machine did not stand still at {target:?} mm for the window of the readings; \
+                 wait longer"
+            );
             Error::new(ErrorKind::Internal, what)
         };
         let from = from.ok_or_else(missing)?;

@@ -63,7 +63,7 @@ impl Environment {
     }
 }
 
-/// Accuracy of the instruments, and how they are used.
+/// Accuracy of the instruments as two standard deviations, and how they are used.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LaserOptions {
     /// Scale of the linear channel.

@@ -21,8 +21,8 @@ pub fn page(outcome: &Outcome) -> String {
     let mut body = String::from(
         "<h1>Volumetric errors of a vertical mill</h1><p class=\"sub\">21 geometric \
          errors in the simulated machine, measured by a simulated laser through the controller's \
-         protocol, compensated by the controller, proven on the test piece A160 of ISO 10791-7 and \
-         on the circle test of ISO 230-4.</p>",
+         protocol and compensated by the controller; the test piece A160 of ISO 10791-7 and the \
+         circle test of ISO 230-4 before and after.</p>",
     );
     volumes(&mut body, outcome);
     body.push_str("<h2>Error of the tool over the part</h2>");

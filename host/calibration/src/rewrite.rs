@@ -69,7 +69,7 @@ fn write_step(out: &mut String, step: &Step, error: &impl Fn(Vector) -> Vector) 
             let word = if *rpm > 0 { "M3" } else { "M4" };
             writeln!(out, "S{} {word}", rpm.unsigned_abs())
         }
-        Step::Message { .. } => Ok(()),
+        Step::Message { text, .. } => writeln!(out, "(MSG,{text})"),
         other => return Err(other.place().line),
     };
     Ok(())

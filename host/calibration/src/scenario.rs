@@ -68,7 +68,8 @@ impl Volume {
         Self { points, errors }
     }
 
-    /// The errors without the motion of the whole work that fits them best: no instrument knows it.
+    /// The errors less the best-fitting rigid translation and rotation of the whole work, which the
+    /// readings do not contain.
     #[must_use]
     pub fn without_motion(&self) -> Self {
         let mut matrix = [[0.0; 6]; 6];
@@ -177,7 +178,11 @@ pub fn truth(machine: &MachineFile) -> Result<(String, ErrorSet), Error> {
     use haptimill_hil_sim::machines::GeometryConfig;
     let plant: PlantConfig = machine.plant()?;
     let Some(GeometryConfig::Cartesian(config)) = &plant.geometry else {
-        let what = format!("{}: the simulated machine has no carriages", machine.file);
+        let what = format!(
+            "{}: the simulated machine has no errors of carriages; add \
+             [plant.geometry.cartesian] with `errors`",
+            machine.file
+        );
         return Err(Error::new(ErrorKind::BadInput, what));
     };
     let errors = file::read(&config.errors, &Limits::default()).map_err(|problem| {

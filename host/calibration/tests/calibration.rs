@@ -1,6 +1,6 @@
 //! The laser measures the simulated machine through the controller.
 
-use haptimill_calibration::calibrate::{Plan, calibrate};
+use haptimill_calibration::calibrate::{Measured, Plan, calibrate};
 use haptimill_calibration::drive::{Machine, SLOW};
 use haptimill_calibration::laser::LaserOptions;
 use haptimill_calibration::scenario::{Volume, machine, travel, truth, worn};
@@ -40,25 +40,58 @@ fn exact_instruments_find_the_errors() {
     });
     let (raw, rest) = (volume.sizes(), volume.without_motion().sizes());
     println!("{raw:?}, without motion {rest:?}");
-    assert!(rest.largest < 0.15e-3, "{rest:?}");
+    assert!(rest.largest < 0.05e-3, "{rest:?}");
     let report = found.report();
     assert!(report.contains("the machine has none"), "{report}");
     assert!(
         report.contains("by another instrument than the laser"),
         "{report}"
     );
-    // A compensated machine is measured too, and the report says so.
+    // Every channel shows 0 at its first target.
+    for measured in found.axes.iter().flat_map(|axis| &axis.functions) {
+        assert_eq!(measured.up[0][0], 0.0, "{}", measured.function);
+    }
+}
+
+/// A compensated machine is measured too: a beam between tool and table reads what the compensation
+/// leaves of the translations, and the whole of the rotations. The report says so.
+#[test]
+fn a_compensated_machine_reads_what_is_left() {
+    let file = machine().unwrap();
     let compensated = haptimill_calibration::scenario::with_exact_tables(&file).unwrap();
-    let mut powered = Machine::new(&compensated, SLOW, &Default::default()).unwrap();
-    powered.compensate(true).unwrap();
-    let status = powered.status().unwrap();
-    assert_eq!(status.compensation, Some(100));
     let coarse = Plan {
-        interval: 200.0,
+        interval: 100.0,
         ..plan(LaserOptions::ideal())
     };
-    let said = calibrate(&mut powered, &compensated, &coarse, |_| ()).unwrap();
-    assert!(said.report().contains("ON (100 %)"), "{}", said.report());
+    let mut powered = Machine::new(&compensated, SLOW, &Default::default()).unwrap();
+    let mut ranges = |on| {
+        powered.compensate(on).unwrap();
+        let found = calibrate(&mut powered, &compensated, &coarse, |_| ()).unwrap();
+        let all = found.axes.iter().flat_map(|axis| &axis.functions);
+        let range = |measured: &Measured| {
+            let readings = measured.up.iter().chain(&measured.down).flatten();
+            let [low, high] =
+                [f64::min, f64::max].map(|of| readings.clone().copied().fold(0.0, of));
+            (measured.function, high - low)
+        };
+        (all.map(range).collect::<Vec<_>>(), found.report())
+    };
+    let (off, report) = ranges(false);
+    assert!(report.contains("compensation off"), "{report}");
+    let (on, report) = ranges(true);
+    assert!(report.contains("ON (100 %)"), "{report}");
+    for ((function, off), (_, on)) in off.into_iter().zip(on) {
+        let unit = function.file_unit();
+        println!("{function} off {:.3} on {:.3}", off / unit, on / unit);
+        if function.rotates {
+            // At another place by the correction.
+            assert!((on - off).abs() < 0.01e-6, "{function}: {off} {on}");
+        } else {
+            // Twice the goal of 0.1 um: a range has two ends.
+            assert!(off > 0.5e-3, "{function}: {off}");
+            assert!(on < 0.2e-3, "{function}: {on}");
+        }
+    }
 }
 
 /// What is left of the errors of a worn machine is what the stated uncertainty of the instruments

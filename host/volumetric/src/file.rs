@@ -12,6 +12,7 @@
 //! closed forms. A problem names the line and the remedy.
 
 use crate::errors::{ClosedForm, ErrorSet, Function, Shape, Squareness, Table};
+use core::f64::consts::TAU;
 use core::fmt;
 use csv::StringRecord;
 use std::fmt::Write as _;
@@ -98,7 +99,7 @@ pub fn read(text: &str, limits: &Limits) -> Result<ErrorSet, FileProblem> {
         .find(|line| !line.starts_with('#') && !line.trim().is_empty())
         .is_some_and(|line| columns_of(line) == columns_of(FORM_HEADER));
     if form {
-        read_forms(&rows(text, FORM_HEADER)?)
+        read_forms(&rows(text, FORM_HEADER)?, limits)
     } else {
         read_tables(&rows(text, TABLE_HEADER)?, limits)
     }
@@ -108,6 +109,14 @@ fn columns_of(header: &str) -> Vec<&str> {
     header.split(',').map(str::trim).collect()
 }
 
+/// Line of the header, from 1: the first one that is no comment and not empty.
+fn line_of_header(text: &str) -> u64 {
+    let comments = text
+        .lines()
+        .take_while(|line| line.starts_with('#') || line.trim().is_empty());
+    comments.count() as u64 + 1
+}
+
 /// The rows of a file with a header.
 pub(crate) fn rows(text: &str, header: &str) -> Result<Vec<Row>, FileProblem> {
     let mut reader = csv::ReaderBuilder::new()
@@ -115,13 +124,14 @@ pub(crate) fn rows(text: &str, header: &str) -> Result<Vec<Row>, FileProblem> {
         .flexible(true)
         .trim(csv::Trim::All)
         .from_reader(text.as_bytes());
+    let line = line_of_header(text);
     let found = reader
         .headers()
-        .map_err(|error| problem(1, error.to_string(), "save the file as UTF-8"))?;
+        .map_err(|error| problem(line, error.to_string(), "save the file as UTF-8"))?;
     let found: Vec<&str> = found.iter().collect();
     if found != columns_of(header) {
         return Err(problem(
-            1,
+            line,
             format!("the header is \"{}\"", found.join(",")),
             format!("write \"{header}\""),
         ));
@@ -255,7 +265,7 @@ impl Found {
     }
 }
 
-fn read_forms(rows: &[Row]) -> Result<ErrorSet, FileProblem> {
+fn read_forms(rows: &[Row], limits: &Limits) -> Result<ErrorSet, FileProblem> {
     let mut set = ErrorSet::default();
     let mut found = Found::default();
     for row in rows {
@@ -263,6 +273,7 @@ fn read_forms(rows: &[Row]) -> Result<ErrorSet, FileProblem> {
         match row.name()? {
             Name::Squareness(index) => {
                 let value = number(2)? * row.unit(1, true)?;
+                check_size(row.line, row.text(0), value, limits.rotation, "urad", 1e-6)?;
                 found.squareness(row, index, value)?;
             }
             Name::Function(function) => {
@@ -283,12 +294,38 @@ fn read_forms(rows: &[Row]) -> Result<ErrorSet, FileProblem> {
                     slope: number(3)? * unit,
                     sines: [sine(4)?, sine(7)?],
                 };
+                check_form(row.line, function, &form, limits)?;
                 set.set(function, Shape::ClosedForm(form));
             }
         }
     }
     set.squareness = found.finish()?;
     Ok(set)
+}
+
+/// Checks the largest value and slope that a closed form may have over the travel.
+fn check_form(
+    line: u64,
+    function: Function,
+    form: &ClosedForm,
+    limits: &Limits,
+) -> Result<(), FileProblem> {
+    let axis = function.moving.index();
+    let (low, high) = limits.travel.map_or((0.0, 0.0), |travel| travel[axis]);
+    let reach = low.abs().max(high.abs());
+    let sines = form.sines.iter().filter(|[_, length, _]| *length != 0.0);
+    let waves: f64 = sines.clone().map(|[amplitude, ..]| amplitude.abs()).sum();
+    let steep = sines.map(|[amplitude, length, _]| (TAU * amplitude / length).abs());
+    let slope = form.slope.abs() + steep.sum::<f64>();
+    let size = form.mean.abs() + form.slope.abs() * reach + waves;
+    let largest = if function.rotates {
+        limits.rotation
+    } else {
+        limits.translation
+    };
+    let (unit, one) = (function.unit(), function.file_unit());
+    check_size(line, &function.to_string(), size, largest, unit, one)?;
+    check_slope(line, function, slope, limits)
 }
 
 /// Nodes and values of a function in one direction.
@@ -432,7 +469,7 @@ fn check_slope(
     Err(problem(
         line,
         what,
-        "check the point: a servo loop does not follow such a step",
+        "check the value: a servo loop does not follow such a step",
     ))
 }
 

@@ -1,7 +1,7 @@
 //! Files that cannot be used, each with the line and a remedy.
 
 use haptimill_volumetric::errors::{Function, Squareness};
-use haptimill_volumetric::file::{Limits, TABLE_HEADER, read};
+use haptimill_volumetric::file::{FORM_HEADER, Limits, TABLE_HEADER, read};
 
 /// A valid file: every function from -100 to 100 mm in steps of 100.
 fn lines() -> Vec<String> {
@@ -56,7 +56,7 @@ fn names_round_trip() {
 #[test]
 fn problems_name_line_and_remedy() {
     type Change = fn(&mut Vec<String>);
-    let cases: [(Change, &str); 13] = [
+    let cases: [(Change, &str); 17] = [
         (|l| l[0] = "a,b".into(), "line 1: the header"),
         (|l| l[2] = "EXX,0,,,um".into(), "line 3: EXX has a gap"),
         (
@@ -88,6 +88,25 @@ fn problems_name_line_and_remedy() {
             "EXX has lines with and without",
         ),
         (|l| drop(l.pop()), "EA0Z has no line"),
+        (
+            |l| l[11] = "EAX,0,,1500,urad".into(),
+            "line 12: EAX is 1500.0000 urad, the controller takes at most 1000.0000",
+        ),
+        (
+            |l| l[11] = "EAX,0,,900,urad".into(),
+            "line 12: EAX changes by 8.985 urad per mm, the controller takes at most 2.000",
+        ),
+        (
+            |l| l[55] = "EC0Y,,,1001,urad".into(),
+            "line 56: EC0Y is 1001.0000 urad",
+        ),
+        (
+            |l| {
+                l.splice(0..1, ["# a comment".into(), "name".into()])
+                    .for_each(drop)
+            },
+            "line 2: the header is \"name\"",
+        ),
     ];
     for (change, expected) in cases {
         let message = refused(change);
@@ -109,6 +128,43 @@ fn problems_name_line_and_remedy() {
     let message = read(&lines().join("\n"), &wide).unwrap_err().to_string();
     assert!(
         message.contains("covers -100 to 100 mm of the travel -400"),
+        "{message}"
+    );
+}
+
+/// Closed forms have the limits of tables, over the whole travel.
+#[test]
+fn forms_beyond_the_limits() {
+    let file = |exx: &str| {
+        let mut lines = vec![FORM_HEADER.to_string()];
+        for function in Function::all() {
+            lines.push(format!("{function},{},1,0,0,0,0,0,0,0", function.unit()));
+        }
+        lines[1] = format!("EXX,um,{exx}");
+        lines.extend(Squareness::NAMES.map(|name| format!("{name},urad,5,,,,,,,")));
+        lines.join("\n")
+    };
+    assert!(read(&file("1,0,0,0,0,0,0,0"), &limits()).is_ok());
+    for (exx, expected) in [
+        // 1 um of a wave of 6 mm.
+        (
+            "0,0,1,6,0,0,0,0",
+            "line 2: EXX changes by 1.047 um per mm, the controller takes at most 1.000",
+        ),
+        (
+            "0,0.9,0.5,6,0,0,0,0",
+            "line 2: EXX changes by 1.424 um per mm",
+        ),
+        ("300,0,150,2000,0,60,2000,0", "line 2: EXX is 510.0000 um"),
+        ("450,-0.6,0,0,0,0,0,0", "line 2: EXX is 510.0000 um"),
+    ] {
+        let message = read(&file(exx), &limits()).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}\n  {expected}");
+    }
+    let large = file("1,0,0,0,0,0,0,0").replace("EC0Y,urad,5", "EC0Y,urad,1200");
+    let message = read(&large, &limits()).unwrap_err().to_string();
+    assert!(
+        message.contains("line 20: EC0Y is 1200.0000 urad"),
         "{message}"
     );
 }

@@ -117,7 +117,8 @@ impl Display for ConfigField {
                 "gantry (both motors need equal searches of their switches, equal presets, and a \
                  largest racking)"
             }
-            Self::Volumetric => "volumetric compensation (size or slope of a table, or its range)",
+            Self::Volumetric => "volumetric compensation (needs joints x, y, z with 4 mm of stroke beyond the soft limits; \
+                 or size, slope or range of a table)",
         })
     }
 }
