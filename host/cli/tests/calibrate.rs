@@ -101,6 +101,14 @@ fn readings_become_a_compensated_circle() {
         "--quiet",
     ];
     run(&[&moved[..], &["--out", &path("out")]].concat()).expect_code(0);
+    // The report of a job states the compensation.
+    let summary = std::fs::read_to_string(folder.path("out") + "/summary.json").unwrap();
+    assert!(
+        summary.contains("\"volumetric_compensation\": \"on"),
+        "{summary}"
+    );
+    let page = std::fs::read_to_string(folder.path("out") + "/report.html").unwrap();
+    assert!(page.contains("<td>Volumetric compensation</td><td>on"));
 }
 
 /// Readings that cannot be used: the line and the remedy, and no error file.

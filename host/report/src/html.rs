@@ -469,6 +469,10 @@ fn table(page: &mut String, summary: &Summary) {
             summary.following_error(5),
         ),
         (
+            "Volumetric compensation",
+            summary.volumetric_compensation.clone().unwrap_or_default(),
+        ),
+        (
             "Force on the tool, rms / largest",
             summary.process.force_text(),
         ),

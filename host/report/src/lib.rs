@@ -121,6 +121,10 @@ pub struct Summary {
     pub bytes_per_setpoint: f64,
     /// The same with keep-alive frames and acknowledgements.
     pub line_bytes_per_setpoint: f64,
+    /// Volumetric compensation in full effect during the job: `on`, `off`, or in which part;
+    /// missing where the machine has no error tables.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub volumetric_compensation: Option<String>,
     /// Force, compliance, spindle and cut; a value is missing where machine or job have none.
     #[serde(flatten)]
     pub process: Process,
@@ -194,6 +198,7 @@ impl Summary {
             position_kept: outcome.position_kept,
             bytes_per_setpoint: outcome.bytes_per_setpoint,
             line_bytes_per_setpoint: outcome.line_bytes_per_setpoint,
+            volumetric_compensation: statistics.compensation(),
             process: Process::of(statistics, outcome),
             periods: recorded.records,
             recorded_part: outcome.recorded_part.clone(),
@@ -264,6 +269,9 @@ impl Summary {
             self.contour_error_max_mm,
             self.following_error(4),
         );
+        if let Some(state) = &self.volumetric_compensation {
+            text.push_str(&format!("volumetric compensation: {state}\n"));
+        }
         text.push_str(&self.process.terminal());
         if let Some(part) = &self.recorded_part {
             let records = count(self.periods as usize, "record");

@@ -137,6 +137,9 @@ pub struct Statistics {
     pub displacement: Spread,
     /// Greatest magnitude of the spindle speed, rev/min.
     pub spindle_rpm: u16,
+    /// Records of the job with volumetric compensation in full effect; `None` where the machine has
+    /// no error tables.
+    pub compensated_records: Option<u64>,
     has_sensor: bool,
 }
 
@@ -198,6 +201,7 @@ impl Statistics {
             force: Spread::default(),
             displacement: Spread::default(),
             spindle_rpm: 0,
+            compensated_records: config.volumetric.as_ref().map(|_| 0),
             has_sensor: config.force.is_some(),
         }
     }
@@ -212,6 +216,9 @@ impl Statistics {
             return time;
         }
         self.job_records += 1;
+        if let Some(compensated) = &mut self.compensated_records {
+            *compensated += u64::from(record.has(flag::COMPENSATED));
+        }
         let begin = self.job.map_or(time, |(begin, _)| begin);
         self.job = Some((begin, time + self.period_s));
         let programmed = self.tip.point(&record.programmed);
@@ -281,6 +288,20 @@ impl Statistics {
         if let Some((time, line)) = self.contour_places.pop_front() {
             self.contour_error.add(error, time, line);
         }
+    }
+
+    /// Whether volumetric compensation was in full effect; `None` where the machine has no error
+    /// tables.
+    pub(crate) fn compensation(&self) -> Option<String> {
+        let (part, whole) = (self.compensated_records?, self.job_records);
+        Some(match part {
+            0 => "off".to_string(),
+            part if part == whole => "on".to_string(),
+            part => {
+                let percent = 100.0 * part as f64 / whole as f64;
+                format!("on in {percent:.1} % of the control periods")
+            }
+        })
     }
 
     /// Ends the statistics: the pending contour errors are added.

@@ -273,3 +273,51 @@ fn sparse_reports_give_one_line_and_a_pause_gives_two() {
     }
     assert_eq!(columns.line().len(), 2);
 }
+
+/// A report states whether volumetric compensation was in effect, from the flag of each record; a
+/// machine without error tables has no such line.
+#[test]
+fn the_report_states_the_compensation() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../machines/vmc3.toml");
+    let plain = MachineFile::load(&path).unwrap();
+    let zeros = haptimill_volumetric::errors::ErrorSet::default();
+    let travel = std::array::from_fn(|axis| (plain.pose[axis].low, plain.pose[axis].high));
+    let text = haptimill_volumetric::file::write(&zeros.tabulated(&travel, [8; 3]), "");
+    let tables = plain.with_errors("zeros", &text, "wYbXZt").unwrap();
+    let state = |machine: &MachineFile, compensated: fn(u32) -> bool| {
+        let file = NamedTempFile::new().unwrap().into_temp_path();
+        let header = Header::of(machine, "line.ngc").unwrap();
+        let mut recorder = Recorder::create(&file, &header).unwrap();
+        for index in 0..1000 {
+            let of = |is: bool, flag: u8| if is { flag } else { 0 };
+            recorder.record(&Record {
+                period: u64::from(index),
+                // The fade before the job does not count.
+                flags: of(index >= 200, flag::PROGRAMMED)
+                    | of(compensated(index), flag::COMPENSATED),
+                ..Record::default()
+            });
+        }
+        let recorded = recorder.finish().unwrap();
+        let recording = Recording::open(&file).unwrap();
+        let (summary, statistics) = Summary::of(&recording, &recorded, &outcome()).unwrap();
+        let mut page = Vec::new();
+        write_html(&recording, &summary, &statistics, None, &mut page).unwrap();
+        let page = String::from_utf8(page).unwrap();
+        let state = summary.volumetric_compensation.clone();
+        assert_eq!(page.contains("Volumetric compensation"), state.is_some());
+        let line = format!(
+            "volumetric compensation: {}\n",
+            state.clone().unwrap_or_default()
+        );
+        assert_eq!(summary.terminal().contains(&line), state.is_some());
+        state
+    };
+    assert_eq!(state(&plain, |_| false), None);
+    assert_eq!(state(&tables, |_| false).as_deref(), Some("off"));
+    assert_eq!(state(&tables, |index| index >= 200).as_deref(), Some("on"));
+    assert_eq!(
+        state(&tables, |index| index >= 600).as_deref(),
+        Some("on in 50.0 % of the control periods")
+    );
+}
