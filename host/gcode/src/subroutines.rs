@@ -153,6 +153,13 @@ impl Interpreter<'_> {
         }
         for folder in folders {
             let path = folder.join(format!("{label}.ngc"));
+            // Opening a pipe would wait for its writer, in the middle of a job.
+            if path.exists() && !path.is_file() {
+                return mistake(
+                    format!("{} is no regular file", path.display()),
+                    "put a part program with the subroutine there",
+                );
+            }
             if let Ok(file) = std::fs::File::open(&path) {
                 self.called.push(path.display().to_string());
                 self.sources.push(Source::new(Box::new(file)));

@@ -6,13 +6,14 @@ use super::{CliError, Exit};
 use clap::Args;
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::io::DriveCommand;
+use haptimill_machine_file::input;
 use haptimill_pulses::{
     Axis, AxisReport, Capture, Clock, FaultKind, NANOSECOND, Planned, Report, Rules, SECOND,
     Signal, check, picture, pulses,
 };
 use haptimill_trace::Recording;
 use std::fs::File;
-use std::io::{BufReader, Write as _};
+use std::io::{self, BufRead, BufReader, Write as _};
 use std::path::{Path, PathBuf};
 
 const LONG: &str = "\
@@ -120,14 +121,34 @@ struct Joint {
     planned: Option<Vec<Planned>>,
 }
 
+/// Largest capture, bytes.
+const MOST_BYTES: u64 = 4 << 30;
+
+/// Opens a capture. A pipe is read to its end first, because it may have none.
+fn open_capture(path: &Path) -> Result<Box<dyn BufRead>, CliError> {
+    let cannot = |error: io::Error| bad(path, format!("cannot be read: {error}; check the path"));
+    let kind = path.metadata().map_err(cannot)?;
+    if !kind.is_file() {
+        let bytes = input::read(path, input::TABLE_BYTES).map_err(|error| bad(path, error))?;
+        return Ok(Box::new(io::Cursor::new(bytes)));
+    }
+    if kind.len() > MOST_BYTES {
+        let gib = MOST_BYTES >> 30;
+        return Err(bad(
+            path,
+            format!("it is larger than {gib} GiB; export a shorter part"),
+        ));
+    }
+    let file = File::open(path).map_err(cannot)?;
+    Ok(Box::new(BufReader::with_capacity(1 << 20, file)))
+}
+
 /// Checks a capture.
 ///
 /// # Errors
 /// See [`Exit`]; [`Exit::Command`] when there are faults.
 pub fn run(args: &PulsesArgs) -> Result<(), CliError> {
-    let file = File::open(&args.capture)
-        .map_err(|error| bad(&args.capture, format!("cannot be read: {error}")))?;
-    let capture = Capture::read_vcd(BufReader::with_capacity(1 << 20, file))
+    let capture = Capture::read_vcd(open_capture(&args.capture)?)
         .map_err(|error| bad(&args.capture, error))?;
     let mut rules = Rules {
         clock: Clock {

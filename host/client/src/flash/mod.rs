@@ -7,8 +7,8 @@ pub mod uf2;
 
 use crate::{Error, ErrorKind};
 use haptimill_firmware::config::Drive as JointDrive;
-use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
+use haptimill_machine_file::{MachineFile, input};
 use std::fmt;
 use std::fs::{self, File};
 use std::io::{self, Write as _};
@@ -128,14 +128,7 @@ impl Board {
         let bad = |what: &dyn fmt::Display| {
             Error::new(ErrorKind::BadInput, format!("{} {what}", path.display()))
         };
-        let cannot = |error: io::Error| bad(&format!("cannot be read: {error}"));
-        let length = fs::metadata(path).map_err(cannot)?.len();
-        if length > MOST {
-            return Err(bad(&format!(
-                "is too large: {length} bytes, of {MOST} at most"
-            )));
-        }
-        let bytes = fs::read(path).map_err(cannot)?;
+        let bytes = input::read(path, MOST).map_err(|error| bad(&error))?;
         uf2::read(&bytes, self.family).map_err(|what| bad(&what))?;
         Ok(bytes)
     }
