@@ -56,6 +56,19 @@ fn no_command_replaces_the_configuration_without_machine() {
         &["jog", "x=1", "--for", "0.1"],
         &["run", &program, "--out", &out],
         &["teleop", "--master", "sim", "--for", "1", "--out", &out],
+        &["run", &program, "--stream", "--out", &out],
+        &["jog", "--by", "x=1"],
+        &["move-off", "l1"],
+        &["mdi", "G0 X1"],
+        &["probe", "z=-1"],
+        &["probe", "edge", "z=-1", "--radius", "0"],
+        &["probe", "bore", "--reach", "1"],
+        &["probe", "boss", "--size", "9", "--depth", "1"],
+        &["probe", "tool", "--tool", "1", "--height", "0"],
+        &["offset", "touch", "g54", "x=1"],
+        &["output", "set", "coolant", "on"],
+        &["identify", "--yes", "--out", &out],
+        &["bridge", "grbl"],
     ] {
         let ran = served.run(command);
         assert_eq!(status(&served), before, "{command:?}: {ran:#?}");

@@ -4,7 +4,7 @@
 
 mod scene;
 
-use scene::{Running, TestFolder, start};
+use scene::{Running, SimServer, TestFolder, start};
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Write as _};
@@ -293,4 +293,21 @@ fn mistakes_get_their_error_and_the_bridge_goes_on() {
         end.machine[0].abs() < 0.001,
         "checked blocks move nothing: {end:?}"
     );
+}
+
+#[test]
+fn nothing_is_switched_on_before_every_input_is_read() {
+    let folder = TestFolder::new();
+    let machine = folder.machine_with("");
+    let served = SimServer::on_tcp(&["--machine", &machine]);
+    let bridge = ["bridge", "grbl", "--machine", &machine];
+    let taken = folder.file("taken", "");
+    let refused = served.run(&[&bridge[..], &["--link", &taken]].concat());
+    let refused = refused.expect_code(9);
+    assert!(refused.err.contains("use another path"), "{}", refused.err);
+    assert_eq!(served.status_of(&machine)["state"], "Disabled");
+    folder.file("own.offsets.toml", "[g54\nx = 1");
+    let refused = served.run(&bridge).expect_code(3);
+    assert!(refused.err.contains("own.offsets.toml"), "{}", refused.err);
+    assert_eq!(served.status_of(&machine)["state"], "Disabled");
 }

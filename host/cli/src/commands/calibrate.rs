@@ -2,15 +2,14 @@
 //! readings of a real laser.
 
 use super::args::MachineArg;
-use super::interrupt;
-use super::{CliError, Exit};
+use super::{CliError, Exit, interrupt, output};
 use clap::{Args, Subcommand};
 use haptimill_calibration::ball_bar::{self, CircleTest};
 use haptimill_calibration::calibrate::{Plan, calibrate, of_readings, write_readings};
 use haptimill_calibration::drive::{Machine, SLOW};
 use haptimill_calibration::laser::{Environment, LaserOptions};
 use haptimill_calibration::scenario::travel;
-use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::{MachineFile, input};
 use haptimill_volumetric::{file, readings};
 use std::path::{Path, PathBuf};
 
@@ -147,11 +146,6 @@ pub fn run(command: CalibrateCommand) -> Result<(), CliError> {
     }
 }
 
-fn write(path: &Path, text: &str) -> Result<(), CliError> {
-    std::fs::write(path, text)
-        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))
-}
-
 fn load(machine: &MachineArg, errors: Option<&PathBuf>) -> Result<MachineFile, CliError> {
     let file = machine.load()?;
     match errors {
@@ -164,12 +158,13 @@ fn load(machine: &MachineArg, errors: Option<&PathBuf>) -> Result<MachineFile, C
 fn evaluate(args: &LaserArgs, path: &Path) -> Result<(), CliError> {
     let machine_file = args.machine.load()?;
     let named = |problem: &dyn std::fmt::Display| format!("{}: {problem}", path.display());
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| CliError::new(Exit::BadInput, named(&error)))?;
-    let found =
-        readings::read(&text).map_err(|problem| CliError::new(Exit::BadInput, named(&problem)))?;
+    let bad = |problem: &dyn std::fmt::Display| CliError::new(Exit::BadInput, named(problem));
+    let bytes = input::read(path, input::TABLE_BYTES).map_err(|error| bad(&error))?;
+    let text = String::from_utf8(bytes)
+        .map_err(|_| bad(&"is no text; give a table of readings (CSV, UTF-8)"))?;
+    let found = readings::read(&text).map_err(|problem| bad(&problem))?;
     let (errors, report) = of_readings(&found, &travel(&machine_file));
-    write(&args.out, &file::write(&errors, &report))?;
+    output::save(&args.out, file::write(&errors, &report))?;
     print_line!("{report}");
     print_line!("errors      {}", args.out.display());
     Ok(())
@@ -178,6 +173,9 @@ fn evaluate(args: &LaserArgs, path: &Path) -> Result<(), CliError> {
 /// Measures the simulated machine.
 fn measure(args: &LaserArgs) -> Result<(), CliError> {
     let machine_file = load(&args.machine, args.errors.as_ref())?;
+    for path in std::iter::once(&args.out).chain(&args.save_readings) {
+        output::check_writable(path)?;
+    }
     let exact = if args.no_noise {
         LaserOptions::ideal()
     } else {
@@ -205,11 +203,11 @@ fn measure(args: &LaserArgs) -> Result<(), CliError> {
         print_line!("{line}");
     })?;
     let report = calibration.report();
-    write(&args.out, &file::write(&calibration.errors, &report))?;
+    output::save(&args.out, file::write(&calibration.errors, &report))?;
     print_line!("\n{report}");
     print_line!("errors      {}", args.out.display());
     if let Some(path) = &args.save_readings {
-        write(path, &write_readings(&calibration))?;
+        output::save(path, write_readings(&calibration))?;
         print_line!("readings    {}", path.display());
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! `haptimill dnc`: a part program that comes over a serial line.
 
 use super::run::{self, RunArgs};
-use super::{CliError, Exit};
+use super::{CliError, Exit, output};
 use crate::commands::interrupt;
 use clap::{Args, ValueEnum};
 use haptimill_client::port::{Flow, SerialTransport, Transport as _};
@@ -15,7 +15,8 @@ Receive a part program over a serial line (RS-232) and run it.
 A CAM computer sends the program on the line of --line, 8 data bits, no parity, 1 stop bit. FILE \
 keeps what was received. The program ends with the second %, with M2 or M30, or with Ctrl-D (EOT). \
 It is received whole and checked before anything moves, then it runs as `haptimill run FILE` does, \
-with the same options. A line that falls silent for --silence seconds in the middle of the program \
+with the same options. These, the port and the folder of the results are checked before the line \
+is read. A line that falls silent for --silence seconds in the middle of the program \
 is an error that names the last block; nothing moves.";
 
 /// Arguments of `haptimill dnc`.
@@ -69,6 +70,10 @@ const POLL: Duration = Duration::from_millis(50);
 /// # Errors
 /// See [`Exit`]: the line fails or falls silent, or as `haptimill run`.
 pub fn run(args: DncArgs) -> Result<(), CliError> {
+    // A mistake of the command line must not end the command behind a long reception, when FILE
+    // is replaced.
+    run::check_before_program(&args.run)?;
+    output::check_writable(&args.run.program)?;
     let mut line = SerialTransport::open_with_flow(&args.line, args.line_baud, args.flow.into())?;
     let interrupted = interrupt::flag();
     let mut program = Received::default();
@@ -99,13 +104,7 @@ pub fn run(args: DncArgs) -> Result<(), CliError> {
         }
     }
     let file = &args.run.program;
-    std::fs::write(file, &program.text).map_err(|error| {
-        let what = format!(
-            "{}: the received program cannot be written: {error}",
-            file.display()
-        );
-        CliError::new(Exit::Output, what)
-    })?;
+    output::save(file, &program.text)?;
     if !args.run.json && !args.run.quiet {
         let lines = haptimill_report::count(program.lines as usize, "line");
         print_line!("{}: {lines} received", file.display());

@@ -1,6 +1,7 @@
 //! `haptimill facet`: from a gem design to a cut stone.
 
-use super::{CliError, Exit, interrupt};
+use super::run::results::ResultFolder;
+use super::{CliError, Exit, interrupt, output};
 use clap::{Args, Subcommand, ValueEnum};
 use haptimill_facet::{
     Cutting, Design, Gem, Job, JobSettings, Lap, Mode, Reading, Rough, RunOptions, calibrate, cut,
@@ -368,11 +369,6 @@ fn planned(design: &DesignArgs, job: &JobArgs) -> Result<(Gem, Job), CliError> {
     Ok((gem, job))
 }
 
-fn written(path: &Path, text: &str) -> Result<(), CliError> {
-    std::fs::write(path, text)
-        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))
-}
-
 fn plan(args: &PlanArgs) -> Result<(), CliError> {
     let (gem, job) = planned(&args.design, &args.job)?;
     let text = job.program(&gem.design.title);
@@ -380,7 +376,7 @@ fn plan(args: &PlanArgs) -> Result<(), CliError> {
         print_line!("{}", text.trim_end());
         return Ok(());
     }
-    written(&args.out, &text)
+    output::save(&args.out, &text)
 }
 
 fn grind(args: &RunArgs) -> Result<(), CliError> {
@@ -393,8 +389,8 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
         let name = args.design.design.file_stem().unwrap_or_default();
         PathBuf::from(name).with_extension("out")
     });
-    std::fs::create_dir_all(&dir)
-        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", dir.display())))?;
+    // Locked to the end of the command.
+    let _folder = ResultFolder::open(&dir)?;
     let options = RunOptions {
         seed: args.seed,
         run_out_mm: args.run_out,
@@ -437,12 +433,12 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
     if let Some((_, second)) = beside {
         figures["beside"] = self::figures(&gem, second);
     }
-    written(
+    output::save(
         &dir.join("report.html"),
-        &report(&gem, &job, &cutting, beside),
+        report(&gem, &job, &cutting, beside),
     )?;
-    written(&dir.join("stone.json"), &format!("{figures:#}\n"))?;
-    written(&dir.join("job.ngc"), &job.program(&gem.design.title))?;
+    output::save(&dir.join("stone.json"), format!("{figures:#}\n"))?;
+    output::save(&dir.join("job.ngc"), job.program(&gem.design.title))?;
     if args.json {
         print_line!("{figures:#}");
         return Ok(());

@@ -2,8 +2,9 @@
 
 use super::args::{BoardArg, ConnectArgs, PortArgs};
 use super::board::file_of;
+use super::run::results::ResultFolder;
 use super::simple::open;
-use super::{CliError, Exit};
+use super::{CliError, Exit, output};
 use crate::commands::interrupt;
 use clap::Args;
 use haptimill_client::client::Options as ClientOptions;
@@ -88,11 +89,11 @@ pub(super) fn folder(out: Option<&PathBuf>, machine: &MachineFile) -> PathBuf {
 
 /// Writes a file of the results.
 pub(super) fn save(path: &Path, text: &str) -> Result<(), CliError> {
-    let failed = |error| CliError::new(Exit::Output, format!("{}: {error}", path.display()));
+    let failed = |error| output::write_error(path, error);
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(failed)?;
     }
-    std::fs::write(path, text).map_err(failed)
+    output::save(path, text)
 }
 
 /// Measures the joints.
@@ -110,6 +111,7 @@ pub fn run(args: IdentifyArgs) -> Result<(), CliError> {
         PortSpec::Simulator => {
             let machine = chosen.file;
             let ranges = plan(&args, &machine)?;
+            let _folder = open_results(&args, &machine)?;
             confirm(&args, &machine, &ranges)?;
             let rig = session::rig(&machine, None, args.port.baud, Vec::new())?;
             let line = SimLine::new(rig).unrecorded();
@@ -128,6 +130,7 @@ pub fn run(args: IdentifyArgs) -> Result<(), CliError> {
             let mut session = open(&connect, &chosen.file)?;
             let machine = file_of(&chosen, &mut session)?;
             let ranges = plan(&args, &machine)?;
+            let _folder = open_results(&args, &machine)?;
             confirm(&args, &machine, &ranges)?;
             measure(&args, &machine, &mut session, &ranges)
         }
@@ -151,6 +154,16 @@ fn options(args: &IdentifyArgs) -> Options {
 fn plan(args: &IdentifyArgs, machine: &MachineFile) -> Result<Vec<Travel>, CliError> {
     session::check_has_tool(machine)?;
     Ok(lines(machine, &options(args))?)
+}
+
+/// Opens the folder of the results, and checks that the machine file can be replaced. The
+/// measurement takes minutes, so its results must not be lost at its end.
+fn open_results(args: &IdentifyArgs, machine: &MachineFile) -> Result<ResultFolder, CliError> {
+    let folder = ResultFolder::open(&folder(args.out.as_ref(), machine))?;
+    if let Some(path) = args.machine.machine.as_deref().filter(|_| !args.no_write) {
+        output::check_writable(path)?;
+    }
+    Ok(folder)
 }
 
 /// Prints what will move, and asks.

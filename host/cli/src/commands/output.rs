@@ -73,6 +73,41 @@ pub(super) fn write_file<E>(
     result
 }
 
+/// Writes a file as [`write_file`] does.
+///
+/// # Errors
+/// [`Exit::Output`]: it cannot be written; an earlier file is unchanged.
+pub(super) fn save(path: &Path, content: impl AsRef<[u8]>) -> Result<(), CliError> {
+    let failed = |error| write_error(path, error);
+    write_file(path, failed, |out| {
+        out.write_all(content.as_ref()).map_err(failed)
+    })
+}
+
+/// Checks that [`save`] can write a file, before anything moves; an earlier file stays as it is.
+///
+/// # Errors
+/// [`Exit::Output`].
+pub(super) fn check_writable(path: &Path) -> Result<(), CliError> {
+    let failed = |error| write_error(path, error);
+    if let Some((_, temporary, _)) = temporary_file(path) {
+        return fs::remove_file(temporary).map_err(failed);
+    }
+    match path.metadata() {
+        // Opening a pipe would wait for its reader.
+        Ok(existing) if !existing.is_file() && !existing.is_dir() => Ok(()),
+        Ok(_) => File::options()
+            .append(true)
+            .open(path)
+            .map(drop)
+            .map_err(failed),
+        // The system names the reason why the folder takes no file.
+        Err(_) => File::create_new(path)
+            .and_then(|_| fs::remove_file(path))
+            .map_err(failed),
+    }
+}
+
 /// The target of a path, and a new temporary file in the same folder that can replace it. None for
 /// a device, or where no file can be created.
 fn temporary_file(path: &Path) -> Option<(PathBuf, PathBuf, File)> {

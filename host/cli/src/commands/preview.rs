@@ -2,7 +2,7 @@
 
 use super::args::MachineArg;
 use super::program::{LanguageArgs, PartProgram};
-use super::{CliError, Exit};
+use super::{CliError, output};
 use clap::Args;
 use haptimill_client::ErrorKind;
 use haptimill_client::session;
@@ -41,7 +41,7 @@ pub struct PreviewArgs {
 /// Writes the page.
 ///
 /// # Errors
-/// See [`Exit`].
+/// See [`Exit`](super::Exit).
 pub fn run(args: PreviewArgs) -> Result<(), CliError> {
     let machine = args.machine.load()?;
     let model = Model::new(&machine);
@@ -52,8 +52,7 @@ pub fn run(args: PreviewArgs) -> Result<(), CliError> {
     let page = preview.page(&program.name, &machine.config.name, &checked.figures);
     let name = PathBuf::from(&program.name).with_extension("html");
     let out = args.out.unwrap_or(name);
-    std::fs::write(&out, page)
-        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", out.display())))?;
+    output::save(&out, page)?;
     print_line!("{}", out.display());
     Ok(())
 }

@@ -5,7 +5,7 @@ use super::board::file_of;
 use super::jog::{AxisRate, axis_index, check_feed};
 use super::probing::{Touch, find_input, probe_along};
 use super::simple::open;
-use super::{CliError, Exit};
+use super::{CliError, Exit, output};
 use clap::{Args, Subcommand};
 use haptimill_client::session::{
     NoObserver, PortLine, Session, check_has_tool, plan_straight_move,
@@ -14,7 +14,7 @@ use haptimill_firmware::config::AxisKind;
 use haptimill_gcode::{Coordinates, SYSTEM_NAMES};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::work_data::{self, WorkData, offsets_path, system_index, tools_path};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A probing cycle.
 #[derive(Debug, Clone, Subcommand)]
@@ -181,6 +181,16 @@ impl ProbeCycle {
         self.shared().json
     }
 
+    /// The work offset to set; none of a cycle that sets no offset.
+    const fn zero(&self) -> Option<&ZeroArgs> {
+        match self {
+            Self::Edge(args) => Some(&args.zero),
+            Self::Bore(args) => Some(&args.zero),
+            Self::Boss(args) => Some(&args.zero),
+            Self::Tool(_) => None,
+        }
+    }
+
     const fn shared(&self) -> &CycleArgs {
         match self {
             Self::Edge(args) => &args.cycle,
@@ -208,16 +218,20 @@ pub fn run(command: &ProbeCycle) -> Result<(), CliError> {
     };
     let input = find_input(&machine, shared.input.as_deref(), touch)?;
     // A file that cannot be written is known before the machine moves.
-    let file = match command {
-        ProbeCycle::Edge(EdgeArgs { zero, .. })
-        | ProbeCycle::Bore(BoreArgs { zero, .. })
-        | ProbeCycle::Boss(BossArgs { zero, .. })
-            if zero.set.is_none() =>
-        {
-            None
-        }
+    let file = match command.zero() {
+        Some(ZeroArgs { set: None, .. }) => None,
         _ => Some(kept_beside(&machine)?),
     };
+    if let Some(file) = &file {
+        let path = match command.zero().and_then(|zero| zero.set.as_deref()) {
+            Some(system) => {
+                settable_system(file, system)?;
+                offsets_path(file)
+            }
+            None => tools_path(file),
+        };
+        output::check_writable(&path)?;
+    }
     let mut prober = Prober {
         session,
         machine,
@@ -261,6 +275,9 @@ fn check(command: &ProbeCycle) -> Result<(), CliError> {
             ("--diameter", args.diameter.unwrap_or(0.0), 0.0),
         ],
     };
+    if let Some(system) = command.zero().and_then(|zero| zero.set.as_deref()) {
+        find_system(system)?;
+    }
     let back_off = ("--back-off", shared.back_off, 1e-3);
     for (name, value, least) in lengths.into_iter().chain([back_off]) {
         if !(least..=1e4).contains(&value) {
@@ -537,6 +554,29 @@ impl Prober<'_> {
 /// The host's number of the moves of a cycle.
 const MOVE_JOB: u32 = 3;
 
+/// Index of a work coordinate system.
+fn find_system(name: &str) -> Result<usize, CliError> {
+    system_index(name).ok_or_else(|| {
+        let known = SYSTEM_NAMES.map(str::to_lowercase).join(", ");
+        let what = format!("{name}: no work coordinate system; write one of {known}");
+        CliError::new(Exit::Usage, what)
+    })
+}
+
+/// Index of a work coordinate system whose single coordinates can be set, and the work data.
+fn settable_system(file: &Path, name: &str) -> Result<(usize, WorkData), CliError> {
+    let index = find_system(name)?;
+    let data = WorkData::load(file).map_err(|error| CliError::new(Exit::BadInput, error))?;
+    if data.offsets.systems[index].rotation == 0.0 {
+        return Ok((index, data));
+    }
+    let what = format!(
+        "{name} is turned about z, so its origin does not follow from single coordinates; set \
+         rotation=0 first (`haptimill offset set`)"
+    );
+    Err(CliError::new(Exit::Refused, what))
+}
+
 /// Writes coordinates of the origin of a work coordinate system: indices of pose coordinates, and
 /// mm or degrees of the machine.
 ///
@@ -544,23 +584,11 @@ const MOVE_JOB: u32 = 3;
 /// The name of the system is wrong, it is turned, or the file cannot be written.
 pub(crate) fn set_origin(
     machine: &MachineFile,
-    file: &std::path::Path,
+    file: &Path,
     system: &str,
     origins: &[(usize, f64)],
 ) -> Result<(), CliError> {
-    let index = system_index(system).ok_or_else(|| {
-        let known = SYSTEM_NAMES.map(str::to_lowercase).join(", ");
-        let what = format!("{system}: no work coordinate system; write one of {known}");
-        CliError::new(Exit::Usage, what)
-    })?;
-    let mut data = WorkData::load(file).map_err(|error| CliError::new(Exit::BadInput, error))?;
-    if data.offsets.systems[index].rotation != 0.0 {
-        let what = format!(
-            "{system} is turned about z, so its origin does not follow from single coordinates; \
-             set rotation=0 first (`haptimill offset set`)"
-        );
-        return Err(CliError::new(Exit::Refused, what));
-    }
+    let (index, mut data) = settable_system(file, system)?;
     let described = machine.config.model.descriptor().pose;
     for (axis, origin) in origins {
         let letter = described.get(*axis).map(|axis| axis.letter.to_string());

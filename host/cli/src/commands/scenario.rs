@@ -1,7 +1,7 @@
 //! `haptimill scenario`: the experiments of the thesis in the simulator, compared with its numbers.
 
 use super::args::MachineArg;
-use super::{CliError, Exit};
+use super::{CliError, Exit, output};
 use crate::commands::interrupt;
 use clap::{Args, Subcommand};
 use haptimill_client::port::PortSpec;
@@ -299,11 +299,10 @@ fn target(port: &PortSpec) -> Result<Target, CliError> {
 }
 
 fn write(path: &Path, text: &str) -> Result<(), CliError> {
-    let failed = |error| CliError::new(Exit::Output, format!("{}: {error}", path.display()));
     path.parent()
         .map_or(Ok(()), std::fs::create_dir_all)
-        .and_then(|()| std::fs::write(path, text))
-        .map_err(failed)
+        .map_err(|error| output::write_error(path, error))?;
+    output::save(path, text)
 }
 
 /// Runs every pass of the experiments on as many threads as there are processors. Each pass is a

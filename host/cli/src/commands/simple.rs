@@ -148,7 +148,12 @@ pub struct MoveOffArgs {
 pub fn move_off(args: MoveOffArgs) -> Result<(), CliError> {
     let chosen = args.simple.machine.load()?;
     let mut session = open(&args.simple.connect, &chosen.file)?;
-    agree(&chosen, &mut session, Need::Configuration)?;
+    // The names of the joints are those of the machine file; the fault has the number of its joint.
+    let need = match args.joint {
+        Some(_) => Need::File,
+        None => Need::Configuration,
+    };
+    agree(&chosen, &mut session, need)?;
     let names = session.model().joint_names();
     let list = names.join(", ");
     let joint = match &args.joint {

@@ -106,6 +106,8 @@ fn open_app(args: ConsoleArgs, needs_terminal: bool) -> Result<App, CliError> {
             jobs::check(program, &machine, &model, &home)?;
         }
     }
+    let stock = args.stock.load(&machine)?;
+    let operator = args.operator.load(&machine)?;
     if needs_terminal {
         terminal::require_terminal()?;
     }
@@ -117,8 +119,6 @@ fn open_app(args: ConsoleArgs, needs_terminal: bool) -> Result<App, CliError> {
     if matches!(args.port.port, PortSpec::Serial(_)) {
         options.timing.line_rate = baud / 10;
     }
-    let stock = args.stock.load(&machine)?;
-    let operator = args.operator.load(&machine)?;
     let is_simulated = args.port.port == PortSpec::Simulator;
     let line: Box<dyn Line> = if is_simulated {
         let faults = args.simulator.fault;

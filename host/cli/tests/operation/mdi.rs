@@ -27,9 +27,20 @@ fn blocks_move_the_machine_and_keep_their_modes() {
     assert!(refused.err.contains("feed"), "{}", refused.err);
     let refused = served.run(&["mdi", "G0 X3", "G0 X500"]).expect_code(4);
     assert!(refused.err.contains("mdi:2:"), "{}", refused.err);
+    // All blocks are checked before the first one runs.
     let status = served.status();
-    assert!(near(commanded(&status, "x"), 3.0), "{status:#}");
+    assert!(near(commanded(&status, "x"), 2.54), "{status:#}");
     assert!(near(commanded(&status, "y"), -2.54), "{status:#}");
+    // Also before the drives are switched on.
+    served.run_ok(&["disable"]);
+    for (blocks, code) in [(["G0 X1", "G1 X5"], 3), (["G0 X1", "G0 X500"], 4)] {
+        let command = [&["mdi"], &blocks[..]].concat();
+        let refused = served.run(&command).expect_code(code);
+        assert!(refused.err.contains("mdi:2:"), "{}", refused.err);
+        assert_eq!(served.status()["state"], "Disabled");
+    }
+    let moved = served.run_ok(&["mdi", "G91 G0 X1", "X1", "--json"]).json();
+    assert!(near(commanded(&moved, "x"), 4.54), "{moved:#}");
 }
 
 #[test]
@@ -64,6 +75,7 @@ fn an_offset_of_a_block_is_kept_beside_the_machine_file() {
     // A damaged file is refused, with the name of its backup.
     served.run_ok(&[&["mdi", "G10 L2 P2 Y1"], &on[..]].concat());
     folder.file("own.offsets.toml", "[g54\nx = 1");
+    served.run_ok(&["disable"]);
     let refused = served.run(&[&["mdi", "G0 X0"], &on[..]].concat());
     let refused = refused.expect_code(3);
     assert!(
@@ -71,6 +83,8 @@ fn an_offset_of_a_block_is_kept_beside_the_machine_file() {
         "{}",
         refused.err
     );
+    // Nor are the drives switched on.
+    assert_eq!(served.status_of(&machine)["state"], "Disabled");
 }
 
 #[test]

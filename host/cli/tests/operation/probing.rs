@@ -101,6 +101,26 @@ fn edges_and_centres_become_the_zero_of_a_work_offset() {
 }
 
 #[test]
+fn an_offset_that_cannot_be_set_is_refused_before_the_probe_moves() {
+    let scene = Scene::new();
+    // No contact within 1 mm: a cycle that moves ends with exit code 8.
+    let probe = ["probe", "edge", "z=-1", "--radius", "0", "--set"];
+    scene
+        .folder
+        .file("mill.offsets.toml", "[g55]\nrotation = 10.0\n");
+    scene.folder.file("mill.offsets.toml.bak", "");
+    for (system, code, why) in [
+        ("g99", 2, "no work coordinate system"),
+        ("g55", 4, "rotation=0"),
+        ("g54", 8, "without a contact"),
+    ] {
+        let refused = scene.run(&[&probe[..], &[system]].concat());
+        let refused = refused.expect_code(code);
+        assert!(refused.err.contains(why), "{}", refused.err);
+    }
+}
+
+#[test]
 fn a_tool_is_measured_into_the_tool_table() {
     let scene = Scene::new();
     scene

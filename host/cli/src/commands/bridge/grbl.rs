@@ -5,8 +5,8 @@ mod lines;
 use super::feed::{Feed, Wishes};
 use super::input::{Input, Line as SenderLine, RealTime};
 use super::report::{self, Status, alarm};
+use crate::commands::CliError;
 use crate::commands::requests::{Request, Requests, describe_overrides};
-use crate::commands::{CliError, Exit};
 use haptimill_client::client::{JobEnding, Setpoints};
 use haptimill_client::session::{
     Homing, JobEnd, JobRun, JobStatus, Line, Procedure as _, Session, find_home_pose,
@@ -88,10 +88,9 @@ impl Bridge {
         mut session: Bus,
         machine: MachineFile,
         stock: Option<CuttingConfig>,
+        data: WorkData,
     ) -> Result<Self, CliError> {
         let status = session.status()?;
-        let data =
-            WorkData::beside(&machine).map_err(|error| CliError::new(Exit::BadInput, error))?;
         let here = session.model().to_engineering_units(&status.commanded);
         let file = Some(PathBuf::from(&machine.file)).filter(|path| path.is_file());
         let mut bridge = Self {

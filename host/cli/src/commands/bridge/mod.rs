@@ -14,8 +14,10 @@ use crate::commands::requests::Requests;
 use clap::{Args, Subcommand};
 use haptimill_client::client::Options;
 use haptimill_client::port::{PortSpec, PtyServer, Transport};
-use haptimill_client::session::{self, Line, PortLine, Session, check_has_tool};
+use haptimill_client::session::{self, Line, PortLine, Session, check_has_tool, find_home_pose};
+use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::work_data::WorkData;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -69,19 +71,21 @@ pub struct GrblArgs {
 /// See [`Exit`].
 pub fn run(command: BridgeCommand) -> Result<(), CliError> {
     let BridgeCommand::Grbl(args) = command;
-    let (mut session, machine) = open(&args)?;
+    let (mut session, machine, stock) = open(&args)?;
     check_has_tool(&machine)?;
+    find_home_pose(&machine, session.model())?;
+    let data = WorkData::beside(&machine).map_err(|error| CliError::new(Exit::BadInput, error))?;
+    let mut pty = PtyServer::open()?;
+    let link = args.link.as_deref().map(|path| Link::new(pty.name(), path));
+    let _link = link.transpose()?;
+    // Rotors move when their drives are switched on, so this comes last.
     session.enable()?;
-    let stock = args.stock.load(&machine)?;
-    let mut bridge = grbl::Bridge::new(session, machine, stock)?;
+    let mut bridge = grbl::Bridge::new(session, machine, stock, data)?;
     match Requests::listen(&args.port.port) {
         Ok(requests) => bridge.requests = requests,
         // The bridge works without them.
         Err(error) => eprintln!("{error}"),
     }
-    let mut pty = PtyServer::open()?;
-    let link = args.link.as_deref().map(|path| Link::new(pty.name(), path));
-    let _link = link.transpose()?;
     let mut out = std::io::stdout();
     writeln!(out, "{}", pty.name())
         .and_then(|()| out.flush())
@@ -110,12 +114,17 @@ pub fn run(command: BridgeCommand) -> Result<(), CliError> {
 /// Bytes that are kept for a sender that does not read, at most.
 const MOST_UNREAD: usize = 1 << 16;
 
-fn open(args: &GrblArgs) -> Result<(Session<Box<dyn Line>>, MachineFile), CliError> {
+/// A session, the machine on it, and the stock of a simulated one.
+type Opened = (Session<Box<dyn Line>>, MachineFile, Option<CuttingConfig>);
+
+fn open(args: &GrblArgs) -> Result<Opened, CliError> {
     let chosen = args.machine.load()?;
+    let mut stock = None;
     let port = &args.port.port;
     let is_simulated = *port == PortSpec::Simulator;
     let line: Box<dyn Line> = match port {
         PortSpec::Simulator => {
+            stock = args.stock.load(&chosen.file)?;
             let faults = args.simulator.fault.clone();
             Box::new(PacedSim::new(
                 &chosen.file,
@@ -146,10 +155,10 @@ fn open(args: &GrblArgs) -> Result<(Session<Box<dyn Line>>, MachineFile), CliErr
     session.connect(session::fresh_number())?;
     if is_simulated {
         session.configure(&chosen.file)?;
-        return Ok((session, chosen.file));
+        return Ok((session, chosen.file, stock));
     }
     let machine = file_of(&chosen, &mut session)?;
-    Ok((session, machine))
+    Ok((session, machine, stock))
 }
 
 /// A symbolic link that is removed at the end.

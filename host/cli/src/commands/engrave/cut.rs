@@ -1,6 +1,6 @@
 //! Cuts the plate on the simulated machine.
 
-use super::super::{CliError, Exit, run};
+use super::super::{CliError, Exit, output, run};
 use super::args::EngraveArgs;
 use clap::Parser;
 use haptimill_engrave::drawing::Drawing;
@@ -70,8 +70,8 @@ pub(super) fn cut(
     folder.set_extension("out");
     let write = |name: &str, text: String| -> Result<PathBuf, CliError> {
         let path = folder.join(name);
-        let done = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&path, text));
-        done.map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))?;
+        std::fs::create_dir_all(&folder).map_err(|error| output::write_error(&folder, error))?;
+        output::save(&path, text)?;
         Ok(path)
     };
     let machine_path = write("machine.toml", with_tool(&machine.text, args.tool))?;

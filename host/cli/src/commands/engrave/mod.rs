@@ -3,7 +3,7 @@
 mod args;
 mod cut;
 
-use super::{CliError, Exit};
+use super::{CliError, Exit, output};
 use haptimill_client::Located;
 use haptimill_engrave::drawing::{Drawing, LayerChoice, Problem};
 use haptimill_engrave::gcode::{Rates, program};
@@ -188,8 +188,7 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
     ];
     let text = program(&job.toolpath, rates, [0.0; 2], &title);
     let out = args.out();
-    std::fs::write(&out, &text)
-        .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", out.display())))?;
+    output::save(&out, &text)?;
     let times = Times::of(&lengths, &args, rapid);
     let rows: Vec<preview::Row> = job
         .candidates
@@ -212,8 +211,7 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
             lift_mm: args.lift,
         };
         let page = preview::html(&title[0], &drawing, &job, &args.options(), speeds, &rows);
-        std::fs::write(path, page)
-            .map_err(|error| CliError::new(Exit::Output, format!("{}: {error}", path.display())))?;
+        output::save(path, page)?;
     }
     if !args.json {
         print_text(&args, &drawing, &job, &lengths, &times, &rows);

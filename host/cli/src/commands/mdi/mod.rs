@@ -70,14 +70,20 @@ pub fn run(args: MdiArgs) -> Result<(), CliError> {
     let mut session = open(&args.connect, &chosen.file)?;
     let machine = file_of(&chosen, &mut session)?;
     check_has_tool(&machine)?;
-    refuse_latched_fault(&mut session)?;
+    require_homed(&refuse_latched_fault(&mut session)?)?;
+    let data = WorkData::beside(&machine).map_err(|error| CliError::new(Exit::BadInput, error))?;
+    // Rotors move when their drives are switched on, so the blocks are checked before.
+    let mut checked = Mdi::new(session, machine, args.language, data)?;
+    checked.check(&args.blocks)?;
+    let Mdi {
+        mut session,
+        machine,
+        data,
+        ..
+    } = checked;
     session.enable()?;
-    let status = session.status()?;
-    if !(status.homed && status.position_kept) {
-        let what = "mdi: the machine is not homed; `haptimill home` homes it";
-        return Err(CliError::new(Exit::Command, what));
-    }
-    let mut mdi = Mdi::new(session, machine, args.language, &status)?;
+    require_homed(&session.status()?)?;
+    let mut mdi = Mdi::new(session, machine, args.language, data)?;
     if args.blocks.is_empty() {
         return mdi.prompt();
     }
@@ -86,6 +92,15 @@ pub fn run(args: MdiArgs) -> Result<(), CliError> {
         mdi.run_block(block, &mut input)?;
     }
     print_status(&mut mdi.session, args.json)
+}
+
+/// Refuses a machine whose position is unknown.
+fn require_homed(status: &Telemetry) -> Result<(), CliError> {
+    if status.homed && status.position_kept {
+        return Ok(());
+    }
+    let what = "mdi: the machine is not homed; `haptimill home` homes it";
+    Err(CliError::new(Exit::Command, what))
 }
 
 /// The state of the command.
@@ -101,13 +116,12 @@ struct Mdi {
 
 impl Mdi {
     fn new(
-        session: Session<PortLine>,
+        mut session: Session<PortLine>,
         machine: MachineFile,
         language: LanguageArgs,
-        status: &Telemetry,
+        data: WorkData,
     ) -> Result<Self, CliError> {
-        let bad = |error: String| CliError::new(Exit::BadInput, error);
-        let data = WorkData::beside(&machine).map_err(bad)?;
+        let status = session.status()?;
         let here = session.model().to_engineering_units(&status.commanded);
         let options = Options {
             optional_stop: language.optional_stop,
@@ -126,6 +140,35 @@ impl Mdi {
             data,
             file,
         })
+    }
+
+    /// Interprets and plans blocks from the present pose; nothing moves. Blocks behind the first
+    /// one that asks the machine depend on its answer, and are checked when they run.
+    fn check(&mut self, blocks: &[String]) -> Result<(), CliError> {
+        let mut status = self.session.status()?;
+        if status.state.has_drives_off() {
+            // The drives start where the machine is.
+            status.commanded = status.measured.clone();
+        }
+        let here = self.session.model().to_engineering_units(&status.commanded);
+        self.dialog.place_at(&here);
+        let mut steps = Vec::new();
+        'blocks: for block in blocks {
+            self.dialog.enter(block);
+            loop {
+                let step = self.dialog.next_step();
+                match step.map_err(|problem| self.refused(problem, ErrorKind::BadInput))? {
+                    Some(Step::Probe { .. } | Step::Wait { .. }) => break 'blocks,
+                    Some(Step::Message { .. }) => {}
+                    Some(step) => steps.push(step),
+                    None => break,
+                }
+            }
+        }
+        if !steps.is_empty() {
+            self.plan(steps, &status)?;
+        }
+        Ok(())
     }
 
     /// Reads and runs blocks until the end of the input.

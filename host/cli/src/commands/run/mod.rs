@@ -21,6 +21,7 @@ use haptimill_client::port::{Observers, PortSpec};
 use haptimill_client::session::{self, PortLine, Session, SimLine};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
+use haptimill_machine_file::work_data::WorkData;
 use haptimill_protocol::message::AxisValues;
 use haptimill_report::count;
 use job::{Job, Work};
@@ -126,6 +127,34 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
             job.run(&mut session, work)
         }
     }
+}
+
+/// Reads every input of a run but its program, and opens its port and its result folder for a
+/// moment: for a program that is not there yet.
+///
+/// # Errors
+/// As [`run`], before it reads the program.
+pub(super) fn check_before_program(args: &RunArgs) -> Result<(), CliError> {
+    args.check()?;
+    let machine = args.machine.load()?.file;
+    if args.force.is_some() {
+        session::find_force_config(&machine)?;
+    }
+    session::find_home_pose(&machine, &Model::new(&machine))?;
+    WorkData::beside(&machine).map_err(|error| CliError::new(Exit::BadInput, error))?;
+    args.stock.load(&machine)?;
+    args.token_file
+        .as_deref()
+        .map(sim::read_token)
+        .transpose()?;
+    if args.check {
+        return Ok(());
+    }
+    ResultFolder::open(&args.out_dir())?;
+    if !args.port.is_simulated() {
+        PortLine::opened(&args.port.port, args.port.baud_or_default())?;
+    }
+    Ok(())
 }
 
 /// Checks a program without a run.
