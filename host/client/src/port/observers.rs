@@ -14,6 +14,12 @@ use std::time::{Duration, Instant};
 /// Observers at most.
 const MOST: usize = 32;
 
+/// Connections that have not sent their token at most; of more, the oldest is closed.
+const CANDIDATES: usize = 16;
+
+/// Time after which an observer that reads nothing is closed.
+const STALLED: Duration = Duration::from_secs(5);
+
 /// Connections that are accepted per call.
 const ACCEPTED: usize = 4;
 
@@ -44,6 +50,8 @@ struct Observer {
     received: Vec<u8>,
     is_admitted: bool,
     unread: Vec<u8>,
+    /// When it took bytes for the last time, or had none to take.
+    took_at: Instant,
 }
 
 impl Observers {
@@ -107,7 +115,7 @@ impl Observers {
             if stream.set_nonblocking(true).is_err() {
                 continue;
             }
-            if self.all.len() >= MOST {
+            if self.token.is_none() && self.admitted() >= MOST {
                 let _ = stream.write(BUSY);
                 continue;
             }
@@ -117,10 +125,27 @@ impl Observers {
                 received: Vec::new(),
                 is_admitted: self.token.is_none(),
                 unread: Vec::new(),
+                took_at: Instant::now(),
             });
+            // Connections without the token must not keep out those with it.
+            if self.all.len() - self.admitted() > CANDIDATES
+                && let Some(oldest) = self.all.iter().position(|it| !it.is_admitted)
+            {
+                self.all.remove(oldest);
+            }
         }
         let token = self.token.as_ref();
-        self.all.retain_mut(|observer| observer.serve(token));
+        let mut admitted = self.admitted();
+        self.all.retain_mut(|observer| {
+            let was_admitted = observer.is_admitted;
+            let stays = observer.serve(token, admitted < MOST);
+            admitted += usize::from(stays && !was_admitted && observer.is_admitted);
+            stays
+        });
+    }
+
+    fn admitted(&self) -> usize {
+        self.all.iter().filter(|it| it.is_admitted).count()
     }
 
     /// Sends a line to every observer; never waits.
@@ -142,7 +167,7 @@ impl Observers {
 
 impl Observer {
     /// Reads and writes once; false when the connection ends.
-    fn serve(&mut self, token: Option<&[u8; 32]>) -> bool {
+    fn serve(&mut self, token: Option<&[u8; 32]>, has_room: bool) -> bool {
         let mut buffer = [0; 512];
         match self.stream.read(&mut buffer) {
             Ok(0) => return false,
@@ -154,7 +179,11 @@ impl Observer {
         }
         if !self.is_admitted {
             match check_token(token, &self.received) {
-                Ok(Some(_)) => self.is_admitted = true,
+                Ok(Some(_)) if has_room => self.is_admitted = true,
+                Ok(Some(_)) => {
+                    let _ = self.stream.write(BUSY);
+                    return false;
+                }
                 Ok(None)
                     if self.since.elapsed() < TOKEN_TIMEOUT
                         && self.received.len() < MOST_RECEIVED => {}
@@ -165,14 +194,106 @@ impl Observer {
             }
         }
         if self.unread.is_empty() {
+            self.took_at = Instant::now();
             return true;
         }
         match self.stream.write(&self.unread) {
             Ok(count) => {
                 self.unread.drain(..count);
+                self.took_at = Instant::now();
                 true
             }
-            Err(error) => super::is_quiet(&error),
+            Err(error) => super::is_quiet(&error) && self.took_at.elapsed() < STALLED,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{BufRead as _, BufReader};
+
+    /// Longest wait. It is no speed limit.
+    const LIMIT: Duration = Duration::from_secs(60);
+
+    fn connect(observers: &Observers) -> TcpStream {
+        TcpStream::connect(observers.address().unwrap()).unwrap()
+    }
+
+    /// Serves until a condition holds.
+    #[track_caller]
+    fn serve_until(observers: &mut Observers, is_done: impl Fn(&Observers) -> bool) {
+        let until = Instant::now() + LIMIT;
+        while !is_done(observers) {
+            assert!(Instant::now() < until);
+            observers.advance();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    #[test]
+    fn connections_without_the_token_keep_nobody_out() {
+        let token: Token = "0123456789abcdef".parse().unwrap();
+        let observers = Observers::listen("127.0.0.1:0").unwrap();
+        let mut observers = observers.with_token(&token);
+        // More than the observers at most, all silent, and none times out before the end.
+        let mut silent = Vec::new();
+        for _ in 0..2 * MOST {
+            silent.push(connect(&observers));
+            observers.advance();
+        }
+        let mut watching = connect(&observers);
+        watching.write_all(&token.line()).unwrap();
+        serve_until(&mut observers, Observers::has_any);
+        assert!(observers.all.len() <= MOST + CANDIDATES);
+        observers.send("a line");
+        serve_until(&mut observers, |it| {
+            it.all.iter().all(|it| it.unread.is_empty())
+        });
+        let mut line = String::new();
+        BufReader::new(watching).read_line(&mut line).unwrap();
+        assert_eq!(line, "a line\n");
+    }
+
+    #[test]
+    fn observers_beyond_the_limit_are_refused_although_they_have_the_token() {
+        let token: Token = "0123456789abcdef".parse().unwrap();
+        let observers = Observers::listen("127.0.0.1:0").unwrap();
+        let mut observers = observers.with_token(&token);
+        let mut open = Vec::new();
+        for count in 1..=MOST {
+            let mut stream = connect(&observers);
+            stream.write_all(&token.line()).unwrap();
+            open.push(stream);
+            serve_until(&mut observers, |it| it.admitted() == count);
+        }
+        let mut late = connect(&observers);
+        late.write_all(&token.line()).unwrap();
+        late.set_nonblocking(true).unwrap();
+        let mut answer = vec![0; BUSY.len()];
+        let until = Instant::now() + LIMIT;
+        while late.read(&mut answer).is_err() {
+            assert!(Instant::now() < until);
+            observers.advance();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert_eq!(answer, BUSY);
+        assert_eq!(observers.admitted(), MOST);
+    }
+
+    #[test]
+    fn an_observer_that_never_reads_loses_its_place() {
+        let mut observers = Observers::listen("127.0.0.1:0").unwrap();
+        let idle = connect(&observers);
+        serve_until(&mut observers, Observers::has_any);
+        let line = "x".repeat(MOST_UNREAD / 2);
+        let until = Instant::now() + LIMIT;
+        while observers.has_any() {
+            assert!(Instant::now() < until, "it keeps its place");
+            observers.send(&line);
+            observers.advance();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        drop(idle);
     }
 }
