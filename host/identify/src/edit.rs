@@ -162,10 +162,17 @@ pub fn replace(path: &Path, before: &str, after: &str, date: &str) -> Result<Pat
         })
         .find(|path| !path.exists())
         .unwrap_or_else(|| path.with_extension("bak"));
-    std::fs::write(&backup, before).map_err(|error| failed(&backup, error))?;
     let new = path.with_extension("toml.new");
-    std::fs::write(&new, after).map_err(|error| failed(&new, error))?;
-    std::fs::rename(&new, path).map_err(|error| failed(path, error))?;
+    let replaced = std::fs::write(&backup, before)
+        .map_err(|error| failed(&backup, error))
+        .and_then(|()| std::fs::write(&new, after).map_err(|error| failed(&new, error)))
+        .and_then(|()| std::fs::rename(&new, path).map_err(|error| failed(path, error)));
+    if let Err(error) = replaced {
+        // The machine file is unchanged; neither file has the whole text for certain.
+        let _ = std::fs::remove_file(&backup);
+        let _ = std::fs::remove_file(&new);
+        return Err(error);
+    }
     Ok(backup)
 }
 

@@ -246,15 +246,34 @@ fn replace(path: &Path, text: &str) -> Result<(), String> {
         format!("{}: {what}: {error}; check the folder", path.display())
     };
     let new = path.with_extension("toml.new");
-    let mut file = File::create(&new).map_err(|error| failed("cannot be written", error))?;
-    file.write_all(text.as_bytes())
-        .and_then(|()| file.sync_all())
-        .map_err(|error| failed("cannot be written", error))?;
-    if path.exists() {
-        std::fs::copy(path, backup_path(path))
-            .map_err(|error| failed("its backup cannot be written", error))?;
+    let replaced = File::create(&new)
+        .and_then(|mut file| {
+            file.write_all(text.as_bytes())?;
+            file.sync_all()
+        })
+        .map_err(|error| failed("cannot be written", error))
+        .and_then(|()| keep_backup(path, failed))
+        .and_then(|()| {
+            std::fs::rename(&new, path).map_err(|error| failed("cannot be replaced", error))
+        });
+    if replaced.is_err() {
+        // The first error is the one to report.
+        let _ = std::fs::remove_file(&new);
     }
-    std::fs::rename(&new, path).map_err(|error| failed("cannot be replaced", error))
+    replaced
+}
+
+/// Copies a file to its backup, which is replaced when the copy is complete.
+fn keep_backup(path: &Path, failed: impl Fn(&str, std::io::Error) -> String) -> Result<(), String> {
+    if !path.exists() {
+        return Ok(());
+    }
+    let new = path.with_extension("toml.bak.new");
+    let kept = std::fs::copy(path, &new).and_then(|_| std::fs::rename(&new, backup_path(path)));
+    if kept.is_err() {
+        let _ = std::fs::remove_file(&new);
+    }
+    kept.map_err(|error| failed("its backup cannot be written", error))
 }
 
 #[cfg(test)]

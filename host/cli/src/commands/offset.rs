@@ -180,7 +180,8 @@ fn set(args: &SetArgs) -> Result<(), CliError> {
         };
         system.origin[*axis] = value;
     }
-    data.save_offsets(&args.machine).map_err(bad)?;
+    data.save_offsets(&args.machine)
+        .map_err(|error| CliError::new(Exit::Output, error))?;
     print_line!("{} written", offsets_path(&args.machine).display());
     Ok(())
 }
