@@ -273,6 +273,7 @@ fn move_off(core: &mut Core, axis: u8, inputs: &Inputs) -> Done {
     if inputs.emergency_stop {
         return Err(Refusal::Input(InputProblem::EmergencyStop));
     }
+    machine.check_inputs(false)?;
     let counted = machine.encoders_counted();
     machine.begin_leaving(axis, inputs)?;
     core.safety.lose_position();

@@ -177,7 +177,7 @@ impl Core {
             machine.measure(inputs);
             machine.measure_force(inputs, spindle_rpm, self.safety.active());
         } else {
-            self.power_on.update(inputs);
+            self.power_on.update(inputs, self.period_us);
         }
     }
 

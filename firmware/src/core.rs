@@ -119,7 +119,7 @@ impl Core {
     /// Sets an output for an action of the job. An output that cannot be set ends the job.
     #[inline(never)]
     pub fn set_output_of_job(&mut self, output: u8, on: bool) {
-        let rpm = self.spindle_rpm();
+        let rpm = self.job.spindle_rpm;
         let Some(machine) = &mut self.machine else {
             return;
         };

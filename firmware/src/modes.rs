@@ -196,8 +196,12 @@ fn leave_switch(core: &mut Core, inputs: &Inputs) {
                 core.safety.push_event(Event::MovedOff { axis });
             }
             core.finish_at_standstill();
-            if !holds && core.safety.state() == State::Idle {
-                core.safety.enter(State::Disabled);
+            if !holds {
+                match core.safety.state() {
+                    State::Idle => core.safety.enter(State::Disabled),
+                    // A fault that ended the motion: there is no pose to hold.
+                    _ => core.safety.end_holding(),
+                }
             }
         }
         Err(fault) => core.safety.raise(fault),

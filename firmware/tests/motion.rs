@@ -1,131 +1,23 @@
 //! Interpolator and jog: limits, exact ends, no lost setpoint, no overshoot.
 
+mod path;
 mod reference;
 
-use haptimill_firmware::config::Config;
 use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_kinematics::{
     BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };
-use haptimill_math::{Acceleration, Coordinate, Rate};
-use haptimill_protocol::message::{Action, MAX_AXES, Pace, Refusal};
+use haptimill_math::Acceleration;
+use haptimill_protocol::message::{Action, MAX_AXES, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
+use path::{PERIOD_S, Path, UNIT_MM, setpoint, start, straight, walk};
 use proptest::prelude::*;
 use reference::{h4, mm};
-
-const PERIOD_S: f64 = 2e-4;
 
 /// A ramp that arrives may pass its target by twice the jerk of a period: 2 * 5000 mm/s^3 * (200
 /// us)^2, in axis units per second.
 const OVERSHOOT: i32 = 420;
-const UNIT_MM: f64 = 1.0 / (1 << 20) as f64;
-
-/// A setpoint with x moving at `speed` mm/s, standing at `x` mm.
-fn setpoint(x: f64, speed: f64, periods: u16) -> Setpoint {
-    Setpoint {
-        periods,
-        pose: [mm(x), 0, mm(20.0), 0, 0].into_iter().collect(),
-        rates: [(speed * 4096.0) as i32, 0, 0, 0, 0].into_iter().collect(),
-        action: Action::None,
-    }
-}
-
-/// A run at constant speed in x: from rest up, along, and down to rest.
-fn straight(speed: f64, count: u16, periods: u16) -> Vec<Setpoint> {
-    let span = f64::from(periods) * PERIOD_S;
-    let mut x = speed * span / 2.0;
-    let mut points = vec![setpoint(x, speed, periods)];
-    for _ in 0..count {
-        x += speed * span;
-        points.push(setpoint(x, speed, periods));
-    }
-    x += speed * span / 2.0;
-    points.push(setpoint(x, 0.0, periods));
-    points
-}
-
-fn start(config: &Config) -> Interpolator {
-    // The runs here start within 20 ms: an acceleration that a jog is not allowed.
-    let mut config = config.clone();
-    config.pose[0].acceleration = Acceleration(mm(2000.0 / 256.0));
-    let mut program = Interpolator::new(&config);
-    let mut pose = Pose::default();
-    pose.0[2] = Coordinate(mm(20.0));
-    program.begin(&pose);
-    program
-}
-
-/// x (mm) and its rate (mm/s) of every period.
-#[derive(Default)]
-struct Path {
-    x: Vec<f64>,
-    rate: Vec<f64>,
-    finished: bool,
-}
-
-impl Path {
-    fn push(&mut self, x: Coordinate, rate: Rate) {
-        self.x.push(f64::from(x.0) * UNIT_MM);
-        self.rate.push(f64::from(rate.0) * UNIT_MM);
-    }
-
-    /// What comes after.
-    fn take(&mut self, then: Self) {
-        self.x.extend(then.x);
-        self.rate.extend(then.rate);
-        self.finished |= then.finished;
-    }
-
-    /// The rate is the derivative of the position: its trapezoidal sum is the distance.
-    fn assert_consistent(&self) {
-        let mut integral = self.x[0];
-        for (x, rates) in self.x[1..].iter().zip(self.rate.windows(2)) {
-            integral += (rates[0] + rates[1]) / 2.0 * PERIOD_S;
-            assert!(
-                (integral - x).abs() < 2e-5,
-                "position {x} integral of the rate {integral}"
-            );
-        }
-    }
-
-    /// Largest acceleration and jerk in mm/s^2 and mm/s^3, from differences of the rate over 8 and
-    /// 16 periods.
-    fn dynamics(&self, from: usize, to: usize) -> (f64, f64) {
-        let slope = |values: &[f64], span: usize| -> Vec<f64> {
-            values
-                .windows(span + 1)
-                .map(|w| (w[span] - w[0]) / (span as f64 * PERIOD_S))
-                .collect()
-        };
-        let acceleration = slope(
-            &self.rate[from.min(self.rate.len())..to.min(self.rate.len())],
-            8,
-        );
-        let jerk = slope(&acceleration, 16);
-        let peak = |values: &[f64]| {
-            values
-                .iter()
-                .fold(0.0_f64, |most, value| most.max(value.abs()))
-        };
-        (peak(&acceleration), peak(&jerk))
-    }
-}
-
-fn walk(program: &mut Interpolator, periods: usize, halt: impl Fn(usize) -> bool) -> Path {
-    let mut path = Path::default();
-    for period in 0..periods {
-        let (commanded, progress) = program.advance(halt(period));
-        path.push(commanded.pose.0[0], commanded.rates[0]);
-        assert!(!progress.queue_empty);
-        if progress.finished {
-            path.finished = true;
-            break;
-        }
-    }
-    path
-}
-
 #[test]
 fn program_ends_at_its_last_setpoint_on_time() {
     let mut program = start(&h4());
@@ -470,112 +362,5 @@ proptest! {
             // over which this is measured.
             prop_assert!(jerk <= 5001.0 + 5000.0 / 16.0, "{jerk}");
         }
-    }
-}
-
-/// A pace as the action of a setpoint.
-fn paced(mut point: Setpoint, pace: Pace) -> Setpoint {
-    point.action = Action::Pace(pace);
-    point
-}
-
-/// The path rate in the middle of each part of the path, percent, with overrides of feed and rapid
-/// moves.
-fn rates_of(paces: [Pace; 4], feed: u8, rapid: u8) -> Vec<i64> {
-    let mut program = start(&h4());
-    program.set_override(feed);
-    program.set_rapid_override(rapid);
-    // Four parts of 60 spans of 20 ms.
-    let mut points = straight(4.0, 240, 100);
-    for (part, pace) in paces.into_iter().enumerate() {
-        points[60 * part] = paced(points[60 * part].clone(), pace);
-    }
-    let mut rates = vec![0; 4];
-    let mut pushed = points.iter();
-    for _ in 0..200_000 {
-        while let Some(point) = pushed.clone().next()
-            && program.push(point).is_ok()
-        {
-            pushed.next();
-        }
-        if pushed.len() == 0 && !program.is_complete() {
-            program.end(points.len() as u32).expect("at rest");
-        }
-        let (commanded, progress) = program.advance(false);
-        let part = (program.reached() as usize).saturating_sub(1) / 60;
-        if program.reached() % 60 == 50 && part < 4 {
-            rates[part] = (program.path_rate() * 100 + FULL_RATE / 2) / FULL_RATE;
-            let rate = f64::from(commanded.rates[0].0) * UNIT_MM;
-            let expected = 4.0 * program.path_rate() as f64 / FULL_RATE as f64;
-            assert!((rate - expected).abs() < 0.01, "{rate} {expected}");
-        }
-        if progress.finished {
-            break;
-        }
-    }
-    rates
-}
-
-#[test]
-fn overrides_act_on_their_parts_of_the_path() {
-    let [feed, rapid] = [Pace::FEED, Pace::RAPID];
-    let paces = [feed, rapid, Pace::CROSSING, Pace::FIXED];
-    assert_eq!(rates_of(paces, 100, 100), [100, 100, 100, 100]);
-    assert_eq!(rates_of(paces, 50, 100), [50, 100, 50, 100]);
-    assert_eq!(rates_of(paces, 100, 20), [100, 20, 20, 100]);
-    let fast = Pace::feed_up_to;
-    let paces = [fast(150), feed, fast(200), rapid];
-    assert_eq!(rates_of(paces, 200, 100), [150, 100, 200, 100]);
-    assert_eq!(rates_of(paces, 120, 50), [120, 100, 120, 50]);
-}
-
-/// The motion stays on the path at any factor, and its rate is the derivative of its position.
-#[test]
-fn a_faster_pace_keeps_the_path_and_ends_sooner() {
-    let mut program = start(&h4());
-    program.set_override(200);
-    let mut points = straight(4.0, 100, 100);
-    points[0] = paced(points[0].clone(), Pace::feed_up_to(200));
-    points[60] = paced(points[60].clone(), Pace::FEED);
-    for point in &points {
-        program.push(point).expect("accepted");
-    }
-    program.end(points.len() as u32).expect("at rest");
-    let path = walk(&mut program, 20_000, |_| false);
-    assert!(path.finished);
-    path.assert_consistent();
-    let end = f64::from(points.last().expect("some").pose[0]) * UNIT_MM;
-    assert!((path.x.last().expect("moved") - end).abs() < 1e-6);
-    // 60 spans of 100 periods at twice the speed; one ramp is slower, the other one faster.
-    let periods = path.x.len() as i32;
-    assert!((periods - 7200).abs() < 600, "{periods}");
-    let fastest = path.rate.iter().fold(0.0_f64, |most, rate| most.max(*rate));
-    assert!((fastest - 8.0).abs() < 0.01, "{fastest}");
-    let (acceleration, jerk) = path.dynamics(700, 20_000);
-    // 4 mm/s in 220 ms, which builds up in 80 ms; the end is that of the programmed motion.
-    assert!(
-        acceleration < 1100.0 && jerk < 110_000.0,
-        "{acceleration} {jerk}"
-    );
-}
-
-/// A setpoint that would be too fast at the factor of its pace is refused, and so is an unknown
-/// pace.
-#[test]
-fn a_pace_bounds_the_rates_of_the_setpoints_behind_it() {
-    let mut program = start(&h4());
-    let wrong = paced(setpoint(0.05, 5.0, 100), Pace(200));
-    assert_eq!(program.push(&wrong), Err(Refusal::Setpoint { setpoint: 0 }));
-    let fast = h4().pose[0].rate.0 as f64 * UNIT_MM * 0.6;
-    for (pace, accepted) in [
-        (Pace::feed_up_to(150), true),
-        (Pace::feed_up_to(200), false),
-    ] {
-        let mut program = start(&h4());
-        program
-            .push(&paced(setpoint(0.0, 0.0, 100), pace))
-            .expect("at rest");
-        let next = setpoint(fast * 0.1, fast, 1000);
-        assert_eq!(program.push(&next).is_ok(), accepted);
     }
 }

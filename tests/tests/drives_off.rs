@@ -356,7 +356,7 @@ fn slides_moved_before_the_configuration_are_homed_at_the_right_turn() {
 #[test]
 fn an_invalid_preset_is_refused() {
     type Injection = fn(&mut Bench);
-    let injections: [Injection; 3] = [
+    let injections: [Injection; 4] = [
         // A jump before there is a configuration.
         |bench| {
             bench.rig.plant_mut().slip_encoder(0, 32_000);
@@ -375,6 +375,20 @@ fn an_invalid_preset_is_refused() {
                 .rig
                 .plant_mut()
                 .set_encoder_condition(1, EncoderCondition::default());
+            bench.configure();
+        },
+        // A stuck channel while the slides move.
+        |bench| {
+            let stuck = EncoderCondition {
+                stuck_a: Some(true),
+                ..EncoderCondition::default()
+            };
+            bench.rig.plant_mut().set_encoder_condition(0, stuck);
+            push_all(bench, 100.0);
+            bench
+                .rig
+                .plant_mut()
+                .set_encoder_condition(0, EncoderCondition::default());
             bench.configure();
         },
         // Counts of another scale than before.

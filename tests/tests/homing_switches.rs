@@ -3,6 +3,7 @@
 
 mod setup;
 
+use haptimill_firmware::config::{Home, SwitchHome};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::fault::Fault as Injected;
 use haptimill_hil_sim::rig::RigOptions;
@@ -307,8 +308,8 @@ fn homing_is_interrupted() {
 }
 
 /// With an encoder the index pulse next to the switch counts.
-#[test]
-fn switch_and_index_on_servo_joints() {
+/// The servo mill with home switches beside the index pulses.
+fn servo_with_switches() -> String {
     let servo = include_str!("../../machines/mill3-servo.toml");
     let switch = |towards: &str, at: f64| {
         format!(
@@ -337,9 +338,43 @@ fn switch_and_index_on_servo_joints() {
     for (part, home) in parts.zip(homes) {
         with_homes.push_str(&format!("\nhome = {{ {home} }}\nencoder = {{{part}"));
     }
-    let text = with_homes.replace("start_spread = 0.3", "start_spread = 20.0");
+    with_homes.replace("start_spread = 0.3", "start_spread = 20.0")
+}
+
+#[test]
+fn switch_and_index_on_servo_joints() {
+    let text = servo_with_switches();
     let mut bench = mill(&text, &[]);
     assert_homed(&mut bench);
     let mut bench = mill(&text, &["index-missing axis=y"]);
     assert_failed(&mut bench, 1, HomingProblem::NoIndex);
+}
+
+/// A configuration with another reference: coordinates of the one before say nothing about it.
+#[test]
+fn another_home_coordinate_or_side_loses_the_position() {
+    type Change = fn(&mut SwitchHome);
+    let changes: [Change; 3] = [
+        |home| home.coordinate.0 += 5 << 20,
+        |home| home.downwards = !home.downwards,
+        |home| home.rate.0 /= 2,
+    ];
+    for (number, change) in changes.into_iter().enumerate() {
+        let mut bench = mill(&servo_with_switches(), &[]);
+        assert_homed(&mut bench);
+        bench.ask(Command::Disable).expect("off");
+        let home = &mut bench.machine.config.joints[0].home;
+        let (Home::Switch(search) | Home::SwitchAndIndex(search)) = home else {
+            panic!("{home:?}");
+        };
+        change(search);
+        // The drives are locked for some periods after they went off.
+        bench.steps(2000);
+        bench.configure();
+        // The rate of the search does not change what a coordinate means.
+        let is_kept = number == 2;
+        let status = bench.status();
+        let kept = (status.homed, status.position_kept);
+        assert_eq!(kept, (is_kept, is_kept), "change {number}");
+    }
 }

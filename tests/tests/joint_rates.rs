@@ -3,7 +3,9 @@
 
 mod setup;
 
-use haptimill_protocol::message::{Command, Event, Refusal, SETPOINT_BATCH, SetpointBatch, State};
+use haptimill_protocol::message::{
+    Action, Command, Event, Pace, Refusal, SETPOINT_BATCH, SetpointBatch, State,
+};
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use haptimill_tests::Bench;
 use setup::slides::{LIMIT, peak_rates, tilt};
@@ -260,4 +262,45 @@ fn a_stream_at_the_maximum_rate_is_accepted() {
     let most = fastest_slide(&mut bench);
     assert!((0.995 * LIMIT..=1.005 * LIMIT).contains(&most), "{most}");
     assert_eq!(state(&bench), State::Idle);
+}
+
+/// A faster pace multiplies joint rates: the limit holds at the largest override.
+#[test]
+fn no_pace_exceeds_a_joint_rate_at_any_override() {
+    for percent in [110_u8, 150, 200] {
+        for part in [0.4, 0.6, 0.8, 0.95] {
+            let mut bench = ready();
+            bench
+                .ask(Command::Override { percent: 200 })
+                .expect("accepted");
+            let start = bench.status().commanded;
+            // Of the slide that is the fastest one; the pose has room for twice this rate.
+            let rate = part * LIMIT / 8.4;
+            let mut spans = vec![(250, 0.0), (1000, rate)];
+            spans.extend([(200, rate); 8]);
+            spans.push((1000, 0.0));
+            let mut setpoints = tilt(&start, &spans);
+            setpoints[0].action = Action::Pace(Pace::feed_up_to(percent));
+            let peaks = peak_rates(&start, &setpoints);
+            let peak = peaks.iter().fold(0.0_f64, |most, peak| most.max(*peak));
+            let fastest = peak * f64::from(percent) / 100.0;
+            let refused = send_job(&mut bench, &setpoints);
+            println!("{percent} %: {peak:.1} mm/s, {refused:?}");
+            if fastest < LIMIT {
+                assert_eq!(refused, None);
+            } else if fastest > 1.03 * LIMIT {
+                let is_rate = matches!(refused, Some(Refusal::JointRate { .. }));
+                assert!(is_rate, "{fastest} mm/s: {refused:?}");
+            }
+            if refused.is_none() {
+                let count = setpoints.len() as u32;
+                bench.ask(Command::JobEnd { count }).expect("complete");
+                let most = fastest_slide(&mut bench);
+                assert!(most <= 1.03 * LIMIT, "{most} mm/s");
+                assert!(most > 0.97 * fastest, "{most} of {fastest} mm/s");
+            } else {
+                assert_stopped_and_usable(&mut bench);
+            }
+        }
+    }
 }

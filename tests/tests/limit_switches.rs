@@ -70,7 +70,20 @@ struct Moved {
     others: f64,
     /// Largest rate, mm/s.
     rate: f64,
+    /// Largest following error of a joint whose drive is on, mm.
+    following: f64,
     periods: usize,
+}
+
+/// Largest following error, mm; 0 where the drives are off.
+fn following(bench: &Bench) -> f64 {
+    if drives_off(bench) {
+        return 0.0;
+    }
+    let machine = bench.rig.control().machine().expect("configured");
+    machine.joints().fold(0.0_f64, |most, joint| {
+        most.max(f64::from(joint.following_error.0).abs() / MM)
+    })
 }
 
 /// Follows the motion until it ends; `until` may command something in a period of it.
@@ -86,6 +99,7 @@ fn follow(
         away: 0.0,
         others: 0.0,
         rate: 0.0,
+        following: 0.0,
         periods: 0,
     };
     // The mean over 20 ms: a screw that winds up is no motion.
@@ -94,6 +108,7 @@ fn follow(
         bench.step();
         during(bench, moved.periods);
         moved.periods += 1;
+        moved.following = moved.following.max(following(bench));
         assert!(moved.periods < 300_000, "it does not end");
         let now = bench.rig.truth().joints;
         for (index, (now, begin)) in now.iter().zip(&begin).enumerate().take(4) {
@@ -193,6 +208,12 @@ fn anything_else_is_refused_and_nothing_moves() {
     let refused = Err(Refusal::Input(InputProblem::BothLimitSwitches { axis: 0 }));
     assert_eq!(both.ask(Command::MoveOff { axis: 0 }), refused);
     assert!(drives_off(&both) && state(&both) == State::Disabled);
+    // An open door.
+    let mut open = pushed(0, true, &["input-level name=door level=low at=8s"]);
+    let input = 3;
+    let door = Err(Refusal::Input(InputProblem::DoorOpen { input }));
+    assert_eq!(open.ask(Command::MoveOff { axis: 0 }), door);
+    assert!(drives_off(&open) && state(&open) == State::Disabled);
     // During the motion nothing else starts, and another switch is a fault.
     let mut bench = pushed(
         0,
@@ -322,10 +343,16 @@ proptest! {
     /// the switch, and a kept position is true to the plant.
     #[test]
     fn an_interrupted_motion_ends_and_never_claims_a_wrong_position(
-        joint in 0_usize..3, upper: bool, kind in 0_u8..5, at in 0_usize..30_000,
+        joint in 0_usize..3, upper: bool, kind in 0_u8..7, at in 0_usize..30_000,
     ) {
         let jam = format!("joint-jammed axis={} at={}s", NAMES[joint], 10.0 + at as f64 * 2e-4);
-        let jams: &[&str] = if kind == 0 { &[&jam] } else { &[] };
+        let late = format!("missed-periods count=60 at={}s", 10.0 + at as f64 * 2e-4);
+        let jams: &[&str] = match kind {
+            0 => &[&jam],
+            5 => &[&late],
+            _ => &[],
+        };
+        let mut unheard = 0.0_f64;
         let mut bench = pushed(joint, upper, jams);
         bench.ask(Command::MoveOff { axis: joint as u8 }).expect("moves");
         let moved = follow(&mut bench, &[joint], upper, |bench, period| {
@@ -337,13 +364,24 @@ proptest! {
                 2 => { bench.send(Command::Hold); }
                 3 => { bench.send(Command::EmergencyStop); }
                 4 => bench.rig.plant_mut().set_emergency_stop(true),
+                6 => for _ in 0..4000 {
+                    // The host is silent.
+                    bench.rig.step();
+                    unheard = unheard.max(following(bench));
+                },
                 _ => {}
             }
         });
         let (low, high) = STROKES[joint];
         prop_assert!(moved.towards < PLAY && moved.others < PLAY, "{:?}", moved);
         prop_assert!(moved.away < 3.0 * (high - low) / 16.0 + 0.5, "{:?}", moved);
-        bench.steps(500);
+        let mut following_error = moved.following.max(unheard);
+        for _ in 0..if kind == 5 { at + 500 } else { 500 } {
+            bench.step();
+            following_error = following_error.max(following(&bench));
+        }
+        // No pose of before the motion is commanded, whatever ends it.
+        prop_assert!(kind == 0 || following_error < 0.2, "{} mm", following_error);
         let status = bench.status();
         let truth = bench.rig.truth().joints[joint];
         let is_on = truth < low - 3.0 || truth > high + 3.0;

@@ -87,7 +87,6 @@ pub(super) fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
     if source == Source::Master && !follows {
         return Err(Refusal::NoMaster);
     }
-    machine.masters.mapping.release_one(usize::from(axis));
     // Without the feature `haptics` no source takes over a moving coordinate.
     let jogs = !HAPTICS
         || source == Source::Jog
@@ -98,6 +97,7 @@ pub(super) fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
     if jogs && state == State::Hold && !machine.motion.is_at_standstill() {
         return Err(Refusal::State(state));
     }
+    machine.masters.mapping.release_one(usize::from(axis));
     machine.motion.set_source(usize::from(axis), source);
     Ok(())
 }

@@ -17,7 +17,8 @@ fn settable(core: &Core) -> Done {
 #[inline(never)]
 pub(super) fn set_output(core: &mut Core, output: u8, on: bool) -> Done {
     settable(core)?;
-    let spindle_rpm = core.spindle_rpm();
+    // The commanded speed: a spindle that an open door stopped turns again with the next resume.
+    let spindle_rpm = core.job.spindle_rpm;
     let machine = core.configured()?;
     machine
         .io
@@ -41,10 +42,12 @@ pub(super) fn arm_probe(core: &mut Core, probing: Probing, inputs: &Inputs) -> D
     let machine = core.configured()?;
     // The machine is at standstill: a level that is changing already is latched here.
     let latch = machine.probe_latch(inputs.period);
+    let before = machine.io.armed();
     machine.io.arm(&machine.config.io, probing, latch)?;
     let refused = machine.check_inputs(false);
     if refused.is_err() {
-        machine.io.take_probing();
+        // A refused command changes nothing: a probe that was armed before stays armed.
+        machine.io.rearm(before);
     }
     refused
 }

@@ -29,6 +29,7 @@ pub mod monitor;
 pub mod power_on_counts;
 pub mod quadrature;
 pub mod rate_filter;
+mod reversals;
 pub mod servo;
 pub mod step_gen;
 mod step_supervision;
@@ -396,7 +397,7 @@ impl JointDrive {
 
     /// References the joint to the power-on counts. The coordinate is at the preset now. The joint
     /// was at its preset at power-on and has moved by `counted` since. Returns false if the counter
-    /// jumped.
+    /// jumped, or if a channel was stuck.
     ///
     /// A motor without an encoder emitted no steps before its configuration.
     pub(crate) fn count_from(&mut self, counted: &Counted) -> bool {
@@ -408,7 +409,7 @@ impl JointDrive {
         };
         let preset = self.measurement.motor;
         self.set_reference(counted.counts.wrapping_sub(travelled), preset);
-        counted.widest <= self.reach
+        counted.widest <= self.reach && !counted.stuck
     }
 
     /// Starts or ends the reference search.

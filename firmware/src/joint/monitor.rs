@@ -18,6 +18,7 @@
 //! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
 
 use crate::config::{Drive, EncoderAxis, JointAxis};
+use crate::joint::reversals::Reversals;
 use haptimill_math::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 
@@ -63,17 +64,6 @@ pub struct JointMonitor {
     reversals: Reversals,
 }
 
-/// Reversals of a count that stays within [`still`] of one position.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Reversals {
-    place: Coordinate,
-    /// Sign of the last motion.
-    sign: i32,
-    count: u8,
-    /// Time since the first of the reversals, microseconds.
-    since_us: u32,
-}
-
 /// The joint at the last count that cannot be a reversal about one position, or at the start of
 /// commanded motion.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -94,13 +84,6 @@ struct LastCount {
 /// Consecutive periods against the drive that mean a runaway. One wrong rate between two edges ends
 /// sooner.
 const AGAINST_PERIODS: u8 = 4;
-
-/// This many reversals about one position within [`REVERSAL_US`] microseconds come from a stuck
-/// channel. A stuck channel gives one reversal per two counts of motion and is found from 1.2 mm/s
-/// on. A loop with a limit cycle about an edge, or a slide with stick-slip, reverses 160 times per
-/// second, which is a third of the limit.
-const REVERSALS: u8 = 24;
-const REVERSAL_US: u32 = 50_000;
 
 /// Change of the counts between two periods up to which the jump check is skipped.
 const STEADY: u32 = 8;
@@ -317,36 +300,13 @@ impl JointMonitor {
         encoder: &EncoderAxis,
         sample: &JointSample,
     ) -> Option<Fault> {
-        let reversals = &mut self.reversals;
-        if sample.moved != 0 {
-            let sign = direction_of(sample.moved);
-            if distance(config, sample.measured, reversals.place) > stuck_distance(encoder) {
-                *reversals = Reversals {
-                    place: sample.measured,
-                    sign,
-                    ..Reversals::default()
-                };
-            } else if sign != reversals.sign {
-                reversals.sign = sign;
-                reversals.count += 1;
-                if reversals.count >= REVERSALS {
-                    reversals.count = 0;
-                    return Some(Fault::EncoderStuck { axis });
-                }
-            }
-        }
-        if reversals.count != 0 {
-            reversals.since_us = reversals
-                .since_us
-                .saturating_add(u32::from(sample.period_us));
-            if reversals.since_us > REVERSAL_US {
-                reversals.count /= 2;
-                reversals.since_us /= 2;
-            }
-        } else {
-            reversals.since_us = 0;
-        }
-        None
+        let place = Coordinate(self.reversals.place());
+        let is_away =
+            sample.moved != 0 && distance(config, sample.measured, place) > stuck_distance(encoder);
+        let (now, period_us) = (sample.measured.0, sample.period_us);
+        self.reversals
+            .update(sample.moved, is_away, now, period_us)
+            .then_some(Fault::EncoderStuck { axis })
     }
 
     /// A driven joint whose encoder does not count.

@@ -7,7 +7,11 @@
 //! Callers must make sure that the counters are running at the first period.
 
 use crate::io::{AxisInputs, Inputs};
+use crate::joint::reversals::Reversals;
 use haptimill_protocol::message::MAX_AXES;
+
+/// A stuck channel keeps the counter within this many counts of one place.
+const STUCK_COUNTS: u32 = 2;
 
 /// Counts of one encoder since power-on.
 #[derive(Debug, Clone, Copy, Default)]
@@ -21,6 +25,9 @@ pub struct Counted {
     pub illegal: u32,
     /// Largest change of the counter per period; after missed periods, the mean change per period.
     pub widest: u32,
+    /// A channel was stuck: the other one counted up and down about one place.
+    pub stuck: bool,
+    reversals: Reversals,
 }
 
 /// Counts of all encoders since power-on.
@@ -34,12 +41,12 @@ pub struct SincePowerOn {
 impl SincePowerOn {
     /// Records one period. The first period is the start.
     #[inline(never)]
-    pub fn update(&mut self, inputs: &Inputs) {
+    pub fn update(&mut self, inputs: &Inputs, period_us: u16) {
         let periods = u32::from(inputs.missed) + 1;
         let started = core::mem::replace(&mut self.started, true);
         for (counted, axis) in self.axes.iter_mut().zip(&inputs.axes) {
             if started {
-                counted.update(axis, periods);
+                counted.update(axis, periods, period_us);
             }
             counted.counts = axis.counts;
             counted.illegal_raw = axis.illegal;
@@ -48,10 +55,13 @@ impl SincePowerOn {
 }
 
 impl Counted {
-    fn update(&mut self, axis: &AxisInputs, periods: u32) {
+    fn update(&mut self, axis: &AxisInputs, periods: u32, period_us: u16) {
         let moved = axis.counts.wrapping_sub(self.counts);
         self.travelled = self.travelled.saturating_add(i64::from(moved));
         self.widest = self.widest.max(moved.unsigned_abs() / periods);
+        let place = self.travelled as i32;
+        let is_away = self.reversals.place().wrapping_sub(place).unsigned_abs() > STUCK_COUNTS;
+        self.stuck |= self.reversals.update(moved, is_away, place, period_us);
         let illegal = axis.illegal.wrapping_sub(self.illegal_raw);
         self.illegal = self.illegal.saturating_add(u32::from(illegal));
     }

@@ -8,7 +8,7 @@ use super::masters::Masters;
 use super::switches::Switches;
 use crate::config::digest::{Constants, Digest};
 use crate::config::volumetric::ERROR_AXES;
-use crate::config::{AxisKind, Config, Drive, JointAxis};
+use crate::config::{AxisKind, Config, Drive, JointAxis, SwitchInput};
 use crate::force::Design;
 use crate::force::sensor::COMPONENTS;
 use crate::io::Inputs;
@@ -45,9 +45,14 @@ pub(super) const IO_PART: usize = HAPTICS_PART + 1;
 pub type PositionSnapshot = Vec<(EncoderScaling, EncoderState), MAX_AXES>;
 
 /// Scaling of the counter of a joint: kind, axis units per count of the encoder (or per step),
-/// preset, index and index pitch.
+/// preset, index and index pitch, and the coordinate and side of the home switch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct EncoderScaling(AxisKind, i64, Coordinate, Coordinate, Coordinate);
+pub struct EncoderScaling(
+    AxisKind,
+    i64,
+    [Coordinate; 3],
+    Option<(SwitchInput, bool, Coordinate)>,
+);
 
 impl EncoderScaling {
     fn of(axis: &JointAxis) -> Self {
@@ -56,7 +61,9 @@ impl EncoderScaling {
             (None, Drive::Steps { per_step, .. }) => (*per_step, Coordinate(0), Coordinate(0)),
             (None, Drive::Torque { .. }) => (0, Coordinate(0), Coordinate(0)),
         };
-        Self(axis.kind, per_count, axis.preset, index, pitch)
+        let home = axis.home.switch();
+        let switch = home.map(|home| (home.input, home.downwards, home.coordinate));
+        Self(axis.kind, per_count, [axis.preset, index, pitch], switch)
     }
 }
 

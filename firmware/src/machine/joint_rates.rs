@@ -4,7 +4,10 @@
 //! A segment is cut into pieces of at most [`PIECE`] periods. Joint positions and rates are known
 //! at the ends of a piece. In between, a joint follows its own cubic Hermite polynomial to fourth
 //! order. The rate of that cubic lies within the hull of three control points: both end rates, and
-//! 3 (q1 - q0) / T - q0' - q1'. The check needs no division.
+//! 3 (q1 - q0) / T - q0' - q1'. The check needs no division by the time.
+//!
+//! Joint rates grow with the path rate: the limit is divided by the largest path rate that the pace
+//! of the segment, or of a faster part before it, allows.
 //!
 //! docs/decisions/0025-joint-rate-limit.md explains why a setpoint is refused and the path is not
 //! slowed down.
@@ -131,6 +134,7 @@ impl Machine {
             (node, PIECE)
         };
         let time = i64::from(periods) * i64::from(self.config.period_us);
+        let path_rate = i64::from(self.motion.program.most());
         let last = &self.joint_rates.last;
         for (index, joint) in self.config.joints.iter().enumerate() {
             let (before, after) = (last.motion.rates[index].0, node.motion.rates[index].0);
@@ -139,7 +143,7 @@ impl Machine {
             let distance = node.motion.joints.0[index].wrapping_sub(last.motion.joints.0[index]);
             // The middle control point, times the time in microseconds: below 2^53 + 2^48.
             let middle = 3_000_000 * i64::from(distance.0) - both * time;
-            let most = allowed(joint.rate);
+            let most = allowed(joint.rate) * 100 / path_rate;
             let too_fast = i64::from(after).abs() > most;
             let too_fast_between = node.alone && last.alone && middle.abs() > most * time;
             if too_fast || too_fast_between {
@@ -152,7 +156,7 @@ impl Machine {
                     setpoint: number,
                     axis: index as u8,
                     rate: Rate::saturating_from(rate).0,
-                    limit: joint.rate.0,
+                    limit: (i64::from(joint.rate.0) * 100 / path_rate) as i32,
                 });
             }
         }

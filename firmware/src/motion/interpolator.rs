@@ -12,6 +12,7 @@
 //!
 //! Units: axis units, wire rates, 2^-32 control periods of program time.
 
+mod pace;
 mod prefetch;
 mod retract;
 mod stopping;
@@ -30,6 +31,7 @@ use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{Action, MAX_AXES, Pace, RATE_SHIFT, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Deque;
+use pace::{AcceptedPace, braking_periods};
 use prefetch::{Segment, Segments};
 use retract::PASSED;
 
@@ -101,6 +103,8 @@ pub struct Interpolator {
     braking: Option<RampLimits>,
     /// Program time to decelerate from the full path rate, in control periods.
     braking_periods: u64,
+    /// Control periods in which the path rate changes by 1, and in which its slope builds up.
+    pace_periods: [u32; 2],
 
     queue: Deque<Knot, QUEUE>,
     /// The setpoints passed last, newest last.
@@ -127,8 +131,7 @@ pub struct Interpolator {
     /// Feed and rapid override, percent.
     overrides: [u8; 2],
     pace: Pace,
-    /// Pace behind the setpoint accepted last.
-    accepted_pace: Pace,
+    accepted_pace: AcceptedPace,
     accepted: u32,
     reached: u32,
     total: Option<u32>,
@@ -140,7 +143,7 @@ pub struct Interpolator {
 }
 
 constants!(Interpolator {
-    axes, circular, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods
+    axes, circular, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods, pace_periods
 } of {} but {
     queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, overrides, pace, accepted_pace, accepted, reached, total, started, paused,
     underrunning, late, duration, passed, retract_left
@@ -181,6 +184,7 @@ impl Interpolator {
         program.period_us = config.period_us;
         program.periods_per_second = 1_000_000 / i64::from(config.period_us.max(1));
         program.braking = braking_limits(&config.stopping, config.period_us);
+        program.pace_periods = braking_periods(&config.stopping, config.period_us);
         program.overrides = [100; 2];
         program.set_pace(Pace::FEED);
         for (axis, pose) in config.pose.iter().enumerate() {
@@ -221,7 +225,7 @@ impl Interpolator {
         self.paused = false;
         self.underrunning = None;
         self.late = None;
-        self.accepted_pace = Pace::FEED;
+        self.accepted_pace.begin();
         self.set_pace(Pace::FEED);
     }
 
@@ -326,9 +330,7 @@ impl Interpolator {
         let _ = self.queue.push_back(self.tail);
         self.queued_periods += u64::from(setpoint.periods);
         self.stops_ahead += u32::from(self.tail.is_at_standstill());
-        if let Action::Pace(pace) = setpoint.action {
-            self.accepted_pace = pace;
-        }
+        self.accepted_pace.accept(setpoint, self.pace_periods);
         self.accepted = self.accepted.wrapping_add(1);
         if let Some(underrunning) = self.underrunning
             && underrunning.setpoint == number
@@ -402,35 +404,6 @@ impl Interpolator {
     #[inline]
     pub const fn path_rate(&self) -> i64 {
         self.path_rate.value()
-    }
-
-    /// Sets the feed override, 0 to [`Pace::MOST`] percent of the programmed speed.
-    pub fn set_override(&mut self, percent: u8) {
-        self.overrides[0] = percent.min(Pace::MOST);
-        self.set_pace(self.pace);
-    }
-
-    /// Sets the rapid override, 0 to 100 percent of the programmed speed.
-    pub fn set_rapid_override(&mut self, percent: u8) {
-        self.overrides[1] = percent.min(100);
-        self.set_pace(self.pace);
-    }
-
-    fn set_pace(&mut self, pace: Pace) {
-        self.pace = pace;
-        let [feed, rapid] = self.overrides;
-        self.override_rate = FULL_RATE * i64::from(pace.factor(feed, rapid)) / 100;
-    }
-
-    /// Begins a part of the path with another pace.
-    #[inline(never)]
-    fn enter_pace(&mut self, pace: Pace) {
-        let is_steady = self.path_rate == Ramp::at(self.override_rate);
-        self.set_pace(pace);
-        // At standstill any path rate gives the same motion.
-        if is_steady && self.from.is_at_standstill() {
-            self.path_rate = Ramp::at(self.override_rate);
-        }
     }
 
     /// Whether interpolation needs more time in this control period than in others: the next
@@ -595,10 +568,13 @@ impl Interpolator {
                 progress.finished = true;
                 return;
             }
-            if self.from.is_at_standstill() && !self.can_pass_stop() {
-                self.time = 0;
-                self.started = false;
-                return;
+            if self.from.is_at_standstill() {
+                if !self.can_pass_stop() {
+                    self.time = 0;
+                    self.started = false;
+                    return;
+                }
+                self.limit_path_rate();
             }
         }
     }
@@ -692,7 +668,7 @@ impl Interpolator {
     /// within 16 times that of a jog. A setpoint beyond these bounds is an error of the host.
     fn is_within_limits(&self, axis: usize, place: i32, rate: i32) -> bool {
         let (duration, mut limit) = (&self.duration, self.rate_limits[axis]);
-        let most = i32::from(self.accepted_pace.most());
+        let most = i32::from(self.most());
         if most > 100 {
             limit = limit / most * 100;
         }

@@ -218,6 +218,18 @@ impl NamedIo {
         Ok(())
     }
 
+    /// The armed probing and its latch, for [`NamedIo::rearm`].
+    #[must_use]
+    pub const fn armed(&self) -> (Option<Probing>, ProbeLatch) {
+        (self.probing, self.latch)
+    }
+
+    /// Restores what [`NamedIo::armed`] returned.
+    pub const fn rearm(&mut self, (probing, latch): (Option<Probing>, ProbeLatch)) {
+        self.probing = probing;
+        self.latch = latch;
+    }
+
     /// The armed probing.
     #[must_use]
     pub const fn probing(&self) -> Option<Probing> {

@@ -177,7 +177,7 @@ impl core::error::Error for FrameError {}
 
 /// Frame to a board that keeps its inputs in place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
+pub enum Request {
     /// As [`ToBoard::Begin`].
     Begin {
         /// Control period, in microseconds.
@@ -198,10 +198,10 @@ pub enum Order {
 /// # Errors
 /// See [`FrameError`]; `inputs` stay unchanged.
 #[inline]
-pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Order, FrameError> {
+pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Request, FrameError> {
     let (kind, mut words) = Reader::begin(frame)?;
     match kind {
-        1 => Ok(Order::Begin {
+        1 => Ok(Request::Begin {
             period_us: words.take() as u16,
         }),
         2 => {
@@ -218,9 +218,9 @@ pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Order,
             for axis in &mut inputs.axes {
                 *axis = take_axis(&mut words);
             }
-            Ok(Order::Period { arrived })
+            Ok(Request::Period { arrived })
         }
-        3 => Ok(Order::End),
+        3 => Ok(Request::End),
         _ => Err(FrameError::Content),
     }
 }
@@ -272,9 +272,9 @@ impl ToBoard {
     pub fn decode(bytes: &[u8; TO_BOARD_BYTES]) -> Result<Self, FrameError> {
         let mut inputs = Inputs::default();
         Ok(match read(&from_bytes(bytes), &mut inputs)? {
-            Order::Begin { period_us } => Self::Begin { period_us },
-            Order::Period { arrived } => Self::Period { inputs, arrived },
-            Order::End => Self::End,
+            Request::Begin { period_us } => Self::Begin { period_us },
+            Request::Period { arrived } => Self::Period { inputs, arrived },
+            Request::End => Self::End,
         })
     }
 }

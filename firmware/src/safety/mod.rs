@@ -280,6 +280,11 @@ impl Safety {
         self.enter(State::EmergencyStop);
     }
 
+    /// Ends a fault in which the drives hold the machine: they go off.
+    pub const fn end_holding(&mut self) {
+        self.holding = false;
+    }
+
     /// Clears the latched fault or emergency stop; returns whether there was one.
     pub fn reset(&mut self) -> bool {
         let latched = matches!(self.state, State::Fault | State::EmergencyStop);

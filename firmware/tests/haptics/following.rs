@@ -235,6 +235,27 @@ fn jog_takes_over_only_at_standstill() {
     }
 }
 
+/// A refused change of the source changes nothing: the offset from the master to the tool stays,
+/// also while the tool cannot follow.
+#[test]
+fn a_refused_source_keeps_the_offset_of_the_master() {
+    let mut bench = Bench::ready(mill());
+    bench.master(0);
+    bench.start_job();
+    bench.inputs.haptic.engaged = true;
+    let begin = bench.at(0).0;
+    bench.lead([-5.0, 0.0, 0.0], 2500);
+    let source = Source::Jog;
+    let refused = Err(Refusal::State(State::Run));
+    // During the motion the tool is behind the master: a new offset would keep this distance.
+    bench.lead([-0.1, 0.0, 0.0], 5);
+    assert_eq!(bench.ask(Command::Source { axis: 0, source }), refused);
+    bench.lead([5.1, 0.0, 0.0], 2500);
+    bench.steps(3000);
+    let off = (bench.at(0).0 - begin).abs();
+    assert!(off < 1e-3, "{off} mm");
+}
+
 #[test]
 fn master_is_blocked_at_the_workspace_boundary() {
     let mut bench = Bench::ready(mill());

@@ -127,13 +127,15 @@ impl Viewer {
         }
     }
 
-    fn send(&mut self, mut order: Value) {
-        order["t"] = self.state["t"].clone();
-        self.socket.send(Message::text(order.to_string())).unwrap();
+    fn send(&mut self, mut command: Value) {
+        command["t"] = self.state["t"].clone();
+        self.socket
+            .send(Message::text(command.to_string()))
+            .unwrap();
     }
 
-    fn order(&mut self, order: &str) {
-        self.send(json!({ "order": order }));
+    fn command(&mut self, command: &str) {
+        self.send(json!({ "command": command }));
     }
 
     /// Waits until the state of the machine meets a condition.
@@ -156,7 +158,7 @@ impl Viewer {
 
     fn take(&mut self) {
         self.wait("state", |viewer| viewer.state["ready"] == true);
-        self.order("take");
+        self.command("take");
         self.wait("control", Self::commands);
     }
 
@@ -169,7 +171,7 @@ impl Viewer {
         self.take();
         self.wait_for_state("disabled");
         assert_eq!(self.state["referenced"], false);
-        self.order("home");
+        self.command("home");
         self.answer();
         self.wait("home pose", |viewer| {
             has_message(viewer, "move to the home pose: done")
@@ -185,7 +187,7 @@ impl Viewer {
         while Instant::now() < read {
             self.next();
         }
-        self.send(json!({"order": "answer", "yes": true}));
+        self.send(json!({"command": "answer", "yes": true}));
         self.wait("answer", |viewer| viewer.state["question"].is_null());
     }
 
@@ -316,12 +318,12 @@ fn a_message_that_is_too_long_or_unknown_closes_its_viewer_only() {
     ends(&mut long);
     let mut odd = Viewer::open(&served.address);
     odd.socket
-        .send(Message::text("{\"order\":\"fly\"}"))
+        .send(Message::text("{\"command\":\"fly\"}"))
         .unwrap();
     ends(&mut odd);
     let mut flood = Viewer::open(&served.address);
     for _ in 0..1000 {
-        let _ = flood.socket.send(Message::text("{\"order\":\"list\"}"));
+        let _ = flood.socket.send(Message::text("{\"command\":\"list\"}"));
     }
     ends(&mut flood);
     first.take();
@@ -334,26 +336,26 @@ fn one_viewer_commands_and_every_viewer_stops() {
     first.take();
     let mut second = Viewer::open(&served.address);
     second.wait_for_state("disabled");
-    second.order("enable");
+    second.command("enable");
     second.wait("refusal", |viewer| !viewer.refused.is_empty());
     assert_eq!(second.refused, ["take control first"]);
-    first.order("enable");
+    first.command("enable");
     first.wait_for_state("idle");
     second.wait_for_state("idle");
-    second.order("take");
+    second.command("take");
     first.wait("question", |viewer| {
         viewer.control["asks"] == viewer.control["viewers"]
     });
-    first.order("keep");
+    first.command("keep");
     second.wait("answer", |viewer| viewer.control["asks"].is_null());
     assert!(!second.commands());
-    second.order("emergency-stop");
+    second.command("emergency-stop");
     first.wait_for_state("in emergency stop");
-    second.order("take");
+    second.command("take");
     first.wait("question", |viewer| !viewer.control["asks"].is_null());
-    first.order("hand-over");
+    first.command("hand-over");
     second.wait("control", Viewer::commands);
-    first.order("reset");
+    first.command("reset");
     first.wait("refusal", |viewer| !viewer.refused.is_empty());
     drop(second);
     first.wait("nobody", |viewer| viewer.control["commander"].is_null());
@@ -366,8 +368,8 @@ fn a_dropped_connection_ends_a_jog_within_the_dead_man_time() {
     let mut viewer = Viewer::open(&served.address);
     viewer.home();
     watcher.wait_for_state("idle");
-    // An order that answers an old state moves nothing.
-    let late = json!({"order": "jog", "axis": 0, "up": true, "repeat": false, "t": 0});
+    // A command that answers an old state moves nothing.
+    let late = json!({"command": "jog", "axis": 0, "up": true, "repeat": false, "t": 0});
     viewer.socket.send(Message::text(late.to_string())).unwrap();
     viewer.wait("refusal", |viewer| !viewer.refused.is_empty());
     assert_eq!(viewer.refused, ["the connection is slow: nothing was done"]);
@@ -375,11 +377,11 @@ fn a_dropped_connection_ends_a_jog_within_the_dead_man_time() {
     let begin = viewer.actual(0);
     let jog = |viewer: &mut Viewer| {
         viewer.next();
-        viewer.send(json!({"order": "jog", "axis": 0, "up": true, "repeat": false}));
+        viewer.send(json!({"command": "jog", "axis": 0, "up": true, "repeat": false}));
         let until = Instant::now() + Duration::from_secs(1);
         while Instant::now() < until {
             viewer.next();
-            viewer.send(json!({"order": "jog", "axis": 0, "up": true, "repeat": true}));
+            viewer.send(json!({"command": "jog", "axis": 0, "up": true, "repeat": true}));
         }
     };
     // Silence: the connection is open, as a half-open one seems to be.
@@ -426,7 +428,7 @@ fn a_program_is_uploaded_run_held_and_ends_without_its_viewer() {
     viewer.home();
     let upload = |viewer: &mut Viewer, name: &str, text: &str| {
         viewer.next();
-        viewer.send(json!({"order": "upload", "name": name, "text": text}));
+        viewer.send(json!({"command": "upload", "name": name, "text": text}));
     };
     for name in [
         "../out.ngc",
@@ -452,15 +454,15 @@ fn a_program_is_uploaded_run_held_and_ends_without_its_viewer() {
     viewer.wait("refusal", |viewer| viewer.refused.len() > before);
     assert_eq!(viewer.refused.last().unwrap(), "part.ngc exists");
     assert!(served.folder.read("part.ngc").contains("G1 X8"));
-    viewer.send(json!({"order": "select", "name": "part.ngc"}));
+    viewer.send(json!({"command": "select", "name": "part.ngc"}));
     viewer.wait("scene", |viewer| {
         viewer.scene["scene"]["layers"][0]["points"].is_string()
     });
-    viewer.send(json!({"order": "override", "percent": 50}));
+    viewer.send(json!({"command": "override", "percent": 50}));
     viewer.wait("override", |viewer| viewer.state["override"] == 50);
-    viewer.order("run");
+    viewer.command("run");
     viewer.wait("question", |viewer| viewer.state["question"].is_string());
-    viewer.send(json!({"order": "jog", "axis": 17, "up": true, "repeat": false}));
+    viewer.send(json!({"command": "jog", "axis": 17, "up": true, "repeat": false}));
     viewer.wait("message", |viewer| {
         has_message(viewer, "there is no coordinate 17")
     });
@@ -468,9 +470,9 @@ fn a_program_is_uploaded_run_held_and_ends_without_its_viewer() {
     viewer.wait("line", |viewer| viewer.state["program"]["line"] == 2);
     // The line end of the last line begins no sixth one.
     assert_eq!(viewer.state["program"]["lines"], 5);
-    viewer.order("hold");
+    viewer.command("hold");
     viewer.wait_for_state("on hold");
-    viewer.order("resume");
+    viewer.command("resume");
     viewer.wait_for_state("running");
     // The job goes on without its viewer.
     drop(viewer);
@@ -500,13 +502,13 @@ fn the_stock_is_sent_once_and_then_its_changes() {
     let blank = viewer.stock.clone();
     let program = std::fs::read_to_string(scene::root().join("examples/e7-slot.ngc")).unwrap();
     viewer.next();
-    viewer.send(json!({"order": "upload", "name": "slot.ngc", "text": program}));
+    viewer.send(json!({"command": "upload", "name": "slot.ngc", "text": program}));
     viewer.wait("list", |viewer| {
         viewer.programs["names"] == json!(["slot.ngc"])
     });
-    viewer.send(json!({"order": "select", "name": "slot.ngc"}));
+    viewer.send(json!({"command": "select", "name": "slot.ngc"}));
     viewer.wait("path", |viewer| viewer.state["selected"] == "slot.ngc");
-    viewer.order("run");
+    viewer.command("run");
     viewer.answer();
     viewer.wait("end", |viewer| has_message(viewer, "slot.ngc: done"));
     let settled = Instant::now() + Duration::from_secs(2);
@@ -544,31 +546,31 @@ fn work_offsets_are_set_and_another_process_holds_the_job() {
     assert_eq!(systems(&viewer), json!([]));
     let mut other = Viewer::open(&served.address);
     other.wait("state", |other| other.state["ready"] == true);
-    other.send(json!({"order": "zero", "text": "g55 z=0"}));
+    other.send(json!({"command": "zero", "text": "g55 z=0"}));
     other.wait("refusal", |other| {
         other.refused.iter().any(|why| why == "take control first")
     });
     viewer.next();
-    viewer.send(json!({"order": "zero", "text": "g55 z=0"}));
+    viewer.send(json!({"command": "zero", "text": "g55 z=0"}));
     viewer.wait("offset", |viewer| systems(viewer)[0]["name"] == "G55");
     let z = viewer.state["offsets"]["letters"].as_array().unwrap();
     let z = z.iter().position(|letter| letter == "z").unwrap();
     let origin = systems(&viewer)[0]["origin"][z].as_f64().unwrap();
     assert!((origin - viewer.actual(z)).abs() < 0.01, "{origin}");
     assert!(folder.read("h4.offsets.toml").contains("g55"));
-    viewer.send(json!({"order": "zero", "text": "g99 z=0"}));
+    viewer.send(json!({"command": "zero", "text": "g99 z=0"}));
     viewer.wait("refusal", |viewer| has_message(viewer, "g99"));
 
     let text = "G21 G90 F300\nG1 X10\nG1 X0\nG1 X10\nG1 X0\nM30\n";
-    viewer.send(json!({"order": "upload", "name": "part.ngc", "text": text}));
+    viewer.send(json!({"command": "upload", "name": "part.ngc", "text": text}));
     viewer.wait("list", |viewer| {
         viewer.programs["names"] == json!(["part.ngc"])
     });
-    viewer.send(json!({"order": "select", "name": "part.ngc"}));
+    viewer.send(json!({"command": "select", "name": "part.ngc"}));
     viewer.wait("path", |viewer| viewer.state["selected"] == "part.ngc");
     let nothing = machine.run(&["resume"]).expect_code(8);
     assert!(nothing.err.contains("not held"), "{nothing:?}");
-    viewer.order("run");
+    viewer.command("run");
     viewer.answer();
     viewer.wait_for_state("running");
     let set = machine.run(&["override", "--feed", "50"]).expect_code(0);

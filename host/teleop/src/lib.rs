@@ -34,7 +34,7 @@ pub use arm::{Arm, OperatorLine};
 pub use latency::{ForceSample, Latency, LatencyFigures};
 pub use outcome::{Ended, HoldRecord, Outcome, Row};
 pub use run::{Teleop, TeleopOptions};
-pub use script::{Order, OrderInput, Script};
+pub use script::{CommandInput, OperatorCommand, Script};
 
 use haptimill_client::Error;
 use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterPose};
@@ -128,8 +128,8 @@ pub trait MasterDevice {
         None
     }
 
-    /// The next order that the operator gave at the device.
-    fn next_order(&mut self) -> Option<Order> {
+    /// The next command that the operator gave at the device.
+    fn next_command(&mut self) -> Option<OperatorCommand> {
         None
     }
 

@@ -110,7 +110,7 @@ pub struct Outcome {
     pub samples_sent: u64,
     /// Feed holds of the machine.
     pub holds: Vec<HoldRecord>,
-    /// Orders that were refused, and why.
+    /// Commands that were refused, and why.
     pub refused: Vec<String>,
     /// Faults.
     pub faults: Vec<String>,

@@ -1,6 +1,6 @@
-//! Scripts of a session in TOML: the motion of a simulated operator at the haptic arm, and orders.
+//! Scripts of a session in TOML: the motion of a simulated operator at the haptic arm, and commands.
 //!
-//! Times are seconds: of the motion since the motors of the arm were enabled, of orders since the
+//! Times are seconds: of the motion since the motors of the arm were enabled, of commands since the
 //! session started, which is the same to a few hundredths. Positions are mm of the tip from its
 //! home.
 
@@ -16,9 +16,9 @@ use std::str::FromStr;
 /// The script of `--master sim`.
 pub const BUILT_IN: &str = include_str!("../../../examples/teleop.toml");
 
-/// An order of the operator.
+/// A command of the operator.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Order {
+pub enum OperatorCommand {
     /// Feed hold.
     Hold,
     /// Resume after a hold, from the present positions of master and tool.
@@ -33,22 +33,22 @@ pub enum Order {
     Scale(f64),
 }
 
-/// A message of an order input.
+/// A message of a command input.
 #[derive(Debug, Clone, PartialEq)]
-pub enum OrderInput {
-    /// An order.
-    Order(Order),
-    /// Text that is no order, with the remedy.
+pub enum CommandInput {
+    /// A command.
+    Command(OperatorCommand),
+    /// Text that is no command, with the remedy.
     Invalid(String),
     /// The input failed, with the reason: a `stop` would not arrive any more. The end of an input
     /// is no failure.
     Lost(String),
 }
 
-/// Syntax of the orders.
-pub const ORDERS: &str = "hold, resume, stop, end, reset-master, or gp=SCALE (0.1 to 2)";
+/// Syntax of the commands.
+pub const COMMANDS: &str = "hold, resume, stop, end, reset-master, or gp=SCALE (0.1 to 2)";
 
-impl FromStr for Order {
+impl FromStr for OperatorCommand {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -60,7 +60,7 @@ impl FromStr for Order {
             "reset-master" => Ok(Self::ResetMaster),
             other => match other.strip_prefix("gp=").map(str::parse) {
                 Some(Ok(scale)) => Ok(Self::Scale(scale)),
-                _ => Err(format!("\"{other}\" is no order; write {ORDERS}")),
+                _ => Err(format!("\"{other}\" is no command; write {COMMANDS}")),
             },
         }
     }
@@ -88,8 +88,8 @@ pub struct Script {
     stroke: Vec<Stroke>,
     /// Times at which the enabling switch is pressed and released.
     button: Vec<Button>,
-    /// Orders with their times.
-    order: Vec<Ordered>,
+    /// Commands with their times.
+    command: Vec<TimedCommand>,
     /// End of the session; 1 s after the start of the last entry when it is not given.
     end_s: Option<f64>,
 }
@@ -101,9 +101,9 @@ struct Button {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Ordered {
+struct TimedCommand {
     at_s: f64,
-    order: Order,
+    command: OperatorCommand,
 }
 
 /// Range of times.
@@ -149,14 +149,14 @@ fn stroke(at_s: f64, section: &Section<'_, '_>) -> Stroke {
     }
 }
 
-fn order(at_s: f64, section: &Section<'_, '_>) -> Option<Ordered> {
-    let text = section.text("what", &format!("write {ORDERS}"))?;
-    let order = text.parse().and_then(|order| match order {
-        Order::Scale(commanded) => scale(commanded).map(|_| order),
-        _ => Ok(order),
+fn command(at_s: f64, section: &Section<'_, '_>) -> Option<TimedCommand> {
+    let text = section.text("what", &format!("write {COMMANDS}"))?;
+    let command = text.parse().and_then(|command| match command {
+        OperatorCommand::Scale(commanded) => scale(commanded).map(|_| command),
+        _ => Ok(command),
     });
-    match order {
-        Ok(order) => Some(Ordered { at_s, order }),
+    match command {
+        Ok(command) => Some(TimedCommand { at_s, command }),
         Err(why) => {
             section.report("what", why, "");
             None
@@ -191,7 +191,7 @@ impl Script {
                 let held = section.flag("held")?;
                 Some(Button { at_s, held })
             }),
-            order: blocks(&root, "order", order),
+            command: blocks(&root, "command", command),
             end_s: root.has(END).then(|| root.number(END, times())),
         };
         root.finish();
@@ -204,7 +204,7 @@ impl Script {
         let buttons = self.button.iter().map(|button| button.at_s);
         strokes
             .chain(buttons)
-            .chain(self.order.iter().map(|order| order.at_s))
+            .chain(self.command.iter().map(|command| command.at_s))
     }
 
     /// End of the session, s.
@@ -214,13 +214,13 @@ impl Script {
         self.end_s.unwrap_or_else(last)
     }
 
-    /// The orders, sorted by time.
+    /// The commands, sorted by time.
     #[must_use]
-    pub fn orders(&self) -> Vec<(f64, Order)> {
-        let order = |ordered: &Ordered| (ordered.at_s, ordered.order);
-        let mut orders: Vec<(f64, Order)> = self.order.iter().map(order).collect();
-        orders.sort_by(|one, other| one.0.total_cmp(&other.0));
-        orders
+    pub fn commands(&self) -> Vec<(f64, OperatorCommand)> {
+        let timed = |timed: &TimedCommand| (timed.at_s, timed.command);
+        let mut commands: Vec<(f64, OperatorCommand)> = self.command.iter().map(timed).collect();
+        commands.sort_by(|one, other| one.0.total_cmp(&other.0));
+        commands
     }
 }
 
@@ -288,10 +288,10 @@ mod tests {
              s.toml:4:8: button[1].held: is a number, not true or false; write true or false"
         );
         assert!(
-            problems_of("[[order]]\nat_s = 1\nwhat = \"go\"\n")
-                .starts_with("s.toml:3:8: order[1].what: \"go\" is no order; write hold,")
+            problems_of("[[command]]\nat_s = 1\nwhat = \"go\"\n")
+                .starts_with("s.toml:3:8: command[1].what: \"go\" is no command; write hold,")
         );
-        let bound = problems_of("[[order]]\nat_s = 1\nwhat = \"gp=3\"\n");
+        let bound = problems_of("[[command]]\nat_s = 1\nwhat = \"gp=3\"\n");
         assert!(
             bound.ends_with("G_P of 3 is out of its range: 0.1 to 2"),
             "{bound}"

@@ -1,7 +1,7 @@
-//! Live view: one page, and a WebSocket with the state of a machine and the orders of an operator.
+//! Live view: one page, and a WebSocket with the state of a machine and the commands of an operator.
 //!
 //! The crate knows no machine. [`Server::bind`] serves the page; its owner publishes the state as
-//! JSON ([`Server::publish`], [`Server::publish_scene`]) and takes orders ([`Server::next_order`]).
+//! JSON ([`Server::publish`], [`Server::publish_scene`]) and takes commands ([`Server::next_command`]).
 //! A thread serves each connection; the owner never waits for one.
 //!
 //! # Who may do what
@@ -11,17 +11,17 @@
 //! | page, script, style | a `Host` header that names the served address |
 //! | WebSocket | also an `Origin` header of the served page, and the token where there is one |
 //! | hold, stop, emergency stop, end of a jog | every viewer |
-//! | any other order | the viewer who commands, in answer to a state of the last moment |
+//! | any other command | the viewer who commands, in answer to a state of the last moment |
 //!
 //! A page of a stranger has another origin. A name of a stranger that resolves to this address (DNS
-//! rebinding) is another host. Both are refused and reported as [`Order::Warn`].
+//! rebinding) is another host. Both are refused and reported as [`OperatorCommand::Warn`].
 //!
 //! A viewer that is asked to hand over and does not answer within [`control::ANSWER`] hands over.
 //!
 //! # Messages
 //!
-//! The page sends JSON objects with the key `order` ([`Order`], and `take`, `hand-over`, `keep`,
-//! `list`, `upload`, `select`) and `t`, the time of the newest state that it has. An order that
+//! The page sends JSON objects with the key `command` ([`OperatorCommand`], and `take`, `hand-over`, `keep`,
+//! `list`, `upload`, `select`) and `t`, the time of the newest state that it has. A command that
 //! waited on the line for longer than [`FRESH`] (a jog: [`FRESH_JOG`]) is refused: it moves nothing
 //! late. The page gets JSON objects with the key `kind`: `state`, `scene`, `stock`,
 //! `stock-part`, `control`, `programs`, `refused`.
@@ -47,14 +47,14 @@ use std::time::{Duration, Instant};
 /// Connections at most, viewers and those under way.
 pub const MOST_CONNECTIONS: usize = 32;
 
-/// Age of the state that an order answers, at most.
+/// Age of the state that a command answers, at most.
 pub const FRESH: Duration = Duration::from_millis(2000);
 
 /// As [`FRESH`], of a jog.
 pub const FRESH_JOG: Duration = Duration::from_millis(500);
 
-/// Orders that wait for the owner at most.
-const MOST_ORDERS: usize = 256;
+/// Commands that wait for the owner at most.
+const MOST_COMMANDS: usize = 256;
 
 /// Time between two looks for a new connection.
 const ACCEPT: Duration = Duration::from_millis(10);
@@ -72,10 +72,10 @@ pub enum Scaled {
     Spindle,
 }
 
-/// An order of a viewer.
+/// A command of a viewer.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
-#[serde(tag = "order", rename_all = "kebab-case")]
-pub enum Order {
+#[serde(tag = "command", rename_all = "kebab-case")]
+pub enum OperatorCommand {
     /// Decelerate along the path.
     Hold,
     /// Stop, and drop the job.
@@ -142,7 +142,7 @@ pub enum Order {
     Warn(String),
 }
 
-impl Order {
+impl OperatorCommand {
     /// Whether every viewer may give it, at any time: it only stops.
     const fn only_stops(&self) -> bool {
         matches!(
@@ -197,7 +197,7 @@ struct Shared {
     scene: Mutex<Published>,
     stock: Mutex<Stock>,
     control: Mutex<Control>,
-    orders: SyncSender<Order>,
+    commands: SyncSender<OperatorCommand>,
     connections: AtomicUsize,
     last_viewer: AtomicU64,
     has_ended: AtomicBool,
@@ -216,7 +216,7 @@ impl Shared {
 
     /// Reports a refusal; left out when more wait than the owner takes.
     fn warn(&self, text: String) {
-        let _ = self.orders.try_send(Order::Warn(text));
+        let _ = self.commands.try_send(OperatorCommand::Warn(text));
     }
 
     /// Reports a request that was refused. The port of the peer is left out: the report of a peer
@@ -225,12 +225,12 @@ impl Shared {
         self.warn(format!("{}: refused, {what}", peer.ip()));
     }
 
-    /// Passes an order; false when too many wait. A stop waits for its turn.
-    fn send(&self, order: Order) -> bool {
-        if order.only_stops() || order == Order::ControlEnded {
-            return self.orders.send(order).is_ok();
+    /// Passes a command; false when too many wait. A stop waits for its turn.
+    fn send(&self, command: OperatorCommand) -> bool {
+        if command.only_stops() || command == OperatorCommand::ControlEnded {
+            return self.commands.send(command).is_ok();
         }
-        !matches!(self.orders.try_send(order), Err(TrySendError::Full(_)))
+        !matches!(self.commands.try_send(command), Err(TrySendError::Full(_)))
     }
 }
 
@@ -254,7 +254,7 @@ impl Drop for Counted {
 /// The server; it ends when it is dropped.
 pub struct Server {
     shared: Arc<Shared>,
-    orders: Receiver<Order>,
+    commands: Receiver<OperatorCommand>,
 }
 
 impl Server {
@@ -265,7 +265,7 @@ impl Server {
     pub fn bind(config: Config) -> io::Result<Self> {
         let listener = TcpListener::bind(config.listen)?;
         listener.set_nonblocking(true)?;
-        let (sender, orders) = sync_channel(MOST_ORDERS);
+        let (sender, commands) = sync_channel(MOST_COMMANDS);
         let shared = Arc::new(Shared {
             started: Instant::now(),
             address: listener.local_addr()?,
@@ -275,7 +275,7 @@ impl Server {
             scene: Mutex::default(),
             stock: Mutex::default(),
             control: Mutex::default(),
-            orders: sender,
+            commands: sender,
             connections: AtomicUsize::new(0),
             last_viewer: AtomicU64::new(0),
             has_ended: AtomicBool::new(false),
@@ -284,7 +284,7 @@ impl Server {
         thread::Builder::new()
             .name("web".into())
             .spawn(move || accept(&listener, &served))?;
-        Ok(Self { shared, orders })
+        Ok(Self { shared, commands })
     }
 
     /// The address on which it listens.
@@ -305,10 +305,10 @@ impl Server {
         }
     }
 
-    /// The next order; none when there is none now.
+    /// The next command; none when there is none now.
     #[must_use]
-    pub fn next_order(&self) -> Option<Order> {
-        self.orders.try_recv().ok()
+    pub fn next_command(&self) -> Option<OperatorCommand> {
+        self.commands.try_recv().ok()
     }
 
     /// Publishes the state, a JSON object.

@@ -27,9 +27,9 @@ let wasRunning = false;
 let drawn = 0;
 const local = [];
 
-function send(order) {
+function send(command) {
   if (socket && socket.readyState === WebSocket.OPEN) {
-    socket.send(JSON.stringify(Object.assign({ t: newest }, order)));
+    socket.send(JSON.stringify(Object.assign({ t: newest }, command)));
   }
 }
 
@@ -82,7 +82,7 @@ function showControl(message) {
 function enableButtons() {
   const mine = commands() && state !== null;
   for (const button of document.querySelectorAll(
-    '[data-order], .jog, .zero, #run, #file, .percent, #programs, #slower, #faster, #question button, '
+    '[data-command], .jog, .zero, #run, #file, .percent, #programs, #slower, #faster, #question button, '
     + '#problems button')) {
     button.disabled = !mine;
   }
@@ -152,9 +152,9 @@ function makeJog(row, axis) {
 
 function beginJog(button, axis, up) {
   endJog();
-  send({ order: 'jog', axis, up, repeat: false });
+  send({ command: 'jog', axis, up, repeat: false });
   button.classList.add('held');
-  const timer = setInterval(() => send({ order: 'jog', axis, up, repeat: true }), REPEAT_MS);
+  const timer = setInterval(() => send({ command: 'jog', axis, up, repeat: true }), REPEAT_MS);
   held = { button, timer };
 }
 
@@ -163,7 +163,7 @@ function endJog() {
   clearInterval(held.timer);
   held.button.classList.remove('held');
   held = null;
-  send({ order: 'jog-end' });
+  send({ command: 'jog-end' });
 }
 
 function showState(message) {
@@ -231,7 +231,7 @@ function showOffsets(message) {
     const button = document.createElement('button');
     button.className = 'zero';
     button.textContent = 'zero here';
-    button.onclick = () => send({ order: 'zero',
+    button.onclick = () => send({ command: 'zero',
       text: `${list.value.toLowerCase()} ${state.offsets.letters[axis]}=0` });
     row.lastChild.append(button);
     button.disabled = !commands();
@@ -501,34 +501,34 @@ function upload(file, replace) {
     if (!confirm(`${file.name} exists. Replace it?`)) return;
     replace = true;
   }
-  file.text().then(text => send({ order: 'upload', name: file.name, text, replace: !!replace }));
+  file.text().then(text => send({ command: 'upload', name: file.name, text, replace: !!replace }));
 }
 
-at('hold').onclick = () => { endJog(); send({ order: 'hold' }); };
-at('stop').onclick = () => { endJog(); send({ order: 'stop' }); };
-at('emergency').onclick = () => { endJog(); send({ order: 'emergency-stop' }); };
-at('take').onclick = () => send({ order: 'take' });
-at('ask').querySelector('.yes').onclick = () => send({ order: 'hand-over' });
-at('ask').querySelector('.no').onclick = () => send({ order: 'keep' });
-at('question').querySelector('.yes').onclick = () => send({ order: 'answer', yes: true });
-at('question').querySelector('.no').onclick = () => send({ order: 'answer', yes: false });
-at('problems').querySelector('.no').onclick = () => send({ order: 'answer', yes: false });
-for (const button of document.querySelectorAll('[data-order]')) {
-  button.onclick = () => send({ order: button.dataset.order });
+at('hold').onclick = () => { endJog(); send({ command: 'hold' }); };
+at('stop').onclick = () => { endJog(); send({ command: 'stop' }); };
+at('emergency').onclick = () => { endJog(); send({ command: 'emergency-stop' }); };
+at('take').onclick = () => send({ command: 'take' });
+at('ask').querySelector('.yes').onclick = () => send({ command: 'hand-over' });
+at('ask').querySelector('.no').onclick = () => send({ command: 'keep' });
+at('question').querySelector('.yes').onclick = () => send({ command: 'answer', yes: true });
+at('question').querySelector('.no').onclick = () => send({ command: 'answer', yes: false });
+at('problems').querySelector('.no').onclick = () => send({ command: 'answer', yes: false });
+for (const button of document.querySelectorAll('[data-command]')) {
+  button.onclick = () => send({ command: button.dataset.command });
 }
-at('slower').onclick = () => send({ order: 'jog-rate', more: false });
-at('faster').onclick = () => send({ order: 'jog-rate', more: true });
+at('slower').onclick = () => send({ command: 'jog-rate', more: false });
+at('faster').onclick = () => send({ command: 'jog-rate', more: true });
 for (const slider of document.querySelectorAll('.percent')) {
   slider.onchange = event => {
-    send({ order: 'override', of: slider.dataset.of, percent: Number(event.target.value) });
+    send({ command: 'override', of: slider.dataset.of, percent: Number(event.target.value) });
     event.target.blur();
   };
 }
 at('programs').onchange = event => {
-  if (event.target.value) send({ order: 'select', name: event.target.value });
+  if (event.target.value) send({ command: 'select', name: event.target.value });
   event.target.blur();
 };
-at('run').onclick = () => send({ order: 'run' });
+at('run').onclick = () => send({ command: 'run' });
 at('file').onchange = event => {
   if (event.target.files[0]) upload(event.target.files[0], false);
   event.target.value = '';

@@ -1,6 +1,6 @@
 //! The WebSocket of a viewer.
 
-use crate::{FRESH, FRESH_JOG, Order, Shared, lock, programs};
+use crate::{FRESH, FRESH_JOG, OperatorCommand, Shared, lock, programs};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::io;
@@ -39,13 +39,13 @@ struct Envelope {
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 enum Request {
-    Order(Order),
+    Command(OperatorCommand),
     Own(Own),
 }
 
 /// Requests that the server handles itself.
 #[derive(Debug, Deserialize)]
-#[serde(tag = "order", rename_all = "kebab-case")]
+#[serde(tag = "command", rename_all = "kebab-case")]
 enum Own {
     Take,
     HandOver,
@@ -105,7 +105,7 @@ pub(super) fn serve(shared: &Arc<Shared>, stream: TcpStream, peer: SocketAddr, r
     let ended = viewer.run();
     let commanded = lock(&shared.control).leave(viewer.number, Instant::now());
     if commanded {
-        shared.send(Order::ControlEnded);
+        shared.send(OperatorCommand::ControlEnded);
     }
     if let Err(what) = ended {
         let ip = peer.ip();
@@ -141,7 +141,7 @@ impl Viewer<'_> {
             }
             let moved = lock(&self.shared.control).advance(Instant::now());
             if moved {
-                self.shared.send(Order::ControlEnded);
+                self.shared.send(OperatorCommand::ControlEnded);
             }
             match self.publish() {
                 Ok(()) => {}
@@ -235,7 +235,7 @@ impl Viewer<'_> {
             format!("an unknown message {begin:?}")
         })?;
         let done = match request {
-            Request::Order(order) => self.order(order, t),
+            Request::Command(command) => self.command(command, t),
             Request::Own(own) => self.own(own, t),
         };
         if let Err(what) = done {
@@ -244,18 +244,18 @@ impl Viewer<'_> {
         Ok(())
     }
 
-    fn order(&self, order: Order, t: u64) -> Result<(), String> {
-        if !order.only_stops() {
-            let limit = match order {
-                Order::Jog { .. } => FRESH_JOG,
+    fn command(&self, command: OperatorCommand, t: u64) -> Result<(), String> {
+        if !command.only_stops() {
+            let limit = match command {
+                OperatorCommand::Jog { .. } => FRESH_JOG,
                 _ => FRESH,
             };
             self.check(t, limit)?;
         }
-        if self.shared.send(order) {
+        if self.shared.send(command) {
             return Ok(());
         }
-        Err("too many orders wait; try again".to_string())
+        Err("too many commands wait; try again".to_string())
     }
 
     /// Checks that the viewer commands, and that it sees the machine as it is now.
@@ -278,21 +278,21 @@ impl Viewer<'_> {
                 let hands_over = matches!(own, Own::HandOver);
                 let moved = lock(&self.shared.control).answer(self.number, hands_over);
                 if moved {
-                    self.shared.send(Order::ControlEnded);
+                    self.shared.send(OperatorCommand::ControlEnded);
                 }
             }
             Own::List => return self.list().map_err(|error| error.to_string()),
             Own::Select { name } => {
                 self.check(t, FRESH)?;
                 let path = self.logged(programs::find(&self.shared.programs, &name))?;
-                self.shared.send(Order::Select(path));
+                self.shared.send(OperatorCommand::Select(path));
             }
             Own::Upload {
                 name,
                 text,
                 replace,
             } => {
-                // The text may take longer than an order to arrive; it moves nothing.
+                // The text may take longer than a command to arrive; it moves nothing.
                 self.check(t, SILENCE)?;
                 let folder = &self.shared.programs;
                 self.logged(programs::store(folder, &name, &text, replace))?;

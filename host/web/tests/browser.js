@@ -39,7 +39,7 @@ function processorTime(pid) {
   return (Number(fields[11]) + Number(fields[12])) / 100;
 }
 
-// Answers a question with yes. An order to a busy server may be too old: it is given again.
+// Answers a question with yes. A command to a busy server may be too old: it is given again.
 async function answer({ page, seen, wait }) {
   await wait('a question', state => state.question);
   for (let tries = 0; tries < 10 && seen.state.question; tries += 1) {
@@ -102,7 +102,7 @@ async function run() {
     assert(x[0] > 0 && Math.abs(x[1]) < 1e-6 && y[1] > 0, 'from above x is to the right and y up');
     await page.click('.hv-bar button:text-is("3D")');
     await page.click('#take');
-    await page.click('[data-order=home]');
+    await page.click('[data-command=home]');
     await answer(first);
     await wait('the home pose', state => state.referenced && state.state === 'idle'
       && state.messages.some(entry => /home pose: done/.test(entry.text)));
@@ -139,7 +139,7 @@ async function run() {
     // Back to the start of the program, which cuts the stock.
     await page.click('#take');
     await page.waitForFunction(() => !document.getElementById('run').disabled);
-    await page.click('[data-order=home]');
+    await page.click('[data-command=home]');
     await answer(first);
     await sleep(500);
     await wait('the home pose', state => state.state === 'idle' && !state.question);
@@ -161,7 +161,7 @@ async function run() {
     await sleep(500);
     assert(seen.state.pose[0].commanded === held, 'a hold stands still');
     assert(seen.force > 1, 'the force of the cut was reported');
-    await page.click('[data-order=resume]');
+    await page.click('[data-command=resume]');
     await wait('motion', state => state.program && state.feed_mm_min > 100);
     await page.click('#stop');
     await wait('standstill', state => state.state === 'idle' && !state.program);

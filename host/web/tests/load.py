@@ -81,9 +81,9 @@ class Viewer:
         masked = bytes(byte ^ mask[index % 4] for index, byte in enumerate(content))
         self.socket.sendall(head + mask + masked)
 
-    def order(self, **order):
-        order["t"] = self.state.get("t", 0)
-        self.write(1, json.dumps(order).encode())
+    def command(self, **command):
+        command["t"] = self.state.get("t", 0)
+        self.write(1, json.dumps(command).encode())
 
     def wait(self, what, holds):
         until = time.monotonic() + 300
@@ -97,7 +97,7 @@ class Viewer:
         read = time.monotonic() + 0.6
         while time.monotonic() < read:
             self.next()
-        self.order(order="answer", yes=True)
+        self.command(command="answer", yes=True)
         self.wait("the answer", lambda state: not state.get("question"))
 
 
@@ -119,17 +119,17 @@ def main():
     try:
         viewer = Viewer(server.stdout.readline().strip().split("/")[2])
         viewer.wait("the machine", lambda state: state.get("state") == "disabled")
-        viewer.order(order="take")
+        viewer.command(command="take")
         viewer.next()
-        viewer.order(order="home")
+        viewer.command(command="home")
         viewer.answer()
         done = "home pose: done"
         viewer.wait(
             "homing", lambda state: any(done in it["text"] for it in state["messages"])
         )
-        viewer.order(order="select", name=name)
+        viewer.command(command="select", name=name)
         viewer.wait("the path", lambda state: state["selected"] == name and not state["planning"])
-        viewer.order(order="run")
+        viewer.command(command="run")
         viewer.answer()
         viewer.wait("the run", lambda state: (state["program"] or {}).get("line", 0) > 1)
         viewer.times.clear()

@@ -1,6 +1,6 @@
 //! Raw TCP clients against the server: who is admitted, bounds, who commands.
 
-use haptimill_web::{Config, Order, Server};
+use haptimill_web::{Config, OperatorCommand, Server};
 use serde_json::{Value, json};
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
@@ -15,12 +15,12 @@ use tungstenite::{Message, WebSocket};
 /// Longest wait. It is no speed limit.
 const LIMIT: Duration = Duration::from_secs(120);
 
-/// A server, and an owner that publishes a state every 20 ms and keeps the orders.
+/// A server, and an owner that publishes a state every 20 ms and keeps the commands.
 struct Served {
     address: SocketAddr,
     link: String,
     folder: TempDir,
-    orders: Arc<Mutex<Vec<Order>>>,
+    commands: Arc<Mutex<Vec<OperatorCommand>>>,
     ends: Arc<AtomicBool>,
     owner: Option<JoinHandle<()>>,
 }
@@ -34,17 +34,17 @@ impl Served {
             programs: folder.path().to_path_buf(),
         });
         let server = server.unwrap();
-        let orders = Arc::new(Mutex::new(Vec::new()));
+        let commands = Arc::new(Mutex::new(Vec::new()));
         let ends = Arc::new(AtomicBool::new(false));
         let (address, link) = (server.address(), server.link());
         let owner = {
-            let (orders, ends) = (Arc::clone(&orders), Arc::clone(&ends));
+            let (commands, ends) = (Arc::clone(&commands), Arc::clone(&ends));
             std::thread::spawn(move || {
                 while !ends.load(Ordering::SeqCst) {
-                    orders
+                    commands
                         .lock()
                         .unwrap()
-                        .extend(std::iter::from_fn(|| server.next_order()));
+                        .extend(std::iter::from_fn(|| server.next_command()));
                     server.publish(json!({"state": "idle"}));
                     std::thread::sleep(Duration::from_millis(20));
                 }
@@ -54,7 +54,7 @@ impl Served {
             address,
             link,
             folder,
-            orders,
+            commands,
             ends,
             owner: Some(owner),
         }
@@ -64,10 +64,10 @@ impl Served {
         Self::new("127.0.0.1:0", None)
     }
 
-    fn wait_for(&self, what: &str, is_it: impl Fn(&Order) -> bool) {
+    fn wait_for(&self, what: &str, is_it: impl Fn(&OperatorCommand) -> bool) {
         let until = Instant::now() + LIMIT;
-        while !self.orders.lock().unwrap().iter().any(&is_it) {
-            assert!(Instant::now() < until, "{what}: {:?}", self.orders.lock());
+        while !self.commands.lock().unwrap().iter().any(&is_it) {
+            assert!(Instant::now() < until, "{what}: {:?}", self.commands.lock());
             std::thread::sleep(Duration::from_millis(5));
         }
     }
@@ -75,16 +75,16 @@ impl Served {
     fn wait_for_warning(&self, part: &str) {
         self.wait_for(
             part,
-            |order| matches!(order, Order::Warn(text) if text.contains(part)),
+            |command| matches!(command, OperatorCommand::Warn(text) if text.contains(part)),
         );
     }
 
-    /// The orders that would move a machine.
-    fn moves(&self) -> Vec<Order> {
-        let orders = self.orders.lock().unwrap();
-        let moves = orders
+    /// The commands that would move a machine.
+    fn moves(&self) -> Vec<OperatorCommand> {
+        let commands = self.commands.lock().unwrap();
+        let moves = commands
             .iter()
-            .filter(|order| !matches!(order, Order::Warn(_)));
+            .filter(|command| !matches!(command, OperatorCommand::Warn(_)));
         moves.cloned().collect()
     }
 }
@@ -167,14 +167,16 @@ impl Viewer {
         }
     }
 
-    fn send(&mut self, mut order: Value) {
-        order["t"] = self.state["t"].clone();
-        self.socket.send(Message::text(order.to_string())).unwrap();
+    fn send(&mut self, mut command: Value) {
+        command["t"] = self.state["t"].clone();
+        self.socket
+            .send(Message::text(command.to_string()))
+            .unwrap();
     }
 
-    fn order(&mut self, order: &str) {
+    fn command(&mut self, command: &str) {
         self.next();
-        self.send(json!({ "order": order }));
+        self.send(json!({ "command": command }));
     }
 
     fn wait(&mut self, what: &str, holds: impl Fn(&Self) -> bool) {
@@ -201,7 +203,7 @@ impl Viewer {
     }
 
     fn take(&mut self) {
-        self.order("take");
+        self.command("take");
         self.wait("control", Self::commands);
     }
 
@@ -247,11 +249,11 @@ fn only_the_served_page_is_admitted() {
     served.wait_for_warning("no such page \"/../Cargo.toml\"");
     served.wait_for_warning("only GET");
     // The same refusal is the same text, whatever the port of the peer: the owner counts it.
-    let orders = served.orders.lock().unwrap().clone();
-    let same = |order: &&Order| {
-        **order == Order::Warn(format!("{}: refused, only GET is served", at.ip()))
+    let commands = served.commands.lock().unwrap().clone();
+    let same = |command: &&OperatorCommand| {
+        **command == OperatorCommand::Warn(format!("{}: refused, only GET is served", at.ip()))
     };
-    assert_eq!(orders.iter().filter(same).count(), 1, "{orders:?}");
+    assert_eq!(commands.iter().filter(same).count(), 1, "{commands:?}");
     assert_eq!(served.moves(), []);
 }
 
@@ -337,13 +339,13 @@ fn a_message_that_is_too_long_or_unknown_closes_its_viewer_only() {
     ends(&mut long);
     let mut odd = Viewer::open(served.address);
     odd.socket
-        .send(Message::text("{\"order\":\"fly\"}"))
+        .send(Message::text("{\"command\":\"fly\"}"))
         .unwrap();
     ends(&mut odd);
     served.wait_for_warning("an unknown message");
     let mut flood = Viewer::open(served.address);
     for _ in 0..1000 {
-        let _ = flood.socket.send(Message::text("{\"order\":\"list\"}"));
+        let _ = flood.socket.send(Message::text("{\"command\":\"list\"}"));
     }
     ends(&mut flood);
     served.wait_for_warning("messages per second");
@@ -357,30 +359,30 @@ fn one_viewer_commands_and_every_viewer_stops() {
     let mut first = Viewer::open(served.address);
     first.take();
     let mut second = Viewer::open(served.address);
-    second.order("enable");
+    second.command("enable");
     second.wait_for_refusal("take control first");
     assert_eq!(served.moves(), []);
-    second.order("stop");
-    served.wait_for("stop", |order| *order == Order::Stop);
-    second.order("take");
+    second.command("stop");
+    served.wait_for("stop", |command| *command == OperatorCommand::Stop);
+    second.command("take");
     first.wait("question", |viewer| !viewer.control["asks"].is_null());
-    first.order("hand-over");
+    first.command("hand-over");
     second.wait("control", Viewer::commands);
     // A jog of the first viewer ends with its control.
-    served.wait_for("end", |order| *order == Order::ControlEnded);
-    first.order("reset");
+    served.wait_for("end", |command| *command == OperatorCommand::ControlEnded);
+    first.command("reset");
     first.wait_for_refusal("take control first");
-    let jog = json!({"order": "jog", "axis": 1, "up": false, "repeat": false});
+    let jog = json!({"command": "jog", "axis": 1, "up": false, "repeat": false});
     second.next();
     second.send(jog.clone());
-    let moved = Order::Jog {
+    let moved = OperatorCommand::Jog {
         axis: 1,
         up: false,
         repeat: false,
     };
-    served.wait_for("jog", |order| *order == moved);
-    // An order that answers an old state moves nothing, and neither does one of the future.
-    served.orders.lock().unwrap().clear();
+    served.wait_for("jog", |command| *command == moved);
+    // A command that answers an old state moves nothing, and neither does one of the future.
+    served.commands.lock().unwrap().clear();
     std::thread::sleep(haptimill_web::FRESH_JOG);
     for t in [0, u64::MAX] {
         let mut late = jog.clone();
@@ -390,8 +392,8 @@ fn one_viewer_commands_and_every_viewer_stops() {
     }
     drop(second);
     first.wait("nobody", |viewer| viewer.control["commander"].is_null());
-    served.wait_for("end", |order| *order == Order::ControlEnded);
-    assert_eq!(served.moves(), [Order::ControlEnded]);
+    served.wait_for("end", |command| *command == OperatorCommand::ControlEnded);
+    assert_eq!(served.moves(), [OperatorCommand::ControlEnded]);
 }
 
 #[test]
@@ -399,7 +401,7 @@ fn programs_stay_in_their_folder() {
     let served = Served::local();
     let mut viewer = Viewer::open(served.address);
     viewer.take();
-    let upload = |name: &str, text: &str| json!({"order": "upload", "name": name, "text": text});
+    let upload = |name: &str, text: &str| json!({"command": "upload", "name": name, "text": text});
     for name in [
         "../out.ngc",
         "a/b.ngc",
@@ -427,9 +429,11 @@ fn programs_stay_in_their_folder() {
     let path = served.folder.path().join("part.ngc");
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "G1 X8\n");
     viewer.next();
-    viewer.send(json!({"order": "select", "name": "part.ngc"}));
-    served.wait_for("select", |order| *order == Order::Select(path.clone()));
+    viewer.send(json!({"command": "select", "name": "part.ngc"}));
+    served.wait_for("select", |command| {
+        *command == OperatorCommand::Select(path.clone())
+    });
     viewer.next();
-    viewer.send(json!({"order": "select", "name": "../part.ngc"}));
+    viewer.send(json!({"command": "select", "name": "../part.ngc"}));
     viewer.wait_for_refusal("no file name");
 }

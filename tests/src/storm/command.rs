@@ -4,7 +4,7 @@ use super::rng::Rng;
 use haptimill_protocol::force::{EnableCondition, ForceLoop};
 use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose, VirtualFixture};
 use haptimill_protocol::message::{
-    Action, AxisValues, Command, ConfigChunk, SetpointBatch, SetpointDelta, Source,
+    Action, AxisValues, Command, ConfigChunk, Pace, SetpointBatch, SetpointDelta, Source,
 };
 
 /// Returns an edge value, a small or any 32-bit value.
@@ -134,6 +134,34 @@ pub fn any_master(rng: &mut Rng) -> MasterPose {
     }
 }
 
+/// Returns an action of a setpoint.
+fn action(rng: &mut Rng) -> Action {
+    match rng.below(8) {
+        0 => Action::Pause,
+        1 => Action::Spindle(30_000),
+        2 => Action::Pace(pace(rng)),
+        3 => Action::Output {
+            output: rng.choose(&[0, 1, 2, 255]),
+            on: rng.chance(0.5),
+        },
+        4 => Action::AnalogOutput {
+            output: rng.choose(&[0, 1, 255]),
+            code: half(rng) as i16,
+        },
+        _ => Action::None,
+    }
+}
+
+/// Returns any pace, most of them valid.
+pub fn pace(rng: &mut Rng) -> Pace {
+    match rng.below(6) {
+        0 => Pace(rng.bits() as u8),
+        1 => rng.choose(&[Pace::RAPID, Pace::CROSSING, Pace::FIXED]),
+        2 => Pace::FEED,
+        _ => Pace::feed_up_to(rng.uniform(101.0, 200.0) as u8),
+    }
+}
+
 /// Returns any command.
 pub fn any(rng: &mut Rng) -> Command {
     let deltas = |rng: &mut Rng| {
@@ -142,11 +170,11 @@ pub fn any(rng: &mut Rng) -> Command {
                 periods: half(rng),
                 moved: rng.bits() as u8 & 0x3F,
                 residuals: (0..rng.below(13)).map(|_| word(rng)).collect(),
-                action: rng.choose(&[Action::None, Action::Pause, Action::Spindle(30_000)]),
+                action: action(rng),
             })
             .collect()
     };
-    match rng.below(39) {
+    match rng.below(40) {
         0 => Command::Ping,
         1 => Command::Enable,
         2 => Command::Disable,
@@ -235,6 +263,9 @@ pub fn any(rng: &mut Rng) -> Command {
             on: rng.chance(0.5),
         },
         37 => Command::MasterTelemetry { every: half(rng) },
+        38 => Command::MoveOff {
+            axis: rng.below(7) as u8,
+        },
         _ => Command::MasterPose {
             epoch: half(rng),
             age_ms: byte(rng),

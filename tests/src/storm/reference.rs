@@ -169,14 +169,15 @@ impl PlannedJob {
         }
         if let Some((time, reached)) = self.last {
             let passed = seen.time.wrapping_sub(time);
-            // The ramp of the path rate may exceed the full rate by some parts in 10^7 by rounding.
-            if passed > (1 << 32) + (1 << 13) {
+            // The largest pace allows twice the full rate. The ramp of the path rate may exceed it
+            // by some parts in 10^7 by rounding.
+            if passed > (2 << 32) + (1 << 14) {
                 return Err(format!(
                     "{} periods of program time passed in one period",
                     passed as f64 / 4_294_967_296.0
                 ));
             }
-            if seen.reached < reached || seen.reached > reached + 1 {
+            if seen.reached < reached || seen.reached > reached + 2 {
                 return Err(format!(
                     "setpoint {} was reached after {reached}",
                     seen.reached

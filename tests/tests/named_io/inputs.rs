@@ -48,6 +48,16 @@ fn an_open_door_stops_motion_and_spindle() {
     assert_eq!(state(&bench), State::Hold);
     let refused = Err(Refusal::Input(InputProblem::DoorOpen { input }));
     assert_eq!(bench.ask(Command::Resume), refused);
+    // The spindle turns again with the resume: the clamp stays shut.
+    let release = Command::SetOutput {
+        output: CLAMP,
+        on: false,
+    };
+    let turns = Refusal::Output {
+        output: CLAMP,
+        problem: OutputProblem::SpindleTurns,
+    };
+    assert_eq!(bench.ask(release), Err(turns));
     force(&mut bench, DOOR, None);
     bench.steps(50);
     assert_eq!(bench.rig.outputs().spindle_rpm, 0, "closing starts nothing");

@@ -114,8 +114,21 @@ fn probing_is_refused_missed_and_ended() {
     assert_eq!(bench.ask(arm(input)), refused);
     force(&mut bench, PROBE, None);
     bench.steps(10);
-    // It gets its contact between the command and the motion.
+    // A refused command keeps the probe that was armed before.
     assert_eq!(bench.ask(arm(input)), Ok(()));
+    let probing = |bench: &Bench| {
+        let machine = bench.rig.control().machine().expect("configured");
+        machine.io.probing()
+    };
+    let armed = probing(&bench);
+    force(&mut bench, DOOR, Some(false));
+    bench.steps(50);
+    let door = InputProblem::DoorOpen { input: DOOR as u8 };
+    assert_eq!(bench.ask(arm(input)), Err(Refusal::Input(door)));
+    assert!(armed.is_some() && probing(&bench) == armed);
+    force(&mut bench, DOOR, None);
+    bench.steps(50);
+    // It gets its contact between the command and the motion.
     force(&mut bench, PROBE, Some(true));
     bench.steps(10);
     let setpoints = down(&mut bench, 1.0, 2);

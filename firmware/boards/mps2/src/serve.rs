@@ -2,7 +2,7 @@
 
 use crate::semihosting::{File, Gone};
 use crate::{serial, stack, tick};
-use haptimill_firmware::pil::{FROM_BOARD_WORDS, FromBoardRef, Order, TO_BOARD_WORDS, read};
+use haptimill_firmware::pil::{FROM_BOARD_WORDS, FromBoardRef, Request, TO_BOARD_WORDS, read};
 use haptimill_firmware::snapshot::Snapshot;
 
 /// Polls of the receive ring before announced bytes are treated as lost.
@@ -20,18 +20,18 @@ const MAX_POLLS: u32 = 200_000_000;
 pub fn serve() -> Result<(), Gone> {
     let mut to_simulator = File::writer(c"from-board")?;
     let mut from_simulator = File::reader(c"to-board")?;
-    let mut order = [0; TO_BOARD_WORDS];
+    let mut frame = [0; TO_BOARD_WORDS];
     let mut answer = [0; FROM_BOARD_WORDS];
     let mut snapshot = Snapshot::default();
     FromBoardRef::Hello.write(&mut answer);
     to_simulator.write(&answer)?;
     let mut expected = 0_u32;
     loop {
-        from_simulator.read(&mut order)?;
-        let ordered = tick::with(|period| read(&order, &mut period.inputs));
-        match ordered.unwrap_or(Ok(Order::End)) {
-            Ok(Order::Begin { period_us }) => tick::begin(period_us),
-            Ok(Order::Period { arrived }) => {
+        from_simulator.read(&mut frame)?;
+        let request = tick::with(|period| read(&frame, &mut period.inputs));
+        match request.unwrap_or(Ok(Request::End)) {
+            Ok(Request::Begin { period_us }) => tick::begin(period_us),
+            Ok(Request::Period { arrived }) => {
                 expected = expected.wrapping_add(arrived);
                 wait_for_bytes(expected);
                 tick::run();
@@ -43,7 +43,7 @@ pub fn serve() -> Result<(), Gone> {
                 });
                 to_simulator.write(&answer)?;
             }
-            Ok(Order::End) => {
+            Ok(Request::End) => {
                 let ring_peak =
                     tick::with(|period| period.waiting.as_ref().map(|ring| ring.peak()));
                 let mark = FromBoardRef::Ended {

@@ -220,7 +220,7 @@ impl StockArg {
 #[derive(Debug, Clone, Default, Args)]
 pub struct OperatorArg {
     /// Operator model at the simulated haptic arm of the machine file: a script as
-    /// examples/teleop.toml. It starts when the motors of the arm are on; the orders in it are
+    /// examples/teleop.toml. It starts when the motors of the arm are on; the commands in it are
     /// ignored
     #[arg(long, value_name = "FILE")]
     pub operator: Option<PathBuf>,

@@ -54,7 +54,7 @@ pub fn set_overrides(args: &OverrideArgs) -> Result<(), CliError> {
         spindle,
         job,
     } = args;
-    let mut request = json!({ "order": "override" });
+    let mut request = json!({ "command": "override" });
     for (key, percent) in [("feed", feed), ("rapid", rapid), ("spindle", spindle)] {
         if let Some(percent) = percent {
             request[key] = json!(percent);
@@ -68,7 +68,7 @@ pub fn set_overrides(args: &OverrideArgs) -> Result<(), CliError> {
 /// # Errors
 /// No job runs on the port.
 pub fn hold(args: &OperateArgs) -> Result<(), CliError> {
-    ask(args, &json!({ "order": "hold" }))
+    ask(args, &json!({ "command": "hold" }))
 }
 
 /// Ends a hold or a pause of the job.
@@ -76,7 +76,7 @@ pub fn hold(args: &OperateArgs) -> Result<(), CliError> {
 /// # Errors
 /// No job runs on the port, or it is not held.
 pub fn resume(args: &OperateArgs) -> Result<(), CliError> {
-    ask(args, &json!({ "order": "resume" }))
+    ask(args, &json!({ "command": "resume" }))
 }
 
 /// Sends a request and prints its answer.

@@ -44,7 +44,7 @@ pub(crate) fn describe_overrides([feed, rapid, spindle]: [u8; 3]) -> String {
 impl Request {
     fn parse(text: &str) -> Result<Self, String> {
         let request: Value = serde_json::from_str(text).map_err(|error| error.to_string())?;
-        match request["order"].as_str() {
+        match request["command"].as_str() {
             Some("override") => {
                 let percents = RANGES.map(|(key, ..)| {
                     let percent = request[key].as_u64();

@@ -1,6 +1,6 @@
 //! `haptimill serve`: the application state of the console behind a page.
 //!
-//! The page of `haptimill-web` gives orders in place of keys, and the view model becomes JSON. The
+//! The page of `haptimill-web` gives commands in place of keys, and the view model becomes JSON. The
 //! dead-man time of the jog keys holds for the buttons: the page repeats a press while its button
 //! is held.
 
@@ -23,7 +23,7 @@ use haptimill_hil_sim::machines::GeometryConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::{AxisValues, MAX_AXES, State};
-use haptimill_web::{Config, Order, Scaled, Server};
+use haptimill_web::{Config, OperatorCommand, Scaled, Server};
 use serde_json::{Value, json};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -126,8 +126,8 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
     };
     let mut next = Instant::now();
     let outcome = loop {
-        while let Some(order) = web.server.next_order() {
-            web.execute(&mut app, order);
+        while let Some(command) = web.server.next_command() {
+            web.execute(&mut app, command);
         }
         if interrupted.load(Ordering::Relaxed) {
             break Ok(());
@@ -161,22 +161,22 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
 }
 
 impl Web {
-    fn execute(&mut self, app: &mut App, order: Order) {
-        match order {
-            Order::Hold => app.execute(Action::Hold),
-            Order::Stop => app.execute(Action::Stop),
-            Order::EmergencyStop => app.execute(Action::Emergency),
-            Order::Enable => app.execute(Action::Enable),
-            Order::Disable => app.execute(Action::Disable),
-            Order::Reset => app.execute(Action::Reset),
-            Order::Resume => app.execute(Action::Resume),
-            Order::Home => app.execute(Action::Home),
-            Order::MoveOff => app.execute(Action::MoveOff),
-            Order::Run => match &self.selected {
+    fn execute(&mut self, app: &mut App, command: OperatorCommand) {
+        match command {
+            OperatorCommand::Hold => app.execute(Action::Hold),
+            OperatorCommand::Stop => app.execute(Action::Stop),
+            OperatorCommand::EmergencyStop => app.execute(Action::Emergency),
+            OperatorCommand::Enable => app.execute(Action::Enable),
+            OperatorCommand::Disable => app.execute(Action::Disable),
+            OperatorCommand::Reset => app.execute(Action::Reset),
+            OperatorCommand::Resume => app.execute(Action::Resume),
+            OperatorCommand::Home => app.execute(Action::Home),
+            OperatorCommand::MoveOff => app.execute(Action::MoveOff),
+            OperatorCommand::Run => match &self.selected {
                 Some(path) => app.check_program(&path.display().to_string()),
                 None => app.notify(Severity::Warning, "run: select a part program first"),
             },
-            Order::Answer { yes } => {
+            OperatorCommand::Answer { yes } => {
                 match std::mem::replace(&mut app.overlay, Overlay::None) {
                     // Quitting is no matter of a page.
                     Overlay::Confirm(Confirm::Quit(_)) => {}
@@ -191,7 +191,7 @@ impl Web {
                     _ => {}
                 }
             }
-            Order::Override { of, percent } => {
+            OperatorCommand::Override { of, percent } => {
                 let (kind, name, range) = match of {
                     Scaled::Feed => (OverrideKind::Feed, "feed", 1..=200),
                     Scaled::Rapid => (OverrideKind::Rapid, "rapid", 1..=100),
@@ -205,28 +205,28 @@ impl Web {
                     app.notify(Severity::Warning, what);
                 }
             }
-            Order::JogRate { more } => app.jogging.select(more),
-            Order::Jog { axis, .. } if axis >= app.machine.pose.len() => {
+            OperatorCommand::JogRate { more } => app.jogging.select(more),
+            OperatorCommand::Jog { axis, .. } if axis >= app.machine.pose.len() => {
                 let what = format!(
                     "jog: there is no coordinate {axis}; the machine has {}, from 0 on",
                     app.machine.pose.len()
                 );
                 app.notify(Severity::Warning, what);
             }
-            Order::Jog { axis, up, repeat } if app.overlay == Overlay::None => {
+            OperatorCommand::Jog { axis, up, repeat } if app.overlay == Overlay::None => {
                 let phase = match repeat {
                     true => KeyPhase::Repeat,
                     false => KeyPhase::Press,
                 };
                 app.jog_key(axis, up, phase);
             }
-            Order::Jog { .. } => {}
-            Order::JogEnd => app.jogging.release(),
-            Order::ControlEnded => {
+            OperatorCommand::Jog { .. } => {}
+            OperatorCommand::JogEnd => app.jogging.release(),
+            OperatorCommand::ControlEnded => {
                 app.jogging.release();
                 app.overlay = Overlay::None;
             }
-            Order::Zero { text } => {
+            OperatorCommand::Zero { text } => {
                 app.set_zero(&text);
                 self.offsets_at = Instant::now();
                 // The programmed path moves with the zero.
@@ -234,8 +234,8 @@ impl Web {
                     self.select(app, path);
                 }
             }
-            Order::Select(path) => self.select(app, path),
-            Order::Warn(what) => {
+            OperatorCommand::Select(path) => self.select(app, path),
+            OperatorCommand::Warn(what) => {
                 eprintln!("{what}");
                 let at = app.started.elapsed();
                 app.log.add_repeated(at, Severity::Warning, what);

@@ -13,15 +13,15 @@ use std::path::Path;
 #[test]
 fn lost_link_holds_the_machine_until_resume() {
     let folder = TestFolder::new();
-    let orders = "
-[[order]]
+    let commands = "
+[[command]]
 at_s = 3.0
 what = \"resume\"
-[[order]]
+[[command]]
 at_s = 5.2
 what = \"resume\"
 ";
-    let script = format!("end_s = 7.0\n{AWAY}{orders}");
+    let script = format!("end_s = 7.0\n{AWAY}{commands}");
     let cut = ["--master-fault", "link-cut at=2s for=2s"];
     let said = run_script(&folder, "out", &script, &cut);
     let session = &said["session"];
@@ -83,24 +83,24 @@ what = \"resume\"
 fn interrupted_cut_resumes_without_a_force_step() {
     let folder = TestFolder::new();
     let person = std::fs::read_to_string(scene::root().join("examples/teleop.toml")).unwrap();
-    let orders = "
-[[order]]
+    let commands = "
+[[command]]
 at_s = 5.0
 what = \"gp=0.8\"
-[[order]]
+[[command]]
 at_s = 5.5
 what = \"hold\"
-[[order]]
+[[command]]
 at_s = 5.8
 what = \"resume\"
-[[order]]
+[[command]]
 at_s = 8.0
 what = \"resume\"
 ";
     let said = run_script(
         &folder,
         "out",
-        &format!("{person}{orders}"),
+        &format!("{person}{commands}"),
         &[
             "--stock",
             "examples/block.toml",
@@ -150,12 +150,12 @@ fn stalled_link_holds_the_machine_and_late_samples_are_ignored() {
 #[test]
 fn failed_arm_is_disengaged_until_reset() {
     let folder = TestFolder::new();
-    let order = "\n[[order]]\nat_s = 3.0\nwhat = \"reset-master\"\n";
+    let command = "\n[[command]]\nat_s = 3.0\nwhat = \"reset-master\"\n";
     let trip = ["--master-fault", "haptic-amplifiers-tripped at=2s for=0.5s"];
     let said = run_script(
         &folder,
         "out",
-        &format!("end_s = 5.0\n{AWAY}{order}"),
+        &format!("end_s = 5.0\n{AWAY}{command}"),
         &trip,
     );
     let notes = said["session"]["notes"].as_array().unwrap();

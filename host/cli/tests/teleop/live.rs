@@ -41,7 +41,7 @@ fn wait_for_tool(folder: &TestFolder, x: f64) {
 /// Two controllers on two ports in real time.
 #[cfg(unix)]
 #[test]
-fn two_boards_over_ports_with_orders_on_standard_input() {
+fn two_boards_over_ports_with_commands_on_standard_input() {
     let folder = TestFolder::new();
     let script = folder.file("person.toml", SLOWLY_AWAY);
     let machine = SimServer::on_tcp(&[]);
@@ -55,7 +55,7 @@ fn two_boards_over_ports_with_orders_on_standard_input() {
         ],
     );
     let out = folder.path("out");
-    let (orders, mut input) = std::io::pipe().unwrap();
+    let (commands, mut input) = std::io::pipe().unwrap();
     let mut session = start_with(
         &[
             "teleop",
@@ -67,12 +67,12 @@ fn two_boards_over_ports_with_orders_on_standard_input() {
             "1000000",
             "--out",
             &out,
-            // The test is about ports and orders; a long --stale prevents a hold on a busy
+            // The test is about ports and commands; a long --stale prevents a hold on a busy
             // computer.
             "--stale",
             "1000",
         ],
-        Stdio::from(orders),
+        Stdio::from(commands),
     );
     session.wait_for_output("teleoperation started");
     session.wait_for_output("idle -> running");
@@ -80,7 +80,7 @@ fn two_boards_over_ports_with_orders_on_standard_input() {
     input.write_all(b"hold\n").unwrap();
     session.wait_for_output("running -> on hold");
     input.write_all(b"nonsense\nresume\n").unwrap();
-    session.wait_for_output("no order");
+    session.wait_for_output("no command");
     session.wait_for_output("on hold -> running");
     wait_for_tool(&folder, -10.0);
     input.write_all(b"end\n").unwrap();
@@ -137,11 +137,11 @@ fn line_that_is_not_text_is_refused_and_stop_still_works() {
     let _stick = stick(&device);
     let (out, master) = (folder.path("out"), format!("joystick:{device}"));
     let arguments = ["teleop", "--master", &master, "--out", &out, "--for", "20"];
-    let (orders, mut input) = std::io::pipe().unwrap();
-    let mut session = start_with(&arguments, Stdio::from(orders));
+    let (commands, mut input) = std::io::pipe().unwrap();
+    let mut session = start_with(&arguments, Stdio::from(commands));
     session.wait_for_output("idle -> running");
     input.write_all(b"r\xe9sume\n").unwrap();
-    session.wait_for_output("is no order; write hold");
+    session.wait_for_output("is no command; write hold");
     input.write_all(b"stop\n").unwrap();
     let ran = session.end().expect_code(7);
     assert!(ran.err.contains("stopped by the operator"), "{}", ran.err);
@@ -153,7 +153,7 @@ fn line_that_is_not_text_is_refused_and_stop_still_works() {
     let ran = start_with(&arguments, Stdio::from(unreadable))
         .end()
         .expect_code(7);
-    let what = "orders cannot be read any more: ";
+    let what = "commands cannot be read any more: ";
     assert!(ran.out.contains(what) && ran.err.contains(what), "{ran:?}");
 }
 
@@ -383,7 +383,7 @@ fn reconnected_arm_continues_after_resume() {
     ];
     let mut arm = SimServer::on_tcp(&more);
     let out = folder.path("out");
-    let (orders, mut input) = std::io::pipe().unwrap();
+    let (commands, mut input) = std::io::pipe().unwrap();
     let mut session = start_with(
         &[
             "teleop",
@@ -396,7 +396,7 @@ fn reconnected_arm_continues_after_resume() {
             "--for",
             "60",
         ],
-        Stdio::from(orders),
+        Stdio::from(commands),
     );
     session.wait_for_output("idle -> running");
     std::thread::sleep(std::time::Duration::from_millis(1500));

@@ -92,7 +92,7 @@ fn expect_within_limits(read_records: &[Record]) {
 }
 
 /// Checks that the fed-back force changes by at most 0.05 N per period: at contact, at the clutch,
-/// at orders, and when the link is lost and restored.
+/// at commands, and when the link is lost and restored.
 fn expect_no_force_step(master: &[Record]) {
     let step = master
         .windows(2)
@@ -283,26 +283,26 @@ fn tool_follows_the_scale_and_link_delay_is_measured() {
 }
 
 #[test]
-fn orders_are_executed_and_invalid_options_are_refused_before_motion() {
+fn commands_are_executed_and_invalid_options_are_refused_before_motion() {
     let folder = TestFolder::new();
-    let orders = "
-[[order]]
+    let commands = "
+[[command]]
 at_s = 1.5
 what = \"hold\"
-[[order]]
+[[command]]
 at_s = 2.5
 what = \"resume\"
-[[order]]
+[[command]]
 at_s = 3.0
 what = \"gp=0.25\"
-[[order]]
+[[command]]
 at_s = 3.5
 what = \"end\"
 ";
-    let said = run_script(&folder, "out", &format!("{AWAY}{orders}"), &[]);
+    let said = run_script(&folder, "out", &format!("{AWAY}{commands}"), &[]);
     let holds = said["session"]["holds"].as_array().unwrap();
     assert_eq!(holds.len(), 1);
-    assert_eq!(holds[0]["why"], "it was ordered");
+    assert_eq!(holds[0]["why"], "a command asked for it");
     assert!((3.5..3.8).contains(&number(&said["session"], "duration_s")));
     expect_within_limits(&read_records(&folder.path("out/recording.hmr")));
 
@@ -312,7 +312,7 @@ what = \"end\"
         assert!(ran.err.contains(why), "{arguments:?}: {}", ran.err);
         assert!(!Path::new(&out).exists(), "{arguments:?}");
     };
-    let script = folder.file("gp.toml", "[[order]]\nat_s = 1.0\nwhat = \"gp=3\"\n");
+    let script = folder.file("gp.toml", "[[command]]\nat_s = 1.0\nwhat = \"gp=3\"\n");
     let script = format!("script:{script}");
     refused(
         &["--master", "sim", "--scale", "2.5"],
@@ -322,7 +322,7 @@ what = \"end\"
     refused(
         &["--master", &script],
         3,
-        "gp.toml:3:8: order[1].what: G_P of 3 is out of its range: 0.1 to 2",
+        "gp.toml:3:8: command[1].what: G_P of 3 is out of its range: 0.1 to 2",
     );
     refused(
         &["--master", "keyboard"],

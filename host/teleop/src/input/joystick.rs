@@ -1,6 +1,6 @@
 //! Game controllers, by the joystick interface of Linux.
 
-use super::{DesiredMotion, Device, Order, Read, VecDeque, io, read_all, shape};
+use super::{DesiredMotion, Device, OperatorCommand, Read, VecDeque, io, read_all, shape};
 
 /// Decodes the records of the joystick interface.
 #[derive(Debug)]
@@ -28,14 +28,14 @@ impl<R: Read> Joystick<R> {
         }
     }
 
-    fn decode(&mut self, record: [u8; RECORD], orders: &mut VecDeque<Order>) {
+    fn decode(&mut self, record: [u8; RECORD], commands: &mut VecDeque<OperatorCommand>) {
         let [_, _, _, _, low, high, kind, number] = record;
         let value = i16::from_le_bytes([low, high]);
         // The highest bit marks the initial state.
         match (kind & 0x7f, number) {
             (1, 0) => self.is_enabled = value != 0,
-            (1, 1) if value != 0 && kind & 0x80 == 0 => orders.push_back(Order::Hold),
-            (1, 3) if value != 0 && kind & 0x80 == 0 => orders.push_back(Order::Resume),
+            (1, 1) if value != 0 && kind & 0x80 == 0 => commands.push_back(OperatorCommand::Hold),
+            (1, 3) if value != 0 && kind & 0x80 == 0 => commands.push_back(OperatorCommand::Resume),
             (2, axis @ 0..8) => self.axes[usize::from(axis)] = value,
             _ => {}
         }
@@ -43,12 +43,17 @@ impl<R: Read> Joystick<R> {
 }
 
 impl<R: Read> Device for Joystick<R> {
-    fn poll(&mut self, _: u64, _: f64, orders: &mut VecDeque<Order>) -> io::Result<DesiredMotion> {
+    fn poll(
+        &mut self,
+        _: u64,
+        _: f64,
+        commands: &mut VecDeque<OperatorCommand>,
+    ) -> io::Result<DesiredMotion> {
         read_all(&mut self.input, &mut self.received)?;
         let received = std::mem::take(&mut self.received);
         let (records, rest) = received.as_chunks::<RECORD>();
         for record in records {
-            self.decode(*record, orders);
+            self.decode(*record, commands);
         }
         self.received = rest.to_vec();
         // Forward and up are negative values.

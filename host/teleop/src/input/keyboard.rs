@@ -1,6 +1,6 @@
 //! Keys of a terminal.
 
-use super::{COMPONENTS, DesiredMotion, Device, Order, Read, VecDeque, io, read_all};
+use super::{COMPONENTS, DesiredMotion, Device, OperatorCommand, Read, VecDeque, io, read_all};
 
 /// The command of a key.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -8,7 +8,7 @@ enum Key {
     Step(usize, f64),
     Coarser,
     Finer,
-    Order(Order),
+    Command(OperatorCommand),
 }
 
 /// Steps of the keyboard, mm.
@@ -80,11 +80,11 @@ fn parse(bytes: &[u8]) -> Option<(usize, Option<Key>)> {
         [b'f', ..] => key(Key::Step(2, -1.0)),
         [b'+', ..] => key(Key::Coarser),
         [b'-', ..] => key(Key::Finer),
-        [b' ', ..] => key(Key::Order(Order::Hold)),
-        [b'g', ..] => key(Key::Order(Order::Resume)),
-        [b'q', ..] => key(Key::Order(Order::End)),
+        [b' ', ..] => key(Key::Command(OperatorCommand::Hold)),
+        [b'g', ..] => key(Key::Command(OperatorCommand::Resume)),
+        [b'q', ..] => key(Key::Command(OperatorCommand::End)),
         // Backspace, and Ctrl-C where the terminal passes it on.
-        [0x7f | 0x08 | 0x03, ..] => key(Key::Order(Order::Stop)),
+        [0x7f | 0x08 | 0x03, ..] => key(Key::Command(OperatorCommand::Stop)),
         [_, ..] => Some((1, None)),
     }
 }
@@ -94,7 +94,7 @@ impl<R: Read> Device for Keyboard<R> {
         &mut self,
         now_us: u64,
         dt: f64,
-        orders: &mut VecDeque<Order>,
+        commands: &mut VecDeque<OperatorCommand>,
     ) -> io::Result<DesiredMotion> {
         read_all(&mut self.input, &mut self.received)?;
         while let Some(key) = self.key() {
@@ -108,7 +108,7 @@ impl<R: Read> Device for Keyboard<R> {
                 }
                 Key::Coarser => self.step = (self.step + 1).min(STEPS.len() - 1),
                 Key::Finer => self.step = self.step.saturating_sub(1),
-                Key::Order(order) => orders.push_back(order),
+                Key::Command(command) => commands.push_back(command),
             }
         }
         let is_enabled = self

@@ -4,7 +4,7 @@
 //! from where it is, so its position never jumps; with the switch released, handle and tool stand
 //! still. There is no force feedback.
 //!
-//! | device | moves | enabling switch | orders |
+//! | device | moves | enabling switch | commands |
 //! | --- | --- | --- | --- |
 //! | keyboard | a step per key press | until 0.7 s after the last key | space: hold, g: resume, q: end, Backspace: stop |
 //! | game controller (`/dev/input/js*`) | left stick x and y, right stick z | first button | second button: hold, fourth: resume |
@@ -23,7 +23,7 @@ pub use joystick::Joystick;
 pub use keyboard::Keyboard;
 pub use space_mouse::SpaceMouse;
 
-use super::script::Order;
+use super::script::OperatorCommand;
 use super::{MasterDevice, MasterSample, MasterStatus};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_machine_file::scale::PER_MM;
@@ -47,7 +47,7 @@ pub struct DesiredMotion {
 
 /// A device that commands the motion of the handle.
 pub trait Device {
-    /// The motion for the next `dt` seconds; orders are added to the list. Never waits.
+    /// The motion for the next `dt` seconds; commands are added to the list. Never waits.
     ///
     /// # Errors
     /// The device was disconnected.
@@ -55,7 +55,7 @@ pub trait Device {
         &mut self,
         now_us: u64,
         dt: f64,
-        orders: &mut VecDeque<Order>,
+        commands: &mut VecDeque<OperatorCommand>,
     ) -> io::Result<DesiredMotion>;
 }
 
@@ -73,7 +73,7 @@ pub struct VirtualHandle<D> {
     device: D,
     name: String,
     tip: [f64; COMPONENTS],
-    orders: VecDeque<Order>,
+    commands: VecDeque<OperatorCommand>,
     last_us: Option<u64>,
     /// Why the device is lost.
     lost: Option<String>,
@@ -87,7 +87,7 @@ impl<D: Device> VirtualHandle<D> {
             device,
             name: name.to_string(),
             tip: [0.0; COMPONENTS],
-            orders: VecDeque::new(),
+            commands: VecDeque::new(),
             last_us: None,
             lost: None,
         }
@@ -112,7 +112,7 @@ impl<D: Device> MasterDevice for VirtualHandle<D> {
             return Ok(None);
         }
         let dt = ((now_us - last_us) as f64 * 1e-6).min(MAX_DT);
-        let motion = match self.device.poll(now_us, dt, &mut self.orders) {
+        let motion = match self.device.poll(now_us, dt, &mut self.commands) {
             Ok(motion) => motion,
             Err(error) => {
                 // Without samples the machine holds by itself.
@@ -143,8 +143,8 @@ impl<D: Device> MasterDevice for VirtualHandle<D> {
         }
     }
 
-    fn next_order(&mut self) -> Option<Order> {
-        self.orders.pop_front()
+    fn next_command(&mut self) -> Option<OperatorCommand> {
+        self.commands.pop_front()
     }
 }
 

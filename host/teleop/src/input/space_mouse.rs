@@ -1,6 +1,8 @@
 //! 3D mice, by the event interface of Linux.
 
-use super::{COMPONENTS, DesiredMotion, Device, Order, Read, VecDeque, io, read_all, shape};
+use super::{
+    COMPONENTS, DesiredMotion, Device, OperatorCommand, Read, VecDeque, io, read_all, shape,
+};
 
 /// Decodes the records of the event interface, as a 3D mouse sends them.
 #[derive(Debug)]
@@ -36,13 +38,18 @@ impl<R: Read> SpaceMouse<R> {
         }
     }
 
-    fn decode(&mut self, event: &[u8; EVENT], now_us: u64, orders: &mut VecDeque<Order>) {
+    fn decode(
+        &mut self,
+        event: &[u8; EVENT],
+        now_us: u64,
+        commands: &mut VecDeque<OperatorCommand>,
+    ) {
         let [.., k0, k1, c0, c1, v0, v1, v2, v3] = *event;
         let (kind, code) = (u16::from_ne_bytes([k0, k1]), u16::from_ne_bytes([c0, c1]));
         let value = i32::from_ne_bytes([v0, v1, v2, v3]);
         match (kind, code) {
             (1, 0x100) => self.is_enabled = value != 0,
-            (1, 0x101) if value == 1 => orders.push_back(Order::Hold),
+            (1, 0x101) if value == 1 => commands.push_back(OperatorCommand::Hold),
             (2, axis @ 0..3) => self.caps[usize::from(axis)] = (value, Some(now_us)),
             (3, axis @ 0..3) => self.caps[usize::from(axis)] = (value, None),
             _ => {}
@@ -55,13 +62,13 @@ impl<R: Read> Device for SpaceMouse<R> {
         &mut self,
         now_us: u64,
         _: f64,
-        orders: &mut VecDeque<Order>,
+        commands: &mut VecDeque<OperatorCommand>,
     ) -> io::Result<DesiredMotion> {
         read_all(&mut self.input, &mut self.received)?;
         let received = std::mem::take(&mut self.received);
         let (events, rest) = received.as_chunks::<EVENT>();
         for event in events {
-            self.decode(event, now_us, orders);
+            self.decode(event, now_us, commands);
         }
         self.received = rest.to_vec();
         let is_over =

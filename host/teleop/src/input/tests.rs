@@ -87,10 +87,15 @@ fn a_key_is_a_step_and_the_enabling_switch_times_out() {
             .iter()
             .all(|sample| sample.pose.rate[2].abs() <= (10.0 * 4096.0) as i32 + 1)
     );
-    let orders: Vec<Order> = std::iter::from_fn(|| handle.next_order()).collect();
+    let commands: Vec<OperatorCommand> = std::iter::from_fn(|| handle.next_command()).collect();
     assert_eq!(
-        orders,
-        [Order::Hold, Order::Resume, Order::Hold, Order::End]
+        commands,
+        [
+            OperatorCommand::Hold,
+            OperatorCommand::Resume,
+            OperatorCommand::Hold,
+            OperatorCommand::End
+        ]
     );
     assert_eq!(handle.status(), MasterStatus::Ready);
 }
@@ -123,7 +128,7 @@ fn sticks_move_the_handle_while_the_button_is_pressed() {
             .iter()
             .all(|sample| !sample.pose.engaged && sample.pose.rate == [0; 3])
     );
-    assert_eq!(handle.next_order(), Some(Order::Resume));
+    assert_eq!(handle.next_command(), Some(OperatorCommand::Resume));
     // Unplugged: no more samples.
     handle.device.input = pieces([b""]);
     assert_eq!(samples(&mut handle, 800_000, 900_000), []);

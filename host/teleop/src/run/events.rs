@@ -47,7 +47,7 @@ impl<L: JobLine> Teleop<'_, L> {
         if to == State::Hold && self.state == State::Run && !self.is_ending {
             self.unresumed = self.master_lost.take();
             let why = self.unresumed.clone();
-            let why = why.unwrap_or_else(|| "it was ordered".to_string());
+            let why = why.unwrap_or_else(|| "a command asked for it".to_string());
             self.outcome.holds.push(HoldRecord {
                 at_s,
                 why,

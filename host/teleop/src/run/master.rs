@@ -100,18 +100,18 @@ impl<L: JobLine> Teleop<'_, L> {
             (MasterStatus::Disabled(reason), _) => (
                 Ended::HapticFault,
                 format!(
-                    "the master is disabled: {reason}; remove the cause, then order `reset-master`"
+                    "the master is disabled: {reason}; remove the cause, then command `reset-master`"
                 ),
             ),
             (MasterStatus::Waiting(reason), _) => (
                 Ended::MasterLost,
                 format!("the master is lost: {reason}; check the arm and its link"),
             ),
-            (MasterStatus::Ready, Some(reason)) if !self.is_ended_by_order => (
+            (MasterStatus::Ready, Some(reason)) if !self.is_ended_by_command => (
                 Ended::MasterLost,
                 format!(
                     "the machine held and was not resumed: {reason}; \
-                     check the link, and order `resume` when the master is ready"
+                     check the link, and command `resume` when the master is ready"
                 ),
             ),
             (MasterStatus::Ready, _) => return,

@@ -1,12 +1,12 @@
 //! The teleoperation loop.
 
+mod commands;
 mod events;
 mod master;
-mod orders;
 
 use super::latency::ForceValue;
 use super::outcome::{Ended, Outcome, Row};
-use super::script::{Order, OrderInput, scale};
+use super::script::{CommandInput, OperatorCommand, scale};
 use super::{Latency, MasterDevice, MasterSample, MasterStatus};
 use haptimill_client::client::Ticket;
 use haptimill_client::session::{JobLine, Session};
@@ -27,7 +27,7 @@ const MASTER_READY_US: u64 = 10_000_000;
 /// Longest time until the machine is at standstill at the end, microseconds.
 const STANDSTILL_US: u64 = 10_000_000;
 
-/// A resume order is refused when the newest sample is older, microseconds.
+/// A resume command is refused when the newest sample is older, microseconds.
 const FRESH_US: u64 = 100_000;
 
 /// Receives the rows of the table and the messages of a session as they come.
@@ -46,8 +46,8 @@ pub struct TeleopOptions {
     pub duration_s: Option<f64>,
     /// Speed of the spindle, rev/min; positive is clockwise.
     pub spindle_rpm: i16,
-    /// Orders with their times, s, sorted.
-    pub orders: Vec<(f64, Order)>,
+    /// Commands with their times, s, sorted.
+    pub commands: Vec<(f64, OperatorCommand)>,
     /// Age from which the controller of the machine rejects a sample, ms.
     pub stale_ms: u16,
     /// The machine is simulated in this process, and must keep real time for an operator or a port.
@@ -77,17 +77,17 @@ pub struct Teleop<'a, L: JobLine> {
     pending: Vec<(Ticket, String)>,
     /// The newest message about a lost master.
     master_lost: Option<String>,
-    /// Why the machine holds, when no order caused it and none has resumed it.
+    /// Why the machine holds, when no command caused it and none has resumed it.
     unresumed: Option<String>,
     /// The link to the master is lost, and that was reported.
     is_away: bool,
     stale: StaleSamples,
-    /// An order ended the session; otherwise its duration was over.
-    is_ended_by_order: bool,
+    /// A command ended the session; otherwise its duration was over.
+    is_ended_by_command: bool,
     setpoints: u32,
     /// Real time at which the virtual time of a simulated machine began.
     wall: Option<Instant>,
-    input: Option<Receiver<OrderInput>>,
+    input: Option<Receiver<CommandInput>>,
 }
 
 /// A simulated machine that is behind real time by more skips the difference, microseconds.
@@ -123,16 +123,16 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             unresumed: None,
             is_away: false,
             stale: StaleSamples::default(),
-            is_ended_by_order: false,
+            is_ended_by_command: false,
             setpoints: 0,
             wall: None,
             input: None,
         }
     }
 
-    /// Takes orders from a channel as well.
+    /// Takes commands from a channel as well.
     #[must_use]
-    pub fn with_order_input(mut self, input: Option<Receiver<OrderInput>>) -> Self {
+    pub fn with_command_input(mut self, input: Option<Receiver<CommandInput>>) -> Self {
         self.input = input;
         self
     }
@@ -145,7 +145,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
     pub fn run(mut self, report: &mut Report<'_>) -> Result<Outcome, Error> {
         self.wait_for_master(report)?;
         self.start()?;
-        let mut orders = self.options.orders.iter().peekable();
+        let mut commands = self.options.commands.iter().peekable();
         let mut stopping_us = None;
         while !self.is_over {
             self.step()?;
@@ -158,11 +158,11 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             if let Some(row) = self.process_telemetry() {
                 report(Some(&row), None);
             }
-            while let Some((_, order)) = orders.next_if(|(at_s, _)| *at_s <= now_s) {
-                self.execute(*order, report);
+            while let Some((_, command)) = commands.next_if(|(at_s, _)| *at_s <= now_s) {
+                self.execute(*command, report);
             }
-            while let Some(order) = self.master.next_order() {
-                self.execute(order, report);
+            while let Some(command) = self.master.next_command() {
+                self.execute(command, report);
             }
             while let Some(input) = self.input.as_ref().and_then(|input| input.try_recv().ok()) {
                 self.process_input(input, report);
@@ -170,8 +170,8 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             self.process_acknowledgements(report);
             let is_time_over = self.options.duration_s.is_some_and(|end| now_s >= end);
             if is_time_over && !self.is_ending {
-                self.execute(Order::End, report);
-                self.is_ended_by_order = false;
+                self.execute(OperatorCommand::End, report);
+                self.is_ended_by_command = false;
             }
             if self.session.is_interrupted() && stopping_us.is_none() {
                 self.outcome.ended = Ended::Stopped;

@@ -40,6 +40,7 @@ use super::episode::{Episode, Theme};
 use super::reference::{PlannedJob, ReferenceKinematics};
 use super::units::{PERIOD, joint_unit};
 use haptimill_firmware::config::JointAxis;
+use haptimill_firmware::io::AxisInputs;
 use haptimill_hil_sim::fault::FaultKind;
 use haptimill_protocol::message::State;
 
@@ -68,6 +69,10 @@ struct PreviousPeriod {
     valid: bool,
     /// The rotors of the step motors are locking.
     locking: bool,
+    /// A joint moves off its limit switch.
+    leaves_switch: bool,
+    /// The limit switches that were active when the drives were off last, two bits per joint.
+    limits_with_drives_off: [u8; 6],
     pose: [f64; 6],
     rates: [f64; 6],
     joints: [f64; 6],
@@ -111,6 +116,12 @@ fn jump_threshold(limits: &JointAxis) -> f64 {
         .as_ref()
         .map_or(0, |encoder| encoder.following.0);
     f64::from(following) + f64::from(limits.rate.0) * 10.0 * PERIOD
+}
+
+/// Returns the active limit switches of each joint, one bit for each end.
+fn limits(axes: &[AxisInputs; 6]) -> [u8; 6] {
+    axes.each_ref()
+        .map(|axis| u8::from(axis.limit_low) | u8::from(axis.limit_high) << 1)
 }
 
 /// Returns the commanded pose in axis units.
@@ -229,12 +240,17 @@ impl Checks {
             configured: machine.is_some(),
             valid: true,
             locking: machine.is_some_and(|machine| machine.is_locking()),
+            leaves_switch: machine.is_some_and(|machine| machine.leaves_switch()),
+            limits_with_drives_off: self.previous.limits_with_drives_off,
             pose: commanded_pose(bench),
             haptic_force: self.previous.haptic_force,
             ..PreviousPeriod::default()
         };
         for (slot, axis) in now.index_pulses.iter_mut().zip(&bench.rig.inputs().axes) {
             *slot = axis.index_pulses;
+        }
+        if !now.drives_on {
+            now.limits_with_drives_off = limits(&bench.rig.inputs().axes);
         }
         if let Some(machine) = machine {
             let target = machine.target();

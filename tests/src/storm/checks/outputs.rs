@@ -1,7 +1,7 @@
 //! Outputs: drives, haptic arm and spindle are safe in every state.
 
 use super::super::bench::StormBench;
-use super::{CheckResult, Checks};
+use super::{CheckResult, Checks, limits};
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::io::{ANALOG, DriveCommand, HapticOutputs};
 use haptimill_firmware::machine::Machine;
@@ -112,9 +112,17 @@ impl Checks {
 
     fn check_drives(&self, bench: &StormBench, machine: &Machine, on: bool) -> CheckResult {
         let (outputs, inputs) = (bench.rig.outputs(), bench.rig.inputs());
-        let bad = inputs.axes[..machine.joint_count()]
-            .iter()
-            .any(|axis| axis.limit_low || axis.limit_high || !axis.drive_ready);
+        // A joint moves off the switch on which it stood when the drives were off.
+        let leaves = machine.leaves_switch() || self.previous.leaves_switch;
+        let ignored = if leaves {
+            self.previous.limits_with_drives_off
+        } else {
+            [0; 6]
+        };
+        let joints = inputs.axes.iter().zip(limits(&inputs.axes)).zip(ignored);
+        let bad = joints
+            .take(machine.joint_count())
+            .any(|((axis, limits), ignored)| limits & !ignored != 0 || !axis.drive_ready);
         if bad && on && self.previous.drives_on {
             violated!(
                 bench,

@@ -14,6 +14,9 @@ fn commands_for(from: State, to: State) -> Option<&'static [&'static str]> {
         (Disabled, Idle) => &["Enable"],
         (Idle, Disabled) => &["Disable"],
         (Idle, Homing) => &["Home"],
+        (Disabled, Homing) => &["MoveOff"],
+        // A joint that moved off its limit switch where the joints give no pose.
+        (Homing, Disabled) => &[],
         (Idle, Run) => &["JobStart"],
         (Idle, Jog) => &["Jog"],
         (Hold, Run) => &["Resume"],

@@ -1,12 +1,13 @@
 //! Any command in any state.
 
 use super::super::command;
-use super::super::episode::{JobPlan, Stimulus};
+use super::super::episode::{JobPlan, Stimulus, joint_of};
 use super::super::machines::MachineKind;
 use super::super::rng::Rng;
 use super::operation::{jog, path};
 use super::{Steps, joint_name, periods};
 use haptimill_hil_sim::fault::{FaultKind, Switch};
+use haptimill_protocol::message::Command;
 
 /// Returns the stimuli of one step of this theme.
 pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
@@ -45,17 +46,23 @@ pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
             ),
             (Stimulus::ClearFaults, 10),
         ],
-        26 => vec![
-            (
-                Stimulus::InjectFault(FaultKind::SwitchStuck {
-                    axis,
-                    switch: Switch::LimitLow,
-                    active: true,
-                }),
-                periods(rng),
-            ),
-            (Stimulus::ClearFaults, 10),
-        ],
+        26 => {
+            let number = joint_of(&axis).unwrap_or_default() as u8;
+            let switch = rng.choose(&[Switch::LimitLow, Switch::LimitHigh]);
+            let stuck = FaultKind::SwitchStuck {
+                axis,
+                switch,
+                active: true,
+            };
+            let mut steps = vec![(Stimulus::InjectFault(stuck), periods(rng))];
+            if rng.chance(0.6) {
+                let reset = Stimulus::Send(Command::Reset);
+                let move_off = Stimulus::Send(Command::MoveOff { axis: number });
+                steps.extend([(reset, 50), (move_off, periods(rng))]);
+            }
+            steps.push((Stimulus::ClearFaults, periods(rng)));
+            steps
+        }
         27 => vec![(Stimulus::StaleJog, 100)],
         28 => vec![(Stimulus::MissPeriods(1 + rng.below(6) as u16), periods(rng))],
         29 if matches!(kind, MachineKind::HapticArm | MachineKind::MasterAlone) => {

@@ -2,10 +2,10 @@
 //! and five joints are fitted to the machine, and what only such a machine has is added.
 
 use super::super::command;
-use super::super::episode::{JOINTS, Step, Stimulus, Theme};
+use super::super::episode::{JOINTS, Step, Stimulus, Theme, joint_of};
 use super::super::machines::{MachineKind, machine};
 use super::super::rng::Rng;
-use super::{Steps, joint_name, periods};
+use super::{Steps, joint_name, operation, periods};
 use haptimill_firmware::config::AxisKind;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::{FaultKind, Level, Switch};
@@ -20,7 +20,7 @@ pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> St
         .map_or_else(|_| vec![], |plant: PlantConfig| plant.input);
     let axis = joint_name(MachineKind::File(name), rng);
     let faulty = matches!(theme, Theme::Fault | Theme::Faults | Theme::AnyCommand);
-    match rng.below(6) {
+    match rng.below(8) {
         0 if !inputs.is_empty() => {
             let name = inputs[rng.index(inputs.len())].name.clone();
             let kind = if rng.chance(0.5) {
@@ -82,12 +82,74 @@ pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> St
                 (Stimulus::Recover, 500),
             ]
         }
+        5 if faulty => off_a_limit_switch(axis, rng),
+        6 if !inputs.is_empty() => {
+            // A probe that is armed, and an input that changes during the motion.
+            let name = inputs[rng.index(inputs.len())].name.clone();
+            let level = rng.choose(&[Level::Low, Level::High]);
+            let input = rng.below(3) as u8;
+            let arm = Command::ArmProbe {
+                input,
+                active: true,
+            };
+            vec![
+                (Stimulus::WaitIdle, 6000),
+                (Stimulus::Send(arm), 20),
+                (operation::job(rng), rng.uniform(100.0, 3000.0) as u32),
+                (
+                    Stimulus::InjectFault(FaultKind::InputLevel { name, level }),
+                    periods(rng),
+                ),
+                (Stimulus::Send(command::any(rng)), periods(rng)),
+                (Stimulus::ClearFaults, periods(rng)),
+                (Stimulus::Recover, 500),
+            ]
+        }
         _ => vec![
             (Stimulus::WaitIdle, 6000),
             (Stimulus::Send(Command::Home), 6000),
             (Stimulus::WaitIdle, 20_000),
         ],
     }
+}
+
+/// Returns a joint that is pushed onto its limit switch with the drives off and moves off it, with
+/// an interruption in most cases.
+fn off_a_limit_switch(axis: String, rng: &mut Rng) -> Steps {
+    let number = joint_of(&axis).unwrap_or_default() as u8;
+    let effort = rng.choose(&[-1.0, 1.0]) * rng.log_uniform(10.0, 200.0);
+    let mut steps = vec![
+        (Stimulus::WaitIdle, 6000),
+        (Stimulus::Send(Command::Disable), 100),
+        (
+            Stimulus::InjectFault(FaultKind::Push { axis, effort }),
+            rng.uniform(3000.0, 20_000.0) as u32,
+        ),
+        (Stimulus::ClearFaults, periods(rng)),
+        (
+            Stimulus::Send(Command::MoveOff { axis: number }),
+            rng.log_uniform(10.0, 20_000.0) as u32,
+        ),
+    ];
+    match rng.below(6) {
+        0 => steps.push((Stimulus::Send(command::any(rng)), periods(rng))),
+        1 => steps.push((Stimulus::Send(Command::Stop), periods(rng))),
+        2 => steps.extend([
+            (Stimulus::HostAway(true), 4000),
+            (Stimulus::HostAway(false), 100),
+        ]),
+        3 => steps.push((
+            Stimulus::MissPeriods(1 + rng.below(100) as u16),
+            periods(rng),
+        )),
+        4 => steps.extend([
+            (Stimulus::EmergencyStopCircuit(true), periods(rng)),
+            (Stimulus::EmergencyStopCircuit(false), periods(rng)),
+        ]),
+        _ => {}
+    }
+    steps.push((Stimulus::Recover, 500));
+    steps
 }
 
 /// Fits a script of five coordinates and five joints to a machine.

@@ -48,7 +48,8 @@ pub(super) fn path(rng: &mut Rng) -> PathPlan {
     }
 }
 
-fn job(rng: &mut Rng) -> Stimulus {
+/// Returns a job of a valid path.
+pub(super) fn job(rng: &mut Rng) -> Stimulus {
     Stimulus::Job(JobPlan::Path(path(rng)))
 }
 
@@ -71,7 +72,7 @@ pub(super) fn jog(rng: &mut Rng) -> Stimulus {
 
 /// Returns valid commands for a healthy machine.
 pub(super) fn careful_host(rng: &mut Rng) -> Steps {
-    let percent = rng.choose(&[1, 10, 37, 50, 80, 100]);
+    let percent = rng.choose(&[1, 10, 37, 50, 80, 100, 130, 200]);
     match rng.below(20) {
         0 => {
             // The override of a long job persists through a hold.
@@ -85,7 +86,7 @@ pub(super) fn careful_host(rng: &mut Rng) -> Steps {
                 absurd: 0.0,
                 open: false,
             }));
-            let percent = rng.choose(&[20, 37, 50, 80]);
+            let percent = rng.choose(&[20, 37, 50, 80, 150, 200]);
             vec![
                 (Stimulus::WaitIdle, 6000),
                 (long, 1000),

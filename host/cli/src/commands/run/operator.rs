@@ -6,12 +6,12 @@ use super::overrides::Overrides;
 use crate::commands::requests::{Request, Requests};
 use haptimill_machine_file::MachineFile;
 
-/// What the operator orders, from the first job of a run to the last one.
+/// Commands of the operator, from the first job of a run to the last one.
 pub(super) struct Operator {
     pub(super) overrides: Overrides,
-    /// A hold was ordered.
+    /// A hold was commanded.
     pub(super) holds: bool,
-    /// The end of a hold or a pause was ordered.
+    /// The end of a hold or a pause was commanded.
     pub(super) resumes: bool,
     /// The job holds or pauses.
     pub(super) is_held: bool,

@@ -24,7 +24,7 @@ pub(super) struct ProgressDisplay<'a> {
     /// The time that is left on a machine; in the simulator the pace is measured.
     left: Option<TimeTable>,
     operator: &'a mut Operator,
-    /// The operator ordered the present hold: it ends by an order only.
+    /// The operator commanded the present hold: only a command ends it.
     is_operators: bool,
     period_s: f64,
     track: SharedTrack,

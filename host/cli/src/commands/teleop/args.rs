@@ -17,7 +17,7 @@ Teleoperate the machine: the tool follows a master device, and the cutting force
 --master is the master device:
   sim               a simulated haptic arm on a simulated board of its own, with an operator model
                     that runs the script examples/teleop.toml
-  script:FILE       the same with another script: trajectory, clutch, orders
+  script:FILE       the same with another script: trajectory, clutch, commands
   PORT              a haptic arm: a serial port or tcp:HOST:PORT with a controller whose machine
                     file has role = \"master\"
   joystick[:PATH]   a game controller (Linux) [/dev/input/js0]; the first button is the clutch
@@ -27,7 +27,7 @@ Teleoperate the machine: the tool follows a master device, and the cutting force
 The machine is the built-in one in the simulator, or behind --port. With a script and the simulator \
 everything runs in virtual time, and every run is bit-identical.
 
-Orders are read from standard input, one per line, unless the master is a script: hold, resume, \
+Commands are read from standard input, one per line, unless the master is a script: hold, resume, \
 stop, end, reset-master, gp=SCALE. If the newest master sample is older than stale_ms (50), the \
 machine decelerates along its path and holds. `resume` continues from the present poses of master \
 and tool. Ctrl-C stops.

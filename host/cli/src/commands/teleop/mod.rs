@@ -1,9 +1,9 @@
 //! `haptimill teleop`: teleoperates the machine with force feedback.
 
 mod args;
+mod commands;
 mod display;
 mod master;
-mod orders;
 mod page;
 mod session;
 
@@ -55,7 +55,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         every_us: args.report_interval_us(&port.port, port.baud, MACHINE_REPORT_BYTES),
         duration_s: args.duration.or(script.as_ref().map(Script::end_s)),
         spindle_rpm: args.spindle,
-        orders: script.as_ref().map(Script::orders).unwrap_or_default(),
+        commands: script.as_ref().map(Script::commands).unwrap_or_default(),
         stale_ms: machine
             .config
             .follow

@@ -160,7 +160,7 @@ fn tiles(page: &mut String, outcome: &Outcome) {
     page.push_str("</div>");
 }
 
-/// How it ended, faults, holds, refused orders, notes.
+/// How it ended, faults, holds, refused commands, notes.
 fn lists(page: &mut String, outcome: &Outcome) {
     let kept = if outcome.position_kept {
         "position kept"
@@ -179,7 +179,7 @@ fn lists(page: &mut String, outcome: &Outcome) {
         ("End", "card", end),
         ("Faults", "card bad", outcome.faults.clone()),
         ("Holds", "card", holds.collect()),
-        ("Refused orders", "card", outcome.refused.clone()),
+        ("Refused commands", "card", outcome.refused.clone()),
         ("Notes", "card", outcome.notes.clone()),
     ] {
         if lines.is_empty() {

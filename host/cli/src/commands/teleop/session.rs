@@ -1,9 +1,9 @@
 //! A teleoperation session on a connected machine.
 
 use super::args::{TeleopArgs, line_rate};
+use super::commands;
 use super::display::{Display, describe};
 use super::master::MasterSpec;
-use super::orders;
 use super::page::page;
 use crate::commands::board::file_of;
 use crate::commands::run::bytes_per_s;
@@ -154,13 +154,13 @@ impl TeleopSession<'_> {
         let mut table = BufWriter::new(file);
         let mut written = table.write_all(Row::HEAD.as_bytes());
         let mut display = Display::new(self.args);
-        let reads_orders = !matches!(
+        let reads_commands = !matches!(
             self.args.master,
             MasterSpec::Keyboard | MasterSpec::Script(_)
         );
-        let lines = reads_orders.then(orders::listen);
+        let lines = reads_commands.then(commands::listen);
         self.args.print_message("teleoperation started");
-        let teleop = Teleop::new(&mut session, source, self.options).with_order_input(lines);
+        let teleop = Teleop::new(&mut session, source, self.options).with_command_input(lines);
         let outcome = teleop.run(&mut |row, event| {
             if let Some(row) = row {
                 if written.is_ok() {

@@ -1,21 +1,21 @@
-//! Orders of the operator.
+//! Commands of the operator.
 
 use super::{FRESH_US, Report, Teleop};
 use crate::outcome::Ended;
-use crate::script::{Order, OrderInput, scale};
+use crate::script::{CommandInput, OperatorCommand, scale};
 use haptimill_client::session::JobLine;
 use haptimill_protocol::message::{Command, State};
 
 impl<L: JobLine> Teleop<'_, L> {
-    pub(super) fn process_input(&mut self, input: OrderInput, report: &mut Report<'_>) {
+    pub(super) fn process_input(&mut self, input: CommandInput, report: &mut Report<'_>) {
         match input {
-            OrderInput::Order(order) => self.execute(order, report),
-            OrderInput::Invalid(why) => self.refuse(why, report),
-            OrderInput::Lost(error) => {
-                let what = format!("orders cannot be read any more: {error}; the machine stops");
+            CommandInput::Command(command) => self.execute(command, report),
+            CommandInput::Invalid(why) => self.refuse(why, report),
+            CommandInput::Lost(error) => {
+                let what = format!("commands cannot be read any more: {error}; the machine stops");
                 self.outcome.because = Some(what.clone());
                 self.note(what, report);
-                self.execute(Order::Stop, report);
+                self.execute(OperatorCommand::Stop, report);
             }
         }
     }
@@ -30,19 +30,19 @@ impl<L: JobLine> Teleop<'_, L> {
         self.pending.push((ticket, name.to_string()));
     }
 
-    pub(super) fn execute(&mut self, order: Order, report: &mut Report<'_>) {
-        match order {
-            Order::Hold => self.request(Command::Hold, "hold"),
-            Order::ResetMaster => self.master.reset(),
-            Order::Stop => {
+    pub(super) fn execute(&mut self, command: OperatorCommand, report: &mut Report<'_>) {
+        match command {
+            OperatorCommand::Hold => self.request(Command::Hold, "hold"),
+            OperatorCommand::ResetMaster => self.master.reset(),
+            OperatorCommand::Stop => {
                 self.is_ending = true;
                 self.outcome.ended = Ended::Stopped;
                 self.request(Command::Stop, "stop");
             }
-            Order::End if self.is_ending => {}
-            Order::End => {
+            OperatorCommand::End if self.is_ending => {}
+            OperatorCommand::End => {
                 self.is_ending = true;
-                self.is_ended_by_order = true;
+                self.is_ended_by_command = true;
                 if self.state == State::Run {
                     let count = self.setpoints;
                     self.request(Command::JobEnd { count }, "end");
@@ -52,11 +52,11 @@ impl<L: JobLine> Teleop<'_, L> {
                     self.request(Command::Stop, "end");
                 }
             }
-            Order::Scale(commanded) => match scale(commanded) {
+            OperatorCommand::Scale(commanded) => match scale(commanded) {
                 Ok(scale) => self.request(Command::PositionScale { scale }, "gp"),
                 Err(why) => self.refuse(why, report),
             },
-            Order::Resume => {
+            OperatorCommand::Resume => {
                 let now_us = self.session.now_us();
                 let is_fresh = self
                     .sampled_us
