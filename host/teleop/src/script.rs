@@ -1,4 +1,5 @@
-//! Scripts of a session in TOML: the motion of a simulated operator at the haptic arm, and commands.
+//! Scripts of a session in TOML: the motion of a simulated operator at the haptic arm, and
+//! commands.
 //!
 //! Times are seconds: of the motion since the motors of the arm were enabled, of commands since the
 //! session started, which is the same to a few hundredths. Positions are mm of the tip from its

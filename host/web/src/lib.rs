@@ -1,8 +1,9 @@
-//! Live view: one page, and a WebSocket with the state of a machine and the commands of an operator.
+//! Live view: one page, and a WebSocket with the state of a machine and the commands of an
+//! operator.
 //!
 //! The crate knows no machine. [`Server::bind`] serves the page; its owner publishes the state as
-//! JSON ([`Server::publish`], [`Server::publish_scene`]) and takes commands ([`Server::next_command`]).
-//! A thread serves each connection; the owner never waits for one.
+//! JSON ([`Server::publish`], [`Server::publish_scene`]) and takes commands
+//! ([`Server::next_command`]). A thread serves each connection; the owner never waits for one.
 //!
 //! # Who may do what
 //!
@@ -20,10 +21,11 @@
 //!
 //! # Messages
 //!
-//! The page sends JSON objects with the key `command` ([`OperatorCommand`], and `take`, `hand-over`, `keep`,
-//! `list`, `upload`, `select`) and `t`, the time of the newest state that it has. A command that
-//! waited on the line for longer than [`FRESH`] (a jog: [`FRESH_JOG`]) is refused: it moves nothing
-//! late. The page gets JSON objects with the key `kind`: `state`, `scene`, `stock`,
+//! The page sends JSON objects with the key `command` ([`OperatorCommand`], and `take`,
+//! `hand-over`, `keep`, `list`, `upload`, `select`) and `t`, the time of the newest state that it
+//! has. A command that waited on the line for longer than [`FRESH`] (a jog: [`FRESH_JOG`]) is
+//! refused: it moves nothing late. The page gets JSON objects with the key `kind`: `state`,
+//! `scene`, `stock`,
 //! `stock-part`, `control`, `programs`, `refused`.
 
 pub mod access;

@@ -1,8 +1,8 @@
 //! `haptimill serve`: the application state of the console behind a page.
 //!
-//! The page of `haptimill-web` gives commands in place of keys, and the view model becomes JSON. The
-//! dead-man time of the jog keys holds for the buttons: the page repeats a press while its button
-//! is held.
+//! The page of `haptimill-web` gives commands in place of keys, and the view model becomes JSON.
+//! The dead-man time of the jog keys holds for the buttons: the page repeats a press while its
+//! button is held.
 
 mod values;
 
