@@ -1,6 +1,6 @@
 //! The storm: one seed of each theme, repeatability, and the resolution of its references.
 
-use haptimill_protocol::message::Action;
+use haptimill_protocol::message::{Action, Pace};
 use haptimill_protocol::setpoint::Setpoint;
 use haptimill_tests::storm::bench::StormBench;
 use haptimill_tests::storm::checks::bounds;
@@ -132,6 +132,22 @@ fn the_planned_job_detects_a_skipped_setpoint_and_a_wrong_pose() {
     let mut twice = job();
     twice.check(&tracked(250.0, 0, 0.25)).expect("in order");
     assert!(twice.check(&tracked(252.0, 0, 0.254)).is_err());
+    // After a setpoint with a pace of 150 %, one and a half periods pass in a period.
+    let passes = |action, periods| {
+        let mut job = PlannedJob::default();
+        let first = Setpoint {
+            action,
+            ..setpoint(500, 1.0, 0.0)
+        };
+        job.plan(&[first, setpoint(500, 2.0, 0.0)]);
+        job.begin([0.0; 6]);
+        let mut at = |time, reached| job.check(&tracked(time, reached, 1.0));
+        at(500.0, 1).expect("in order");
+        at(500.0 + periods, 1).is_ok()
+    };
+    assert!(passes(Action::Pace(Pace::feed_up_to(150)), 1.5));
+    assert!(!passes(Action::Pace(Pace::feed_up_to(150)), 1.51));
+    assert!(passes(Action::None, 1.0) && !passes(Action::None, 1.01));
 }
 
 #[test]

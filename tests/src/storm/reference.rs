@@ -169,15 +169,18 @@ impl PlannedJob {
         }
         if let Some((time, reached)) = self.last {
             let passed = seen.time.wrapping_sub(time);
-            // The largest pace allows twice the full rate. The ramp of the path rate may exceed it
-            // by some parts in 10^7 by rounding.
-            if passed > (2 << 32) + (1 << 14) {
+            // The ramp of the path rate may exceed the largest factor of the paces by some parts in
+            // 10^7 by rounding.
+            let percent = self.largest_factor(seen.reached);
+            if passed > ((1 << 32) + (1 << 13)) * percent / 100 {
                 return Err(format!(
                     "{} periods of program time passed in one period",
                     passed as f64 / 4_294_967_296.0
                 ));
             }
-            if seen.reached < reached || seen.reached > reached + 2 {
+            // A segment takes a period of program time or more.
+            let passable = u32::from(percent > 100) + 1;
+            if seen.reached < reached || seen.reached > reached + passable {
                 return Err(format!(
                     "setpoint {} was reached after {reached}",
                     seen.reached
@@ -233,6 +236,16 @@ impl PlannedJob {
         let time = seen.time as f64 / 4_294_967_296.0 - begin as f64;
         let planned = self.pose_at(place, to, time / f64::from(to.periods));
         Ok(distance(&seen.pose, &planned))
+    }
+
+    /// Returns the largest factor that the paces of the first `reached` setpoints allow, percent.
+    fn largest_factor(&self, reached: u32) -> u64 {
+        let setpoints = self.setpoints.iter().take(reached as usize);
+        let factors = setpoints.filter_map(|setpoint| match setpoint.action {
+            Action::Pace(pace) => Some(u64::from(pace.most())),
+            _ => None,
+        });
+        factors.max().unwrap_or(100)
     }
 
     /// Returns place and rates at the start of the segment to setpoint `place`.
