@@ -20,7 +20,7 @@ use std::env;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::time::Instant;
-use storm::storm;
+use storm::{short_storm, storm};
 
 const HELP: &str = "\
 Developer tasks of the project.
@@ -60,7 +60,8 @@ struct Step<'a> {
     component: Option<(&'a str, &'a str)>,
 }
 
-const TEST: &[Step] = &[
+/// Checks of the sources.
+const CHECKS: &[Step] = &[
     Step {
         name: "format",
         arguments: &["fmt", "--all", "--check"],
@@ -109,32 +110,10 @@ const TEST: &[Step] = &[
         environment: &[("RUSTDOCFLAGS", "-D warnings")],
         component: None,
     },
-    Step {
-        name: "tests",
-        arguments: &["test", "--workspace"],
-        environment: &[],
-        component: None,
-    },
-    Step {
-        name: "storm",
-        arguments: &[
-            "run",
-            "--quiet",
-            "--release",
-            "--package",
-            "haptimill-tests",
-            "--bin",
-            "storm",
-            "--",
-            "--minutes",
-            "2",
-            "--seed",
-            "1",
-        ],
-        environment: &[],
-        component: None,
-    },
 ];
+
+/// The feature of the tests that need the image of a board and its emulator.
+const EMULATED: &str = "haptimill-tests/emulated";
 
 const MACHINES: &[Step] = &[Step {
     name: "machines",
@@ -179,10 +158,10 @@ fn main() -> ExitCode {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words[..] {
         ["test"] => test(),
-        ["test", "--native-only"] => run(TEST).map(|()| {
-            println!("SKIPPED  boards and emulated runs (--native-only): the controller was not tested on a chip");
-        }),
-        ["lint"] => lint(&root()).and(names::lint(&root())).and(circles::lint(&root())),
+        ["test", "--native-only"] => test_natively(),
+        ["lint"] => lint(&root())
+            .and(names::lint(&root()))
+            .and(circles::lint(&root())),
         ["board", name] => board(name, None),
         ["board", name, "--uart"] => board(name, Some("uart")),
         ["board", name, "--uf2"] => uf2(name),
@@ -227,7 +206,7 @@ fn root() -> PathBuf {
 
 /// Runs all checks and tests.
 fn test() -> Result<(), String> {
-    run(TEST)?;
+    run(CHECKS)?;
     provide()?;
     for board in board::BOARDS {
         if has("fmt") {
@@ -239,9 +218,31 @@ fn test() -> Result<(), String> {
             board.uf2(&image)?;
         }
     }
-    emulator::emulator(&root(), emulator::Task::Test)?;
-    // The tests are slow, and parallel ones slow each other down: they run one at a time.
-    emulated("emulated runs", "emulated*", "--test-threads=1", &[])
+    // One build with all features: a second one would compile most packages again.
+    run(&[Step {
+        name: "tests and emulated runs",
+        arguments: &["test", "--workspace", "--features", EMULATED],
+        environment: &[],
+        component: None,
+    }])?;
+    short_storm()?;
+    emulator::emulator(&root(), emulator::Task::Test)
+}
+
+/// Runs all checks and tests that need neither the image of a board nor an emulator.
+fn test_natively() -> Result<(), String> {
+    run(CHECKS)?;
+    run(&[Step {
+        name: "tests",
+        arguments: &["test", "--workspace"],
+        environment: &[],
+        component: None,
+    }])?;
+    short_storm()?;
+    println!(
+        "SKIPPED  boards and emulated runs (--native-only): the controller was not tested on a chip"
+    );
+    Ok(())
 }
 
 /// Finds a board by name.

@@ -2,6 +2,7 @@
 
 use crate::cargo;
 use crate::planted::planted;
+use std::process::{Command, ExitStatus};
 
 /// Runs the storm with these arguments.
 pub fn storm(arguments: &[&str]) -> Result<(), String> {
@@ -25,6 +26,23 @@ pub fn storm(arguments: &[&str]) -> Result<(), String> {
         .args(arguments)
         .status()
         .map_err(|error| format!("cargo cannot be started: {error}"))?;
+    result(status)
+}
+
+/// Runs the storm for two minutes with the program that the tests have built.
+pub fn short_storm() -> Result<(), String> {
+    let own = std::env::current_exe().map_err(|error| format!("xtask: {error}"))?;
+    let program = own.with_file_name(format!("storm{}", std::env::consts::EXE_SUFFIX));
+    let words = ["--minutes", "2", "--seed", "1"];
+    println!("== storm: {} {}", program.display(), words.join(" "));
+    let status = Command::new(&program)
+        .args(words)
+        .status()
+        .map_err(|error| format!("{}: {error}", program.display()))?;
+    result(status)
+}
+
+fn result(status: ExitStatus) -> Result<(), String> {
     if status.success() {
         Ok(())
     } else {

@@ -290,17 +290,18 @@ fn write_long_program(folder: &TestFolder) -> String {
     folder.file("long.ngc", format!("G21 G90 F300\n{lines}"))
 }
 
-/// Starts that program and waits until its recording has some seconds of machine time.
+/// Size of a recording with some seconds of machine time, bytes.
+const SOME_SECONDS: u64 = 100_000;
+
+/// Starts that program and waits until its recording has some seconds of machine time. One period
+/// of 100 is recorded: the whole program would need 9 GB of disk.
 fn start_long_program(folder: &TestFolder) -> scene::Running {
-    let mut run = start(&[
-        "run",
-        &write_long_program(folder),
-        "--out",
-        &folder.path("out"),
-    ]);
+    let program = write_long_program(folder);
+    let out = folder.path("out");
+    let mut run = start(&["run", &program, "--record", "every=100", "--out", &out]);
     run.wait_for_output("running");
     let recording = folder.path("out/recording.hmr");
-    while std::fs::metadata(&recording).map_or(0, |file| file.len()) < 1_000_000 {
+    while std::fs::metadata(&recording).map_or(0, |file| file.len()) < SOME_SECONDS {
         assert!(run.runs());
         std::thread::sleep(Duration::from_millis(2));
     }
@@ -319,7 +320,7 @@ fn result_folder_is_locked_until_its_run_ends() {
     assert!(second.err.contains(said), "{}", second.err);
     assert_eq!(second.json()["exit_code"], 9);
     // The recording of the first run still exists and grows.
-    assert!(first.runs() && std::fs::metadata(&recording).unwrap().len() >= 1_000_000);
+    assert!(first.runs() && std::fs::metadata(&recording).unwrap().len() >= SOME_SECONDS);
     first.kill();
     haptimill(&["run", &short, "--out", &out]).expect_code(0);
     assert_eq!(folder.summary("out")["program"], "short.ngc");
@@ -378,7 +379,8 @@ fn announced_time_is_the_time_taken() {
         let checked = haptimill(&[&check, given].concat()).expect_code(0);
         let announced = number(&checked.json(), "duration_s");
         let out = folder.path("out");
-        let ran = haptimill(&[&["run", file, "--out", &out], given].concat()).expect_code(0);
+        let run = ["run", file, "--record", "every=100", "--out", &out];
+        let ran = haptimill(&[&run[..], given].concat()).expect_code(0);
         let took = number(&folder.summary("out"), "duration_s");
         let error = (announced / took - 1.0).abs();
         assert!(
