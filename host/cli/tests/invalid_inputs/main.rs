@@ -210,6 +210,26 @@ fn endless_pipes_time_out() {
     expect_refused(&commands::rows().0, 3, &[&pipe], 40);
 }
 
+/// Standard input of a running session: its memory stays bounded, and the machine stops, because a
+/// `stop` would not arrive any more.
+#[test]
+fn endless_commands_stop_a_teleoperation() {
+    let folder = TestFolder::new();
+    let machine = scene::SimServer::on_tcp(&[]);
+    let arm = scene::SimServer::on_tcp(&["--machine", "machines/haptic-master.toml"]);
+    let out = folder.path("out");
+    let mut session = vec!["teleop", "--port", &machine.port, "--master", &arm.port];
+    session.extend(["--out", &out, "--stale", "1000", "--for", "100"]);
+    let zeros = std::fs::File::open("/dev/zero").unwrap();
+    let ran = scene::start_with(&session, zeros.into()).end();
+    let said = format!("{}{}", ran.out, ran.err);
+    assert!(
+        said.contains("a line of more than 256 bytes; the machine stops"),
+        "{ran:?}"
+    );
+    assert_ne!(ran.code, 0, "{ran:?}");
+}
+
 /// A file of a called subroutine may be opened in the middle of a job.
 #[test]
 fn a_called_file_that_is_a_pipe_is_refused() {

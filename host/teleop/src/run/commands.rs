@@ -6,6 +6,12 @@ use crate::script::{CommandInput, OperatorCommand, scale};
 use haptimill_client::session::JobLine;
 use haptimill_protocol::message::{Command, State};
 
+/// Refusals that the outcome lists at most.
+const MOST_REFUSED: usize = 1000;
+
+/// Commands of an input that are executed between two steps of the session at most.
+pub(super) const MOST_AT_ONCE: usize = 16;
+
 impl<L: JobLine> Teleop<'_, L> {
     pub(super) fn process_input(&mut self, input: CommandInput, report: &mut Report<'_>) {
         match input {
@@ -78,7 +84,11 @@ impl<L: JobLine> Teleop<'_, L> {
 
     fn refuse(&mut self, why: String, report: &mut Report<'_>) {
         report(None, Some(&why));
-        self.outcome.refused.push(why);
+        match self.outcome.refused.len() {
+            ..MOST_REFUSED => self.outcome.refused.push(why),
+            MOST_REFUSED => self.outcome.refused.push("more are left out".to_string()),
+            _ => {}
+        }
     }
 
     pub(super) fn process_acknowledgements(&mut self, report: &mut Report<'_>) {

@@ -164,7 +164,11 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             while let Some(command) = self.master.next_command() {
                 self.execute(command, report);
             }
-            while let Some(input) = self.input.as_ref().and_then(|input| input.try_recv().ok()) {
+            for _ in 0..commands::MOST_AT_ONCE {
+                let Some(input) = self.input.as_ref().and_then(|input| input.try_recv().ok())
+                else {
+                    break;
+                };
                 self.process_input(input, report);
             }
             self.process_acknowledgements(report);

@@ -218,8 +218,7 @@ impl ProgressDisplay<'_> {
         // Reading a line blocks. The session must continue, or the heartbeat of the host times out.
         std::thread::spawn(move || {
             // Any bytes before Enter are accepted.
-            let mut line = Vec::new();
-            match std::io::stdin().lock().read_until(b'\n', &mut line) {
+            match std::io::stdin().lock().skip_until(b'\n') {
                 Ok(0) => {}
                 Ok(_) => enter_pressed.store(true, Ordering::Relaxed),
                 Err(error) => eprintln!("Enter cannot be read: {error}; stop with Ctrl-C"),
