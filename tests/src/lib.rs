@@ -1,8 +1,6 @@
 //! Shared code of the whole-system tests and benchmarks: a simulated machine with a host that sends
 //! one command at a time.
 
-#[cfg(feature = "emulated")]
-pub mod log;
 pub mod storm;
 
 use haptimill_firmware::controller::Controller;

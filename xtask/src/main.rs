@@ -221,7 +221,13 @@ fn test() -> Result<(), String> {
     // One build with all features: a second one would compile most packages again.
     run(&[Step {
         name: "tests and emulated runs",
-        arguments: &["test", "--workspace", "--features", EMULATED],
+        arguments: &[
+            "test",
+            "--workspace",
+            "--no-fail-fast",
+            "--features",
+            EMULATED,
+        ],
         environment: &[],
         component: None,
     }])?;
@@ -234,7 +240,7 @@ fn test_natively() -> Result<(), String> {
     run(CHECKS)?;
     run(&[Step {
         name: "tests",
-        arguments: &["test", "--workspace"],
+        arguments: &["test", "--workspace", "--no-fail-fast"],
         environment: &[],
         component: None,
     }])?;
@@ -323,15 +329,8 @@ fn log(program: &str, more: &[&str]) -> Result<(), String> {
     ];
     let options = ["--image", &image, "--log", &file, "--out", &out];
     let ran = cargo(&[&command[..], &options, more].concat())?;
-    let decoder = [
-        "--package",
-        "haptimill-tests",
-        "--features",
-        "emulated",
-        "--example",
-        "log",
-    ];
-    let decoded = cargo(&[&decoder[..], &["--", &image, &file]].concat())?;
+    let manifest = root().join("tests/log/Cargo.toml").display().to_string();
+    let decoded = cargo(&["--manifest-path", &manifest, "--", &image, &file])?;
     if ran.success() && decoded.success() {
         Ok(())
     } else {

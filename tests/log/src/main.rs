@@ -1,25 +1,27 @@
-//! `log IMAGE LOG`: prints the log of an emulated chip as text. `cargo xtask log` calls it.
+//! `haptimill-log IMAGE LOG`: prints the log of an emulated chip as text (`cargo xtask log`).
+
+mod decode;
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let files: Vec<_> = std::env::args_os().skip(1).collect();
     let [image, log] = &files[..] else {
-        eprintln!("log IMAGE LOG");
+        eprintln!("haptimill-log IMAGE LOG");
         return ExitCode::from(2);
     };
     let read = |file| {
         std::fs::read(file)
             .map_err(|error| format!("{}: {error}", std::path::Path::new(file).display()))
     };
-    let lines = read(image).and_then(|image| haptimill_tests::log::decode(&image, &read(log)?));
+    let lines = read(image).and_then(|image| decode::decode(&image, &read(log)?));
     match lines {
         Ok(lines) => {
             lines.iter().for_each(|line| println!("{line}"));
             ExitCode::SUCCESS
         }
         Err(problem) => {
-            eprintln!("log: {problem}");
+            eprintln!("haptimill-log: {problem}");
             ExitCode::FAILURE
         }
     }
