@@ -111,7 +111,8 @@ fn a_period_stays_within_its_instructions() {
             "dome-bare",
             &dome,
             bare(),
-            [8_500.0, 14_000.0],
+            // 8,544 since setpoints are checked at the pace of faster parts (was 8,500).
+            [8_600.0, 14_000.0],
         ),
         job(
             "E11 circle, a machine without a force sensor",
@@ -142,6 +143,7 @@ fn a_period_stays_within_its_instructions() {
         },
     ];
     let mut table = String::from(TABLE_HEAD) + &the_kinematics_stay_within_their_instructions();
+    let mut beyond = Vec::new();
     for Job {
         title,
         name,
@@ -190,11 +192,11 @@ fn a_period_stays_within_its_instructions() {
                     ", then at least {low} while more were to come"
                 ))
         ));
-        assert!(
-            mean < mean_ceiling && worst < worst_ceiling,
-            "{title}: {mean:.0} and {worst:.0} instructions"
-        );
+        if mean >= mean_ceiling || worst >= worst_ceiling {
+            beyond.push(format!("{title}: {mean:.0} and {worst:.0} instructions"));
+        }
     }
+    assert!(beyond.is_empty(), "{beyond:#?}");
     println!("{table}");
     let file = root().join("docs/instructions.md");
     if std::env::var_os("HAPTIMILL_WRITE").is_some() {

@@ -112,6 +112,13 @@ const CHECKS: &[Step] = &[
     },
 ];
 
+const TESTS: &[Step] = &[Step {
+    name: "tests",
+    arguments: &["test", "--workspace", "--no-fail-fast"],
+    environment: &[],
+    component: None,
+}];
+
 /// The feature of the tests that need the image of a board and its emulator.
 const EMULATED: &str = "haptimill-tests/emulated";
 
@@ -218,15 +225,21 @@ fn test() -> Result<(), String> {
             board.uf2(&image)?;
         }
     }
-    // One build with all features: a second one would compile most packages again.
+    run(TESTS)?;
+    // The same selection of packages: another one would compile most of them again. One test at a
+    // time, as each builds images.
     run(&[Step {
-        name: "tests and emulated runs",
+        name: "emulated runs",
         arguments: &[
             "test",
             "--workspace",
-            "--no-fail-fast",
             "--features",
             EMULATED,
+            "--test",
+            "emulated*",
+            "--no-fail-fast",
+            "--",
+            "--test-threads=1",
         ],
         environment: &[],
         component: None,
@@ -238,12 +251,7 @@ fn test() -> Result<(), String> {
 /// Runs all checks and tests that need neither the image of a board nor an emulator.
 fn test_natively() -> Result<(), String> {
     run(CHECKS)?;
-    run(&[Step {
-        name: "tests",
-        arguments: &["test", "--workspace", "--no-fail-fast"],
-        environment: &[],
-        component: None,
-    }])?;
+    run(TESTS)?;
     short_storm()?;
     println!(
         "SKIPPED  boards and emulated runs (--native-only): the controller was not tested on a chip"
