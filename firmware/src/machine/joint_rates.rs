@@ -42,10 +42,20 @@ pub struct JointRates {
     end: Node,
 }
 
-/// Largest joint rate that setpoints may command: 2 % above the maximum rate, for the rounding of a
-/// planner that uses the maximum.
-const fn allowed(rate: Rate) -> i64 {
-    rate.0 as i64 + rate.0 as i64 / 50
+/// Maximum joint rate at the programmed speed, if the path rate may be `path_rate` percent. A rate
+/// is rounded down by less than 200 units.
+const fn limit(rate: Rate, path_rate: i32) -> i32 {
+    if path_rate > 100 {
+        rate.0 / path_rate * 100
+    } else {
+        rate.0
+    }
+}
+
+/// Largest joint rate that setpoints may command: 2 % above the limit, for the rounding of a
+/// planner that uses the limit.
+const fn allowed(limit: i32) -> i64 {
+    limit as i64 + (limit / 50) as i64
 }
 
 impl Machine {
@@ -134,7 +144,7 @@ impl Machine {
             (node, PIECE)
         };
         let time = i64::from(periods) * i64::from(self.config.period_us);
-        let path_rate = i64::from(self.motion.program.most());
+        let path_rate = i32::from(self.motion.program.most());
         let last = &self.joint_rates.last;
         for (index, joint) in self.config.joints.iter().enumerate() {
             let (before, after) = (last.motion.rates[index].0, node.motion.rates[index].0);
@@ -143,7 +153,8 @@ impl Machine {
             let distance = node.motion.joints.0[index].wrapping_sub(last.motion.joints.0[index]);
             // The middle control point, times the time in microseconds: below 2^53 + 2^48.
             let middle = 3_000_000 * i64::from(distance.0) - both * time;
-            let most = allowed(joint.rate) * 100 / path_rate;
+            let limit = limit(joint.rate, path_rate);
+            let most = allowed(limit);
             let too_fast = i64::from(after).abs() > most;
             let too_fast_between = node.alone && last.alone && middle.abs() > most * time;
             if too_fast || too_fast_between {
@@ -156,7 +167,7 @@ impl Machine {
                     setpoint: number,
                     axis: index as u8,
                     rate: Rate::saturating_from(rate).0,
-                    limit: (i64::from(joint.rate.0) * 100 / path_rate) as i32,
+                    limit,
                 });
             }
         }

@@ -48,18 +48,22 @@ impl AcceptedPace {
     /// Follows an accepted setpoint. `braking` has the control periods in which the path rate
     /// changes by 1, and in which its slope builds up.
     pub(super) fn accept(&mut self, setpoint: &Setpoint, braking: [u32; 2]) {
-        for faster in &mut self.faster {
-            faster.periods = faster.periods.saturating_sub(u32::from(setpoint.periods));
-        }
-        self.faster.retain(|faster| faster.periods != 0);
         let before = self.pace.most();
         if let Action::Pace(pace) = setpoint.action {
             self.pace = pace;
         }
+        let is_slower = before > self.pace.most();
+        if self.faster.is_empty() && !is_slower {
+            return;
+        }
+        for faster in &mut self.faster {
+            faster.periods = faster.periods.saturating_sub(u32::from(setpoint.periods));
+        }
+        self.faster.retain(|faster| faster.periods != 0);
         // At a setpoint at standstill the path rate takes the value of the overrides at once.
         if setpoint.rates.iter().all(|rate| *rate == 0) {
             self.faster.clear();
-        } else if before > self.pace.most() {
+        } else if is_slower {
             self.end_faster(before, braking);
         }
     }
