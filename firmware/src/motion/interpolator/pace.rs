@@ -58,6 +58,9 @@ impl AcceptedPace {
         }
         for faster in &mut self.faster {
             faster.periods = faster.periods.saturating_sub(u32::from(setpoint.periods));
+            if is_slower && faster.most <= before {
+                faster.periods = 0;
+            }
         }
         self.faster.retain(|faster| faster.periods != 0);
         // At a setpoint at standstill the path rate takes the value of the overrides at once.
@@ -68,14 +71,14 @@ impl AcceptedPace {
         }
     }
 
-    /// A faster part has ended. A slope that rises must be undone before it falls.
+    /// A faster part has ended; all in the list are faster than it. A slope that rises must be
+    /// undone before it falls.
     fn end_faster(&mut self, most: u8, [slope, ramp]: [u32; 2]) {
         let (most, change) = (u32::from(most), u32::from(most.saturating_sub(100)));
         let ended = Faster {
             most: most as u8,
             periods: most * (change * slope / 100 + 2 * ramp) / 100,
         };
-        self.faster.retain(|faster| faster.most > ended.most);
         let is_full = self.faster.is_full();
         if let Some(slowest) = self.faster.last_mut() {
             if slowest.periods >= ended.periods {
