@@ -1,7 +1,6 @@
 //! Runs part programs on an observed machine.
 
 use crate::observed::{ObservedLine, Sample};
-use crate::rewrite;
 use haptimill_client::client::Options;
 use haptimill_client::session::{self, NoObserver, Session, SimLine};
 use haptimill_client::{Error, ErrorKind};
@@ -9,7 +8,6 @@ use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_planner::Plan;
 use haptimill_protocol::message::{AxisValues, Command, Telemetry};
-use haptimill_volumetric::Vector;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -92,20 +90,6 @@ impl Machine {
     /// The session failed.
     pub fn status(&mut self) -> Result<Telemetry, Error> {
         self.session.status()
-    }
-
-    /// `text` with its points corrected by an error, for a run from the present pose.
-    ///
-    /// # Errors
-    /// See [`rewrite::rewritten`].
-    pub fn rewrite(
-        &mut self,
-        name: &str,
-        text: &str,
-        error: impl Fn(Vector) -> Vector,
-    ) -> Result<String, Error> {
-        let start = self.status()?.commanded;
-        rewrite::rewritten(name, text, &self.program_options(&start), error)
     }
 
     fn program_options(&self, start: &AxisValues) -> haptimill_gcode::Options {

@@ -1,10 +1,13 @@
 //! Compensation by the part program instead of the controller: every move is replaced by short
 //! straight moves between corrected points. A control without error tables needs it.
 
-use haptimill_client::{Error, ErrorKind};
+use haptimill_client::{Error, ErrorKind, session};
 use haptimill_gcode::{Feed, Options, Path, Step};
-use haptimill_volumetric::Vector;
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::{Model, program_options};
+use haptimill_volumetric::errors::ErrorSet;
 use haptimill_volumetric::grid::compensated;
+use haptimill_volumetric::{Vector, chain};
 use std::fmt::Write as _;
 
 /// Longest of the straight moves, mm.
@@ -73,6 +76,24 @@ fn write_step(out: &mut String, step: &Step, error: &impl Fn(Vector) -> Vector) 
         other => return Err(other.place().line),
     };
     Ok(())
+}
+
+/// As [`rewritten`], for a run of a machine from its home pose, with the errors of a file. The
+/// machine has the chain [w Y b X Z t].
+///
+/// # Errors
+/// See [`rewritten`]; the machine has no home pose.
+pub fn rewritten_for(
+    machine: &MachineFile,
+    name: &str,
+    text: &str,
+    errors: &ErrorSet,
+) -> Result<String, Error> {
+    let model = Model::new(machine);
+    let home = session::find_home_pose(machine, &model)?;
+    let options = program_options(machine, model.to_engineering_units(&home));
+    let chain = chain::Model::default();
+    rewritten(name, text, &options, |point| chain.error(errors, point))
 }
 
 /// Number of straight moves for a path. A rapid move cuts nothing: one is enough.

@@ -3,10 +3,9 @@
 
 use haptimill_calibration::cut::{Cmm, PROGRAM, surface_of_path};
 use haptimill_calibration::drive::Machine;
+use haptimill_calibration::rewrite::rewritten_for;
 use haptimill_calibration::scenario::{MACHINE, MACHINE_NAME, truth, with_exact_tables};
 use haptimill_machine_file::MachineFile;
-use haptimill_volumetric::Vector;
-use haptimill_volumetric::chain::{Arms, Model};
 
 /// Samples of 1 ms: at 20 mm/s the tool moves straight between them within 0.01 um.
 const EVERY: u64 = 5;
@@ -17,6 +16,7 @@ fn a_rewritten_program_gives_the_same_part() {
     // Slow, as the contour error counts as well, and short moves run slower than arcs.
     let original = PROGRAM.replace("#<feed> = 1200", "#<feed> = 300");
     assert_ne!(original, PROGRAM);
+    let original = format!("(MSG,part A160)\n{original}");
     let (_, errors) = truth(&file).unwrap();
     let compensated = with_exact_tables(&file).unwrap();
     let mut machine = Machine::new(&compensated, EVERY, &Default::default()).unwrap();
@@ -30,15 +30,8 @@ fn a_rewritten_program_gives_the_same_part() {
     let on_line = cut(&mut machine, &original);
     machine.compensate(false).unwrap();
     let before = cut(&mut machine, &original);
-    let tool = Vector::new(0.0, 0.0, -228.3009);
-    let model = Model::Physical(Arms {
-        x_height: 0.0,
-        table_point: Vector::zeros(),
-        tool,
-        measured_tool: tool,
-    });
-    let error = |point| model.error(&errors, point);
-    let program = machine.rewrite("a160.ngc", &original, error).unwrap();
+    let program = rewritten_for(&file, "a160.ngc", &original, &errors).unwrap();
+    assert!(program.contains("(MSG,part A160)"));
     let rewritten = cut(&mut machine, &program);
     let mut improved = 0;
     for ((before, on_line), rewritten) in before.iter().zip(&on_line).zip(&rewritten) {

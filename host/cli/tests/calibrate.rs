@@ -203,3 +203,37 @@ fn machines_that_cannot_be_measured_are_refused() {
     let refused = run(&circle).expect_code(4);
     assert!(refused.err.contains("circle test"), "{}", refused.err);
 }
+
+/// A program is rewritten by an error file; what cannot be rewritten is refused with its line.
+#[test]
+fn a_program_is_rewritten() {
+    let folder = TestFolder::new();
+    let errors = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let errors = errors
+        .join("../volumetric/data/vmc3_errors.csv")
+        .display()
+        .to_string();
+    let (machine, program, out) = (machine(), folder.path("a.ngc"), folder.path("b.ngc"));
+    std::fs::write(&program, "G21 G90\n(MSG,go)\nG1 X80 Y80 Z-10 F600\nM30\n").unwrap();
+    let command = ["calibrate", "rewrite", &program, "--machine", &machine];
+    let command = [&command[..], &["--errors", &errors, "--out", &out]].concat();
+    run(&command).expect_code(0);
+    let text = std::fs::read_to_string(&out).unwrap();
+    assert!(text.contains("(MSG,go)"), "{text}");
+    let last = text.lines().rfind(|line| line.starts_with("G1")).unwrap();
+    let words: Vec<f64> = last
+        .split_whitespace()
+        .filter_map(|word| word[1..].parse().ok())
+        .collect();
+    let [.., x, y, z] = words[..] else {
+        panic!("{last}")
+    };
+    // The error at this point is more than 1 um and less than 10 um.
+    let off = ((x - 80.0).powi(2) + (y - 80.0).powi(2) + (z + 10.0).powi(2)).sqrt();
+    assert!((1e-3..10e-3).contains(&off), "{last}");
+    let checked = ["run", &out, "--machine", &machine, "--check"];
+    run(&checked).expect_code(0);
+    std::fs::write(&program, "G21 G90\nG1 X10 F600\nG38.2 X20 F60\nM30\n").unwrap();
+    let refused = run(&command).expect_code(3);
+    assert!(refused.err.contains("a.ngc:3: "), "{}", refused.err);
+}

@@ -8,6 +8,7 @@ use haptimill_calibration::ball_bar::{self, CircleTest};
 use haptimill_calibration::calibrate::{Plan, calibrate, of_readings, write_readings};
 use haptimill_calibration::drive::{Machine, SLOW};
 use haptimill_calibration::laser::{Environment, LaserOptions};
+use haptimill_calibration::rewrite::rewritten_for;
 use haptimill_calibration::scenario::travel;
 use haptimill_machine_file::{MachineFile, input};
 use haptimill_volumetric::{file, readings};
@@ -28,6 +29,13 @@ origin, read by a ball bar.
 States the circular deviation G, the hysteresis H, the radial deviation F, and the squareness of x \
 and y. With --errors the controller compensates these errors during the test.";
 
+const REWRITE: &str = "\
+Correct all points of a part program by the errors of a machine, for a control without error tables. \
+The machine has the chain [w Y b X Z t] (docs/volumetric.md), the program starts at its home pose.
+
+Every move becomes straight moves of at most 1 mm. Moves, dwells, messages and spindle commands can \
+be rewritten; anything else is refused with its line. Run the result without compensation.";
+
 /// Subcommands of `haptimill calibrate`.
 #[derive(Debug, Clone, Subcommand)]
 pub enum CalibrateCommand {
@@ -35,6 +43,8 @@ pub enum CalibrateCommand {
     Laser(LaserArgs),
     #[allow(missing_docs)]
     BallBar(BallBarArgs),
+    #[allow(missing_docs)]
+    Rewrite(RewriteArgs),
 }
 
 /// Arguments of `haptimill calibrate laser`.
@@ -106,6 +116,24 @@ pub struct BallBarArgs {
     pub seed: u64,
 }
 
+/// Arguments of `haptimill calibrate rewrite`.
+#[derive(Debug, Clone, Args)]
+#[command(about = "Correct the points of a part program by an error file", long_about = REWRITE)]
+pub struct RewriteArgs {
+    /// Part program (G-code)
+    #[arg(value_name = "PROGRAM")]
+    pub program: PathBuf,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: MachineArg,
+    /// Errors of the machine (CSV)
+    #[arg(long, value_name = "FILE")]
+    pub errors: PathBuf,
+    /// Corrected program to write
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+}
+
 fn number(text: &str, low: f64, high: f64, what: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().ok();
     let value = value.filter(|value| (low..=high).contains(value));
@@ -143,6 +171,7 @@ pub fn run(command: CalibrateCommand) -> Result<(), CliError> {
             None => measure(&args),
         },
         CalibrateCommand::BallBar(args) => circle(&args),
+        CalibrateCommand::Rewrite(args) => rewrite(&args),
     }
 }
 
@@ -210,6 +239,26 @@ fn measure(args: &LaserArgs) -> Result<(), CliError> {
         output::save(path, write_readings(&calibration))?;
         print_line!("readings    {}", path.display());
     }
+    Ok(())
+}
+
+/// Corrects the points of a part program.
+fn rewrite(args: &RewriteArgs) -> Result<(), CliError> {
+    let machine_file = args.machine.load()?;
+    let text = haptimill_machine_file::read_text(&args.errors)?;
+    let limits = file::Limits {
+        travel: Some(travel(&machine_file)),
+        ..file::Limits::default()
+    };
+    let errors = file::read(&text, &limits).map_err(|problem| {
+        let what = format!("{}: {problem}", args.errors.display());
+        CliError::new(Exit::BadInput, what)
+    })?;
+    let program = haptimill_machine_file::read_text(&args.program)?;
+    let name = args.program.display().to_string();
+    let corrected = rewritten_for(&machine_file, &name, &program, &errors)?;
+    output::save(&args.out, corrected)?;
+    print_line!("program     {}", args.out.display());
     Ok(())
 }
 
