@@ -1,7 +1,13 @@
 //! Comparison of the model with a measured side of the part, in the form of the thesis's table 5.1.
 
-use crate::statistics::{Spline, class, fit_polynomial, pearson, t_of_correlation};
+use crate::statistics::{
+    Spline, choose_degree, class, fit_polynomial, p_of_t, pearson, t_of_correlation,
+};
+use haptimill_volumetric::Vector;
+use haptimill_volumetric::chain::Model;
+use haptimill_volumetric::errors::{ErrorSet, even_nodes};
 use haptimill_volumetric::gdt::fit_line;
+use haptimill_volumetric::part::{Features, HALF_SIDE};
 use std::fmt;
 
 /// A side that a coordinate measuring machine probed: positions along it, and readings of each run.
@@ -98,6 +104,77 @@ impl SideTable {
     }
 }
 
+/// Level of significance of a correlation, two-tailed.
+pub const SIGNIFICANCE: f64 = 0.05;
+
+/// Runs and points of a side in the tables of the thesis.
+pub const RUNS: usize = 3;
+/// See [`RUNS`].
+pub const POINTS: usize = 15;
+
+/// The positions along a side, mm: the targets of the laser in the thesis.
+#[must_use]
+pub fn positions() -> Vec<f64> {
+    even_nodes((-70.0, 70.0), POINTS)
+}
+
+/// A probed side of the square as a table: every run interpolated to [`positions`], linear also
+/// beyond its ends. Side 0 is along x, side 3 along y.
+#[must_use]
+pub fn side_table(runs: &[Features<Vector>], side: usize) -> SideTable {
+    let positions = positions();
+    let along = usize::from(!side.is_multiple_of(2));
+    let run = |points: &Features<Vector>| {
+        let points = points.sides[side].iter();
+        let mut pairs: Vec<[f64; 2]> = points
+            .map(|point| [point[along], point[1 - along]])
+            .collect();
+        pairs.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        positions.iter().map(|at| linear(&pairs, *at)).collect()
+    };
+    SideTable {
+        runs: runs.iter().map(run).collect(),
+        positions,
+    }
+}
+
+/// Linear interpolation between ascending points; the first and the last piece go on beyond them.
+#[must_use]
+pub fn linear(points: &[[f64; 2]], at: f64) -> f64 {
+    let after = points.partition_point(|point| point[0] <= at);
+    let last = points.len().saturating_sub(1);
+    let upper = after.clamp(1.min(last), last);
+    match (points.get(upper.saturating_sub(1)), points.get(upper)) {
+        (Some([a, v]), Some([b, w])) if b > a => v + (at - a) / (b - a) * (w - v),
+        (Some([_, v]), _) => *v,
+        _ => 0.0,
+    }
+}
+
+/// Table 5.1 of the thesis: the straightness of side B (along x) and of side L (along y) by the
+/// model with these errors, and by a measuring machine.
+#[must_use]
+pub fn table_5_1(errors: &ErrorSet, [x, y]: &[SideTable; 2]) -> Vec<Comparison> {
+    let model = Model::default();
+    let profile = |table: &SideTable, of: fn(f64) -> Vector, across: usize| {
+        let runs = table.positions.iter();
+        let model = SideTable {
+            positions: table.positions.clone(),
+            runs: vec![runs.map(|u| model.error(errors, of(*u))[across]).collect()],
+        };
+        model.profile()
+    };
+    let of_x = profile(x, |u| Vector::new(u, -HALF_SIDE, -30.0), 1);
+    let of_y = profile(y, |u| Vector::new(-HALF_SIDE, u, -30.0), 0);
+    let degree = choose_degree(&x.positions, &of_x, 5).map_or(3, |fit| fit.coefficients.len() - 1);
+    let trend = Trend::Polynomial(degree);
+    let lines = [
+        compare("X", &x.positions, &of_x, &x.profile(), trend),
+        compare("Y", &y.positions, &of_y, &y.profile(), Trend::Spline),
+    ];
+    lines.into_iter().flatten().collect()
+}
+
 /// Trend curve of the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trend {
@@ -122,6 +199,12 @@ pub struct Comparison {
     pub class: &'static str,
     /// Student's t of the correlation.
     pub t: f64,
+    /// Probability of this t without a correlation, two-tailed; `None` for an odd number of points.
+    pub p: Option<f64>,
+    /// Root mean square of the measured profile less the trend, mm.
+    pub rmse: f64,
+    /// Slope of the regression of the measured profile on the trend.
+    pub slope: f64,
 }
 
 /// Compares the profile of the model with a measured one at the same ascending positions; `None`
@@ -148,13 +231,22 @@ pub fn compare(
         }
     };
     let r = pearson(&curve, measured);
+    let count = positions.len();
+    let pairs = || curve.iter().zip(measured);
+    let squares: f64 = pairs().map(|(curve, read)| (read - curve).powi(2)).sum();
+    let points: Vec<[f64; 2]> = pairs().map(|(curve, read)| [*curve, *read]).collect();
+    let t = t_of_correlation(r, count);
+    let degrees = u32::try_from(count.saturating_sub(2)).ok()?;
     Some(Comparison {
         side,
         trend,
         r_squared: r * r,
         r,
         class: class(r),
-        t: t_of_correlation(r, positions.len()),
+        t,
+        p: p_of_t(t, degrees),
+        rmse: (squares / count as f64).sqrt(),
+        slope: fit_line(&points).map_or(0.0, |line| line.slope),
     })
 }
 
@@ -169,6 +261,16 @@ impl fmt::Display for Comparison {
             f,
             "{:<4} {trend:<24} R2 {:.2}  {:<9} t {:.2}",
             self.side, self.r_squared, self.class, self.t
+        )?;
+        if let Some(p) = self.p {
+            let verdict = if p < SIGNIFICANCE { "" } else { "not " };
+            write!(f, " p {p:.1e} {verdict}significant")?;
+        }
+        write!(
+            f,
+            "; rmse {:.2} um, slope {:.2}",
+            self.rmse * 1e3,
+            self.slope
         )
     }
 }

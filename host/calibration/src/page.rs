@@ -1,12 +1,15 @@
 //! The page of the scenario.
 
 use crate::cut::MPE_P;
-use crate::scenario::{FEEDS, Outcome, State, Volume, WORN};
+use crate::scenario::{Outcome, State, Volume, WORN};
 use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{card, escape, put};
 use haptimill_viewer::{Layer, Map, Scale, Scene, Shape, Values};
 use haptimill_volumetric::Vector;
-use haptimill_volumetric::part::{Features, SIDES};
+use haptimill_volumetric::part::{Features, HALF_SIDE, SIDES};
+
+/// Tolerance of the straightness of a side of the square, um.
+const STRAIGHTNESS_UM: f64 = 10.0;
 
 /// Factor of the drawn length of an error arrow: 1 um is 4 mm.
 const MAGNIFY: f32 = 4000.0;
@@ -40,6 +43,14 @@ pub fn page(outcome: &Outcome) -> String {
     }
     body.push_str("</div>");
     circles(&mut body, &outcome.states);
+    body.push_str(
+        "<h2>Sides before compensation: measured errors against the part (table 5.1 of the \
+         thesis)</h2><pre>",
+    );
+    for line in &outcome.comparison {
+        put(&mut body, format_args!("{}\n", escape(&line.to_string())));
+    }
+    body.push_str("</pre>");
     body.push_str("<h2>Calibration</h2><pre>");
     body.push_str(&escape(&outcome.calibration.report()));
     body.push_str("</pre>");
@@ -52,9 +63,9 @@ pub fn page(outcome: &Outcome) -> String {
 
 fn volumes(body: &mut String, outcome: &Outcome) {
     body.push_str(
-        "<h2>Volumetric error over 9 x 9 x 3 points, at standstill</h2><table><tr><th>state</th>\
+        "<h2>Volumetric error of the tool at standstill</h2><table><tr><th>state</th>\
          <th class=\"n\">largest, um</th><th class=\"n\">rms, um</th>\
-         <th class=\"n\">largest without the motion of the whole work, um</th></tr>",
+         <th class=\"n\">largest without the best-fitting rigid motion of the work, um</th></tr>",
     );
     let mut row = |name: &str, volume: &Volume| {
         let (sizes, rest) = (volume.sizes(), volume.without_motion().sizes());
@@ -141,16 +152,15 @@ fn characteristics(body: &mut String, states: &[State]) {
         put(body, format_args!("<tr><td>{}</td>", escape(&row.name)));
         for state in states {
             let [exact, read] = &state.rows[index];
-            let beyond = row
-                .tolerance
-                .is_some_and(|tolerance| exact.value > tolerance);
+            let small = exact.value.abs() < MPE_P;
             put(
                 body,
                 format_args!(
-                    "<td class=\"n{}\">{:.3} ({:.2})</td>",
-                    if beyond { " bad" } else { "" },
+                    "<td class=\"n{}\">{:.3} ({:.2}){}</td>",
+                    if exact.passes() { "" } else { " bad" },
                     exact.value * 1e3,
-                    read.value * 1e3
+                    read.value * 1e3,
+                    if small { " *" } else { "" }
                 ),
             );
         }
@@ -168,8 +178,8 @@ fn characteristics(body: &mut String, states: &[State]) {
     put(
         body,
         format_args!(
-            "</table><p class=\"sub\">A value below MPE_P = {:.1} um is below what the measuring \
-             machine is specified for.</p>",
+            "</table><p class=\"sub\">* below MPE_P = {:.1} um, for which the measuring machine is \
+             specified.</p>",
             MPE_P * 1e3
         ),
     );
@@ -201,10 +211,23 @@ fn profile(states: &[State], side: usize) -> Chart {
             pieces: vec![piece.collect()],
         })
     };
+    let mut lines: Vec<Line> = states.iter().enumerate().filter_map(line).collect();
+    // The tolerance of straightness as a band about the nominal side.
+    for (label, at) in [("tolerance", 0.5), ("", -0.5)] {
+        lines.push(Line {
+            label: label.to_string(),
+            colour: "#b04a00",
+            width: 1.0,
+            pieces: vec![vec![
+                (-HALF_SIDE, at * STRAIGHTNESS_UM),
+                (HALF_SIDE, at * STRAIGHTNESS_UM),
+            ]],
+        });
+    }
     Chart {
         x_label: "along the side, mm".to_string(),
         y_label: "deviation, um".to_string(),
-        lines: states.iter().enumerate().filter_map(line).collect(),
+        lines,
         width: 520.0,
         height: 260.0,
         equal: false,
@@ -221,7 +244,7 @@ fn circles(body: &mut String, states: &[State]) {
          <th class=\"n\">squareness, urad</th></tr>",
     );
     for state in states {
-        for (feed, circle) in FEEDS.iter().zip(&state.circles) {
+        for (feed, circle) in &state.circles {
             let [ccw, cw] = circle.deviation.map(|value| value * 1e3);
             let [most, least] = circle.radial.map(|value| value * 1e3);
             put(

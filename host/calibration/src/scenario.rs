@@ -3,7 +3,8 @@
 
 use crate::ball_bar::{self, CircleResult, CircleTest};
 use crate::calibrate::{Calibration, Plan, calibrate};
-use crate::cut::{Cmm, PROGRAM, surface};
+use crate::comparison::{Comparison, SideTable, side_table, table_5_1};
+use crate::cut::{Cmm, MPE_P, PROGRAM, surface};
 use crate::drive::{Machine, SLOW};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
@@ -135,6 +136,55 @@ fn solve(mut matrix: [[f64; 6]; 6], mut right: [f64; 6]) -> [f64; 6] {
     result
 }
 
+/// Extent of a run of the scenario.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Extent {
+    /// Points of the volume.
+    pub grid: Grid,
+    /// The calibration.
+    pub plan: Plan,
+    /// Feeds of the circle test, mm/s.
+    pub feeds: Vec<f64>,
+    /// Also measures a machine with errors ten times as large.
+    pub worn: bool,
+    /// Sides along x and along y from a measuring machine, mm, instead of those of the simulated
+    /// one.
+    pub sides: Option<[SideTable; 2]>,
+}
+
+impl Default for Extent {
+    fn default() -> Self {
+        Self {
+            grid: Grid::part(),
+            plan: Plan::default(),
+            feeds: FEEDS.to_vec(),
+            worn: true,
+            sides: None,
+        }
+    }
+}
+
+impl Extent {
+    /// Few points and targets, one feed, and no worn machine.
+    #[must_use]
+    pub fn coarse() -> Self {
+        let side = vec![-80.0, 0.0, 80.0];
+        Self {
+            grid: Grid {
+                places: [side.clone(), side, vec![0.0, -38.0]],
+            },
+            plan: Plan {
+                interval: 25.0,
+                wait: 0.4,
+                ..Plan::default()
+            },
+            feeds: vec![60.0],
+            worn: false,
+            sides: None,
+        }
+    }
+}
+
 /// What one state of the controller gives.
 #[derive(Debug, Clone, PartialEq)]
 pub struct State {
@@ -146,8 +196,8 @@ pub struct State {
     pub surface: Option<Features<Vector>>,
     /// Its characteristics by the coordinate measuring machine without noise, and with it.
     pub rows: Vec<[Row; 2]>,
-    /// The circle tests, by feed.
-    pub circles: Vec<CircleResult>,
+    /// The circle tests, with their feeds, mm/s.
+    pub circles: Vec<(f64, CircleResult)>,
 }
 
 /// Result of the scenario.
@@ -155,8 +205,10 @@ pub struct State {
 pub struct Outcome {
     /// Without compensation, with exact tables, with measured ones.
     pub states: Vec<State>,
-    /// Errors ten times as large, in the states of [`WORN`].
-    pub worn: [Volume; 3],
+    /// Errors ten times as large, in the states of [`WORN`]; empty without the worn machine.
+    pub worn: Vec<Volume>,
+    /// Table 5.1 of the thesis: the sides cut without compensation, against the measured errors.
+    pub comparison: Vec<Comparison>,
     /// The calibration.
     pub calibration: Calibration,
 }
@@ -216,14 +268,28 @@ pub fn with_exact_tables(machine: &MachineFile) -> Result<MachineFile, Error> {
 /// # Errors
 /// The errors cannot be read.
 pub fn worn(machine: &MachineFile, by: f64) -> Result<MachineFile, Error> {
-    let (text, errors) = truth(machine)?;
+    let (_, errors) = truth(machine)?;
     let tables = errors.scaled(by).tabulated(&travel(machine), NODES);
     let scaled = file::write(&tables, "worn");
-    let file = format!("{} worn", machine.file);
-    Ok(MachineFile::parse(
-        &file,
-        &machine.text.replace(text.trim_end(), scaled.trim_end()),
-    )?)
+    with_truth(machine, "worn", &scaled)
+}
+
+/// The machine with these errors of its simulated carriages instead of its own; `name` is the name
+/// of the error file in messages.
+///
+/// # Errors
+/// The errors cannot be read, or the simulated machine has no carriages.
+pub fn with_truth(machine: &MachineFile, name: &str, text: &str) -> Result<MachineFile, Error> {
+    let limits = Limits {
+        travel: Some(travel(machine)),
+        ..Limits::default()
+    };
+    file::read(text, &limits)
+        .map_err(|problem| Error::new(ErrorKind::BadInput, format!("{name}: {problem}")))?;
+    let (own, _) = truth(machine)?;
+    let changed = machine.text.replace(own.trim_end(), text.trim_end());
+    let file = format!("{} with the errors of {name}", machine.file);
+    Ok(MachineFile::parse(&file, &changed)?)
 }
 
 /// Drives a machine over the grid.
@@ -256,10 +322,12 @@ fn ready(file: &MachineFile, interrupted: &Arc<AtomicBool>) -> Result<Machine, E
 fn measure_state(
     name: &'static str,
     machine: &mut Machine,
+    extent: &Extent,
     progress: &mut dyn FnMut(&str),
 ) -> Result<State, Error> {
-    progress(&format!("{name}: grid of 9 x 9 x 3 points"));
-    let volume = measure_volume(machine, &Grid::part())?;
+    let [x, y, z] = extent.grid.places.each_ref().map(Vec::len);
+    progress(&format!("{name}: grid of {x} x {y} x {z} points"));
+    let volume = measure_volume(machine, &extent.grid)?;
     progress(&format!("{name}: test piece"));
     let samples = machine.run("a160.ngc", PROGRAM)?;
     let cut = surface(&samples)?;
@@ -268,8 +336,8 @@ fn measure_state(
     let rows = rows.map(<[Row; 2]>::from).collect();
     progress(&format!("{name}: circle tests"));
     let mut circles = Vec::new();
-    for feed in FEEDS {
-        circles.push(ball_bar::run(machine, &CircleTest::at(feed))?);
+    for feed in &extent.feeds {
+        circles.push((*feed, ball_bar::run(machine, &CircleTest::at(*feed))?));
     }
     Ok(State {
         name,
@@ -286,23 +354,38 @@ fn measure_state(
 /// A run fails.
 pub fn run(
     file: &MachineFile,
+    extent: &Extent,
     interrupted: &Arc<AtomicBool>,
     progress: &mut dyn FnMut(&str),
 ) -> Result<Outcome, Error> {
     let mut machine = ready(file, interrupted)?;
-    let before = measure_state("no compensation", &mut machine, progress)?;
+    let before = measure_state("no compensation", &mut machine, extent, progress)?;
     progress("calibration");
-    let calibration = calibrate(&mut machine, file, &Plan::default(), |line| progress(line))?;
+    let calibration = calibrate(&mut machine, file, &extent.plan, |line| progress(line))?;
     let mut machine = ready(&with_exact_tables(file)?, interrupted)?;
-    let exact = measure_state("exact tables", &mut machine, progress)?;
+    let exact = measure_state("exact tables", &mut machine, extent, progress)?;
     let text = file::write(&calibration.errors, "measured");
     let mut machine = ready(
         &file.with_errors("measured errors", &text, CHAIN)?,
         interrupted,
     )?;
-    let measured = measure_state("measured tables", &mut machine, progress)?;
-    let worn = measure_worn(&worn(file, 10.0)?, interrupted, progress)?;
+    let measured = measure_state("measured tables", &mut machine, extent, progress)?;
+    let worn = if extent.worn {
+        measure_worn(&worn(file, 10.0)?, extent, interrupted, progress)?
+    } else {
+        Vec::new()
+    };
+    let sides = match (&extent.sides, &before.surface) {
+        (Some(sides), _) => sides.clone(),
+        (None, Some(surface)) => {
+            let runs = Cmm::default().probe(surface);
+            [side_table(&runs, 0), side_table(&runs, 3)]
+        }
+        (None, None) => [side_table(&[], 0), side_table(&[], 3)],
+    };
+    let comparison = table_5_1(&calibration.errors, &sides);
     Ok(Outcome {
+        comparison,
         states: vec![before, exact, measured],
         worn,
         calibration,
@@ -312,21 +395,22 @@ pub fn run(
 /// The volume of a worn machine: without compensation, with exact tables, with measured ones.
 fn measure_worn(
     file: &MachineFile,
+    extent: &Extent,
     interrupted: &Arc<AtomicBool>,
     progress: &mut dyn FnMut(&str),
-) -> Result<[Volume; 3], Error> {
+) -> Result<Vec<Volume>, Error> {
     progress("worn machine: grid");
-    let grid = Grid::part();
+    let grid = &extent.grid;
     let mut machine = ready(file, interrupted)?;
-    let before = measure_volume(&mut machine, &grid)?;
+    let before = measure_volume(&mut machine, grid)?;
     progress("worn machine: calibration");
-    let calibration = calibrate(&mut machine, file, &Plan::default(), |line| progress(line))?;
+    let calibration = calibrate(&mut machine, file, &extent.plan, |line| progress(line))?;
     progress("worn machine: grid with exact and with measured tables");
-    let exact = measure_volume(&mut ready(&with_exact_tables(file)?, interrupted)?, &grid)?;
+    let exact = measure_volume(&mut ready(&with_exact_tables(file)?, interrupted)?, grid)?;
     let text = file::write(&calibration.errors, "measured");
     let measured = file.with_errors("measured errors", &text, CHAIN)?;
-    let measured = measure_volume(&mut ready(&measured, interrupted)?, &grid)?;
-    Ok([before, exact, measured])
+    let measured = measure_volume(&mut ready(&measured, interrupted)?, grid)?;
+    Ok(vec![before, exact, measured])
 }
 
 /// The numbers of the scenario as text.
@@ -348,7 +432,9 @@ pub fn table(outcome: &Outcome) -> String {
     for (name, volume) in WORN.iter().zip(&outcome.worn) {
         row(name, volume.sizes());
     }
-    row(without_motion, outcome.worn[2].without_motion().sizes());
+    if let Some(measured) = outcome.worn.last() {
+        row(without_motion, measured.without_motion().sizes());
+    }
     let _ = write!(text, "\n{:<48}", "test piece, um");
     for state in &outcome.states {
         let _ = write!(text, " {:>16}", state.name);
@@ -358,15 +444,22 @@ pub fn table(outcome: &Outcome) -> String {
         let name = &outcome.states[0].rows[index][0].name;
         let _ = write!(text, "\n{name:<48}");
         for state in &outcome.states {
-            let _ = write!(text, " {:>16.3}", state.rows[index][0].value * 1e3);
+            let row = &state.rows[index][0];
+            let um = row.value * 1e3;
+            let mark = match (row.passes(), row.value.abs() < MPE_P) {
+                (false, _) => "!",
+                (true, true) => "*",
+                (true, false) => " ",
+            };
+            let _ = write!(text, " {um:>15.3}{mark}");
         }
     }
     let _ = writeln!(
         text,
-        "\n\ncircle test, um                          feed    G ccw     G cw        H"
+        "\n* below MPE_P = 1.9 um of the measuring machine; ! beyond the tolerance\n\ncircle test, um                          feed    G ccw     G cw        H"
     );
     for state in &outcome.states {
-        for (feed, circle) in FEEDS.iter().zip(&state.circles) {
+        for (feed, circle) in &state.circles {
             let [ccw, cw] = circle.deviation.map(|value| value * 1e3);
             let hysteresis = circle.hysteresis * 1e3;
             let name = state.name;
@@ -375,6 +468,10 @@ pub fn table(outcome: &Outcome) -> String {
                 "{name:<40} {feed:>4} {ccw:>8.2} {cw:>8.2} {hysteresis:>8.2}"
             );
         }
+    }
+    text.push_str("\nsides before compensation, measured errors against the part (table 5.1)\n");
+    for line in &outcome.comparison {
+        let _ = writeln!(text, "{line}");
     }
     text
 }
@@ -403,12 +500,14 @@ pub fn summary(outcome: &Outcome) -> String {
                         "value_um": exact.value * 1e3,
                         "measured_um": read.value * 1e3,
                         "tolerance_um": exact.tolerance.map(|tolerance| tolerance * 1e3),
+                        "passes": exact.passes(),
+                        "measurable": exact.value.abs() >= MPE_P,
                     })
                 })
                 .collect();
-            let circles: Vec<_> = FEEDS
+            let circles: Vec<_> = state
+                .circles
                 .iter()
-                .zip(&state.circles)
                 .map(|(feed, circle)| {
                     serde_json::json!({
                         "feed_mm_s": feed,
@@ -428,6 +527,15 @@ pub fn summary(outcome: &Outcome) -> String {
         .collect();
     let all = serde_json::json!({
         "states": states,
+        "comparison": outcome.comparison.iter().map(|line| serde_json::json!({
+            "side": line.side,
+            "r_squared": line.r_squared,
+            "class": line.class,
+            "t": line.t,
+            "p": line.p,
+            "rmse_um": line.rmse * 1e3,
+            "slope": line.slope,
+        })).collect::<Vec<_>>(),
         "worn": outcome.worn.iter().map(sizes).collect::<Vec<_>>(),
     });
     format!("{all:#}\n")

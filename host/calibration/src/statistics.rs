@@ -36,6 +36,25 @@ pub fn t_of_correlation(r: f64, count: usize) -> f64 {
     r * (count as f64 - 2.0).sqrt() / (1.0 - r * r).sqrt()
 }
 
+/// Probability of a t at least as large in magnitude without a correlation: Student's distribution
+/// with an odd number of degrees of freedom, two-tailed.
+#[must_use]
+pub fn p_of_t(t: f64, degrees: u32) -> Option<f64> {
+    if degrees.is_multiple_of(2) {
+        return None;
+    }
+    let angle = (t.abs() / f64::from(degrees).sqrt()).atan();
+    let (sine, cosine) = angle.sin_cos();
+    // cos + 2/3 cos^3 + 2/3 4/5 cos^5 ..., up to the power degrees - 2.
+    let (mut term, mut sum) = (cosine, 0.0);
+    for power in (1..degrees).step_by(2) {
+        sum += term;
+        let next = f64::from(power);
+        term *= cosine * cosine * (next + 1.0) / (next + 2.0);
+    }
+    Some(1.0 - core::f64::consts::FRAC_2_PI * (angle + sine * sum))
+}
+
 /// A polynomial, the coefficients of rising powers of u / `scale`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Polynomial {

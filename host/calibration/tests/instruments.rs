@@ -9,7 +9,7 @@ use haptimill_calibration::targets::{RUNS, evaluate, mean_and_deviation, targets
 use haptimill_volumetric::Vector;
 use haptimill_volumetric::chain::Model;
 use haptimill_volumetric::errors::{ErrorSet, Squareness};
-use haptimill_volumetric::part::probe_points;
+use haptimill_volumetric::part::{Row, probe_points};
 
 fn deviation(values: &[f64]) -> f64 {
     mean_and_deviation(values).1
@@ -44,6 +44,22 @@ fn target_positions() {
             }
         }
     }
+    // The random part is uniform within 30 % of the interval: its deviation is 0.3 p / sqrt(3).
+    let mut parts = Vec::new();
+    for seed in 0..200 {
+        let places = targets((-325.0, 325.0), 20.0, &mut Noise::new(seed, 0));
+        let spans = (places.len() - 1) as f64;
+        let margin = 0.3 / (spans + 0.6);
+        let pitch = 650.0 * (1.0 - 2.0 * margin) / spans;
+        let even = places.iter().enumerate();
+        parts.extend(
+            even.map(|(index, place)| {
+                (place + 325.0 - 650.0 * margin - pitch * index as f64) / pitch
+            }),
+        );
+    }
+    let expected = 0.3 / 3.0_f64.sqrt();
+    assert!((deviation(&parts) / expected - 1.0).abs() < 0.05);
     let one = targets((-325.0, 325.0), 20.0, &mut Noise::new(1, 0));
     let other = targets((-325.0, 325.0), 20.0, &mut Noise::new(2, 0));
     assert_ne!(one, other);
@@ -215,6 +231,28 @@ fn measuring_machine() {
     };
     for row in turned.measure(&exact).unwrap() {
         assert!(row.value.abs() < 1e-6, "{row:?}");
+    }
+    // A tolerance of 10 um: 12 um fail.
+    let row = |value| Row {
+        name: String::new(),
+        value,
+        zone: None,
+        tolerance: Some(0.010),
+    };
+    assert!(row(2.42e-3).passes() && row(1.41e-3).passes() && !row(12e-3).passes());
+    // The scatter along the normal is that of the published tables.
+    let many = Cmm {
+        runs: 100,
+        set_up: (0.0, 0.0),
+        ..Cmm::default()
+    };
+    for (side, expected) in [(0, 0.455e-3), (3, 0.389e-3)] {
+        let runs = many.probe(&exact);
+        let points = runs
+            .iter()
+            .flat_map(|run| run.sides[side].iter().zip(&exact.sides[side]));
+        let off: Vec<f64> = points.map(|(read, exact)| (read - exact).sum()).collect();
+        assert!((deviation(&off) / expected - 1.0).abs() < 0.05);
     }
     // Row 40: capability.
     assert!((mpe_e(160.0) - 2.38e-3).abs() < 1e-9 && MPE_P < mpe_e(1.0));

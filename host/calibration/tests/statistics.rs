@@ -1,10 +1,11 @@
 //! Statistics of the thesis: its two tables, the published fits of them, and the replay of its
 //! experiment with the noise of its measuring machine.
 
-use haptimill_calibration::comparison::{SideTable, Trend, compare};
+use haptimill_calibration::comparison::{SideTable, Trend, compare, linear, side_table};
+use haptimill_calibration::cut::Cmm;
 use haptimill_calibration::noise::Noise;
 use haptimill_calibration::statistics::{
-    Spline, choose_degree, class, fit_polynomial, pearson, t_of_correlation,
+    Spline, choose_degree, class, fit_polynomial, p_of_t, pearson, t_of_correlation,
 };
 use haptimill_calibration::targets::mean_and_deviation;
 use haptimill_volumetric::Vector;
@@ -12,6 +13,7 @@ use haptimill_volumetric::chain::Model;
 use haptimill_volumetric::errors::{ClosedForm, ErrorSet, Function, Kind, Shape};
 use haptimill_volumetric::file::{self, Limits};
 use haptimill_volumetric::gdt::{fit_line, range};
+use haptimill_volumetric::part::probe_points;
 
 const X: &str = include_str!("../../volumetric/tests/data/table_4_1_cmm_x_side.csv");
 const Y: &str = include_str!("../../volumetric/tests/data/table_4_2_cmm_y_side.csv");
@@ -116,6 +118,41 @@ fn correlation() {
     );
     close(t_of_correlation(0.84_f64.sqrt(), 15), 8.26, 0.005);
     close(t_of_correlation(0.36_f64.sqrt(), 15), 2.70, 0.005);
+    // The limits of the classes belong to the lower one.
+    assert_eq!(
+        [0.3, 0.31, 0.7, 0.71, 0.9, 0.91].map(class),
+        ["low", "medium", "medium", "high", "high", "very high"]
+    );
+    // Two-tailed with 13 degrees of freedom: both published correlations are significant.
+    close(p_of_t(8.26, 13).unwrap(), 1.6e-6, 0.05e-6);
+    close(p_of_t(2.70, 13).unwrap(), 0.018, 0.0005);
+    close(p_of_t(2.160, 13).unwrap(), 0.05, 0.0001);
+    close(p_of_t(1.0, 1).unwrap(), 0.5, 1e-12);
+    assert_eq!(p_of_t(1.0, 2), None);
+}
+
+/// Row 25: interpolation to the positions of the laser is exact for linear data, also beyond the
+/// ends, and a table of probed points does not depend on the set-up of the part.
+#[test]
+fn interpolation() {
+    let line = [[-69.7, 1.0], [3.0, 2.454], [70.4, 3.802]];
+    for at in [-70.0, -69.7, 0.0, 3.0, 50.0, 70.4, 71.0] {
+        close(linear(&line, at), 1.0 + (at + 69.7) / 50.0, 1e-12);
+    }
+    let turned = Cmm {
+        noise: [0.0; 2],
+        ..Cmm::default()
+    };
+    let bent = probe_points().map(|point| {
+        let arc = 1e-6 * point.surface.x * point.surface.x;
+        point.surface + point.normal * arc
+    });
+    let seen = side_table(&turned.probe(&bent), 0);
+    let exact = side_table(&Cmm::ideal().probe(&bent), 0);
+    assert_eq!((seen.runs.len(), exact.runs.len()), (3, 1));
+    for (seen, exact) in seen.profile().iter().zip(exact.profile()) {
+        close(*seen, exact, 1e-4);
+    }
 }
 
 /// Profile of a side of the model, without its line; `x` is the side along x at y = -80.
@@ -193,15 +230,16 @@ fn omission() {
     let values =
         |set: &ErrorSet| [true, false].map(|x| range(&side(set, Model::thesis(), &u, x)) * 1e3);
     let [x, y] = values(&errors);
-    close(x, 2.31, 0.01);
-    close(y, 0.80, 0.01);
+    let whole = [x, y];
+    close(x, 2.3136, 1e-4);
+    close(y, 0.7962, 1e-4);
     let [x, y] = values(&errors.without(|function| function.kind() == Kind::Straightness));
     close(x, 0.11, 0.01);
     close(y, 0.11, 0.01);
     // Positioning drops out, and so do constant angles.
     let [x, y] = values(&errors.without(|function| function.kind() == Kind::Positioning));
-    close(x, 2.31, 0.01);
-    close(y, 0.80, 0.01);
+    close(x, whole[0], 1e-6);
+    close(y, whole[1], 1e-6);
     let mut level = errors.clone();
     for (name, mean) in [
         ("EBX", 3e-6),
@@ -220,8 +258,8 @@ fn omission() {
         level.set(function, Shape::ClosedForm(form));
     }
     let [x, y] = values(&level);
-    close(x, 2.31, 0.01);
-    close(y, 0.80, 0.01);
+    close(x, whole[0], 1e-6);
+    close(y, whole[1], 1e-6);
 }
 
 /// A table with missing rows or values is refused.

@@ -204,6 +204,136 @@ fn machines_that_cannot_be_measured_are_refused() {
     assert!(refused.err.contains("circle test"), "{}", refused.err);
 }
 
+/// One command from an error file to the compensated part and its report: the errors of the file in
+/// the simulated machine, calibration, volume, test piece, circle test and page.
+#[test]
+fn scenario_goes_from_error_file_to_compensated_part() {
+    let folder = TestFolder::new();
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let data = root.join("../volumetric");
+    let text = std::fs::read_to_string(data.join("data/vmc3_errors.csv")).unwrap();
+    // Another machine than that of the file: y is 40 urad out of square to x instead of 25.
+    let other = text.replace("EC0Y,urad,25,", "EC0Y,urad,40,");
+    assert_ne!(text, other);
+    std::fs::write(folder.path("truth.csv"), other).unwrap();
+    let (truth, out) = (folder.path("truth.csv"), folder.path("out"));
+    let tables = ["table_4_1_cmm_x_side.csv", "table_4_2_cmm_y_side.csv"]
+        .map(|name| data.join("tests/data").join(name).display().to_string());
+    let [x, y] = &tables;
+    let vmc = [
+        "scenario", "run", "vmc", "--coarse", "--json", "--out", &out,
+    ];
+    let vmc = [&vmc[..], &["--cmm-x", x, "--cmm-y", y, "--errors", &truth]].concat();
+    let printed = run(&vmc).expect_code(0).out;
+    let summary: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    let [before, exact, measured] = [0, 1, 2].map(|state| &summary["states"][state]);
+    assert!(number(&before["volume"]["largest_um"]) > 5.0, "{before}");
+    assert!(number(&exact["volume"]["largest_um"]) <= 0.1, "{exact}");
+    let rest = number(&measured["volume"]["largest_without_motion_um"]);
+    assert!(rest <= 0.35, "{rest}");
+    let rows = |state: &serde_json::Value| state["test_piece"].as_array().unwrap().clone();
+    assert_eq!(rows(before).len(), 28);
+    let mut improved = 0;
+    for ((before, exact), measured) in rows(before).iter().zip(rows(exact)).zip(rows(measured)) {
+        let [before, exact, measured] =
+            [before, &exact, &measured].map(|row| number(&row["value_um"]));
+        if before.abs() > 1.0 {
+            improved += 1;
+            assert!(exact.abs() < before.abs(), "{before} {exact}");
+            assert!(measured.abs() < before.abs(), "{before} {measured}");
+        }
+    }
+    assert!(improved >= 10, "{improved}");
+    let circle = |state: &serde_json::Value, name: &str| number(&state["circles"][0][name]);
+    assert!((circle(before, "squareness_urad") - 40.0).abs() < 15.0);
+    for state in [exact, measured] {
+        let [g, square] = ["deviation_um", "squareness_urad"].map(|name| match name {
+            "deviation_um" => number(&state["circles"][0][name][0]),
+            name => circle(state, name),
+        });
+        assert!(
+            g < number(&before["circles"][0]["deviation_um"][0]) / 2.0,
+            "{g}"
+        );
+        assert!(square.abs() < 3.0, "{square}");
+    }
+    // Table 5.1 with the published tables: the model has fits of them.
+    let of_x = &summary["comparison"][0];
+    assert!(number(&of_x["r_squared"]) > 0.8, "{of_x}");
+    assert!(number(&of_x["p"]) < 0.001, "{of_x}");
+    let page = std::fs::read_to_string(folder.path("out/vmc/index.html")).unwrap();
+    for part in [
+        "exact tables",
+        "measured tables",
+        "tolerance",
+        "table 5.1",
+        "ISO 230-2",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+}
+
+/// Files of a measuring machine with missing rows, and errors that no controller takes: nothing
+/// runs, and no file is written.
+#[test]
+fn wrong_files_of_the_scenario_are_refused() {
+    let folder = TestFolder::new();
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let data = root.join("../volumetric");
+    let table = data.join("tests/data/table_4_1_cmm_x_side.csv");
+    let text = std::fs::read_to_string(&table).unwrap();
+    let missing: Vec<&str> = text.lines().take(13).collect();
+    std::fs::write(folder.path("x.csv"), missing.join("\n")).unwrap();
+    let steep = std::fs::read_to_string(data.join("data/vmc3_errors.csv")).unwrap();
+    let steep = steep.replace("EXX,um,0,0.008,", "EXX,um,0,1.5,");
+    std::fs::write(folder.path("steep.csv"), steep).unwrap();
+    let (x, errors, out) = (
+        folder.path("x.csv"),
+        folder.path("steep.csv"),
+        folder.path("out"),
+    );
+    let y = table.display().to_string();
+    let vmc = ["scenario", "run", "vmc", "--coarse", "--out", &out];
+    let machine = machine();
+    let program = folder.path("part.ngc");
+    std::fs::write(&program, "G21 G90\nG1 X10 F600\nM30\n").unwrap();
+    let of = ["--machine", &machine, "--errors", &errors, "--out", &out];
+    for (arguments, expected) in [
+        (
+            [&vmc[..], &["--cmm-x", &x, "--cmm-y", &y]].concat(),
+            "of 15 rows; probe the missing",
+        ),
+        (
+            [&vmc[..], &["--errors", &errors]].concat(),
+            "EXX changes by 1.510 um per mm",
+        ),
+        (
+            [&["run", &program][..], &of].concat(),
+            "EXX changes by 1.510 um per mm",
+        ),
+        (
+            [&["calibrate", "rewrite", &program][..], &of].concat(),
+            "EXX changes by 1.510 um per mm",
+        ),
+    ] {
+        let refused = run(&arguments).expect_code(3);
+        assert!(
+            refused.err.contains(expected),
+            "{expected}\n{}",
+            refused.err
+        );
+        assert!(!std::path::Path::new(&out).exists(), "{arguments:?}");
+    }
+    let e1 = ["scenario", "run", "e1", "--coarse", "--out", &out];
+    let refused = run(&e1).expect_code(2);
+    assert!(
+        refused.err.contains("belongs to `scenario run vmc`"),
+        "{}",
+        refused.err
+    );
+}
+
 /// A program is rewritten by an error file; what cannot be rewritten is refused with its line.
 #[test]
 fn a_program_is_rewritten() {

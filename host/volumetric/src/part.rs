@@ -193,6 +193,15 @@ pub struct Row {
     pub tolerance: Option<f64>,
 }
 
+impl Row {
+    /// Whether the value is within its tolerance; true without one.
+    #[must_use]
+    pub fn passes(&self) -> bool {
+        self.tolerance
+            .is_none_or(|tolerance| self.value <= tolerance)
+    }
+}
+
 /// Computes all characteristics of the part from measured points.
 ///
 /// # Errors

@@ -49,6 +49,33 @@ pub struct RunArgs {
     /// Print only the summaries as JSON on standard output
     #[arg(long)]
     pub json: bool,
+    /// vmc: errors of the simulated machine (CSV) instead of those of its file
+    #[arg(long, value_name = "FILE")]
+    pub errors: Option<PathBuf>,
+    /// vmc: few points and targets, one circle, no worn machine
+    #[arg(long)]
+    pub coarse: bool,
+    /// vmc: side of the square along x from a measuring machine, as table 4.1 of the thesis (CSV:
+    /// 15 positions and 3 runs, mm), instead of that of the simulated one
+    #[arg(long, value_name = "FILE", requires = "cmm_y")]
+    pub cmm_x: Option<PathBuf>,
+    /// vmc: side along y, as table 4.2
+    #[arg(long, value_name = "FILE", requires = "cmm_x")]
+    pub cmm_y: Option<PathBuf>,
+}
+
+impl RunArgs {
+    /// An option of the scenario `vmc`, if one is given.
+    fn volumetric_option(&self) -> Option<&'static str> {
+        match self {
+            Self {
+                errors: Some(_), ..
+            } => Some("--errors"),
+            Self { coarse: true, .. } => Some("--coarse"),
+            Self { cmm_x: Some(_), .. } => Some("--cmm-x"),
+            _ => None,
+        }
+    }
 }
 
 /// Lists or runs experiments.
@@ -178,8 +205,25 @@ fn run_volumetric(args: &RunArgs) -> Result<(), CliError> {
         Some(_) => args.machine.load()?,
         None => scenario::machine()?,
     };
+    let machine = match &args.errors {
+        Some(path) => {
+            let text = haptimill_machine_file::read_text(path)?;
+            scenario::with_truth(&machine, &path.display().to_string(), &text)?
+        }
+        None => machine,
+    };
+    let sides = match (&args.cmm_x, &args.cmm_y) {
+        (Some(x), Some(y)) => Some([side(x)?, side(y)?]),
+        _ => None,
+    };
+    let extent = if args.coarse {
+        scenario::Extent::coarse()
+    } else {
+        scenario::Extent::default()
+    };
+    let extent = scenario::Extent { sides, ..extent };
     let json = args.json;
-    let outcome = scenario::run(&machine, &interrupt::flag(), &mut |line| {
+    let outcome = scenario::run(&machine, &extent, &interrupt::flag(), &mut |line| {
         if !json {
             print_line!("{line}");
         }
@@ -202,9 +246,21 @@ fn run_volumetric(args: &RunArgs) -> Result<(), CliError> {
     Ok(())
 }
 
+/// A side of the square, as a measuring machine wrote it.
+fn side(path: &Path) -> Result<haptimill_calibration::comparison::SideTable, CliError> {
+    use haptimill_calibration::comparison::{POINTS, RUNS, SideTable};
+    let text = haptimill_machine_file::read_text(path)?;
+    SideTable::read(&text, RUNS, POINTS)
+        .map_err(|problem| CliError::new(Exit::BadInput, format!("{}: {problem}", path.display())))
+}
+
 fn run_named(args: &RunArgs) -> Result<(), CliError> {
     if args.name.eq_ignore_ascii_case(VOLUMETRIC) {
         return run_volumetric(args);
+    }
+    if let Some(option) = args.volumetric_option() {
+        let what = format!("{option} belongs to `scenario run {VOLUMETRIC}`; leave it out");
+        return Err(CliError::new(Exit::Usage, what));
     }
     if args.name.eq_ignore_ascii_case(ENGRAVER) {
         return run_engraver(args);
