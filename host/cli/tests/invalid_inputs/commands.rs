@@ -28,6 +28,7 @@ const COMMANDS: &[&str] = &[
     "scenario run e7 --out OUT",
     "calibrate laser --out OUT/trace.csv",
     "calibrate ball-bar",
+    "calibrate rewrite GOOD --errors host/volumetric/data/vmc3_errors.csv --out OUT/trace.csv",
     "identify --yes --out OUT",
     "tune --out OUT",
     "force show --port PORT",
@@ -92,6 +93,14 @@ const MORE: &[&str] = &[
     "serve --listen 127.0.0.1:0 --machine {} --port PORT",
     "bridge grbl --machine {} --port PORT",
     "preview {} --out OUT/trace.csv",
+    "scenario run vmc --coarse --errors {} --out OUT",
+    "scenario run vmc --coarse --cmm-x {} --out OUT \
+     --cmm-y host/volumetric/tests/data/table_4_2_cmm_y_side.csv",
+    "scenario run vmc --coarse --cmm-y {} --out OUT \
+     --cmm-x host/volumetric/tests/data/table_4_1_cmm_x_side.csv",
+    "calibrate rewrite {} --machine machines/vmc3.toml --out OUT/trace.csv \
+     --errors host/volumetric/data/vmc3_errors.csv",
+    "calibrate rewrite GOOD --machine machines/vmc3.toml --errors {} --out OUT/trace.csv",
 ];
 
 /// Options with a file that is written, not read.
