@@ -26,7 +26,7 @@ pub struct Board {
 
 /// Optimises the controller and the link for speed.
 const FOR_SPEED: [&str; 2] = [
-    "profile.release.package.haptimill-firmware.opt-level=3",
+    "profile.release.package.haptimill-firmware.opt-level=2",
     "profile.release.package.haptimill-protocol.opt-level=3",
 ];
 

@@ -27,6 +27,7 @@ impl Reversals {
 
     /// Records the counts of one period. `is_away` says that the joint, now at `now`, is farther
     /// from the place than a stuck channel counts. Returns whether a channel is stuck.
+    #[inline]
     pub fn update(&mut self, moved: i32, is_away: bool, now: i32, period_us: u16) -> bool {
         if moved != 0 {
             let sign = moved.signum();
