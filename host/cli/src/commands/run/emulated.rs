@@ -38,6 +38,8 @@ pub(super) fn run(job: Job<'_>, work: Work, board: port::Board) -> Result<(), Cl
     session.connect(1)?;
     session.configure(machine)?;
     job.run(&mut session, work)?;
+    // The board reports its stack and its receive ring when the controller ends.
+    drop(session);
     let instructions = Instructions::write_to(&cost, &args.out_dir())?;
     args.print_message(&format!(
         "{board}  {:.0} instructions per control period, at most {:.0}; {} bytes of stack; at most \
