@@ -226,24 +226,8 @@ fn test() -> Result<(), String> {
         }
     }
     run(TESTS)?;
-    // The same selection of packages: another one would compile most of them again. One test at a
-    // time, as each builds images.
-    run(&[Step {
-        name: "emulated runs",
-        arguments: &[
-            "test",
-            "--workspace",
-            "--features",
-            EMULATED,
-            "--test",
-            "emulated*",
-            "--no-fail-fast",
-            "--",
-            "--test-threads=1",
-        ],
-        environment: &[],
-        component: None,
-    }])?;
+    // The tests are slow, and parallel ones slow each other down: they run one at a time.
+    emulated("emulated runs", "emulated*", "--test-threads=1", &[])?;
     short_storm()?;
     emulator::emulator(&root(), emulator::Task::Test)
 }
@@ -369,13 +353,12 @@ fn emulated(
         name,
         arguments: &[
             "test",
-            "--release",
-            "--package",
-            "haptimill-tests",
+            "--workspace",
             "--features",
-            "emulated",
+            EMULATED,
             "--test",
             tests,
+            "--no-fail-fast",
             "--",
             "--nocapture",
             last,
