@@ -125,14 +125,30 @@ impl Core {
         };
         match machine.io.may_set(&machine.config.io, output, rpm) {
             Ok(()) => machine.io.set(output, on),
-            Err(refusal) => {
-                if let Refusal::Output { output, problem } = refusal {
-                    let event = Event::OutputRefused { output, problem };
-                    self.safety.push_event(event);
-                }
-                self.abort();
-            }
+            Err(refusal) => self.refuse_action(refusal),
         }
+    }
+
+    /// Sets the spindle speed for an action of the job. A start with an open tool clamp ends the
+    /// job.
+    #[inline(never)]
+    pub fn set_spindle_of_job(&mut self, rpm: i16) {
+        let Some(machine) = &mut self.machine else {
+            return;
+        };
+        match machine.io.may_turn(&machine.config.io, rpm) {
+            Ok(()) => self.job.spindle_rpm = rpm,
+            Err(refusal) => self.refuse_action(refusal),
+        }
+    }
+
+    /// Reports an action of the job that cannot be carried out, and ends the job.
+    fn refuse_action(&mut self, refusal: Refusal) {
+        if let Refusal::Output { output, problem } = refusal {
+            let event = Event::OutputRefused { output, problem };
+            self.safety.push_event(event);
+        }
+        self.abort();
     }
 
     /// Switches coolant and mist off, at the end of a job.

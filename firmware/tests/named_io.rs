@@ -102,7 +102,8 @@ proptest! {
         let all = [F::General, F::Coolant, F::Mist, F::ToolClamp, F::SpindleOn, F::SpindleReverse];
         let mut config = IoConfig::default();
         for (channel, function) in channels.iter().zip(&functions) {
-            config.outputs.push(output(all[*function], *channel, false)).unwrap();
+            let function = all[*function];
+            config.outputs.push(output(function, *channel, function == F::ToolClamp)).unwrap();
         }
         let repeated = |list: &[usize]| (1..list.len()).any(|at| list[..at].contains(&list[at]));
         let named: Vec<usize> = functions.iter().copied().take(channels.len()).filter(|it| *it != 0).collect();

@@ -96,7 +96,8 @@ pub enum OutputFunction {
     Coolant,
     /// Mist coolant: likewise.
     Mist,
-    /// Clamp of the tool: changes only while the spindle is off.
+    /// Clamp of the tool: on holds the tool. Changes only while the spindle is off, and the spindle
+    /// starts only while it is on. Its safe value is on.
     ToolClamp,
     /// On while the spindle is commanded to turn. No command sets it.
     SpindleOn,
@@ -197,8 +198,12 @@ impl IoConfig {
                 OutputFunction::SpindleOn => 8,
                 OutputFunction::SpindleReverse => 16,
             };
-            let turns = output.function.follows_spindle() && output.safe;
-            if functions & bit != 0 || output.channel >= CHANNELS || turns {
+            // The spindle runs down after a fault: the clamp holds the tool meanwhile.
+            let is_unsafe = match output.function {
+                OutputFunction::ToolClamp => !output.safe,
+                function => function.follows_spindle() && output.safe,
+            };
+            if functions & bit != 0 || output.channel >= CHANNELS || is_unsafe {
                 return problem(ConfigField::Output, Some(index as u8));
             }
             functions |= bit;

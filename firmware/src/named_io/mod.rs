@@ -285,6 +285,23 @@ impl NamedIo {
         Err(Refusal::Output { output, problem })
     }
 
+    /// Checks whether the spindle may turn at a speed.
+    ///
+    /// # Errors
+    /// [`Refusal::Output`]: a tool clamp is off, and the speed is not 0.
+    pub fn may_turn(&self, config: &IoConfig, spindle_rpm: i16) -> Result<(), Refusal> {
+        for (index, found) in config.outputs.iter().enumerate() {
+            let is_off = self.outputs & bit(index) == 0;
+            if found.function == OutputFunction::ToolClamp && is_off && spindle_rpm != 0 {
+                return Err(Refusal::Output {
+                    output: index as u8,
+                    problem: OutputProblem::ClampOpen,
+                });
+            }
+        }
+        Ok(())
+    }
+
     /// Sets an output. Callers must check [`NamedIo::may_set`] before.
     pub const fn set(&mut self, output: u8, on: bool) {
         let bit = bit(output as usize);

@@ -263,6 +263,14 @@ fn read_output(section: &Section<'_, '_>, used: &mut Used, name: &str) -> Output
         let what = "is \"on\", the output follows the spindle, which is off then";
         section.report("safe", what, "write \"off\"");
     }
+    if !safe && function == OutputFunction::ToolClamp {
+        let what = "is \"off\", and the clamp would release the tool of a spindle that runs down";
+        section.report(
+            "safe",
+            what,
+            "write \"on\"; `active` gives the level at which the clamp holds",
+        );
+    }
     OutputConfig {
         function,
         channel,
@@ -435,6 +443,11 @@ mod tests {
         let (_, text) = problem(&LIGHT.replace("general", "spindle_on").replace("off", "on"));
         assert!(
             text.starts_with("output[1].safe: is \"on\", the output follows"),
+            "{text}"
+        );
+        let (_, text) = problem(&LIGHT.replace("general", "tool_clamp"));
+        assert!(
+            text.starts_with("output[1].safe: is \"off\", and the clamp would release"),
             "{text}"
         );
     }

@@ -156,6 +156,8 @@ pub enum OutputProblem {
     FollowsSpindle,
     /// The output is the tool clamp, and the spindle is commanded to turn.
     SpindleTurns,
+    /// The output is the tool clamp, it is off, and the spindle is to start.
+    ClampOpen,
 }
 
 /// Condition that forbids to enable the drives, to reset, or to start motion.

@@ -133,6 +133,9 @@ impl Display for OutputProblem {
             Self::Range => "the value is out of the range of this output",
             Self::FollowsSpindle => "it follows the spindle; command the spindle instead",
             Self::SpindleTurns => "it is the tool clamp and the spindle turns; stop the spindle",
+            Self::ClampOpen => {
+                "it is the tool clamp and it is off; clamp the tool before the spindle starts"
+            }
         })
     }
 }

@@ -220,6 +220,42 @@ fn outputs_that_cannot_be_set_are_refused() {
     assert!(is_on(&bench, CLAMP));
 }
 
+#[test]
+fn the_spindle_does_not_start_with_an_open_clamp() {
+    let mut bench = above_block(|_| (), 60.0);
+    assert_eq!(bench.ask(set(CLAMP, false)), Ok(()));
+    let mut setpoints = down(&mut bench, 5.0, 6);
+    setpoints[1].action = Action::Spindle(1000);
+    bench.start_job(1, &setpoints);
+    for _ in 0..10_000 {
+        bench.step();
+        assert_eq!(bench.rig.outputs().spindle_rpm, 0);
+        if state(&bench) == State::Idle {
+            break;
+        }
+    }
+    assert_eq!(state(&bench), State::Idle);
+    let event = Event::OutputRefused {
+        output: CLAMP,
+        problem: OutputProblem::ClampOpen,
+    };
+    assert!(bench.events.contains(&event), "{:?}", bench.events);
+    // With the clamp on, the same job runs to its end.
+    assert_eq!(bench.ask(set(CLAMP, true)), Ok(()));
+    let mut setpoints = down(&mut bench, 5.0, 6);
+    setpoints[1].action = Action::Spindle(1000);
+    bench.start_job(2, &setpoints);
+    let mut turned = false;
+    for _ in 0..10_000 {
+        bench.step();
+        turned |= bench.rig.outputs().spindle_rpm == 1000;
+        if state(&bench) == State::Idle {
+            break;
+        }
+    }
+    assert!(turned);
+}
+
 /// A new controller gives the same outputs for the same inputs, bit by bit.
 #[test]
 fn a_replay_gives_the_same_outputs() {
