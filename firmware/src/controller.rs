@@ -26,6 +26,7 @@ use crate::machine::Machine;
 use crate::motion::interpolator::QUEUE;
 use crate::profiler::{Profiler, Stage};
 use crate::safety::Safety;
+use crate::volumetric::Fade;
 use crate::{commands, modes, named_io};
 use haptimill_protocol::link::Identity;
 use haptimill_protocol::message::{Event, Fault, Refusal, State};
@@ -253,8 +254,13 @@ impl Core {
             return;
         };
         let known = self.safety.homed() && self.safety.position_kept();
-        let moves = !matches!(self.safety.state(), State::Homing | State::Fault);
-        machine.fade_compensation(self.safety.drives_on(), known && moves);
+        let fade = match self.safety.state() {
+            State::Fault => Fade::Held,
+            State::Homing => Fade::Out,
+            _ if known => Fade::In,
+            _ => Fade::Out,
+        };
+        machine.fade_compensation(self.safety.drives_on(), fade);
         if self.safety.drives_on() {
             if let Err(error) = machine.solve() {
                 self.safety.raise(Fault::Pose(error));

@@ -81,6 +81,17 @@ pub struct Compensation {
     corrected: PoseCommand,
 }
 
+/// What the state of the machine permits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fade {
+    /// Compensation may be in effect.
+    In,
+    /// The position is not known: no compensation.
+    Out,
+    /// Nothing may move: the part of the correction in effect stays.
+    Held,
+}
+
 /// What follows from the configuration.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct Constants {
@@ -172,15 +183,19 @@ impl Compensation {
         self.corrections = [Correction::NONE; ERROR_AXES];
     }
 
-    /// Begins a period: one period of the fade, towards 1 where compensation is requested and
-    /// `allowed`, otherwise towards 0.
+    /// Begins a period: one period of the fade. Compensation that the host does not request fades
+    /// out where it may fade in.
     #[inline]
-    pub const fn advance(&mut self, allowed: bool) {
+    pub const fn advance(&mut self, fade: Fade) {
         self.before = self.corrections;
-        if !(self.requested && allowed) {
-            self.faded = self.faded.saturating_sub(1);
-        } else if self.faded < self.fade {
-            self.faded += 1;
+        match fade {
+            Fade::In if self.requested => {
+                if self.faded < self.fade {
+                    self.faded += 1;
+                }
+            }
+            Fade::In | Fade::Out => self.faded = self.faded.saturating_sub(1),
+            Fade::Held => {}
         }
     }
 

@@ -5,7 +5,7 @@ use haptimill_firmware::config::volumetric::{
     CORRECTION, ERRORS, ErrorAxis, LARGEST, VolumetricConfig,
 };
 use haptimill_firmware::motion::PoseCommand;
-use haptimill_firmware::volumetric::Compensation;
+use haptimill_firmware::volumetric::{Compensation, Fade};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use proptest::prelude::*;
 
@@ -90,7 +90,7 @@ fn command(p: [f64; 3], v: [f64; 3], a: [f64; 3]) -> PoseCommand {
 fn faded_in(config: &VolumetricConfig) -> Compensation {
     let mut compensation = Compensation::new(config, PERIOD_US);
     for _ in 0..5000 {
-        compensation.advance(true);
+        compensation.advance(Fade::In);
     }
     assert!(compensation.is_complete());
     compensation
@@ -121,7 +121,7 @@ proptest! {
         for number in -4..=0 {
             let t = f64::from(number) * period;
             let rates = core::array::from_fn(|i| v[i] + a[i] * t);
-            compensation.advance(true);
+            compensation.advance(Fade::In);
             out = *compensation.correct(&config, &command(place(t), rates, a));
         }
         // c = p - Delta(c) contracts: the slope is at most 0.001.
@@ -171,7 +171,7 @@ proptest! {
         let command = command(p, [0.0; 3], [0.0; 3]);
         let mut out = command;
         for _ in 0..part {
-            compensation.advance(true);
+            compensation.advance(Fade::In);
             out = *compensation.correct(&config, &command);
         }
         let back = compensation.error_at(&config, &out.pose.0);
@@ -193,7 +193,7 @@ proptest! {
         for on in [true, false] {
             compensation.request(on);
             for _ in 0..5000 {
-                compensation.advance(true);
+                compensation.advance(Fade::In);
                 let out = *compensation.correct(&config, &still);
                 if let Some(before) = before {
                     for (axis, full) in full.iter().enumerate().take(3) {
@@ -218,15 +218,19 @@ fn permission() {
     let config = config(&[100, -50], [0; 3], [0.0; 3]);
     let mut compensation = Compensation::new(&config, PERIOD_US);
     for _ in 0..100 {
-        compensation.advance(false);
+        compensation.advance(Fade::Out);
     }
     assert!(!compensation.is_active());
     for _ in 0..6000 {
-        compensation.advance(true);
+        compensation.advance(Fade::In);
     }
     assert_eq!(compensation.percent(), 100);
     for _ in 0..2500 {
-        compensation.advance(false);
+        compensation.advance(Fade::Out);
+    }
+    assert_eq!(compensation.percent(), 50);
+    for _ in 0..2500 {
+        compensation.advance(Fade::Held);
     }
     assert_eq!(compensation.percent(), 50);
 }

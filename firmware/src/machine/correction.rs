@@ -9,6 +9,7 @@ use super::Machine;
 use super::configure::VOLUMETRIC_PART;
 use crate::config::digest::Digest;
 use crate::config::volumetric::ERRORS;
+use crate::volumetric::Fade;
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;
 
@@ -16,11 +17,11 @@ impl Machine {
     /// One period of the fade. With the drives off there is no correction: at enable the commanded
     /// position becomes the measured one.
     #[inline]
-    pub fn fade_compensation(&mut self, powered: bool, allowed: bool) {
+    pub fn fade_compensation(&mut self, powered: bool, fade: Fade) {
         let locking = self.is_locking();
         if let Some(compensation) = &mut self.compensation {
             if powered {
-                compensation.advance(allowed && !locking);
+                compensation.advance(if locking { Fade::Out } else { fade });
             } else {
                 compensation.reset();
             }

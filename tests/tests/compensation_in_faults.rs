@@ -1,0 +1,52 @@
+//! Volumetric compensation in a fault that leaves the drives on: the tool stays at its place.
+
+mod setup;
+
+use haptimill_firmware::controller::Controller;
+use haptimill_hil_sim::rig::RigOptions;
+use haptimill_machine_file::MachineFile;
+use haptimill_protocol::message::{Command, State};
+use haptimill_tests::Bench;
+use setup::{drives_off, jog, line, state};
+
+const MILL: &str = include_str!("../../machines/vmc3.toml");
+const ERRORS: &str = include_str!("../../host/volumetric/data/vmc3_errors.csv");
+
+#[test]
+fn the_correction_stays_while_a_fault_holds_the_tool() {
+    let machine = MachineFile::parse("machines/vmc3.toml", MILL).expect("sound");
+    let machine = machine
+        .with_errors("vmc3_errors.csv", ERRORS, "wYbXZt")
+        .expect("sound tables");
+    let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
+    bench.steps(500);
+    bench.configure();
+    bench.ask(Command::Enable).expect("enabled");
+    bench.ask(Command::Home).expect("homing");
+    assert!(bench.wait_for(State::Idle, 400_000), "{:?}", bench.events);
+    for _ in 0..10 {
+        bench.send(jog(1, 200, &[(0, 20.0), (1, -20.0)]));
+        bench.steps(500);
+    }
+    bench.steps(6000);
+    assert_eq!(bench.status().compensation, Some(100));
+    let start = bench.status().commanded;
+    bench.start_job(1, &line(&start, 0, 5.0, 100));
+    bench.steps(2000);
+    // The host is silent. The machine decelerates.
+    for _ in 0..10_000 {
+        bench.rig.step();
+    }
+    assert_eq!(state(&bench), State::Fault);
+    let before = bench.rig.truth().pose;
+    for _ in 0..20_000 {
+        bench.rig.step();
+    }
+    assert!(!drives_off(&bench));
+    let after = bench.rig.truth().pose;
+    let change = (0..3).map(|axis| (after[axis] - before[axis]).abs());
+    let moved = change.fold(0.0, f64::max);
+    // The errors at this place are several micrometres.
+    assert!(moved < 1e-4, "{moved} mm");
+    assert_eq!(bench.status().compensation, Some(100));
+}
