@@ -199,16 +199,16 @@ pub struct Comparison {
     pub class: &'static str,
     /// Student's t of the correlation.
     pub t: f64,
-    /// Probability of this t without a correlation, two-tailed; `None` for an odd number of points.
-    pub p: Option<f64>,
+    /// Probability of this t without a correlation, two-tailed.
+    pub p: f64,
     /// Root mean square of the measured profile less the trend, mm.
     pub rmse: f64,
     /// Slope of the regression of the measured profile on the trend.
     pub slope: f64,
 }
 
-/// Compares the profile of the model with a measured one at the same ascending positions; `None`
-/// where no trend curve fits.
+/// Compares the profile of the model with a measured one at the same positions; `None` where no
+/// trend curve fits, or with fewer than three points.
 #[must_use]
 pub fn compare(
     side: &'static str,
@@ -236,7 +236,11 @@ pub fn compare(
     let squares: f64 = pairs().map(|(curve, read)| (read - curve).powi(2)).sum();
     let points: Vec<[f64; 2]> = pairs().map(|(curve, read)| [*curve, *read]).collect();
     let t = t_of_correlation(r, count);
-    let degrees = u32::try_from(count.saturating_sub(2)).ok()?;
+    // Two points always correlate.
+    let degrees = u32::try_from(count.checked_sub(2)?).ok()?;
+    if degrees == 0 {
+        return None;
+    }
     Some(Comparison {
         side,
         trend,
@@ -257,18 +261,16 @@ impl fmt::Display for Comparison {
             Trend::Polynomial(degree) => format!("polynomial of degree {degree}"),
             Trend::Spline => "cubic spline".to_string(),
         };
+        let verdict = if self.p < SIGNIFICANCE { "" } else { "not " };
         write!(
             f,
-            "{:<4} {trend:<24} R2 {:.2}  {:<9} t {:.2}",
-            self.side, self.r_squared, self.class, self.t
-        )?;
-        if let Some(p) = self.p {
-            let verdict = if p < SIGNIFICANCE { "" } else { "not " };
-            write!(f, " p {p:.1e} {verdict}significant")?;
-        }
-        write!(
-            f,
-            "; rmse {:.2} um, slope {:.2}",
+            "{:<4} {trend:<24} R2 {:.2}  {:<9} t {:.2} p {:.1e} {verdict}significant; rmse {:.2} um, \
+             slope {:.2}",
+            self.side,
+            self.r_squared,
+            self.class,
+            self.t,
+            self.p,
             self.rmse * 1e3,
             self.slope
         )

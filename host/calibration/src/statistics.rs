@@ -37,22 +37,29 @@ pub fn t_of_correlation(r: f64, count: usize) -> f64 {
 }
 
 /// Probability of a t at least as large in magnitude without a correlation: Student's distribution
-/// with an odd number of degrees of freedom, two-tailed.
+/// with at least one degree of freedom, two-tailed.
+///
+/// Source: M. Abramowitz, I. Stegun, *Handbook of Mathematical Functions*, 26.7.3 and 26.7.4.
 #[must_use]
-pub fn p_of_t(t: f64, degrees: u32) -> Option<f64> {
-    if degrees.is_multiple_of(2) {
-        return None;
-    }
+pub fn p_of_t(t: f64, degrees: u32) -> f64 {
     let angle = (t.abs() / f64::from(degrees).sqrt()).atan();
     let (sine, cosine) = angle.sin_cos();
-    // cos + 2/3 cos^3 + 2/3 4/5 cos^5 ..., up to the power degrees - 2.
-    let (mut term, mut sum) = (cosine, 0.0);
-    for power in (1..degrees).step_by(2) {
+    // Odd: cos + 2/3 cos^3 + 2/3 4/5 cos^5 ...; even: 1 + 1/2 cos^2 + 1/2 3/4 cos^4 ...; both up to
+    // the power degrees - 2.
+    let is_odd = !degrees.is_multiple_of(2);
+    let first = u32::from(is_odd);
+    let (mut term, mut sum) = (if is_odd { cosine } else { 1.0 }, 0.0);
+    for power in (first..degrees.saturating_sub(1)).step_by(2) {
         sum += term;
-        let next = f64::from(power);
-        term *= cosine * cosine * (next + 1.0) / (next + 2.0);
+        let power = f64::from(power);
+        term *= cosine * cosine * (power + 1.0) / (power + 2.0);
     }
-    Some(1.0 - core::f64::consts::FRAC_2_PI * (angle + sine * sum))
+    let within = if is_odd {
+        core::f64::consts::FRAC_2_PI * (angle + sine * sum)
+    } else {
+        sine * sum
+    };
+    1.0 - within
 }
 
 /// A polynomial, the coefficients of rising powers of u / `scale`.

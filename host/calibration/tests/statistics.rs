@@ -124,11 +124,15 @@ fn correlation() {
         ["low", "medium", "medium", "high", "high", "very high"]
     );
     // Two-tailed with 13 degrees of freedom: both published correlations are significant.
-    close(p_of_t(8.26, 13).unwrap(), 1.6e-6, 0.05e-6);
-    close(p_of_t(2.70, 13).unwrap(), 0.018, 0.0005);
-    close(p_of_t(2.160, 13).unwrap(), 0.05, 0.0001);
-    close(p_of_t(1.0, 1).unwrap(), 0.5, 1e-12);
-    assert_eq!(p_of_t(1.0, 2), None);
+    close(p_of_t(8.26, 13), 1.6e-6, 0.05e-6);
+    close(p_of_t(2.70, 13), 0.018, 0.0005);
+    close(p_of_t(2.160, 13), 0.05, 0.0001);
+    close(p_of_t(1.0, 1), 0.5, 1e-12);
+    // 1 - 1 / sqrt(3), and the 5 % points of tables for even numbers.
+    close(p_of_t(1.0, 2), 0.42265, 1e-5);
+    close(p_of_t(-2.776, 4), 0.05, 0.0001);
+    close(p_of_t(2.228, 10), 0.05, 0.0001);
+    close(p_of_t(0.0, 6), 1.0, 1e-12);
 }
 
 /// Row 25: interpolation to the positions of the laser is exact for linear data, also beyond the
