@@ -6,6 +6,7 @@ use crate::noise::Noise;
 use haptimill_hil_sim::joint::mechanics::JointArray;
 use haptimill_hil_sim::machines::GeometryConfig;
 use haptimill_hil_sim::machines::h4::ArmGeometry;
+use nalgebra::{DMatrix, DVector};
 
 /// Parameters: length of the rods, half distance of the platform joints, offsets of rails and
 /// carriages, x of the workpiece, and the offsets of the joints.
@@ -120,15 +121,14 @@ pub fn fit(nominal: &ArmGeometry, readings: &[Reading]) -> Option<Fit> {
             let slope = moved.iter().zip(&now).map(|(a, b)| (b - a) / STEP);
             columns.push(slope.collect::<Vec<f64>>());
         }
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let mut rows: Vec<Vec<f64>> = Vec::with_capacity(N);
-        for (i, a) in columns.iter().enumerate() {
-            let mut row: Vec<f64> = columns.iter().map(|b| dot(a, b)).collect();
-            row[i] *= 1.0 + damping;
-            row.push(dot(a, &now));
-            rows.push(row);
+        let slopes = DMatrix::from_vec(now.len(), N, columns.concat());
+        let mut matrix = slopes.tr_mul(&slopes);
+        for parameter in 0..N {
+            matrix[(parameter, parameter)] *= 1.0 + damping;
         }
-        let step = crate::statistics::solve(rows)?;
+        let step = matrix
+            .lu()
+            .solve(&slopes.tr_mul(&DVector::from_column_slice(&now)))?;
         let mut next = by;
         next.iter_mut()
             .zip(&step)

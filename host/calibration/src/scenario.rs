@@ -14,6 +14,7 @@ use haptimill_volumetric::errors::ErrorSet;
 use haptimill_volumetric::file::{self, Limits};
 use haptimill_volumetric::grid::{Grid, Sizes};
 use haptimill_volumetric::part::{Features, Row};
+use nalgebra::{Matrix3x6, Matrix6, Vector6};
 use std::fmt::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -73,28 +74,18 @@ impl Volume {
     /// readings do not contain.
     #[must_use]
     pub fn without_motion(&self) -> Self {
-        let mut matrix = [[0.0; 6]; 6];
-        let mut right = [0.0; 6];
-        let rows = self.points.iter().zip(&self.errors);
-        for (point, error) in rows {
-            for axis in 0..3 {
-                let row = motion_row(*point, axis);
-                for (i, a) in row.iter().enumerate() {
-                    for (j, b) in row.iter().enumerate() {
-                        matrix[i][j] += a * b;
-                    }
-                    right[i] += a * error[axis];
-                }
-            }
+        let pairs = || self.points.iter().zip(&self.errors);
+        let mut matrix = Matrix6::zeros();
+        let mut right = Vector6::zeros();
+        for (point, error) in pairs() {
+            let motion = motion(*point);
+            matrix += motion.tr_mul(&motion);
+            right += motion.tr_mul(error);
         }
-        let motion = solve(matrix, right);
-        let rest = self.points.iter().zip(&self.errors).map(|(point, error)| {
-            Vector::from_fn(|axis, _| {
-                let row = motion_row(*point, axis);
-                let moved: f64 = row.iter().zip(&motion).map(|(a, b)| a * b).sum();
-                error[axis] - moved
-            })
-        });
+        // Points on one line leave a rotation undetermined: the smallest motion is taken.
+        let found = matrix.svd(true, true).solve(&right, SINGULAR);
+        let found = found.unwrap_or_else(|_| Vector6::zeros());
+        let rest = pairs().map(|(point, error)| error - motion(*point) * found);
         Self {
             points: self.points.clone(),
             errors: rest.collect(),
@@ -102,38 +93,15 @@ impl Volume {
     }
 }
 
-/// Effect of a unit of each translation, and of each rotation in 1/100 mm, on one coordinate.
-fn motion_row(point: Vector, axis: usize) -> [f64; 6] {
-    let mut row = [0.0; 6];
-    row[axis] = 1.0;
-    for about in 0..3 {
-        let mut unit = Vector::zeros();
-        unit[about] = 0.01;
-        row[3 + about] = unit.cross(&point)[axis];
-    }
-    row
-}
+/// Smallest singular value of the equations of a motion that counts.
+const SINGULAR: f64 = 1e-9;
 
-/// Solves symmetric equations by elimination.
-fn solve(mut matrix: [[f64; 6]; 6], mut right: [f64; 6]) -> [f64; 6] {
-    for column in 0..6 {
-        for row in column + 1..6 {
-            let factor = matrix[row][column] / matrix[column][column];
-            let pivot = matrix[column];
-            for (value, pivot) in matrix[row].iter_mut().zip(pivot) {
-                *value -= factor * pivot;
-            }
-            right[row] -= factor * right[column];
-        }
-    }
-    let mut result = [0.0; 6];
-    for row in (0..6).rev() {
-        let known: f64 = (row + 1..6)
-            .map(|column| matrix[row][column] * result[column])
-            .sum();
-        result[row] = (right[row] - known) / matrix[row][row];
-    }
-    result
+/// Effect of three translations, mm, and three rotations, 0.01 rad, on a point.
+fn motion(point: Vector) -> Matrix3x6<f64> {
+    let mut effect = Matrix3x6::identity();
+    let turns = point.cross_matrix() * -0.01;
+    effect.fixed_columns_mut::<3>(3).copy_from(&turns);
+    effect
 }
 
 /// Extent of a run of the scenario.

@@ -1,6 +1,11 @@
 //! Statistics with which the thesis compares the model with the part: trend curves, correlation and
 //! its significance.
 
+use nalgebra::{DMatrix, DVector};
+
+/// Smallest singular value of a fit that counts; its points are scaled to one.
+const SINGULAR: f64 = 1e-9;
+
 /// Pearson's correlation coefficient of two series; 0 where one of them is constant.
 #[must_use]
 pub fn pearson(x: &[f64], y: &[f64]) -> f64 {
@@ -99,22 +104,16 @@ pub fn fit_polynomial(u: &[f64], v: &[f64], degree: usize) -> Option<Polynomial>
     if scale <= 0.0 || u.len() != v.len() || u.len() <= degree {
         return None;
     }
-    let terms = degree + 1;
-    let mut matrix = vec![vec![0.0; terms + 1]; terms];
-    for (u, v) in u.iter().zip(v) {
-        let powers: Vec<f64> = (0..terms)
-            .map(|power| (u / scale).powi(power as i32))
-            .collect();
-        for (row, a) in powers.iter().enumerate() {
-            for (column, b) in powers.iter().enumerate() {
-                matrix[row][column] += a * b;
-            }
-            matrix[row][terms] += a * v;
-        }
+    let powers = DMatrix::from_fn(u.len(), degree + 1, |row, power| {
+        (u[row] / scale).powi(power as i32)
+    });
+    let fit = powers.svd(true, true);
+    if fit.rank(SINGULAR) <= degree {
+        return None;
     }
-    let coefficients = solve(matrix)?;
+    let coefficients = fit.solve(&DVector::from_column_slice(v), 0.0).ok()?;
     let mut fitted = Polynomial {
-        coefficients,
+        coefficients: coefficients.as_slice().to_vec(),
         scale,
         r_squared: 0.0,
     };
@@ -127,34 +126,6 @@ pub fn fit_polynomial(u: &[f64], v: &[f64], degree: usize) -> Option<Polynomial>
         .sum();
     fitted.r_squared = if total > 0.0 { 1.0 - rest / total } else { 1.0 };
     Some(fitted)
-}
-
-/// Solves linear equations, each row with its right side last, by elimination with pivots.
-pub(crate) fn solve(mut rows: Vec<Vec<f64>>) -> Option<Vec<f64>> {
-    let count = rows.len();
-    for column in 0..count {
-        let pivot = (column..count)
-            .max_by(|a, b| rows[*a][column].abs().total_cmp(&rows[*b][column].abs()))?;
-        rows.swap(column, pivot);
-        let pivot = rows[column].clone();
-        if pivot[column].abs() < 1e-12 {
-            return None;
-        }
-        for row in rows.iter_mut().skip(column + 1) {
-            let factor = row[column] / pivot[column];
-            row.iter_mut()
-                .zip(&pivot)
-                .for_each(|(value, of)| *value -= factor * of);
-        }
-    }
-    let mut result = vec![0.0; count];
-    for row in (0..count).rev() {
-        let known: f64 = (row + 1..count)
-            .map(|column| rows[row][column] * result[column])
-            .sum();
-        result[row] = (rows[row][count] - known) / rows[row][row];
-    }
-    Some(result)
 }
 
 /// Degree of the polynomial from which one more degree gains less than 0.01 of R squared.
@@ -187,20 +158,20 @@ impl Spline {
         if count < 2 || count != v.len() || u.windows(2).any(|pair| pair[0] >= pair[1]) {
             return None;
         }
-        let mut rows = vec![vec![0.0; count + 1]; count];
-        rows[0][0] = 1.0;
-        rows[count - 1][count - 1] = 1.0;
+        let mut matrix = DMatrix::identity(count, count);
+        let mut right = DVector::zeros(count);
         for i in 1..count - 1 {
             let (before, after) = (u[i] - u[i - 1], u[i + 1] - u[i]);
-            rows[i][i - 1] = before;
-            rows[i][i] = 2.0 * (before + after);
-            rows[i][i + 1] = after;
-            rows[i][count] = 6.0 * ((v[i + 1] - v[i]) / after - (v[i] - v[i - 1]) / before);
+            matrix[(i, i - 1)] = before;
+            matrix[(i, i)] = 2.0 * (before + after);
+            matrix[(i, i + 1)] = after;
+            right[i] = 6.0 * ((v[i + 1] - v[i]) / after - (v[i] - v[i - 1]) / before);
         }
+        let second = matrix.lu().solve(&right)?;
         Some(Self {
             u: u.to_vec(),
             v: v.to_vec(),
-            second: solve(rows)?,
+            second: second.as_slice().to_vec(),
         })
     }
 
