@@ -424,7 +424,10 @@ pub fn table(outcome: &Outcome) -> String {
     }
     let _ = writeln!(
         text,
-        "\n* below MPE_P = 1.9 um of the measuring machine; ! beyond the tolerance\n\ncircle test, um                          feed    G ccw     G cw        H"
+        "\n* below MPE_P = {:.1} um of the measuring machine; ! beyond the tolerance\n\n\
+         {:<40} feed    G ccw     G cw        H",
+        MPE_P * 1e3,
+        "circle test, um"
     );
     for state in &outcome.states {
         for (feed, circle) in &state.circles {
