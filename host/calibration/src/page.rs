@@ -6,10 +6,7 @@ use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{card, escape, put};
 use haptimill_viewer::{Layer, Map, Scale, Scene, Shape, Values};
 use haptimill_volumetric::Vector;
-use haptimill_volumetric::part::{Features, HALF_SIDE, SIDES};
-
-/// Tolerance of the straightness of a side of the square, um.
-const STRAIGHTNESS_UM: f64 = 10.0;
+use haptimill_volumetric::part::{Features, HALF_SIDE, SIDES, STRAIGHTNESS};
 
 /// Factor of the drawn length of an error arrow: 1 um is 4 mm.
 const MAGNIFY: f32 = 4000.0;
@@ -37,8 +34,10 @@ pub fn page(outcome: &Outcome) -> String {
     characteristics(&mut body, &outcome.states);
     body.push_str("<h2>Profiles of the sides of the square</h2><div class=\"pair\">");
     for (index, side) in SIDES.iter().enumerate() {
-        let caption =
-            format!("Side {side}: deviation along the normal; tolerance of straightness 10 um");
+        let caption = format!(
+            "Side {side}: deviation along the normal; tolerance of straightness {:.0} um",
+            STRAIGHTNESS * 1e3
+        );
         card(&mut body, &caption, &profile(&outcome.states, index).svg());
     }
     body.push_str("</div>");
@@ -219,8 +218,8 @@ fn profile(states: &[State], side: usize) -> Chart {
             colour: "#b04a00",
             width: 1.0,
             pieces: vec![vec![
-                (-HALF_SIDE, at * STRAIGHTNESS_UM),
-                (HALF_SIDE, at * STRAIGHTNESS_UM),
+                (-HALF_SIDE, at * STRAIGHTNESS * 1e3),
+                (HALF_SIDE, at * STRAIGHTNESS * 1e3),
             ]],
         });
     }

@@ -35,6 +35,10 @@ pub const HOLE_TOOL: f64 = 8.0;
 /// Height of the part, mm.
 pub const HEIGHT: f64 = 50.0;
 
+/// Tolerance of the straightness of a side of the square, mm, as in the thesis; taken for the
+/// diamond, too.
+pub const STRAIGHTNESS: f64 = 0.010;
+
 /// A point of a nominal surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProbePoint {
@@ -292,7 +296,12 @@ fn square_rows(
         let points = profile(side, quarter(turn));
         let line = named(&name, gdt::fit_line(&points))?;
         let zone = gdt::straightness_zone(&points);
-        rows.push(row(&name, line.straightness(), Some(zone), Some(0.010)));
+        rows.push(row(
+            &name,
+            line.straightness(),
+            Some(zone),
+            Some(STRAIGHTNESS),
+        ));
     }
     let datum = named("side B", gdt::fit_line(&flat(&sides[0])))?;
     for (turn, name) in [(1, 'R'), (3, 'L')] {
@@ -317,7 +326,12 @@ fn diamond_rows(
         let line = named(&name, gdt::fit_line(&points))?;
         let zone = gdt::straightness_zone(&points);
         let straight = format!("{name} straightness LSQ");
-        rows.push(row(&straight, line.straightness(), Some(zone), Some(0.010)));
+        rows.push(row(
+            &straight,
+            line.straightness(),
+            Some(zone),
+            Some(STRAIGHTNESS),
+        ));
         let (normal, _) = directions(angle);
         let value = gdt::angularity(&flat(side), [normal.x, normal.y], datum);
         let name = format!("{name} angularity to B");
