@@ -6,7 +6,7 @@ use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{card, escape, put};
 use haptimill_viewer::{Layer, Map, Scale, Scene, Shape, Values};
 use haptimill_volumetric::Vector;
-use haptimill_volumetric::part::{Features, HALF_SIDE, SIDES, STRAIGHTNESS};
+use haptimill_volumetric::part::{HALF_SIDE, SIDES, STRAIGHTNESS};
 
 /// Factor of the drawn length of an error arrow: 1 um is 4 mm.
 const MAGNIFY: f32 = 4000.0;
@@ -188,8 +188,7 @@ fn characteristics(body: &mut String, states: &[State]) {
 fn profile(states: &[State], side: usize) -> Chart {
     let nominal = haptimill_volumetric::part::probe_points();
     let line = |(index, state): (usize, &State)| {
-        let surface: &Features<Vector> = state.surface.as_ref()?;
-        let points = nominal.sides[side].iter().zip(&surface.sides[side]);
+        let points = nominal.sides[side].iter().zip(&state.surface.sides[side]);
         let along = |point: &Vector| {
             if side.is_multiple_of(2) {
                 point.x
@@ -203,14 +202,14 @@ fn profile(states: &[State], side: usize) -> Chart {
                 (cut - point.surface).dot(&point.normal) * 1e3,
             )
         });
-        Some(Line {
+        Line {
             label: state.name.to_string(),
             colour: COLOURS[index % COLOURS.len()],
             width: 1.6,
             pieces: vec![piece.collect()],
-        })
+        }
     };
-    let mut lines: Vec<Line> = states.iter().enumerate().filter_map(line).collect();
+    let mut lines: Vec<Line> = states.iter().enumerate().map(line).collect();
     // The tolerance of straightness as a band about the nominal side.
     for (label, at) in [("tolerance", 0.5), ("", -0.5)] {
         lines.push(Line {

@@ -160,8 +160,8 @@ pub struct State {
     pub name: &'static str,
     /// The volume.
     pub volume: Volume,
-    /// The cut surface of the test piece; `None` where it was not cut.
-    pub surface: Option<Features<Vector>>,
+    /// The cut surface of the test piece.
+    pub surface: Features<Vector>,
     /// Its characteristics by the coordinate measuring machine without noise, and with it.
     pub rows: Vec<[Row; 2]>,
     /// The circle tests, with their feeds, mm/s.
@@ -310,7 +310,7 @@ fn measure_state(
     Ok(State {
         name,
         volume,
-        surface: Some(cut),
+        surface: cut,
         rows,
         circles,
     })
@@ -343,14 +343,10 @@ pub fn run(
     } else {
         Vec::new()
     };
-    let sides = match (&extent.sides, &before.surface) {
-        (Some(sides), _) => sides.clone(),
-        (None, Some(surface)) => {
-            let runs = Cmm::default().probe(surface);
-            [side_table(&runs, 0), side_table(&runs, 3)]
-        }
-        (None, None) => [side_table(&[], 0), side_table(&[], 3)],
-    };
+    let sides = extent.sides.clone().unwrap_or_else(|| {
+        let runs = Cmm::default().probe(&before.surface);
+        [0, 3].map(|side| side_table(&runs, side))
+    });
     let comparison = table_5_1(&calibration.errors, &sides);
     Ok(Outcome {
         comparison,
