@@ -184,12 +184,9 @@ fn truth_of(file: &MachineFile) -> Result<CarriageErrors, Error> {
         _ => None,
     };
     errors.ok_or_else(|| {
-        let what = format!(
-            "{}: the simulated machine has no errors to measure; add `errors` to \
-             [plant.geometry.cartesian]",
-            file.file
-        );
-        Error::new(ErrorKind::BadInput, what)
+        let what = "the simulated machine has no errors to measure; add `errors` to \
+                    [plant.geometry.cartesian]";
+        Error::in_file(&file.file, what)
     })
 }
 

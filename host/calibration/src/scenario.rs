@@ -6,7 +6,7 @@ use crate::calibrate::{Calibration, Plan, calibrate};
 use crate::comparison::{Comparison, SideTable, side_table, table_5_1};
 use crate::cut::{Cmm, MPE_P, PROGRAM, surface};
 use crate::drive::{Machine, SLOW};
-use haptimill_client::{Error, ErrorKind};
+use haptimill_client::Error;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::compensation::MOST_NODES;
 use haptimill_volumetric::Vector;
@@ -181,6 +181,19 @@ pub struct Outcome {
     pub calibration: Calibration,
 }
 
+/// The errors in the text of an error file, which must span the travel of the machine; `name` is
+/// the name of the file in messages.
+///
+/// # Errors
+/// Problems of the file.
+pub fn errors_of(machine: &MachineFile, name: &str, text: &str) -> Result<ErrorSet, Error> {
+    let limits = Limits {
+        travel: Some(travel(machine)),
+        ..Limits::default()
+    };
+    file::read(text, &limits).map_err(|problem| Error::in_file(name, problem))
+}
+
 /// The machine of the scenario.
 ///
 /// # Errors
@@ -198,16 +211,12 @@ pub fn truth(machine: &MachineFile) -> Result<(String, ErrorSet), Error> {
     use haptimill_hil_sim::machines::GeometryConfig;
     let plant: PlantConfig = machine.plant()?;
     let Some(GeometryConfig::Cartesian(config)) = &plant.geometry else {
-        let what = format!(
-            "{}: the simulated machine has no errors of carriages; add \
-             [plant.geometry.cartesian] with `errors`",
-            machine.file
-        );
-        return Err(Error::new(ErrorKind::BadInput, what));
+        let what = "the simulated machine has no errors of carriages; add \
+                    [plant.geometry.cartesian] with `errors`";
+        return Err(Error::in_file(&machine.file, what));
     };
-    let errors = file::read(&config.errors, &Limits::default()).map_err(|problem| {
-        Error::new(ErrorKind::BadInput, format!("{}: {problem}", machine.file))
-    })?;
+    let errors = file::read(&config.errors, &Limits::default())
+        .map_err(|problem| Error::in_file(&machine.file, problem))?;
     Ok((config.errors.clone(), errors))
 }
 
@@ -248,12 +257,7 @@ pub fn worn(machine: &MachineFile, by: f64) -> Result<MachineFile, Error> {
 /// # Errors
 /// The errors cannot be read, or the simulated machine has no carriages.
 pub fn with_truth(machine: &MachineFile, name: &str, text: &str) -> Result<MachineFile, Error> {
-    let limits = Limits {
-        travel: Some(travel(machine)),
-        ..Limits::default()
-    };
-    file::read(text, &limits)
-        .map_err(|problem| Error::new(ErrorKind::BadInput, format!("{name}: {problem}")))?;
+    errors_of(machine, name, text)?;
     let (own, _) = truth(machine)?;
     let changed = machine.text.replace(own.trim_end(), text.trim_end());
     let file = format!("{} with the errors of {name}", machine.file);

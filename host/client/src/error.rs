@@ -69,6 +69,11 @@ impl Error {
         }
     }
 
+    /// A mistake of an input file.
+    pub fn in_file(file: impl fmt::Display, problem: impl fmt::Display) -> Self {
+        Self::new(ErrorKind::BadInput, format_args!("{file}: {problem}"))
+    }
+
     /// A part program was refused.
     pub fn refused(kind: ErrorKind, refused: &Refused) -> Self {
         let located = |problem: &haptimill_gcode::Problem| Located {

@@ -2,14 +2,15 @@
 //! readings of a real laser.
 
 use super::args::MachineArg;
-use super::{CliError, Exit, interrupt, output};
+use super::{CliError, interrupt, output};
 use clap::{Args, Subcommand};
 use haptimill_calibration::ball_bar::{self, CircleTest};
 use haptimill_calibration::calibrate::{Plan, calibrate, of_readings, write_readings};
 use haptimill_calibration::drive::{Machine, SLOW};
 use haptimill_calibration::laser::{Environment, LaserOptions};
 use haptimill_calibration::rewrite::rewritten_for;
-use haptimill_calibration::scenario::travel;
+use haptimill_calibration::scenario::{errors_of, travel};
+use haptimill_client::Error;
 use haptimill_machine_file::{MachineFile, input};
 use haptimill_volumetric::{file, readings};
 use std::path::{Path, PathBuf};
@@ -186,12 +187,14 @@ fn load(machine: &MachineArg, errors: Option<&PathBuf>) -> Result<MachineFile, C
 /// Errors of the readings of a real laser.
 fn evaluate(args: &LaserArgs, path: &Path) -> Result<(), CliError> {
     let machine_file = args.machine.load()?;
-    let named = |problem: &dyn std::fmt::Display| format!("{}: {problem}", path.display());
-    let bad = |problem: &dyn std::fmt::Display| CliError::new(Exit::BadInput, named(problem));
-    let bytes = input::read(path, input::TABLE_BYTES).map_err(|error| bad(&error))?;
-    let text = String::from_utf8(bytes)
-        .map_err(|_| bad(&"is no text; give a table of readings (CSV, UTF-8)"))?;
-    let found = readings::read(&text).map_err(|problem| bad(&problem))?;
+    let name = path.display();
+    let bytes =
+        input::read(path, input::TABLE_BYTES).map_err(|error| Error::in_file(&name, error))?;
+    let text = String::from_utf8(bytes).map_err(|_| {
+        let what = "is no text; give a table of readings (CSV, UTF-8)";
+        Error::in_file(&name, what)
+    })?;
+    let found = readings::read(&text).map_err(|problem| Error::in_file(&name, problem))?;
     let (errors, report) = of_readings(&found, &travel(&machine_file));
     output::save(&args.out, file::write(&errors, &report))?;
     print_line!("{report}");
@@ -246,14 +249,7 @@ fn measure(args: &LaserArgs) -> Result<(), CliError> {
 fn rewrite(args: &RewriteArgs) -> Result<(), CliError> {
     let machine_file = args.machine.load()?;
     let text = haptimill_machine_file::read_text(&args.errors)?;
-    let limits = file::Limits {
-        travel: Some(travel(&machine_file)),
-        ..file::Limits::default()
-    };
-    let errors = file::read(&text, &limits).map_err(|problem| {
-        let what = format!("{}: {problem}", args.errors.display());
-        CliError::new(Exit::BadInput, what)
-    })?;
+    let errors = errors_of(&machine_file, &args.errors.display().to_string(), &text)?;
     let program = haptimill_machine_file::read_text(&args.program)?;
     let name = args.program.display().to_string();
     let corrected = rewritten_for(&machine_file, &name, &program, &errors)?;

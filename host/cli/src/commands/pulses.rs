@@ -4,6 +4,7 @@ use super::output::{write_error, write_file};
 use super::trace::open;
 use super::{CliError, Exit};
 use clap::Args;
+use haptimill_client::Error;
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_machine_file::input;
@@ -112,7 +113,7 @@ fn microseconds(text: &str) -> Result<f64, String> {
 }
 
 fn bad(path: &Path, what: impl std::fmt::Display) -> CliError {
-    CliError::new(Exit::BadInput, format!("{}: {what}", path.display()))
+    Error::in_file(path.display(), what).into()
 }
 
 /// A joint of the check: its name, and its segments if there is a recording.

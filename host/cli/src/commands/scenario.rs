@@ -4,6 +4,7 @@ use super::args::MachineArg;
 use super::{CliError, Exit, output};
 use crate::commands::interrupt;
 use clap::{Args, Subcommand};
+use haptimill_client::Error;
 use haptimill_client::port::PortSpec;
 use haptimill_experiments::{Experiment, ExperimentResult, PassData, Target};
 use haptimill_machine_file::MachineFile;
@@ -250,8 +251,8 @@ fn run_volumetric(args: &RunArgs) -> Result<(), CliError> {
 fn side(path: &Path) -> Result<haptimill_calibration::comparison::SideTable, CliError> {
     use haptimill_calibration::comparison::{POINTS, RUNS, SideTable};
     let text = haptimill_machine_file::read_text(path)?;
-    SideTable::read(&text, RUNS, POINTS)
-        .map_err(|problem| CliError::new(Exit::BadInput, format!("{}: {problem}", path.display())))
+    let read = SideTable::read(&text, RUNS, POINTS);
+    Ok(read.map_err(|problem| Error::in_file(path.display(), problem))?)
 }
 
 fn run_named(args: &RunArgs) -> Result<(), CliError> {

@@ -5,6 +5,7 @@ use super::args::{MachineArg, OperatorArg, SimulatorArgs, StockArg, seconds};
 use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::Args;
+use haptimill_client::Error;
 use haptimill_client::port::{TcpServer, Token, Transport};
 use haptimill_client::session;
 use haptimill_hil_sim::rig::{Control, Rig};
@@ -241,9 +242,7 @@ pub(crate) fn token_of(
 
 /// Reads a token from the first line of a file.
 pub(super) fn read_token(path: &Path) -> Result<Token, CliError> {
-    let bad = |what: &dyn std::fmt::Display| {
-        CliError::new(Exit::BadInput, format!("{}: {what}", path.display()))
-    };
+    let bad = |what: &dyn std::fmt::Display| CliError::from(Error::in_file(path.display(), what));
     let bytes = input::read(path, input::SETTINGS_BYTES).map_err(|error| bad(&error))?;
     let text = String::from_utf8_lossy(&bytes);
     let line = text.lines().next().unwrap_or_default();

@@ -59,7 +59,7 @@ pub fn find_force_config(machine: &MachineFile) -> Result<&ForceConfig, Error> {
                 model.code
             )
         };
-        Error::new(ErrorKind::BadInput, format!("{}: {what}", machine.file))
+        Error::in_file(&machine.file, what)
     })
 }
 

@@ -87,7 +87,7 @@ pub fn rig_around<C: Control>(
         ..RigOptions::default()
     };
     Rig::new(&plant, &options, controller).map_err(|error| match error {
-        RigError::Plant(_) => Error::new(ErrorKind::BadInput, format!("{}: {error}", machine.file)),
+        RigError::Plant(_) => Error::in_file(&machine.file, error),
         RigError::Fault(error) => Error::new(ErrorKind::Usage, format!("--{error}")),
     })
 }

@@ -4,7 +4,7 @@ mod args;
 mod cut;
 
 use super::{CliError, Exit, output};
-use haptimill_client::Located;
+use haptimill_client::{Error, Located};
 use haptimill_engrave::drawing::{Drawing, LayerChoice, Problem};
 use haptimill_engrave::gcode::{Rates, program};
 use haptimill_engrave::geometry::Point;
@@ -60,7 +60,7 @@ fn refuse(file: &Path, exit: Exit, problems: &[Problem]) -> CliError {
 /// Reads and places the drawing.
 fn load(args: &EngraveArgs) -> Result<Drawing, CliError> {
     let bad = |path: &Path, what: &dyn std::fmt::Display| {
-        CliError::new(Exit::BadInput, format!("{}: {what}", path.display()))
+        CliError::from(Error::in_file(path.display(), what))
     };
     let bytes =
         input::read(&args.drawing, DRAWING_BYTES).map_err(|what| bad(&args.drawing, &what))?;
