@@ -119,6 +119,17 @@ impl Descriptor {
                 .all(|axis| axis.kind == AxisKind::Linear)
     }
 
+    /// Whether each of the coordinates x, y and z of the tool tip is a joint, and they come first.
+    /// Error tables by axis need it.
+    #[must_use]
+    pub fn has_machine_axes(&self) -> bool {
+        let joints = self.pose.iter().zip(self.joints).take(TOOL_TIP.len());
+        self.has_force_axes()
+            && joints
+                .into_iter()
+                .all(|(pose, joint)| pose.name == joint.name)
+    }
+
     /// Whether a master can move the tool: it has the axes of force control, and the coordinates
     /// behind are the tilt of the tool and the rotation of the workpiece, as far as the machine has
     /// them. Angles are added to these two.

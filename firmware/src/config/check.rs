@@ -120,11 +120,7 @@ impl Config {
             return Ok(());
         };
         let field = ConfigField::Volumetric;
-        let machine = self.model.descriptor();
-        let names = machine.pose.iter().zip(machine.joints);
-        let direct = names
-            .take(ERROR_AXES)
-            .all(|(pose, joint)| pose.name == joint.name && pose.kind == AxisKind::Linear);
+        let direct = self.model.descriptor().has_machine_axes();
         let counts = self.pose.len() >= ERROR_AXES && self.joints.len() >= ERROR_AXES;
         require(direct && counts, field, None)?;
         let axes = self.pose.iter().zip(&self.joints).take(ERROR_AXES);

@@ -4,6 +4,7 @@
 use haptimill_client::{Error, ErrorKind, session};
 use haptimill_gcode::{Feed, Options, Path, Step};
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::compensation::{CHAIN, arms};
 use haptimill_machine_file::model::{Model, program_options};
 use haptimill_volumetric::errors::ErrorSet;
 use haptimill_volumetric::grid::compensated;
@@ -79,21 +80,45 @@ fn write_step(out: &mut String, step: &Step, error: &impl Fn(Vector) -> Vector) 
 }
 
 /// As [`rewritten`], for a run of a machine from its home pose, with the errors of a file. The
-/// machine has the chain [w Y b X Z t].
+/// machine has the chain [w Y b X Z t] and no further axis.
 ///
 /// # Errors
-/// See [`rewritten`]; the machine has no home pose.
+/// See [`rewritten`]; the machine has another chain, or no home pose.
 pub fn rewritten_for(
     machine: &MachineFile,
     name: &str,
     text: &str,
     errors: &ErrorSet,
 ) -> Result<String, Error> {
+    check_chain(machine)?;
     let model = Model::new(machine);
     let home = session::find_home_pose(machine, &model)?;
     let options = program_options(machine, model.to_engineering_units(&home));
     let chain = chain::Model::default();
     rewritten(name, text, &options, |point| chain.error(errors, point))
+}
+
+/// Refuses a machine whose tool [`chain::Model`] does not describe.
+fn check_chain(machine: &MachineFile) -> Result<(), Error> {
+    let descriptor = machine.config.model.descriptor();
+    if !descriptor.has_machine_axes() || descriptor.axes() != 3 {
+        let what = format!(
+            "the joints of the model \"{}\" are not x, y and z, and an error file has errors of \
+             these axes only; name a machine with the model \"cartesian\"",
+            descriptor.code
+        );
+        return Err(Error::in_file(&machine.file, what));
+    }
+    let own = machine.config.volumetric.as_ref();
+    let own = own.map(|tables| tables.axes.each_ref().map(|axis| axis.arm));
+    if own.is_some_and(|own| Some(own) != arms(CHAIN)) {
+        let what = format!(
+            "compensation.chain is not \"{CHAIN}\", the only chain for which a program is \
+             rewritten; let the controller compensate instead"
+        );
+        return Err(Error::in_file(&machine.file, what));
+    }
+    Ok(())
 }
 
 /// Number of straight moves for a path. A rapid move cuts nothing: one is enough.

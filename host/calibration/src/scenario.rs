@@ -8,7 +8,7 @@ use crate::cut::{Cmm, MPE_P, PROGRAM, surface};
 use crate::drive::{Machine, SLOW};
 use haptimill_client::Error;
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::compensation::MOST_NODES;
+use haptimill_machine_file::compensation::{CHAIN, MOST_NODES};
 use haptimill_volumetric::Vector;
 use haptimill_volumetric::errors::ErrorSet;
 use haptimill_volumetric::file::{self, Limits};
@@ -24,9 +24,6 @@ pub const MACHINE: &str = include_str!("../../../machines/vmc3.toml");
 
 /// Name of [`MACHINE`] in messages.
 pub const MACHINE_NAME: &str = "machines/vmc3.toml (built in)";
-
-/// Chain of [`MACHINE`].
-pub const CHAIN: &str = "wYbXZt";
 
 /// Nodes of exact tables along x, y and z: the most that the controller holds, so that its tables
 /// are those of the file.

@@ -10,6 +10,22 @@ use haptimill_machine_file::MachineFile;
 /// Samples of 1 ms: at 20 mm/s the tool moves straight between them within 0.01 um.
 const EVERY: u64 = 5;
 
+/// Errors along another chain have other arms: such a program would be wrong.
+#[test]
+fn another_chain_is_refused() {
+    let file = MachineFile::parse(MACHINE_NAME, MACHINE).unwrap();
+    let (text, errors) = truth(&file).unwrap();
+    let program = "G21 G90\nG1 X1 F600\nM30\n";
+    let other = file.with_errors("e.csv", &text, "wXYbZt").unwrap();
+    let refused = rewritten_for(&other, "a.ngc", program, &errors).unwrap_err();
+    assert!(
+        refused.message.contains("compensation.chain is not"),
+        "{refused}"
+    );
+    let same = file.with_errors("e.csv", &text, "w Y b X Z t").unwrap();
+    assert!(rewritten_for(&same, "a.ngc", program, &errors).is_ok());
+}
+
 #[test]
 fn a_rewritten_program_gives_the_same_part() {
     let file = MachineFile::parse(MACHINE_NAME, MACHINE).unwrap();

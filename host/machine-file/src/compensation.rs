@@ -16,6 +16,10 @@ use haptimill_volumetric::file::{self, Limits};
 /// Largest number of nodes of an axis: all tables together have room for three such axes.
 pub const MOST_NODES: usize = ERROR_VALUES / ERRORS / ERROR_AXES;
 
+/// Chain of a machine file without a section `[compensation]`: a table that moves along y, and a
+/// spindle along x, then z.
+pub const CHAIN: &str = "wYbXZt";
+
 /// Largest negative lost motion that counts as none, mm: the noise of an instrument.
 const NO_LOST_MOTION: f64 = 0.001;
 
@@ -153,7 +157,10 @@ fn travel(pose: &[PoseAxis]) -> Option<[(f64, f64); ERROR_AXES]> {
 /// Coordinates of the arm of each axis, one bit each: where the tool is, seen from its carriage. On
 /// the side of the tool these are the axes between it and the tool, on the side of the workpiece
 /// also the axis itself.
-fn arms(chain: &str) -> Option<[u8; ERROR_AXES]> {
+///
+/// `None` where the text is no chain of w, X, Y, Z, b and t.
+#[must_use]
+pub fn arms(chain: &str) -> Option<[u8; ERROR_AXES]> {
     let letters: Vec<char> = chain
         .chars()
         .filter(|letter| !letter.is_whitespace())

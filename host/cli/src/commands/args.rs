@@ -7,6 +7,7 @@ use haptimill_client::port::{DEFAULT_BAUD, PortSpec};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::process::CuttingConfig;
+use haptimill_machine_file::compensation::CHAIN;
 use haptimill_machine_file::{MachineFile, stock};
 use haptimill_teleop::script::Script;
 use std::path::{Path, PathBuf};
@@ -66,10 +67,6 @@ impl BoardArg {
         })
     }
 }
-
-/// Chain of a machine file without a section `[compensation]`: a table that moves along y, and a
-/// spindle along x, then z.
-const CHAIN: &str = "wYbXZt";
 
 /// The machine with the errors of a file, which its controller compensates.
 ///
