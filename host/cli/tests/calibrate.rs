@@ -3,6 +3,8 @@
 
 mod scene;
 
+use haptimill_volumetric::chain;
+use haptimill_volumetric::file::{self, Limits};
 use scene::{TestFolder, haptimill as run};
 
 fn machine() -> String {
@@ -24,6 +26,24 @@ fn value(out: &str, name: &str) -> f64 {
     let rest = line.unwrap_or_else(|| panic!("no {name} in {out}"));
     let words = rest[name.len()..].split_whitespace();
     words.filter_map(|word| word.parse().ok()).next().unwrap()
+}
+
+/// The error of the tool by the model of the chain, mm.
+fn error_of(errors: &str, point: [f64; 3]) -> [f64; 3] {
+    let errors = file::read(errors, &Limits::default()).unwrap();
+    chain::Model::default().error(&errors, point.into()).into()
+}
+
+/// Squareness, urad, that a circle test about the origin shows on a machine with these errors:
+/// -4 / r times the mean of the radial error times sin 2a.
+fn ellipse(errors: &str, radius: f64) -> f64 {
+    let parts = (0..360).map(|step| {
+        let angle = f64::from(step).to_radians();
+        let (sine, cosine) = angle.sin_cos();
+        let [x, y, _] = error_of(errors, [radius * cosine, radius * sine, 0.0]);
+        (x * cosine + y * sine) * (2.0 * angle).sin() / 360.0
+    });
+    -4e6 / radius * parts.sum::<f64>()
 }
 
 /// The readings of a measurement, evaluated as those of a real laser, give its errors. A controller
@@ -74,8 +94,11 @@ fn readings_become_a_compensated_circle() {
     assert!(before.contains("compensation none"), "{before}");
     assert!(after.contains("compensation 100 %"), "{after}");
     // The truth has 25 urad, and other errors that make the circle elliptic.
+    let truth = include_str!("../../volumetric/data/vmc3_errors.csv");
+    let expected = ellipse(truth, 100.0);
     let squareness = value(&before, "squareness");
-    assert!((15.0..45.0).contains(&squareness.abs()), "{before}");
+    println!("squareness {squareness}, model {expected}");
+    assert!((squareness - expected).abs() < 1.5, "{expected} {before}");
     assert!(value(&after, "squareness").abs() < 3.0, "{after}");
     assert!(value(&before, "G ccw") > 3.0, "{before}");
     assert!(value(&after, "G ccw") < 1.0, "{after}");
@@ -215,7 +238,7 @@ fn scenario_goes_from_error_file_to_compensated_part() {
     // Another machine than that of the file: y is 40 urad out of square to x instead of 25.
     let other = text.replace("EC0Y,urad,25,", "EC0Y,urad,40,");
     assert_ne!(text, other);
-    std::fs::write(folder.path("truth.csv"), other).unwrap();
+    std::fs::write(folder.path("truth.csv"), &other).unwrap();
     let (truth, out) = (folder.path("truth.csv"), folder.path("out"));
     let tables = ["table_4_1_cmm_x_side.csv", "table_4_2_cmm_y_side.csv"]
         .map(|name| data.join("tests/data").join(name).display().to_string());
@@ -246,7 +269,11 @@ fn scenario_goes_from_error_file_to_compensated_part() {
     }
     assert!(improved >= 10, "{improved}");
     let circle = |state: &serde_json::Value, name: &str| number(&state["circles"][0][name]);
-    assert!((circle(before, "squareness_urad") - 40.0).abs() < 15.0);
+    // The errors of the machine file would show 15 urad less.
+    let expected = ellipse(&other, 100.0);
+    let squareness = circle(before, "squareness_urad");
+    println!("squareness {squareness}, model {expected}");
+    assert!((squareness - expected).abs() < 1.5);
     for state in [exact, measured] {
         let [g, square] = ["deviation_um", "squareness_urad"].map(|name| match name {
             "deviation_um" => number(&state["circles"][0][name][0]),
@@ -358,12 +385,41 @@ fn a_program_is_rewritten() {
     let [.., x, y, z] = words[..] else {
         panic!("{last}")
     };
-    // The error at this point is more than 1 um and less than 10 um.
-    let off = ((x - 80.0).powi(2) + (y - 80.0).powi(2) + (z + 10.0).powi(2)).sqrt();
-    assert!((1e-3..10e-3).contains(&off), "{last}");
+    // The point less the error there, to the last digit of the program.
+    let truth = include_str!("../../volumetric/data/vmc3_errors.csv");
+    let point = [80.0, 80.0, -10.0];
+    for ((point, error), word) in point.iter().zip(error_of(truth, point)).zip([x, y, z]) {
+        assert!((point - error - word).abs() < 1e-6, "{last} {error}");
+    }
     let checked = ["run", &out, "--machine", &machine, "--check"];
     run(&checked).expect_code(0);
     std::fs::write(&program, "G21 G90\nG1 X10 F600\nG38.2 X20 F60\nM30\n").unwrap();
     let refused = run(&command).expect_code(3);
     assert!(refused.err.contains("a.ngc:3: "), "{}", refused.err);
+}
+
+/// Machines with other joints than x, y and z are refused, and no file is written.
+#[test]
+fn a_program_is_rewritten_for_three_axes_only() {
+    let folder = TestFolder::new();
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let errors = root.join("../volumetric/data/vmc3_errors.csv");
+    let (errors, out) = (errors.display().to_string(), folder.path("b.ngc"));
+    let program = folder.path("a.ngc");
+    std::fs::write(&program, "G21 G90\nG1 X1 F600\nM30\n").unwrap();
+    for (name, model) in [
+        ("h4", "h4"),
+        ("mill4", "four_axis"),
+        ("trunnion5", "trunnion"),
+    ] {
+        let machine = root.join(format!("../../machines/{name}.toml"));
+        let machine = machine.display().to_string();
+        let command = ["calibrate", "rewrite", &program, "--machine", &machine];
+        let refused = run(&[&command[..], &["--errors", &errors, "--out", &out]].concat());
+        let err = refused.expect_code(3).err;
+        let expected =
+            format!("{name}.toml: the joints of the model \"{model}\" are not x, y and z");
+        assert!(err.contains(&expected), "{err}");
+        assert!(!std::path::Path::new(&out).exists());
+    }
 }
