@@ -14,7 +14,8 @@ use std::sync::atomic::AtomicBool;
 /// Control periods between two samples of a run with standstills.
 pub const SLOW: u64 = 25;
 
-/// Distance within which a commanded position is a target, mm. A target is rounded to 1 nm.
+/// Distance within which a commanded position is a target, mm or degrees. A target is rounded to
+/// 1e-6.
 const AT_TARGET: f64 = 2e-6;
 
 /// A machine that is homed and ready for programs.
@@ -51,7 +52,7 @@ impl Machine {
         interrupted: &Arc<AtomicBool>,
     ) -> Result<Self, Error> {
         let rig = session::rig(machine, None, None, Vec::new())?;
-        let line = ObservedLine::new(SimLine::new(rig), every);
+        let line = ObservedLine::new(SimLine::new(rig), machine, every);
         let mut session = Session::new(line, machine, Options::default(), Arc::clone(interrupted));
         session.connect(1)?;
         session.configure(machine)?;
@@ -117,21 +118,26 @@ impl Machine {
     }
 
     /// Moves to each target, waits there, and returns the machine at standstill at each: the mean
-    /// over the last `window` seconds of each wait. Targets have one coordinate for each of x, y,
-    /// z.
+    /// over the last `window` seconds of each wait. Targets have the first coordinates of a pose,
+    /// mm and degrees.
     ///
     /// # Errors
     /// A target is out of reach, or the run fails.
-    pub fn visit(
+    pub fn visit<const N: usize>(
         &mut self,
-        targets: &[[f64; 3]],
+        targets: &[[f64; N]],
         feed: f64,
         wait: f64,
         window: f64,
     ) -> Result<Vec<Sample>, Error> {
         let mut text = format!("G21 G90 G61 G94 F{}\n", feed * 60.0);
-        for [x, y, z] in targets {
-            text.push_str(&format!("G1 X{x:.6} Y{y:.6} Z{z:.6}\nG4 P{wait}\n"));
+        let coordinates = self.machine.config.model.descriptor().pose;
+        for target in targets {
+            text.push_str("G1");
+            for (coordinate, value) in coordinates.iter().zip(target) {
+                text.push_str(&format!(" {}{value:.6}", coordinate.letter));
+            }
+            text.push_str(&format!("\nG4 P{wait}\n"));
         }
         text.push_str("M30\n");
         let samples = self.run("targets", &text)?;
@@ -141,9 +147,9 @@ impl Machine {
 
 /// The machine at standstill at each target, in their order: the mean over the last `window`
 /// seconds of the wait there.
-fn standstills(
+fn standstills<const N: usize>(
     samples: &[Sample],
-    targets: &[[f64; 3]],
+    targets: &[[f64; N]],
     wait: f64,
     window: f64,
 ) -> Result<Vec<Sample>, Error> {
@@ -195,11 +201,19 @@ fn mean(samples: &[&Sample]) -> Option<Sample> {
             sum.iter_mut().zip(by).for_each(|(sum, by)| *sum += by);
         };
         add(&mut sum.commanded, &sample.commanded);
+        add(&mut sum.reported, &sample.reported);
         add(&mut sum.tool, &sample.tool);
         add(&mut sum.carriages, &sample.carriages);
     }
     let count = samples.len() as f64;
-    for values in [&mut sum.commanded, &mut sum.tool, &mut sum.carriages] {
+    let Sample {
+        commanded,
+        reported,
+        tool,
+        carriages,
+        ..
+    } = &mut sum;
+    for values in [commanded, reported, tool, carriages] {
         values.iter_mut().for_each(|value| *value /= count);
     }
     Some(sum)

@@ -3,27 +3,30 @@
 use haptimill_client::port::PortError;
 use haptimill_client::session::{Line, SimLine};
 use haptimill_firmware::snapshot::Snapshot;
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::scale::per_unit;
 use haptimill_protocol::message::MAX_AXES;
-
-/// Axis units per millimetre.
-const PER_MM: f64 = (1 << 20) as f64;
 
 /// The machine at one moment. Unused axes are 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Time since power-on, seconds.
     pub time: f64,
-    /// The pose that the program commands, mm.
+    /// The pose that the program commands, mm and degrees.
     pub commanded: [f64; MAX_AXES],
-    /// The true pose of the tool in work coordinates, mm.
+    /// The joints as the controller reports them, mm and degrees.
+    pub reported: [f64; MAX_AXES],
+    /// The true pose of the tool in work coordinates, mm and degrees.
     pub tool: [f64; MAX_AXES],
-    /// The true positions of the carriages, mm.
+    /// The true positions of the carriages, mm and degrees.
     pub carriages: [f64; MAX_AXES],
 }
 
 /// A simulated machine whose ground truth is sampled.
 pub struct ObservedLine {
     line: SimLine,
+    /// Axis units per mm or degree of the coordinates and of the joints.
+    units: [[f64; MAX_AXES]; 2],
     every: u64,
     periods: u64,
     samples: Vec<Sample>,
@@ -31,11 +34,21 @@ pub struct ObservedLine {
 }
 
 impl ObservedLine {
-    /// Samples every `every` control periods once it is asked to.
+    /// Samples the machine every `every` control periods once it is asked to.
     #[must_use]
-    pub const fn new(line: SimLine, every: u64) -> Self {
+    pub fn new(line: SimLine, machine: &MachineFile, every: u64) -> Self {
+        let mut units = [[1.0; MAX_AXES]; 2];
+        let [pose, joints] = &mut units;
+        let config = &machine.config;
+        for (unit, axis) in pose.iter_mut().zip(&config.pose) {
+            *unit = per_unit(axis.kind);
+        }
+        for (unit, joint) in joints.iter_mut().zip(&config.joints) {
+            *unit = per_unit(joint.kind);
+        }
         Self {
             line,
+            units,
             every,
             periods: 0,
             samples: Vec::new(),
@@ -73,11 +86,16 @@ impl ObservedLine {
         let truth = rig.plant().truth();
         self.samples.push(Sample {
             time: rig.time_ns() as f64 * 1e-9,
-            commanded: snapshot.commanded.map(|place| f64::from(place) / PER_MM),
+            commanded: scaled(&snapshot.commanded, &self.units[0]),
+            reported: scaled(&snapshot.joints, &self.units[1]),
             tool: truth.pose,
             carriages: truth.joints,
         });
     }
+}
+
+fn scaled(places: &[i32; MAX_AXES], units: &[f64; MAX_AXES]) -> [f64; MAX_AXES] {
+    std::array::from_fn(|axis| f64::from(places[axis]) / units[axis])
 }
 
 impl Line for ObservedLine {

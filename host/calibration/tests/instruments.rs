@@ -196,6 +196,7 @@ fn circle_test_finds_squareness() {
             samples.push(Sample {
                 time: 0.0,
                 commanded,
+                reported: commanded,
                 tool,
                 carriages: commanded,
             });

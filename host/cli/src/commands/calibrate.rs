@@ -1,5 +1,5 @@
-//! `haptimill calibrate`: measures the geometric errors of the simulated machine, and evaluates
-//! readings of a real laser.
+//! `haptimill calibrate`: measures the geometric errors of the simulated machine, evaluates
+//! readings of a real laser, and calibrates the H-4 arm.
 
 use super::args::MachineArg;
 use super::{CliError, interrupt, output};
@@ -37,6 +37,15 @@ The machine has the chain [w Y b X Z t] (docs/volumetric.md), the program starts
 Every move becomes straight moves of at most 1 mm. Moves, dwells, messages and spindle commands can \
 be rewritten; anything else is refused with its line. Run the result without compensation.";
 
+const ARM: &str = "\
+Find the true lengths and index positions of the simulated H-4 arm: the controller moves it to 40 \
+poses, a laser tracker (2 um a coordinate) reads the tip, and a fit finds four lengths, an offset and \
+the offsets of four joints.
+
+Writes the machine file with the found values to FILE, and states the error of the tip at 20 other \
+poses before and after. The values of [kinematics] and `index_mm` change, the simulated machine does \
+not.";
+
 /// Subcommands of `haptimill calibrate`.
 #[derive(Debug, Clone, Subcommand)]
 pub enum CalibrateCommand {
@@ -46,6 +55,8 @@ pub enum CalibrateCommand {
     BallBar(BallBarArgs),
     #[allow(missing_docs)]
     Rewrite(RewriteArgs),
+    #[allow(missing_docs)]
+    Arm(ArmArgs),
 }
 
 /// Arguments of `haptimill calibrate laser`.
@@ -135,6 +146,27 @@ pub struct RewriteArgs {
     pub out: PathBuf,
 }
 
+/// Arguments of `haptimill calibrate arm`.
+#[derive(Debug, Clone, Args)]
+#[command(about = "Find the lengths and index positions of the simulated H-4 arm", long_about = ARM)]
+pub struct ArmArgs {
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub machine: MachineArg,
+    /// Machine file to write
+    #[arg(long, value_name = "FILE", default_value = "calibrated.toml")]
+    pub out: PathBuf,
+    /// Change each length and index position of the simulated arm at random, by at most this, mm
+    #[arg(long, value_name = "MM", value_parser = perturbation)]
+    pub perturb: Option<f64>,
+    /// A tracker without noise
+    #[arg(long)]
+    pub no_noise: bool,
+    /// Seed of the changes, of the poses and of the noise
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+}
+
 fn number(text: &str, low: f64, high: f64, what: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().ok();
     let value = value.filter(|value| (low..=high).contains(value));
@@ -157,6 +189,10 @@ fn radius(text: &str) -> Result<f64, String> {
     number(text, 5.0, 500.0, "mm")
 }
 
+fn perturbation(text: &str) -> Result<f64, String> {
+    number(text, 0.0, 0.2, "mm")
+}
+
 fn feed(text: &str) -> Result<f64, String> {
     number(text, 1.0, 500.0, "mm/s")
 }
@@ -164,7 +200,7 @@ fn feed(text: &str) -> Result<f64, String> {
 /// Runs a calibration.
 ///
 /// # Errors
-/// See [`Exit`].
+/// See [`Exit`](super::Exit).
 pub fn run(command: CalibrateCommand) -> Result<(), CliError> {
     match command {
         CalibrateCommand::Laser(args) => match &args.readings {
@@ -173,6 +209,7 @@ pub fn run(command: CalibrateCommand) -> Result<(), CliError> {
         },
         CalibrateCommand::BallBar(args) => circle(&args),
         CalibrateCommand::Rewrite(args) => rewrite(&args),
+        CalibrateCommand::Arm(args) => arm(&args),
     }
 }
 
@@ -255,6 +292,31 @@ fn rewrite(args: &RewriteArgs) -> Result<(), CliError> {
     let corrected = rewritten_for(&machine_file, &name, &program, &errors)?;
     output::save(&args.out, corrected)?;
     print_line!("program     {}", args.out.display());
+    Ok(())
+}
+
+/// Calibrates the simulated H-4 arm.
+fn arm(args: &ArmArgs) -> Result<(), CliError> {
+    use haptimill_calibration::arm::{Plan, calibrate, perturbed};
+    let machine_file = args.machine.load()?;
+    output::check_writable(&args.out)?;
+    let machine_file = match args.perturb {
+        Some(by) => perturbed(&machine_file, by, args.seed)?,
+        None => machine_file,
+    };
+    let plan = Plan {
+        seed: args.seed,
+        ..Plan::default()
+    };
+    let plan = Plan {
+        noise: if args.no_noise { 0.0 } else { plan.noise },
+        ..plan
+    };
+    let found = calibrate(&machine_file, &plan, &interrupt::flag(), |line| {
+        print_line!("{line}");
+    })?;
+    output::save(&args.out, &found.machine.text)?;
+    print_line!("\n{found}\nmachine     {}", args.out.display());
     Ok(())
 }
 

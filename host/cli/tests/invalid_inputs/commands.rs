@@ -28,6 +28,7 @@ const COMMANDS: &[&str] = &[
     "scenario run e7 --out OUT",
     "calibrate laser --out OUT/trace.csv",
     "calibrate ball-bar",
+    "calibrate arm --out OUT/trace.csv",
     "calibrate rewrite GOOD --errors host/volumetric/data/vmc3_errors.csv --out OUT/trace.csv",
     "identify --yes --out OUT",
     "tune --out OUT",
