@@ -285,7 +285,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let name = read_name(&root);
     let period_us = root.value(root::period_us);
     if root.has("role") {
-        let role = root.choice(root::role, &[("slave", false), ("master", true)]);
+        let role = root.choice(root::role, &[("machine", false), ("master", true)]);
         if role == Some(true) {
             return read_master(&root, name, period_us);
         }

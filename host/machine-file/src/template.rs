@@ -170,7 +170,7 @@ mod tests {
             1
         );
         // An optional key that the file does not have.
-        let role = "\"slave\", \"master\", default \"slave\"\n# role = \"slave\"\n";
+        let role = "\"machine\", \"master\", default \"machine\"\n# role = \"machine\"\n";
         assert_eq!(text.matches(role).count(), 1, "{text}");
         let generated = text.lines().filter(|line| !MILL.contains(line));
         assert!(generated.clone().count() > 60);

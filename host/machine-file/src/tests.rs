@@ -447,7 +447,7 @@ fn master_has_the_same_haptic_arm_and_reports_missing_sections() {
     let reported = |text: &str| MachineFile::parse("m.toml", text).unwrap_err().to_string();
     let without = MASTER.replace("role = \"master\"", "role = \"leader\"");
     assert!(
-        reported(&without).contains("\"leader\" is not known; write \"slave\" or \"master\""),
+        reported(&without).contains("\"leader\" is not known; write \"machine\" or \"master\""),
         "{}",
         reported(&without)
     );

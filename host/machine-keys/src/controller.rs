@@ -17,9 +17,9 @@ root "" "The machine and its control period." {
     format = whole(1, 1000, "").is("format of the file, its first key; without it the format is 1");
     name = text("1 to 24 bytes").is("name in reports and in the session");
     period_us = whole(50, 1000, "us").is("control period").bounded("a divisor of 1,000,000");
-    role = word(&["slave", "master"])
+    role = word(&["machine", "master"])
         .is("`master`: a haptic arm without axes; then only `name`, `period_us`, `role`, `[supervision]`, `[haptic]` and `[plant]` are read")
-        .or_text("\"slave\"");
+        .or_text("\"machine\"");
 }
 
 kinematics "kinematics" "The model; its lengths are keys of the model." {

@@ -31,7 +31,7 @@ output "output" "A digital output, at most 16." {
     channel = whole(0, 31, "").is("channel of the board").bounded("each once");
     active = word(&["high", "low"]).is("level at which the output is on").or_text("\"high\"");
     safe = word(&["off", "on"]).is("value in a fault, in an emergency stop and after configuration")
-        .bounded("off for an output that follows the spindle");
+        .bounded("off for an output that follows the spindle, on for a tool clamp");
     without_host = word(&["safe", "keep"])
         .is("value while nothing is received from the host for `heartbeat_ms`")
         .or_text("\"safe\"");
