@@ -2,7 +2,7 @@
 
 use super::super::bench::StormBench;
 use super::super::units::{PERIOD, joint_unit, kind_unit};
-use super::{CheckResult, Checks, PreviousPeriod, bounds, commanded_pose};
+use super::{CheckResult, Checks, PreviousPeriod, bounds, commanded_pose, gantry_partner};
 use haptimill_firmware::config::{JointAxis, PoseAxis};
 use haptimill_firmware::machine::Machine;
 use haptimill_protocol::message::State;
@@ -81,6 +81,9 @@ impl Checks {
                 motion.check_stroke(joint, limits)?;
                 self.check_joint_derivative(&motion, joint)?;
             }
+        }
+        if machine.leaves_switch() && !motion.initialised && !self.foreign_configuration {
+            motion.check_leaving(usize::from(machine.leaving_joint()))?;
         }
         Ok(())
     }
@@ -170,6 +173,29 @@ impl Motion<'_> {
     fn joint_step(&self, joint: usize) -> f64 {
         let place = self.machine.target().joints.0[joint].0;
         f64::from(place.wrapping_sub(self.before.joints[joint] as i64 as i32))
+    }
+
+    /// Checks that a joint on its limit switch moves away from it, and that the others stay.
+    fn check_leaving(&self, leaving: usize) -> CheckResult {
+        let joints = &self.bench.machine.config.joints;
+        let inputs = &self.bench.rig.inputs().axes;
+        let partner = gantry_partner(joints, leaving);
+        for joint in 0..joints.len() {
+            let step = self.joint_step(joint);
+            let is_wrong = if joint == leaving {
+                step < 0.0 && inputs[joint].limit_low || step > 0.0 && inputs[joint].limit_high
+            } else {
+                step != 0.0 && partner != Some(joint)
+            };
+            if is_wrong && self.state == State::Homing {
+                violated!(
+                    self.bench,
+                    "off a limit switch",
+                    "joint {joint} is commanded by {step}, joint {leaving} is to move off"
+                );
+            }
+        }
+        Ok(())
     }
 
     fn check_rate(&self, axis: usize, limits: &PoseAxis) -> CheckResult {

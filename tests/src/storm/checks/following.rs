@@ -4,7 +4,7 @@ use super::super::bench::StormBench;
 use super::super::episode::joint_of;
 use super::super::units::{PERIOD, class, joint_unit};
 use super::position::is_position_known;
-use super::{Cause, CheckResult, Checks, bounds};
+use super::{Cause, CheckResult, Checks, bounds, gantry_partner};
 use haptimill_firmware::config::JointAxis;
 use haptimill_protocol::message::State;
 
@@ -134,9 +134,13 @@ impl Checks {
         };
         let limits = &machine.config.joints[joint];
         let far = distance(limits, bench.rig.truth().joints[joint], target);
-        // Without an encoder nothing measures what a push or a reversed drive does to the joint.
-        let mut injected = self.injected.iter();
-        let of_joint = injected.any(|kind| kind.axis().and_then(joint_of) == Some(joint));
+        // Without an encoder nothing measures what a push or a reversed drive does to the joint, or
+        // to the other motor of its gantry.
+        let partner = gantry_partner(&machine.config.joints, joint);
+        let of_joint = self.injected.iter().any(|kind| {
+            let injected = kind.axis().and_then(joint_of);
+            injected.is_some() && (injected == Some(joint) || injected == partner)
+        });
         let seen = limits.encoder.is_some() || !of_joint;
         let runaway = &mut self.following.runaway[joint];
         let away = known && seen && far > bounds::RUNAWAY[class(limits)];

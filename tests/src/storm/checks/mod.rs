@@ -23,6 +23,7 @@ mod compliance;
 mod fault_causes;
 mod following;
 mod haptics;
+mod named_io;
 mod outputs;
 mod position;
 mod refusal;
@@ -105,6 +106,8 @@ pub struct Checks {
     following: following::FollowingRecord,
     compliance: compliance::ComplianceRecord,
     telemetry_samples: telemetry::Samples,
+    /// Periods of motion since the armed probe is in contact.
+    contact_periods: u32,
 }
 
 /// Returns the motion in one period that the firmware takes for a counter jump, in axis units.
@@ -116,6 +119,15 @@ fn jump_threshold(limits: &JointAxis) -> f64 {
         .as_ref()
         .map_or(0, |encoder| encoder.following.0);
     f64::from(following) + f64::from(limits.rate.0) * 10.0 * PERIOD
+}
+
+/// Returns the other motor of the gantry of a joint.
+fn gantry_partner(joints: &[JointAxis], joint: usize) -> Option<usize> {
+    let first = |joint: usize| {
+        let gantry = joints.get(joint)?.gantry.as_ref();
+        gantry.map(|gantry| usize::from(gantry.of))
+    };
+    first(joint).or_else(|| (0..joints.len()).find(|other| first(*other) == Some(joint)))
 }
 
 /// Returns the active limit switches of each joint, one bit for each end.
@@ -157,6 +169,7 @@ impl Checks {
             following: following::FollowingRecord::default(),
             compliance: compliance::ComplianceRecord::default(),
             telemetry_samples: telemetry::Samples::default(),
+            contact_periods: 0,
         }
     }
 
@@ -195,6 +208,7 @@ impl Checks {
             return Ok(());
         }
         self.check_outputs(bench)?;
+        self.check_named_io(bench)?;
         self.check_transition(bench)?;
         self.check_timeouts(bench)?;
         self.check_commanded(bench)?;

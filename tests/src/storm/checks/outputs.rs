@@ -3,7 +3,7 @@
 use super::super::bench::StormBench;
 use super::{CheckResult, Checks, limits};
 use haptimill_firmware::config::Drive;
-use haptimill_firmware::io::{ANALOG, DriveCommand, HapticOutputs};
+use haptimill_firmware::io::{DriveCommand, HapticOutputs};
 use haptimill_firmware::machine::Machine;
 use haptimill_protocol::message::{Fault, State};
 
@@ -21,21 +21,6 @@ const fn holds(fault: &Fault) -> bool {
             | Fault::Master(_)
             | Fault::ProbeContact { .. }
     )
-}
-
-/// Returns the levels of the named outputs while a fault is latched, from the machine file.
-fn safe_outputs(bench: &StormBench) -> (u32, [i16; ANALOG]) {
-    let mut levels = (0, [0; ANALOG]);
-    if bench.controller().machine().is_some() {
-        let io = &bench.machine.config.io;
-        for output in &io.outputs {
-            levels.0 |= u32::from(output.safe != output.inverted) << output.channel;
-        }
-        for output in &io.analog_outputs {
-            levels.1[usize::from(output.channel)] = output.safe;
-        }
-    }
-    levels
 }
 
 impl Checks {
@@ -69,19 +54,6 @@ impl Checks {
                 bench,
                 "emergency stop",
                 "the circuit is open in state {state:?}"
-            );
-        }
-        let latched = matches!(state, State::Fault | State::EmergencyStop);
-        if latched
-            && !self.foreign_configuration
-            && (outputs.digital, outputs.analog) != safe_outputs(bench)
-        {
-            violated!(
-                bench,
-                "outputs not safe",
-                "state {state:?}, digital {:#b}, analog {:?}",
-                outputs.digital,
-                outputs.analog
             );
         }
         if (state == State::Fault) != safety.fault().is_some() && state != State::EmergencyStop {
