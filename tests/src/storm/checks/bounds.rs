@@ -18,10 +18,12 @@ pub const FOUND: f64 = 0.12;
 pub const LASTING: u32 = 250;
 /// Largest error where other faults of the joint come with it and move the slide.
 ///
-/// A dead channel is found by 24 reversals of the count, at most one in a period. Motion in a
-/// period with an even number of edges of the live channel adds to this bound: the count does not
-/// change.
+/// A dead channel is found by [`REVERSALS`] of the count, at most one in a period: a fast joint
+/// moves farther meanwhile. Motion in a period with an even number of edges of the live channel
+/// adds to this bound: the count does not change.
 pub const PUSHED: f64 = 0.6;
+/// Reversals of the count that show a dead channel.
+pub const REVERSALS: f64 = 24.0;
 /// Periods for which that error may exceed [`OFF`]: 0.5 s.
 pub const PUSHED_LASTING: u32 = 2500;
 /// Largest error while both channels are dead: the second index pulse reveals it.

@@ -44,6 +44,8 @@ pub(super) struct EncoderRecord {
     /// True motion, in mm or degrees, in periods that left the count of a defective encoder as it
     /// was.
     unseen: [f64; 6],
+    /// Largest motion of a motor in a period since a fault was injected into its encoder.
+    fastest: [f64; 6],
 }
 
 impl EncoderRecord {
@@ -71,6 +73,7 @@ impl EncoderRecord {
     pub(super) const fn end_of_errors(&mut self) {
         self.suspect = self.homing_fault;
         self.unseen = [0.0; 6];
+        self.fastest = [0.0; 6];
         self.slipped_off = [false; 6];
     }
 
@@ -81,6 +84,9 @@ impl EncoderRecord {
     fn record_unseen_motion(&mut self, joint: usize, counts: i32, place: f64, count: f64) {
         if let Some((before, from)) = self.last[joint].replace((counts, place)) {
             let travel = (place - from).abs();
+            if self.suspect[joint] {
+                self.fastest[joint] = self.fastest[joint].max(travel);
+            }
             if self.suspect[joint] && counts == before && travel > 2.0 * count {
                 self.unseen[joint] += travel;
             }
@@ -199,7 +205,8 @@ impl Checks {
                 name: "off, noise or drives off",
             },
             EncoderDefect::Several => ErrorBounds {
-                most: bounds::PUSHED + self.position.unseen[joint],
+                most: bounds::PUSHED.max(bounds::REVERSALS * self.position.fastest[joint])
+                    + self.position.unseen[joint],
                 // Each fault may stay below the bound of one; index pulses reveal the sum.
                 lasting: if found_by_index {
                     unseen
