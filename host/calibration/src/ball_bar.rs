@@ -89,6 +89,32 @@ pub fn run(machine: &mut Machine, test: &CircleTest) -> Result<CircleResult, Err
     })
 }
 
+/// Points of a circle at standstill.
+const STANDSTILLS: u32 = 36;
+
+/// Circular deviation G of the tool at standstill at 36 points of the circle, mm: without the
+/// dynamics of the machine and without noise.
+///
+/// # Errors
+/// As [`run`].
+pub fn at_standstill(machine: &mut Machine, test: &CircleTest) -> Result<f64, Error> {
+    let [x, y] = test.centre;
+    let point = |step| {
+        let angle = core::f64::consts::TAU * f64::from(step) / f64::from(STANDSTILLS);
+        let (sine, cosine) = angle.sin_cos();
+        [x + test.radius * cosine, y + test.radius * sine, 0.0]
+    };
+    let targets: Vec<[f64; 3]> = (0..STANDSTILLS).map(point).collect();
+    let stood = machine.visit(&targets, test.feed, 1.2, 0.3)?;
+    let points: Vec<[f64; 2]> = stood
+        .iter()
+        .map(|sample| [sample.tool[0], sample.tool[1]])
+        .collect();
+    let circle = fit_circle(&points)
+        .map_err(|problem| Error::new(ErrorKind::Internal, format!("circle test: {problem}")))?;
+    Ok(circle.roundness())
+}
+
 /// Steps of the profile.
 const STEPS: usize = 360;
 

@@ -6,10 +6,15 @@ use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{card, escape, put};
 use haptimill_viewer::{Layer, Map, Scale, Scene, Shape, Values};
 use haptimill_volumetric::Vector;
-use haptimill_volumetric::part::{HALF_SIDE, SIDES, STRAIGHTNESS};
+use haptimill_volumetric::part::{
+    CIRCLE_RADIUS, Features, HALF_SIDE, ProbePoint, SIDES, STRAIGHTNESS, probe_points,
+};
 
 /// Factor of the drawn length of an error arrow: 1 um is 4 mm.
-const MAGNIFY: f32 = 4000.0;
+const MAGNIFY: f32 = 4e3;
+
+/// The same for what exact tables leave: 0.1 um is 20 mm.
+const MAGNIFY_REST: f32 = 200e3;
 
 const MORE_STYLE: &str = "
 th{text-align:left;padding:7px 14px;border-bottom:1px solid #d5dae0;font-weight:600;color:#3b4754;font-size:13px}
@@ -29,18 +34,17 @@ pub fn page(outcome: &Outcome) -> String {
     card(
         &mut body,
         "Arrows: error of the tool at standstill, 1 um drawn as 4 mm. Switch the states on and off.",
-        &scene(&outcome.states).fragment(),
+        &scene(&outcome.states, MAGNIFY).fragment(),
     );
-    characteristics(&mut body, &outcome.states);
-    body.push_str("<h2>Profiles of the sides of the square</h2><div class=\"pair\">");
-    for (index, side) in SIDES.iter().enumerate() {
-        let caption = format!(
-            "Side {side}: deviation along the normal; tolerance of straightness {:.0} um",
-            STRAIGHTNESS * 1e3
+    if let Some(exact) = outcome.states.get(1..2) {
+        card(
+            &mut body,
+            "What exact tables leave: 0.1 um drawn as 20 mm.",
+            &scene(exact, MAGNIFY_REST).fragment(),
         );
-        card(&mut body, &caption, &profile(&outcome.states, index).svg());
     }
-    body.push_str("</div>");
+    characteristics(&mut body, &outcome.states);
+    profiles(&mut body, &outcome.states);
     circles(&mut body, &outcome.states);
     body.push_str(
         "<h2>Sides before compensation: measured errors against the part (table 5.1 of the \
@@ -88,9 +92,9 @@ fn volumes(body: &mut String, outcome: &Outcome) {
     body.push_str("</table>");
 }
 
-/// Arrows of the error field of each state.
+/// Arrows of the error field of each state; the first one is shown at first.
 #[must_use]
-pub fn scene(states: &[State]) -> Scene {
+pub fn scene(states: &[State], magnify: f32) -> Scene {
     let largest = states
         .first()
         .map_or(0.0, |state| state.volume.sizes().largest * 1e3);
@@ -104,7 +108,7 @@ pub fn scene(states: &[State]) -> Scene {
         let shape = Shape::Arrows {
             points: flat(&state.volume.points),
             vectors: flat(&state.volume.errors),
-            magnify: MAGNIFY,
+            magnify,
             width: 1.5,
         };
         let values = state
@@ -184,21 +188,47 @@ fn characteristics(body: &mut String, states: &[State]) {
     );
 }
 
+/// Profiles of the sides of the square and of the diamond.
+fn profiles(body: &mut String, states: &[State]) {
+    let nominal = probe_points();
+    let um = STRAIGHTNESS * 1e3;
+    body.push_str("<h2>Profiles of the sides of the square and of the diamond</h2>");
+    body.push_str("<div class=\"pair\">");
+    for (index, side) in SIDES.iter().enumerate() {
+        let chart = profile(states, &nominal.sides[index], HALF_SIDE, |surface| {
+            &surface.sides[index]
+        });
+        let caption = format!(
+            "Side {side}: deviation along the normal; tolerance of straightness {um:.0} um"
+        );
+        card(body, &caption, &chart.svg());
+    }
+    for (index, side) in nominal.diamond.iter().enumerate() {
+        let chart = profile(states, side, CIRCLE_RADIUS, |surface| {
+            &surface.diamond[index]
+        });
+        let caption = format!(
+            "Side {} of the diamond: deviation along the normal; tolerance of straightness {um:.0} um",
+            index + 1
+        );
+        card(body, &caption, &chart.svg());
+    }
+    body.push_str("</div>");
+}
+
 /// Deviation of a side along its normal, um, for each state.
-fn profile(states: &[State], side: usize) -> Chart {
-    let nominal = haptimill_volumetric::part::probe_points();
+fn profile(
+    states: &[State],
+    nominal: &[ProbePoint],
+    half: f64,
+    of: impl Fn(&Features<Vector>) -> &Vec<Vector>,
+) -> Chart {
     let line = |(index, state): (usize, &State)| {
-        let points = nominal.sides[side].iter().zip(&state.surface.sides[side]);
-        let along = |point: &Vector| {
-            if side.is_multiple_of(2) {
-                point.x
-            } else {
-                point.y
-            }
-        };
+        let points = nominal.iter().zip(of(&state.surface));
         let piece = points.map(|(point, cut)| {
+            let along = Vector::z().cross(&point.normal);
             (
-                along(&point.surface),
+                along.dot(&point.surface),
                 (cut - point.surface).dot(&point.normal) * 1e3,
             )
         });
@@ -217,8 +247,8 @@ fn profile(states: &[State], side: usize) -> Chart {
             colour: "#b04a00",
             width: 1.0,
             pieces: vec![vec![
-                (-HALF_SIDE, at * STRAIGHTNESS * 1e3),
-                (HALF_SIDE, at * STRAIGHTNESS * 1e3),
+                (-half, at * STRAIGHTNESS * 1e3),
+                (half, at * STRAIGHTNESS * 1e3),
             ]],
         });
     }
@@ -226,8 +256,8 @@ fn profile(states: &[State], side: usize) -> Chart {
         x_label: "along the side, mm".to_string(),
         y_label: "deviation, um".to_string(),
         lines,
-        width: 520.0,
-        height: 260.0,
+        width: 640.0,
+        height: 300.0,
         equal: false,
         from_zero: true,
         backdrop: None,
@@ -242,6 +272,15 @@ fn circles(body: &mut String, states: &[State]) {
          <th class=\"n\">squareness, urad</th></tr>",
     );
     for state in states {
+        put(
+            body,
+            format_args!(
+                "<tr><td>{}</td><td class=\"n\">at standstill</td><td class=\"n\">{:.2}</td>\
+                 <td colspan=\"5\"></td></tr>",
+                state.name,
+                state.still * 1e3
+            ),
+        );
         for (feed, circle) in &state.circles {
             let [ccw, cw] = circle.deviation.map(|value| value * 1e3);
             let [most, least] = circle.radial.map(|value| value * 1e3);

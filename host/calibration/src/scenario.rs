@@ -130,7 +130,7 @@ impl Default for Extent {
 }
 
 impl Extent {
-    /// Few points and targets, one feed, and no worn machine.
+    /// Few points and targets, and one feed.
     #[must_use]
     pub fn coarse() -> Self {
         let side = vec![-80.0, 0.0, 80.0];
@@ -144,7 +144,7 @@ impl Extent {
                 ..Plan::default()
             },
             feeds: vec![60.0],
-            worn: false,
+            worn: true,
             sides: None,
         }
     }
@@ -161,6 +161,8 @@ pub struct State {
     pub surface: Features<Vector>,
     /// Its characteristics by the coordinate measuring machine without noise, and with it.
     pub rows: Vec<[Row; 2]>,
+    /// Circular deviation at standstill on the circle of the circle tests, mm.
+    pub still: f64,
     /// The circle tests, with their feeds, mm/s.
     pub circles: Vec<(f64, CircleResult)>,
 }
@@ -304,6 +306,7 @@ fn measure_state(
     let rows = exact.into_iter().zip(Cmm::default().measure(&cut)?);
     let rows = rows.map(<[Row; 2]>::from).collect();
     progress(&format!("{name}: circle tests"));
+    let still = ball_bar::at_standstill(machine, &CircleTest::at(GRID_FEED))?;
     let mut circles = Vec::new();
     for feed in &extent.feeds {
         circles.push((*feed, ball_bar::run(machine, &CircleTest::at(*feed))?));
@@ -313,6 +316,7 @@ fn measure_state(
         volume,
         surface: cut,
         rows,
+        still,
         circles,
     })
 }
@@ -424,13 +428,14 @@ pub fn table(outcome: &Outcome) -> String {
         "\n* below MPE_P = {:.1} um of the measuring machine; ! beyond the tolerance\n\n\
          {:<40} feed    G ccw     G cw        H",
         MPE_P * 1e3,
-        "circle test, um"
+        "circle test, um; feed 0 is standstill"
     );
     for state in &outcome.states {
+        let (name, still) = (state.name, state.still * 1e3);
+        let _ = writeln!(text, "{name:<40}    0 {still:>8.2}");
         for (feed, circle) in &state.circles {
             let [ccw, cw] = circle.deviation.map(|value| value * 1e3);
             let hysteresis = circle.hysteresis * 1e3;
-            let name = state.name;
             let _ = writeln!(
                 text,
                 "{name:<40} {feed:>4} {ccw:>8.2} {cw:>8.2} {hysteresis:>8.2}"
@@ -489,6 +494,7 @@ pub fn summary(outcome: &Outcome) -> String {
                 "name": state.name,
                 "volume": sizes(&state.volume),
                 "test_piece": rows,
+                "circle_at_standstill_um": state.still * 1e3,
                 "circles": circles,
             })
         })

@@ -285,12 +285,31 @@ fn scenario_goes_from_error_file_to_compensated_part() {
         );
         assert!(square.abs() < 3.0, "{square}");
     }
+    // The machine with errors ten times as large: the same with exact tables; measured ones are off
+    // between their targets of 25 mm.
+    let worn = |state: usize, size: &str| number(&summary["worn"][state][size]);
+    assert!(worn(0, "largest_um") > 50.0, "{}", summary["worn"]);
+    assert!(worn(1, "largest_um") <= 0.1, "{}", summary["worn"]);
+    assert!(
+        worn(2, "largest_without_motion_um") <= 1.5,
+        "{}",
+        summary["worn"]
+    );
+    // Static and dynamic error apart: at standstill exact tables leave nothing.
+    let still = |state: &serde_json::Value| number(&state["circle_at_standstill_um"]);
+    assert!(still(before) > 5.0, "{before}");
+    assert!(still(exact) <= 0.15, "{}", still(exact));
+    assert!(still(measured) <= 0.5, "{}", still(measured));
     // Table 5.1 with the published tables: the model has fits of them.
     let of_x = &summary["comparison"][0];
     assert!(number(&of_x["r_squared"]) > 0.8, "{of_x}");
     assert!(number(&of_x["p"]) < 0.001, "{of_x}");
     let page = std::fs::read_to_string(folder.path("out/vmc/index.html")).unwrap();
     for part in [
+        "at standstill",
+        "What exact tables leave",
+        "Side 4 of the diamond",
+        "errors x 10, measured tables",
         "exact tables",
         "measured tables",
         "tolerance",

@@ -53,7 +53,7 @@ pub struct RunArgs {
     /// vmc: errors of the simulated machine (CSV) instead of those of its file
     #[arg(long, value_name = "FILE")]
     pub errors: Option<PathBuf>,
-    /// vmc: few points and targets, one circle, no worn machine
+    /// vmc: few points and targets, and one circle test
     #[arg(long)]
     pub coarse: bool,
     /// vmc: side of the square along x from a measuring machine, as table 4.1 of the thesis (CSV:
