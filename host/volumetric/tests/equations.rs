@@ -6,6 +6,7 @@ use haptimill_volumetric::chain::{self, Model, THESIS_TOOL, small_motion, transl
 use haptimill_volumetric::errors::{Axis, ClosedForm, ErrorSet, Function, Shape};
 use nalgebra::{Matrix4, Vector4};
 
+/// Tolerance of equal places, mm: rounding errors of sums of lengths up to 1461 mm.
 const TOLERANCE: f64 = 1e-12;
 
 /// Offsets of the frames of the thesis's machine, mm. `z_r1` has the sign that closes the chain.
@@ -68,7 +69,7 @@ fn actual_tool() -> Vector {
 }
 
 fn same(a: Vector, b: Vector) -> bool {
-    (a - b).amax() < TOLERANCE * 1e3
+    (a - b).amax() < TOLERANCE
 }
 
 /// (2.5): the example of a translation.

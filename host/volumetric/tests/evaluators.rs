@@ -39,6 +39,59 @@ fn plane_with_steps() {
     assert!((flatness_zone(&points).unwrap() - 0.004).abs() < 1e-6);
 }
 
+/// Two outer and two inner points that alternate fix the minimum zone at their distance, 4 um. More
+/// points on one side within this zone draw the least squares fit away from it.
+#[test]
+fn zones_are_smaller_than_fits() {
+    let crowd = || (1..=20).map(|step| 4.0 * f64::from(step) / 180.0 * std::f64::consts::PI);
+    let ring = |z: f64, crowded: bool| -> Vec<Vector> {
+        let place =
+            |angle: f64, radius: f64| Vector::new(radius * angle.cos(), radius * angle.sin(), z);
+        let four = (0..4).map(|quarter| {
+            let off = if quarter % 2 == 0 { 0.002 } else { -0.002 };
+            place(0.25 * TAU * f64::from(quarter), 15.0 + off)
+        });
+        let more = crowd().map(|angle| place(angle, 15.002));
+        let more = more.take(if crowded { 20 } else { 0 });
+        four.chain(more).collect()
+    };
+    let flat: Vec<[f64; 2]> = ring(0.0, true)
+        .iter()
+        .map(|point| [point.x, point.y])
+        .collect();
+    let (fit, zone) = (
+        fit_circle(&flat).unwrap().roundness(),
+        roundness_zone(&flat).unwrap(),
+    );
+    println!("circle {fit} {zone}");
+    assert!((zone - 0.004).abs() < 1e-7 && fit > 0.0045);
+
+    // The corners of a square, alternately 2 um up and down.
+    let mut points: Vec<Vector> = [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]
+        .into_iter()
+        .zip([0.002, -0.002, 0.002, -0.002])
+        .map(|((x, y), z)| Vector::new(x, y, z))
+        .collect();
+    points.extend((1..=20).map(|step| Vector::new(2.0 * f64::from(step), 40.0, 0.002)));
+    let (fit, zone) = (
+        fit_plane(&points).unwrap().flatness(),
+        flatness_zone(&points).unwrap(),
+    );
+    println!("plane {fit} {zone}");
+    assert!((zone - 0.004).abs() < 1e-7 && fit > 0.0045);
+
+    let points: Vec<Vector> = [(-10.0, false), (0.0, false), (10.0, true)]
+        .into_iter()
+        .flat_map(|(z, crowded)| ring(z, crowded))
+        .collect();
+    let (fit, zone) = (
+        fit_cylinder(&points).unwrap().cylindricity(),
+        cylindricity_zone(&points).unwrap(),
+    );
+    println!("cylinder {fit} {zone}");
+    assert!((zone - 0.004).abs() < 1e-6 && fit > 0.0045);
+}
+
 /// A tilted cylinder.
 #[test]
 fn tilted_cylinder() {

@@ -3,7 +3,7 @@
 
 use haptimill_volumetric::Vector;
 use haptimill_volumetric::chain::{Arms, Model};
-use haptimill_volumetric::errors::ErrorSet;
+use haptimill_volumetric::errors::{Approach, ErrorSet, Function, Shape, Table};
 use haptimill_volumetric::file::{self, Limits};
 use haptimill_volumetric::grid::{Grid, Sizes, compensated, reached};
 use haptimill_volumetric::part::{characteristics, probe_points};
@@ -95,6 +95,45 @@ fn grid() {
         let left = Sizes::of(left);
         assert!((raw.largest * 1e3 - before).abs() < 0.005, "{raw:?}");
         assert!((left.largest * 1e3 - after).abs() < 0.01e-3, "{left:?}");
+    }
+}
+
+/// A table of a closed form is exact at its nodes, the mean of two nodes between them, constant
+/// beyond the ends, and the mean of both directions where the direction is unknown.
+#[test]
+fn tables_are_exact_at_nodes() {
+    let errors = errors();
+    let travel = [(-325.0, 325.0), (-250.0, 250.0), (-150.0, 300.0)];
+    let tables = errors.tabulated(&travel, [14, 11, 10]);
+    for function in Function::all() {
+        let Shape::Table(table) = tables.function(function) else {
+            panic!("{function} is no table");
+        };
+        let form = |at: f64| errors.function(function).value(at, Approach::Any);
+        for approach in [Approach::Any, Approach::Up, Approach::Down] {
+            for node in &table.nodes {
+                assert_eq!(
+                    table.value(*node, approach),
+                    form(*node),
+                    "{function} {node}"
+                );
+            }
+        }
+        for pair in table.nodes.windows(2) {
+            let mean = 0.5 * (form(pair[0]) + form(pair[1]));
+            let between = table.value(0.5 * (pair[0] + pair[1]), Approach::Any);
+            assert!((between - mean).abs() < 1e-15, "{function} {pair:?}");
+        }
+        let (low, high) = travel[function.moving.index()];
+        assert_eq!(table.value(low - 50.0, Approach::Any), form(low));
+        assert_eq!(table.value(high + 50.0, Approach::Any), form(high));
+        let pair = Table {
+            down: Some(table.up.iter().map(|value| value + 4e-3).collect()),
+            ..table.clone()
+        };
+        let [any, up, down] = [Approach::Any, Approach::Up, Approach::Down]
+            .map(|approach| pair.value(low, approach) - form(low));
+        assert!(up.abs() < 1e-15 && (down - 4e-3).abs() < 1e-15 && (any - 2e-3).abs() < 1e-15);
     }
 }
 
