@@ -8,7 +8,7 @@ use haptimill_volumetric::chain::Model;
 use haptimill_volumetric::errors::{ErrorSet, even_nodes};
 use haptimill_volumetric::gdt::fit_line;
 use haptimill_volumetric::part::{Features, HALF_SIDE};
-use std::fmt;
+use std::fmt::{self, Write as _};
 
 /// A side that a coordinate measuring machine probed: positions along it, and readings of each run.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,25 +83,54 @@ impl SideTable {
         Ok(table)
     }
 
+    /// The table as text, for [`SideTable::read`]: columns as in the tables 4.1 and 4.2 of the
+    /// thesis. `along` and `across` are the names of the coordinates.
+    #[must_use]
+    pub fn write(&self, along: &str, across: &str) -> String {
+        let mut text = format!("{along}_mm");
+        // Writing to a string does not fail.
+        for run in 1..=self.runs.len() {
+            let _ = write!(text, ",{across}_run{run}_mm");
+        }
+        let _ = writeln!(text, ",{across}_mean_mm");
+        for (row, [at, mean]) in self.means().into_iter().enumerate() {
+            let _ = write!(text, "{at}");
+            for run in &self.runs {
+                let _ = write!(text, ",{:.5}", run[row]);
+            }
+            let _ = writeln!(text, ",{mean:.5}");
+        }
+        text
+    }
+
+    /// Positions and means of the runs there.
+    fn means(&self) -> Vec<[f64; 2]> {
+        let count = self.runs.len() as f64;
+        let rows = self.positions.iter().enumerate();
+        let sum = |row: usize| self.runs.iter().map(|run| run[row]).sum::<f64>();
+        rows.map(|(row, at)| [*at, sum(row) / count]).collect()
+    }
+
     /// Residuals of the mean of the runs from its least squares line, mm: the straightness profile.
     #[must_use]
     pub fn profile(&self) -> Vec<f64> {
-        let count = self.runs.len() as f64;
-        let points: Vec<[f64; 2]> = self
-            .positions
-            .iter()
-            .enumerate()
-            .map(|(row, at)| {
-                [
-                    *at,
-                    self.runs.iter().map(|run| run[row]).sum::<f64>() / count,
-                ]
-            })
-            .collect();
-        fit_line(&points)
+        fit_line(&self.means())
             .map(|line| line.residuals)
             .unwrap_or_default()
     }
+
+    /// Slope of this line; 0 without one.
+    #[must_use]
+    pub fn slope(&self) -> f64 {
+        fit_line(&self.means()).map_or(0.0, |line| line.slope)
+    }
+}
+
+/// Squareness of a side along y to one along x, radians, in the sign of `EC0Y`. It does not depend
+/// on the set-up of the part.
+#[must_use]
+pub fn squareness([x, y]: &[SideTable; 2]) -> f64 {
+    -(x.slope() + y.slope())
 }
 
 /// Level of significance of a correlation, two-tailed.

@@ -1,5 +1,6 @@
 //! The page of the scenario.
 
+use crate::comparison::squareness;
 use crate::cut::MPE_P;
 use crate::scenario::{Outcome, State, Volume, WORN};
 use haptimill_report::chart::{COLOURS, Chart, Line};
@@ -53,7 +54,13 @@ pub fn page(outcome: &Outcome) -> String {
     for line in &outcome.comparison {
         put(&mut body, format_args!("{}\n", escape(&line.to_string())));
     }
-    body.push_str("</pre>");
+    put(
+        &mut body,
+        format_args!(
+            "squareness of the two sides {:.1} urad</pre>",
+            squareness(&outcome.sides) * 1e6
+        ),
+    );
     body.push_str("<h2>Calibration</h2><pre>");
     body.push_str(&escape(&outcome.calibration.report()));
     body.push_str("</pre>");
@@ -241,17 +248,14 @@ fn profile(
     };
     let mut lines: Vec<Line> = states.iter().enumerate().map(line).collect();
     // The tolerance of straightness as a band about the nominal side.
-    for (label, at) in [("tolerance", 0.5), ("", -0.5)] {
-        lines.push(Line {
-            label: label.to_string(),
-            colour: "#b04a00",
-            width: 1.0,
-            pieces: vec![vec![
-                (-half, at * STRAIGHTNESS * 1e3),
-                (half, at * STRAIGHTNESS * 1e3),
-            ]],
-        });
-    }
+    let limit = |at: f64| vec![(-half, at), (half, at)];
+    let um = 0.5 * STRAIGHTNESS * 1e3;
+    lines.push(Line {
+        label: "tolerance".to_string(),
+        colour: "#6b7684",
+        width: 1.0,
+        pieces: vec![limit(um), limit(-um)],
+    });
     Chart {
         x_label: "along the side, mm".to_string(),
         y_label: "deviation, um".to_string(),

@@ -3,7 +3,7 @@
 
 use crate::ball_bar::{self, CircleResult, CircleTest};
 use crate::calibrate::{Calibration, Plan, calibrate};
-use crate::comparison::{Comparison, SideTable, side_table, table_5_1};
+use crate::comparison::{Comparison, SideTable, side_table, squareness, table_5_1};
 use crate::cut::{Cmm, MPE_P, PROGRAM, surface};
 use crate::drive::{Machine, SLOW};
 use haptimill_client::Error;
@@ -174,6 +174,8 @@ pub struct Outcome {
     pub states: Vec<State>,
     /// Errors ten times as large, in the states of [`WORN`]; empty without the worn machine.
     pub worn: Vec<Volume>,
+    /// Sides along x and along y, cut without compensation, by the measuring machine.
+    pub sides: [SideTable; 2],
     /// Table 5.1 of the thesis: the sides cut without compensation, against the measured errors.
     pub comparison: Vec<Comparison>,
     /// The calibration.
@@ -352,9 +354,9 @@ pub fn run(
         let runs = Cmm::default().probe(&before.surface);
         [0, 3].map(|side| side_table(&runs, side))
     });
-    let comparison = table_5_1(&calibration.errors, &sides);
     Ok(Outcome {
-        comparison,
+        comparison: table_5_1(&calibration.errors, &sides),
+        sides,
         states: vec![before, exact, measured],
         worn,
         calibration,
@@ -446,6 +448,8 @@ pub fn table(outcome: &Outcome) -> String {
     for line in &outcome.comparison {
         let _ = writeln!(text, "{line}");
     }
+    let square = squareness(&outcome.sides) * 1e6;
+    let _ = writeln!(text, "squareness of the two sides {square:.1} urad");
     text
 }
 
@@ -510,6 +514,7 @@ pub fn summary(outcome: &Outcome) -> String {
             "rmse_um": line.rmse * 1e3,
             "slope": line.slope,
         })).collect::<Vec<_>>(),
+        "squareness_of_sides_urad": squareness(&outcome.sides) * 1e6,
         "worn": outcome.worn.iter().map(sizes).collect::<Vec<_>>(),
     });
     format!("{all:#}\n")

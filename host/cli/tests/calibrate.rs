@@ -66,6 +66,27 @@ fn readings_become_a_compensated_circle() {
     run(&[&laser[..], &measure].concat()).expect_code(0);
     let evaluate = ["--readings", &readings, "--out", &evaluated];
     run(&[&laser[..], &evaluate].concat()).expect_code(0);
+    // Five runs upwards and downwards at every target.
+    let text = std::fs::read_to_string(&readings).unwrap();
+    let of_x: Vec<&str> = text
+        .lines()
+        .filter(|line| line.starts_with("EXX,"))
+        .collect();
+    let targets: std::collections::BTreeSet<&str> = of_x
+        .iter()
+        .filter_map(|line| line.split(',').nth(1))
+        .collect();
+    assert!(targets.len() >= 33);
+    for target in &targets {
+        for run in 1..=5 {
+            for direction in ["up", "down"] {
+                let start = format!("EXX,{target},{run},{direction},");
+                let found = of_x.iter().filter(|line| line.starts_with(&start));
+                assert_eq!(found.count(), 1, "{start}");
+            }
+        }
+    }
+    assert_eq!(of_x.len(), 10 * targets.len());
     let [first, second] = [&measured, &evaluated].map(|file| errors(file));
     assert_eq!(first.len(), second.len());
     for (first, second) in first.iter().zip(&second).skip(1) {
@@ -132,6 +153,71 @@ fn readings_become_a_compensated_circle() {
     );
     let page = std::fs::read_to_string(folder.path("out") + "/report.html").unwrap();
     assert!(page.contains("<td>Volumetric compensation</td><td>on"));
+}
+
+/// The report states the conditions: a warm machine, a wavelength that is not corrected, no
+/// instrument for roll, and a compensation that stays.
+#[test]
+fn the_report_states_the_conditions() {
+    let folder = TestFolder::new();
+    let (machine, out) = (machine(), folder.path("e.csv"));
+    let laser = ["calibrate", "laser", "--machine", &machine, "--out", &out];
+    let options = [
+        "--interval",
+        "150",
+        "--machine-temperature",
+        "23",
+        "--air",
+        "21",
+    ];
+    let more = ["--uncorrected", "--no-roll", "--no-noise"];
+    let done = run(&[&laser[..], &options, &more].concat())
+        .expect_code(0)
+        .out;
+    for expected in [
+        "WARNING     the machine has 23 deg C and not 20",
+        "+-6.0 um per metre",
+        "wavelength NOT corrected: readings are off by -0.93 ppm",
+        "roll        not measured, taken as 0",
+        "volumetric compensation the machine has none",
+    ] {
+        assert!(done.contains(expected), "{expected}\n{done}");
+    }
+    // Roll is 0 in the file. Positioning is off by the wavelength: 0.6 um at 650 mm.
+    let written = errors(&out);
+    let numbers = |name: &str| -> Vec<f64> {
+        let lines = written.iter().filter(|line| line.starts_with(name));
+        lines
+            .map(|line| line.split(',').nth(3).unwrap().parse().unwrap())
+            .collect()
+    };
+    assert!(numbers("EAX,").iter().all(|value| *value == 0.0));
+    assert!(numbers("ECX,").iter().any(|value| *value != 0.0));
+    let corrected = [&laser[..], &options[..2], &["--no-noise"]].concat();
+    let good = run(&corrected).expect_code(0).out;
+    assert!(!good.contains("WARNING"), "{good}");
+    let warm = numbers("EXX,");
+    let written = errors(&out);
+    let cold: Vec<[f64; 2]> = written
+        .iter()
+        .filter(|line| line.starts_with("EXX,"))
+        .map(|line| {
+            let words: Vec<&str> = line.split(',').collect();
+            [words[1], words[3]].map(|word| word.parse().unwrap())
+        })
+        .collect();
+    for (warm, [at, cold]) in warm.iter().zip(&cold) {
+        // The difference is zero at the origin.
+        assert!(
+            (warm - cold + 0.93e-3 * at).abs() < 0.03,
+            "{at} {warm} {cold}"
+        );
+    }
+    assert!(
+        written
+            .iter()
+            .any(|line| line.starts_with("EAX,") && !line.contains(",0.0000,"))
+    );
 }
 
 /// Readings that cannot be used: the line and the remedy, and no error file.
@@ -304,6 +390,26 @@ fn scenario_goes_from_error_file_to_compensated_part() {
     let of_x = &summary["comparison"][0];
     assert!(number(&of_x["r_squared"]) > 0.8, "{of_x}");
     assert!(number(&of_x["p"]) < 0.001, "{of_x}");
+    // The sides are written in the form of the tables; here they are the tables.
+    for (name, table) in ["side_x.csv", "side_y.csv"].iter().zip(&tables) {
+        let written = std::fs::read_to_string(folder.path("out/vmc/") + name).unwrap();
+        let given = std::fs::read_to_string(table).unwrap();
+        let rows = |text: &str| -> Vec<Vec<f64>> {
+            let numbers = |line: &str| line.split(',').map(|word| word.parse().ok()).collect();
+            text.lines().filter_map(numbers).collect()
+        };
+        let (written, given) = (rows(&written), rows(&given));
+        assert_eq!((written.len(), written[0].len()), (15, 5));
+        for (written, given) in written.iter().zip(&given) {
+            let pairs = written.iter().zip(given);
+            assert!(
+                pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-4),
+                "{written:?}"
+            );
+        }
+    }
+    let square = number(&summary["squareness_of_sides_urad"]);
+    assert!((square - 26.8).abs() < 0.1, "{square}");
     let page = std::fs::read_to_string(folder.path("out/vmc/index.html")).unwrap();
     for part in [
         "at standstill",

@@ -237,6 +237,9 @@ fn run_volumetric(args: &RunArgs) -> Result<(), CliError> {
         &outcome.calibration.report(),
     );
     write(&folder.join("errors.csv"), &errors)?;
+    let [x, y] = &outcome.sides;
+    write(&folder.join("side_x.csv"), &x.write("x", "y"))?;
+    write(&folder.join("side_y.csv"), &y.write("y", "x"))?;
     write(&folder.join("summary.json"), &scenario::summary(&outcome))?;
     if json {
         print_line!("{}", scenario::summary(&outcome).trim_end());
