@@ -5,7 +5,7 @@ use haptimill_calibration::drive::{Machine, SLOW};
 use haptimill_calibration::scenario::{travel, truth, with_exact_tables, worn};
 use haptimill_machine_file::MachineFile;
 use haptimill_math::Coordinate;
-use haptimill_volumetric::errors::{Function, Shape, Table};
+use haptimill_volumetric::errors::{ClosedForm, ErrorSet, Function, Shape, Table};
 use haptimill_volumetric::grid::{Grid, Sizes};
 use haptimill_volumetric::{Vector, file};
 use std::path::Path;
@@ -53,6 +53,53 @@ fn exact_tables_leave_a_tenth_of_a_micrometre() {
 #[test]
 fn exact_tables_of_a_worn_machine_leave_a_tenth_of_a_micrometre() {
     check(&worn(&machine(), 10.0).unwrap(), 48.1);
+}
+
+/// Pitch errors of the screws of a machine with step motors and without scales: only EXX, EYY and
+/// EZZ are known. What is left at standstill is in the order of a microstep, 1.6 um.
+#[test]
+fn pitch_errors_of_an_open_loop_are_compensated() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../machines/mill3.toml");
+    let plain = MachineFile::load(&path).unwrap_or_else(|problems| panic!("{problems}"));
+    let mut errors = ErrorSet::default();
+    for (name, slope) in [("EXX", 1.5e-4), ("EYY", -2e-4), ("EZZ", 1e-4)] {
+        // 0.15 um per mm, and a wave of 8 um over 60 mm.
+        let form = ClosedForm {
+            slope,
+            sines: [[4e-3, 60.0, 0.5], [0.0; 3]],
+            ..ClosedForm::default()
+        };
+        errors.set(Function::of_name(name).unwrap(), Shape::ClosedForm(form));
+    }
+    let text = file::write(&errors.tabulated(&travel(&plain), [31; 3]), "pitch");
+    let with = |text: &str| format!("squareness_yz = 0.0\nerrors = \"\"\"\n{text}\"\"\"\n");
+    let truth = plain
+        .text
+        .replacen("squareness_yz = 0.0\n", &with(&text), 1);
+    assert_ne!(truth, plain.text);
+    let file = MachineFile::parse("pitch.toml", &truth).unwrap();
+    let file = file.with_errors("pitch.csv", &text, "wYbXZt").unwrap();
+    let mut machine = Machine::new(&file, SLOW, &Default::default()).unwrap();
+    // The first one is not evaluated: all others are reached upwards, without lost motion.
+    let places = [-140.0, -130.0, -77.0, -20.0, 41.0, 90.0, 130.0];
+    let targets: Vec<[f64; 3]> = places.map(|at| [at, 0.6 * at, 0.25 * at]).into();
+    let mut sizes = |on| {
+        machine.compensate(on).unwrap();
+        let stood = machine.visit(&targets, 20.0, 1.2, 0.3).unwrap();
+        let errors: Vec<Vector> = stood
+            .iter()
+            .zip(&targets)
+            .skip(1)
+            .map(|(sample, target)| Vector::from_fn(|axis, _| sample.tool[axis] - target[axis]))
+            .collect();
+        // The switches find the origin to some micrometres; a part has an origin of its own.
+        let mean = errors.iter().sum::<Vector>() / errors.len() as f64;
+        Sizes::of(errors.iter().map(|error| error - mean))
+    };
+    let (before, after) = (sizes(false), sizes(true));
+    println!("open loop: before {before:?}, after {after:?}");
+    assert!(before.largest > 20e-3, "{before:?}");
+    assert!(after.largest < 2e-3, "{after:?}");
 }
 
 /// A screw with lost motion that grows along the travel, in an error file with a value for each

@@ -3,14 +3,18 @@
 
 use haptimill_calibration::drive::{Machine as Driven, SLOW};
 use haptimill_calibration::scenario::{machine, with_exact_tables};
+use haptimill_client::client::Options;
+use haptimill_client::session::{self, Session, SimLine};
 use haptimill_firmware::config::Config;
 use haptimill_firmware::config::volumetric::VolumetricConfig;
 use haptimill_firmware::io::Inputs;
 use haptimill_firmware::machine::Machine;
 use haptimill_hil_sim::machines::carriage_errors::{CarriageErrors, ErrorModel};
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::Model;
 use haptimill_math::Coordinate;
-use haptimill_protocol::message::ConfigField;
+use haptimill_protocol::frame::crc32;
+use haptimill_protocol::message::{ConfigField, State};
 
 fn config() -> Config {
     with_exact_tables(&machine().unwrap()).unwrap().config
@@ -39,6 +43,23 @@ fn a_changed_table_is_noticed() {
         assert!(is_noticed(|tables| tables.squareness[axis] ^= 1));
     }
     assert!(is_noticed(|tables| tables.shift ^= 1));
+}
+
+/// The blob of a configuration keeps its tables, and its CRC tells every flipped bit in them.
+#[test]
+fn a_corrupted_blob_is_told_by_its_crc() {
+    let file = with_exact_tables(&machine().unwrap()).unwrap();
+    let (blob, crc) = file.encoded().unwrap();
+    let read: Config = postcard::from_bytes(&blob).unwrap();
+    assert_eq!(read.volumetric, file.config.volumetric);
+    let (without, _) = machine().unwrap().encoded().unwrap();
+    assert!(blob.len() > without.len() + 1000, "{}", blob.len());
+    assert_eq!(crc32(&blob), crc);
+    for place in 0..blob.len() {
+        let mut changed = blob.clone();
+        changed[place] ^= 1 << (place % 8);
+        assert_ne!(crc32(&changed), crc, "{place}");
+    }
 }
 
 /// Tables that the controller cannot use are refused with the whole configuration, with their axis.
@@ -81,6 +102,47 @@ fn unusable_tables_are_refused() {
         (problem.field, problem.axis),
         (ConfigField::Volumetric, None)
     );
+}
+
+/// With the drives off there is no correction, after an emergency stop and after a fault of a
+/// drive; the end of the correction moves no joint.
+#[test]
+fn the_correction_ends_with_the_drives() {
+    let file = with_exact_tables(&machine().unwrap()).unwrap();
+    let trip = "drive-tripped axis=y at=30s".parse().unwrap();
+    for (faults, expected) in [(vec![], State::EmergencyStop), (vec![trip], State::Fault)] {
+        let rig = session::rig(&file, None, None, faults).unwrap();
+        let line = SimLine::new(rig);
+        let mut session = Session::new(line, &file, Options::default(), Default::default());
+        session.connect(1).unwrap();
+        session.configure(&file).unwrap();
+        session.enable().unwrap();
+        let home = session::find_home_pose(&file, &Model::new(&file)).unwrap();
+        session.go_home(&file, &home).unwrap();
+        while session.now_us() < 29_000_000 {
+            session.step().unwrap();
+        }
+        let before = session.status().unwrap();
+        assert_eq!(before.compensation, Some(100));
+        // The correction at the home pose is more than 1 um.
+        let moved = before.joints.iter().zip(&before.commanded);
+        assert!(
+            moved
+                .into_iter()
+                .any(|(joint, pose)| (joint - pose).abs() > 1 << 10)
+        );
+        if expected == State::EmergencyStop {
+            session.emergency_stop();
+        }
+        while session.now_us() < 31_000_000 {
+            session.step().unwrap();
+        }
+        let after = session.status().unwrap();
+        assert_eq!((after.state, after.compensation), (expected, Some(0)));
+        for (joint, before) in after.joints.iter().zip(&before.joints) {
+            assert!((joint - before).abs() < 1 << 9, "{joint} {before}");
+        }
+    }
 }
 
 /// Without a command, compensation is in full effect after homing, and stays out before it.
