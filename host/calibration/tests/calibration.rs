@@ -118,6 +118,20 @@ fn measured_errors_are_as_exact_as_the_instruments() {
     println!("expected {point} mm, {rest:?}");
     assert!((0.3 * point..1.5 * point).contains(&rest.rms), "{rest:?}");
     assert!(rest.largest < 3.0 * point, "{rest:?}");
+    // Roll, by its own instrument: the mean of ten readings, less the one at the origin.
+    let roll = Function::of_name("EAX").unwrap();
+    let Shape::Table(table) = found.errors.function(roll) else {
+        panic!("a table");
+    };
+    let truth = |at: f64| errors.function(roll).value(at, Approach::Any);
+    let off = |(at, value): (&f64, &f64)| value - (truth(*at) - truth(0.0));
+    let off: Vec<f64> = table.nodes.iter().zip(&table.up).map(off).collect();
+    let reading = (2.0 * mean_of_ten(laser.roll.unwrap())).sqrt();
+    let largest = off
+        .iter()
+        .fold(0.0_f64, |largest, off| largest.max(off.abs()));
+    println!("roll: expected {reading}, largest {largest}");
+    assert!(largest < 3.0 * reading, "{largest} {reading}");
 }
 
 /// Values by direction are a reversal error of the machine: the laser reads it, and the tables of

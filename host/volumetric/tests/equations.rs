@@ -82,6 +82,18 @@ fn equation_2_5() {
     assert_eq!(moved, Vector::new(11.0, 22.0, 33.0));
 }
 
+/// (2.1) is printed with the columns U, W, V of the axes of the turned frame: a mirror, and no
+/// rotation. In the order U, V, W it is one.
+#[test]
+fn equation_2_1() {
+    let turned = chain::rotation(Vector::new(0.3, -0.5, 0.7));
+    let axes = turned.fixed_view::<3, 3>(0, 0).into_owned();
+    let mut printed = axes;
+    printed.swap_columns(1, 2);
+    assert!((printed.determinant() + 1.0).abs() < TOLERANCE);
+    assert!((axes.determinant() - 1.0).abs() < TOLERANCE);
+}
+
 /// (2.13) is Rx Ry Rz; (2.14) is its first order.
 #[test]
 fn equations_2_13_and_2_14() {
