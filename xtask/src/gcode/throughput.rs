@@ -131,7 +131,7 @@ pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
     ] {
         let status = Command::new(&cargo)
             .current_dir(root())
-            .args(["build", "--quiet"])
+            .args(["build", "--release", "--quiet"])
             .args(target)
             .status()
             .map_err(|error| error.to_string())?;
@@ -139,7 +139,7 @@ pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
             return Err("the build failed".into());
         }
     }
-    let built = root().join("target/debug");
+    let built = root().join("target/release");
     let text = |path: PathBuf| path.to_string_lossy().into_owned();
     let canonical = text(built.join("examples/canonical"));
     let haptimill = text(built.join("haptimill"));
@@ -147,7 +147,7 @@ pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
     let parameters = text(folder.join("parameters.var"));
     super::write(Path::new(&tools), &super::tool_table())?;
     println!(
-        "{BLOCKS} blocks, dev profile, median of {ROUNDS} paired runs; CPU time over rs274 -g"
+        "{BLOCKS} blocks, release profile, median of {ROUNDS} paired runs; CPU time over rs274 -g"
     );
     println!("program     rs274 s  interpreter  --check  MiB of --check");
     for (name, program) in programs() {

@@ -3,7 +3,7 @@
 use super::super::bench::StormBench;
 use super::super::episode::{Theme, joint_of};
 use super::super::units::{self, joint_unit};
-use super::{CheckResult, Checks, bounds, jump_threshold};
+use super::{CheckResult, Checks, bounds, gantry_partner, jump_threshold};
 use haptimill_firmware::config::{AxisKind, Drive};
 use haptimill_hil_sim::fault::{FaultKind, Switch};
 use haptimill_protocol::force::ForceProblem;
@@ -130,7 +130,17 @@ impl Checks {
             Fault::Stroke { .. } | Fault::LimitSwitch { .. } => {
                 self.causes.contains(&Cause::MissedPeriods)
             }
-            Fault::ProbeContact { .. } => self.causes.contains(&Cause::Input),
+            // A jog may move the tool onto the probe, the tool setter or the block.
+            Fault::ProbeContact { input } => {
+                self.causes.contains(&Cause::Input) || is_wire_active(bench, usize::from(*input))
+            }
+            // A motor without friction runs away before its counts show the direction.
+            Fault::FollowingError { axis, .. } if self.other_machine => {
+                self.injected.iter().any(|kind| {
+                    matches!(kind, FaultKind::EncoderSwapped { .. })
+                        && kind.axis().and_then(joint_of) == Some(usize::from(*axis))
+                })
+            }
             // The cubic of a job may leave what the joints can reach between two setpoints.
             Fault::Pose(_) if self.other_machine => self.previous.state == State::Run,
             Fault::Master(_) => self.causes.contains(&Cause::MasterLeads),
@@ -166,7 +176,7 @@ impl Checks {
         };
         // A controller cannot distinguish every cause: any injected fault may explain this one.
         caused |= self.injected.iter().any(|kind| explains(kind, fault))
-            || self.explains_racking(bench, fault);
+            || self.explains_gantry(bench, fault);
         if caused {
             return Ok(());
         }
@@ -186,21 +196,21 @@ impl Checks {
         );
     }
 
-    /// Returns whether a fault is the racking of a gantry with an injected fault of one of its two
-    /// motors, or of a switch of one of them.
-    fn explains_racking(&self, bench: &StormBench, fault: &Fault) -> bool {
-        let (Fault::Racking { axis, .. }, Some(machine)) = (fault, bench.controller().machine())
+    /// Returns whether a fault is the racking or the homing of a gantry with an injected fault of
+    /// one of its two motors, or of a switch of one of them.
+    fn explains_gantry(&self, bench: &StormBench, fault: &Fault) -> bool {
+        let (Fault::Racking { axis, .. } | Fault::Homing { axis, .. }, Some(machine)) =
+            (fault, bench.controller().machine())
         else {
             return false;
         };
-        let second = usize::from(*axis);
-        let gantry = machine.config.joints.get(second);
-        let first = gantry.and_then(|joint| joint.gantry.as_ref());
-        let motors = [Some(second), first.map(|gantry| usize::from(gantry.of))];
-        let mut injected = self.injected.iter();
-        injected.any(|kind| {
-            let joint = kind.axis().and_then(joint_of);
-            joint.is_some() && motors.contains(&joint)
+        let joint = usize::from(*axis);
+        let Some(partner) = gantry_partner(&machine.config.joints, joint) else {
+            return false;
+        };
+        self.injected.iter().any(|kind| {
+            let injected = kind.axis().and_then(joint_of);
+            injected == Some(joint) || injected == Some(partner)
         })
     }
 
@@ -281,6 +291,14 @@ impl Checks {
         // A rotor that moves without a command had not locked.
         (1.0..2.0 * f64::from(lost.0)).contains(&way.abs())
     }
+}
+
+/// Returns whether the wire of a named input has its active level.
+fn is_wire_active(bench: &StormBench, input: usize) -> bool {
+    let input = bench.machine.config.io.inputs.get(input);
+    input.is_some_and(|input| {
+        (bench.rig.inputs().digital >> input.channel & 1 == 1) != input.inverted
+    })
 }
 
 /// Returns whether a contact of this component can be taken for drift while the spindle is off.

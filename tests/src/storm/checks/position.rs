@@ -5,7 +5,7 @@ use super::super::episode::{JOINTS, joint_of};
 use super::super::units::{class, joint_unit};
 use super::following::distance;
 use super::{Cause, CheckResult, Checks, PreviousPeriod, bounds, jump_threshold};
-use haptimill_firmware::config::Drive;
+use haptimill_firmware::config::{Drive, EncoderAxis};
 use haptimill_hil_sim::fault::{Channel, FaultKind};
 use haptimill_protocol::message::State;
 
@@ -155,6 +155,12 @@ impl Checks {
         }
     }
 
+    /// Largest error until the reversals of the count show a dead channel, at least `least`.
+    fn until_found(&self, joint: usize, least: f64) -> f64 {
+        let (fastest, unseen) = (self.position.fastest[joint], self.position.unseen[joint]);
+        least.max(bounds::REVERSALS * fastest) + unseen
+    }
+
     fn error_bounds(&self, bench: &StormBench, joint: usize) -> Option<ErrorBounds> {
         let limits = &bench.controller().machine()?.config.joints[joint];
         let unit = joint_unit(limits);
@@ -165,6 +171,13 @@ impl Checks {
             Drive::Torque { .. } => 0.0,
         };
         let unseen = unseen.max(bounds::OFF);
+        let count = |encoder: &EncoderAxis| {
+            encoder.per_count.unsigned_abs() as f64 / f64::from(1 << 24) / unit
+        };
+        // A motion that ends one reversal before a dead channel is found.
+        let creep = limits.encoder.as_ref().map_or(0.0, |encoder| {
+            2.0 * bounds::REVERSALS * count(encoder) + bounds::MOTOR[class]
+        });
         if limits.encoder.is_none() {
             return self.is_fault_free(bench).then_some(ErrorBounds {
                 most: f64::INFINITY,
@@ -188,8 +201,13 @@ impl Checks {
                 name: ["motor mm", "motor deg"][class],
             },
             EncoderDefect::Single => ErrorBounds {
-                most: bounds::FOUND,
-                lasting: unseen,
+                // The bound is that of the H-4 machines, which are slower.
+                most: if self.other_machine {
+                    self.until_found(joint, bounds::FOUND)
+                } else {
+                    bounds::FOUND
+                },
+                lasting: unseen.max(creep),
                 periods: bounds::LASTING,
                 name: "off after one fault",
             },
@@ -205,8 +223,7 @@ impl Checks {
                 name: "off, noise or drives off",
             },
             EncoderDefect::Several => ErrorBounds {
-                most: bounds::PUSHED.max(bounds::REVERSALS * self.position.fastest[joint])
-                    + self.position.unseen[joint],
+                most: self.until_found(joint, bounds::PUSHED),
                 // Each fault may stay below the bound of one; index pulses reveal the sum.
                 lasting: if found_by_index {
                     unseen

@@ -65,10 +65,10 @@ pub fn is_at_standstill(bench: &StormBench) -> bool {
     let controller = bench.controller();
     let state = controller.safety().state();
     let machine = controller.machine();
-    // A compliant displacement that decays moves the tool.
+    // A compliant displacement that decays moves the tool, and a tare changes the sensor.
     if !machine
         .and_then(|machine| machine.force.as_ref())
-        .is_none_or(|force| force.is_inactive())
+        .is_none_or(|force| force.is_inactive() && !force.conditioner().taring())
     {
         return false;
     }

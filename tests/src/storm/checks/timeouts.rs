@@ -19,6 +19,8 @@ pub(super) struct Timeouts {
     pub jog_until: u64,
     /// Periods in a hold.
     hold: u32,
+    /// Path rate at the begin of the hold; 1 is the programmed speed.
+    hold_rate: f64,
     /// Start of the newest session. With it the overrides become 100 % when nothing is active.
     session_start: u64,
 }
@@ -31,6 +33,7 @@ impl Default for Timeouts {
             settled: 0,
             jog_until: 0,
             hold: 0,
+            hold_rate: 0.0,
             session_start: u64::MAX,
         }
     }
@@ -132,10 +135,15 @@ impl Checks {
         } else {
             0
         };
-        let stop = u32::from(machine.config.stopping.time_ms) * 5;
+        let rate = machine.motion.program.path_rate();
+        if self.timeouts.hold <= 1 {
+            self.timeouts.hold_rate = rate as f64 / 4_294_967_296.0;
+        }
+        // The path rate falls by 1 in the stopping time. A faster part of the path may begin at 2.
+        let stop = f64::from(machine.config.stopping.time_ms) * 5.0;
+        let stop = (stop * self.timeouts.hold_rate.max(1.0)) as u32;
         let retracting = matches!(safety.pending(), Some(Fault::Force(_)));
         if self.timeouts.hold > stop + 400 && !retracting {
-            let rate = machine.motion.program.path_rate();
             if rate != 0 && !machine.motion.program.is_at_standstill() {
                 violated!(
                     bench,

@@ -40,10 +40,24 @@ pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> St
                 (Stimulus::Recover, 500),
             ]
         }
-        1 => vec![
-            (Stimulus::Send(command::named_output(rng)), periods(rng)),
-            (Stimulus::Send(command::named_output(rng)), periods(rng)),
-        ],
+        1 => {
+            // Also the tool clamp, and a job that starts the spindle.
+            let output = rng.below(6) as u8;
+            let on = rng.chance(0.5);
+            vec![
+                (Stimulus::WaitIdle, 6000),
+                (
+                    Stimulus::Send(Command::SetOutput { output, on }),
+                    periods(rng),
+                ),
+                (Stimulus::Send(command::named_output(rng)), periods(rng)),
+                (operation::job(rng), rng.uniform(100.0, 3000.0) as u32),
+                (
+                    Stimulus::Send(Command::SetOutput { output, on: !on }),
+                    periods(rng),
+                ),
+            ]
+        }
         2 => vec![(
             Stimulus::Send(Command::Compensation {
                 on: rng.chance(0.5),
@@ -86,11 +100,12 @@ pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> St
         6 if !inputs.is_empty() => {
             // A probe that is armed, and an input that changes during the motion.
             let name = inputs[rng.index(inputs.len())].name.clone();
+            let names = &file.io.inputs;
+            let input = names.iter().position(|other| *other == name);
             let level = rng.choose(&[Level::Low, Level::High]);
-            let input = rng.below(3) as u8;
             let arm = Command::ArmProbe {
-                input,
-                active: true,
+                input: input.unwrap_or_default() as u8,
+                active: rng.chance(0.8),
             };
             vec![
                 (Stimulus::WaitIdle, 6000),
