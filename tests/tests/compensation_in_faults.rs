@@ -34,7 +34,7 @@ fn the_correction_stays_while_a_fault_holds_the_tool() {
     bench.start_job(1, &line(&start, 0, 5.0, 100));
     bench.steps(2000);
     // The host is silent. The machine decelerates.
-    for _ in 0..4000 {
+    for _ in 0..10_000 {
         bench.rig.step();
     }
     assert_eq!(state(&bench), State::Fault);

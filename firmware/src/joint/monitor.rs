@@ -62,6 +62,8 @@ pub struct JointMonitor {
     last_count: Option<LastCount>,
     /// Reversals of the count about one position.
     reversals: Reversals,
+    /// Position of the steps when the count came to that position (step drives).
+    steps_then: Coordinate,
 }
 
 /// The joint at the last count that cannot be a reversal about one position, or at the start of
@@ -98,6 +100,10 @@ const FADE: i32 = 64;
 /// Largest acceleration of a motor by an impact, in multiples of its drive's limit over its
 /// inertia.
 const IMPACT: i64 = 24;
+
+/// Way of the steps behind which the rotor of a step motor does not resonate about its former
+/// place, in apparent motions by a stuck channel.
+const RINGING: u32 = 4;
 
 impl JointMonitor {
     /// Resets the monitor, after enabling and after the coordinate was set.
@@ -291,7 +297,8 @@ impl JointMonitor {
     }
 
     /// An encoder with one stuck channel. The edges of the other channel count up and down in turn,
-    /// whatever is commanded, and with the drive off as well.
+    /// whatever is commanded, and with the drive off as well. The rotor of a step motor resonates
+    /// about the place of its steps, so its reversals count only where the steps have moved on.
     #[inline]
     pub fn toggles(
         &mut self,
@@ -304,9 +311,18 @@ impl JointMonitor {
         let is_away =
             sample.moved != 0 && distance(config, sample.measured, place) > stuck_distance(encoder);
         let (now, period_us) = (sample.measured.0, sample.period_us);
-        self.reversals
-            .update(sample.moved, is_away, now, period_us)
-            .then_some(Fault::EncoderStuck { axis })
+        let is_stuck = self.reversals.update(sample.moved, is_away, now, period_us);
+        if let Drive::Steps { .. } = config.drive {
+            let steps = sample.measured.wrapping_add(sample.steps_off);
+            if is_away {
+                self.steps_then = steps;
+            }
+            let way = distance(config, steps, self.steps_then);
+            if way <= stuck_distance(encoder).saturating_mul(RINGING) {
+                return None;
+            }
+        }
+        is_stuck.then_some(Fault::EncoderStuck { axis })
     }
 
     /// A driven joint whose encoder does not count.

@@ -108,6 +108,8 @@ pub struct Checks {
     telemetry_samples: telemetry::Samples,
     /// Periods of motion since the armed probe is in contact.
     contact_periods: u32,
+    /// The tool clamp is off, was off in this job, or is an unknown output.
+    opened_clamp: bool,
 }
 
 /// Returns the motion in one period that the firmware takes for a counter jump, in axis units.
@@ -170,6 +172,7 @@ impl Checks {
             compliance: compliance::ComplianceRecord::default(),
             telemetry_samples: telemetry::Samples::default(),
             contact_periods: 0,
+            opened_clamp: false,
         }
     }
 

@@ -25,11 +25,22 @@ fn safe_outputs(bench: &StormBench) -> (u32, [i16; ANALOG]) {
     levels
 }
 
+/// Returns whether the output of the tool clamp is off.
+fn has_open_clamp(bench: &StormBench) -> bool {
+    let configured = bench.controller().machine().is_some();
+    let mut outputs = bench.machine.config.io.outputs.iter();
+    let clamp = outputs.find(|output| output.function == OutputFunction::ToolClamp);
+    clamp.filter(|_| configured).is_some_and(|clamp| {
+        (bench.rig.outputs().digital >> clamp.channel & 1 == 1) == clamp.inverted
+    })
+}
+
 impl Checks {
     /// Checks named inputs and outputs of this period.
     pub(super) fn check_named_io(&mut self, bench: &StormBench) -> CheckResult {
         if self.foreign_configuration {
             self.contact_periods = 0;
+            self.opened_clamp = true;
             return Ok(());
         }
         let state = bench.controller().safety().state();
@@ -44,19 +55,17 @@ impl Checks {
                 outputs.analog
             );
         }
-        let configured = bench.controller().machine().is_some();
-        let mut clamps = bench.machine.config.io.outputs.iter();
-        let clamp = clamps.find(|output| output.function == OutputFunction::ToolClamp);
-        if let Some(clamp) = clamp.filter(|_| configured) {
-            let holds = (outputs.digital >> clamp.channel & 1 == 1) != clamp.inverted;
-            if !holds && outputs.spindle_rpm != 0 {
-                violated!(
-                    bench,
-                    "open tool clamp",
-                    "the spindle turns at {} rev/min in {state:?}",
-                    outputs.spindle_rpm
-                );
-            }
+        let is_open = has_open_clamp(bench);
+        // A refused start of the spindle ends the job: it stays off until then.
+        let rests = !matches!(state, State::Run | State::Hold);
+        self.opened_clamp = is_open || self.opened_clamp && !rests;
+        if outputs.spindle_rpm != 0 && is_open {
+            violated!(
+                bench,
+                "open tool clamp",
+                "the spindle turns at {} rev/min in {state:?}",
+                outputs.spindle_rpm
+            );
         }
         self.check_probe(bench, state)
     }

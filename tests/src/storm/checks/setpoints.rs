@@ -47,8 +47,8 @@ impl Checks {
     }
 
     /// Returns the spindle overrides that may be in force: the one accepted last, and those whose
-    /// answer is under way. None when a session ended before its answers, or when a door may have
-    /// stopped the spindle.
+    /// answer is under way. None when a session ended before its answers, when a door may have
+    /// stopped the spindle, or when an open tool clamp kept it from starting.
     fn spindle_overrides(&self, bench: &StormBench) -> Vec<u8> {
         let machine = bench.controller().machine();
         let has_door = machine.is_some_and(|machine| {
@@ -57,7 +57,8 @@ impl Checks {
         });
         let stopped = bench.rig.outputs().spindle_rpm == 0;
         let door = has_door && stopped && self.causes.contains(&Cause::Input);
-        if door || !bench.abandoned.is_empty() {
+        let clamp = stopped && self.opened_clamp;
+        if door || clamp || !bench.abandoned.is_empty() {
             return Vec::new();
         }
         let pending = bench.pending.iter().filter_map(|it| match it.command {

@@ -143,15 +143,14 @@ impl Checks {
         let stop = f64::from(machine.config.stopping.time_ms) * 5.0;
         let stop = (stop * self.timeouts.hold_rate.max(1.0)) as u32;
         let retracting = matches!(safety.pending(), Some(Fault::Force(_)));
-        if self.timeouts.hold > stop + 400 && !retracting {
-            if rate != 0 && !machine.motion.program.is_at_standstill() {
-                violated!(
-                    bench,
-                    "hold",
-                    "path rate {rate} {} periods after the hold",
-                    self.timeouts.hold
-                );
-            }
+        let is_late = self.timeouts.hold > stop + 400 && !retracting;
+        if is_late && rate != 0 && !machine.motion.program.is_at_standstill() {
+            violated!(
+                bench,
+                "hold",
+                "path rate {rate} {} periods after the hold",
+                self.timeouts.hold
+            );
         }
         Ok(())
     }

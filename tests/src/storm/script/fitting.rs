@@ -2,11 +2,12 @@
 //! and five joints are fitted to the machine, and what only such a machine has is added.
 
 use super::super::command;
-use super::super::episode::{JOINTS, Step, Stimulus, Theme, joint_of};
+use super::super::episode::{JOINTS, JobPlan, Step, Stimulus, Theme, joint_of};
 use super::super::machines::{MachineKind, machine};
 use super::super::rng::Rng;
 use super::{Steps, joint_name, operation, periods};
 use haptimill_firmware::config::AxisKind;
+use haptimill_firmware::named_io::config::OutputFunction;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::{FaultKind, Level, Switch};
 use haptimill_protocol::message::{AxisValues, Command};
@@ -41,21 +42,22 @@ pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> St
             ]
         }
         1 => {
-            // Also the tool clamp, and a job that starts the spindle.
-            let output = rng.below(6) as u8;
-            let on = rng.chance(0.5);
+            // A job that starts the spindle, with an open tool clamp.
+            let mut functions = file.config.io.outputs.iter().map(|output| output.function);
+            let clamp = functions.position(|function| function == OutputFunction::ToolClamp);
+            let output = clamp.unwrap_or_default() as u8;
+            let mut path = operation::path(rng);
+            path.actions |= clamp.is_some();
+            let set = |on| Stimulus::Send(Command::SetOutput { output, on });
             vec![
                 (Stimulus::WaitIdle, 6000),
-                (
-                    Stimulus::Send(Command::SetOutput { output, on }),
-                    periods(rng),
-                ),
+                (set(clamp.is_none()), periods(rng)),
                 (Stimulus::Send(command::named_output(rng)), periods(rng)),
-                (operation::job(rng), rng.uniform(100.0, 3000.0) as u32),
                 (
-                    Stimulus::Send(Command::SetOutput { output, on: !on }),
-                    periods(rng),
+                    Stimulus::Job(JobPlan::Path(path)),
+                    rng.uniform(100.0, 3000.0) as u32,
                 ),
+                (set(true), periods(rng)),
             ]
         }
         2 => vec![(
@@ -97,7 +99,7 @@ pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> St
             ]
         }
         5 if faulty => off_a_limit_switch(axis, rng),
-        6 if !inputs.is_empty() => {
+        6 | 7 if !inputs.is_empty() => {
             // A probe that is armed, and an input that changes during the motion.
             let name = inputs[rng.index(inputs.len())].name.clone();
             let names = &file.io.inputs;
@@ -105,7 +107,7 @@ pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> St
             let level = rng.choose(&[Level::Low, Level::High]);
             let arm = Command::ArmProbe {
                 input: input.unwrap_or_default() as u8,
-                active: rng.chance(0.8),
+                active: true,
             };
             vec![
                 (Stimulus::WaitIdle, 6000),
