@@ -101,12 +101,22 @@ pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> St
         5 if faulty => off_a_limit_switch(axis, rng),
         6 | 7 if !inputs.is_empty() => {
             // A probe that is armed, and an input that changes during the motion.
-            let name = inputs[rng.index(inputs.len())].name.clone();
-            let names = &file.io.inputs;
-            let input = names.iter().position(|other| *other == name);
-            let level = rng.choose(&[Level::Low, Level::High]);
+            let configured = file.config.io.inputs.iter().zip(&file.io.inputs);
+            let probes: Vec<(usize, &String)> = configured
+                .enumerate()
+                .filter(|(_, (input, _))| input.function.is_probe())
+                .map(|(index, (_, name))| (index, name))
+                .collect();
+            let (input, name) = match probes.len() {
+                0 => (0, inputs[rng.index(inputs.len())].name.clone()),
+                count => {
+                    let (index, name) = probes[rng.index(count)];
+                    (index, name.clone())
+                }
+            };
+            let level = rng.choose(&[Level::Low, Level::High, Level::High]);
             let arm = Command::ArmProbe {
-                input: input.unwrap_or_default() as u8,
+                input: input as u8,
                 active: true,
             };
             vec![
