@@ -312,17 +312,31 @@ impl JointMonitor {
             sample.moved != 0 && distance(config, sample.measured, place) > stuck_distance(encoder);
         let (now, period_us) = (sample.measured.0, sample.period_us);
         let is_stuck = self.reversals.update(sample.moved, is_away, now, period_us);
-        if let Drive::Steps { .. } = config.drive {
-            let steps = sample.measured.wrapping_add(sample.steps_off);
-            if is_away {
-                self.steps_then = steps;
-            }
-            let way = distance(config, steps, self.steps_then);
-            if way <= stuck_distance(encoder).saturating_mul(RINGING) {
-                return None;
-            }
+        if matches!(config.drive, Drive::Steps { .. })
+            && self.resonates(config, encoder, sample, is_away)
+        {
+            return None;
         }
         is_stuck.then_some(Fault::EncoderStuck { axis })
+    }
+
+    /// Whether the rotor of a step motor is about the place of its steps: they have not moved on
+    /// since the count came to its position.
+    #[cold]
+    #[inline(never)]
+    fn resonates(
+        &mut self,
+        config: &JointAxis,
+        encoder: &EncoderAxis,
+        sample: &JointSample,
+        is_away: bool,
+    ) -> bool {
+        let steps = sample.measured.wrapping_add(sample.steps_off);
+        if is_away {
+            self.steps_then = steps;
+        }
+        let way = distance(config, steps, self.steps_then);
+        way <= stuck_distance(encoder).saturating_mul(RINGING)
     }
 
     /// A driven joint whose encoder does not count.
