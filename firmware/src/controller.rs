@@ -257,8 +257,13 @@ impl Core {
         let fade = match self.safety.state() {
             State::Fault => Fade::Held,
             State::Homing => Fade::Out,
-            _ if known => Fade::In,
-            _ => Fade::Out,
+            _ => {
+                if known {
+                    Fade::In
+                } else {
+                    Fade::Out
+                }
+            }
         };
         machine.fade_compensation(self.safety.drives_on(), fade);
         if self.safety.drives_on() {

@@ -5,9 +5,11 @@ use haptimill_firmware::config::{
     AxisKind, Drive, EncoderAxis, Home, JointAxis, ServoConfig, ServoForm,
 };
 use haptimill_firmware::io::{AxisInputs, DriveCommand};
+use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
 use haptimill_firmware::joint::torque::TorqueOutput;
 use haptimill_firmware::joint::{DriveError, JointCommand, JointDrive, ServoOutput};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
+use haptimill_protocol::message::Fault;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -530,4 +532,36 @@ proptest! {
             }
         }
     }
+}
+
+/// The rotor of a step motor resonates about the position of its steps, by a count at 2.5 kHz: no
+/// stuck channel while the steps rest or creep. A count that reverses about one position while the
+/// steps move on is one.
+#[test]
+fn a_resonating_rotor_is_no_stuck_channel() {
+    let axis = axis(steps(), 0.0);
+    let encoder = axis.encoder.clone().expect("an encoder");
+    let count = (encoder.per_count >> 24) as i32;
+    let fault = |steps_per_period: f64| {
+        let mut monitor = JointMonitor::default();
+        (0..400).find_map(|period| {
+            let up = period % 2;
+            let measured = Coordinate((100 << 20) + up * count);
+            let travel = (steps_per_period * f64::from(period * count)) as i32;
+            let steps = Coordinate((100 << 20) + travel);
+            let sample = JointSample {
+                commanded: steps,
+                measured,
+                moved: 2 * up - 1,
+                steps_off: steps.wrapping_sub(measured),
+                period_us: 200,
+                placed: true,
+                ..JointSample::default()
+            };
+            monitor.toggles(1, &axis, &encoder, &sample)
+        })
+    };
+    assert_eq!(fault(0.0), None);
+    assert_eq!(fault(0.01), None);
+    assert_eq!(fault(0.2), Some(Fault::EncoderStuck { axis: 1 }));
 }

@@ -99,14 +99,9 @@ fn a_period_stays_within_its_instructions() {
         let words = ["--force", "x,z", "--force-setpoint", "5", "--stock", &block];
         words.map(String::from).to_vec()
     };
-    let vertical_mill = |more: &[&str]| -> Vec<String> {
-        let words = ["--machine", "machines/vmc3.toml"].iter().chain(more);
-        let at_root = |word: &&str| match word.strip_prefix("--") {
-            Some(_) => (*word).to_string(),
-            None => path(root().join(word)),
-        };
-        words.map(at_root).collect()
-    };
+    let option = |name: &str, file: &str| [name.to_string(), path(root().join(file))];
+    let mill = option("--machine", "machines/vmc3.toml");
+    let errors = option("--errors", "host/volumetric/data/vmc3_errors.csv");
     let job = |title, name, program: &PathBuf, more, ceilings| Job {
         title,
         name,
@@ -146,14 +141,14 @@ fn a_period_stays_within_its_instructions() {
             "E11 circle on the vertical mill, without error tables",
             "vmc-bare",
             &circle,
-            vertical_mill(&[]),
+            mill.to_vec(),
             [4_440.0, 8_190.0],
         ),
         job(
             "E11 circle on the vertical mill, with error tables",
             "vmc",
             &circle,
-            vertical_mill(&["--errors", "host/volumetric/data/vmc3_errors.csv"]),
+            [mill, errors].concat(),
             [5_590.0, 10_410.0],
         ),
         Job {

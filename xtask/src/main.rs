@@ -112,6 +112,7 @@ const CHECKS: &[Step] = &[
     },
 ];
 
+/// All tests that need no emulator.
 const TESTS: &[Step] = &[Step {
     name: "tests",
     arguments: &["test", "--workspace", "--no-fail-fast"],

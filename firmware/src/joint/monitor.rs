@@ -101,9 +101,9 @@ const FADE: i32 = 64;
 /// inertia.
 const IMPACT: i64 = 24;
 
-/// Way of the steps behind which the rotor of a step motor does not resonate about its former
-/// place, in apparent motions by a stuck channel.
-const RINGING: u32 = 4;
+/// Motion of the steps after which the rotor of a step motor no longer resonates about its former
+/// position, in multiples of the apparent motion by a stuck channel.
+const RESONANCE: u32 = 4;
 
 impl JointMonitor {
     /// Resets the monitor, after enabling and after the coordinate was set.
@@ -320,8 +320,8 @@ impl JointMonitor {
         is_stuck.then_some(Fault::EncoderStuck { axis })
     }
 
-    /// Whether the rotor of a step motor is about the place of its steps: they have not moved on
-    /// since the count came to its position.
+    /// Whether the rotor of a step motor may resonate about the position of its steps: they have
+    /// not moved on since the count came to that position.
     #[cold]
     #[inline(never)]
     fn resonates(
@@ -335,8 +335,8 @@ impl JointMonitor {
         if is_away {
             self.steps_then = steps;
         }
-        let way = distance(config, steps, self.steps_then);
-        way <= stuck_distance(encoder).saturating_mul(RINGING)
+        let moved = distance(config, steps, self.steps_then);
+        moved <= stuck_distance(encoder).saturating_mul(RESONANCE)
     }
 
     /// A driven joint whose encoder does not count.

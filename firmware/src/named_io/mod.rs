@@ -290,16 +290,17 @@ impl NamedIo {
     /// # Errors
     /// [`Refusal::Output`]: a tool clamp is off, and the speed is not 0.
     pub fn may_turn(&self, config: &IoConfig, spindle_rpm: i16) -> Result<(), Refusal> {
-        for (index, found) in config.outputs.iter().enumerate() {
-            let is_off = self.outputs & bit(index) == 0;
-            if found.function == OutputFunction::ToolClamp && is_off && spindle_rpm != 0 {
-                return Err(Refusal::Output {
+        let mut outputs = config.outputs.iter();
+        let clamp = outputs.position(|output| output.function == OutputFunction::ToolClamp);
+        match clamp {
+            Some(index) if spindle_rpm != 0 && self.outputs & bit(index) == 0 => {
+                Err(Refusal::Output {
                     output: index as u8,
                     problem: OutputProblem::ClampOpen,
-                });
+                })
             }
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// Sets an output. Callers must check [`NamedIo::may_set`] before.

@@ -183,10 +183,9 @@ fn missing(machine: &MachineFile, key: &str) -> Error {
 
 /// Adds to a number of a machine file, rounded to 1 nm. Its comment stays.
 fn add(item: Option<&mut Item>, by: f64) -> Option<()> {
-    let value = item?.as_value_mut()?;
-    let before = value
-        .as_float()
-        .or_else(|| value.as_integer().map(|number| number as f64))?;
+    let item = item?;
+    let before = number(item)?;
+    let value = item.as_value_mut()?;
     let decor = value.decor().clone();
     *value = (((before + by) * 1e6).round() / 1e6).into();
     *value.decor_mut() = decor;

@@ -45,9 +45,9 @@ fn a_changed_table_is_noticed() {
     assert!(is_noticed(|tables| tables.shift ^= 1));
 }
 
-/// The blob of a configuration keeps its tables, and its CRC tells every flipped bit in them.
+/// The blob of a configuration keeps its tables, and its CRC detects every flipped bit in them.
 #[test]
-fn a_corrupted_blob_is_told_by_its_crc() {
+fn a_corrupted_blob_is_detected_by_its_crc() {
     let file = with_exact_tables(&machine().unwrap()).unwrap();
     let (blob, crc) = file.encoded().unwrap();
     let read: Config = postcard::from_bytes(&blob).unwrap();

@@ -8,7 +8,8 @@ pub const MOTOR: [f64; 2] = [0.022, 0.008];
 pub const INDEX_SLACK: [f64; 2] = [0.13, 0.06];
 /// Error of a joint with a defective encoder that may last, in mm or degrees.
 ///
-/// It is more than backlash and a count. A larger error lasts at most [`LASTING`] periods.
+/// It is more than backlash and a count. A larger error lasts at most [`LASTING`] periods, but for
+/// a slow motion that ends before [`REVERSALS`] of the count.
 pub const OFF: f64 = 0.05;
 /// Largest error after one fault of an encoder with a live channel, in mm or degrees.
 ///

@@ -118,6 +118,11 @@ struct ErrorBounds {
     name: &'static str,
 }
 
+/// Returns the size of a count in mm or degrees.
+fn size_of_count(encoder: &EncoderAxis, unit: f64) -> f64 {
+    encoder.per_count.unsigned_abs() as f64 / f64::from(1 << 24) / unit
+}
+
 /// Returns whether the controller claims to know the position.
 pub(super) fn is_position_known(bench: &StormBench) -> bool {
     let safety = bench.controller().safety();
@@ -171,12 +176,9 @@ impl Checks {
             Drive::Torque { .. } => 0.0,
         };
         let unseen = unseen.max(bounds::OFF);
-        let count = |encoder: &EncoderAxis| {
-            encoder.per_count.unsigned_abs() as f64 / f64::from(1 << 24) / unit
-        };
         // A motion that ends one reversal before a dead channel is found.
         let creep = limits.encoder.as_ref().map_or(0.0, |encoder| {
-            2.0 * bounds::REVERSALS * count(encoder) + bounds::MOTOR[class]
+            2.0 * bounds::REVERSALS * size_of_count(encoder, unit) + bounds::MOTOR[class]
         });
         if limits.encoder.is_none() {
             return self.is_fault_free(bench).then_some(ErrorBounds {
@@ -257,9 +259,8 @@ impl Checks {
         if let Some(machine) = bench.controller().machine()
             && let Some(encoder) = &machine.config.joints[joint].encoder
         {
-            let per_count = encoder.per_count.unsigned_abs();
             let unit = joint_unit(&machine.config.joints[joint]);
-            let count = per_count as f64 / f64::from(1 << 24) / unit;
+            let count = size_of_count(encoder, unit);
             (self.position).record_unseen_motion(joint, counts, actual, count);
         }
         let safety = bench.controller().safety();
