@@ -15,9 +15,11 @@ use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::{Command as Say, Source};
 use haptimill_tests::{Bench, line_in_x};
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
-/// The built-in machine without its force sensor.
-fn machine_without_force() -> PathBuf {
+/// The file of the built-in machine without its force sensor. It is written once: the tests of this
+/// file may run at the same time.
+static WITHOUT_FORCE: LazyLock<PathBuf> = LazyLock::new(|| {
     let text = std::fs::read_to_string(root().join("machines/h4.toml")).expect("there");
     let section = |name: &str| text.find(&format!("\n[{name}]")).expect("there");
     let file = results("without-force.toml");
@@ -25,7 +27,7 @@ fn machine_without_force() -> PathBuf {
     let without = text[..section("force")].to_string() + &text[section("plant")..];
     std::fs::write(&file, without).expect("written");
     file
-}
+});
 
 /// A job of the table of instructions. A period must not cost more than the ceilings, mean and
 /// worst. The goals are in the text of the table.
@@ -93,7 +95,7 @@ fn a_period_stays_within_its_instructions() {
     let circle = root().join("examples/e11-circle.ngc");
     let dome = part_of_dome(500);
     let path = |path: PathBuf| path.display().to_string();
-    let bare = || vec!["--machine".to_string(), path(machine_without_force())];
+    let bare = || vec!["--machine".to_string(), path(WITHOUT_FORCE.clone())];
     let yielding = || {
         let block = path(root().join("examples/block.toml"));
         let words = ["--force", "x,z", "--force-setpoint", "5", "--stock", &block];
@@ -230,7 +232,7 @@ fn a_period_stays_within_its_instructions() {
 #[test]
 fn a_jog_period_stays_within_its_instructions() {
     let built_in = || MachineFile::built_in().expect("sound");
-    let bare = || MachineFile::load(&machine_without_force()).expect("sound");
+    let bare = || MachineFile::load(&WITHOUT_FORCE).expect("sound");
     // The measured cost plus 3 %. The budget is 8,000 and 14,000, under force control 12,000 and
     // 18,000: jogs of many coordinates exceed it.
     let jobs: [(&str, MachineFile, u8, bool, [f64; 2]); 4] = [
