@@ -114,6 +114,41 @@ fn nesting_is_found_by_itself() {
     assert!((report.asked_mm2 - asked).abs() < 10.0, "{report:?}");
 }
 
+/// All rows of a pocket are done before those of the next one; the contours of rows follow, one
+/// pocket after the other, from the last one on.
+#[test]
+fn one_pocket_is_cleared_after_the_other() {
+    let text = dxf(&squares(&[
+        [0.0, 0.0, 10.0],
+        [20.0, 0.0, 10.0],
+        [40.0, 0.0, 10.0],
+    ]));
+    for clearing in [Clearing::Contour, Clearing::Zigzag, Clearing::OneWay] {
+        let options = Options {
+            operation: Operation::Pocket,
+            clearing,
+            tool_mm: 1.0,
+            depth_mm: 0.5,
+            ..Options::default()
+        };
+        let job = plan(&drawing(&text), &options).unwrap();
+        let ends = job.toolpath.cuts.iter().map(|cut| cut.end());
+        let mut pockets: Vec<usize> = ends.map(|at| (at[0] / 20.0) as usize).collect();
+        assert!(pockets.len() >= 3, "{clearing:?}");
+        pockets.dedup();
+        let (rows, contours) = pockets.split_at(3);
+        let distinct = |some: &[usize]| {
+            let mut sorted = some.to_vec();
+            sorted.sort_unstable();
+            sorted.dedup();
+            sorted.len() == some.len()
+        };
+        assert!(distinct(rows), "{clearing:?} {pockets:?}");
+        assert!(distinct(&pockets[2..]), "{clearing:?} {pockets:?}");
+        assert_eq!(contours.is_empty(), clearing == Clearing::Contour);
+    }
+}
+
 #[test]
 fn contours_are_passed_on_either_side_with_leads_ramps_tabs_and_depths() {
     let text = dxf(&squares(&[[0.0, 0.0, 30.0], [5.0, 5.0, 20.0]]));

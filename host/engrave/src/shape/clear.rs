@@ -226,17 +226,18 @@ fn in_short_order(strands: Vec<Strand>, reference: Point) -> Vec<Strand> {
         .collect()
 }
 
-/// Order of the rows: part after part, the one with the lowest row nearest to the start first.
+/// Order of the rows, part after part. In zig-zag the part with the lowest row nearest to the start
+/// is first. One-way parts are in the order of their topmost rows, each from the top.
 fn arrange(rows: &[(Line, usize)], clearing: Clearing, start: Point) -> Vec<Line> {
-    if clearing == Clearing::OneWay {
-        return rows.iter().map(|(line, _)| *line).collect();
-    }
     let mut parts: Vec<(usize, Vec<Line>)> = Vec::new();
     for (line, part) in rows {
         match parts.iter_mut().find(|(index, _)| index == part) {
             Some((_, lines)) => lines.push(*line),
             None => parts.push((*part, vec![*line])),
         }
+    }
+    if clearing == Clearing::OneWay {
+        return parts.into_iter().flat_map(|(_, lines)| lines).collect();
     }
     let lowest = |lines: &[Line]| {
         let first = zigzag(lines, start).first().copied();
