@@ -29,7 +29,7 @@
 //! | sum of translations and of rotations times arms | 2^(shift - 32) pm | 2^62 |
 //! | correction | 2^-8 pm | 2^43 |
 //! | its change in a period | 2^-8 pm | 2^31, 8.4 um |
-//! | position in a table | 2^-24 of a segment | 2^32 |
+//! | position in a segment | 2^-31 | 2^31 |
 //!
 //! With these bounds no sum overflows, so none is checked. The change in a period is the difference
 //! of the lower 32 bits: the bound is 40 times what the steepest tables give at 1 m/s.
@@ -51,8 +51,8 @@ const UNITS_PER_PM: i64 = 4_503_600;
 /// One unit of a translation in units of the sum.
 const TRANSLATION: i32 = 1000 << 18;
 
-/// Largest part of a segment, 2^-24.
-const MOST_PART: i32 = (1 << 24) - 1;
+/// Largest part of a segment, 2^-31.
+const MOST_PART: i32 = i32::MAX;
 
 /// Correction of a coordinate in one period.
 #[derive(Debug, Clone, Copy, Default)]
@@ -95,14 +95,49 @@ pub enum Fade {
 /// What follows from the configuration.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct Constants {
-    /// 2^50 divided by the node pitch of each axis.
-    reciprocals: [i32; ERROR_AXES],
+    axes: [AxisConstants; ERROR_AXES],
     /// Axis units per second in a change of 2^-8 pm per period, 2^-32.
     rate: i32,
     /// Units of an acceleration in a change of 2^-8 pm per period squared, 2^-24.
     acceleration: i32,
     /// 2^30 divided by the periods of a whole fade.
     fade: u32,
+    /// Binary places between a sum of the tables and 2^-8 pm: below 32, above 0.
+    scale: u32,
+}
+
+/// The constants of one axis.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+struct AxisConstants {
+    /// 2^50 divided by the node pitch.
+    reciprocal: i32,
+    /// Its first value.
+    start: usize,
+    /// The arm of its rotations.
+    arm: [Arm; ERROR_AXES],
+}
+
+/// A coordinate of the arm of the rotations of an axis.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+struct Arm {
+    /// All bits where the arm has this coordinate, otherwise 0.
+    mask: i32,
+    /// Its zero, 2^-18 mm.
+    zero: i32,
+}
+
+impl Arm {
+    fn new(tables: &ErrorAxis, along: usize) -> Self {
+        let mask = -i32::from(tables.arm >> along & 1);
+        let zero = tables.measured_at[along].0 >> 2 & mask;
+        Self { mask, zero }
+    }
+
+    /// The arm with the tool at `at`, 2^-18 mm.
+    #[inline(always)]
+    const fn of(self, at: i32) -> i32 {
+        (at & self.mask).wrapping_sub(self.zero)
+    }
 }
 
 impl Constants {
@@ -112,13 +147,18 @@ impl Constants {
         let bounded = |value: i64| value.min(i64::from(i32::MAX)) as i32;
         let frequency = 1_000_000 / i64::from(period_us.max(1));
         Self {
-            reciprocals: core::array::from_fn(|axis| {
-                let pitch = i64::from(config.axes[axis].pitch.0.max(1));
-                bounded((1_i64 << 50) / pitch)
+            axes: core::array::from_fn(|axis| {
+                let tables = &config.axes[axis];
+                AxisConstants {
+                    reciprocal: bounded((1_i64 << 50) / i64::from(tables.pitch.0.max(1))),
+                    start: config.start(axis),
+                    arm: core::array::from_fn(|along| Arm::new(tables, along)),
+                }
             }),
             rate: bounded((UNITS_PER_PM * frequency) >> 8),
             acceleration: bounded((UNITS_PER_PM * frequency * frequency) >> 24),
             fade: ONE / fade,
+            scale: 24 - u32::from(config.shift.min(23)),
         }
     }
 }
@@ -223,7 +263,7 @@ impl Compensation {
             };
             let at = commanded.pose.0[axis].0;
             corrected.pose.0[axis] = Coordinate(at.saturating_sub(units));
-            let rate = (product(change, self.constants.rate) >> 32) as i32;
+            let rate = upper(change, self.constants.rate);
             let own = &mut corrected.rates[axis];
             *own = own.saturating_sub(Rate(rate));
             let change = change.wrapping_sub(before.change);
@@ -285,11 +325,11 @@ impl Constants {
         };
         let at = [x >> 2, y >> 2, z >> 2];
         let [mut ex, mut ey, mut ez] = [0_i64; ERROR_AXES];
-        let mut start = 0_usize;
-        for (axis, tables) in config.axes.iter().enumerate() {
-            let from = pose[axis].0.saturating_sub(tables.first.0);
-            let place = product(from, self.reciprocals[axis]);
-            let (mut number, mut part) = ((place >> 50) as i32, (place >> 26) as i32 & MOST_PART);
+        let axes = config.axes.iter().zip(&self.axes).zip([x, y, z]);
+        for ((tables, constants), position) in axes {
+            let from = position.saturating_sub(tables.first.0);
+            let place = product(from, constants.reciprocal);
+            let (mut number, mut part) = ((place >> 50) as i32, (place >> 19) as i32 & MOST_PART);
             // Beyond its ends a table is constant.
             let last = i32::from(tables.nodes) - 2;
             if number < 0 {
@@ -297,10 +337,11 @@ impl Constants {
             } else if number > last {
                 (number, part) = (last, MOST_PART);
             }
-            let node = start.wrapping_add((number as usize).wrapping_mul(ERRORS));
-            start = start.wrapping_add(usize::from(tables.nodes) * ERRORS);
-            let values = config.values.get(node..).unwrap_or_default();
-            let Some(values) = values.first_chunk::<{ 2 * ERRORS }>() else {
+            let node = constants
+                .start
+                .wrapping_add((number as usize).wrapping_mul(ERRORS));
+            let values = config.values.get(node..node.wrapping_add(2 * ERRORS));
+            let Some(values) = values.and_then(|values| values.first_chunk()) else {
                 continue;
             };
             let t = [
@@ -313,48 +354,46 @@ impl Constants {
                 between(values, 4, part),
                 between(values, 5, part),
             ];
-            let [ax, ay, az] = [
-                arm(tables, &at, 0),
-                arm(tables, &at, 1),
-                arm(tables, &at, 2),
-            ];
-            ex = (ex.wrapping_add(product(t[0], TRANSLATION)))
-                .wrapping_add(product(ry, az))
-                .wrapping_sub(product(rz, ay));
-            ey = (ey.wrapping_add(product(t[1], TRANSLATION)))
-                .wrapping_add(product(rz, ax))
-                .wrapping_sub(product(rx, az));
-            ez = (ez.wrapping_add(product(t[2], TRANSLATION)))
-                .wrapping_add(product(rx, ay))
-                .wrapping_sub(product(ry, ax));
+            let arm = &constants.arm;
+            let (ax, ay, az) = (arm[0].of(at[0]), arm[1].of(at[1]), arm[2].of(at[2]));
+            // A sum of products is one instruction each; a difference is three.
+            let (minus_x, minus_y, minus_z) =
+                (ax.wrapping_neg(), ay.wrapping_neg(), az.wrapping_neg());
+            let sum = |to: i64, t, a, arm, b, other| {
+                to.wrapping_add(product(t, TRANSLATION))
+                    .wrapping_add(product(a, arm))
+                    .wrapping_add(product(b, other))
+            };
+            ex = sum(ex, t[0], ry, az, rz, minus_y);
+            ey = sum(ey, t[1], rz, ax, rx, minus_z);
+            ez = sum(ez, t[2], rx, ay, ry, minus_x);
         }
         let [c0y, b0z, a0z] = config.squareness;
-        let scale = 24 - config.shift.min(24);
         let square = product(b0z, at[2]).wrapping_sub(product(c0y, at[1]));
         [
-            (ex >> scale).wrapping_add(square >> 10),
-            (ey >> scale).wrapping_sub(product(a0z, at[2]) >> 10),
-            ez >> scale,
+            self.fine(ex).wrapping_add(square >> 10),
+            self.fine(ey).wrapping_sub(product(a0z, at[2]) >> 10),
+            self.fine(ez),
         ]
     }
+
+    /// A sum of the tables in 2^-8 pm. The shift is one of 32-bit halves, as it is below 32.
+    #[inline(always)]
+    const fn fine(&self, sum: i64) -> i64 {
+        let (high, low) = ((sum >> 32) as i32, sum as u32);
+        let by = self.scale & 31;
+        let low = low >> by | (high as u32) << (32 - by & 31);
+        (high >> by) as i64 * (1 << 32) | low as i64
+    }
 }
 
-/// An error function between two nodes, in 2^-14 of the unit of its values.
+/// An error function between two nodes, in 2^-14 of the unit of its values. The difference of two
+/// values is below 2^16: 2^15 times it fits.
 #[inline(always)]
 fn between(values: &[i16; 2 * ERRORS], function: usize, part: i32) -> i32 {
-    let lower = i32::from(values[function]);
-    let upper = i32::from(values[function + ERRORS]);
-    (lower << 14).wrapping_add((product(upper - lower, part) >> 10) as i32)
-}
-
-/// A coordinate of the arm of an axis, in the unit of `at`.
-#[inline(always)]
-fn arm(tables: &ErrorAxis, at: &[i32; ERROR_AXES], along: usize) -> i32 {
-    if tables.arm >> along & 1 != 0 {
-        at[along].wrapping_sub(tables.measured_at[along].0 >> 2)
-    } else {
-        0
-    }
+    let low = i32::from(values[function]);
+    let high = i32::from(values[function + ERRORS]);
+    (low << 14).wrapping_add(upper((high - low) << 15, part))
 }
 
 /// Product of two numbers.
@@ -363,9 +402,15 @@ const fn product(a: i32, b: i32) -> i64 {
     (a as i64).wrapping_mul(b as i64)
 }
 
+/// The upper 32 bits of a product.
+#[inline(always)]
+const fn upper(a: i32, b: i32) -> i32 {
+    (product(a, b) >> 32) as i32
+}
+
 /// A correction of 2^-8 pm in axis units, within the largest correction.
 #[inline(always)]
 fn units(fine: i64) -> i32 {
-    let units = product(saturate(fine >> 12), 16 * UNITS_PER_PM as i32) >> 32;
-    (units as i32).clamp(-CORRECTION, CORRECTION)
+    let units = upper((fine >> 12) as i32, 16 * UNITS_PER_PM as i32);
+    units.clamp(-CORRECTION, CORRECTION)
 }
