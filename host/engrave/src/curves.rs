@@ -42,7 +42,14 @@ fn halve(
             pieces
                 .iter()
                 .map(|piece| distance_to_segment(at, piece))
-                .fold(f64::INFINITY, f64::min)
+                .fold(
+                    if pieces.is_empty() {
+                        distance(at, p)
+                    } else {
+                        f64::INFINITY
+                    },
+                    f64::min,
+                )
                 <= tolerance
         });
         if near {
@@ -313,5 +320,27 @@ mod tests {
         assert!((image.vertices[0].bulge + 1.0).abs() < 1e-15);
         let wide = map_path(Affine::scale_non_uniform(2.0, 1.0), &path, TOLERANCE);
         assert!(wide.closed && wide.vertices.len() > 8);
+    }
+
+    /// A piece without length, as a spline with repeated control points has it, is left out at once
+    /// and not halved to the end.
+    #[test]
+    fn a_piece_without_length_takes_no_halving() {
+        let calls = std::cell::Cell::new(0);
+        let point = |_: f64| {
+            calls.set(calls.get() + 1);
+            ([3.0, 4.0], [0.0, 0.0])
+        };
+        let mut out = Vec::new();
+        fit(&point, 0.0, 1.0, TOLERANCE, &mut out);
+        assert!(out.is_empty() && calls.get() < 20, "{}", calls.get());
+        // A loop that ends where it begins is not without length.
+        let round = |t: f64| {
+            let (sin, cos) = (t * std::f64::consts::TAU).sin_cos();
+            ([cos, sin], [-sin, cos])
+        };
+        fit(&round, 0.0, 1.0, TOLERANCE, &mut out);
+        let length: f64 = out.iter().map(Segment::length).sum();
+        assert!((length - std::f64::consts::TAU).abs() < 1e-3, "{length}");
     }
 }
