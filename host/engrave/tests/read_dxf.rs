@@ -46,18 +46,38 @@ fn polyline_of_figure_3_11() {
         10 35.0
         20 35.0
         10 10.0
-        20 12.0";
+        20 10.0";
     let drawing = draw(&dxf(open));
     let path = &drawing.paths[0];
-    assert_eq!(path.segment_count(), 3);
+    let segments: Vec<_> = path
+        .segments()
+        .map(|one| (one.from, one.to, one.bulge))
+        .collect();
+    let listed = [
+        ([10.0, 10.0], [40.0, 20.0], 0.0),
+        ([40.0, 20.0], [35.0, 35.0], 1.0),
+        ([35.0, 35.0], [10.0, 10.0], 0.0),
+    ];
+    assert_eq!(segments, listed);
     let arc = path.segment(1).arc().unwrap();
     assert!(near(arc.centre, [37.5, 27.5]) && arc.sweep > 0.0);
     assert!((arc.radius - 7.905_694).abs() < 1e-6);
     assert_eq!(drawing.entity(path).handle.as_deref(), Some("24"));
-    // The closed flag adds a segment; the last vertex has its bulge.
+    // The closed flag adds a segment from the last vertex to the first one. Of this listing it has
+    // no length and draws nothing.
     let closed = draw(&dxf(&open.replace("70 0", "70 1")));
-    assert_eq!(closed.paths[0].segment_count(), 4);
     assert!(closed.paths[0].closed);
+    let segments: Vec<_> = closed.paths[0].segments().collect();
+    let around: Vec<_> = segments
+        .iter()
+        .map(|one| (one.from, one.to, one.bulge))
+        .collect();
+    assert_eq!(around, listed);
+    let other = open.replace("20 10.0\n        10 40.0", "20 12.0\n        10 40.0");
+    let closed = draw(&dxf(&other.replace("70 0", "70 1")));
+    assert_eq!(closed.paths[0].segment_count(), 4);
+    let last = closed.paths[0].segment(3);
+    assert_eq!((last.from, last.to), ([10.0, 10.0], [10.0, 12.0]));
 }
 
 /// Figure 2(a) of the paper in the thesis's appendix C: a line and an arc of 0 to 220 degrees.
@@ -404,13 +424,24 @@ fn files_of_other_kinds_are_named() {
 
 #[test]
 fn wrong_group_codes_name_their_line() {
-    let text = dxf("0 LINE\n8 0\n10 0\n20 0\n11 1\n21 0").replace("11\n1\n", "11\n1\n\n");
+    let text = dxf("0 LINE\n5 3F\n8 0\n10 0\n20 0\n11 1\n21 0").replace("11\n1\n", "11\n1\n\n");
     let problem = mistake(&text);
-    // A line too many: the next value is read as a code, or the code as a value.
-    assert!(
-        problem.line > 0 && problem.remedy.contains("damaged"),
-        "{problem}"
-    );
+    // A line too many: line 17 is empty where a group code is due. Lines 1 to 4 begin the section, the
+    // group code of the LINE is in line 5.
+    let expected = "line 17: '' is not a group code of a DXF file, in LINE handle 3F of line 5";
+    assert_eq!(problem.message, expected);
+    assert_eq!(problem.line, 17);
+    assert!(problem.remedy.contains("damaged"), "{problem}");
+    // A word instead of a code, and a code that no DXF has.
+    for (code, wrong) in [("40", "x40"), ("40", "4000"), ("40", "-6")] {
+        let circle = dxf("0 CIRCLE\n5 A1\n8 0\n10 0\n20 0\n40 2");
+        let problem = mistake(circle.replace(&format!("\n{code}\n"), &format!("\n{wrong}\n")));
+        assert_eq!(problem.line, 15, "{problem}");
+        let expected = format!(
+            "line 15: '{wrong}' is not a group code of a DXF file, in CIRCLE handle A1 of line 5"
+        );
+        assert_eq!(problem.message, expected);
+    }
 }
 
 #[test]

@@ -32,6 +32,9 @@ pub struct Pairs<'a> {
     pub line: usize,
     /// A pair that is read again.
     pub back: Option<Pair<'a>>,
+    /// The group 0 of the present record, and its handle.
+    record: Option<Pair<'a>>,
+    handle: Option<Pair<'a>>,
 }
 
 impl<'a> Pairs<'a> {
@@ -40,6 +43,8 @@ impl<'a> Pairs<'a> {
             bytes,
             line: 0,
             back: None,
+            record: None,
+            handle: None,
         }
     }
 
@@ -90,14 +95,33 @@ impl<'a> Pairs<'a> {
             .and_then(|word| word.parse::<i32>().ok());
         let Some(code) = code.filter(|code| (-5..=1071).contains(code)) else {
             let shown: String = String::from_utf8_lossy(word).chars().take(40).collect();
-            let what = format!("'{shown}' is not a group code of a DXF file");
+            let place = self.place();
+            let what = format!("'{shown}' is not a group code of a DXF file{place}");
             return Err(Problem::at_line(line, what, DAMAGED));
         };
         let Some(value) = self.next_line() else {
-            let what = format!("the file ends after group code {code}");
+            let place = self.place();
+            let what = format!("the file ends after group code {code}{place}");
             return Err(Problem::at_line(line, what, DAMAGED));
         };
-        Ok(Some(Pair { code, value, line }))
+        let pair = Pair { code, value, line };
+        match code {
+            0 => (self.record, self.handle) = (Some(pair), None),
+            5 if self.handle.is_none() => self.handle = Some(pair),
+            _ => {}
+        }
+        Ok(Some(pair))
+    }
+
+    /// The present record, for a message.
+    fn place(&self) -> String {
+        let Some(record) = self.record else {
+            return String::new();
+        };
+        let handle = self.handle.map(|pair| format!(" handle {}", pair.word()));
+        let handle = handle.unwrap_or_default();
+        // The group code is the line before its value.
+        format!(", in {}{handle} of line {}", record.word(), record.line)
     }
 
     /// The pairs up to the next group code 0, without those of embedded objects: these repeat
