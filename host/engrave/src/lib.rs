@@ -8,7 +8,7 @@
 //! | [`job`], [`toolpath`] | operations, depths, ramps, leads, tabs |
 //! | [`gcode`] | part programs |
 //! | [`plate`] | a plate that is cut, against the drawing |
-//! | [`preview`] | the page of a job |
+//! | [`preview`], [`times`] | the page of a job, and its time |
 //! | [`order`] | the order in which paths are cut |
 //! | [`thesis`] | the experiments of the thesis, repeated |
 
@@ -24,6 +24,7 @@ pub mod preview;
 pub mod read;
 pub mod shape;
 pub mod thesis;
+pub mod times;
 pub mod toolpath;
 
 pub use kurbo;

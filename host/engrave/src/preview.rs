@@ -4,6 +4,7 @@ use crate::drawing::Drawing;
 use crate::geometry::Point;
 use crate::job::{Job, Options};
 use crate::plate::Plate;
+pub use crate::times::Speeds;
 use crate::toolpath::{Cut, Step};
 use haptimill_viewer::{Layer, Scene, Shape, page};
 use std::fmt::Write as _;
@@ -16,19 +17,6 @@ const SURFACE: f64 = 320.0;
 
 /// Largest number of numbered starts; more would cover the plan.
 const NUMBERS: usize = 300;
-
-/// Speeds of a job.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Speeds {
-    /// Feed along the paths, mm/s.
-    pub feed: f64,
-    /// Feed of plunges, mm/s.
-    pub plunge: f64,
-    /// Rapid moves, mm/s.
-    pub rapid: f64,
-    /// Height of lifted moves, mm.
-    pub lift_mm: f64,
-}
 
 /// A row of the table of orders: name, air (mm), lifts, time (s).
 pub type Row = (String, f64, usize, f64);

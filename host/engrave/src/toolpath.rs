@@ -63,18 +63,40 @@ pub struct Lengths {
     pub air_mm: f64,
     /// Number of times that the tool goes down.
     pub lifts: usize,
+    /// Straight down and up at the feed of plunges, from the surface on, mm.
+    pub plunge_mm: f64,
+    /// From the ends of the cuts up to the surface, mm.
+    pub rise_mm: f64,
 }
 
 impl Toolpath {
     /// Lengths from `reference` and back to it.
     #[must_use]
     pub fn lengths(&self, reference: Point) -> Lengths {
+        Self::lengths_of(&self.cuts, reference)
+    }
+
+    /// Lengths of cuts from `reference` and back to it.
+    #[must_use]
+    pub fn lengths_of(cuts: &[Cut], reference: Point) -> Lengths {
         let mut lengths = Lengths::default();
         let mut at = reference;
-        for cut in &self.cuts {
+        for cut in cuts {
             lengths.cut_mm += cut.length();
             lengths.air_mm += distance(at, cut.start);
             lengths.lifts += 1;
+            let mut z = cut.z;
+            lengths.plunge_mm += z.abs();
+            for step in &cut.steps {
+                match step {
+                    Step::Along(_, to) => z = *to,
+                    Step::Vertical(to) => {
+                        lengths.plunge_mm += (to - z).abs();
+                        z = *to;
+                    }
+                }
+            }
+            lengths.rise_mm += z.abs();
             at = cut.end();
         }
         lengths.air_mm += distance(at, reference);

@@ -5,13 +5,16 @@ mod common;
 use common::dxf;
 use haptimill_engrave::drawing::Drawing;
 use haptimill_engrave::gcode::{Rates, program};
-use haptimill_engrave::geometry::Path;
+use haptimill_engrave::geometry::{Path, Point};
 use haptimill_engrave::job::{Job, Operation, Options, Ordering, Side, check_area, plan};
 use haptimill_engrave::plate::{Plate, PlateReport};
 use haptimill_engrave::preview::{area, cut};
 use haptimill_engrave::read::{ReadOptions, read};
 use haptimill_engrave::shape::Clearing;
-use haptimill_engrave::toolpath::{Step, Tabs};
+use haptimill_engrave::thesis::{FIGURE_4_10, TOOL};
+use haptimill_engrave::toolpath::{Cut, Step, Tabs};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
 
 const PLATE: &str = include_str!("../../../examples/plate.dxf");
 
@@ -308,7 +311,7 @@ fn holes_are_drilled_in_a_short_order() {
     let (job, _) = check(&holes, &options);
     assert!(job.proven);
     assert_eq!(job.toolpath.cuts.len(), 4);
-    assert!(job.candidates[1].air_mm <= job.candidates[0].air_mm);
+    assert!(job.candidates[1].lengths.air_mm <= job.candidates[0].lengths.air_mm);
     // Each pass ends at the surface and begins there again.
     assert_eq!(job.toolpath.cuts[0].steps.len(), 4);
 }
@@ -458,4 +461,452 @@ fn numbers_that_make_no_job_are_refused() {
     ] {
         assert!(options.check().is_err(), "{options:?}");
     }
+}
+
+/// The shortest air of lines that are cut to and fro an even number of times, by trying every order:
+/// the tool comes up at the end of the line where it went down.
+fn shortest_to_and_fro(lines: &[[Point; 2]], left: &mut Vec<usize>, at: Point) -> f64 {
+    if left.is_empty() {
+        return at[0].hypot(at[1]);
+    }
+    let mut best = f64::INFINITY;
+    for k in 0..left.len() {
+        let index = left.remove(k);
+        for end in lines[index] {
+            let gap = (end[0] - at[0]).hypot(end[1] - at[1]);
+            best = best.min(gap + shortest_to_and_fro(lines, left, end));
+        }
+        left.insert(k, index);
+    }
+    best
+}
+
+/// Lines as entities of a DXF.
+fn lines_dxf(lines: &[[Point; 2]]) -> Drawing {
+    let entities: String = lines
+        .iter()
+        .map(|[[x, y], [u, v]]| format!("0 LINE\n8 Cut\n10 {x}\n20 {y}\n11 {u}\n21 {v}\n"))
+        .collect();
+    drawing(&dxf(&entities))
+}
+
+const FIVE_LINES: [[Point; 2]; 5] = [
+    [[90.0, 10.0], [5.0, 80.0]],
+    [[10.0, 12.0], [85.0, 70.0]],
+    [[60.0, 5.0], [20.0, 95.0]],
+    [[95.0, 90.0], [12.0, 40.0]],
+    [[40.0, 30.0], [70.0, 88.0]],
+];
+
+/// With two passes the tool is where a line begins, with three at its other end: the order is the
+/// shortest of the moves that are made.
+#[test]
+fn open_paths_in_several_passes_are_in_the_shortest_order() {
+    let drawing = lines_dxf(&FIVE_LINES);
+    for passes in [2.0, 4.0] {
+        let options = Options {
+            depth_mm: passes,
+            step_mm: 1.0,
+            ..Options::default()
+        };
+        let job = plan(&drawing, &options).unwrap();
+        let best = shortest_to_and_fro(&FIVE_LINES, &mut (0..5).collect(), [0.0; 2]);
+        let air = job.toolpath.lengths([0.0; 2]).air_mm;
+        assert!((air - best).abs() < 1e-9, "{passes} passes: {air} {best}");
+        assert!(job.proven);
+    }
+}
+
+/// What the table says of an order is what the program of that order does.
+#[test]
+fn the_table_of_orders_has_the_lengths_of_their_programs() {
+    let drawing = lines_dxf(&FIVE_LINES);
+    for step_mm in [2.0, 1.0] {
+        let of = |ordering| {
+            let options = Options {
+                depth_mm: 2.0,
+                step_mm,
+                ordering,
+                ..Options::default()
+            };
+            plan(&drawing, &options).unwrap()
+        };
+        let (file, greedy) = (of(Ordering::File), of(Ordering::Greedy));
+        let lengths = file.toolpath.lengths([0.0; 2]);
+        for job in [&file, &greedy, &of(Ordering::Short)] {
+            let first = &job.candidates[0].lengths;
+            assert!((first.air_mm - lengths.air_mm).abs() < 1e-9, "{first:?}");
+            assert!((first.cut_mm - lengths.cut_mm).abs() < 1e-9, "{first:?}");
+            assert_eq!(first.lifts, lengths.lifts);
+        }
+        let five = greedy.candidates[..5].iter().map(|one| one.lengths.air_mm);
+        let least = five.fold(f64::INFINITY, f64::min);
+        assert!((greedy.toolpath.lengths([0.0; 2]).air_mm - least).abs() < 1e-9);
+    }
+    // A pocket: the row of one-way rows is the job of one-way rows.
+    let picture = layer("PICTURE");
+    for finish_mm in [0.0, 0.2] {
+        let zigzag = Options {
+            clearing: Clearing::Zigzag,
+            depth_mm: 0.5,
+            step_mm: 0.25,
+            finish_mm,
+            ..pocket()
+        };
+        let one_way = Options {
+            clearing: Clearing::OneWay,
+            ..zigzag
+        };
+        let [job, one_way] = [zigzag, one_way].map(|one| plan(&picture, &one).unwrap());
+        let lengths = one_way.toolpath.lengths([0.0; 2]);
+        let first = &job.candidates[0].lengths;
+        assert!((first.air_mm - lengths.air_mm).abs() < 1e-9, "{first:?}");
+        assert!((first.cut_mm - lengths.cut_mm).abs() < 1e-9, "{first:?}");
+        assert_eq!(first.lifts, lengths.lifts);
+    }
+    // Contours with a finishing pass and leads, and holes in two depths.
+    let frame = drawing_of_squares();
+    for options in [
+        Options {
+            side: Side::Outside,
+            finish_mm: 0.2,
+            lead_mm: Some(0.5),
+            depth_mm: 2.0,
+            ..Options::default()
+        },
+        Options {
+            side: Side::Inside,
+            ..Options::default()
+        },
+    ] {
+        let job = plan(&frame, &options).unwrap();
+        let [file, chosen] = [0, 1].map(|k| &job.candidates[k].lengths);
+        assert!(
+            (file.cut_mm - chosen.cut_mm).abs() < 1e-6,
+            "{file:?} {chosen:?}"
+        );
+        assert_eq!(file.lifts, chosen.lifts);
+    }
+}
+
+fn drawing_of_squares() -> Drawing {
+    drawing(&dxf(&squares(&[[0.0, 0.0, 30.0], [5.0, 5.0, 20.0]])))
+}
+
+/// Figure 4.8 as a job: condition 2 of the thesis is chosen, and the program has the order of figure
+/// 4.12. Lines 1 and 2 join, so they are one cut.
+#[test]
+fn the_greedy_job_of_figure_4_8_has_the_order_of_figure_4_12() {
+    let lines = FIGURE_4_10.map(|[x, y, u, v]| [[x, y], [u, v]]);
+    let options = Options {
+        ordering: Ordering::Greedy,
+        ..Options::default()
+    };
+    let job = plan(&lines_dxf(&lines), &options).unwrap();
+    let cuts: Vec<[Point; 2]> = job
+        .toolpath
+        .cuts
+        .iter()
+        .map(|cut| [cut.start, cut.end()])
+        .collect();
+    let expected = [
+        [[10.0, 30.0], [40.0, 30.0]],
+        [[40.0, 25.0], [40.0, 20.0]],
+        [[20.0, 20.0], [40.0, 10.0]],
+    ];
+    assert_eq!(cuts, expected);
+    let air: Vec<String> = job
+        .candidates
+        .iter()
+        .map(|one| format!("{:.3}", one.lengths.air_mm))
+        .collect();
+    let stated = [
+        "113.705", "113.705", "97.854", "114.061", "146.290", "97.854",
+    ];
+    assert_eq!(air, stated);
+}
+
+/// A path of a random drawing: a line, or a circle.
+fn entity(kind: bool, [x, y, u, v]: [f64; 4]) -> String {
+    if kind {
+        format!("0 CIRCLE\n8 Cut\n10 {x}\n20 {y}\n40 {}\n", 0.1 + u / 10.0)
+    } else {
+        format!("0 LINE\n8 Cut\n10 {x}\n20 {y}\n11 {u}\n21 {v}\n")
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 40,
+        rng_seed: RngSeed::Fixed(1),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    /// On any drawing the analysis is no longer than the file order, and the default is no longer
+    /// than the analysis.
+    #[test]
+    fn no_order_is_longer_than_the_one_of_the_file(
+        entities in prop::collection::vec(
+            (any::<bool>(), prop::array::uniform4(0.0..100.0)), 1..50),
+        passes in 1..4_u8,
+        rows in any::<bool>(),
+    ) {
+        let text: String = entities.iter().enumerate().map(|(k, &(kind, at))| {
+            // Rows from the origin in turns: the file order is already a short one.
+            let y = k as f64;
+            let (from, to) = if k % 2 == 0 { (0.0, 90.0) } else { (90.0, 0.0) };
+            if rows { entity(false, [from, y, to, y]) } else { entity(kind, at) }
+        }).collect();
+        let drawing = drawing(&dxf(&text));
+        let air = [Ordering::File, Ordering::Greedy, Ordering::Short].map(|ordering| {
+            let options = Options {
+                ordering,
+                depth_mm: f64::from(passes),
+                step_mm: 1.0,
+                ..Options::default()
+            };
+            plan(&drawing, &options).unwrap().toolpath.lengths([0.0; 2]).air_mm
+        });
+        prop_assert!(air[1] <= air[0] + 1e-6 && air[2] <= air[1] + 1e-6, "{air:?}");
+    }
+}
+
+/// A closed polyline.
+fn outline(corners: &[Point]) -> String {
+    let points: String = corners
+        .iter()
+        .map(|[x, y]| format!("10 {x}\n20 {y}\n"))
+        .collect();
+    format!(
+        "0 LWPOLYLINE\n5 77\n8 Cut\n90 {}\n70 1\n{points}",
+        corners.len()
+    )
+}
+
+/// A neck and a slot that the tool does not fit into are named; a contour without them is not.
+#[test]
+fn a_neck_that_is_too_narrow_for_the_tool_is_noted() {
+    let neck = |width: f64| {
+        let (low, high) = (5.0 - width / 2.0, 5.0 + width / 2.0);
+        outline(&[
+            [0.0, 0.0],
+            [10.0, 0.0],
+            [10.0, low],
+            [13.0, low],
+            [13.0, 0.0],
+            [23.0, 0.0],
+            [23.0, 10.0],
+            [13.0, 10.0],
+            [13.0, high],
+            [10.0, high],
+            [10.0, 10.0],
+            [0.0, 10.0],
+        ])
+    };
+    let slot = |width: f64| {
+        let (low, high) = (5.0 - width / 2.0, 5.0 + width / 2.0);
+        outline(&[
+            [0.0, 0.0],
+            [10.0, 0.0],
+            [10.0, low],
+            [14.0, low],
+            [14.0, high],
+            [10.0, high],
+            [10.0, 10.0],
+            [0.0, 10.0],
+        ])
+    };
+    let short = |width: f64| {
+        let (low, high) = (5.0 - width / 2.0, 5.0 + width / 2.0);
+        outline(&[
+            [0.0, 0.0],
+            [10.0, 0.0],
+            [10.0, low],
+            [10.4, low],
+            [10.4, 0.0],
+            [20.0, 0.0],
+            [20.0, 10.0],
+            [10.4, 10.0],
+            [10.4, high],
+            [10.0, high],
+            [10.0, 10.0],
+            [0.0, 10.0],
+        ])
+    };
+    let inside = Options {
+        side: Side::Inside,
+        ..Options::default()
+    };
+    for options in [pocket(), inside] {
+        let notices = |text: &str| plan(&drawing(&dxf(text)), &options).unwrap().notices;
+        for narrow in [neck(0.8), slot(0.8), short(0.8)] {
+            let notices = notices(&narrow);
+            assert_eq!(notices.len(), 1, "{notices:?}");
+            assert!(
+                notices[0].contains("handle 77 on layer Cut")
+                    && notices[0].contains("does not reach")
+                    && notices[0].contains("--tool"),
+                "{notices:?}"
+            );
+        }
+        for wide in [
+            neck(1.2),
+            slot(1.2),
+            short(1.2),
+            squares(&[[0.0, 0.0, 10.0]]),
+        ] {
+            assert_eq!(notices(&wide), Vec::<String>::new());
+        }
+    }
+}
+
+/// The pockets of the thesis as jobs: rows, links, lifts and lengths of `--clear zigzag`. The square
+/// has the numbers of the rules exactly. The offset around the island and at the inner corners of
+/// the letter is round, that of the rules is pointed: their lengths differ by that.
+#[test]
+fn the_pockets_of_the_thesis_are_cleared_by_its_rules() {
+    let rectangle =
+        |low: f64, high: f64| outline(&[[low, low], [high, low], [high, high], [low, high]]);
+    let letter = outline(&[
+        [10.0, 10.0],
+        [15.0, 10.0],
+        [15.0, 25.0],
+        [30.0, 25.0],
+        [30.0, 10.0],
+        [35.0, 10.0],
+        [35.0, 45.0],
+        [30.0, 45.0],
+        [30.0, 30.0],
+        [15.0, 30.0],
+        [15.0, 45.0],
+        [10.0, 45.0],
+    ]);
+    let options = |clearing| Options {
+        clearing,
+        tool_mm: TOOL,
+        depth_mm: 0.5,
+        ..pocket()
+    };
+    // Rows, links, lifts, cut, air, and how far the lengths may be from them.
+    let cases = [
+        (rectangle(10.0, 30.0), 42, 42, 1, 897.35, 46.371, 0.0006),
+        (
+            rectangle(9.55, 50.45) + &rectangle(20.0, 40.0),
+            135,
+            134,
+            3,
+            2902.3,
+            74.059,
+            1.0,
+        ),
+        (letter, 141, 137, 5, 996.15, 136.187, 1.0),
+    ];
+    for (text, rows, links, lifts, cut, air, within) in cases {
+        let drawing = drawing(&dxf(&text));
+        let job = plan(&drawing, &options(Clearing::Zigzag)).unwrap();
+        let lengths = job.toolpath.lengths([0.0; 2]);
+        // Rows, but not contours, nor links along a row.
+        let level = |cut: &Cut| {
+            let lines = cut.steps.iter().filter(|step| {
+                matches!(step, Step::Along(one, _) if one.bulge == 0.0
+                    && one.length() > TOOL
+                    && off_paths(&drawing, one.point(0.5)) > TOOL / 2.0 + 1e-6
+                    && one.from[1] == one.to[1]
+                    && ((one.from[1] / 0.45).round() * 0.45 - one.from[1]).abs() < 1e-9)
+            });
+            lines.count()
+        };
+        let found: usize = job.toolpath.cuts.iter().map(level).sum();
+        assert_eq!((found, job.links, lengths.lifts), (rows, links, lifts));
+        assert!((lengths.cut_mm - cut).abs() < within, "{lengths:?}");
+        assert!((lengths.air_mm - air).abs() < within, "{lengths:?}");
+        // Without the analysis: rows from left to right, from the top.
+        let plain = plan(&drawing, &options(Clearing::OneWay)).unwrap();
+        let straight = &plain.toolpath.cuts[..rows];
+        assert!(straight.iter().all(|cut| cut.end()[0] > cut.start[0]));
+        let lower = |pair: &[Cut]| pair[1].start[1] <= pair[0].start[1];
+        assert!(straight.windows(2).all(lower));
+    }
+}
+
+/// Distance of a point from the paths of a drawing, by the points nearest to it.
+fn off_paths(drawing: &Drawing, at: Point) -> f64 {
+    let segments = drawing.paths.iter().flat_map(Path::segments);
+    segments
+        .map(|one| {
+            let near = one.point(one.nearest(at));
+            (near[0] - at[0]).hypot(near[1] - at[1])
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// Contours of all kinds are the tool's radius away from the drawing, within a step of 0.005 mm, and
+/// no nearer anywhere: the tool never crosses a line.
+#[test]
+fn contours_are_a_radius_away_from_the_drawing() {
+    for name in ["PICTURE", "FRAME"] {
+        let drawing = layer(name);
+        for (operation, side) in [
+            (Operation::Pocket, Side::On),
+            (Operation::Outline, Side::Inside),
+            (Operation::Outline, Side::Outside),
+        ] {
+            let options = Options {
+                operation,
+                side,
+                finish_mm: 0.2,
+                depth_mm: 0.5,
+                ..Options::default()
+            };
+            let job = plan(&drawing, &options).unwrap();
+            let (mut least, mut on_contour) = (f64::INFINITY, 0.0);
+            for cut in &job.toolpath.cuts {
+                for step in &cut.steps {
+                    let Step::Along(one, _) = step else { continue };
+                    let off = |k: i32| off_paths(&drawing, one.point(f64::from(k) / 16.0));
+                    let offs: Vec<f64> = (0..=16).map(off).collect();
+                    least = offs.iter().copied().fold(least, f64::min);
+                    if offs.iter().all(|off| (off - 0.5).abs() < 0.005) {
+                        on_contour += one.length();
+                    }
+                }
+            }
+            assert!((least - 0.5).abs() < 0.005, "{name} {side:?}: {least}");
+            // The finishing pass is as long as the drawing, but for its corners.
+            let drawn: f64 = drawing.paths.iter().map(Path::length).sum();
+            assert!(
+                on_contour > 0.8 * drawn,
+                "{name} {side:?}: {on_contour} {drawn}"
+            );
+        }
+    }
+}
+
+/// A text as an outline job: the tool traces the letters, no order is longer than that of the file,
+/// and the length is that of the outlines: an L of 10 mm is 400/700 as wide, its strokes 100/700.
+#[test]
+fn a_text_is_traced() {
+    let bytes = common::font();
+    let font = haptimill_engrave::read::text::Font::new(&bytes).unwrap();
+    let reading = ReadOptions {
+        font: Some(&font),
+        ..ReadOptions::default()
+    };
+    let text = dxf("0 TEXT\n8 Cut\n10 10\n20 20\n40 10\n1 LLLLL");
+    let drawing = read(text.as_bytes(), &reading).unwrap();
+    let of = |ordering| {
+        let options = Options {
+            ordering,
+            ..Options::default()
+        };
+        plan(&drawing, &options).unwrap().toolpath.lengths([0.0; 2])
+    };
+    let [file, greedy, short] = [Ordering::File, Ordering::Greedy, Ordering::Short].map(of);
+    let around = 2.0 * (10.0 + 10.0 * 400.0 / 700.0);
+    for one in [&file, &greedy, &short] {
+        assert!((one.cut_mm - 5.0 * around).abs() < 1e-9, "{one:?}");
+        assert_eq!(one.lifts, 5);
+    }
+    assert!(greedy.air_mm <= file.air_mm && short.air_mm < greedy.air_mm);
 }

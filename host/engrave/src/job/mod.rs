@@ -7,23 +7,22 @@ pub use options::{Operation, Options, Ordering, Side};
 
 use crate::drawing::{Drawing, Problem};
 use crate::geometry::{Path, Point};
-use crate::order::edges::{self, Condition, Ends};
+use crate::order::edges::Condition;
 use crate::order::{Effort, order_paths};
 use crate::shape::clear::{ClearOptions, clear};
 use crate::shape::{Clearing, Region, Strand};
-use crate::toolpath::{Cut, Depths, Step, Toolpath, cut_path, levels};
+use crate::toolpath::{Cut, Depths, Lengths, Step, Toolpath, cut_path, levels};
 use outline::{outline, with_leads};
 use serde::Serialize;
 
-/// Air distance of one order.
+/// The job in one order.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Candidate {
     /// What the order is.
     pub name: String,
-    /// Air distance from the reference and back, mm.
-    pub air_mm: f64,
-    /// Number of lifted moves.
-    pub lifts: usize,
+    /// Its lengths from the reference and back to it.
+    #[serde(flatten)]
+    pub lengths: Lengths,
 }
 
 /// A job that is ready to be written.
@@ -75,6 +74,7 @@ fn note_lost(
 ) -> Result<(), Vec<Problem>> {
     let mut problems = Vec::new();
     let kept = reached.loops();
+    let (before, after) = (region.boundaries(), reached.boundaries());
     for one in region.loops() {
         let entity = &drawing.entities[one.entity];
         if !kept.iter().any(|path| path.entity == one.entity) && kept.is_empty() {
@@ -89,8 +89,19 @@ fn note_lost(
         } else if !kept.iter().any(|path| path.entity == one.entity) {
             job.notices.push(format!(
                 "{entity}: no pass of its own: a tool of {} mm is too wide beside it, or passes \
-                 of other contours cover it",
+                 of other contours cover it; use a thinner tool with --tool",
                 options.tool_mm
+            ));
+        } else if let Some((at, off)) = region.least_reached(
+            &one,
+            reached,
+            options.tool_mm,
+            after.get(&one.entity) > before.get(&one.entity),
+        ) {
+            job.notices.push(format!(
+                "{entity}: a tool of {} mm does not reach {:.3}, {:.3}: it ends {off:.3} mm away, \
+                 at a neck, slot or corner that is too narrow; use a thinner tool with --tool",
+                options.tool_mm, at[0], at[1]
             ));
         }
     }
@@ -101,31 +112,10 @@ fn note_lost(
     }
 }
 
-fn measured(toolpath: &Toolpath, name: &str, options: &Options) -> Candidate {
-    let lengths = toolpath.lengths(options.reference);
+fn measured(cuts: &[Cut], name: &str, options: &Options) -> Candidate {
     Candidate {
         name: name.into(),
-        air_mm: lengths.air_mm,
-        lifts: lengths.lifts,
-    }
-}
-
-fn file_order(paths: &[Path], options: &Options) -> Candidate {
-    let ends: Vec<Ends> = paths
-        .iter()
-        .filter_map(|path| {
-            Some(Ends {
-                start: path.start()?,
-                end: path.end()?,
-            })
-        })
-        .collect();
-    let order: Vec<usize> = (0..ends.len()).collect();
-    let (air_mm, lifts) = edges::air(&ends, &order, options.reference);
-    Candidate {
-        name: Condition::File.name().into(),
-        air_mm,
-        lifts,
+        lengths: Toolpath::lengths_of(cuts, options.reference),
     }
 }
 
@@ -137,6 +127,23 @@ fn pocket(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     let mut job = Job::default();
     let reached = region.inset(options.tool_mm / 2.0);
     note_lost(&region, &reached, drawing, options, &mut job)?;
+    let one_way = Options {
+        clearing: Clearing::OneWay,
+        ..options.clone()
+    };
+    let plain = cleared(&region, &reached, &one_way, &mut Job::default());
+    job.candidates
+        .push(measured(&plain, "one-way rows, not linked", options));
+    job.toolpath.cuts = cleared(&region, &reached, options, &mut job);
+    job.notices.dedup();
+    job.candidates
+        .push(measured(&job.toolpath.cuts, "chosen", options));
+    Ok(job)
+}
+
+/// The cuts that clear a region in all depths, and the last pass along the walls. Adds links and
+/// notices to the job.
+fn cleared(region: &Region, reached: &Region, options: &Options, job: &mut Job) -> Vec<Cut> {
     let clearing = ClearOptions {
         clearing: options.clearing,
         tool_mm: options.tool_mm,
@@ -144,78 +151,43 @@ fn pocket(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
         spacing_mm: options.tool_mm * options.overlap,
         angle_deg: options.angle_deg,
     };
-    let strands = clear(&region, &clearing, options.reference);
-    let plain = ClearOptions {
-        clearing: Clearing::OneWay,
-        ..clearing
-    };
-    let one_way = clear(&region, &plain, options.reference);
-    let depths = Depths {
-        tabs: None,
-        ..options.depths()
-    };
-    for (index, &z) in depths.levels.iter().enumerate() {
-        let above = if index == 0 {
-            0.0
-        } else {
-            depths.levels[index - 1]
-        };
+    let strands = clear(region, &clearing, options.reference);
+    let depths = options.depths();
+    let mut cuts = Vec::new();
+    let mut above = 0.0;
+    for &z in &depths.levels {
         for strand in &strands {
             job.links += strand.links;
-            job.toolpath
-                .cuts
-                .push(cut_strand(strand, above, z, depths.slope));
+            cuts.push(cut_strand(strand, above, z, depths.slope));
         }
+        above = z;
     }
     if options.finish_mm > 0.0 {
-        let loops: Vec<Path> = reached
-            .loops()
-            .into_iter()
-            .map(|path| {
-                if options.conventional {
-                    path.reversed()
-                } else {
-                    path
-                }
-            })
-            .collect();
-        let at = job.toolpath.cuts.last().map_or(options.reference, Cut::end);
+        let direct = |path: Path| {
+            if options.conventional {
+                path.reversed()
+            } else {
+                path
+            }
+        };
+        let loops: Vec<Path> = reached.loops().into_iter().map(direct).collect();
+        let at = cuts.last().map_or(options.reference, Cut::end);
         let floor = Depths {
             levels: vec![-options.depth_mm],
             slope: None,
             tabs: None,
         };
         for path in order_paths(&loops, at, Effort::default()).apply(&loops) {
-            job.toolpath.cuts.push(with_leads(
+            cuts.push(with_leads(
                 &path,
                 &floor,
                 options,
-                &reached,
+                reached,
                 &mut job.notices,
             ));
         }
     }
-    job.notices.dedup();
-    let ends = |strands: &[Strand]| -> Vec<Ends> {
-        strands
-            .iter()
-            .map(|one| Ends {
-                start: one.start(),
-                end: one.end(),
-            })
-            .collect()
-    };
-    let one_way = ends(&one_way);
-    let order: Vec<usize> = (0..one_way.len()).collect();
-    let (air_mm, lifts) = edges::air(&one_way, &order, options.reference);
-    job.candidates.push(Candidate {
-        name: "one-way rows, not linked".into(),
-        air_mm,
-        lifts,
-    });
-    job.candidates
-        .push(measured(&job.toolpath, "chosen", options));
-    Ok(job)
+    cuts
 }
 
 /// Cuts a strand at one depth, with a ramp at its start if there is one.
@@ -276,25 +248,27 @@ fn drill(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
             "{others} paths are neither points nor circles: not drilled"
         ));
     }
-    job.candidates.push(file_order(&holes, options));
-    let tour = order_paths(&holes, options.reference, Effort::default());
-    job.proven = tour.proven;
     let depths = levels(options.depth_mm, options.step_mm);
-    for hole in tour.apply(&holes) {
-        let start = hole.start().unwrap_or_default();
+    let drilled = |hole: &Path| {
         // Between two passes the tool comes up to the surface and clears the chips.
         let mut steps = Vec::new();
         for &z in &depths[1..] {
             steps.extend([Step::Vertical(0.0), Step::Vertical(z)]);
         }
-        job.toolpath.cuts.push(Cut {
-            start,
+        Cut {
+            start: hole.start().unwrap_or_default(),
             z: depths[0],
             steps,
             entity: hole.entity,
-        });
-    }
-    let chosen = measured(&job.toolpath, "shortest found", options);
+        }
+    };
+    let file: Vec<Cut> = holes.iter().map(drilled).collect();
+    job.candidates
+        .push(measured(&file, Condition::File.name(), options));
+    let tour = order_paths(&holes, options.reference, Effort::default());
+    job.proven = tour.proven;
+    job.toolpath.cuts = tour.apply(&holes).iter().map(drilled).collect();
+    let chosen = measured(&job.toolpath.cuts, "shortest found", options);
     job.candidates.push(chosen);
     Ok(job)
 }

@@ -1,11 +1,11 @@
 //! Outlines: on the paths of the drawing, or beside its contours.
 
 use super::nothing;
-use super::{Candidate, Job, Options, Ordering, Side, chained, file_order, measured, note_lost};
+use super::{Job, Options, Ordering, Side, chained, measured, note_lost};
 use crate::drawing::{Drawing, Problem};
 use crate::geometry::{Path, Point, Segment, distance};
 use crate::order::edges::{self, Condition, Ends};
-use crate::order::{Effort, order_paths};
+use crate::order::{Effort, order_passes, order_paths};
 use crate::shape::Region;
 use crate::toolpath::{Cut, Depths, Step, cut_path, leads};
 
@@ -39,12 +39,17 @@ pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<P
     }
     passes.push(finished.loops());
     let mut at = options.reference;
+    let mut file = Vec::new();
     for (pass, loops) in passes.iter().enumerate() {
         let paths: Vec<Path> = loops.iter().cloned().map(direct).collect();
         let last = pass + 1 == passes.len();
         let mut depths = options.depths();
         if last && passes.len() > 1 {
             depths.levels = vec![-options.depth_mm];
+        }
+        for path in &paths {
+            let cut = with_leads(path, &depths, options, &finished, &mut Vec::new());
+            file.push(cut);
         }
         // Inner contours first: the part must not come loose before they are cut.
         for level in by_depth(&paths) {
@@ -57,10 +62,10 @@ pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<P
         }
     }
     job.notices.dedup();
-    let file: Vec<Path> = passes.iter().flatten().cloned().collect();
-    job.candidates = vec![file_order(&file, options)];
-    job.candidates
-        .push(measured(&job.toolpath, "inner contours first", options));
+    job.candidates = vec![
+        measured(&file, Condition::File.name(), options),
+        measured(&job.toolpath.cuts, "inner contours first", options),
+    ];
     Ok(job)
 }
 
@@ -172,53 +177,43 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
     } else {
         &Condition::ALL[..1]
     };
-    let orders: Vec<edges::Ordered> = shown
-        .iter()
-        .map(|&one| edges::order(&ends, one, options.reference))
-        .collect();
-    for one in &orders {
-        let name = one.condition.name().to_string();
-        job.candidates.push(Candidate {
-            name,
-            air_mm: one.air_mm,
-            lifts: one.lifts,
-        });
-    }
     let depths = options.depths();
-    let cuts: Vec<Cut> = match options.ordering {
-        Ordering::Short => {
-            let tour = order_paths(&chains, options.reference, Effort::default());
-            job.proven = tour.proven;
-            tour.apply(&chains)
-                .iter()
-                .map(|path| cut_path(path, &depths))
-                .collect()
+    let cut_all =
+        |paths: &[Path]| -> Vec<Cut> { paths.iter().map(|path| cut_path(path, &depths)).collect() };
+    // The conditions decide by one pass; the lengths are those of all passes.
+    let mut best: Vec<Cut> = Vec::new();
+    let mut least = f64::INFINITY;
+    for &condition in shown {
+        let order = edges::order(&ends, condition, options.reference).order;
+        let cuts = cut_all(&join_continuous(
+            order.iter().map(|&index| &commands[index]),
+        ));
+        let candidate = measured(&cuts, condition.name(), options);
+        let is_file = condition == Condition::File;
+        if candidate.lengths.air_mm < least && (is_file || options.ordering != Ordering::File) {
+            (best, least) = (cuts, candidate.lengths.air_mm);
         }
-        Ordering::Greedy | Ordering::File => {
-            let file = |best: &edges::Ordered, next: &edges::Ordered| next.air_mm < best.air_mm;
-            let mut best = &orders[0];
-            if options.ordering == Ordering::Greedy {
-                for next in &orders[1..] {
-                    if file(best, next) {
-                        best = next;
-                    }
-                }
-            }
-            let ordered = best.order.iter().map(|&index| &commands[index]);
-            join_continuous(ordered)
-                .iter()
-                .map(|path| cut_path(path, &depths))
-                .collect()
-        }
-    };
-    job.toolpath.cuts = cuts;
-    let name = match options.ordering {
+        job.candidates.push(candidate);
+    }
+    let mut name = match options.ordering {
         Ordering::Short => "chains, reversed and started anywhere",
         Ordering::Greedy => "chosen: best of the above",
         Ordering::File => "chosen: file order",
     };
-    let chosen = measured(&job.toolpath, name, options);
+    if options.ordering == Ordering::Short {
+        let passes = depths.levels.len();
+        let tour = order_passes(&chains, passes, options.reference, Effort::default());
+        // Chains stay whole in the tour, not in the orders above: one of these may be shorter.
+        if tour.air_mm <= least + 1e-9 {
+            best = cut_all(&tour.apply(&chains));
+            job.proven = tour.proven;
+        } else {
+            name = "chosen: best of the above";
+        }
+    }
+    let chosen = measured(&best, name, options);
     job.candidates.push(chosen);
+    job.toolpath.cuts = best;
     job
 }
 

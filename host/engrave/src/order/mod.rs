@@ -12,4 +12,4 @@ pub mod rows;
 mod start;
 pub mod tour;
 
-pub use tour::{Effort, Placed, Tour, order_paths};
+pub use tour::{Effort, Placed, Tour, order_passes, order_paths};

@@ -133,7 +133,10 @@ pub fn clear(region: &Region, options: &ClearOptions, reference: Point) -> Vec<S
             all.extend(contours_from(contours, last));
             match options.clearing {
                 Clearing::OneWay => all,
-                _ => link(all, options.tool_mm, &allowed),
+                _ => {
+                    let (sin, cos) = options.angle_deg.to_radians().sin_cos();
+                    link(all, options.tool_mm, [cos, sin], &allowed)
+                }
             }
         }
     }
@@ -279,23 +282,52 @@ fn contours_from(mut contours: Vec<Path>, mut at: Point) -> Vec<Strand> {
     out
 }
 
-/// Cuts through gaps that are shorter than `limit` and stay inside.
-fn link(strands: Vec<Strand>, limit: f64, allowed: &dyn Fn(Point, Point) -> bool) -> Vec<Strand> {
+/// Cuts through gaps that are shorter than `limit` and stay inside: straight, or else along a row and
+/// across to the next one. That leads around a round corner between their ends. `along` is the
+/// direction of the rows.
+fn link(
+    strands: Vec<Strand>,
+    limit: f64,
+    along: Point,
+    allowed: &dyn Fn(Point, Point) -> bool,
+) -> Vec<Strand> {
+    let way = |from: Point, to: Point| -> Option<Vec<Point>> {
+        if distance(from, to) >= limit {
+            return None;
+        }
+        if allowed(from, to) {
+            return Some(vec![to]);
+        }
+        let gap = [to[0] - from[0], to[1] - from[1]];
+        let part = gap[0] * along[0] + gap[1] * along[1];
+        let [u, v] = [along[0] * part, along[1] * part];
+        let corners = [[from[0] + u, from[1] + v], [to[0] - u, to[1] - v]];
+        let fits = |corner: &Point| {
+            distance(from, *corner) + distance(*corner, to) < limit
+                && allowed(from, *corner)
+                && allowed(*corner, to)
+        };
+        corners
+            .into_iter()
+            .find(fits)
+            .map(|corner| vec![corner, to])
+    };
     let mut out: Vec<Strand> = Vec::new();
     for strand in strands {
-        match out.last_mut() {
-            Some(last)
-                if distance(last.end(), strand.start()) < limit
-                    && allowed(last.end(), strand.start()) =>
-            {
-                let (from, to) = (last.end(), strand.start());
-                if from != to {
-                    last.segments.push(Segment {
-                        from,
-                        to,
-                        bulge: 0.0,
-                    });
-                    last.links += 1;
+        let found = out.last().and_then(|last| way(last.end(), strand.start()));
+        match (out.last_mut(), found) {
+            (Some(last), Some(points)) => {
+                let mut from = last.end();
+                last.links += usize::from(from != strand.start());
+                for to in points {
+                    if from != to {
+                        last.segments.push(Segment {
+                            from,
+                            to,
+                            bulge: 0.0,
+                        });
+                    }
+                    from = to;
                 }
                 last.segments.extend(strand.segments);
                 last.links += strand.links;

@@ -164,6 +164,17 @@ impl Region {
         self.polylines().map(path_of).collect()
     }
 
+    /// Number of boundaries by the entity that they are from, islands not counted.
+    #[must_use]
+    pub fn boundaries(&self) -> std::collections::HashMap<usize, usize> {
+        let mut counts = std::collections::HashMap::new();
+        for one in &self.shape.ccw_plines {
+            let entity = one.polyline.get_userdata_values().next().unwrap_or(0);
+            *counts.entry(entity as usize).or_insert(0) += 1;
+        }
+        counts
+    }
+
     /// Whether a point is inside.
     #[must_use]
     pub fn contains(&self, at: Point) -> bool {
@@ -214,6 +225,74 @@ impl Region {
             }
         }
         false
+    }
+
+    /// Distance of a point from the boundaries, if it is at most `limit`, mm.
+    fn distance_within(&self, at: Point, limit: f64) -> Option<f64> {
+        let (low, high) = (at.map(|one| one - limit), at.map(|one| one + limit));
+        let mut least = f64::INFINITY;
+        let boundaries = self.shape.ccw_plines.len();
+        self.shape.plines_index.visit_query(
+            low[0],
+            low[1],
+            high[0],
+            high[1],
+            &mut |which: usize| {
+                let one = match which.checked_sub(boundaries) {
+                    None => &self.shape.ccw_plines[which],
+                    Some(island) => &self.shape.cw_plines[island],
+                };
+                let mut nearer = |index: usize| {
+                    let line = &one.polyline;
+                    let (p, q) = (line.at(index), line.at(line.next_wrapping_index(index)));
+                    let segment = Segment {
+                        from: [p.x, p.y],
+                        to: [q.x, q.y],
+                        bulge: p.bulge,
+                    };
+                    let near = segment.point(segment.nearest(at));
+                    least = least.min(crate::geometry::distance(near, at));
+                };
+                one.spatial_index
+                    .visit_query(low[0], low[1], high[0], high[1], &mut nearer);
+            },
+        );
+        (least <= limit).then_some(least)
+    }
+
+    /// The point of a loop of this region that a tool leaves farthest away, where its centre runs
+    /// within `reached`, and how much material is between, mm. `None` where that is nowhere more than
+    /// at a corner of about 60 degrees, half a diameter, unless the loop is known to be `split`.
+    #[must_use]
+    pub fn least_reached(
+        &self,
+        path: &Path,
+        reached: &Self,
+        tool_mm: f64,
+        split: bool,
+    ) -> Option<(Point, f64)> {
+        // Beyond this distance the tool counts as far away; the search goes no farther.
+        const FAR: f64 = 16.0;
+        let radius = tool_mm / 2.0;
+        let mut worst = (path.start()?, 0.0);
+        for segment in path.segments() {
+            // At least two points in a neck of a quarter of the diameter.
+            let count = (segment.length() / (radius / 4.0))
+                .ceil()
+                .clamp(1.0, 4096.0);
+            for k in 0..count as usize {
+                let at = segment.point(k as f64 / count);
+                let off = reached
+                    .distance_within(at, 2.1 * radius)
+                    .or_else(|| reached.distance_within(at, FAR * radius))
+                    .unwrap_or(FAR * radius);
+                if off > worst.1 {
+                    worst = (at, off);
+                }
+            }
+        }
+        let is_far = worst.1 > 2.1 * radius || split && worst.1 > 1.001 * radius;
+        is_far.then_some((worst.0, worst.1 - radius))
     }
 
     /// Horizontal rows through the region at all multiples of `spacing` (mm), from the top, each

@@ -11,9 +11,10 @@ use haptimill_engrave::geometry::Point;
 use haptimill_engrave::job::{Job, check_area, plan};
 use haptimill_engrave::kurbo::Affine;
 use haptimill_engrave::plate::PlateReport;
-use haptimill_engrave::preview::{self, Speeds};
+use haptimill_engrave::preview;
 use haptimill_engrave::read::text::Font;
 use haptimill_engrave::read::{ReadOptions, read};
+use haptimill_engrave::times::{Speeds, Times};
 use haptimill_engrave::toolpath::Lengths;
 use haptimill_machine_file::{MachineFile, input};
 use std::path::Path;
@@ -118,28 +119,6 @@ fn area(machine: &MachineFile) -> Result<([Point; 2], f64), CliError> {
     Ok(([[x.low, y.low], [x.high, y.high]], x.rate.min(y.rate)))
 }
 
-/// Times of a job without acceleration, s.
-struct Times {
-    cut: f64,
-    air: f64,
-    lifts: f64,
-}
-
-impl Times {
-    fn of(lengths: &Lengths, args: &EngraveArgs, rapid_mm_s: f64) -> Self {
-        let stroke = args.lift + args.depth;
-        Self {
-            cut: lengths.cut_mm / (args.feed / 60.0),
-            air: lengths.air_mm / rapid_mm_s,
-            lifts: lengths.lifts as f64 * (stroke / (args.plunge / 60.0) + stroke / rapid_mm_s),
-        }
-    }
-
-    fn total(&self) -> f64 {
-        self.cut + self.air + self.lifts
-    }
-}
-
 /// Writes the part program of a drawing.
 ///
 /// # Errors
@@ -189,32 +168,28 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
     let text = program(&job.toolpath, rates, [0.0; 2], &title);
     let out = args.out();
     output::save(&out, &text)?;
-    let times = Times::of(&lengths, &args, rapid);
+    let speeds = Speeds {
+        feed: args.feed / 60.0,
+        plunge: args.plunge / 60.0,
+        rapid,
+        lift_mm: args.lift,
+    };
+    let times = Times::of(&lengths, &speeds);
     let rows: Vec<preview::Row> = job
         .candidates
         .iter()
         .map(|one| {
-            let with = Lengths {
-                air_mm: one.air_mm,
-                lifts: one.lifts,
-                ..lengths
-            };
-            let total = Times::of(&with, &args, rapid).total();
-            (one.name.clone(), one.air_mm, one.lifts, total)
+            let Lengths { air_mm, lifts, .. } = one.lengths;
+            let total = Times::of(&one.lengths, &speeds).total();
+            (one.name.clone(), air_mm, lifts, total)
         })
         .collect();
     if let Some(path) = &args.preview {
-        let speeds = Speeds {
-            feed: args.feed / 60.0,
-            plunge: args.plunge / 60.0,
-            rapid,
-            lift_mm: args.lift,
-        };
         let page = preview::html(&title[0], &drawing, &job, &args.options(), speeds, &rows);
         output::save(path, page)?;
     }
     if !args.json {
-        print_text(&args, &drawing, &job, &lengths, &times, &rows);
+        print_text(&args, &drawing, &job, &lengths, &times, &rows, analysis_s);
     }
     let surface = if args.run {
         Some(cut::cut(&args, &machine, &drawing)?)
@@ -226,8 +201,8 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
             &args,
             &drawing,
             &job,
-            &lengths,
             &times,
+            &rows,
             analysis_s,
             surface.as_ref(),
         );
@@ -253,6 +228,7 @@ fn print_text(
     lengths: &Lengths,
     times: &Times,
     rows: &[preview::Row],
+    analysis_s: f64,
 ) {
     print_notices(args, &job.notices);
     print_line!(
@@ -285,6 +261,11 @@ fn print_text(
         lengths.lifts,
         times.lifts,
         job.links
+    );
+    print_line!(
+        "total       {:.1} s, {:.1} s with the analysis of {analysis_s:.3} s",
+        times.total(),
+        times.total() + analysis_s
     );
     print_line!("program     {}", args.out().display());
     if let Some(path) = &args.preview {
@@ -322,18 +303,29 @@ fn print_json(
     args: &EngraveArgs,
     drawing: &Drawing,
     job: &Job,
-    lengths: &Lengths,
     times: &Times,
+    rows: &[preview::Row],
     analysis_s: f64,
     cut: Option<&cut::Cut>,
 ) {
+    let lengths = job.toolpath.lengths([0.0; 2]);
+    let orders: Vec<serde_json::Value> = job
+        .candidates
+        .iter()
+        .zip(rows)
+        .map(|(one, (.., time_s))| {
+            let mut order = serde_json::json!(one);
+            order["time_s"] = (*time_s).into();
+            order
+        })
+        .collect();
     let value = serde_json::json!({
         "drawing": args.drawing.display().to_string(),
         "program": args.out().display().to_string(),
         "entities": drawing.entities.len(),
         "paths": drawing.paths.len(),
         "notices": drawing.notices.iter().chain(&job.notices).collect::<Vec<_>>(),
-        "orders": job.candidates,
+        "orders": orders,
         "proven": job.proven,
         "cut_mm": lengths.cut_mm,
         "air_mm": lengths.air_mm,
@@ -345,6 +337,7 @@ fn print_json(
             "lifts": times.lifts,
             "total": times.total(),
             "analysis": analysis_s,
+            "total_with_analysis": times.total() + analysis_s,
         },
         "surface": cut.map(|cut| &cut.surface),
         "off_mm": cut.map(|cut| cut.off_mm),
