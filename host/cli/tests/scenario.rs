@@ -119,7 +119,9 @@ fn the_engraver_repeats_the_analysis_of_its_thesis() {
         .expect_code(0)
         .out;
     assert!(
-        table.contains("differs") && table.contains("stands in"),
+        table.contains("differs")
+            && table.contains("of the same kind")
+            && table.contains("stands in"),
         "{table}"
     );
 }

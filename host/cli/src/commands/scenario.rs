@@ -125,7 +125,7 @@ struct Statement<'a> {
     what: &'a str,
     stated: &'a str,
     ours: &'a str,
-    agrees: bool,
+    mark: &'static str,
     reason: &'a str,
 }
 
@@ -145,7 +145,7 @@ fn show<'a, T: serde::Serialize>(
     }
     print_line!("{:<7} {:<66} {:<27} ours", "section", "result", "stated");
     for row in rows.iter().map(of) {
-        let mark = if row.agrees { "" } else { "  differs" };
+        let mark = row.mark;
         print_line!(
             "{:<7} {:<66} {:<27} {}{mark}",
             row.section,
@@ -162,13 +162,18 @@ fn show<'a, T: serde::Serialize>(
 
 /// Stated and found results of the thesis on the engraver (docs/engraving.md).
 fn run_engraver(args: &RunArgs) -> Result<(), CliError> {
+    use haptimill_engrave::thesis::Verdict;
     let rows = haptimill_engrave::thesis::rows();
     show(args, ENGRAVER, &rows, |row| Statement {
         section: row.section,
         what: &row.what,
         stated: &row.stated,
         ours: &row.ours,
-        agrees: row.agrees,
+        mark: match row.verdict {
+            Verdict::Agrees => "",
+            Verdict::SameKind => "  of the same kind",
+            Verdict::Differs => "  differs",
+        },
         reason: row.reason,
     })
 }
@@ -194,7 +199,7 @@ fn run_faceting(args: &RunArgs) -> Result<(), CliError> {
         what: &row.what,
         stated: &row.stated,
         ours: &row.ours,
-        agrees: row.agrees,
+        mark: if row.agrees { "" } else { "  differs" },
         reason: row.reason,
     })
 }
