@@ -152,6 +152,13 @@ fn the_page_numbers_the_starts_and_shows_every_move() {
         let data: Vec<&str> = paths.filter_map(|node| node.attribute("d")).collect();
         // The arrow head, each cut at the tool's width and as a line, the air moves.
         assert_eq!(data.len(), 1 + 2 * count + count + 1);
+        // The cuts at the real width of the tool are below the thin lines, which are below the air.
+        let widths: Vec<f64> = svg
+            .descendants()
+            .filter_map(|node| node.attribute("stroke-width")?.parse().ok())
+            .collect();
+        assert_eq!(widths[0], options.tool_mm);
+        assert!(widths[1..].iter().all(|width| *width < 1.0), "{widths:?}");
         let dots = svg.descendants().filter(|node| node.has_attribute("cx"));
         for (dot, cut) in dots.zip(&job.toolpath.cuts) {
             let number = |name| dot.attribute(name).unwrap().parse::<f64>().unwrap();
