@@ -97,9 +97,9 @@ fn rates_of_5_mm_s() {
 
 /// The controller's generator and the accumulators emit the same pulses: equal counts on both axes,
 /// and equal times within the tick of 1 us and the width of a pulse, after two periods in which the
-/// generator speeds up. The jitter is at most the tick of 1 us, except in the periods of 200 us whose
-/// last pulse would not end in the period: the generator moves the pulses there by up to a width.
-/// With `--nocapture` the test prints both jitters.
+/// generator speeds up. The jitter is at most the tick of 1 us, except in the periods of 200 us
+/// whose last pulse would not end in the period: the generator moves the pulses there by up to a
+/// width. With `--nocapture` the test prints both jitters.
 #[test]
 fn the_generator_counts_as_the_accumulators_do() {
     // For each width: most jitter of the accumulators, of ours, and of ours with moved pulses, us.
@@ -182,8 +182,8 @@ fn the_generator_counts_as_the_accumulators_do() {
     }
 }
 
-/// Z of the engraver: 0.001 mm a step, 0.5 mm down at 1 mm/s are 500 pulses at 1000 Hz, of ours as of
-/// the accumulators.
+/// Z of the engraver: 0.001 mm a step, 0.5 mm down at 1 mm/s are 500 pulses at 1000 Hz, of ours as
+/// of the accumulators.
 #[test]
 fn a_plunge_of_half_a_millimetre_has_500_pulses() {
     let [theirs, _] = overflow([500, 0], 500.0, 1000);

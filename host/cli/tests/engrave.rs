@@ -99,8 +99,8 @@ fn the_cut_plate_is_the_drawing() {
     }
 }
 
-/// The command as it stands in the documentation, without an option: the outline of the whole plate,
-/// 1 mm deep. And the holes.
+/// The command as it stands in the documentation, without an option: the outline of the whole
+/// plate, 1 mm deep. And the holes.
 #[test]
 fn outline_and_holes_are_cut_as_drawn() {
     let folder = Folder::new("outline");
@@ -249,8 +249,8 @@ fn the_options_reach_the_program() {
     assert!(!folder.0.join("bad.ngc").exists());
 }
 
-/// The times of the report: `L_cut / v + L_air / v_air + n Tz`, and the analysis. The pocket is done
-/// twice in two depths.
+/// The times of the report: `L_cut / v + L_air / v_air + n Tz`, and the analysis. The pocket is
+/// done twice in two depths.
 #[test]
 fn the_report_has_the_times_of_the_lengths() {
     let folder = Folder::new("times");
@@ -306,8 +306,8 @@ fn the_report_has_the_times_of_the_lengths() {
     }
 }
 
-/// The machine is that of section 2 of the thesis: 0.005 mm a step in x and y, 0.001 mm in z, 5 mm/s
-/// at 120 rev/min, 110 x 250 mm, no encoder.
+/// The machine is that of section 2 of the thesis: 0.005 mm a step in x and y, 0.001 mm in z, 5
+/// mm/s at 120 rev/min, 110 x 250 mm, no encoder.
 #[test]
 fn the_engraver_is_the_machine_of_the_thesis() {
     let machine = MachineFile::load(&root().join("machines/engraver.toml")).unwrap();
@@ -335,8 +335,8 @@ fn the_engraver_is_the_machine_of_the_thesis() {
     }
 }
 
-/// A circle of 10 mm at 5 mm/s, from the program to the commanded positions: it takes the time of its
-/// length, 12.566 s, and that of starting and stopping; its radius is kept within a step.
+/// A circle of 10 mm at 5 mm/s, from the program to the commanded positions: it takes the time of
+/// its length, 12.566 s, and that of starting and stopping; its radius is kept within a step.
 #[test]
 fn the_time_of_a_circle_is_that_of_its_length() {
     let folder = Folder::new("circle");

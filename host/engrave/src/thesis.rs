@@ -150,8 +150,8 @@ pub fn saved_with(before: &Totals, after: &Totals, lift_s: f64) -> f64 {
     100.0 * (1.0 - time(after) / time(before))
 }
 
-/// The block letters K, M, I, T, L in a line, 1 high, as edges in the order of the text. The first is
-/// at the origin.
+/// The block letters K, M, I, T, L in a line, 1 high, as edges in the order of the text. The first
+/// is at the origin.
 #[must_use]
 pub fn letters(height: f64) -> Vec<Ends> {
     let all: [(f64, &[Point]); 5] = [

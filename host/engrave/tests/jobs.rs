@@ -463,8 +463,8 @@ fn numbers_that_make_no_job_are_refused() {
     }
 }
 
-/// The shortest air of lines that are cut to and fro an even number of times, by trying every order:
-/// the tool comes up at the end of the line where it went down.
+/// The shortest air of lines that are cut to and fro an even number of times, by trying every
+/// order: the tool comes up at the end of the line where it went down.
 fn shortest_to_and_fro(lines: &[[Point; 2]], left: &mut Vec<usize>, at: Point) -> f64 {
     if left.is_empty() {
         return at[0].hypot(at[1]);
@@ -593,8 +593,8 @@ fn drawing_of_squares() -> Drawing {
     drawing(&dxf(&squares(&[[0.0, 0.0, 30.0], [5.0, 5.0, 20.0]])))
 }
 
-/// Figure 4.8 as a job: condition 2 of the thesis is chosen, and the program has the order of figure
-/// 4.12. Lines 1 and 2 join, so they are one cut.
+/// Figure 4.8 as a job: condition 2 of the thesis is chosen, and the program has the order of
+/// figure 4.12. Lines 1 and 2 join, so they are one cut.
 #[test]
 fn the_greedy_job_of_figure_4_8_has_the_order_of_figure_4_12() {
     let lines = FIGURE_4_10.map(|[x, y, u, v]| [[x, y], [u, v]]);
@@ -761,9 +761,9 @@ fn a_neck_that_is_too_narrow_for_the_tool_is_noted() {
     }
 }
 
-/// The pockets of the thesis as jobs: rows, links, lifts and lengths of `--clear zigzag`. The square
-/// has the numbers of the rules exactly. The offset around the island and at the inner corners of
-/// the letter is round, that of the rules is pointed: their lengths differ by that.
+/// The pockets of the thesis as jobs: rows, links, lifts and lengths of `--clear zigzag`. The
+/// square has the numbers of the rules exactly. The offset around the island and at the inner
+/// corners of the letter is round, that of the rules is pointed: their lengths differ by that.
 #[test]
 fn the_pockets_of_the_thesis_are_cleared_by_its_rules() {
     let rectangle =
@@ -841,8 +841,8 @@ fn off_paths(drawing: &Drawing, at: Point) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// Contours of all kinds are the tool's radius away from the drawing, within a step of 0.005 mm, and
-/// no nearer anywhere: the tool never crosses a line.
+/// Contours of all kinds are the tool's radius away from the drawing, within a step of 0.005 mm,
+/// and no nearer anywhere: the tool never crosses a line.
 #[test]
 fn contours_are_a_radius_away_from_the_drawing() {
     for name in ["PICTURE", "FRAME"] {

@@ -426,8 +426,8 @@ fn files_of_other_kinds_are_named() {
 fn wrong_group_codes_name_their_line() {
     let text = dxf("0 LINE\n5 3F\n8 0\n10 0\n20 0\n11 1\n21 0").replace("11\n1\n", "11\n1\n\n");
     let problem = mistake(&text);
-    // A line too many: line 17 is empty where a group code is due. Lines 1 to 4 begin the section, the
-    // group code of the LINE is in line 5.
+    // A line too many: line 17 is empty where a group code is due. Lines 1 to 4 begin the section,
+    // the group code of the LINE is in line 5.
     let expected = "line 17: '' is not a group code of a DXF file, in LINE handle 3F of line 5";
     assert_eq!(problem.message, expected);
     assert_eq!(problem.line, 17);

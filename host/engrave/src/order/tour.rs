@@ -42,8 +42,8 @@ pub struct Tour {
     pub order: Vec<Placed>,
     /// Air distance from the reference and back to it, mm.
     pub air_mm: f64,
-    /// Whether no other order is shorter, by exhaustive search. With closed paths, which may start at
-    /// any of their points, no order is proven.
+    /// Whether no other order is shorter, by exhaustive search. With closed paths, which may start
+    /// at any of their points, no order is proven.
     pub proven: bool,
 }
 

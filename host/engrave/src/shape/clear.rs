@@ -282,8 +282,8 @@ fn contours_from(mut contours: Vec<Path>, mut at: Point) -> Vec<Strand> {
     out
 }
 
-/// Cuts through gaps that are shorter than `limit` and stay inside: straight, or else along a row and
-/// across to the next one. That leads around a round corner between their ends. `along` is the
+/// Cuts through gaps that are shorter than `limit` and stay inside: straight, or else along a row
+/// and across to the next one. That leads around a round corner between their ends. `along` is the
 /// direction of the rows.
 fn link(
     strands: Vec<Strand>,

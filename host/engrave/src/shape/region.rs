@@ -261,8 +261,9 @@ impl Region {
     }
 
     /// The point of a loop of this region that a tool leaves farthest away, where its centre runs
-    /// within `reached`, and how much material is between, mm. `None` where that is nowhere more than
-    /// at a corner of about 60 degrees, half a diameter, unless the loop is known to be `split`.
+    /// within `reached`, and how much material is between, mm. `None` where that is nowhere more
+    /// than at a corner of about 60 degrees, half a diameter, unless the loop is known to be
+    /// `split`.
     #[must_use]
     pub fn least_reached(
         &self,
