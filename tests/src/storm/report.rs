@@ -81,11 +81,8 @@ impl Summary {
         }
         println!("failures:");
         for (check, seeds) in &self.failures {
-            let listed: Vec<String> = seeds
-                .iter()
-                .take(5)
-                .map(|(seed, _)| seed.to_string())
-                .collect();
+            // All of them: a seed that is not printed cannot be repeated.
+            let listed: Vec<String> = seeds.iter().map(|(seed, _)| seed.to_string()).collect();
             println!("  {:>8}  {check}: seeds {}", seeds.len(), listed.join(" "));
         }
         println!(
