@@ -52,6 +52,13 @@ const EXCEPTIONS: &[(&str, &str)] = &[
     ("host/cli/src/commands/facet.rs", "gems"),
     // Experiments and references of one machine.
     ("host/experiments/", "experiments of the thesis"),
+    ("host/calibration/src/arm.rs", "calibration of one machine"),
+    ("host/calibration/src/lib.rs", "its row in a list"),
+    ("host/machine-file/src/migrate.rs", "names of format 1"),
+    (
+        "host/cli/src/commands/calibrate.rs",
+        "the command of that calibration",
+    ),
     ("firmware/checks/src/", "checks of the reference machine"),
     (
         "firmware/boards/mps2/src/bin/checks.rs",
@@ -186,7 +193,16 @@ fn named(text: &str, names: &Names) -> Vec<(usize, String)> {
         }
         let line = without_files(line);
         let words = words(&line);
-        // Each part of a name counts.
+        // Each part of a name counts; a code of several parts counts as a whole.
+        for code in &names.codes {
+            let parts: Vec<&str> = code.split('_').collect();
+            let is_word = parts.len() == 1 && names.words.contains(code);
+            let is_ordinary = ORDINARY.contains(&code.as_str());
+            if !is_word && !is_ordinary && words.windows(parts.len()).any(|window| window == parts)
+            {
+                found.push((index + 1, code.clone()));
+            }
+        }
         found.extend(
             words
                 .into_iter()
@@ -283,6 +299,24 @@ mod tests {
         }
         let tests = "fn general() {}\n\n#[cfg(test)]\nmod tests {\n    // scara\n}\n";
         assert_eq!(named(tests, &names), []);
+    }
+
+    /// Codes of two letters and of several parts are found as well.
+    #[test]
+    fn short_and_divided_codes_are_found() {
+        let mut names = Names::default();
+        names.add("Descriptor {\n code: \"h4\", }; Descriptor {\n code: \"five_bar\", };");
+        for (line, code) in [
+            ("GeometryConfig::H4(geometry) => {", "h4"),
+            ("/// Of the H-4 arm.", "h4"),
+            ("if code == \"five_bar\" {", "five_bar"),
+            ("Model::FiveBar(geometry) => {", "five_bar"),
+        ] {
+            assert_eq!(named(line, &names), [(1, code.to_string())], "{line}");
+        }
+        for line in ["let h = 4;", "let five = 5;", "/// See machines/h4.toml."] {
+            assert_eq!(named(line, &names), [], "{line}");
+        }
     }
 
     #[test]
