@@ -102,6 +102,7 @@ pub fn migrate(file: &str, text: &str) -> Result<Migrated, Problems> {
     if from < 2 || !states_format {
         to_format_2(&mut edited, &mut changes);
     }
+    rename_role(&mut edited, &mut changes);
     if from < FORMAT {
         set_format(&mut edited);
         changes.push(format!("format: {from} became {FORMAT}"));
@@ -111,6 +112,18 @@ pub fn migrate(file: &str, text: &str) -> Result<Migrated, Problems> {
         text: edited.to_string(),
         changes,
     })
+}
+
+/// The role of a machine that follows a master had another name, in both formats.
+fn rename_role(edited: &mut DocumentMut, changes: &mut Vec<String>) {
+    if let Some(role) = edited.get_mut("role").and_then(Item::as_value_mut)
+        && role.as_str() == Some("slave")
+    {
+        let decor = role.decor().clone();
+        *role = "machine".into();
+        *role.decor_mut() = decor;
+        changes.push("role: \"slave\" became \"machine\"".to_string());
+    }
 }
 
 /// Format 2 has an explicit geometry of the simulated machine, and terms of the glossary.

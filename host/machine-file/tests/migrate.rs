@@ -61,6 +61,21 @@ fn old_files_migrate_to_the_configuration_of_today() {
     }
 }
 
+/// Files of both formats had another name of the role of a machine.
+#[test]
+fn the_old_role_of_a_machine_is_renamed() {
+    let old = "role = \"slave\"  # it follows\n";
+    for text in [MACHINES[0].0, MACHINES[0].1] {
+        let (head, rest) = text.split_once("\nname =").expect("a name");
+        let migrated = migrate("old.toml", &format!("{head}\n{old}name ={rest}"));
+        let migrated = migrated.unwrap_or_else(|problems| panic!("\n{problems}"));
+        assert!(migrated.text.contains("role = \"machine\"  # it follows\n"));
+        let change = "role: \"slave\" became \"machine\"";
+        assert!(migrated.changes.iter().any(|it| it == change));
+        assert_eq!(parse(&migrated.text).config, parse(MACHINES[0].1).config);
+    }
+}
+
 #[test]
 fn old_fragments_migrate_to_those_of_today() {
     let machine = include_str!("../../../machines/h4.toml");
