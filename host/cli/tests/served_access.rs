@@ -7,6 +7,7 @@ use haptimill_protocol::link::{HostLink, Timing};
 use scene::{SimServer, TestFolder, haptimill, start};
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 const TOKEN: &str = "a-token-with-thirty-two-letters!";
@@ -152,24 +153,14 @@ fn silent_host_is_replaced() {
     assert!(said.contains("haptimill: closed"), "{said:?}");
 }
 
-/// A job runs while other connections flood the port.
-#[test]
-fn connection_flood_does_not_disturb_a_job() {
-    let folder = TestFolder::new();
-    let served = SimServer::on_tcp(&[]);
-    let program = folder.file("short.ngc", "G21 G90 F600\nG1 X-5\nG1 X5\nG1 X0\nM30\n");
-    let out = folder.path("out");
-    let mut run = start(&["run", &program, "--port", &served.port, "--out", &out]);
-    run.wait_for_output("running");
-    let over = std::sync::atomic::AtomicBool::new(false);
-    let over = &over;
-    let to = address(&served);
+/// Runs `during` while other connections flood a port, as fast as the system opens them.
+fn flooded<T>(to: &str, during: impl FnOnce() -> T) -> T {
+    let over = AtomicBool::new(false);
     std::thread::scope(|scope| {
         for _ in 0..2 {
-            let to = &to;
-            scope.spawn(move || {
+            scope.spawn(|| {
                 let mut kept = Vec::new();
-                while !over.load(std::sync::atomic::Ordering::Relaxed) {
+                while !over.load(Ordering::Relaxed) {
                     if let Ok(mut stream) = TcpStream::connect(to) {
                         let _ = stream.set_nonblocking(true);
                         let _ = stream.write(&[7; 60_000]);
@@ -182,10 +173,41 @@ fn connection_flood_does_not_disturb_a_job() {
                 }
             });
         }
-        let ran = run.end();
-        over.store(true, std::sync::atomic::Ordering::Relaxed);
-        ran.expect_code(0);
-    });
+        let result = during();
+        over.store(true, Ordering::Relaxed);
+        result
+    })
+}
+
+/// A job runs while other connections flood the port, and a stop ends it.
+#[test]
+fn connection_flood_does_not_disturb_a_job() {
+    let folder = TestFolder::new();
+    let served = SimServer::on_tcp(&[]);
+    let program = folder.file("short.ngc", "G21 G90 F600\nG1 X-5\nG1 X5\nG1 X0\nM30\n");
+    let out = folder.path("out");
+    let job = ["run", &program, "--port", &served.port, "--out", &out];
+    let mut run = start(&job);
+    run.wait_for_output("running");
+    flooded(&address(&served), || run.end()).expect_code(0);
     assert_eq!(folder.summary("out")["completed"], true);
+    let mut run = start(&job);
+    run.wait_for_output("running");
+    flooded(&address(&served), || {
+        served.run_ok(&["stop"]);
+        run.end()
+    })
+    .expect_code(7);
     served.run_ok(&["status"]);
+}
+
+/// A new host gets the session while other connections flood the port.
+#[test]
+fn connection_flood_does_not_lock_a_host_out() {
+    let served = SimServer::on_tcp(&[]);
+    flooded(&address(&served), || {
+        for _ in 0..5 {
+            served.run_ok(&["status"]);
+        }
+    });
 }
