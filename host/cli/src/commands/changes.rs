@@ -1,7 +1,10 @@
 //! Changes of a program before it is planned: a start in the middle, a dry run, single blocks.
 
 use crate::commands::{CliError, Exit};
-use haptimill_gcode::{AxisKind, Coordinates, Feed, Move, Options, Path, Place, Program, Step};
+use haptimill_gcode::{
+    AxisKind, Coordinates, Feed, Move, Options, OutputValue, Path, Place, Program, Step,
+};
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// Feed of the way down of an approach to a rapid move, mm/min.
@@ -143,6 +146,7 @@ impl Frame {
         let place = rest[0].place();
         let (mut rpm, mut tool, mut at) = (0, None, program.start);
         let mut top = self.z.map_or(0.0, |z| program.start[z]);
+        let (mut coolant, mut outputs) = (None, BTreeMap::new());
         for step in &before {
             match step {
                 Step::Move(step) | Step::Probe { step, .. } => {
@@ -153,6 +157,10 @@ impl Frame {
                 }
                 Step::Spindle { rpm: speed, .. } => rpm = *speed,
                 Step::ToolChange { tool: number, .. } => tool = Some(*number),
+                Step::Coolant { mist, flood, .. } => coolant = Some((*mist, *flood)),
+                Step::Output { number, value, .. } => {
+                    outputs.insert(*number, *value);
+                }
                 _ => {}
             }
         }
@@ -179,6 +187,15 @@ impl Frame {
                 seconds: run_up_s,
             });
         }
+        if let Some((mist, flood)) = coolant {
+            steps.push(Step::Coolant { place, mist, flood });
+        }
+        steps.extend(outputs.iter().map(|(number, value)| Step::Output {
+            place,
+            number: *number,
+            value: *value,
+            with_motion: false,
+        }));
         steps.extend(self.leg(place, over, at, Feed::PerMinute(down)));
         steps.extend(rest);
         let mut text = format!("from line {}, at", place.line);
@@ -194,6 +211,19 @@ impl Frame {
             rpm => {
                 let _ = write!(text, " spindle {rpm} rev/min for {run_up_s} s,");
             }
+        }
+        match coolant {
+            Some((true, true)) => text.push_str(" mist and flood on,"),
+            Some((true, false)) => text.push_str(" mist on,"),
+            Some((false, true)) => text.push_str(" flood on,"),
+            Some((false, false)) | None => {}
+        }
+        for (number, value) in &outputs {
+            let _ = match value {
+                OutputValue::Digital(true) => write!(text, " output {number} on,"),
+                OutputValue::Digital(false) => write!(text, " output {number} off,"),
+                OutputValue::Analogue(value) => write!(text, " output {number} at {value},"),
+            };
         }
         let _ = write!(text, " then down to it at {down:.0} mm/min.");
         if let Some(tool) = tool {
@@ -304,6 +334,43 @@ mod tests {
                 at = step.path.to;
             }
         }
+    }
+
+    /// Coolant and outputs that the lines before switched are on before the way down.
+    #[test]
+    fn a_start_in_the_middle_restores_coolant_and_outputs() {
+        let text = "G21 G90\nM7\nM8\nM64 P1\nM62 P2\nM65 P2\nM68 E3 Q0.5\nG1 X1 F100\nX2\nM30\n";
+        let mut options = Options::of_letters("XYZ", [0.0; 6]);
+        options.coolant = true;
+        options.outputs = true;
+        let program = haptimill_gcode::read("p.ngc", text.as_bytes(), &options);
+        let mut program = program.expect("a program");
+        let change = ChangeArgs {
+            from_line: Some(9),
+            ..ChangeArgs::default()
+        };
+        let said = change.apply(&mut program, &options, 5.0).expect("sound");
+        let said = said.expect("a description");
+        let expected = "mist and flood on, output 1 on, output 2 off, output 3 at 0.5, then down";
+        assert!(said.contains(expected), "{said}");
+        let mut switched = Vec::new();
+        for step in program
+            .steps
+            .iter()
+            .take_while(|step| !matches!(step, Step::Move(step) if step.path.to[0] == 2.0))
+        {
+            match step {
+                Step::Coolant { mist, flood, .. } => assert!(*mist && *flood),
+                Step::Output { number, value, .. } => switched.push((*number, *value)),
+                _ => continue,
+            }
+        }
+        let expected = [
+            (1, OutputValue::Digital(true)),
+            (2, OutputValue::Digital(false)),
+            (3, OutputValue::Analogue(0.5)),
+        ];
+        assert_eq!(switched, expected);
     }
 
     #[test]
