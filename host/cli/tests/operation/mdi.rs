@@ -72,6 +72,13 @@ fn an_offset_of_a_block_is_kept_beside_the_machine_file() {
     assert!(kept.contains("[g54]\nx = 4.0"), "{kept}");
     let ran = served.run_ok(&[&["mdi", "G54 G0 X0", "--json"], &on[..]].concat());
     assert!(near(commanded(&ran.json(), "x"), 4.0), "{}", ran.out);
+    // So is a tool.
+    served.run_ok(&[&["mdi", "G10 L1 P3 Z50 R2"], &on[..]].concat());
+    let kept = folder.read("own.tools.toml");
+    assert!(
+        kept.contains("[t3]\nz = 50.0") && kept.contains("diameter = 4.0"),
+        "{kept}"
+    );
     // A damaged file is refused, with the name of its backup.
     served.run_ok(&[&["mdi", "G10 L2 P2 Y1"], &on[..]].concat());
     folder.file("own.offsets.toml", "[g54\nx = 1");

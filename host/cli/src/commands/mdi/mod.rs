@@ -246,7 +246,7 @@ impl Mdi {
         for notice in self.dialog.notices() {
             print_line!("notice: {}", notice.what);
         }
-        self.keep_offsets()
+        self.keep_changes()
     }
 
     fn refused(&self, problem: Problem, kind: ErrorKind) -> CliError {
@@ -350,29 +350,33 @@ impl Mdi {
         }
     }
 
-    /// Writes offsets that the block changed.
-    fn keep_offsets(&mut self) -> Result<(), CliError> {
+    /// Writes offsets and tools that the block changed.
+    fn keep_changes(&mut self) -> Result<(), CliError> {
         let offsets = self.dialog.offsets();
         let kept = &self.data.offsets;
-        let is_same =
-            offsets.systems == kept.systems && offsets.g28 == kept.g28 && offsets.g30 == kept.g30;
+        let new_offsets =
+            offsets.systems != kept.systems || offsets.g28 != kept.g28 || offsets.g30 != kept.g30;
+        let new_tools = *self.dialog.tools() != self.data.tools;
         self.data.offsets = offsets;
-        if is_same {
-            return Ok(());
-        }
-        match &self.file {
-            Some(file) => self
-                .data
-                .save_offsets(file)
-                .map_err(|error| CliError::new(Exit::Output, error)),
-            None => {
+        self.data.tools.clone_from(self.dialog.tools());
+        let Some(file) = &self.file else {
+            if new_offsets || new_tools {
+                let what = if new_tools { "tools" } else { "offsets" };
                 eprintln!(
-                    "the offsets end with this command: a built-in machine has no file for them; \
+                    "the {what} end with this command: a built-in machine has no file for them; \
                      --machine FILE keeps them"
                 );
-                Ok(())
             }
+            return Ok(());
+        };
+        let failed = |error| CliError::new(Exit::Output, error);
+        if new_offsets {
+            self.data.save_offsets(file).map_err(failed)?;
         }
+        if new_tools {
+            self.data.save_tools(file).map_err(failed)?;
+        }
+        Ok(())
     }
 }
 
