@@ -33,6 +33,8 @@ const SHORTEST_PART: f64 = 1.0;
 #[derive(Debug, Clone)]
 pub(crate) struct Block {
     pub place: Place,
+    /// Number of messages of the program before it.
+    pub messages: u32,
     pub path: Path,
     pub is_rapid: bool,
     pub exact_stop: bool,
@@ -309,6 +311,7 @@ fn examine(
     let allowed = limits.speed.min(limits.rate_speed);
     let block = Block {
         place: step.place,
+        messages: 0,
         path: path.clone(),
         is_rapid: step.feed == Feed::Rapid,
         exact_stop: false,

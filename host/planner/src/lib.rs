@@ -46,6 +46,7 @@ mod corner;
 mod figures;
 mod limits;
 mod lookahead;
+mod messages;
 mod outputs;
 mod pace;
 mod plan;

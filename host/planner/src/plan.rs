@@ -22,6 +22,7 @@ pub struct Plan {
     /// Figures of the plan.
     pub figures: Figures,
     places: Vec<Place>,
+    messages: Vec<(u32, String)>,
     trajectory: Trajectory,
 }
 
@@ -45,16 +46,23 @@ impl Plan {
         }
         problems.note(planner.finish(program.lines));
         problems.take(&program.file, &program.called)?;
-        let (setpoints, places) = planner
-            .made()
-            .map(|planned| (planned.setpoint, planned.place))
-            .unzip();
+        let mut waiting = planner.take_messages();
+        let mut messages = Vec::new();
+        let (mut setpoints, mut places) = (Vec::new(), Vec::new());
+        for (number, planned) in (0..).zip(planner.made()) {
+            waiting.take_before(planned.messages, |text| messages.push((number, text)));
+            setpoints.push(planned.setpoint);
+            places.push(planned.place);
+        }
+        let last = setpoints.len().saturating_sub(1) as u32;
+        waiting.take_before(u32::MAX, |text| messages.push((last, text)));
         Ok(Plan {
             start: quantise_pose(&program.start, settings),
             setpoints,
             period_s: f64::from(settings.period_us) * 1e-6,
             figures: planner.figures(),
             places,
+            messages,
             trajectory: planner.into_trajectory(),
         })
     }
@@ -87,7 +95,14 @@ impl Plan {
         for place in self.places {
             track.add_place(place);
         }
+        track.messages = self.messages.into();
         track
+    }
+
+    /// Messages of the program, each with the setpoint towards which the machine moves when it is
+    /// due: (MSG,), (PRINT,), (DEBUG,). A pause shows its comment itself.
+    pub fn messages(&self) -> &[(u32, String)] {
+        &self.messages
     }
 
     /// Returns the line of the program of the motion towards a setpoint.

@@ -5,6 +5,7 @@ use super::corner::Corner;
 use super::figures::Figures;
 use super::limits::{MachineModel, Settings};
 use super::lookahead::Run;
+use super::messages::Messages;
 use super::outputs;
 use super::profile::Phase;
 use super::setpoints::{Emitter, Planned};
@@ -69,6 +70,8 @@ pub struct Planner<M> {
     /// Whether the last run of motion ended with a rapid move.
     ended_rapid: bool,
     figures: Figures,
+    /// Messages whose setpoints are not taken.
+    messages: Messages,
     /// The track of the job, and the first piece that it does not have.
     track: Option<SharedTrack>,
     tracked: usize,
@@ -97,6 +100,7 @@ impl<M: MachineModel> Planner<M> {
         let mut trajectory = Trajectory::default();
         trajectory.paths.push(Leg {
             place: Place::default(),
+            messages: 0,
             path: standing,
             is_rapid: true,
         });
@@ -117,6 +121,7 @@ impl<M: MachineModel> Planner<M> {
             ended: false,
             ended_rapid: false,
             figures: Figures::default(),
+            messages: Messages::default(),
             track: None,
             tracked: 0,
             released: false,
@@ -191,13 +196,21 @@ impl<M: MachineModel> Planner<M> {
         let (mut first, mut second, mut seconds) = (Action::None, Action::None, 0.0);
         match step {
             Step::Move(step) => return self.add(step),
-            Step::Message { .. } => return Ok(()),
+            Step::Message { place, text } => {
+                if self.keep != Keep::Nothing {
+                    self.messages.add(*place, text);
+                }
+                return Ok(());
+            }
             Step::Dwell { seconds: dwell, .. } => seconds = *dwell,
             Step::Spindle { rpm, place } => {
                 first = Action::Spindle(self.checked_speed(*rpm, *place)?);
             }
             // The operator changes the tool during a pause.
-            Step::Pause { .. } | Step::ToolChange { .. } => first = Action::Pause,
+            Step::Pause { place } | Step::ToolChange { place, .. } => {
+                self.messages.drop_block(*place);
+                first = Action::Pause;
+            }
             Step::Coolant { mist, flood, .. } => {
                 [first, second] = outputs::coolant(&self.settings.outputs, *flood, *mist);
             }
@@ -234,6 +247,7 @@ impl<M: MachineModel> Planner<M> {
             return Ok(());
         }
         let stopped = self.stop();
+        self.emitter.messages = self.messages.count();
         if matches!(step, Step::Dwell { .. }) {
             self.emitter.rest(&self.at, seconds, place, &self.settings);
         }
@@ -273,12 +287,26 @@ impl<M: MachineModel> Planner<M> {
         let made = self.emitter.made.len();
         let is_kept = !self.ended && !self.released && made > 0;
         let count = made - usize::from(is_kept);
-        if let Some(track) = &self.track {
-            let mut track = track.lock();
-            for planned in &self.emitter.made[..count] {
+        let mut track = self.track.as_ref().map(SharedTrack::lock);
+        for planned in &self.emitter.made[..count] {
+            if let Some(track) = &mut track {
                 track.add_place(planned.place);
             }
+            self.messages.take_before(planned.messages, |text| {
+                if let Some(track) = &mut track {
+                    track.add_message(text);
+                }
+            });
         }
+        if self.ended {
+            // A message after the last motion has no motion of its own.
+            self.messages.take_before(u32::MAX, |text| {
+                if let Some(track) = &mut track {
+                    track.add_message(text);
+                }
+            });
+        }
+        drop(track);
         self.emitter.made.drain(..count)
     }
 
@@ -294,6 +322,11 @@ impl<M: MachineModel> Planner<M> {
             peak_joint_rates: self.emitter.peak_joint_rates,
             ..self.figures
         }
+    }
+
+    /// Takes the messages whose setpoints are not taken.
+    pub(crate) fn take_messages(&mut self) -> Messages {
+        std::mem::take(&mut self.messages)
     }
 
     pub(crate) fn into_trajectory(self) -> Trajectory {
@@ -341,7 +374,8 @@ impl<M: MachineModel> Planner<M> {
         }
         self.at = step.path.to;
         self.figures.slowed += usize::from(self.prepared.iter().any(|block| block.is_slowed));
-        for block in self.prepared.drain(..) {
+        for mut block in self.prepared.drain(..) {
+            block.messages = self.messages.count();
             self.run.push(block, &self.settings);
         }
         if self.run.blocks.len() < self.window {
@@ -497,6 +531,7 @@ impl<M: MachineModel> Planner<M> {
         let corners = [&self.run.corners[index], &self.run.corners[index + 1]];
         self.trajectory.paths.push(Leg {
             place: block.place,
+            messages: block.messages,
             path: block.path.clone(),
             is_rapid: block.is_rapid,
         });

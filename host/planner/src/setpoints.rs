@@ -18,6 +18,8 @@ pub struct Planned {
     pub place: Place,
     /// Whether that is a rapid move; true for a standstill.
     pub is_rapid: bool,
+    /// Number of messages of the program before that motion.
+    pub(crate) messages: u32,
 }
 
 /// Longest standstill in one setpoint, periods.
@@ -69,6 +71,8 @@ pub(crate) struct Emitter {
     pub made: Vec<Planned>,
     /// Their number since the start.
     pub count: usize,
+    /// Number of messages of the program before the next one.
+    pub messages: u32,
     /// Largest rate of each joint at the setpoints.
     pub peak_joint_rates: [f64; 6],
 }
@@ -90,6 +94,7 @@ impl Emitter {
             known: (0.0, false),
             made: Vec::new(),
             count: 0,
+            messages: 0,
             peak_joint_rates: [0.0; 6],
         }
     }
@@ -118,6 +123,7 @@ impl Emitter {
             setpoint,
             place,
             is_rapid,
+            messages: self.messages,
         });
         self.count += 1;
         self.last = at;
@@ -334,6 +340,7 @@ impl Emitter {
             }
         }
         let is_rapid = leg.is_rapid;
+        self.messages = leg.messages;
         self.set_pace(trajectory, [from, to]);
         self.push(to, &pose, &rates, (place, is_rapid), settings);
         checked.map(|_| ()).map_err(|(what, remedy)| Problem {

@@ -18,6 +18,8 @@ pub struct Track {
     cursor: Cursor,
     /// The first setpoint of each series of setpoints with one place.
     places: VecDeque<(u32, Place)>,
+    /// Messages of the program, by the setpoint towards which the machine moves when it shows them.
+    pub(crate) messages: VecDeque<(u32, String)>,
     /// Number of setpoints.
     setpoints: u32,
     period_s: f64,
@@ -72,6 +74,19 @@ impl Track {
             self.places.push_back((self.setpoints, place));
         }
         self.setpoints = self.setpoints.saturating_add(1);
+    }
+
+    /// Appends a message of the program before the motion towards the last setpoint.
+    pub(crate) fn add_message(&mut self, text: String) {
+        let setpoint = self.setpoints.saturating_sub(1);
+        self.messages.push_back((setpoint, text));
+    }
+
+    /// Removes the first message of the program that is due in the motion towards a setpoint:
+    /// (MSG,), (PRINT,), (DEBUG,). A pause shows its comment itself.
+    pub fn take_message(&mut self, setpoint: u32) -> Option<String> {
+        let due = self.messages.pop_front_if(|(first, _)| *first <= setpoint);
+        due.map(|(_, text)| text)
     }
 
     /// Creates the track of a whole trajectory, without places.

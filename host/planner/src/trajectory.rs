@@ -111,6 +111,8 @@ fn bend(x: f64) -> (f64, f64) {
 #[derive(Debug, Clone)]
 pub(crate) struct Leg {
     pub place: Place,
+    /// Number of messages of the program before it.
+    pub messages: u32,
     pub path: Path,
     /// Whether it is a rapid move.
     pub is_rapid: bool,

@@ -300,6 +300,7 @@ impl App {
             self.recording = None;
             self.notify(Severity::Alarm, format!("recording ended: {reason}"));
         }
+        self.show_program_messages(telemetry.setpoint);
         self.telemetry = Some(telemetry);
     }
 }

@@ -84,6 +84,8 @@ pub(super) struct Jobs {
     pending_check: Option<(PathBuf, u64)>,
     /// The present program pause.
     pub(super) pause: Option<Pause>,
+    /// Messages of the running program that were shown.
+    shown_messages: usize,
     job_number: u32,
 }
 
@@ -302,6 +304,7 @@ impl App {
             Ok(()) => {
                 self.jobs.running = Some(job);
                 self.jobs.pause = None;
+                self.jobs.shown_messages = 0;
                 true
             }
             Err(error) => {
@@ -378,6 +381,21 @@ impl App {
         }
     }
 
+    /// Shows the messages of the running program up to a setpoint.
+    pub(super) fn show_program_messages(&mut self, setpoint: u32) {
+        if !self.jobs.is_running_program() {
+            return;
+        }
+        while let Some(checked) = &self.jobs.checked
+            && let Some((due, text)) = checked.plan.messages().get(self.jobs.shown_messages)
+            && *due <= setpoint
+        {
+            let text = text.clone();
+            self.jobs.shown_messages += 1;
+            self.notify(Severity::Info, text);
+        }
+    }
+
     /// Updates the jobs on an event.
     pub(super) fn update_jobs(&mut self, event: &Event) {
         match event {
@@ -393,6 +411,9 @@ impl App {
 
     /// Handles the end of a job.
     pub(super) fn job_ended(&mut self, ending: &JobEnding) {
+        if matches!(ending, JobEnding::Done { .. }) {
+            self.show_program_messages(u32::MAX);
+        }
         let job = self.jobs.running.take();
         self.jobs.pause = None;
         let name = match (job, &self.jobs.checked) {

@@ -4,6 +4,34 @@ use crate::scene::{SimServer, TestFolder, haptimill, number, start};
 
 const PART: &str = "G21 G90\nS500 M3\nG0 Z30\nG0 X10\nG1 Z20 F600\nX20\nY5\nG0 Z30\nM30\n";
 
+/// Messages of a program reach the operator, planned and streamed; the comment of a pause once.
+#[test]
+fn messages_of_a_program_are_shown() {
+    let folder = TestFolder::new();
+    let text = "G21 G90\n(MSG, clamp checked)\nG1 X1 F600\n#1=7\n(PRINT, pass #1)\nX2\n\
+                M0 (turn the part)\nX0\n(MSG, all done)\nM30\n";
+    let part = folder.file("part.ngc", text);
+    let out = folder.path("out");
+    for more in [&[][..], &["--stream"]] {
+        let run = [&["run", &part, "--skip-pauses", "--out", &out], more].concat();
+        let ran = haptimill(&run).expect_code(0);
+        let shown: Vec<&str> = ran
+            .out
+            .lines()
+            .filter(|line| ["clamp checked", "pass 7", "turn the part", "all done"].contains(line))
+            .collect();
+        assert_eq!(
+            shown,
+            ["clamp checked", "pass 7", "all done"],
+            "{}",
+            ran.out
+        );
+        let silent = [&run[..], &["--json"]].concat();
+        let silent = haptimill(&silent).expect_code(0);
+        assert_eq!(silent.json()["completed"], true);
+    }
+}
+
 #[test]
 fn a_program_begins_in_the_middle() {
     let folder = TestFolder::new();

@@ -289,3 +289,63 @@ fn a_check_reports_problems_of_reading_first() {
     assert_eq!(refused.problems.len(), 1);
     assert_eq!(refused.problems[0].place.line, 2);
 }
+
+/// A message is due in the motion after it, also in a loop whose passes have the same places, and
+/// the last one at the end.
+#[test]
+fn messages_are_due_before_their_motion() {
+    let text = "G21 G90 F600\n(MSG, first)\nG1 X1\n#1=0\nO1 WHILE [#1 LT 3]\n#1=[#1+1]\n\
+                (PRINT, pass #1)\nG91 G1 X4\nO1 ENDWHILE\nG4 P0.1\n(MSG, dwelt)\nG90 G1 X0\n\
+                (MSG, end)\nM30\n";
+    let program = program(text);
+    let plan = Plan::new(&program, &settings(), &H4).expect("plannable");
+    let mm = settings().pose[0].units;
+    // Positions of x between which the machine moves while a message is due.
+    let x = |pose: &[i32]| f64::from(pose[0]) / mm;
+    let span_of = |setpoint: usize| match setpoint.checked_sub(1) {
+        Some(before) => [before, setpoint].map(|index| x(&plan.setpoints[index].pose)),
+        None => [x(&plan.start), x(&plan.setpoints[0].pose)],
+    };
+    let due: Vec<(&str, [f64; 2])> = plan
+        .messages()
+        .iter()
+        .map(|(setpoint, text)| (text.as_str(), span_of(*setpoint as usize)))
+        .collect();
+    let expected = [
+        ("first", 0.0),
+        ("pass 1", 1.0),
+        ("pass 2", 5.0),
+        ("pass 3", 9.0),
+        ("dwelt", 13.0),
+    ];
+    let (last, others) = due.split_last().expect("messages");
+    // A setpoint at a corner may be a period late: 0.002 mm at this feed.
+    for ((text, [from, to]), (name, at)) in others.iter().zip(expected) {
+        assert_eq!(*text, name);
+        assert!(
+            from.min(*to) < at + 0.002 && from.max(*to) > at - 0.002,
+            "{text} from {from} to {to}, not at {at}"
+        );
+    }
+    assert_eq!((others.len(), last.0), (expected.len(), "end"));
+    assert_eq!(plan.messages()[5].0 as usize, plan.setpoints.len() - 1);
+    // A stream has them at the same setpoints.
+    let mut planner = Planner::new(program.start, settings(), H4);
+    let track = SharedTrack::new(u32::from(settings().period_us));
+    planner.follow(&track);
+    let (mut streamed, mut number) = (Vec::new(), 0);
+    let mut take = |planner: &mut Planner<H4>| {
+        for _ in planner.made() {
+            let message = || track.lock().take_message(number);
+            streamed.extend(std::iter::from_fn(message).map(|text| (number, text)));
+            number += 1;
+        }
+    };
+    for step in &program.steps {
+        planner.step(step).expect("possible");
+        take(&mut planner);
+    }
+    planner.finish(program.lines).expect("possible");
+    take(&mut planner);
+    assert_eq!(streamed, plan.messages());
+}

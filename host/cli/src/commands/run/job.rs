@@ -210,7 +210,8 @@ impl Job<'_> {
             self.machine,
         ));
         let end = session.run_job(2, start, setpoints, &mut progress);
-        progress.finish();
+        let completed = matches!(&end, Ok(end) if session.check_completed(end).is_ok());
+        progress.finish(completed);
         // The recording is kept and reported after an error, too.
         let recorder = session.line_mut().end_recording();
         let recorded = match recorder {

@@ -274,7 +274,7 @@ impl Job<'_> {
         let supply = Supply::of(planned, self.args, self.machine);
         let mut progress = ProgressDisplay::new(self.args, self.machine, &supply.shown, operator);
         let end = session.run_job(2, status.commanded, supply.setpoints, &mut progress);
-        progress.finish();
+        progress.finish(false);
         Ok(session.check_completed(&end?)?)
     }
 

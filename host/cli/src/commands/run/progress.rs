@@ -17,6 +17,7 @@ use std::time::Instant;
 
 /// The progress bar with the remaining time.
 pub(super) struct ProgressDisplay<'a> {
+    args: &'a RunArgs,
     bar: ProgressBar,
     start: Instant,
     machine: &'a MachineFile,
@@ -42,7 +43,7 @@ pub(super) struct ProgressDisplay<'a> {
 impl<'a> ProgressDisplay<'a> {
     /// Creates the progress bar of a job that starts now.
     pub(super) fn new(
-        args: &RunArgs,
+        args: &'a RunArgs,
         machine: &'a MachineFile,
         shown: &'a Shown,
         operator: &'a mut Operator,
@@ -66,6 +67,7 @@ impl<'a> ProgressDisplay<'a> {
             bar.set_style(style);
         }
         Self {
+            args,
             bar,
             start: Instant::now(),
             machine,
@@ -87,8 +89,11 @@ impl<'a> ProgressDisplay<'a> {
         }
     }
 
-    /// Removes the bar.
-    pub(super) fn finish(&self) {
+    /// Shows the messages that are left after the last motion, and removes the bar.
+    pub(super) fn finish(&self, completed: bool) {
+        if completed {
+            self.show_messages(u32::MAX);
+        }
         self.bar.finish_and_clear();
     }
 }
@@ -99,6 +104,7 @@ impl JobObserver for ProgressDisplay<'_> {
         self.bar.set_position((done * 1000.0) as u64);
         let line = self.track.lock().place_of(telemetry.setpoint).line;
         self.line = line;
+        self.show_messages(telemetry.setpoint);
         if let Some(line) = self.paused_at {
             self.bar
                 .set_message(format!("line {line}, paused, waiting for Enter"));
@@ -191,6 +197,21 @@ impl ProgressDisplay<'_> {
                 self.bar.println(what);
             }
         }
+    }
+
+    /// Shows the messages of the program up to a setpoint.
+    fn show_messages(&self, setpoint: u32) {
+        while let Some(text) = self.next_message(setpoint) {
+            if self.bar.is_hidden() {
+                self.args.print_message(&text);
+            } else {
+                self.bar.println(text);
+            }
+        }
+    }
+
+    fn next_message(&self, setpoint: u32) -> Option<String> {
+        self.track.lock().take_message(setpoint)
     }
 
     /// Asks the user for Enter; [`JobObserver::may_resume`] reports it.
