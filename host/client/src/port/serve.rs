@@ -55,15 +55,14 @@ struct Candidate {
 /// Time between two checks for new connections.
 const ACCEPT_EVERY: Duration = Duration::from_millis(10);
 
-/// Connections that are accepted per check: 12,800 a second, so that a flood does not fill the
-/// queue of the system, where a new host would wait behind it.
-const ACCEPTED: usize = 128;
+/// Connections that are accepted per check.
+const ACCEPTED: usize = 8;
 
 /// Connections that wait to become the host or to be closed at most; of more, the oldest is closed.
-const CANDIDATES: usize = 128;
+const CANDIDATES: usize = 16;
 
-/// Bytes that are read from a connection while it is not the host. One that has sent more is
-/// closed at its first check.
+/// Bytes that are read from a connection per check, and in total while it is not the host.
+const CANDIDATE_BYTES: usize = 512;
 const MOST_CANDIDATE_BYTES: usize = 4096;
 
 /// Time in which a new connection must send its token and a Hello.
@@ -149,35 +148,29 @@ impl TcpServer {
             if stream.set_nonblocking(true).is_err() {
                 continue;
             }
-            // A host sends its Hello with the connection, so it is often there already.
-            let candidate = self.handle(Candidate {
+            if self.candidates.len() == CANDIDATES {
+                self.candidates.pop_front();
+            }
+            self.candidates.push_back(Candidate {
                 stream,
                 peer,
                 since: Instant::now(),
                 received: Vec::new(),
                 is_rejected: false,
             });
-            self.keep(candidate);
         }
         for _ in 0..self.candidates.len() {
-            let candidate = self.candidates.pop_front();
-            let candidate = candidate.and_then(|candidate| self.handle(candidate));
-            self.keep(candidate);
+            if let Some(candidate) = self.candidates.pop_front()
+                && let Some(candidate) = self.handle(candidate)
+            {
+                self.candidates.push_back(candidate);
+            }
         }
-    }
-
-    /// Keeps a connection that is not the host; of too many, the oldest is closed.
-    fn keep(&mut self, candidate: Option<Candidate>) {
-        let Some(candidate) = candidate else { return };
-        if self.candidates.len() == CANDIDATES {
-            self.candidates.pop_front();
-        }
-        self.candidates.push_back(candidate);
     }
 
     /// Handles a connection that is not the host; `None` when it became the host or is closed.
     fn handle(&mut self, mut candidate: Candidate) -> Option<Candidate> {
-        let mut buffer = [0; MOST_CANDIDATE_BYTES + 1];
+        let mut buffer = [0; CANDIDATE_BYTES];
         let ended = match candidate.stream.read(&mut buffer) {
             Ok(0) => true,
             Ok(count) => {
