@@ -910,3 +910,19 @@ fn a_text_is_traced() {
     }
     assert!(greedy.air_mm <= file.air_mm && short.air_mm < greedy.air_mm);
 }
+
+/// Points are drilled; the other operations say that they leave them out.
+#[test]
+fn points_are_left_out_by_name() {
+    let points = "0 POINT\n5 A7\n8 Cut\n10 3\n20 4\n0 POINT\n5 A8\n8 Cut\n10 5\n20 4\n";
+    let drawing = drawing(&dxf(&(squares(&[[0.0, 0.0, 10.0]]) + points)));
+    for options in [Options::default(), pocket()] {
+        let notices = plan(&drawing, &options).unwrap().notices;
+        assert_eq!(notices.len(), 1, "{notices:?}");
+        assert!(
+            notices[0].contains("drill")
+                && notices[0].ends_with("POINT handle A7 on layer Cut; and 1 more"),
+            "{notices:?}"
+        );
+    }
+}

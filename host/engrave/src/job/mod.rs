@@ -46,11 +46,22 @@ pub struct Job {
 /// Every problem of the drawing for this operation.
 pub fn plan(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     options.check().map_err(|problem| vec![problem])?;
-    match options.operation {
-        Operation::Outline => outline(drawing, options),
-        Operation::Pocket => pocket(drawing, options),
-        Operation::Drill => drill(drawing, options),
+    let mut job = match options.operation {
+        Operation::Outline => outline(drawing, options)?,
+        Operation::Pocket => pocket(drawing, options)?,
+        Operation::Drill => return drill(drawing, options),
+    };
+    if let Some(&(_, first)) = drawing.points.first() {
+        let more = match drawing.points.len() {
+            1 => String::new(),
+            count => format!("; and {} more", count - 1),
+        };
+        job.notices.push(format!(
+            "left out, a point is for --operation drill: {}{more}",
+            drawing.entities[first]
+        ));
     }
+    Ok(job)
 }
 
 fn nothing(what: &str) -> Vec<Problem> {
