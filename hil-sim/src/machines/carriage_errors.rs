@@ -106,7 +106,10 @@ impl CarriageErrors {
             };
             let name = parts[0].trim_start_matches('E');
             if let Some(index) = ["C0Y", "B0Z", "A0Z"].iter().position(|it| *it == name) {
-                squareness[index] = Some(number(if table { 3 } else { 2 })? * unit);
+                let value = number(if table { 3 } else { 2 })? * unit;
+                if squareness[index].replace(value).is_some() {
+                    return Err(wrong("remove one: this error is there twice"));
+                }
                 continue;
             }
             let place = |letter: Option<char>, of: &str| letter.and_then(|it| of.find(it));
@@ -124,6 +127,9 @@ impl CarriageErrors {
                 ));
             }
             if table {
+                if !["", "up", "down"].contains(&parts[2]) {
+                    return Err(wrong("write the direction up or down, or nothing for both"));
+                }
                 let row = (number(1)?, number(3)? * unit, parts[2].to_string());
                 rows[carriage][error].push(row);
             } else {
@@ -136,7 +142,9 @@ impl CarriageErrors {
                 };
                 let sines = [sine(4)?, sine(7)?];
                 let form = Function::Form(number(2)? * unit, number(3)? * unit, sines);
-                forms[carriage][error] = Some(form);
+                if forms[carriage][error].replace(form).is_some() {
+                    return Err(wrong("remove one: this error is there twice"));
+                }
             }
         }
         let missing = |what: String| format!("{what} is missing; write 0 if it has no error");
