@@ -6,6 +6,8 @@ use haptimill_gcode::{Feed, Options, Path, Step};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::compensation::{CHAIN, arms};
 use haptimill_machine_file::model::{Model, program_options};
+use haptimill_machine_file::scale::PER_MM;
+use haptimill_volumetric::chain::Arms;
 use haptimill_volumetric::errors::ErrorSet;
 use haptimill_volumetric::grid::compensated;
 use haptimill_volumetric::{Vector, chain};
@@ -23,7 +25,8 @@ const TOLERANCE: f64 = 0.1e-3;
 /// The part program `text` with all its points corrected by the error of the machine, mm.
 ///
 /// # Errors
-/// The program is refused, or has a step other than moves, dwells, messages and spindle commands.
+/// The program is refused, or has a step other than moves, dwells, messages, spindle commands and
+/// tool changes.
 pub fn rewritten(
     name: &str,
     text: &str,
@@ -36,7 +39,8 @@ pub fn rewritten(
     for step in &program.steps {
         write_step(&mut out, step, &error).map_err(|line| {
             let what = format!(
-                "{name}:{line}: only moves, dwells, messages and spindle commands can be rewritten"
+                "{name}:{line}: only moves, dwells, messages, spindle commands and tool changes can \
+                 be rewritten"
             );
             Error::new(ErrorKind::BadInput, what)
         })?;
@@ -73,6 +77,7 @@ fn write_step(out: &mut String, step: &Step, error: &impl Fn(Vector) -> Vector) 
             let word = if *rpm > 0 { "M3" } else { "M4" };
             writeln!(out, "S{} {word}", rpm.unsigned_abs())
         }
+        Step::ToolChange { tool, .. } => writeln!(out, "T{tool} M6"),
         Step::Message { text, .. } => writeln!(out, "(MSG,{text})"),
         other => return Err(other.place().line),
     };
@@ -94,8 +99,25 @@ pub fn rewritten_for(
     let model = Model::new(machine);
     let home = session::find_home_pose(machine, &model)?;
     let options = program_options(machine, model.to_engineering_units(&home));
-    let chain = chain::Model::default();
+    let chain = chain::Model::Physical(arms_of(machine));
     rewritten(name, text, &options, |point| chain.error(errors, point))
+}
+
+/// Where the axes of a machine were measured: as its tables state it, or at the origin.
+fn arms_of(machine: &MachineFile) -> Arms {
+    let tables = machine.config.volumetric.as_ref();
+    tables.map_or_else(Arms::default, |tables| {
+        let [x, y, _] = tables
+            .axes
+            .each_ref()
+            .map(|axis| axis.measured_at.map(|place| f64::from(place.0) / PER_MM));
+        // The rotations of the z axis do not act on the tool with which it was measured.
+        Arms {
+            x_height: x[2],
+            table_point: y.into(),
+            ..Arms::default()
+        }
+    })
 }
 
 /// Refuses a machine whose tool [`chain::Model`] does not describe.

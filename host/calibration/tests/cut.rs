@@ -8,23 +8,35 @@ use haptimill_gcode::{Feed, Step};
 use haptimill_machine_file::model::{Model, program_options};
 use haptimill_volumetric::part::{
     CENTRE_HOLE_RADIUS, CIRCLE_RADIUS, CONTOUR_TOOL, CORNER_HOLE, CORNERS, DIAMOND_DEG, HALF_SIDE,
-    probe_points,
+    HOLE_TOOL, probe_points,
 };
+
+/// A move of a program with the tool that was changed last.
+struct ToolMove {
+    tool: u32,
+    rapid: bool,
+    points: Vec<[f64; 3]>,
+}
 
 /// Moves of a program: the points of its path, and whether it is a rapid move. Arcs are chords with
 /// a sagitta of 0.05 um.
-fn moves(text: &str) -> Vec<(bool, Vec<[f64; 3]>)> {
+fn moves(text: &str) -> Vec<ToolMove> {
     let file = machine().unwrap();
     let model = Model::new(&file);
     let home = session::find_home_pose(&file, &model).unwrap();
     let options = program_options(&file, model.to_engineering_units(&home));
     let program = haptimill_gcode::read("a160.ngc", text.as_bytes(), &options).unwrap();
+    let mut fitted = 0;
     let steps = program.steps.iter().filter_map(|step| match step {
-        Step::Move(step) => Some(step),
+        Step::Move(step) => Some((fitted, step)),
+        Step::ToolChange { tool, .. } => {
+            fitted = *tool;
+            None
+        }
         _ => None,
     });
     steps
-        .map(|step| {
+        .map(|(tool, step)| {
             let radius = step.path.arc.as_ref().map(|arc| arc.radius[0]);
             let chord = radius.map_or(1.0, |radius| (8.0 * radius * 0.05e-3).sqrt());
             let count = (step.path.length / chord).ceil().max(1.0) as u32;
@@ -35,14 +47,18 @@ fn moves(text: &str) -> Vec<(bool, Vec<[f64; 3]>)> {
                 [x, y, z]
             };
             let points = (0..=count).map(point).collect();
-            (matches!(step.feed, Feed::Rapid), points)
+            ToolMove {
+                tool,
+                rapid: matches!(step.feed, Feed::Rapid),
+                points,
+            }
         })
         .collect()
 }
 
 /// Samples of a machine without errors, or with the tool off by `off` in y.
 fn samples(text: &str, off: f64) -> Vec<Sample> {
-    let points = moves(text).into_iter().flat_map(|(_, points)| points);
+    let points = moves(text).into_iter().flat_map(|step| step.points);
     points
         .map(|[x, y, z]| Sample {
             time: 0.0,
@@ -102,7 +118,7 @@ fn from_square([x, y]: [f64; 2], half: f64, degrees: f64) -> f64 {
 fn the_program_never_plunges_into_a_side() {
     let mut plunges = 0;
     let all = moves(PROGRAM);
-    for (_, points) in &all {
+    for ToolMove { points, .. } in &all {
         let (first, last) = (points[0], points[points.len() - 1]);
         let [x, y, z] = last;
         if last[2] >= first[2] || z >= 0.0 {
@@ -127,12 +143,94 @@ fn the_program_never_plunges_into_a_side() {
     // Square, four sides of the diamond, circle, and the holes with their levels.
     assert!(plunges > 30, "{plunges}");
     // No rapid move below the top but straight down into a hole or up.
-    for (rapid, points) in &all {
+    for ToolMove { rapid, points, .. } in &all {
         let (first, last) = (points[0], points[points.len() - 1]);
         let across = (last[0] - first[0]).hypot(last[1] - first[1]);
         assert!(
             !rapid || across < 1e-9 || first[2].min(last[2]) > 0.0,
             "{first:?} {last:?}"
         );
+    }
+}
+
+/// Radii of the tools of the program, mm: drill of 11 mm, end mills of 20 and of 16 mm.
+const RADII: [(u32, f64); 3] = [(2, 5.5), (3, CONTOUR_TOOL), (4, HOLE_TOOL)];
+
+/// How far a tool reaches into the finished part with its end face here, mm: below 0 it is clear.
+/// The part has the circle down to 6 mm, the diamond to 18 mm and the square below. A hole is wider
+/// above than below, so its radius at the end of the tool counts.
+fn overlap([x, y, z]: [f64; 3], radius: f64) -> f64 {
+    let levels = [
+        (0.0, x.hypot(y) - CIRCLE_RADIUS),
+        (-6.0, from_square([x, y], CIRCLE_RADIUS, DIAMOND_DEG)),
+        (-18.0, from_square([x, y], HALF_SIDE, 0.0)),
+    ];
+    // The level with the largest section that the tool passes.
+    let passed = levels.iter().filter(|(top, _)| z < *top);
+    let outside = passed.map(|(_, distance)| radius - distance);
+    let outside = outside.fold(f64::NEG_INFINITY, f64::max);
+    let depth_of_corner_hole = match z {
+        z if z >= -18.0 => 14.0,
+        z if z >= -24.0 => 13.0,
+        z if z >= -38.0 => HOLE_TOOL,
+        _ => 5.5,
+    };
+    let corners = CORNERS.map(|[x, y]| ([x * CORNER_HOLE, y * CORNER_HOLE], depth_of_corner_hole));
+    let holes = corners
+        .into_iter()
+        .chain([([0.0, 0.0], CENTRE_HOLE_RADIUS)]);
+    let inside = holes.map(|([a, b], hole)| (x - a).hypot(y - b) + radius - hole);
+    outside.min(inside.fold(f64::INFINITY, f64::min))
+}
+
+/// Row 22: the whole path of the program against the model of the part. No tool reaches into the
+/// finished part anywhere, by more than the sagitta of an arc; every tool is used; a program that
+/// gouges is found.
+#[test]
+fn no_tool_gouges_the_part() {
+    let deepest = |text: &str| {
+        let all = moves(text);
+        let of_move = all.iter().flat_map(|step| {
+            let radius = RADII
+                .iter()
+                .find(|(tool, _)| *tool == step.tool)
+                .map(|(_, radius)| *radius);
+            // Points of a straight move are 1 mm apart, and both ends of it are among them.
+            step.points
+                .iter()
+                .filter(|point| point[2] < 0.0)
+                .map(move |point| (overlap(*point, radius.expect("a tool")), *point))
+        });
+        let worst = of_move.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+        (worst, all)
+    };
+    let ((overlap, at), all) = deepest(PROGRAM);
+    println!("deepest {overlap} mm at {at:?}");
+    assert!(overlap < 0.1e-3, "{overlap} mm at {at:?}");
+    for (tool, _) in RADII {
+        assert!(
+            all.iter()
+                .any(|step| step.tool == tool && step.points[0][2] < 0.0),
+            "{tool}"
+        );
+    }
+    // In the order of the thesis: contours, drill, centre hole, corner holes.
+    let mut tools: Vec<u32> = all
+        .iter()
+        .map(|step| step.tool)
+        .filter(|tool| *tool > 0)
+        .collect();
+    tools.dedup();
+    assert_eq!(tools, [3, 2, 3, 4]);
+    for (from, to, least) in [
+        // Across the finished diamond at the height of the circle, 10 mm deep.
+        ("G1 Y20\nG0 Z20", "G1 Y20\nG1 Z-16\nG1 X40\nG0 Z20", 5.0),
+        // A hole whose path is 20 um too wide, and a side that is 50 um too far inwards.
+        ("O300 call [0] [0] [5]", "O300 call [0] [0] [5.02]", 0.019),
+        ("G1 X90 Y-110", "G1 X89.95 Y-110", 0.045),
+    ] {
+        assert!(PROGRAM.contains(from), "{from}");
+        let ((overlap, at), _) = deepest(&PROGRAM.replacen(from, to, 1));
+        assert!(overlap > least, "{to}: {overlap} at {at:?}");
     }
 }
