@@ -159,6 +159,80 @@ proptest! {
         }
     }
 
+    /// Across a node of x, where the slopes of its tables change at once: the rate of the
+    /// correction is the change of its position in every period, it follows the exact one, and it
+    /// goes from the value before the node to the one behind it, never beyond these two.
+    #[test]
+    fn nodes(
+        seeds in prop::collection::vec(any::<i16>(), 40..80),
+        node in 1..20_i32,
+        between in prop::array::uniform2((0..20_i32, 2.0..8.0_f64)),
+        speed in prop::array::uniform3(20.0..100.0_f64),
+        direction in any::<bool>(),
+        early in 0.0..1.0_f64,
+    ) {
+        let config = config(&seeds, [25_000, -6_000, 5_000], [0.0; 3]);
+        let mut compensation = faded_in(&config);
+        let period = f64::from(PERIOD_US) * 1e-6;
+        let place_of = |node: i32| f64::from(node) * 10.0 - 100.0;
+        let [y, z] = between.map(|(node, beyond)| place_of(node) + beyond);
+        let mut v = speed;
+        v[0] = if direction { v[0] } else { -v[0] };
+        // The node is passed within the period that ends at early.
+        let start = [place_of(node) + v[0] * early * period, y, z];
+        let place = |t: f64| core::array::from_fn(|i| start[i] + v[i] * t);
+        let exact = |t: f64| {
+            let p: [f64; 3] = place(t);
+            let mut at = p;
+            for _ in 0..4 {
+                let error = error(&config, at);
+                at = core::array::from_fn(|i| p[i] - error[i]);
+            }
+            core::array::from_fn::<f64, 3, _>(|i| at[i] - p[i])
+        };
+        let change = |t: f64| {
+            let (now, before) = (exact(t), exact(t - period));
+            core::array::from_fn::<f64, 3, _>(|i| (now[i] - before[i]) / period)
+        };
+        let (far, near) = (change(-10.0 * period), change(12.0 * period));
+        let mut last: Option<([f64; 3], [f64; 3])> = None;
+        for number in -20..=20 {
+            let t = f64::from(number) * period;
+            let command = command(place(t), v, [0.0; 3]);
+            compensation.advance(Fade::In);
+            let out = *compensation.correct(&config, &command);
+            let by = |out: i32, command: i32| (f64::from(out) - f64::from(command)) / MM;
+            let corrected =
+                core::array::from_fn::<f64, 3, _>(|i| by(out.pose.0[i].0, command.pose.0[i].0));
+            let rates =
+                core::array::from_fn::<f64, 3, _>(|i| by(out.rates[i].0, command.rates[i].0));
+            let Some((corrected_before, _)) = last.replace((corrected, rates)) else {
+                continue;
+            };
+            // The correction is settled a few periods after the start.
+            if number < -15 {
+                continue;
+            }
+            let change = change(t);
+            for axis in 0..3 {
+                // Two roundings of 1 nm.
+                let moved = corrected[axis] - corrected_before[axis];
+                prop_assert!((moved - rates[axis] * period).abs() < 2.5e-6);
+                // Both poses are rounded to 1 nm: the exact change of the rounded path differs.
+                prop_assert!(
+                    (rates[axis] - change[axis]).abs() < 1e-4,
+                    "{} {} {}", number, rates[axis], change[axis]
+                );
+                let (low, high) =
+                    (far[axis].min(near[axis]), far[axis].max(near[axis]));
+                prop_assert!(
+                    (low - 1e-4..high + 1e-4).contains(&rates[axis]),
+                    "{} {} {} {}", number, rates[axis], low, high
+                );
+            }
+        }
+    }
+
     /// What is taken away at a pose is what `error_at` finds there.
     #[test]
     fn the_measured_pose_gets_it_back(

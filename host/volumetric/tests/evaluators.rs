@@ -163,6 +163,15 @@ fn published_lines() {
                 .find(|row| row[0] == side && row[1] == name)
                 .unwrap();
             assert!((line.slope - number(&row[2])).abs() < 1e-9, "{side} {name}");
+            // The table states five decimals.
+            let offset = line.offset - number(&row[4]);
+            assert!(offset.abs() < 1e-5, "{side} {name} {offset}");
+            let squares: f64 = line.residuals.iter().map(|off| off * off).sum();
+            let deviation = (squares / (line.residuals.len() - 1) as f64).sqrt();
+            assert!(
+                (deviation * 1e3 - number(&row[5])).abs() < 0.001,
+                "{side} {name} {deviation}"
+            );
             assert!((line.straightness() * 1e3 - number(&row[8])).abs() < 0.001);
             assert!((straightness_zone(&points) * 1e3 - number(&row[9])).abs() < 0.001);
             for (at, residual) in line.residuals.iter().enumerate() {

@@ -1,6 +1,6 @@
 //! Files that cannot be used, each with the line and a remedy.
 
-use haptimill_volumetric::errors::{Function, Squareness};
+use haptimill_volumetric::errors::{Axis, Function, Kind, Squareness};
 use haptimill_volumetric::file::{FORM_HEADER, Limits, TABLE_HEADER, read};
 
 /// A valid file: every function from -100 to 100 mm in steps of 100.
@@ -51,6 +51,52 @@ fn names_round_trip() {
     let name = |name: &str| Function::of_name(name).unwrap().kind();
     assert_eq!([name("EAX"), name("EBX"), name("ECX")], [Roll, Pitch, Yaw]);
     assert_eq!([name("EAY"), name("EBY"), name("ECY")], [Pitch, Roll, Yaw]);
+}
+
+/// The symbols of the thesis and the names of ISO 230-1 of its 18 functions and three angles: the
+/// index is the axis that moves, 1 for y, 2 for x, 3 for z.
+#[test]
+fn symbols_of_the_thesis_have_their_names() {
+    let map = include_str!("data/error_parameter_map.csv");
+    let rows = map.lines().filter(|line| !line.starts_with('#')).skip(1);
+    let rows: Vec<Vec<&str>> = rows.map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 21);
+    let mut functions = Vec::new();
+    let mut angles = Vec::new();
+    for row in &rows {
+        let [symbol, _, kind, name, unit, ..] = row[..] else {
+            panic!("{row:?}");
+        };
+        let Some(function) = Function::of_name(name) else {
+            assert_eq!(kind, "squareness");
+            angles.push(name.replace('_', ""));
+            continue;
+        };
+        let (part, place) = symbol.split_once('_').unwrap();
+        let axis = |of: &str, letter: &str| Axis::ALL[of.find(letter).unwrap()];
+        assert_eq!(function.rotates, part == "eps", "{row:?}");
+        assert_eq!(function.direction, axis("xyz", &place[..1]), "{row:?}");
+        assert_eq!(
+            function.moving,
+            [Axis::Y, Axis::X, Axis::Z]["123".find(&place[1..]).unwrap()],
+            "{row:?}"
+        );
+        assert_eq!(function.rotates, unit == "rad", "{row:?}");
+        let word = match function.kind() {
+            Kind::Positioning => "positioning",
+            Kind::Straightness => "straightness",
+            Kind::Roll => "roll",
+            Kind::Pitch => "pitch",
+            Kind::Yaw => "yaw",
+            Kind::Squareness => "squareness",
+        };
+        assert!(kind.starts_with(word), "{row:?} {word}");
+        assert_eq!(function.to_string(), name.replace('_', ""));
+        functions.push(function.index());
+    }
+    functions.sort_unstable();
+    assert_eq!(functions, (0..18).collect::<Vec<_>>());
+    assert_eq!(angles, Squareness::NAMES);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use haptimill_volumetric::Vector;
 use haptimill_volumetric::chain::{Arms, Model};
-use haptimill_volumetric::errors::{Approach, ErrorSet, Function, Shape, Table};
+use haptimill_volumetric::errors::{Approach, ErrorSet, Function, Shape, Squareness, Table};
 use haptimill_volumetric::file::{self, Limits};
 use haptimill_volumetric::grid::{Grid, Sizes, compensated, reached};
 use haptimill_volumetric::part::{characteristics, probe_points};
@@ -18,6 +18,48 @@ const PHYSICAL: Model = Model::Physical(Arms {
     tool: Vector::new(0.0, 0.0, -228.3009),
     measured_tool: Vector::new(0.0, 0.0, -228.3009),
 });
+
+/// The errors of the simulated machine are the proposed ones, value by value.
+#[test]
+fn errors_are_the_proposed_ones() {
+    let errors = errors();
+    let proposed = include_str!("data/proposed_21_errors.csv");
+    let rows = proposed
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .skip(1);
+    let mut count = 0;
+    for row in rows {
+        let words: Vec<&str> = row.split(',').collect();
+        let number = |column: usize| words[column].parse::<f64>().unwrap();
+        count += 1;
+        let Some(function) = Function::of_name(&format!("E{}", words[0])) else {
+            let name = format!("E{}", words[0]);
+            let index = Squareness::NAMES.iter().position(|known| *known == name);
+            let found = errors.squareness.values()[index.unwrap()];
+            assert!((found * 1e6 - number(4)).abs() < 1e-9, "{row}");
+            continue;
+        };
+        assert_eq!(words[3], function.unit(), "{row}");
+        for step in -80..=80 {
+            let q = 5.0 * f64::from(step);
+            let wave = |first: usize| {
+                let [amplitude, length, phase] = [0, 1, 2].map(|part| number(first + part));
+                if length == 0.0 {
+                    return 0.0;
+                }
+                amplitude * (std::f64::consts::TAU * q / length + phase).sin()
+            };
+            let expected = number(4) + number(5) * q + wave(6) + wave(9);
+            let found = errors.function(function).value(q, Approach::Any) / function.file_unit();
+            assert!(
+                (found - expected).abs() < 1e-9,
+                "{row} {q} {found} {expected}"
+            );
+        }
+    }
+    assert_eq!(count, 21);
+}
 
 /// Every characteristic within 0.001 um of its golden value.
 #[test]
