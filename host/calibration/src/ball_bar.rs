@@ -152,10 +152,16 @@ pub fn evaluate(samples: &[Sample], test: &CircleTest) -> Option<CircleResult> {
         let place = (angle.to_degrees().rem_euclid(360.0)) as usize % STEPS;
         profile[usize::from(direction < 0.0)][place].push(tool);
     }
+    // The mean of the places is inside the arc, by 1.3 um for a degree of 100 mm: the mean length
+    // counts.
     let mean = |points: &Vec<[f64; 2]>| {
         let count = points.len() as f64;
         let sum = |part: usize| points.iter().map(|point| point[part]).sum::<f64>() / count;
-        (!points.is_empty()).then(|| [sum(0), sum(1)])
+        let lengths = points.iter().map(|point| point[0].hypot(point[1]));
+        let length = lengths.sum::<f64>() / count;
+        let [x, y] = [sum(0), sum(1)];
+        let inside = x.hypot(y);
+        (!points.is_empty()).then(|| [x, y].map(|part| part * length / inside))
     };
     let of = |points: &[Vec<[f64; 2]>]| points.iter().map(mean).collect::<Option<Vec<_>>>();
     let both = [of(&profile[0])?, of(&profile[1])?];

@@ -492,10 +492,76 @@ fn squareness(axes: &[MeasuredAxis], set: &ErrorSet) -> Squareness {
     }
 }
 
+/// What is known of the conditions of readings from a file.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Conditions {
+    /// Temperature of the air, degrees Celsius.
+    pub air_c: Option<f64>,
+    /// Pressure of the air, hPa.
+    pub pressure_hpa: Option<f64>,
+    /// Temperature of the machine, degrees Celsius.
+    pub machine_c: Option<f64>,
+    /// The controller compensated during the readings.
+    pub compensated: Option<bool>,
+}
+
+impl Conditions {
+    /// The conditions as text; what nobody stated is named.
+    #[must_use]
+    pub fn report(&self) -> String {
+        let compensation = match self.compensated {
+            None => "not stated: the readings of a compensated machine are what it leaves",
+            Some(false) => "off",
+            Some(true) => REMAINS,
+        };
+        let stated = |value: Option<f64>, unit: &str| {
+            value.map_or_else(
+                || "not stated".to_string(),
+                |value| format!("{value} {unit}"),
+            )
+        };
+        let mut text = format!(
+            "machine     load not stated; temperature {}; volumetric compensation {compensation}\n\
+             air         temperature {}, pressure {}; the instrument corrects the wavelength\n",
+            stated(self.machine_c, "deg C"),
+            stated(self.air_c, "deg C"),
+            stated(self.pressure_hpa, "hPa"),
+        );
+        if let Some(machine_c) = self.machine_c {
+            text += &warm(&Environment {
+                machine_c,
+                ..Environment::default()
+            });
+        }
+        text
+    }
+}
+
+/// What the readings of a compensated machine are.
+const REMAINS: &str = "ON: positioning, straightness and squareness are what it leaves on the \
+                       measured lines; rotations remain; do not compensate with this file";
+
+/// Warning of a machine that has not the temperature at which lengths are stated; empty otherwise.
+fn warm(environment: &Environment) -> String {
+    if environment.off_reference().abs() <= 1e-9 {
+        return String::new();
+    }
+    let per_metre = environment.expansion_uncertainty(1000.0) * 1e3;
+    format!(
+        "WARNING     the machine has {} deg C and not 20; the coefficient of expansion adds an \
+         uncertainty of +-{per_metre:.1} um per metre\n",
+        environment.machine_c
+    )
+}
+
 /// The error functions of readings, and a report of them by ISO 230-2. A function without readings
 /// is zero over `travel`; the report names it.
 #[must_use]
-pub fn of_readings(readings: &Readings, travel: &[(f64, f64); 3]) -> (ErrorSet, String) {
+pub fn of_readings(
+    readings: &Readings,
+    travel: &[(f64, f64); 3],
+    conditions: &Conditions,
+) -> (ErrorSet, String) {
     let axes: Vec<MeasuredAxis> = readings
         .functions
         .iter()
@@ -517,7 +583,7 @@ pub fn of_readings(readings: &Readings, travel: &[(f64, f64); 3]) -> (ErrorSet, 
     }
     take_off_arms(&mut set);
     set.squareness = readings.squareness;
-    let mut text = results(&axes, &set);
+    let mut text = conditions.report() + "\n" + &results(&axes, &set);
     for function in Function::all() {
         if !matches!(set.function(function), Shape::Table(_)) {
             let (low, high) = travel[function.moving.index()];
@@ -567,15 +633,12 @@ impl Calibration {
             air_c,
             pressure_hpa,
             humidity_percent,
-            machine_c,
+            ..
         } = self.options.environment;
         let compensation = match self.compensation {
             None => "the machine has none".to_string(),
             Some(0) => "off".to_string(),
-            Some(percent) => format!(
-                "ON ({percent} %): positioning, straightness and squareness are what it leaves on \
-                 the measured lines; rotations remain; do not compensate with this file"
-            ),
+            Some(percent) => REMAINS.replacen("ON", &format!("ON ({percent} %)"), 1),
         };
         let wavelength = if self.options.corrects_wavelength {
             "corrected by sensors".to_string()
@@ -596,14 +659,7 @@ impl Calibration {
              {wavelength}\n\
              roll        {roll}"
         );
-        if (machine_c - 20.0).abs() > 1e-9 {
-            let per_metre = self.options.environment.expansion_uncertainty(1000.0) * 1e3;
-            let _ = writeln!(
-                text,
-                "WARNING     the machine has {machine_c} deg C and not 20; the coefficient of \
-                 expansion adds an uncertainty of +-{per_metre:.1} um per metre"
-            );
-        }
+        text += &warm(&self.options.environment);
         text + "\n" + &results(&self.axes, &self.errors)
     }
 }

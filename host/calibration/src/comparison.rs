@@ -1,12 +1,15 @@
 //! Comparison of the model with a measured side of the part, in the form of the thesis's table 5.1.
 
+use crate::cut::MPE_P;
 use crate::statistics::{
     Spline, choose_degree, class, fit_polynomial, p_of_t, pearson, t_of_correlation,
 };
 use haptimill_volumetric::Vector;
 use haptimill_volumetric::chain::Model;
-use haptimill_volumetric::errors::{ErrorSet, even_nodes};
-use haptimill_volumetric::gdt::fit_line;
+use haptimill_volumetric::errors::{
+    Approach, ClosedForm, ErrorSet, Function, Kind, Shape, Table, even_nodes,
+};
+use haptimill_volumetric::gdt::{fit_line, range};
 use haptimill_volumetric::part::{Features, HALF_SIDE};
 use std::fmt::{self, Write as _};
 
@@ -180,21 +183,106 @@ pub fn linear(points: &[[f64; 2]], at: f64) -> f64 {
     }
 }
 
+/// A probed side of the square.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// Side B, at y = -80 mm.
+    AlongX,
+    /// Side L, at x = -80 mm.
+    AlongY,
+}
+
+/// Height at which the sides are probed, mm.
+const SIDE_HEIGHT: f64 = -30.0;
+
+/// Straightness profile of a side that a machine with these errors cuts, by a model, mm.
+#[must_use]
+pub fn model_profile(errors: &ErrorSet, model: Model, positions: &[f64], side: Side) -> Vec<f64> {
+    let off = |u: f64| match side {
+        Side::AlongX => {
+            model
+                .error(errors, Vector::new(u, -HALF_SIDE, SIDE_HEIGHT))
+                .y
+        }
+        Side::AlongY => {
+            model
+                .error(errors, Vector::new(-HALF_SIDE, u, SIDE_HEIGHT))
+                .x
+        }
+    };
+    let table = SideTable {
+        positions: positions.to_vec(),
+        runs: vec![positions.iter().map(|u| off(*u)).collect()],
+    };
+    table.profile()
+}
+
+/// Straightness of the two sides without some of the errors of a machine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Omission {
+    /// What is left out.
+    pub name: &'static str,
+    /// Straightness of the sides along x and along y, mm.
+    pub straightness: [f64; 2],
+}
+
+/// Which errors the straightness of the sides depends on: the errors of a machine, with a kind of
+/// them left out in turn.
+#[must_use]
+pub fn omissions(errors: &ErrorSet, model: Model) -> Vec<Omission> {
+    let positions = positions();
+    let bends = |function: Function| matches!(function.kind(), Kind::Pitch | Kind::Yaw);
+    let mut level = errors.clone();
+    for function in Function::all().filter(|function| bends(*function)) {
+        let shape = errors.function(function);
+        let values = positions.iter().map(|u| shape.value(*u, Approach::Any));
+        let mean = values.sum::<f64>() / positions.len() as f64;
+        level.set(function, less(shape, mean));
+    }
+    let without = |kind: Kind| errors.without(|function| function.kind() == kind);
+    [
+        ("all errors", errors.clone()),
+        ("without positioning", without(Kind::Positioning)),
+        ("without straightness", without(Kind::Straightness)),
+        ("pitch and yaw less their means", level),
+        ("without pitch", without(Kind::Pitch)),
+        ("without yaw", without(Kind::Yaw)),
+        (
+            "without rotations",
+            errors.without(|function| function.rotates),
+        ),
+    ]
+    .map(|(name, errors)| Omission {
+        name,
+        straightness: [Side::AlongX, Side::AlongY]
+            .map(|side| range(&model_profile(&errors, model, &positions, side))),
+    })
+    .into()
+}
+
+/// An error function less a constant.
+fn less(shape: &Shape, by: f64) -> Shape {
+    let moved = |values: &Vec<f64>| values.iter().map(|value| value - by).collect();
+    match shape {
+        Shape::Table(table) => Shape::Table(Table {
+            nodes: table.nodes.clone(),
+            up: moved(&table.up),
+            down: table.down.as_ref().map(moved),
+        }),
+        Shape::ClosedForm(form) => Shape::ClosedForm(ClosedForm {
+            mean: form.mean - by,
+            ..*form
+        }),
+    }
+}
+
 /// Table 5.1 of the thesis: the straightness of side B (along x) and of side L (along y) by the
 /// model with these errors, and by a measuring machine.
 #[must_use]
 pub fn table_5_1(errors: &ErrorSet, [x, y]: &[SideTable; 2]) -> Vec<Comparison> {
     let model = Model::default();
-    let profile = |table: &SideTable, of: fn(f64) -> Vector, across: usize| {
-        let runs = table.positions.iter();
-        let model = SideTable {
-            positions: table.positions.clone(),
-            runs: vec![runs.map(|u| model.error(errors, of(*u))[across]).collect()],
-        };
-        model.profile()
-    };
-    let of_x = profile(x, |u| Vector::new(u, -HALF_SIDE, -30.0), 1);
-    let of_y = profile(y, |u| Vector::new(-HALF_SIDE, u, -30.0), 0);
+    let of_x = model_profile(errors, model, &x.positions, Side::AlongX);
+    let of_y = model_profile(errors, model, &y.positions, Side::AlongY);
     let degree = choose_degree(&x.positions, &of_x, 5).map_or(3, |fit| fit.coefficients.len() - 1);
     let trend = Trend::Polynomial(degree);
     let lines = [
@@ -234,6 +322,16 @@ pub struct Comparison {
     pub rmse: f64,
     /// Slope of the regression of the measured profile on the trend.
     pub slope: f64,
+    /// Straightness of the measured profile, mm.
+    pub straightness: f64,
+}
+
+impl Comparison {
+    /// Whether the measuring machine is specified for a deviation as small as the straightness.
+    #[must_use]
+    pub fn is_measurable(&self) -> bool {
+        self.straightness >= MPE_P
+    }
 }
 
 /// Compares the profile of the model with a measured one at the same positions; `None` where no
@@ -280,6 +378,7 @@ pub fn compare(
         p: p_of_t(t, degrees),
         rmse: (squares / count as f64).sqrt(),
         slope: fit_line(&points).map_or(0.0, |line| line.slope),
+        straightness: range(measured),
     })
 }
 
@@ -291,17 +390,23 @@ impl fmt::Display for Comparison {
             Trend::Spline => "cubic spline".to_string(),
         };
         let verdict = if self.p < SIGNIFICANCE { "" } else { "not " };
+        let limit = if self.is_measurable() {
+            String::new()
+        } else {
+            format!(", below MPE_P {:.1} um", MPE_P * 1e3)
+        };
         write!(
             f,
             "{:<4} {trend:<24} R2 {:.2}  {:<9} t {:.2} p {:.1e} {verdict}significant; rmse {:.2} um, \
-             slope {:.2}",
+             slope {:.2}; straightness {:.2} um{limit}",
             self.side,
             self.r_squared,
             self.class,
             self.t,
             self.p,
             self.rmse * 1e3,
-            self.slope
+            self.slope,
+            self.straightness * 1e3
         )
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! Readings have the sign of the tool relative to the work. The values of [`LaserOptions`] are
 //! those of a common instrument (633 nm, class ML10), as two standard deviations. A scale error
-//! belongs to the set-up of a run, a constant one to a reading.
+//! belongs to the set-up of a run, a constant one to a reading. The error of the expansion
+//! coefficient is a property of the machine: it is the same in all runs of a seed.
 
 use crate::noise::Noise;
 use core::fmt;
@@ -45,6 +46,12 @@ impl Default for Environment {
     }
 }
 
+/// Uncertainty of the expansion coefficient of a machine, per kelvin.
+const EXPANSION: f64 = 2e-6;
+
+/// Stream of the noise of the expansion coefficient.
+const EXPANSION_STREAM: u64 = 900;
+
 impl Environment {
     /// Change of the wavelength by the refractive index of the air, relative to the stated
     /// conditions: +0.93e-6 per kelvin, -0.27e-6 per hPa, +0.01e-6 per percent of humidity.
@@ -59,7 +66,13 @@ impl Environment {
     /// from 20 degrees.
     #[must_use]
     pub fn expansion_uncertainty(&self, length_mm: f64) -> f64 {
-        2e-6 * length_mm * (self.machine_c - 20.0).abs()
+        EXPANSION * length_mm * self.off_reference().abs()
+    }
+
+    /// Temperature of the machine less the 20 degrees at which lengths are stated, kelvin.
+    #[must_use]
+    pub fn off_reference(&self) -> f64 {
+        self.machine_c - Self::default().machine_c
     }
 }
 
@@ -74,6 +87,8 @@ pub struct LaserOptions {
     pub straightness: (f64, f64),
     /// Reading of the linear channel, mm: vibration and resolution.
     pub resolution: f64,
+    /// Expansion coefficient by which lengths are corrected to 20 degrees, per kelvin.
+    pub expansion: f64,
     /// Reading of the roll instrument, a photodiode with four quadrants on a second beam, radians;
     /// `None` without it.
     pub roll: Option<f64>,
@@ -94,6 +109,7 @@ impl Default for LaserOptions {
             angle: (0.006, 0.5e-6),
             straightness: (0.005, 0.5e-3),
             resolution: 0.05e-3,
+            expansion: EXPANSION,
             roll: Some(1e-6),
             square: 0.2e-3,
             corrects_wavelength: true,
@@ -112,6 +128,7 @@ impl LaserOptions {
             angle: (0.0, 0.0),
             straightness: (0.0, 0.0),
             resolution: 0.0,
+            expansion: 0.0,
             roll: Some(0.0),
             square: 0.0,
             ..Self::default()
@@ -141,6 +158,8 @@ pub struct Laser {
     noise: Noise,
     /// Scale errors of the set-up: linear, straightness, angle.
     scales: [f64; 3],
+    /// Scale error of lengths by the expansion coefficient.
+    expansion: f64,
 }
 
 impl Laser {
@@ -149,9 +168,12 @@ impl Laser {
     pub fn new(options: &LaserOptions, set_up: u64) -> Self {
         let mut noise = Noise::new(options.seed, 1000 + set_up);
         let deviations = [options.linear, options.straightness.0, options.angle.0];
+        let coefficient =
+            Noise::new(options.seed, EXPANSION_STREAM).normal(0.5 * options.expansion);
         Self {
             options: *options,
             scales: deviations.map(|two| noise.normal(0.5 * two)),
+            expansion: coefficient * options.environment.off_reference(),
             noise,
         }
     }
@@ -172,7 +194,8 @@ impl Laser {
                     // The display multiplies fringes with the stated wavelength.
                     -options.environment.wavelength_change()
                 };
-                truth + path * (linear + air) + self.noise.normal(0.5 * options.resolution)
+                let scale = linear + air + self.expansion;
+                truth + path * scale + self.noise.normal(0.5 * options.resolution)
             }
             Channel::Straightness => {
                 truth * (1.0 + straightness) + self.noise.normal(0.5 * options.straightness.1)

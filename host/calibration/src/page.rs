@@ -2,7 +2,7 @@
 
 use crate::comparison::squareness;
 use crate::cut::MPE_P;
-use crate::scenario::{Outcome, State, Volume, WORN};
+use crate::scenario::{Outcome, State, Volume, WORN, omission_table};
 use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{card, escape, put};
 use haptimill_viewer::{Layer, Map, Scale, Scene, Shape, Values};
@@ -57,8 +57,9 @@ pub fn page(outcome: &Outcome) -> String {
     put(
         &mut body,
         format_args!(
-            "squareness of the two sides {:.1} urad</pre>",
-            squareness(&outcome.sides) * 1e6
+            "squareness of the two sides {:.1} urad\n\n{}</pre>",
+            squareness(&outcome.sides) * 1e6,
+            escape(&omission_table(outcome))
         ),
     );
     body.push_str("<h2>Calibration</h2><pre>");

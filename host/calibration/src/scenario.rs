@@ -3,17 +3,20 @@
 
 use crate::ball_bar::{self, CircleResult, CircleTest};
 use crate::calibrate::{Calibration, Plan, calibrate};
-use crate::comparison::{Comparison, SideTable, side_table, squareness, table_5_1};
-use crate::cut::{Cmm, MPE_P, PROGRAM, surface};
+use crate::comparison::{
+    Comparison, Omission, SideTable, omissions, side_table, squareness, table_5_1,
+};
+use crate::cut::{Cmm, MPE_P, PROGRAM, mpe_e, surface};
 use crate::drive::{Machine, SLOW};
 use haptimill_client::Error;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::compensation::{CHAIN, MOST_NODES};
 use haptimill_volumetric::Vector;
+use haptimill_volumetric::chain::Model;
 use haptimill_volumetric::errors::ErrorSet;
 use haptimill_volumetric::file::{self, Limits};
 use haptimill_volumetric::grid::{Grid, Sizes};
-use haptimill_volumetric::part::{Features, Row};
+use haptimill_volumetric::part::{Features, HALF_SIDE, Row};
 use nalgebra::{Matrix3x6, Matrix6, Vector6};
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -427,9 +430,11 @@ pub fn table(outcome: &Outcome) -> String {
     }
     let _ = writeln!(
         text,
-        "\n* below MPE_P = {:.1} um of the measuring machine; ! beyond the tolerance\n\n\
+        "\n* below MPE_P = {:.1} um of the measuring machine, whose MPE_E is {:.2} um over the \
+         square; ! beyond the tolerance\n\n\
          {:<40} feed    G ccw     G cw        H",
         MPE_P * 1e3,
+        mpe_e(2.0 * HALF_SIDE) * 1e3,
         "circle test, um; feed 0 is standstill"
     );
     for state in &outcome.states {
@@ -449,7 +454,30 @@ pub fn table(outcome: &Outcome) -> String {
         let _ = writeln!(text, "{line}");
     }
     let square = squareness(&outcome.sides) * 1e6;
-    let _ = writeln!(text, "squareness of the two sides {square:.1} urad");
+    let _ = writeln!(text, "squareness of the two sides {square:.1} urad\n");
+    text + &omission_table(outcome)
+}
+
+impl Outcome {
+    /// Straightness of the sides by the measured errors, with a kind of them left out in turn.
+    #[must_use]
+    pub fn omissions(&self) -> Vec<Omission> {
+        omissions(&self.calibration.errors, Model::default())
+    }
+}
+
+/// Omission of errors as text.
+#[must_use]
+pub fn omission_table(outcome: &Outcome) -> String {
+    let mut text = format!(
+        "{:<48} {:>8} {:>8}\n",
+        "straightness by the measured errors, um", "X", "Y"
+    );
+    for line in outcome.omissions() {
+        let [x, y] = line.straightness.map(|value| value * 1e3);
+        // Writing to a string does not fail.
+        let _ = writeln!(text, "{:<48} {x:>8.3} {y:>8.3}", line.name);
+    }
     text
 }
 
@@ -513,6 +541,12 @@ pub fn summary(outcome: &Outcome) -> String {
             "p": line.p,
             "rmse_um": line.rmse * 1e3,
             "slope": line.slope,
+            "straightness_um": line.straightness * 1e3,
+            "measurable": line.is_measurable(),
+        })).collect::<Vec<_>>(),
+        "omission": outcome.omissions().iter().map(|line| serde_json::json!({
+            "name": line.name,
+            "straightness_um": line.straightness.map(|value| value * 1e3),
         })).collect::<Vec<_>>(),
         "squareness_of_sides_urad": squareness(&outcome.sides) * 1e6,
         "worn": outcome.worn.iter().map(sizes).collect::<Vec<_>>(),

@@ -45,6 +45,7 @@ fn target_positions() {
         }
     }
     // The random part is uniform within 30 % of the interval: its deviation is 0.3 p / sqrt(3).
+    // One part for all targets of a cycle would have the deviation 0 within each seed.
     let mut parts = Vec::new();
     for seed in 0..200 {
         let places = targets((-325.0, 325.0), 20.0, &mut Noise::new(seed, 0));
@@ -52,11 +53,11 @@ fn target_positions() {
         let margin = 0.3 / (spans + 0.6);
         let pitch = 650.0 * (1.0 - 2.0 * margin) / spans;
         let even = places.iter().enumerate();
-        parts.extend(
-            even.map(|(index, place)| {
-                (place + 325.0 - 650.0 * margin - pitch * index as f64) / pitch
-            }),
-        );
+        let own: Vec<f64> = even
+            .map(|(index, place)| (place + 325.0 - 650.0 * margin - pitch * index as f64) / pitch)
+            .collect();
+        assert!(deviation(&own) > 0.1, "{seed}: {own:?}");
+        parts.extend(own);
     }
     let expected = 0.3 / 3.0_f64.sqrt();
     assert!((deviation(&parts) / expected - 1.0).abs() < 0.05);
@@ -153,6 +154,46 @@ fn refractive_index() {
     assert!((hot.expansion_uncertainty(1000.0) - 6e-3).abs() < 1e-12);
 }
 
+/// Row 18: the coefficient of expansion adds 2 um per metre and kelvin, two standard deviations, to
+/// lengths alone. It is the same in all runs of a calibration, so their mean keeps it.
+#[test]
+fn expansion_of_the_machine() {
+    let at = |machine_c: f64, seed: u64| LaserOptions {
+        expansion: LaserOptions::default().expansion,
+        environment: Environment {
+            machine_c,
+            ..Environment::default()
+        },
+        seed,
+        ..LaserOptions::ideal()
+    };
+    let read = |channel, options: &LaserOptions, run| {
+        Laser::new(options, run).read(channel, 0.0, 1000.0).unwrap()
+    };
+    let warm: Vec<f64> = (0..4000)
+        .map(|seed| read(Channel::Linear, &at(23.0, seed), 0))
+        .collect();
+    let (mean, s) = mean_and_deviation(&warm);
+    assert!(
+        (2.0 * s / 6e-3 - 1.0).abs() < 0.05 && mean.abs() < 0.2e-3,
+        "{mean} {s}"
+    );
+    for seed in 0..20 {
+        assert_eq!(read(Channel::Linear, &at(20.0, seed), 0), 0.0);
+        let runs = [1, 2, 105].map(|run| read(Channel::Linear, &at(23.0, seed), run));
+        assert!(
+            runs.iter().all(|run| *run == runs[0] && *run != 0.0),
+            "{runs:?}"
+        );
+        // Below 20 degrees the same coefficient has the opposite effect.
+        let cold = read(Channel::Linear, &at(17.0, seed), 1);
+        assert!((cold + runs[0]).abs() < 1e-15);
+        for channel in [Channel::Straightness, Channel::Angle, Channel::Roll] {
+            assert_eq!(read(channel, &at(23.0, seed), 1), 0.0);
+        }
+    }
+}
+
 /// Row 20: the mean of five runs scatters less by the root of five.
 #[test]
 fn runs_are_averaged() {
@@ -209,6 +250,42 @@ fn circle_test_finds_squareness() {
     assert!(result.hysteresis < 0.05e-3);
     // Half of the circle is no circle test.
     assert!(evaluate_circle(&samples[..1500], &test).is_none());
+}
+
+/// A circle whose x is behind by 1 um in the direction of its motion, 2 um of lost motion: the
+/// radius is 1 um |cos| smaller where x moves inwards in one direction and 1 um |cos| larger in the
+/// other, so H and the range of F are 2 um. A radius that is 3 um too large adds to F alone.
+#[test]
+fn circle_test_finds_hysteresis() {
+    let test = CircleTest {
+        noise: 0.0,
+        ..CircleTest::at(30.0)
+    };
+    for larger in [0.0, 3e-3] {
+        let mut samples = Vec::new();
+        for direction in [1.0, -1.0] {
+            for step in 0..=7200 {
+                let angle = direction * f64::from(step) / 3600.0 * std::f64::consts::TAU + 3.0;
+                let (sine, cosine) = angle.sin_cos();
+                let place = |radius: f64| [radius * cosine, radius * sine, 0.0, 0.0, 0.0, 0.0];
+                let mut tool = place(100.0 + larger);
+                // x moves by -sine times the direction.
+                tool[0] -= 1e-3 * (-sine * direction).signum();
+                samples.push(Sample {
+                    time: 0.0,
+                    commanded: place(100.0),
+                    reported: place(100.0),
+                    tool,
+                    carriages: place(100.0),
+                });
+            }
+        }
+        let result = evaluate_circle(&samples, &test).unwrap();
+        assert!((result.hysteresis - 2e-3).abs() < 0.005e-3, "{result:?}");
+        let [most, least] = result.radial;
+        assert!((most - larger - 1e-3).abs() < 0.005e-3, "{most}");
+        assert!((least - larger + 1e-3).abs() < 0.005e-3, "{least}");
+    }
 }
 
 /// Rows 23 and 24: without errors and noise nothing deviates; with noise and set-up errors the

@@ -2,7 +2,7 @@
 //! experiment with the noise of its measuring machine.
 
 use haptimill_calibration::comparison::{
-    SideTable, Trend, compare, linear, side_table, squareness,
+    SideTable, Trend, compare, linear, omissions, side_table, squareness,
 };
 use haptimill_calibration::cut::Cmm;
 use haptimill_calibration::noise::Noise;
@@ -97,6 +97,18 @@ fn spline() {
         close(spline.value(*u), *v, 1e-12);
     }
     assert!(spline.ends().iter().all(|end| end.abs() < 1e-15));
+    // The curve itself: its curvature falls to 0 at both ends, where that of the sine does not.
+    let bend = |at: f64| {
+        let step = 0.05;
+        let [before, here, after] = [-step, 0.0, step].map(|off| spline.value(at + off));
+        (before - 2.0 * here + after) / (step * step)
+    };
+    for side in [-1.0, 1.0] {
+        let sine = |at: f64| -(at / 30.0_f64).sin() / 900.0;
+        let [end, inside] = [side * 69.9, side * 50.0].map(bend);
+        assert!(end.abs() < 0.05 * sine(69.9).abs(), "{end}");
+        close(inside, sine(side * 50.0), 0.1 * sine(50.0).abs());
+    }
     close(spline.value(12.3), (12.3_f64 / 30.0).sin(), 1e-3);
     let line: Vec<f64> = u.iter().map(|u| 2.0 * u + 1.0).collect();
     close(Spline::new(&u, &line).unwrap().value(3.21), 7.42, 1e-9);
@@ -265,6 +277,23 @@ fn replay_by_the_measuring_machine() {
 #[test]
 fn omission() {
     let errors = errors();
+    // What the scenario states.
+    let stated = |name: &str| {
+        let all = omissions(&errors, Model::thesis());
+        let line = all.iter().find(|line| line.name == name).unwrap();
+        line.straightness.map(|value| value * 1e3)
+    };
+    for (name, [x, y], tolerance) in [
+        ("all errors", [2.3136, 0.7962], 1e-4),
+        ("without positioning", [2.3136, 0.7962], 1e-4),
+        ("without straightness", [0.11, 0.11], 0.01),
+        ("pitch and yaw less their means", [2.3136, 0.7962], 1e-4),
+        ("without rotations", [2.20, 0.81], 0.005),
+    ] {
+        println!("{name} {:?}", stated(name));
+        close(stated(name)[0], x, tolerance);
+        close(stated(name)[1], y, tolerance);
+    }
     let u: Vec<f64> = (-7..=7).map(|step| 10.0 * f64::from(step)).collect();
     let values =
         |set: &ErrorSet| [true, false].map(|x| range(&side(set, Model::thesis(), &u, x)) * 1e3);

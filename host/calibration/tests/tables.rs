@@ -2,7 +2,7 @@
 //! the fade after homing; and the errors of the simulated machine by both models.
 
 use haptimill_calibration::drive::{Machine as Driven, SLOW};
-use haptimill_calibration::scenario::{machine, with_exact_tables};
+use haptimill_calibration::scenario::{machine, travel, truth, with_exact_tables};
 use haptimill_client::client::Options;
 use haptimill_client::session::{self, Session, SimLine};
 use haptimill_firmware::config::Config;
@@ -15,6 +15,8 @@ use haptimill_machine_file::model::Model;
 use haptimill_math::Coordinate;
 use haptimill_protocol::frame::crc32;
 use haptimill_protocol::message::{ConfigField, State};
+use haptimill_volumetric::errors::{ErrorSet, Function, Shape, Table, even_nodes};
+use haptimill_volumetric::file;
 
 fn config() -> Config {
     with_exact_tables(&machine().unwrap()).unwrap().config
@@ -158,6 +160,119 @@ fn compensation_waits_for_homing() {
     assert!(refused.message.contains("home it first"), "{refused:?}");
     let status = unhomed.status().unwrap();
     assert_eq!((status.compensation, status.joints), (Some(0), before));
+}
+
+/// Lines of an error file that the simulated machine cannot follow are refused with their line.
+#[test]
+fn wrong_errors_of_the_simulated_machine_are_refused() {
+    let (closed, tables) = (
+        include_str!("../../volumetric/data/vmc3_errors.csv"),
+        pairs("EYX"),
+    );
+    let first = tables
+        .lines()
+        .position(|line| line.starts_with("EYX,"))
+        .unwrap()
+        + 1;
+    let line = |text: &str, start: &str| {
+        text.lines()
+            .position(|line| line.starts_with(start))
+            .unwrap()
+            + 1
+    };
+    for (text, expected) in [
+        (
+            tables.replacen(",up,", ",Up,", 1),
+            format!("line {first}: \"EYX,-325.0000,Up,"),
+        ),
+        (
+            tables.replacen(",up,", ",forward,", 1),
+            "write the direction up or down, or nothing for both".to_string(),
+        ),
+        (
+            closed.replace("EZX,um", "EYX,um"),
+            format!("line {}: ", line(closed, "EZX")),
+        ),
+        (
+            closed.replace("EB0Z,urad", "EC0Y,urad"),
+            "remove one: this error is there twice".to_string(),
+        ),
+    ] {
+        let refused = CarriageErrors::parse(&text, ErrorModel::Physical).unwrap_err();
+        assert!(refused.contains(&expected), "{expected}\n{refused}");
+    }
+}
+
+/// Tables with 1 um or 1 urad more downwards than upwards in one function, and 0 elsewhere.
+fn pairs(name: &str) -> String {
+    let travel = travel(&machine().unwrap());
+    let mut errors = ErrorSet::default().tabulated(&travel, [14, 11, 10]);
+    let function = Function::of_name(name).unwrap();
+    let nodes = even_nodes(travel[function.moving.index()], 14);
+    let pair = Table {
+        up: vec![-0.5 * function.file_unit(); nodes.len()],
+        down: Some(vec![0.5 * function.file_unit(); nodes.len()]),
+        nodes,
+    };
+    errors.set(function, Shape::Table(pair));
+    file::write(&errors, "pairs")
+}
+
+/// A straightness and a rotation by direction turn over within 1 um of a reversal, and act by the
+/// arm of their axis: the whole work point for the table, z for the x axis.
+#[test]
+fn errors_by_direction_follow_the_carriage() {
+    let point = [60.0, -40.0, -30.0];
+    for (name, axis, expected) in [
+        ("EYX", 0, [0.0, 1.0, 0.0]),
+        ("EZY", 1, [0.0, 0.0, 1.0]),
+        // um: 1 urad on an arm of 1000 mm is 1 um.
+        ("EBX", 0, [-0.030, 0.0, 0.0]),
+        ("ECY", 1, [0.040, 0.060, 0.0]),
+    ] {
+        let text = pairs(name);
+        let mut errors = CarriageErrors::parse(&text, ErrorModel::Physical)
+            .unwrap()
+            .unwrap();
+        let mut at = |off: f64| {
+            let mut place = point;
+            place[axis] += off;
+            errors.follow(place).map(|part| part * 1e3)
+        };
+        at(-5.0);
+        let up = at(0.0);
+        at(5.0);
+        let down = at(0.0);
+        for (axis, expected) in expected.iter().enumerate() {
+            let difference = down[axis] - up[axis];
+            assert!(
+                (difference - expected).abs() < 1e-5,
+                "{name} {up:?} {down:?}"
+            );
+        }
+        // Half of the reversal is passed after 0.5 um, all of it after 1 um.
+        let [half, whole] = [0.5e-3, 1e-3].map(|off| at(off));
+        for (axis, expected) in expected.iter().enumerate() {
+            assert!(
+                (half[axis] - down[axis] + 0.5 * expected).abs() < 1e-5,
+                "{name} {half:?}"
+            );
+            assert!(
+                (whole[axis] - down[axis] + expected).abs() < 1e-5,
+                "{name} {whole:?}"
+            );
+        }
+    }
+}
+
+/// The machine file has the errors of the data file.
+#[test]
+fn the_machine_file_has_the_published_errors() {
+    let (text, _) = truth(&machine().unwrap()).unwrap();
+    assert_eq!(
+        text.trim(),
+        include_str!("../../volumetric/data/vmc3_errors.csv").trim()
+    );
 }
 
 /// The simulated machine has the published errors at one point, with the model of its frames and

@@ -285,6 +285,146 @@ fn wrong_readings_are_refused() {
     }
 }
 
+/// Readings whose errors no controller takes are refused with their place: targets outside the
+/// travel, too little of it, a gap, a step. Options of a measurement have no meaning for them.
+#[test]
+fn readings_beyond_the_limits_are_refused() {
+    let folder = TestFolder::new();
+    let (file, out, machine) = (folder.path("r.csv"), folder.path("e.csv"), machine());
+    let laser = ["calibrate", "laser", "--machine", &machine, "--out", &out];
+    let readings = |targets: &[(f64, f64)]| {
+        let mut text = "function,target_mm,run,direction,reading,unit\n".to_string();
+        for (target, um) in targets {
+            for direction in ["up", "down"] {
+                text.push_str(&format!("EXX,{target},1,{direction},{um},um\n"));
+            }
+        }
+        std::fs::write(&file, text).unwrap();
+        run(&[&laser[..], &["--readings", &file]].concat())
+    };
+    for (targets, expected) in [
+        (
+            &[
+                (-300.0, 0.0),
+                (-150.0, 0.0),
+                (0.0, 0.0),
+                (150.0, 0.0),
+                (340.0, 0.0),
+            ][..],
+            "EXX has positions from -300 to 340 mm, the travel is -325 to 325 mm",
+        ),
+        (
+            &[(-10.0, 0.0), (10.0, 0.0)],
+            "EXX covers -10 to 10 mm of the travel -325 to 325 mm",
+        ),
+        (
+            &[(-300.0, 0.0), (-50.0, 0.0), (100.0, 0.0), (300.0, 0.0)],
+            "at -50.0000 mm: EXX has a gap of 250 mm",
+        ),
+        (
+            &[
+                (-300.0, 0.0),
+                (-150.0, 0.0),
+                (0.0, 0.0),
+                (10.0, 400.0),
+                (200.0, 400.0),
+            ],
+            "at 10.0000 mm: EXX changes by 40.000 um per mm",
+        ),
+        (
+            &[(-200.0, -600.0), (0.0, 0.0), (200.0, 0.0)],
+            "at -200.0000 mm: EXX is -600.0000 um, the controller takes at most 500",
+        ),
+    ] {
+        let refused = readings(targets).expect_code(3);
+        assert!(
+            refused.err.contains(expected),
+            "{expected}\n{}",
+            refused.err
+        );
+        assert!(refused.err.contains("r.csv"), "{}", refused.err);
+        assert!(!std::path::Path::new(&out).exists(), "{expected}");
+    }
+    // What was not stated is named, and what was stated is in the report and in the file.
+    let good = [(-200.0, 1.0), (0.0, 0.0), (200.0, -1.0)];
+    let report = readings(&good).expect_code(0).out;
+    for expected in [
+        "load not stated; temperature not stated; volumetric compensation not stated: the readings of",
+        "air         temperature not stated, pressure not stated;",
+    ] {
+        assert!(report.contains(expected), "{expected}\n{report}");
+    }
+    assert!(!report.contains("WARNING"), "{report}");
+    let stated = [
+        "--air",
+        "21.5",
+        "--pressure",
+        "990",
+        "--machine-temperature",
+        "24",
+    ];
+    let all = [
+        &laser[..],
+        &["--readings", &file, "--compensation", "on"],
+        &stated,
+    ]
+    .concat();
+    let report = run(&all).expect_code(0).out;
+    let written = std::fs::read_to_string(&out).unwrap();
+    for expected in [
+        "temperature 24 deg C; volumetric compensation ON: positioning, straightness",
+        "air         temperature 21.5 deg C, pressure 990 hPa;",
+        "WARNING     the machine has 24 deg C and not 20",
+        "+-8.0 um per metre",
+    ] {
+        assert!(report.contains(expected), "{expected}\n{report}");
+        assert!(written.contains(expected), "{expected}\n{written}");
+    }
+    for option in [
+        &["--uncorrected"][..],
+        &["--errors", &out],
+        &["--interval", "20"],
+        &["--no-roll"],
+        &["--no-noise"],
+        &["--seed", "2"],
+        &["--save-readings", "x.csv"],
+    ] {
+        let refused = run(&[&laser[..], &["--readings", &file], option].concat()).expect_code(2);
+        assert!(
+            refused.err.contains("cannot be used with"),
+            "{}",
+            refused.err
+        );
+    }
+    let refused = run(&[&laser[..], &["--compensation", "off"]].concat()).expect_code(2);
+    assert!(refused.err.contains("--readings"), "{}", refused.err);
+}
+
+/// The errors that a controller compensates while it is measured are in full effect: the report
+/// says so, and positioning and straightness are what they leave.
+#[test]
+fn a_compensated_machine_is_measured() {
+    let folder = TestFolder::new();
+    let (machine, out) = (machine(), folder.path("e.csv"));
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let truth = root
+        .join("../volumetric/data/vmc3_errors.csv")
+        .display()
+        .to_string();
+    let laser = ["calibrate", "laser", "--machine", &machine, "--out", &out];
+    let options = ["--errors", &truth, "--interval", "150", "--no-noise"];
+    let report = run(&[&laser[..], &options].concat()).expect_code(0).out;
+    let expected = "machine     unloaded; volumetric compensation ON (100 %): positioning";
+    assert!(report.contains(expected), "{report}");
+    for line in errors(&out).iter().skip(1) {
+        let words: Vec<&str> = line.split(',').collect();
+        let value: f64 = words[3].parse().unwrap();
+        if words[4] == "um" {
+            assert!(value.abs() < 0.2, "{line}");
+        }
+    }
+}
+
 /// A machine without errors has nothing to measure, and a circle beyond its reach is refused.
 #[test]
 fn machines_that_cannot_be_measured_are_refused() {
@@ -555,6 +695,17 @@ fn a_program_is_rewritten() {
     }
     let checked = ["run", &out, "--machine", &machine, "--check"];
     run(&checked).expect_code(0);
+    // The test piece, with its tools.
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let part = root.join("../../examples/a160.ngc").display().to_string();
+    let of_part = ["calibrate", "rewrite", &part, "--machine", &machine];
+    run(&[&of_part[..], &["--errors", &errors, "--out", &out]].concat()).expect_code(0);
+    let text = std::fs::read_to_string(&out).unwrap();
+    let tools: Vec<&str> = text.lines().filter(|line| line.contains("M6")).collect();
+    assert_eq!(tools, ["T3 M6", "T2 M6", "T3 M6", "T4 M6"]);
+    for program in [&part, &out] {
+        run(&["run", program, "--machine", &machine, "--check"]).expect_code(0);
+    }
     std::fs::write(&program, "G21 G90\nG1 X10 F600\nG38.2 X20 F60\nM30\n").unwrap();
     let refused = run(&command).expect_code(3);
     assert!(refused.err.contains("a.ngc:3: "), "{}", refused.err);

@@ -5,13 +5,14 @@ use super::args::MachineArg;
 use super::{CliError, interrupt, output};
 use clap::{Args, Subcommand};
 use haptimill_calibration::ball_bar::{self, CircleTest};
-use haptimill_calibration::calibrate::{Plan, calibrate, of_readings, write_readings};
+use haptimill_calibration::calibrate::{Conditions, Plan, calibrate, of_readings, write_readings};
 use haptimill_calibration::drive::{Machine, SLOW};
 use haptimill_calibration::laser::{Environment, LaserOptions};
 use haptimill_calibration::rewrite::rewritten_for;
 use haptimill_calibration::scenario::{errors_of, travel};
 use haptimill_client::Error;
 use haptimill_machine_file::{MachineFile, input};
+use haptimill_volumetric::file::Limits;
 use haptimill_volumetric::{file, readings};
 use std::path::{Path, PathBuf};
 
@@ -34,8 +35,8 @@ const REWRITE: &str = "\
 Correct all points of a part program by the errors of a machine, for a control without error tables. \
 The machine has the chain [w Y b X Z t] (docs/volumetric.md), the program starts at its home pose.
 
-Every move becomes straight moves of at most 1 mm. Moves, dwells, messages and spindle commands can \
-be rewritten; anything else is refused with its line. Run the result without compensation.";
+Every move becomes straight moves of at most 1 mm. Moves, dwells, messages, spindle commands and tool \
+changes can be rewritten; anything else is refused with its line. Run the result without compensation.";
 
 const ARM: &str = "\
 Find the true lengths and index positions of the simulated H-4 arm: the controller moves it to 40 \
@@ -59,6 +60,17 @@ pub enum CalibrateCommand {
     Arm(ArmArgs),
 }
 
+/// Options of a measurement of the simulated machine, which readings from a file do not have.
+const OF_A_MEASUREMENT: [&str; 7] = [
+    "save_readings",
+    "errors",
+    "uncorrected",
+    "interval",
+    "no_roll",
+    "no_noise",
+    "seed",
+];
+
 /// Arguments of `haptimill calibrate laser`.
 #[derive(Debug, Clone, Args)]
 #[command(about = "Measure the geometric errors of the simulated machine", long_about = LASER)]
@@ -73,23 +85,26 @@ pub struct LaserArgs {
     #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = interval)]
     pub interval: f64,
     /// Readings of a laser (CSV) to evaluate, instead of a measurement of the simulated machine
-    #[arg(long, value_name = "FILE", conflicts_with = "save_readings")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = OF_A_MEASUREMENT)]
     pub readings: Option<PathBuf>,
+    /// State of the volumetric compensation during the readings of --readings
+    #[arg(long, value_name = "STATE", value_parser = ["on", "off"], requires = "readings")]
+    pub compensation: Option<String>,
     /// File for all readings (CSV)
     #[arg(long, value_name = "FILE")]
     pub save_readings: Option<PathBuf>,
     /// Errors that the controller compensates while it is measured
     #[arg(long, value_name = "FILE")]
     pub errors: Option<PathBuf>,
-    /// Temperature of the air, degrees Celsius
-    #[arg(long, value_name = "C", default_value_t = 20.0, value_parser = temperature)]
-    pub air: f64,
-    /// Pressure of the air, hPa
-    #[arg(long, value_name = "HPA", default_value_t = 1013.25, value_parser = pressure)]
-    pub pressure: f64,
-    /// Temperature of the machine, degrees Celsius
-    #[arg(long, value_name = "C", default_value_t = 20.0, value_parser = temperature)]
-    pub machine_temperature: f64,
+    /// Temperature of the air, degrees Celsius [default: 20, and not stated with --readings]
+    #[arg(long, value_name = "C", value_parser = temperature)]
+    pub air: Option<f64>,
+    /// Pressure of the air, hPa [default: 1013.25, and not stated with --readings]
+    #[arg(long, value_name = "HPA", value_parser = pressure)]
+    pub pressure: Option<f64>,
+    /// Temperature of the machine, degrees Celsius [default: 20, and not stated with --readings]
+    #[arg(long, value_name = "C", value_parser = temperature)]
+    pub machine_temperature: Option<f64>,
     /// Do not correct the wavelength by the sensors of the air
     #[arg(long)]
     pub uncorrected: bool,
@@ -232,8 +247,34 @@ fn evaluate(args: &LaserArgs, path: &Path) -> Result<(), CliError> {
         Error::in_file(&name, what)
     })?;
     let found = readings::read(&text).map_err(|problem| Error::in_file(&name, problem))?;
-    let (errors, report) = of_readings(&found, &travel(&machine_file));
-    output::save(&args.out, file::write(&errors, &report))?;
+    let conditions = Conditions {
+        air_c: args.air,
+        pressure_hpa: args.pressure,
+        machine_c: args.machine_temperature,
+        compensated: args.compensation.as_deref().map(|state| state == "on"),
+    };
+    let (errors, report) = of_readings(&found, &travel(&machine_file), &conditions);
+    let written = file::write(&errors, &report);
+    // What the controller would refuse is refused here, where the readings can be repeated.
+    let limits = Limits {
+        travel: Some(travel(&machine_file)),
+        ..Limits::default()
+    };
+    file::read(&written, &limits).map_err(|problem| {
+        // The line is one of the error file: its place tells more.
+        let line = usize::try_from(problem.line)
+            .ok()
+            .and_then(|line| line.checked_sub(1));
+        let line = line.and_then(|line| written.lines().nth(line));
+        let mut words = line.unwrap_or_default().split(',').map(str::trim);
+        let place = match words.nth(1).unwrap_or_default() {
+            "" => String::new(),
+            at => format!("at {at} mm: "),
+        };
+        let what = format!("{place}{}; {}", problem.what, problem.remedy);
+        Error::in_file(&name, what)
+    })?;
+    output::save(&args.out, &written)?;
     print_line!("{report}");
     print_line!("errors      {}", args.out.display());
     Ok(())
@@ -250,14 +291,15 @@ fn measure(args: &LaserArgs) -> Result<(), CliError> {
     } else {
         LaserOptions::default()
     };
+    let usual = Environment::default();
     let laser = LaserOptions {
         roll: exact.roll.filter(|_| !args.no_roll),
         corrects_wavelength: !args.uncorrected,
         environment: Environment {
-            air_c: args.air,
-            pressure_hpa: args.pressure,
-            machine_c: args.machine_temperature,
-            ..Environment::default()
+            air_c: args.air.unwrap_or(usual.air_c),
+            pressure_hpa: args.pressure.unwrap_or(usual.pressure_hpa),
+            machine_c: args.machine_temperature.unwrap_or(usual.machine_c),
+            ..usual
         },
         seed: args.seed,
         ..exact
@@ -268,6 +310,10 @@ fn measure(args: &LaserArgs) -> Result<(), CliError> {
         ..Plan::default()
     };
     let mut machine = Machine::new(&machine_file, SLOW, &interrupt::flag())?;
+    if machine_file.config.volumetric.is_some() {
+        // Readings during its fade would be of no state.
+        machine.compensate(true)?;
+    }
     let calibration = calibrate(&mut machine, &machine_file, &plan, |line| {
         print_line!("{line}");
     })?;
