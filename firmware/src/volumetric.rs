@@ -382,8 +382,8 @@ impl Constants {
     const fn fine(&self, sum: i64) -> i64 {
         let (high, low) = ((sum >> 32) as i32, sum as u32);
         let by = self.scale & 31;
-        let low = low >> by | (high as u32) << (32 - by & 31);
-        (high >> by) as i64 * (1 << 32) | low as i64
+        let low = (low >> by) | ((high as u32) << ((32 - by) & 31));
+        ((high >> by) as i64 * (1 << 32)) | low as i64
     }
 }
 
