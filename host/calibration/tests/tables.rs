@@ -251,7 +251,7 @@ fn errors_by_direction_follow_the_carriage() {
             );
         }
         // Half of the reversal is passed after 0.5 um, all of it after 1 um.
-        let [half, whole] = [0.5e-3, 1e-3].map(|off| at(off));
+        let [half, whole] = [0.5e-3, 1e-3].map(at);
         for (axis, expected) in expected.iter().enumerate() {
             assert!(
                 (half[axis] - down[axis] + 0.5 * expected).abs() < 1e-5,
