@@ -151,7 +151,7 @@ fn a_period_stays_within_its_instructions() {
             "vmc",
             &circle,
             [mill, errors].concat(),
-            [5_590.0, 10_410.0],
+            [5_490.0, 10_410.0],
         ),
         Job {
             title: "E8, teleoperation with force feedback, force control of x, y and z, the image with the haptic arm",
@@ -162,6 +162,7 @@ fn a_period_stays_within_its_instructions() {
     ];
     let mut table = String::from(TABLE_HEAD) + &the_kinematics_stay_within_their_instructions();
     let mut beyond = Vec::new();
+    let mut means = std::collections::BTreeMap::new();
     for Job {
         title,
         name,
@@ -211,11 +212,15 @@ fn a_period_stays_within_its_instructions() {
                     ", then at least {low} while more were to come"
                 ))
         ));
+        means.insert(name, mean);
         if mean >= mean_ceiling || worst >= worst_ceiling {
             beyond.push(format!("{title}: {mean:.0} and {worst:.0} instructions"));
         }
     }
     assert!(beyond.is_empty(), "{beyond:#?}");
+    let compensation = means["vmc"] - means["vmc-bare"];
+    println!("volumetric compensation: {compensation:.0} in the mean");
+    assert!(compensation <= 1_000.0, "{compensation}");
     println!("{table}");
     let file = root().join("docs/instructions.md");
     if std::env::var_os("HAPTIMILL_WRITE").is_some() {
