@@ -36,7 +36,7 @@
 
 use crate::config::volumetric::{CORRECTION, ERROR_AXES, ERRORS, ErrorAxis, VolumetricConfig};
 use crate::motion::PoseCommand;
-use haptimill_math::scale::saturate;
+use haptimill_math::scale::{saturate, shift_right};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 
 /// Time of a fade from 0 to 1, microseconds.
@@ -102,7 +102,7 @@ pub struct Constants {
     acceleration: i32,
     /// 2^30 divided by the periods of a whole fade.
     fade: u32,
-    /// Binary places between a sum of the tables and 2^-8 pm: below 32, above 0.
+    /// Binary places between a sum of the tables and 2^-8 pm.
     scale: u32,
 }
 
@@ -370,20 +370,12 @@ impl Constants {
         }
         let [c0y, b0z, a0z] = config.squareness;
         let square = product(b0z, at[2]).wrapping_sub(product(c0y, at[1]));
+        let fine = |sum| shift_right(sum, self.scale);
         [
-            self.fine(ex).wrapping_add(square >> 10),
-            self.fine(ey).wrapping_sub(product(a0z, at[2]) >> 10),
-            self.fine(ez),
+            fine(ex).wrapping_add(square >> 10),
+            fine(ey).wrapping_sub(product(a0z, at[2]) >> 10),
+            fine(ez),
         ]
-    }
-
-    /// A sum of the tables in 2^-8 pm. The shift is one of 32-bit halves, as it is below 32.
-    #[inline(always)]
-    const fn fine(&self, sum: i64) -> i64 {
-        let (high, low) = ((sum >> 32) as i32, sum as u32);
-        let by = self.scale & 31;
-        let low = (low >> by) | ((high as u32) << ((32 - by) & 31));
-        ((high >> by) as i64 * (1 << 32)) | low as i64
     }
 }
 
