@@ -117,6 +117,36 @@ impl WorkData {
         Ok(data)
     }
 
+    /// Takes over the offsets and tools of a program, and writes the files that change. Without the
+    /// file of a machine nothing is written. Returns whether the offsets and whether the tools
+    /// differ.
+    ///
+    /// # Errors
+    ///
+    /// A file cannot be written; the old one is unchanged.
+    pub fn keep(
+        &mut self,
+        offsets: Offsets,
+        tools: &ToolTable,
+        machine: Option<&Path>,
+    ) -> Result<[bool; 2], String> {
+        let kept = &self.offsets;
+        let new_offsets =
+            offsets.systems != kept.systems || offsets.g28 != kept.g28 || offsets.g30 != kept.g30;
+        let new_tools = *tools != self.tools;
+        self.offsets = offsets;
+        self.tools.clone_from(tools);
+        if let Some(machine) = machine {
+            if new_offsets {
+                self.save_offsets(machine)?;
+            }
+            if new_tools {
+                self.save_tools(machine)?;
+            }
+        }
+        Ok([new_offsets, new_tools])
+    }
+
     /// Writes the work offsets of a machine file.
     ///
     /// # Errors

@@ -352,29 +352,21 @@ impl Mdi {
 
     /// Writes offsets and tools that the block changed.
     fn keep_changes(&mut self) -> Result<(), CliError> {
-        let offsets = self.dialog.offsets();
-        let kept = &self.data.offsets;
-        let new_offsets =
-            offsets.systems != kept.systems || offsets.g28 != kept.g28 || offsets.g30 != kept.g30;
-        let new_tools = *self.dialog.tools() != self.data.tools;
-        self.data.offsets = offsets;
-        self.data.tools.clone_from(self.dialog.tools());
-        let Some(file) = &self.file else {
-            if new_offsets || new_tools {
-                let what = if new_tools { "tools" } else { "offsets" };
-                eprintln!(
-                    "the {what} end with this command: a built-in machine has no file for them; \
-                     --machine FILE keeps them"
-                );
-            }
-            return Ok(());
+        let kept = self.data.keep(
+            self.dialog.offsets(),
+            self.dialog.tools(),
+            self.file.as_deref(),
+        );
+        let [_, new_tools] = match kept.map_err(|error| CliError::new(Exit::Output, error))? {
+            [false, false] => return Ok(()),
+            changed => changed,
         };
-        let failed = |error| CliError::new(Exit::Output, error);
-        if new_offsets {
-            self.data.save_offsets(file).map_err(failed)?;
-        }
-        if new_tools {
-            self.data.save_tools(file).map_err(failed)?;
+        if self.file.is_none() {
+            let what = if new_tools { "tools" } else { "offsets" };
+            eprintln!(
+                "the {what} end with this command: a built-in machine has no file for them; \
+                 --machine FILE keeps them"
+            );
         }
         Ok(())
     }

@@ -266,7 +266,7 @@ impl Bridge {
         for notice in notices {
             self.message(&notice);
         }
-        self.keep_offsets()?;
+        self.keep_changes()?;
         if let Err(problem) = self.add(&steps) {
             self.refuse(&problem);
             if let Activity::Job { feed, .. } = &mut self.activity {
@@ -326,20 +326,15 @@ impl Bridge {
         Ok(Answer::Ok)
     }
 
-    /// Writes offsets that a block changed.
-    fn keep_offsets(&mut self) -> Result<(), CliError> {
-        let offsets = self.dialog.offsets();
-        let kept = &self.data.offsets;
-        let is_same =
-            offsets.systems == kept.systems && offsets.g28 == kept.g28 && offsets.g30 == kept.g30;
-        self.data.offsets = offsets;
-        match &self.file {
-            Some(file) if !is_same => self
-                .data
-                .save_offsets(file)
-                .map_err(|error| CliError::new(Exit::Output, error)),
-            _ => Ok(()),
-        }
+    /// Writes offsets and tools that a block changed.
+    fn keep_changes(&mut self) -> Result<(), CliError> {
+        let kept = self.data.keep(
+            self.dialog.offsets(),
+            self.dialog.tools(),
+            self.file.as_deref(),
+        );
+        kept.map_err(|error| CliError::new(Exit::Output, error))?;
+        Ok(())
     }
 }
 
