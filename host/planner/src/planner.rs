@@ -9,7 +9,7 @@ use super::messages::Messages;
 use super::outputs;
 use super::profile::Phase;
 use super::setpoints::{Emitter, Planned};
-use super::track::SharedTrack;
+use super::track::{SharedTrack, Track};
 use super::trajectory::{Bump, Knot, Leg, Piece, Trajectory, longest_on};
 use haptimill_gcode::{Coordinates, Measure, Move, Path, Place, Problem, Step};
 use haptimill_protocol::message::Action;
@@ -292,19 +292,11 @@ impl<M: MachineModel> Planner<M> {
             if let Some(track) = &mut track {
                 track.add_place(planned.place);
             }
-            self.messages.take_before(planned.messages, |text| {
-                if let Some(track) = &mut track {
-                    track.add_message(text);
-                }
-            });
+            show(&mut self.messages, track.as_deref_mut(), planned.messages);
         }
         if self.ended {
             // A message after the last motion has no motion of its own.
-            self.messages.take_before(u32::MAX, |text| {
-                if let Some(track) = &mut track {
-                    track.add_message(text);
-                }
-            });
+            show(&mut self.messages, track.as_deref_mut(), u32::MAX);
         }
         drop(track);
         self.emitter.made.drain(..count)
@@ -608,4 +600,13 @@ impl<M: MachineModel> Planner<M> {
             });
         }
     }
+}
+
+/// Moves the messages before a motion to the track; without a track nobody reads them.
+fn show(messages: &mut Messages, mut track: Option<&mut Track>, motion: u32) {
+    messages.take_before(motion, |text| {
+        if let Some(track) = &mut track {
+            track.add_message(text);
+        }
+    });
 }
