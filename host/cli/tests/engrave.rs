@@ -99,7 +99,7 @@ fn the_cut_plate_is_the_drawing() {
     }
 }
 
-/// The command as it stands in the documentation, without an option: the outline of the whole
+/// The command of the documentation, without an option: the outline of the whole
 /// plate, 1 mm deep. And the holes.
 #[test]
 fn outline_and_holes_are_cut_as_drawn() {

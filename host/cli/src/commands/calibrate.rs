@@ -261,7 +261,7 @@ fn evaluate(args: &LaserArgs, path: &Path) -> Result<(), CliError> {
         ..Limits::default()
     };
     file::read(&written, &limits).map_err(|problem| {
-        // The line is one of the error file: its place tells more.
+        // The line is one of the error file: its place is more exact.
         let line = usize::try_from(problem.line)
             .ok()
             .and_then(|line| line.checked_sub(1));
