@@ -179,6 +179,30 @@ fn machine_faults_stop_the_job_with_a_remedy() {
 }
 
 #[test]
+fn faults_of_step_motors_stop_the_job_with_a_remedy() {
+    let folder = TestFolder::new();
+    let mut text = String::new();
+    // The dead motor is pushed while the rotors lock.
+    let not_locked: &[&str] = &["drive-dead axis=l2", "push axis=l2 effort=80 at=20ms"];
+    let lists: [&[&str]; 4] = [
+        &["joint-jammed axis=l1 at=8s"],
+        &["encoder-stuck axis=l2 channel=a level=high at=8s"],
+        &["drive-dead axis=l2"],
+        not_locked,
+    ];
+    for faults in lists {
+        let more = ["--machine", "machines/h4-step.toml"];
+        let ran = run(&folder, "out", faults, &more).expect_code(6);
+        let (joint, what) = (faults[0].contains("l1"), faults == not_locked);
+        assert!(ran.err.contains(if joint { "l1" } else { "l2" }));
+        assert_eq!(ran.err.contains("did not lock"), what, "{}", ran.err);
+        let said = folder.redact(ran.err.trim_end());
+        text += &format!("{}\n    {said}\n", faults.join(" --fault "));
+    }
+    insta::assert_snapshot!("step_motor_faults", text);
+}
+
+#[test]
 fn fault_before_the_job_prevents_motion() {
     let folder = TestFolder::new();
     let ran = run(&folder, "out", &["drive-dead axis=l2"], &[]).expect_code(6);

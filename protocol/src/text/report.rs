@@ -107,7 +107,11 @@ impl Describe for Fault {
                 if let Some(by) = amount(axes.joints, axis, by) {
                     write!(f, " ({by})")?;
                 }
-                write!(f, "; lower the feed or the depth of cut, {HOME}")
+                write!(
+                    f,
+                    "; lower the feed or the depth of cut, or check the drive and the encoder of \
+                     the joint, {HOME}"
+                )
             }
             Self::LostHost { silent_ms } => write!(
                 f,

@@ -174,7 +174,7 @@ pub fn any(rng: &mut Rng) -> Command {
             })
             .collect()
     };
-    match rng.below(40) {
+    match rng.below(43) {
         0 => Command::Ping,
         1 => Command::Enable,
         2 => Command::Disable,
@@ -266,6 +266,9 @@ pub fn any(rng: &mut Rng) -> Command {
         38 => Command::MoveOff {
             axis: rng.below(7) as u8,
         },
+        39 => Command::RapidOverride { percent: byte(rng) },
+        40 => Command::SpindleOverride { percent: byte(rng) },
+        41 => remote_force(rng),
         _ => Command::MasterPose {
             epoch: half(rng),
             age_ms: byte(rng),
@@ -334,5 +337,30 @@ pub fn named_output(rng: &mut Rng) -> Command {
             input: rng.below(3) as u8,
             active: rng.chance(0.8),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    /// The number of a variant is the first byte of its encoding.
+    #[test]
+    fn any_command_has_all_variants() {
+        let mut buffer = [0; 2048];
+        let mut found = BTreeSet::new();
+        for seed in 0..4000 {
+            let command = any(&mut Rng::new(seed, 0));
+            found.insert(postcard::to_slice(&command, &mut buffer).expect("fits")[0]);
+        }
+        let is_variant = |number: &u8| {
+            let mut bytes = [0; 256];
+            bytes[0] = *number;
+            postcard::from_bytes::<Command>(&bytes).is_ok()
+        };
+        let all: BTreeSet<u8> = (0..128).filter(is_variant).collect();
+        assert!(all.len() > 30, "{all:?}");
+        assert_eq!(found, all);
     }
 }

@@ -257,12 +257,25 @@ impl<L: Line> Session<L> {
     /// Enables the drives if they are disabled.
     ///
     /// # Errors
-    /// The controller refuses: a latched fault or emergency stop, an input, a pose out of reach.
+    /// The controller refuses: a latched fault or emergency stop, an input, a pose out of reach. A
+    /// fault while the drives are switched on, such as a step motor that does not lock.
     pub fn enable(&mut self) -> Result<(), Error> {
-        match self.status()?.state {
-            State::Disabled | State::Fault | State::EmergencyStop => self.ask(Command::Enable),
-            _ => Ok(()),
+        let before = self.status()?;
+        if !matches!(
+            before.state,
+            State::Disabled | State::Fault | State::EmergencyStop
+        ) {
+            return Ok(());
         }
+        self.ask(Command::Enable).map_err(|refusal| {
+            // The refusal names the state only; a fault that is new is its cause.
+            match self.status() {
+                Ok(Telemetry {
+                    fault: Some(fault), ..
+                }) if before.fault.is_none() => self.fault(&fault),
+                _ => refusal,
+            }
+        })
     }
 
     /// Homes the machine and waits until it is homed.

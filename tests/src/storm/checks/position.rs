@@ -214,7 +214,7 @@ impl Checks {
                 name: "off after one fault",
             },
             EncoderDefect::Uncounted => ErrorBounds {
-                most: f64::INFINITY,
+                most: self.until_found(joint, bounds::TWO_TURNS),
                 lasting: if found_by_index {
                     bounds::INDEX_SLACK[class]
                 } else {
