@@ -42,46 +42,117 @@ impl fmt::Display for TableProblem {
 
 impl std::error::Error for TableProblem {}
 
+impl TableProblem {
+    fn at(line: usize, what: impl Into<String>) -> Self {
+        Self {
+            line,
+            what: what.into(),
+        }
+    }
+}
+
+/// Largest distance of a reading of a side from its nominal place, mm: five times the set-up errors
+/// of the published tables. Beyond it are other units and other sides.
+pub const MOST_OFF: f64 = 2.0;
+
+/// Smallest distance of two positions, mm: a tenth of that of the published tables.
+const LEAST_APART: f64 = 1.0;
+
+/// A line of a table.
+struct Row<'a> {
+    line: usize,
+    values: Vec<&'a str>,
+}
+
+impl<'a> Row<'a> {
+    fn new(line: usize, text: &'a str) -> Self {
+        Self {
+            line,
+            values: text.split(',').map(str::trim).collect(),
+        }
+    }
+
+    /// The value of a column, within `reach` of `about`, mm.
+    fn coordinate(&self, column: usize, about: f64, reach: f64) -> Result<f64, TableProblem> {
+        let text = self.values.get(column).copied().unwrap_or_default();
+        let number = column + 1;
+        let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
+        let Some(value) = value else {
+            let what = format!("value {number} is \"{text}\" and no number; probe the point again");
+            return Err(TableProblem::at(self.line, what));
+        };
+        if (value - about).abs() <= reach {
+            return Ok(value);
+        }
+        let what = format!(
+            "value {number} is {text} mm, the side has {} to {} mm there; write mm, from the centre \
+             of the part",
+            about - reach,
+            about + reach
+        );
+        Err(TableProblem::at(self.line, what))
+    }
+}
+
 impl SideTable {
     /// Reads a table: a header, then a line for each of `rows` positions with the position and the
-    /// readings of the runs; further columns are ignored.
+    /// readings of the runs; further columns are ignored. Coordinates are those of the part, mm:
+    /// positions within its side, each once, and readings within [`MOST_OFF`] of its nominal place
+    /// at -80.
     ///
     /// # Errors
-    /// Missing lines or values, and what is no number.
+    /// The first of: a first line without names, a value that is missing or no number, a coordinate
+    /// off the side, a position that is there twice, too few or too many lines.
     pub fn read(text: &str, runs: usize, rows: usize) -> Result<Self, TableProblem> {
         let lines = text.lines().enumerate();
-        let lines = lines.filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
+        let mut lines = lines
+            .map(|(index, line)| (index + 1, line))
+            .filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
         let mut table = Self {
             positions: Vec::new(),
             runs: vec![Vec::new(); runs],
         };
-        for (index, line) in lines.skip(1) {
-            let line_number = index + 1;
-            let values: Vec<&str> = line.split(',').map(str::trim).collect();
-            let value = |column: usize| {
-                let text = values.get(column).copied().unwrap_or_default();
-                let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
-                value.ok_or_else(|| TableProblem {
-                    line: line_number,
-                    what: format!(
-                        "value {} is \"{text}\" and no number; probe the point again",
-                        column + 1
-                    ),
-                })
-            };
-            table.positions.push(value(0)?);
-            for run in 0..runs {
-                let reading = value(run + 1)?;
-                table.runs[run].push(reading);
+        let mut places: Vec<usize> = Vec::new();
+        let mut last = 0;
+        if let Some((line, header)) = lines.next() {
+            last = line;
+            let first = header.split(',').next().unwrap_or_default();
+            if first.trim().parse::<f64>().is_ok() {
+                let what = "has numbers where the names of the columns belong; begin the table \
+                            with a line as x_mm,y_run1_mm,y_run2_mm,y_run3_mm";
+                return Err(TableProblem::at(line, what));
+            }
+        }
+        for (line, text) in lines {
+            last = line;
+            let row = Row::new(line, text);
+            let position = row.coordinate(0, 0.0, HALF_SIDE)?;
+            let twice = table.positions.iter().zip(&places);
+            let mut twice = twice.filter(|(at, _)| (position - **at).abs() < LEAST_APART);
+            if let Some((at, before)) = twice.next() {
+                let what = format!(
+                    "position {position} mm is less than {LEAST_APART} mm from {at} mm in line \
+                     {before}; give every position once"
+                );
+                return Err(TableProblem::at(line, what));
+            }
+            table.positions.push(position);
+            places.push(line);
+            for (run, readings) in table.runs.iter_mut().enumerate() {
+                readings.push(row.coordinate(run + 1, -HALF_SIDE, MOST_OFF)?);
+            }
+            if table.positions.len() > rows {
+                let what = format!("is row {} of {rows}; remove it", rows + 1);
+                return Err(TableProblem::at(line, what));
             }
         }
         let found = table.positions.len();
         if found != rows {
             let what = format!(
-                "has {found} of {rows} rows; probe the missing points again, the comparison needs \
-                 all of them"
+                "the table has {found} of {rows} rows and ends here; probe the missing points \
+                 again, the comparison needs all of them"
             );
-            return Err(TableProblem { line: 0, what });
+            return Err(TableProblem::at(last, what));
         }
         Ok(table)
     }

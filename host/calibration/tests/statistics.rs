@@ -376,15 +376,84 @@ fn tables_are_written() {
     );
 }
 
-/// A table with missing rows or values is refused.
+/// A table with missing rows or values, and coordinates that no probed side has, are refused with
+/// their line.
 #[test]
-fn incomplete_tables() {
+fn wrong_tables() {
+    let refused = |text: &str| SideTable::read(text, 3, 15).unwrap_err().to_string();
     let missing: Vec<&str> = X.lines().take(15).collect();
-    let problem = SideTable::read(&missing.join("\n"), 3, 15)
-        .unwrap_err()
-        .to_string();
-    assert!(problem.contains("has 12 of 15 rows"), "{problem}");
-    let gap = X.replace("-79.9996,-80.0102", ",-80.0102");
-    let problem = SideTable::read(&gap, 3, 15).unwrap_err().to_string();
-    assert!(problem.starts_with("line 4: value 4 is \"\""), "{problem}");
+    let problem = refused(&missing.join("\n"));
+    let expected = "line 15: the table has 12 of 15 rows and ends here; probe the missing points";
+    assert!(problem.starts_with(expected), "{problem}");
+    assert!(refused("").starts_with("the table has 0 of 15 rows"));
+    // Lines 1 and 2 are comments, 3 is the header.
+    assert!(
+        X.lines()
+            .nth(3)
+            .unwrap()
+            .starts_with("70,-79.9999,-80.031,")
+    );
+    for (from, to, expected) in [
+        ("-79.9996,-80.0102", ",-80.0102", "line 4: value 4 is \"\""),
+        (
+            "-79.9996,-80.0102",
+            "NaN,-80.0102",
+            "line 4: value 4 is \"NaN\" and no number",
+        ),
+        (
+            "-79.9996,-80.0102",
+            "inf,-80.0102",
+            "line 4: value 4 is \"inf\" and no number",
+        ),
+        (
+            "-79.9996,-80.0102",
+            "n/a,-80.0102",
+            "line 4: value 4 is \"n/a\" and no number",
+        ),
+        // Beyond the side, on the opposite side, and in um.
+        (
+            "\n70,",
+            "\n81,",
+            "line 4: value 1 is 81 mm, the side has -80 to 80 mm there; write mm",
+        ),
+        (
+            "-80.031",
+            "80.031",
+            "line 4: value 3 is 80.031 mm, the side has -82 to -78 mm there",
+        ),
+        (
+            "-80.031",
+            "-80031",
+            "line 4: value 3 is -80031 mm, the side has -82 to -78 mm",
+        ),
+        (
+            "-80.031",
+            "-77.999",
+            "line 4: value 3 is -77.999 mm, the side has -82 to -78 mm",
+        ),
+        (
+            "-80.031",
+            "1e300",
+            "line 4: value 3 is 1e300 mm, the side has -82 to -78 mm",
+        ),
+        (
+            "\n60,",
+            "\n70,",
+            "line 5: position 70 mm is less than 1 mm from 70 mm in line 4; give every position once",
+        ),
+        (
+            "x_mm,y_run1_mm,y_run2_mm,y_run3_mm,y_mean_mm\n",
+            "",
+            "line 3: has numbers where the names of the columns belong; begin the table with",
+        ),
+        (
+            "\n70,",
+            "\n75,-80,-80,-80\n70,",
+            "line 19: is row 16 of 15; remove it",
+        ),
+    ] {
+        assert!(X.contains(from), "{from}");
+        let problem = refused(&X.replacen(from, to, 1));
+        assert!(problem.starts_with(expected), "{to}: {problem}");
+    }
 }
