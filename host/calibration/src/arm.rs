@@ -32,6 +32,10 @@ use toml_edit::{DocumentMut, Item};
 /// carriages, x of the workpiece, and the offsets of the joints.
 pub const NAMES: [&str; 9] = ["r", "c", "w", "ge", "x_off", "l1", "l2", "l3", "l4"];
 
+/// What readings of the tip do not tell apart.
+const ONLY_SUMS: &str = "Readings of the tip do not tell w from x_off: they give only w + x_off, \
+                         l2 + 2 w and l4 + 2 w.";
+
 /// Parameters that are lengths; the others are joint offsets.
 const LENGTHS: usize = 5;
 
@@ -110,6 +114,7 @@ impl fmt::Display for Calibration {
         for (name, by) in NAMES.iter().zip(&self.fit.by) {
             writeln!(f, "{name:<11} {by:>10.4}")?;
         }
+        writeln!(f, "{ONLY_SUMS}")?;
         writeln!(f, "\ndistance, um                       largest      rms")?;
         for (name, sizes) in [
             ("readings from the arm, before", self.fit.before),

@@ -3,6 +3,8 @@
 
 use haptimill_calibration::arm::{NAMES, Plan, calibrate, perturbed};
 use haptimill_hil_sim::config::PlantConfig;
+use haptimill_hil_sim::joint::mechanics::JointArray;
+use haptimill_hil_sim::machines::GeometryConfig;
 use haptimill_machine_file::MachineFile;
 
 #[test]
@@ -55,6 +57,42 @@ fn the_arm_is_found_and_its_tip_is_right_elsewhere() {
         format!("{:?}", found.machine.plant::<PlantConfig>().unwrap()),
         format!("{:?}", other.plant::<PlantConfig>().unwrap())
     );
+}
+
+/// Why only sums of four parameters are found: an arm with w longer by d, x_off shorter by d and
+/// the joints 2 and 4 behind by 2 d has the same pose everywhere. One length alone moves it.
+#[test]
+fn one_motion_of_the_parameters_shows_nowhere() {
+    let plant: PlantConfig = MachineFile::built_in().unwrap().plant().unwrap();
+    let Some(GeometryConfig::H4(nominal)) = plant.geometry else {
+        panic!("an arm");
+    };
+    let d = 0.1;
+    let pose = |w: f64, x_off: f64, offset: f64, mut joints: JointArray| {
+        let mut geometry = nominal.clone();
+        geometry.w += w;
+        geometry.x_off += x_off;
+        joints[1] += offset;
+        joints[3] += offset;
+        GeometryConfig::H4(geometry).pose(&joints).unwrap()
+    };
+    for offsets in [[0.0; 4], [5.0, -8.0, 11.0, 3.0], [-20.0, 6.0, -9.0, 14.0]] {
+        let mut joints = JointArray::default();
+        joints[..4].copy_from_slice(&[1135.0, 485.0, 1135.0, 485.0]);
+        for (joint, offset) in joints.iter_mut().zip(offsets) {
+            *joint += offset;
+        }
+        let plain = pose(0.0, 0.0, 0.0, joints);
+        let distance = |other: JointArray| {
+            let pairs = plain.iter().zip(other);
+            pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+        };
+        let hidden = distance(pose(d, -d, -2.0 * d, joints));
+        assert!(hidden < 1e-9, "{offsets:?}: {hidden}");
+        for alone in [pose(d, 0.0, 0.0, joints), pose(0.0, -d, 0.0, joints)] {
+            assert!(distance(alone) > 0.05, "{offsets:?}");
+        }
+    }
 }
 
 /// Lengths and index positions of a simulated arm less those of another one, mm, from the text of
