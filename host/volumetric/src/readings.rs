@@ -23,6 +23,8 @@ pub struct FunctionReadings {
     pub function: Function,
     /// Targets, mm, ascending.
     pub targets: Vec<f64>,
+    /// First line of each target, from 1.
+    pub lines: Vec<u64>,
     /// Readings upwards by target and run.
     pub up: Vec<Vec<f64>>,
     /// The same downwards.
@@ -105,6 +107,7 @@ fn group(function: Function, readings: &mut [Reading]) -> Result<FunctionReading
     let mut found = FunctionReadings {
         function,
         targets: Vec::new(),
+        lines: Vec::new(),
         up: Vec::new(),
         down: Vec::new(),
     };
@@ -129,6 +132,8 @@ fn group(function: Function, readings: &mut [Reading]) -> Result<FunctionReading
             }
         }
         found.targets.push(target);
+        let lines = at_target.iter().map(|reading| reading.line);
+        found.lines.push(lines.min().unwrap_or(line));
         found.up.push(up);
         found.down.push(down);
     }

@@ -12,7 +12,8 @@ use haptimill_calibration::rewrite::rewritten_for;
 use haptimill_calibration::scenario::{errors_of, travel};
 use haptimill_client::Error;
 use haptimill_machine_file::{MachineFile, input};
-use haptimill_volumetric::file::Limits;
+use haptimill_volumetric::file::{FileProblem, Limits};
+use haptimill_volumetric::readings::Readings;
 use haptimill_volumetric::{file, readings};
 use std::path::{Path, PathBuf};
 
@@ -261,16 +262,7 @@ fn evaluate(args: &LaserArgs, path: &Path) -> Result<(), CliError> {
         ..Limits::default()
     };
     file::read(&written, &limits).map_err(|problem| {
-        // The line is one of the error file: its place is more exact.
-        let line = usize::try_from(problem.line)
-            .ok()
-            .and_then(|line| line.checked_sub(1));
-        let line = line.and_then(|line| written.lines().nth(line));
-        let mut words = line.unwrap_or_default().split(',').map(str::trim);
-        let place = match words.nth(1).unwrap_or_default() {
-            "" => String::new(),
-            at => format!("at {at} mm: "),
-        };
+        let place = place_of(&problem, &written, &found);
         let what = format!("{place}{}; {}", problem.what, problem.remedy);
         Error::in_file(&name, what)
     })?;
@@ -278,6 +270,31 @@ fn evaluate(args: &LaserArgs, path: &Path) -> Result<(), CliError> {
     print_line!("{report}");
     print_line!("errors      {}", args.out.display());
     Ok(())
+}
+
+/// The place in the readings of a problem of their error file: line and target. The line of the
+/// problem is one of the error file, which is never written.
+fn place_of(problem: &FileProblem, written: &str, found: &Readings) -> String {
+    let line = usize::try_from(problem.line)
+        .ok()
+        .and_then(|line| line.checked_sub(1));
+    let line = line.and_then(|line| written.lines().nth(line));
+    let mut words = line.unwrap_or_default().split(',').map(str::trim);
+    let name = words.next().unwrap_or_default();
+    let at = words.next().unwrap_or_default();
+    let Ok(position) = at.parse::<f64>() else {
+        return String::new();
+    };
+    let function = found
+        .functions
+        .iter()
+        .find(|readings| readings.function.to_string() == name);
+    let targets = function.map(|readings| readings.targets.iter().zip(&readings.lines));
+    let nearest = targets.and_then(|targets| {
+        targets.min_by(|(a, _), (b, _)| (*a - position).abs().total_cmp(&(*b - position).abs()))
+    });
+    let line = nearest.map_or(String::new(), |(_, line)| format!("line {line}: "));
+    format!("{line}at {at} mm: ")
 }
 
 /// Measures the simulated machine.
