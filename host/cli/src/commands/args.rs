@@ -2,13 +2,14 @@
 
 use super::{CliError, Exit};
 use clap::Args;
+use haptimill_calibration::scenario::errors_of;
 use haptimill_client::board::Chosen;
 use haptimill_client::port::{DEFAULT_BAUD, PortSpec};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::compensation::CHAIN;
-use haptimill_machine_file::{MachineFile, stock};
+use haptimill_machine_file::{MachineFile, Problem, stock};
 use haptimill_teleop::script::Script;
 use std::path::{Path, PathBuf};
 
@@ -74,7 +75,16 @@ impl BoardArg {
 /// The file cannot be read, or the controller would refuse its errors.
 pub(super) fn with_errors(machine: &MachineFile, path: &Path) -> Result<MachineFile, CliError> {
     let text = haptimill_machine_file::read_text(path)?;
-    Ok(machine.with_errors(&path.display().to_string(), &text, CHAIN)?)
+    let name = path.display().to_string();
+    let joined = machine.with_errors(&name, &text, CHAIN);
+    joined.map_err(|problems| {
+        // A mistake in the errors has its place in their own file, not in the joined one.
+        let of_errors = |problem: &Problem| problem.key == "compensation.errors";
+        match errors_of(machine, &name, &text) {
+            Err(error) if problems.0.iter().all(of_errors) => error.into(),
+            _ => problems.into(),
+        }
+    })
 }
 
 fn load_machine(path: Option<&PathBuf>) -> Result<MachineFile, CliError> {
