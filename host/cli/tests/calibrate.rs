@@ -311,7 +311,7 @@ fn readings_beyond_the_limits_are_refused() {
                 (150.0, 0.0),
                 (340.0, 0.0),
             ][..],
-            "EXX has positions from -300 to 340 mm, the travel is -325 to 325 mm",
+            "r.csv: line 10: at 340.0000 mm: EXX has a position at 340 mm, the travel is -325 to 325 mm",
         ),
         (
             &[(-10.0, 0.0), (10.0, 0.0)],
@@ -638,7 +638,7 @@ fn wrong_files_of_the_scenario_are_refused() {
         ),
         (
             [&["run", &program][..], &of].concat(),
-            "EXX changes by 1.510 um per mm",
+            "steep.csv: line 7: EXX changes by 1.510 um per mm",
         ),
         (
             [&["calibrate", "rewrite", &program][..], &of].concat(),

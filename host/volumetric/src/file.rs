@@ -349,6 +349,7 @@ fn read_tables(rows: &[Row], limits: &Limits) -> Result<ErrorSet, FileProblem> {
             Name::Function(function) => function,
         };
         let position = row.number(1, "position_mm")?;
+        check_place(row.line, function, position, limits)?;
         let value = row.number(3, "value")? * row.unit(4, function.rotates)?;
         let largest = if function.rotates {
             limits.rotation
@@ -421,6 +422,28 @@ fn check_size(
         largest / one
     );
     Err(problem(line, what, "check the unit, and the machine"))
+}
+
+fn check_place(
+    line: u64,
+    function: Function,
+    position: f64,
+    limits: &Limits,
+) -> Result<(), FileProblem> {
+    let Some(travel) = limits.travel else {
+        return Ok(());
+    };
+    let (low, high) = travel[function.moving.index()];
+    if (low..=high).contains(&position) {
+        return Ok(());
+    }
+    let what =
+        format!("{function} has a position at {position} mm, the travel is {low} to {high} mm");
+    Err(problem(
+        line,
+        what,
+        "use the coordinates of the machine file",
+    ))
 }
 
 fn check_step(
@@ -526,16 +549,6 @@ fn check_cover(
         return Ok(());
     };
     let (low, high) = travel[function.moving.index()];
-    if *first < low || *last > high {
-        let what = format!(
-            "{function} has positions from {first} to {last} mm, the travel is {low} to {high} mm"
-        );
-        return Err(problem(
-            line,
-            what,
-            "use the coordinates of the machine file",
-        ));
-    }
     if first - low > limits.gap || high - last > limits.gap {
         let what =
             format!("{function} covers {first} to {last} mm of the travel {low} to {high} mm");

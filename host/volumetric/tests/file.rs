@@ -121,7 +121,7 @@ fn problems_name_line_and_remedy() {
         ),
         (
             |l| l[3] = "EXX,120,,1.5,um".into(),
-            "the travel is -100 to 100 mm",
+            "line 4: EXX has a position at 120 mm, the travel is -100 to 100 mm; use the coordinates",
         ),
         (|l| drop(l.drain(1..4)), "EXX has no line"),
         (
