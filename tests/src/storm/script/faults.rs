@@ -131,23 +131,34 @@ pub(super) fn fault_sequence(kind: MachineKind, rng: &mut Rng) -> Steps {
             (Stimulus::Send(Command::Enable), 1200),
             (Stimulus::Recover, 200),
         ],
-        1 => vec![
+        1 => {
             // An encoder is reversed, or loses a channel, in a jog.
-            (Stimulus::WaitIdle, 20_000),
-            (single_jog(rng), rng.uniform(50.0, 2500.0) as u32),
-            (
-                Stimulus::InjectFault(if rng.chance(0.6) {
-                    FaultKind::EncoderSwapped { axis }
-                } else {
-                    FaultKind::EncoderStuck {
-                        axis,
-                        channel: rng.choose(&[Channel::A, Channel::B]),
-                        level: rng.choose(&[Level::Low, Level::High]),
-                    }
-                }),
-                2500,
-            ),
-        ],
+            let mut steps = vec![
+                (Stimulus::WaitIdle, 20_000),
+                (single_jog(rng), rng.uniform(50.0, 2500.0) as u32),
+                (
+                    Stimulus::InjectFault(if rng.chance(0.6) {
+                        FaultKind::EncoderSwapped { axis }
+                    } else {
+                        FaultKind::EncoderStuck {
+                            axis,
+                            channel: rng.choose(&[Channel::A, Channel::B]),
+                            level: rng.choose(&[Level::Low, Level::High]),
+                        }
+                    }),
+                    2500,
+                ),
+            ];
+            if rng.chance(0.5) {
+                // It is repaired, and the machine is not homed.
+                steps.extend([
+                    (Stimulus::ClearFaults, 50),
+                    (Stimulus::Send(Command::Reset), 50),
+                    (Stimulus::Send(Command::Enable), 1200),
+                ]);
+            }
+            steps
+        }
         2 => {
             // Slip, noise, a stuck channel and a push follow each other on one joint.
             let channel = rng.choose(&[Channel::A, Channel::B]);
