@@ -100,10 +100,16 @@ impl Descriptor {
         self.pose.iter().position(|axis| axis.role == role)
     }
 
+    /// Indices of x, y and z of the tool tip, of those that the machine has.
+    #[must_use]
+    pub fn tool_tip_parts(&self) -> [Option<usize>; 3] {
+        TOOL_TIP.map(|role| self.coordinate(role))
+    }
+
     /// Indices of x, y and z of the tool tip; `None` if the machine lacks one of them.
     #[must_use]
     pub fn tool_tip(&self) -> Option<[usize; 3]> {
-        let [x, y, z] = TOOL_TIP.map(|role| self.coordinate(role));
+        let [x, y, z] = self.tool_tip_parts();
         Some([x?, y?, z?])
     }
 

@@ -53,7 +53,7 @@ pub struct Preview<M> {
     settings: Settings,
     model: M,
     joints: Vec<Joint>,
-    /// Indices of X, Y and Z in the pose, where the machine has them.
+    /// Indices of x, y and z of the tool tip in the pose, where the machine has them.
     tip: [Option<usize>; 3],
     pose: Coordinates,
     rates: Coordinates,
@@ -65,11 +65,17 @@ pub struct Preview<M> {
 }
 
 impl<M: MachineModel> Preview<M> {
-    /// Creates the preview of a program that starts at a pose, mm and degrees.
-    pub fn new(start: Coordinates, settings: Settings, model: M, joints: Vec<Joint>) -> Self {
-        let index = |letter| settings.pose.iter().position(|axis| axis.letter == letter);
+    /// Creates the preview of a program that starts at a pose, mm and degrees. `tip` has the
+    /// indices of x, y and z of the tool tip in the pose, of those that the machine has.
+    pub fn new(
+        start: Coordinates,
+        settings: Settings,
+        tip: [Option<usize>; 3],
+        model: M,
+        joints: Vec<Joint>,
+    ) -> Self {
         let mut preview = Self {
-            tip: ['X', 'Y', 'Z'].map(index),
+            tip,
             extents: vec![None; joints.len()],
             settings,
             model,

@@ -56,7 +56,8 @@ fn preview(text: &str) -> (Preview<Mill>, String) {
         high: 100.0,
     });
     let mut planner = Planner::new(options.start, settings(), Mill);
-    let mut preview = Preview::new(options.start, settings(), Mill, joints.to_vec());
+    let tip = [Some(0), Some(1), Some(2)];
+    let mut preview = Preview::new(options.start, settings(), tip, Mill, joints.to_vec());
     for step in Interpreter::new(Cursor::new(text.as_bytes()), &options) {
         let step = step.expect("readable");
         planner.step(&step).expect("possible");

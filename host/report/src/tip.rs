@@ -2,7 +2,7 @@
 
 use super::Extent;
 use super::contour::Point;
-use haptimill_kinematics::descriptor::{AxisKind, TOOL_TIP};
+use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_trace::{Axes, Recording};
 
 /// The coordinates of a machine that are x, y and z of the tool tip.
@@ -19,8 +19,8 @@ impl Tip {
     pub fn new(recording: &Recording) -> Self {
         let machine = recording.config().model.descriptor();
         let units = recording.pose_units();
-        let axes = TOOL_TIP.map(|role| {
-            let axis = machine.coordinate(role)?;
+        let axes = machine.tool_tip_parts().map(|axis| {
+            let axis = axis?;
             let is_linear = machine.pose.get(axis)?.kind == AxisKind::Linear;
             Some((axis, *units.get(axis).filter(|_| is_linear)?))
         });

@@ -72,6 +72,7 @@ pub(crate) fn preview<'a>(
     let mut preview = Preview::new(
         options.start,
         program.settings(machine),
+        machine.config.model.descriptor().tool_tip_parts(),
         model,
         joints(machine),
     );

@@ -108,9 +108,8 @@ pub(super) fn rows(
 /// Place of the tool tip, mm; none where the pose is not known.
 pub(super) fn tip(machine: &MachineFile, pose: Option<&AxisValues>) -> Option<[f64; 3]> {
     let pose = pose.filter(|pose| !pose.is_empty())?;
-    let described = machine.config.model.descriptor().pose;
-    Some(['X', 'Y', 'Z'].map(|letter| {
-        let index = described.iter().position(|axis| axis.letter == letter);
+    let parts = machine.config.model.descriptor().tool_tip_parts();
+    Some(parts.map(|index| {
         let value = index.and_then(|index| pose.get(index)).copied();
         f64::from(value.unwrap_or(0)) / per_unit(AxisKind::Linear)
     }))
