@@ -139,15 +139,19 @@ fn a_new_machine_cuts_its_first_pocket() {
     assert_eq!(code, 0, "{err}");
     assert!(out.contains("mine.toml: no problem"), "{out}");
     // The commands that `init` prints.
-    let mut commands = 0;
+    let (mut commands, mut said) = (0, String::new());
     for line in printed.lines() {
         if let Some(command) = line.strip_prefix("  haptimill ") {
             let (code, out, err) = folder.run(&command.split(' ').collect::<Vec<_>>());
             assert_eq!(code, 0, "{command}: {out}{err}");
             commands += 1;
+            said += &out;
+            said += &err;
         }
     }
     assert_eq!(commands, 2, "{printed}");
+    let counted = "position kept (x, y, z: counted steps, not measured)";
+    assert!(said.contains(counted), "{said}");
     assert!(folder.0.join("mill3-pocket.out/report.html").exists());
     let (code, out, err) = folder.run(&["replay", "mill3-pocket.out/recording.hmr"]);
     assert_eq!(code, 0, "{out}{err}");

@@ -167,8 +167,9 @@ impl<'a> Interpreter<'a> {
             Ok(fetched) => fetched,
             Err(error) => {
                 self.finished = true;
-                let what = format!("the file cannot be read: {error}");
-                let mistake = Mistake::new(0, what, "check the disk, or copy the file again");
+                let what = format!("the program cannot be read: {error}");
+                let remedy = "check the disk, or the line over which it comes";
+                let mistake = Mistake::new(0, what, remedy);
                 return Err(self.problem(self.place(0), mistake));
             }
         };

@@ -493,13 +493,14 @@ fn table(page: &mut String, summary: &Summary) {
         (
             "Final state",
             format!(
-                "{}, position {}",
+                "{}, position {}{}",
                 summary.final_state,
                 match summary.final_state.as_str() {
                     "Unknown" => "not known",
                     _ if summary.position_kept => "kept",
                     _ => "lost",
-                }
+                },
+                summary.counted()
             ),
         ),
         ("SHA-256 of the recording", summary.trace_sha256.clone()),

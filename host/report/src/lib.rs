@@ -117,6 +117,9 @@ pub struct Summary {
     pub final_state: String,
     /// The position is known to be right since homing.
     pub position_kept: bool,
+    /// Joints without an encoder: their steps are counted, and lost steps are not detected.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub open_loop_joints: Vec<String>,
     /// Bytes from host to controller per setpoint: frames of messages, framing included.
     pub bytes_per_setpoint: f64,
     /// The same with keep-alive frames and acknowledgements.
@@ -196,6 +199,10 @@ impl Summary {
                 .final_state
                 .map_or("Unknown".to_string(), |state| format!("{state:?}")),
             position_kept: outcome.position_kept,
+            open_loop_joints: (header.joints.iter().zip(&recording.config().joints))
+                .filter(|(_, joint)| joint.is_open_loop())
+                .map(|(name, _)| name.clone())
+                .collect(),
             bytes_per_setpoint: outcome.bytes_per_setpoint,
             line_bytes_per_setpoint: outcome.line_bytes_per_setpoint,
             volumetric_compensation: statistics.compensation(),
@@ -285,8 +292,17 @@ impl Summary {
         for fault in &self.faults {
             text.push_str(&format!("fault: {fault}\n"));
         }
-        text.push_str(&format!("{}, {kept}\n", self.final_state));
+        text.push_str(&format!("{}, {kept}{}\n", self.final_state, self.counted()));
         text
+    }
+
+    /// The joints without an encoder if the position is kept: it is not measured there.
+    fn counted(&self) -> String {
+        if self.open_loop_joints.is_empty() || !self.position_kept {
+            return String::new();
+        }
+        let joints = self.open_loop_joints.join(", ");
+        format!(" ({joints}: counted steps, not measured)")
     }
 }
 

@@ -6,7 +6,10 @@ use crate::commands::interrupt;
 use clap::{Args, ValueEnum};
 use haptimill_client::port::{Flow, SerialTransport, Transport as _};
 use haptimill_machine_file::input;
-use std::sync::atomic::Ordering;
+use std::fs::File;
+use std::io::{self, Read, Write as _};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 const LONG: &str = "\
@@ -17,7 +20,12 @@ keeps what was received. The program ends with the second %, with M2 or M30, or 
 It is received whole and checked before anything moves, then it runs as `haptimill run FILE` does, \
 with the same options. These, the port and the folder of the results are checked before the line \
 is read. A line that falls silent for --silence seconds in the middle of the program \
-is an error that names the last block; nothing moves.";
+is an error that names the last block; nothing moves.
+
+With --stream the program runs as it comes, for programs of any length. The machine homes when the \
+first byte has come, and waits at standstill where the line is slower than the machine. Where the \
+line is cut, or a block cannot be done, the machine stops along its path, and the error names the \
+last block that came and the last one done.";
 
 /// Arguments of `haptimill dnc`.
 #[derive(Debug, Clone, Args)]
@@ -65,6 +73,9 @@ impl From<FlowArg> for Flow {
 /// Longest wait for bytes between two looks at Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 
+/// Most bytes of a line of the program.
+const LONGEST_LINE: usize = 1 << 16;
+
 /// Receives a program and runs it.
 ///
 /// # Errors
@@ -74,35 +85,23 @@ pub fn run(args: DncArgs) -> Result<(), CliError> {
     // is replaced.
     run::check_before_program(&args.run)?;
     output::check_writable(&args.run.program)?;
-    let mut line = SerialTransport::open_with_flow(&args.line, args.line_baud, args.flow.into())?;
-    let interrupted = interrupt::flag();
-    let mut program = Received::default();
-    let mut buffer = [0; 4096];
-    let mut last_byte = Instant::now();
+    let mut reception = Reception::open(&args)?;
     if !args.run.json && !args.run.quiet {
         print_line!("receiving on {}; Ctrl-C stops", args.line);
     }
-    while !program.is_complete() {
-        if interrupted.load(Ordering::Relaxed) {
-            let what = "stopped by the user before the program was complete; nothing moved";
-            return Err(CliError::new(Exit::Stopped, what));
-        }
-        let count = match line.read(&mut buffer, POLL) {
-            Ok(count) => count,
-            Err(error) => return Err(program.cut(&args.line, &error.to_string())),
-        };
-        if count > 0 {
-            last_byte = Instant::now();
-            program.add(&buffer[..count]);
-            if program.text.len() as u64 > input::PROGRAM_BYTES {
-                let what = format!("more than {} bytes", input::PROGRAM_BYTES);
-                return Err(program.cut(&args.line, &what));
-            }
-        } else if program.has_begun() && last_byte.elapsed().as_secs_f64() > args.silence {
-            let what = format!("nothing was received for {} s", args.silence);
-            return Err(program.cut(&args.line, &what));
-        }
+    if args.run.stream {
+        return run_as_it_comes(args.run, reception);
     }
+    let program = loop {
+        if reception.program.is_complete() {
+            break reception.program;
+        }
+        reception.receive().map_err(Cut::before_motion)?;
+        if reception.program.text.len() as u64 > input::PROGRAM_BYTES {
+            let why = format!("more than {} bytes", input::PROGRAM_BYTES);
+            return Err(reception.cut(&why).before_motion());
+        }
+    };
     let file = &args.run.program;
     output::save(file, &program.text)?;
     if !args.run.json && !args.run.quiet {
@@ -110,6 +109,166 @@ pub fn run(args: DncArgs) -> Result<(), CliError> {
         print_line!("{}: {lines} received", file.display());
     }
     run::run(args.run)
+}
+
+/// Runs a program while it comes.
+fn run_as_it_comes(args: RunArgs, mut reception: Reception) -> Result<(), CliError> {
+    // The machine is homed when a program comes, not before.
+    while !reception.program.has_begun() {
+        reception.receive().map_err(Cut::before_motion)?;
+    }
+    let file = &args.program;
+    let kept = File::create(file).map_err(|error| output::write_error(file, error))?;
+    let is_cut = Arc::new(AtomicBool::new(false));
+    let lines = Lines {
+        reception,
+        ready: io::Cursor::default(),
+        kept,
+        is_cut: Arc::clone(&is_cut),
+    };
+    run::run_live(args, Box::new(lines)).map_err(|error| CliError {
+        exit: if is_cut.load(Ordering::Relaxed) {
+            Exit::Port
+        } else {
+            error.exit
+        },
+        ..error
+    })
+}
+
+/// A serial line and the program that comes over it.
+struct Reception {
+    line: SerialTransport,
+    name: String,
+    /// Longest silence in the middle of the program, s.
+    silence: f64,
+    /// Time for which no byte came while one was waited for.
+    silent: Duration,
+    interrupted: Arc<AtomicBool>,
+    program: Received,
+}
+
+impl Reception {
+    fn open(args: &DncArgs) -> Result<Self, CliError> {
+        Ok(Self {
+            line: SerialTransport::open_with_flow(&args.line, args.line_baud, args.flow.into())?,
+            name: args.line.clone(),
+            silence: args.silence,
+            silent: Duration::ZERO,
+            interrupted: interrupt::flag(),
+            program: Received::default(),
+        })
+    }
+
+    /// Waits for bytes, for a short time.
+    fn receive(&mut self) -> Result<(), Cut> {
+        if self.interrupted.load(Ordering::Relaxed) {
+            return Err(Cut::Stopped);
+        }
+        let mut buffer = [0; 4096];
+        let start = Instant::now();
+        let count = match self.line.read(&mut buffer, POLL) {
+            Ok(count) => count,
+            Err(error) => return Err(self.cut(&error.to_string())),
+        };
+        if count > 0 {
+            self.silent = Duration::ZERO;
+            self.program.add(&buffer[..count]);
+            return Ok(());
+        }
+        if self.program.has_begun() {
+            // A machine that does not take the program is not a silent line.
+            self.silent += start.elapsed();
+        }
+        if self.silent.as_secs_f64() > self.silence {
+            let why = format!("nothing was received for {} s", self.silence);
+            return Err(self.cut(&why));
+        }
+        Ok(())
+    }
+
+    fn cut(&self, why: &str) -> Cut {
+        let last = self.program.last();
+        Cut::Line(format!(
+            "{}: the program ended before its end: {why}; {last}",
+            self.name
+        ))
+    }
+}
+
+/// Why a program ended before its end.
+#[derive(Debug)]
+enum Cut {
+    /// The user stopped the command.
+    Stopped,
+    /// The line failed or fell silent: what happened, and the last block.
+    Line(String),
+}
+
+impl Cut {
+    /// The error of a command that has not moved the machine.
+    fn before_motion(self) -> CliError {
+        match self {
+            Self::Stopped => {
+                let what = "stopped by the user before the program was complete; nothing moved";
+                CliError::new(Exit::Stopped, what)
+            }
+            Self::Line(what) => {
+                let what = format!(
+                    "{what}; nothing moved. Check the cable, and that both ends have the same \
+                     baud rate and flow control"
+                );
+                CliError::new(Exit::Port, what)
+            }
+        }
+    }
+}
+
+/// The lines of a program as they come.
+struct Lines {
+    reception: Reception,
+    /// Complete lines that were not read yet.
+    ready: io::Cursor<Vec<u8>>,
+    /// The file that keeps the program.
+    kept: File,
+    is_cut: Arc<AtomicBool>,
+}
+
+impl Read for Lines {
+    /// Waits for a line; no byte is the end of the program.
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        loop {
+            let count = self.ready.read(buffer)?;
+            if count > 0 {
+                return Ok(count);
+            }
+            let lines = self.reception.program.take_lines();
+            if !lines.is_empty() {
+                self.kept.write_all(&lines)?;
+                self.ready = io::Cursor::new(lines);
+                continue;
+            }
+            if self.reception.program.is_complete() {
+                return Ok(0);
+            }
+            let received = self.reception.receive().and_then(|()| {
+                if self.reception.program.text.len() > LONGEST_LINE {
+                    let why = format!("a line of more than {LONGEST_LINE} bytes");
+                    return Err(self.reception.cut(&why));
+                }
+                Ok(())
+            });
+            match received {
+                Ok(()) => {}
+                // The session stops the machine.
+                Err(Cut::Stopped) => return Ok(0),
+                Err(Cut::Line(what)) => {
+                    self.is_cut.store(true, Ordering::Relaxed);
+                    return Err(io::Error::other(what));
+                }
+            }
+        }
+    }
 }
 
 /// A program that is being received.
@@ -120,6 +279,8 @@ struct Received {
     lines: u32,
     /// Start of the line that is not complete yet.
     start: usize,
+    /// The last line ended with a carriage return.
+    has_return: bool,
     /// The last complete line that is a block.
     last_block: String,
     /// A tape mark was received before the first block.
@@ -152,9 +313,9 @@ impl Received {
 
     fn end_line(&mut self) {
         let line = String::from_utf8_lossy(&self.text[self.start..]).into_owned();
-        let is_line_feed_of_return =
-            line == "\n" && self.start > 0 && self.text.get(self.start - 1) == Some(&b'\r');
+        let is_line_feed_of_return = line == "\n" && self.has_return;
         self.start = self.text.len();
+        self.has_return = line.ends_with('\r');
         if is_line_feed_of_return {
             return;
         }
@@ -172,29 +333,30 @@ impl Received {
         }
     }
 
+    /// Takes the complete lines.
+    fn take_lines(&mut self) -> Vec<u8> {
+        let rest = self.text.split_off(self.start);
+        self.start = 0;
+        std::mem::replace(&mut self.text, rest)
+    }
+
     const fn is_complete(&self) -> bool {
         self.ended
     }
 
     const fn has_begun(&self) -> bool {
-        !self.text.is_empty()
+        !self.text.is_empty() || self.lines > 0
     }
 
-    /// The error of a program that ended before its end.
-    fn cut(&self, line: &str, why: &str) -> CliError {
-        let last = if self.last_block.is_empty() {
-            "no block was received".to_string()
-        } else {
-            format!(
-                "the last block was line {}, {}",
-                self.lines, self.last_block
-            )
-        };
-        let what = format!(
-            "{line}: the program ended before its end: {why}; {last}; nothing moved. Check the \
-             cable, and that both ends have the same baud rate and flow control"
-        );
-        CliError::new(Exit::Port, what)
+    /// The last block, as a part of a sentence.
+    fn last(&self) -> String {
+        if self.last_block.is_empty() {
+            return "no block was received".to_string();
+        }
+        format!(
+            "the last block was line {}, {}",
+            self.lines, self.last_block
+        )
     }
 }
 
@@ -263,9 +425,21 @@ mod tests {
 
     #[test]
     fn a_cut_names_the_last_block() {
-        let error = received("G0 X1\nG1 X2 F100\nG1 X").cut("line", "silence");
-        assert!(error.message.contains("line 2, G1 X2 F100;"), "{error}");
-        let error = received("").cut("line", "silence");
-        assert!(error.message.contains("no block"), "{error}");
+        let last = received("G0 X1\nG1 X2 F100\nG1 X").last();
+        assert_eq!(last, "the last block was line 2, G1 X2 F100");
+        assert_eq!(received("").last(), "no block was received");
+    }
+
+    #[test]
+    fn lines_are_taken_as_they_come() {
+        let text = "%\r\nG0 X1\r\nM30\r\n%\r\n";
+        let (mut program, mut taken) = (Received::default(), Vec::new());
+        for byte in text.as_bytes() {
+            program.add(std::slice::from_ref(byte));
+            taken.extend(program.take_lines());
+            assert!(program.text.len() < 6);
+        }
+        assert!(program.is_complete());
+        assert_eq!((taken, program.lines), (received(text).text, 4));
     }
 }

@@ -396,4 +396,24 @@ mod tests {
     fn command_definition_is_valid() {
         Cli::command().debug_assert();
     }
+
+    /// Other computers reach only an address that the command line names.
+    #[test]
+    fn default_addresses_are_local() {
+        fn defaults(command: &clap::Command) -> Vec<String> {
+            let listens = |arg: &&clap::Arg| arg.get_long() == Some("listen");
+            let own = command.get_arguments().filter(listens);
+            let own = own.flat_map(clap::Arg::get_default_values);
+            let own = own.map(|value| value.to_string_lossy().into_owned());
+            own.chain(command.get_subcommands().flat_map(defaults))
+                .collect()
+        }
+        let found = defaults(&Cli::command());
+        assert!(found.len() >= 2, "{found:?}");
+        for value in found {
+            let address = value.parse::<std::net::SocketAddr>();
+            let is_local = address.is_ok_and(|address| address.ip().is_loopback());
+            assert!(value == "pty" || is_local, "{value}");
+        }
+    }
 }

@@ -1,8 +1,9 @@
 //! `haptimill dnc`: programs over a pseudo-terminal in place of the serial line.
 
-use crate::scene::{TestFolder, number, start};
+use crate::scene::{SimServer, TestFolder, number, start};
+use crate::stream::last_x;
 use haptimill_client::port::{PtyServer, Transport as _};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Sends bytes on the line.
 fn send(line: &mut PtyServer, mut bytes: &[u8]) {
@@ -67,4 +68,60 @@ fn a_line_that_is_cut_names_the_last_block_and_nothing_moves() {
     );
     assert!(cut.err.contains("nothing moved"), "{}", cut.err);
     assert!(!std::path::Path::new(&out).exists());
+}
+
+/// Each move ends before its successor comes; then the line is cut in the middle of a block.
+#[test]
+fn a_program_runs_as_it_comes_and_stops_where_the_line_is_cut() {
+    let folder = TestFolder::new();
+    let (file, out) = (folder.path("came.ngc"), folder.path("out"));
+    let served = SimServer::on_tcp(&[]);
+    let mut line = PtyServer::open().unwrap();
+    let name = line.name().to_string();
+    let arguments = [
+        "dnc",
+        &file,
+        "--stream",
+        "--line",
+        &name,
+        "--silence",
+        "3",
+        "--out",
+        &out,
+        "--port",
+        &served.port,
+    ];
+    let mut dnc = start(&arguments);
+    dnc.wait_for_output("receiving");
+    send(&mut line, b"%\r\nG21 G90 F900\r\n");
+    let recording = folder.path("out/recording.hmr");
+    let reaches = |x: f64, within_s: u64| {
+        let start = Instant::now();
+        while last_x(&recording).is_none_or(|at| (at - x).abs() > 1e-3) {
+            assert!(start.elapsed().as_secs() < within_s, "X{x} is not reached");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    };
+    send(&mut line, b"G1 X2\r\n");
+    // The line is not silent while the machine homes.
+    dnc.wait_for_output("running");
+    reaches(2.0, 60);
+    send(&mut line, b"G1 X3.5\r\n");
+    reaches(3.5, 60);
+    send(&mut line, b"G1 X-1\r\nG1 X");
+    let cut = dnc.end().expect_code(5);
+    assert!(cut.err.contains("line 5, G1 X-1"), "{}", cut.err);
+    assert!(
+        cut.err.contains("the last block done is line 5"),
+        "{}",
+        cut.err
+    );
+    assert_eq!(folder.summary("out")["completed"], false);
+    assert!(folder.read("came.ngc").ends_with("G1 X-1\r\n"));
+    let status = served.status();
+    assert_eq!(status["state"], "Idle", "{status:#}");
+    assert!(
+        (number(&status["commanded"], "x") + 1.0).abs() < 1e-4,
+        "{status:#}"
+    );
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// X of the last record, mm; `None` as long as there is none.
-fn last_x(recording: &str) -> Option<f64> {
+pub fn last_x(recording: &str) -> Option<f64> {
     let recording = Recording::open(Path::new(recording)).ok()?;
     let last = recording.iter().ok()?.map_while(Result::ok).last()?;
     Some(f64::from(last.commanded[0]) / 1_048_576.0)

@@ -72,6 +72,7 @@ fn a_stream_stops_before_a_block_that_cannot_be_done() {
         assert!(ran.err.contains(last), "{mistake}: {}", ran.err);
         let summary = folder.summary("out");
         assert_eq!(summary["final_state"], "Idle", "{mistake}");
+        assert_eq!(summary["completed"], false, "{mistake}");
         assert_eq!(summary["faults"].as_array().map(Vec::len), Some(0));
         let length = number(&summary, "path_length_mm");
         assert!((length - 9.0).abs() < 0.1, "{mistake}: {length} mm");

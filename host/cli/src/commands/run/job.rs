@@ -4,7 +4,7 @@ use super::args::RunArgs;
 use super::operator::Operator;
 use super::progress::ProgressDisplay;
 use super::results::{self, ResultFolder};
-use super::stream::{self, Bytes, StreamOptions};
+use super::stream::{self, Bytes, StreamEnd, StreamOptions};
 use super::supply::Supply;
 use crate::commands::force::ForceAxes;
 use crate::commands::operator_input::Input;
@@ -233,13 +233,14 @@ impl Job<'_> {
             .args
             .keep(self.machine)
             .describe(self.machine.config.period_us);
+        let is_whole = !stream_end.as_ref().is_some_and(StreamEnd::has_error);
         let outcome = match &end {
             Ok(end) => Outcome {
                 setpoints: u64::from(end.setpoints),
                 underruns: end.underruns.len() as u64,
                 faults: describe_faults(session, end),
                 injected,
-                completed: matches!(end.ending, JobEnding::Done { .. }),
+                completed: is_whole && matches!(end.ending, JobEnding::Done { .. }),
                 final_state: Some(end.status.state),
                 position_kept: end.status.position_kept,
                 bytes_per_setpoint: f64::from(end.sent.message_bytes)
@@ -341,7 +342,7 @@ impl Job<'_> {
             is_live,
             waits: self.args.port.is_simulated(),
             refuses_pauses: !self.args.skips_pauses()
-                && (is_live || !std::io::stdin().is_terminal()),
+                && (self.args.reads_stdin() || !std::io::stdin().is_terminal()),
             print: Box::new(move |text| {
                 if !is_quiet {
                     print_line!("{text}");

@@ -27,6 +27,7 @@ use haptimill_report::count;
 use job::{Job, Work};
 use parts::Questions;
 use results::ResultFolder;
+use std::io::Read;
 
 pub use args::RunArgs;
 pub(super) use args::{bytes_per_s, faults_help};
@@ -39,6 +40,18 @@ const ANNOUNCED_BYTES: f64 = 100e6;
 /// # Errors
 /// See [`Exit`].
 pub fn run(args: RunArgs) -> Result<(), CliError> {
+    run_from(args, None)
+}
+
+/// Runs a part program while it comes; `args.program` is its name.
+///
+/// # Errors
+/// See [`Exit`].
+pub(super) fn run_live(args: RunArgs, input: Box<dyn Read + Send>) -> Result<(), CliError> {
+    run_from(args, Some(input))
+}
+
+fn run_from(args: RunArgs, input: Option<Box<dyn Read + Send>>) -> Result<(), CliError> {
     args.check()?;
     let chosen = args.machine.load()?;
     let machine = chosen.file.clone();
@@ -60,7 +73,10 @@ pub fn run(args: RunArgs) -> Result<(), CliError> {
     }
     let stock = args.stock.load(&machine)?;
     let work = if args.stream {
-        let (bytes, is_live) = stream::open(&args.program)?;
+        let (bytes, is_live) = match input {
+            Some(input) => (stream::spool(input)?, true),
+            None => stream::open(&args.program)?,
+        };
         Work::Stream(bytes, is_live)
     } else {
         // The steps are interpreted once. Only a program that asks the machine is interpreted

@@ -46,15 +46,7 @@ pub(super) type Bytes = Box<dyn ProgramBytes + Send>;
 /// The file cannot be read.
 pub(super) fn open(path: &Path) -> Result<(Bytes, bool), CliError> {
     if path == Path::new("-") {
-        let spool = Spool::new(io::stdin()).map_err(|error| {
-            let what = format!(
-                "standard input: a file for the lines that were read cannot be made in {}: {error}; \
-                 set TMPDIR to a folder on a disk with space",
-                std::env::temp_dir().display()
-            );
-            CliError::new(Exit::Output, what)
-        })?;
-        return Ok((Box::new(spool), true));
+        return Ok((spool(Box::new(io::stdin()))?, true));
     }
     let unreadable =
         |error: io::Error| CliError::new(Exit::BadInput, format!("{}: {error}", path.display()));
@@ -64,6 +56,22 @@ pub(super) fn open(path: &Path) -> Result<(Bytes, bool), CliError> {
         return Err(CliError::new(Exit::BadInput, what));
     }
     Ok((Box::new(file), false))
+}
+
+/// The bytes of a program that comes while it runs.
+///
+/// # Errors
+/// No temporary file can be made.
+pub(super) fn spool(input: Box<dyn Read + Send>) -> Result<Bytes, CliError> {
+    let spool = Spool::new(input).map_err(|error| {
+        let what = format!(
+            "a file for the lines that were read cannot be made in {}: {error}; set TMPDIR to a \
+             folder on a disk with space",
+            std::env::temp_dir().display()
+        );
+        CliError::new(Exit::Output, what)
+    })?;
+    Ok(Box::new(spool))
 }
 
 /// A stream that can go back: what was read is kept in a file without a name, because loops and
@@ -141,6 +149,11 @@ impl StreamEnd {
     /// Whether nothing moved before the end.
     pub(super) fn is_empty(&self) -> bool {
         self.lock().is_empty
+    }
+
+    /// Whether the program ended before its end.
+    pub(super) fn has_error(&self) -> bool {
+        self.lock().error.is_some()
     }
 
     /// Takes the reason why the program ended before its end.
