@@ -120,6 +120,63 @@ fn tilted_cylinder() {
     assert!((cylindricity_zone(&points).unwrap() - 0.003).abs() < 1e-5);
 }
 
+/// Orientation and position against figures of known errors, by hand: a part that is turned by
+/// 10 mrad on the measuring machine, whose sides are off by small angles in the part.
+#[test]
+fn orientation_and_position() {
+    let turn = 0.01_f64;
+    let placed = |[x, y]: [f64; 2]| {
+        let (sine, cosine) = turn.sin_cos();
+        [3.0 + cosine * x - sine * y, -2.0 + sine * x + cosine * y]
+    };
+    // 15 points over 140 mm from a point, in a direction by its angle from x.
+    let side = |from: [f64; 2], angle: f64| -> Vec<[f64; 2]> {
+        let (sine, cosine) = angle.sin_cos();
+        let point = |step: i32| {
+            let along = 10.0 * f64::from(step);
+            placed([from[0] + along * cosine, from[1] + along * sine])
+        };
+        (-7..=7).map(point).collect()
+    };
+    let close = |value: f64, expected: f64| {
+        assert!((value - expected).abs() < 1e-9, "{value} {expected}");
+    };
+    let datum = fit_line(&side([0.0, -80.0], 0.0)).unwrap();
+    for off in [0.0_f64, 2e-5, -3e-5] {
+        let range = 140.0 * off.sin().abs();
+        close(
+            perpendicularity(&side([80.0, 0.0], TAU / 4.0 + off), &datum),
+            range,
+        );
+        close(parallelism(&side([0.0, 80.0], off), &datum), range);
+        for nominal in [30.0_f64, 120.0, 210.0, 300.0] {
+            let angle = nominal.to_radians();
+            let (sine, cosine) = angle.sin_cos();
+            let normal = [sine, -cosine];
+            let from = normal.map(|part| 54.0 * part);
+            close(angularity(&side(from, angle + off), normal, &datum), range);
+        }
+    }
+    // A form error counts in an orientation: one point 4 um out of a side.
+    let mut bent = side([0.0, 80.0], 0.0);
+    bent[3][0] += 0.004 * -turn.sin();
+    bent[3][1] += 0.004 * turn.cos();
+    close(parallelism(&bent, &datum), 0.004);
+    // A hole 3 um and 4 um off its place in the part: a zone of 10 um, however the part lies.
+    let origin = placed([0.0, 0.0]);
+    let hole = placed([52.003, -51.996]);
+    close(
+        position(in_datum(hole, origin, &datum), [52.0, -52.0]),
+        0.010,
+    );
+    close(concentricity(hole, placed([52.0, -52.0])), 0.010);
+    // An axis that leans by 30 urad and 40 urad over 50 mm: 2.5 um.
+    close(
+        axis_perpendicularity(Vector::new(3e-5, -4e-5, 1.0), 50.0),
+        0.0025,
+    );
+}
+
 /// Line fits of the published tables of a coordinate measuring machine.
 #[test]
 fn published_lines() {
