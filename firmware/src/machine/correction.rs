@@ -44,12 +44,11 @@ impl Machine {
     /// The pose of the tool from the pose of the joints: the correction is subtracted.
     #[inline]
     pub(super) fn uncorrected(&self, mut pose: Pose) -> Pose {
-        if let (Some(compensation), Some(config)) = (&self.compensation, &self.config.volumetric)
+        if let Some(compensation) = &self.compensation
             && compensation.is_active()
         {
-            let errors = compensation.error_at(config, &pose.0);
-            for (coordinate, error) in pose.0.iter_mut().zip(errors) {
-                *coordinate = Coordinate(coordinate.0.saturating_add(error));
+            for (coordinate, taken) in pose.0.iter_mut().zip(compensation.taken()) {
+                *coordinate = Coordinate(coordinate.0.saturating_add(taken));
             }
         }
         pose
