@@ -3,8 +3,9 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use haptimill_engrave::drawing::Drawing;
 use haptimill_engrave::gcode::{Rates, program};
-use haptimill_engrave::job::{Job, Operation, Options, plan};
+use haptimill_engrave::job::{Job, Operation, Options, Ordering, plan};
 use haptimill_engrave::read::{ReadOptions, read};
+use haptimill_engrave::shape::Clearing;
 use std::hint::black_box;
 
 /// A DXF of lines of 1 to 8 units at places of a linear congruential generator.
@@ -26,6 +27,19 @@ fn random_lines(count: usize) -> Vec<u8> {
         );
         let (u, v) = (x + length * angle.cos(), y + length * angle.sin());
         text += &format!("0\nLINE\n8\n0\n10\n{x:.4}\n20\n{y:.4}\n11\n{u:.4}\n21\n{v:.4}\n");
+    }
+    text += "0\nENDSEC\n0\nEOF\n";
+    text.into_bytes()
+}
+
+/// A DXF of circles of 8 units with an island of 2 units, in rows.
+fn washers(count: usize) -> Vec<u8> {
+    let mut text = String::from("0\nSECTION\n2\nENTITIES\n");
+    for k in 0..count {
+        let (x, y) = ((k % 20) as f64 * 20.0, (k / 20) as f64 * 20.0);
+        for radius in [8.0, 2.0] {
+            text += &format!("0\nCIRCLE\n8\n0\n10\n{x:.4}\n20\n{y:.4}\n40\n{radius}\n");
+        }
     }
     text += "0\nENDSEC\n0\nEOF\n";
     text.into_bytes()
@@ -63,24 +77,40 @@ fn benchmarks(criterion: &mut Criterion) {
                 .iter(|| plan(&drawing(black_box(&bytes)), &Options::default()).map(|j| text(&j)))
         });
     }
+    group.bench_function("order greedy 50000 lines", |bencher| {
+        let lines = drawing(&random_lines(50_000));
+        let greedy = Options {
+            ordering: Ordering::Greedy,
+            ..Options::default()
+        };
+        bencher.iter(|| plan(black_box(&lines), &greedy))
+    });
     let path = format!("{}/../../examples/plate.dxf", env!("CARGO_MANIFEST_DIR"));
-    let plate = drawing(&std::fs::read(path).expect("the example is there"));
-    let mut pockets = plate;
-    let picture = haptimill_engrave::drawing::LayerChoice {
+    let mut picture = drawing(&std::fs::read(path).expect("the example is there"));
+    let layer = haptimill_engrave::drawing::LayerChoice {
         only: vec!["PICTURE".into()],
         without: Vec::new(),
     };
-    pockets.select_layers(&picture).expect("the layer is there");
-    let options = Options {
-        operation: Operation::Pocket,
-        tool_mm: 0.3,
-        step_mm: 0.3,
-        ..Options::default()
-    };
-    group.throughput(Throughput::Elements(1));
-    group.bench_function("clear the picture of the plate", |bencher| {
-        bencher.iter(|| plan(black_box(&pockets), &options))
-    });
+    picture.select_layers(&layer).expect("the layer is there");
+    let washers = drawing(&washers(400));
+    for (name, drawing, tool_mm) in [
+        ("the picture of the plate", &picture, 0.3),
+        ("400 washers", &washers, 1.0),
+    ] {
+        group.throughput(Throughput::Elements(drawing.paths.len() as u64));
+        for clearing in [Clearing::Contour, Clearing::Zigzag, Clearing::OneWay] {
+            let options = Options {
+                operation: Operation::Pocket,
+                clearing,
+                tool_mm,
+                step_mm: tool_mm,
+                ..Options::default()
+            };
+            group.bench_function(format!("clear {name}, {clearing:?}"), |bencher| {
+                bencher.iter(|| plan(black_box(drawing), &options).expect("a pocket"))
+            });
+        }
+    }
     group.finish();
 }
 

@@ -9,10 +9,6 @@ use crate::order::{Effort, order_passes, order_paths};
 use crate::shape::Region;
 use crate::toolpath::{Cut, Depths, Step, cut_path, leads};
 
-/// Largest number of entities for which the greedy conditions are computed beside another order;
-/// their time grows with its square.
-const GREEDY_LIMIT: usize = 3_000;
-
 pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     if drawing.paths.is_empty() {
         return Err(nothing("paths to trace"));
@@ -172,18 +168,13 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
             })
         })
         .collect();
-    let shown = if options.ordering == Ordering::Greedy || ends.len() <= GREEDY_LIMIT {
-        &Condition::ALL[..]
-    } else {
-        &Condition::ALL[..1]
-    };
     let depths = options.depths();
     let cut_all =
         |paths: &[Path]| -> Vec<Cut> { paths.iter().map(|path| cut_path(path, &depths)).collect() };
     // The conditions decide by one pass; the lengths are those of all passes.
     let mut best: Vec<Cut> = Vec::new();
     let mut least = f64::INFINITY;
-    for &condition in shown {
+    for condition in Condition::ALL {
         let order = edges::order(&ends, condition, options.reference).order;
         let cuts = cut_all(&join_continuous(
             order.iter().map(|&index| &commands[index]),
@@ -203,9 +194,11 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
     if options.ordering == Ordering::Short {
         let passes = depths.levels.len();
         let tour = order_passes(&chains, passes, options.reference, Effort::default());
-        // Chains stay whole in the tour, not in the orders above: one of these may be shorter.
-        if tour.air_mm <= least + 1e-9 {
-            best = cut_all(&tour.apply(&chains));
+        let cuts = cut_all(&tour.apply(&chains));
+        // Chains stay whole in the tour, not in the orders above: one of these may be shorter. What
+        // counts is what is cut: after a ramp a closed path ends beside its start.
+        if measured(&cuts, name, options).lengths.air_mm <= least + 1e-9 {
+            best = cuts;
             job.proven = tour.proven;
         } else {
             name = "chosen: best of the above";

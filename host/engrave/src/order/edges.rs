@@ -4,6 +4,7 @@
 //! Commands are never reversed. A command that starts where the last one ended follows without a
 //! lift; only without one is a new path chosen.
 
+use super::starts::Starts;
 use crate::geometry::{Point, distance};
 use serde::Serialize;
 
@@ -86,43 +87,14 @@ pub fn air(commands: &[Ends], order: &[usize], reference: Point) -> (f64, usize)
     (total + distance(at, reference), lifts)
 }
 
-/// The order of a condition. Ties go to the command that comes first in the file. Takes time in
-/// proportion to the square of the number of commands.
+/// The order of a condition. Ties go to the command that comes first in the file.
 #[must_use]
 pub fn order(commands: &[Ends], condition: Condition, reference: Point) -> Ordered {
-    let nearest = |left: &[usize], to: Point| {
-        let mut best: Option<(f64, usize)> = None;
-        for (place, &index) in left.iter().enumerate() {
-            let off = distance(commands[index].start, to);
-            if best.is_none_or(|(least, _)| off < least) {
-                best = Some((off, place));
-            }
-        }
-        best.map_or(0, |(_, place)| place)
+    let order = if condition == Condition::File {
+        (0..commands.len()).collect()
+    } else {
+        greedy(commands, condition, reference)
     };
-    let mut order: Vec<usize> = (0..commands.len()).collect();
-    if condition != Condition::File && !commands.is_empty() {
-        let mut left = std::mem::take(&mut order);
-        let first = match condition {
-            Condition::NearestReference | Condition::NearestLift => nearest(&left, reference),
-            _ => 0,
-        };
-        let mut end = commands[left[first]].end;
-        order.push(left.remove(first));
-        while !left.is_empty() {
-            let follows = left
-                .iter()
-                .position(|&index| distance(commands[index].start, end) <= CONTINUOUS);
-            let place = follows.unwrap_or_else(|| match condition {
-                Condition::FirstReference | Condition::NearestReference => {
-                    nearest(&left, reference)
-                }
-                _ => nearest(&left, end),
-            });
-            end = commands[left[place]].end;
-            order.push(left.remove(place));
-        }
-    }
     let (air_mm, lifts) = air(commands, &order, reference);
     Ordered {
         condition,
@@ -130,6 +102,38 @@ pub fn order(commands: &[Ends], condition: Condition, reference: Point) -> Order
         air_mm,
         lifts,
     }
+}
+
+fn greedy(commands: &[Ends], condition: Condition, reference: Point) -> Vec<usize> {
+    let mut starts = Starts::new(commands.iter().map(|one| one.start));
+    let mut order = Vec::with_capacity(commands.len());
+    let first = match condition {
+        Condition::NearestReference | Condition::NearestLift => starts.nearest(reference),
+        _ => starts.first(),
+    };
+    // The starts do not move away from the reference: one sorting replaces all searches.
+    let mut by_reference = match condition {
+        Condition::FirstReference | Condition::NearestReference => {
+            let off = |(index, one): (u32, &Ends)| (distance(one.start, reference), index);
+            let mut all: Vec<(f64, u32)> = (0..).zip(commands).map(off).collect();
+            all.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            Some(all.into_iter().map(|(_, index)| index as usize))
+        }
+        _ => None,
+    };
+    let mut next = first;
+    while let Some(index) = next {
+        order.push(index);
+        starts.remove(index);
+        let end = commands[index].end;
+        next = starts.first_within(end, CONTINUOUS).or_else(|| {
+            by_reference.as_mut().map_or_else(
+                || starts.nearest(end),
+                |all| all.find(|&index| starts.is_left(index)),
+            )
+        });
+    }
+    order
 }
 
 /// The shortest of the file order and the four conditions; of equal ones the first.
@@ -147,4 +151,88 @@ pub fn analyse(commands: &[Ends], reference: Point) -> Ordered {
             best
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use proptest::test_runner::RngSeed;
+
+    /// The greedy order as section 4.2.1 words it: all commands that are left are looked through.
+    fn by_full_search(commands: &[Ends], condition: Condition, reference: Point) -> Vec<usize> {
+        let nearest = |left: &[usize], to: Point| {
+            let off = |place: &usize| distance(commands[left[*place]].start, to);
+            let mut best = 0;
+            for place in 1..left.len() {
+                if off(&place) < off(&best) {
+                    best = place;
+                }
+            }
+            best
+        };
+        let mut left: Vec<usize> = (0..commands.len()).collect();
+        let first = match condition {
+            Condition::NearestReference | Condition::NearestLift => nearest(&left, reference),
+            _ => 0,
+        };
+        let mut order = vec![left.remove(first)];
+        while !left.is_empty() {
+            let end = commands[order[order.len() - 1]].end;
+            let follows = |&index: &usize| distance(commands[index].start, end) <= CONTINUOUS;
+            let to = match condition {
+                Condition::FirstReference | Condition::NearestReference => reference,
+                _ => end,
+            };
+            let place = left.iter().position(follows);
+            order.push(left.remove(place.unwrap_or_else(|| nearest(&left, to))));
+        }
+        order
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig {
+            rng_seed: RngSeed::Fixed(1),
+            failure_persistence: None,
+            ..ProptestConfig::default()
+        })]
+
+        /// On a coarse grid many commands join, begin in one place or are equally near; some gaps
+        /// are the largest that counts as continuous.
+        #[test]
+        fn the_order_is_that_of_a_full_search(
+            points in prop::collection::vec(prop::array::uniform4(0.0..40.0), 1..120),
+            cell in prop::sample::select(vec![0.0, 1.0, 5.0, 20.0, 0.0025]),
+            reference in prop::array::uniform2(-5.0..5.0), round in any::<bool>(),
+        ) {
+            let place = |value: f64| -> f64 { if cell == 0.0 { value } else {
+                (value / 40.0 * (8.0_f64 * cell).min(40.0) / cell).round() * cell
+            } };
+            let commands: Vec<Ends> = points.iter().map(|one| {
+                let [x, y, u, v] = one.map(place);
+                Ends { start: [x, y], end: [u, v] }
+            }).collect();
+            let reference = if round { reference.map(place) } else { reference };
+            for condition in &Condition::ALL[1..] {
+                let found = order(&commands, *condition, reference).order;
+                prop_assert_eq!(found, by_full_search(&commands, *condition, reference));
+            }
+        }
+    }
+
+    /// 60,000 commands that begin in few places, or all in one: seconds, not hours.
+    #[test]
+    fn many_commands_in_one_place_are_ordered() {
+        for places in [1, 3] {
+            let commands: Vec<Ends> = (0..60_000_u32)
+                .map(|k| Ends {
+                    start: [f64::from(k % places), 1.0],
+                    end: [f64::from(k), 9.0],
+                })
+                .collect();
+            let found = order(&commands, Condition::NearestLift, [0.0; 2]).order;
+            assert_eq!(found[..2], [0, if places == 1 { 1 } else { 3 }]);
+            assert_eq!(found.len(), commands.len());
+        }
+    }
 }

@@ -70,7 +70,8 @@ pub fn near_ends(ends: &[Point], width: usize) -> Vec<u32> {
     let tree = Neighbours::new(ends);
     let mut near = vec![u32::MAX; ends.len() * width];
     let mut found = Vec::new();
-    for (end, &at) in ends.iter().enumerate() {
+    for &(at, end) in tree.points() {
+        let end = end as usize;
         tree.nearest(at, width, &|other| other / 2 != end / 2, &mut found);
         for (slot, &(_, other)) in near[end * width..].iter_mut().zip(&found) {
             *slot = other;
@@ -80,29 +81,22 @@ pub fn near_ends(ends: &[Point], width: usize) -> Vec<u32> {
 }
 
 impl<'e> Search<'e> {
-    /// Starts with a tour: pieces and whether each is flipped.
-    pub fn new(ends: &'e [Point], tour: &[(u32, bool)], near: Vec<u32>, width: usize) -> Self {
-        let count = tour.len();
-        let mut search = Self {
+    /// Starts with the tour in the order of the pieces.
+    pub fn new(ends: &'e [Point], near: Vec<u32>, width: usize) -> Self {
+        let count = ends.len() / 2;
+        let pieces = 0..count as u32;
+        Self {
             ends,
-            order: Vec::with_capacity(count),
-            place: vec![0; count],
+            order: pieces.clone().collect(),
+            place: pieces.clone().collect(),
             flipped: vec![false; count],
             near,
             width,
-            queue: (0..count as u32).collect(),
+            queue: pieces.collect(),
             queued: vec![true; count],
             changes: Vec::new(),
             logging: false,
-        };
-        for (place, &(piece, flipped)) in tour.iter().enumerate() {
-            search.order.push(piece);
-            search.place[piece as usize] = place as u32;
-            search.flipped[piece as usize] = flipped;
         }
-        // The queue follows the tour, so that neighbours are close in memory.
-        search.queue = search.order.iter().copied().collect();
-        search
     }
 
     /// The tour, from piece 0 on.
@@ -554,9 +548,8 @@ mod tests {
     fn check(points: &[Point], kicks: usize) -> Result<(), TestCaseError> {
         let count = points.len() / 2;
         let ends = &points[..2 * count];
-        let tour: Vec<(u32, bool)> = (0..count as u32).map(|piece| (piece, false)).collect();
         let near = near_ends(ends, 6);
-        let mut search = Search::new(ends, &tour, near, 6);
+        let mut search = Search::new(ends, near, 6);
         let mut length = search.length();
         length -= search.improve();
         prop_assert!(

@@ -10,6 +10,7 @@ mod local;
 mod neighbours;
 pub mod rows;
 mod start;
+mod starts;
 pub mod tour;
 
 pub use tour::{Effort, Placed, Tour, order_passes, order_paths};

@@ -81,6 +81,11 @@ impl Neighbours {
         self.split(2 * node + 2, from + half, to);
     }
 
+    /// The points with their indices, near ones behind each other.
+    pub fn points(&self) -> &[(Point, u32)] {
+        &self.points
+    }
+
     /// Takes a point out of the search, once; the caller's `allowed` must refuse it from then on.
     pub fn remove(&mut self, index: usize) {
         let place = self.places[index] as usize;

@@ -195,38 +195,76 @@ fn search(pieces: Pieces<'_>, used: &[usize], reference: Point, effort: Effort) 
     let width = if used.len() > 20_000 { 6 } else { 8 };
     let mut random = Random(1);
     for round in 0..rounds {
-        let mut points = vec![reference; 2];
-        points.extend(order.iter().flat_map(|placed| ends(pieces, placed)));
-        let near = near_ends(&points, width);
-        let tour: Vec<(u32, bool)> = if round == 0 {
+        let mut points = points_of(pieces, &order, reference);
+        let mut near = near_ends(&points, width);
+        if round == 0 {
             let one = greedy(&points, &near, width);
             let other = nearest_first(&points);
-            if length(&points, &other) < length(&points, &one) {
-                other
+            let tour = if length(&points, &other) < length(&points, &one) {
+                from_reference(other)
             } else {
-                one
-            }
-        } else {
-            (0..=order.len() as u32)
-                .map(|piece| (piece, false))
-                .collect()
-        };
-        let mut search = Search::new(&points, &tour, near, width);
+                from_reference(one)
+            };
+            order = along(pieces, &order, &tour);
+            points = points_of(pieces, &order, reference);
+            near = renumbered(&near, width, &tour);
+        }
+        let mut search = Search::new(&points, near, width);
         search.improve();
         for _ in 0..kicks {
             search.kick(&mut random);
         }
-        let place = |&(piece, flipped): &(u32, bool)| {
-            let placed = order[piece as usize - 1];
-            Placed {
-                reversed: placed.reversed != (flipped && !pieces.returning),
-                ..placed
-            }
-        };
-        order = search.tour()[1..].iter().map(place).collect();
+        order = along(pieces, &order, &search.tour());
         settle_starts(pieces, &mut order, reference);
     }
     order
+}
+
+/// Ends of the reference and of the pieces.
+fn points_of(pieces: Pieces<'_>, order: &[Placed], reference: Point) -> Vec<Point> {
+    let mut points = vec![reference; 2];
+    points.extend(order.iter().flat_map(|placed| ends(pieces, placed)));
+    points
+}
+
+/// A tour that begins with the reference, piece 0.
+fn from_reference(mut tour: Vec<(u32, bool)>) -> Vec<(u32, bool)> {
+    let first = tour.iter().position(|&(piece, _)| piece == 0);
+    tour.rotate_left(first.unwrap_or(0));
+    tour
+}
+
+/// The paths in the order of a tour that begins with the reference.
+fn along(pieces: Pieces<'_>, order: &[Placed], tour: &[(u32, bool)]) -> Vec<Placed> {
+    let place = |&(piece, flipped): &(u32, bool)| {
+        let placed = order[piece as usize - 1];
+        Placed {
+            reversed: placed.reversed != (flipped && !pieces.returning),
+            ..placed
+        }
+    };
+    tour[1..].iter().map(place).collect()
+}
+
+/// Neighbours of ends after the pieces are numbered along a tour: neighbours in the tour are close
+/// in memory then.
+fn renumbered(near: &[u32], width: usize, tour: &[(u32, bool)]) -> Vec<u32> {
+    let mut to = vec![0; 2 * tour.len()];
+    for (piece, &(old, flipped)) in (0..).zip(tour) {
+        for end in 0..2_u32 {
+            to[(2 * old + (end ^ u32::from(flipped))) as usize] = 2 * piece + end;
+        }
+    }
+    let mut out = vec![u32::MAX; near.len()];
+    for (old, row) in near.chunks_exact(width).enumerate() {
+        let first = to[old] as usize * width;
+        for (slot, &other) in out[first..first + width].iter_mut().zip(row) {
+            if other != u32::MAX {
+                *slot = to[other as usize];
+            }
+        }
+    }
+    out
 }
 
 /// Moves the starts of closed paths, and the ends where open ones begin and end, to where the gaps

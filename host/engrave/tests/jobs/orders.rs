@@ -246,3 +246,82 @@ proptest! {
         prop_assert!(air[1] <= air[0] + 1e-6 && air[2] <= air[1] + 1e-6, "{air:?}");
     }
 }
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 60,
+        rng_seed: RngSeed::Fixed(1),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    /// On any drawing the default has no longer air than each order that is shown beside it, as
+    /// cut: several passes, ramps on closed paths, lines that join into chains.
+    #[test]
+    fn the_default_is_the_shortest_of_all_orders(
+        entities in prop::collection::vec(
+            (any::<bool>(), prop::array::uniform4(0.0..100.0)), 1..60),
+        passes in 1..4_u8,
+        ramp in any::<bool>(),
+        coarse in any::<bool>(),
+    ) {
+        let text: String = entities.iter().map(|&(kind, at)| {
+            let at = if coarse { at.map(|value: f64| (value / 20.0).round() * 20.0) } else { at };
+            entity(kind || at[..2] == at[2..], at)
+        }).collect();
+        let options = Options {
+            depth_mm: f64::from(passes),
+            step_mm: 1.0,
+            ramp_deg: ramp.then_some(10.0),
+            ..Options::default()
+        };
+        let job = plan(&drawing(&dxf(&text)), &options).unwrap();
+        let air = job.toolpath.lengths([0.0; 2]).air_mm;
+        prop_assert_eq!(job.candidates.len(), 6);
+        for one in &job.candidates {
+            prop_assert!(air <= one.lengths.air_mm + 1e-6, "{air} {one:?}");
+        }
+    }
+}
+
+/// The default beside the greedy conditions on a drawing of more than 3,000 entities.
+#[test]
+fn large_drawings_are_compared_with_the_greedy_orders_too() {
+    let mut state = 1_u64;
+    let mut next = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / 16_777.216
+    };
+    let lines: Vec<[Point; 2]> = (0..3_500)
+        .map(|_| {
+            let at = [next(), next()];
+            [at, [at[0] + 3.0, at[1]]]
+        })
+        .collect();
+    let job = plan(&lines_dxf(&lines), &Options::default()).unwrap();
+    assert_eq!(job.candidates.len(), 6);
+    let air = job.toolpath.lengths([0.0; 2]).air_mm;
+    assert!(
+        job.candidates
+            .iter()
+            .all(|one| air <= one.lengths.air_mm + 1e-6)
+    );
+}
+
+/// A ramp ends beside the start of a closed path. From where this circle starts in the file the way
+/// to it and from it is the shortest.
+#[test]
+fn the_way_from_the_end_of_a_ramp_counts() {
+    let text = dxf("0 CIRCLE\n8 Cut\n10 -48\n20 -13.8\n40 10\n");
+    let options = Options {
+        depth_mm: 1.0,
+        ramp_deg: Some(10.0),
+        ..Options::default()
+    };
+    let job = plan(&drawing(&text), &options).unwrap();
+    let air = job.toolpath.lengths([0.0; 2]).air_mm;
+    let file = job.candidates[0].lengths.air_mm;
+    assert!(air <= file + 1e-9, "{air} {file}");
+}
