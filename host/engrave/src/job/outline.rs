@@ -7,7 +7,11 @@ use crate::geometry::{Path, Point, Segment, distance};
 use crate::order::edges::{self, Condition, Ends};
 use crate::order::{Effort, order_passes, order_paths};
 use crate::shape::Region;
-use crate::toolpath::{Cut, Depths, Step, cut_path, leads};
+use crate::toolpath::{Cut, Depths, Step, Toolpath, cut_path, leads};
+
+/// Largest number of entities for which the greedy conditions are shown beside the order of the
+/// file where this one is asked for.
+const SHOWN: usize = 3_000;
 
 pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     if drawing.paths.is_empty() {
@@ -171,38 +175,58 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
     let depths = options.depths();
     let cut_all =
         |paths: &[Path]| -> Vec<Cut> { paths.iter().map(|path| cut_path(path, &depths)).collect() };
-    // The conditions decide by one pass; the lengths are those of all passes.
-    let mut best: Vec<Cut> = Vec::new();
-    let mut least = f64::INFINITY;
-    for condition in Condition::ALL {
-        let order = edges::order(&ends, condition, options.reference).order;
-        let cuts = cut_all(&join_continuous(
-            order.iter().map(|&index| &commands[index]),
-        ));
-        let candidate = measured(&cuts, condition.name(), options);
-        let is_file = condition == Condition::File;
-        if candidate.lengths.air_mm < least && (is_file || options.ordering != Ordering::File) {
-            (best, least) = (cuts, candidate.lengths.air_mm);
-        }
-        job.candidates.push(candidate);
-    }
-    let mut name = match options.ordering {
-        Ordering::Short => "chains, reversed and started anywhere",
-        Ordering::Greedy => "chosen: best of the above",
-        Ordering::File => "chosen: file order",
+    let shown = if options.ordering == Ordering::File && ends.len() > SHOWN {
+        &Condition::ALL[..1]
+    } else {
+        &Condition::ALL[..]
     };
+    // The conditions decide by one pass; the lengths are those of all passes.
+    let of_conditions = || {
+        let (mut best, mut least) = (Vec::new(), f64::INFINITY);
+        let mut candidates = Vec::new();
+        for &condition in shown {
+            let order = edges::order(&ends, condition, options.reference).order;
+            let cuts = cut_all(&join_continuous(
+                order.iter().map(|&index| &commands[index]),
+            ));
+            let candidate = measured(&cuts, condition.name(), options);
+            let is_file = condition == Condition::File;
+            if candidate.lengths.air_mm < least && (is_file || options.ordering != Ordering::File) {
+                (best, least) = (cuts, candidate.lengths.air_mm);
+            }
+            candidates.push(candidate);
+        }
+        (best, least, candidates)
+    };
+    let (mut best, name);
     if options.ordering == Ordering::Short {
         let passes = depths.levels.len();
-        let tour = order_passes(&chains, passes, options.reference, Effort::default());
-        let cuts = cut_all(&tour.apply(&chains));
+        let (tour, (others, least, candidates)) = std::thread::scope(|scope| {
+            let others = scope.spawn(of_conditions);
+            let tour = order_passes(&chains, passes, options.reference, Effort::default());
+            let others = others.join();
+            (
+                tour,
+                others.unwrap_or_else(|panic| std::panic::resume_unwind(panic)),
+            )
+        });
+        job.candidates = candidates;
+        best = cut_all(&tour.apply(&chains));
         // Chains stay whole in the tour, not in the orders above: one of these may be shorter. What
         // counts is what is cut: after a ramp a closed path ends beside its start.
-        if measured(&cuts, name, options).lengths.air_mm <= least + 1e-9 {
-            best = cuts;
+        if Toolpath::lengths_of(&best, options.reference).air_mm <= least + 1e-9 {
             job.proven = tour.proven;
+            name = "chains, reversed and started anywhere";
         } else {
+            best = others;
             name = "chosen: best of the above";
         }
+    } else {
+        (best, _, job.candidates) = of_conditions();
+        name = match options.ordering {
+            Ordering::File => "chosen: file order",
+            _ => "chosen: best of the above",
+        };
     }
     let chosen = measured(&best, name, options);
     job.candidates.push(chosen);

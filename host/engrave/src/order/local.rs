@@ -43,12 +43,11 @@ enum Change {
 pub struct Search<'e> {
     /// Ends of the pieces: 2k and 2k + 1 are those of piece k.
     ends: &'e [Point],
-    /// Pieces in their order.
+    /// First ends of the pieces in their order: 2k, or 2k + 1 where piece k is flipped, that is,
+    /// runs from its second end to its first.
     order: Vec<u32>,
-    /// Place of each piece.
+    /// Place of each piece times 2, and 1 more where it is flipped.
     place: Vec<u32>,
-    /// Whether a piece runs from its second end to its first.
-    flipped: Vec<bool>,
     /// Nearest ends of other pieces, nearest first, `width` for each end.
     near: Vec<u32>,
     width: usize,
@@ -87,9 +86,8 @@ impl<'e> Search<'e> {
         let pieces = 0..count as u32;
         Self {
             ends,
-            order: pieces.clone().collect(),
-            place: pieces.clone().collect(),
-            flipped: vec![false; count],
+            order: pieces.clone().map(|piece| 2 * piece).collect(),
+            place: pieces.clone().map(|piece| 2 * piece).collect(),
             near,
             width,
             queue: pieces.collect(),
@@ -102,48 +100,55 @@ impl<'e> Search<'e> {
     /// The tour, from piece 0 on.
     pub fn tour(&self) -> Vec<(u32, bool)> {
         let count = self.order.len();
-        let first = self.place[0] as usize;
+        let first = self.place_of(0);
         (0..count)
             .map(|k| {
-                let piece = self.order[(first + k) % count];
-                (piece, self.flipped[piece as usize])
+                let end = self.order[(first + k) % count];
+                (end / 2, end % 2 == 1)
             })
             .collect()
     }
 
     #[inline]
+    fn place_of(&self, piece: u32) -> usize {
+        (self.place[piece as usize] / 2) as usize
+    }
+
+    #[inline]
+    fn is_flipped(&self, piece: u32) -> bool {
+        self.place[piece as usize] % 2 == 1
+    }
+
+    #[inline]
     fn start(&self, piece: u32) -> Point {
-        self.ends[2 * piece as usize + usize::from(self.flipped[piece as usize])]
+        self.ends[(2 * piece + self.place[piece as usize] % 2) as usize]
     }
 
     #[inline]
     fn end(&self, piece: u32) -> Point {
-        self.ends[2 * piece as usize + usize::from(!self.flipped[piece as usize])]
+        self.ends[((2 * piece + self.place[piece as usize] % 2) ^ 1) as usize]
     }
 
     #[inline]
     fn at(&self, place: usize) -> u32 {
         let count = self.order.len();
-        self.order[if place >= count { place - count } else { place }]
+        self.order[if place >= count { place - count } else { place }] / 2
     }
 
     #[inline]
     fn next(&self, piece: u32) -> u32 {
-        self.at(self.place[piece as usize] as usize + 1)
+        self.at(self.place_of(piece) + 1)
     }
 
     #[inline]
     fn previous(&self, piece: u32) -> u32 {
-        self.at(self.place[piece as usize] as usize + self.order.len() - 1)
+        self.at(self.place_of(piece) + self.order.len() - 1)
     }
 
     /// Number of steps forward from one piece to another.
     #[inline]
     fn steps(&self, from: u32, to: u32) -> usize {
-        let (from, to) = (
-            self.place[from as usize] as usize,
-            self.place[to as usize] as usize,
-        );
+        let (from, to) = (self.place_of(from), self.place_of(to));
         if to >= from {
             to - from
         } else {
@@ -158,9 +163,11 @@ impl<'e> Search<'e> {
         }
     }
 
-    fn put(&mut self, place: usize, piece: u32) {
-        self.order[place] = piece;
-        self.place[piece as usize] = place as u32;
+    /// Puts a piece by its first end.
+    #[inline]
+    fn put(&mut self, place: usize, end: u32) {
+        self.order[place] = end;
+        self.place[(end / 2) as usize] = 2 * place as u32 + end % 2;
     }
 
     fn reverse_places(&mut self, first: usize, count: usize) {
@@ -168,15 +175,13 @@ impl<'e> Search<'e> {
         let (mut low, mut high) = (first % total, (first + count + total - 1) % total);
         for _ in 0..count / 2 {
             let (a, b) = (self.order[low], self.order[high]);
-            self.put(low, b);
-            self.put(high, a);
-            self.flipped[a as usize] ^= true;
-            self.flipped[b as usize] ^= true;
+            self.put(low, b ^ 1);
+            self.put(high, a ^ 1);
             low = if low + 1 == total { 0 } else { low + 1 };
             high = if high == 0 { total - 1 } else { high - 1 };
         }
         if count % 2 == 1 {
-            self.flipped[self.order[low] as usize] ^= true;
+            self.put(low, self.order[low] ^ 1);
         }
         if self.logging {
             self.changes.push(Change::Reversed { first, count });
@@ -186,7 +191,7 @@ impl<'e> Search<'e> {
     /// Reverses the pieces from `from` on to `to`, or all others, which is the same tour.
     fn reverse(&mut self, from: u32, to: u32) {
         let total = self.order.len();
-        let first = self.place[from as usize] as usize;
+        let first = self.place_of(from);
         let count = self.steps(from, to) + 1;
         if 2 * count <= total {
             self.reverse_places(first, count);
@@ -242,12 +247,12 @@ impl<'e> Search<'e> {
     fn move_between(&mut self, from: u32, to: u32, after: u32, reversed: bool) {
         let total = self.order.len();
         let length = self.steps(from, to) + 1;
-        let first = self.place[from as usize] as usize;
+        let first = self.place_of(from);
         if reversed {
             self.reverse_places(first, length);
         }
         // Pieces between the segment and its new place, forwards.
-        let ahead = (self.place[after as usize] as usize + total - (first + length - 1)) % total;
+        let ahead = (self.place_of(after) + total - (first + length - 1)) % total;
         let behind = total - length - ahead;
         if ahead <= behind {
             self.rotate(first, length + ahead, length);
@@ -283,7 +288,7 @@ impl<'e> Search<'e> {
             } else {
                 (self.start(a), gap(self.end(other), self.start(a)))
             };
-            let flipped = self.flipped[a as usize];
+            let flipped = self.is_flipped(a);
             let id = 2 * a as usize + usize::from(if forward { !flipped } else { flipped });
             for slot in 0..self.width {
                 let near = self.near[id * self.width + slot];
@@ -296,7 +301,7 @@ impl<'e> Search<'e> {
                 }
                 let c = near / 2;
                 let round = self.ends[2 * c as usize] == self.ends[2 * c as usize + 1];
-                let is_end = (near % 2 == 1) != self.flipped[c as usize];
+                let is_end = (near % 2 == 1) != self.is_flipped(c);
                 let same = is_end == forward;
                 let gain = if same || round {
                     self.two_opt(a, other, c, forward, present - new)
@@ -489,7 +494,7 @@ impl<'e> Search<'e> {
         let after = self.gaps(first, joints);
         for joint in joints {
             for k in [joint, joint + 1] {
-                self.push(self.order[(first + k) % total]);
+                self.push(self.order[(first + k) % total] / 2);
             }
         }
         let gain = before - after + self.improve();
@@ -506,8 +511,8 @@ impl<'e> Search<'e> {
         let total = self.order.len();
         let gap_behind = |k: usize| {
             let (a, b) = (
-                self.order[(first + k) % total],
-                self.order[(first + k + 1) % total],
+                self.order[(first + k) % total] / 2,
+                self.order[(first + k + 1) % total] / 2,
             );
             gap(self.end(a), self.start(b))
         };
