@@ -70,6 +70,39 @@ impl Scale {
     }
 }
 
+/// The parts of a line within ranges of x and y.
+fn within(piece: &[(f64, f64)], x: (f64, f64), y: (f64, f64)) -> Vec<Vec<(f64, f64)>> {
+    let mut parts: Vec<Vec<(f64, f64)>> = Vec::new();
+    for pair in piece.windows(2) {
+        let (a, b) = (pair[0], pair[1]);
+        let (dx, dy) = (b.0 - a.0, b.1 - a.1);
+        // Parts of the way from a to b at which the borders are crossed.
+        let (mut from, mut to) = (0.0_f64, 1.0_f64);
+        for (start, way, (low, high)) in [(a.0, dx, x), (a.1, dy, y)] {
+            if way == 0.0 {
+                if start < low || start > high {
+                    (from, to) = (1.0, 0.0);
+                }
+                continue;
+            }
+            let (one, other) = ((low - start) / way, (high - start) / way);
+            from = from.max(one.min(other));
+            to = to.min(one.max(other));
+        }
+        if from > to {
+            continue;
+        }
+        let at = |part: f64| (a.0 + dx * part, a.1 + dy * part);
+        let begin = if from == 0.0 { a } else { at(from) };
+        let end = if to == 1.0 { b } else { at(to) };
+        match parts.last_mut() {
+            Some(part) if from == 0.0 && part.last() == Some(&a) => part.push(end),
+            _ => parts.push(vec![begin, end]),
+        }
+    }
+    parts
+}
+
 impl Chart {
     /// The chart as an `<svg>` element.
     pub fn svg(&self) -> String {
@@ -108,13 +141,23 @@ impl Chart {
         self.axes(&mut svg, &x, &y, names);
         for line in &self.lines {
             let mut path = String::new();
-            for piece in &line.pieces {
+            let mut add = |piece: &[(f64, f64)]| {
                 for (index, (px, py)) in piece.iter().enumerate() {
                     let command = if index == 0 { 'M' } else { 'L' };
                     put(
                         &mut path,
                         format_args!("{command}{:.1} {:.1}", x.at(*px), y.at(*py)),
                     );
+                }
+            };
+            for piece in &line.pieces {
+                if self.backdrop.is_some() {
+                    // The range is that of the image, not that of the lines.
+                    for part in within(piece, (x.low, x.high), (y.low, y.high)) {
+                        add(&part);
+                    }
+                } else {
+                    add(piece);
                 }
             }
             put(
@@ -399,6 +442,28 @@ mod tests {
         }
         // Short labels do not move the axis.
         assert!(chart([-30.0, 12.5], false).svg().contains("x1=\"68\""));
+    }
+
+    #[test]
+    fn lines_beside_the_image_are_cut_off() {
+        let line = [
+            (-5.0, 5.0),
+            (5.0, 5.0),
+            (5.0, 8.0),
+            (5.0, 20.0),
+            (8.0, 20.0),
+            (8.0, 0.0),
+        ];
+        let parts = within(&line, (0.0, 10.0), (0.0, 10.0));
+        let expected = [
+            vec![(0.0, 5.0), (5.0, 5.0), (5.0, 8.0), (5.0, 10.0)],
+            vec![(8.0, 10.0), (8.0, 0.0)],
+        ];
+        assert_eq!(parts, expected);
+        assert!(within(&[(-1.0, 0.0), (0.5, 12.0)], (0.0, 1.0), (0.0, 1.0)).is_empty());
+        // A closed way is one part.
+        let square = [(1.0, 1.0), (2.0, 1.0), (2.0, 2.0), (1.0, 1.0)];
+        assert_eq!(within(&square, (0.0, 9.0), (0.0, 9.0)), [square.to_vec()]);
     }
 
     #[test]
