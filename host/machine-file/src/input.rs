@@ -51,6 +51,9 @@ impl From<io::Error> for ReadError {
 /// that does not end.
 pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, ReadError> {
     let kind = path.metadata()?;
+    if kind.is_file() && kind.len() > most {
+        return Err(too_large(most));
+    }
     if kind.is_file() || kind.is_dir() {
         return read_bounded(File::open(path)?, most);
     }
@@ -80,10 +83,14 @@ pub fn read_bounded(source: impl Read, most: u64) -> Result<Vec<u8>, ReadError> 
     let mut bytes = Vec::new();
     source.take(most + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most {
-        return Err(ReadError {
-            what: format!("cannot be read: it is larger than {} MiB", most >> 20),
-            remedy: "check that it is the right file",
-        });
+        return Err(too_large(most));
     }
     Ok(bytes)
+}
+
+fn too_large(most: u64) -> ReadError {
+    ReadError {
+        what: format!("cannot be read: it is larger than {} MiB", most >> 20),
+        remedy: "check that it is the right file",
+    }
 }
