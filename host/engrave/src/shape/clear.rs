@@ -153,12 +153,18 @@ fn spirals(
     let mut growing: Vec<Strand> = Vec::new();
     for rings in levels.into_iter().rev() {
         let mut next: Vec<Option<Strand>> = rings.iter().map(|_| None).collect();
+        let boxes: Vec<_> = rings.iter().map(Path::bounds).collect();
         for mut strand in growing {
             let end = strand.end();
-            let near = rings
-                .iter()
-                .map(|ring| nearest_point(ring, end))
-                .enumerate();
+            // A ring whose box is beyond the limit is, too.
+            let is_near = |index: &usize| {
+                boxes[*index].is_some_and(|[low, high]| {
+                    (0..2).all(|k| end[k] > low[k] - limit && end[k] < high[k] + limit)
+                })
+            };
+            let near = (0..rings.len())
+                .filter(is_near)
+                .map(|index| (index, nearest_point(&rings[index], end)));
             let best = near.min_by(|a, b| a.1.0.total_cmp(&b.1.0));
             match best {
                 Some((index, (off, segment, part))) if next[index].is_none() && off < limit => {

@@ -188,16 +188,16 @@ impl Region {
     /// Index of the innermost boundary around a point.
     #[must_use]
     pub fn part_of(&self, at: Point) -> Option<usize> {
+        let boundaries = &self.shape.ccw_plines;
+        let mut parts = self.shape.plines_index.query(at[0], at[1], at[0], at[1]);
+        parts.retain(|&index| index < boundaries.len());
+        parts.sort_unstable();
         let at = cavalier_contours::core::math::Vector2::new(at[0], at[1]);
-        let around = self
-            .shape
-            .ccw_plines
-            .iter()
-            .enumerate()
-            .filter(|(_, one)| one.polyline.winding_number(at) != 0);
-        around
-            .min_by(|a, b| a.1.polyline.area().total_cmp(&b.1.polyline.area()))
-            .map(|(index, _)| index)
+        let line = |index: usize| &boundaries[index].polyline;
+        let around = parts
+            .into_iter()
+            .filter(|&index| line(index).winding_number(at) != 0);
+        around.min_by(|&a, &b| line(a).area().total_cmp(&line(b).area()))
     }
 
     /// Whether the straight way between two points inside leaves the region.
@@ -206,57 +206,45 @@ impl Region {
         let low = [a[0].min(b[0]), a[1].min(b[1])];
         let high = [a[0].max(b[0]), a[1].max(b[1])];
         let mut crossed = false;
-        for one in self.shape.ccw_plines.iter().chain(&self.shape.cw_plines) {
-            one.spatial_index
-                .visit_query(low[0], low[1], high[0], high[1], &mut |index: usize| {
-                    let (p, q) = (one.polyline.at(index), {
-                        let next = one.polyline.next_wrapping_index(index);
-                        one.polyline.at(next)
-                    });
-                    let segment = Segment {
-                        from: [p.x, p.y],
-                        to: [q.x, q.y],
-                        bulge: p.bulge,
-                    };
-                    crossed |= crosses(a, b, &segment);
+        self.visit_segments([low, high], &mut |segment| {
+            crossed |= crosses(a, b, &segment);
+        });
+        crossed
+    }
+
+    /// Visits the segments of all loops whose boxes meet a box.
+    fn visit_segments(&self, [low, high]: [Point; 2], visit: &mut dyn FnMut(Segment)) {
+        let boundaries = self.shape.ccw_plines.len();
+        let mut lines = |which: usize| {
+            let one = match which.checked_sub(boundaries) {
+                None => &self.shape.ccw_plines[which],
+                Some(island) => &self.shape.cw_plines[island],
+            };
+            let mut segments = |index: usize| {
+                let line = &one.polyline;
+                let (p, q) = (line.at(index), line.at(line.next_wrapping_index(index)));
+                visit(Segment {
+                    from: [p.x, p.y],
+                    to: [q.x, q.y],
+                    bulge: p.bulge,
                 });
-            if crossed {
-                return true;
-            }
-        }
-        false
+            };
+            one.spatial_index
+                .visit_query(low[0], low[1], high[0], high[1], &mut segments);
+        };
+        self.shape
+            .plines_index
+            .visit_query(low[0], low[1], high[0], high[1], &mut lines);
     }
 
     /// Distance of a point from the boundaries, if it is at most `limit`, mm.
     fn distance_within(&self, at: Point, limit: f64) -> Option<f64> {
         let (low, high) = (at.map(|one| one - limit), at.map(|one| one + limit));
         let mut least = f64::INFINITY;
-        let boundaries = self.shape.ccw_plines.len();
-        self.shape.plines_index.visit_query(
-            low[0],
-            low[1],
-            high[0],
-            high[1],
-            &mut |which: usize| {
-                let one = match which.checked_sub(boundaries) {
-                    None => &self.shape.ccw_plines[which],
-                    Some(island) => &self.shape.cw_plines[island],
-                };
-                let mut nearer = |index: usize| {
-                    let line = &one.polyline;
-                    let (p, q) = (line.at(index), line.at(line.next_wrapping_index(index)));
-                    let segment = Segment {
-                        from: [p.x, p.y],
-                        to: [q.x, q.y],
-                        bulge: p.bulge,
-                    };
-                    let near = segment.point(segment.nearest(at));
-                    least = least.min(crate::geometry::distance(near, at));
-                };
-                one.spatial_index
-                    .visit_query(low[0], low[1], high[0], high[1], &mut nearer);
-            },
-        );
+        self.visit_segments([low, high], &mut |segment| {
+            let near = segment.point(segment.nearest(at));
+            least = least.min(crate::geometry::distance(near, at));
+        });
         (least <= limit).then_some(least)
     }
 
