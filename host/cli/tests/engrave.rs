@@ -403,7 +403,8 @@ fn off_path(paths: &[haptimill_engrave::geometry::Path], at: [f64; 2]) -> f64 {
 }
 
 /// The simulated path of the tool against the entities of the drawing, lines and arcs, in both
-/// directions: within a step of 0.005 mm and what friction holds the table off.
+/// directions. The commanded path and the steps that leave the controller are within a step of
+/// 0.005 mm; the tool is within that and what friction and the swing of the motors add.
 #[test]
 fn the_tool_of_the_simulator_is_on_the_drawing() {
     let folder = Folder::new("frame");
@@ -429,8 +430,9 @@ fn the_tool_of_the_simulator_is_on_the_drawing() {
     };
     drawing.select_layers(&choice).unwrap();
     let recording = Recording::open(&folder.0.join("frame.out/recording.hmr")).unwrap();
-    let units = recording.pose_units();
-    let (mut tool, mut commanded, mut cut) = (0.0_f64, 0.0_f64, Vec::new());
+    let (units, joint_units) = (recording.pose_units(), recording.joint_units());
+    let (mut tool, mut commanded, mut steps) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let mut cut = Vec::new();
     for record in recording.iter().unwrap() {
         let record = record.unwrap();
         if !record.has(flag::TOOL_TRUE) {
@@ -441,6 +443,9 @@ fn the_tool_of_the_simulator_is_on_the_drawing() {
         if at[2] < -0.1 {
             tool = tool.max(off_path(&drawing.paths, [at[0], at[1]]));
             commanded = commanded.max(off_path(&drawing.paths, asked));
+            // x and y are joints of this machine.
+            let made = std::array::from_fn(|k| f64::from(record.joints[k]) * joint_units[k]);
+            steps = steps.max(off_path(&drawing.paths, made));
             cut.push([at[0], at[1]]);
         }
     }
@@ -453,7 +458,9 @@ fn the_tool_of_the_simulator_is_on_the_drawing() {
             off.fold(f64::INFINITY, f64::min)
         })
         .fold(0.0, f64::max);
-    assert!(commanded <= 0.005, "{commanded}");
+    assert!(commanded <= 0.001, "{commanded}");
+    // Half a step on each axis is 0.0035 mm across.
+    assert!(steps > 0.0 && steps <= 0.0036, "{steps}");
     // Friction and the cutting force turn the motors by a part of a step.
     assert!(tool <= 0.006 && missed <= 0.005, "{tool} {missed}");
 }
@@ -491,6 +498,84 @@ fn lost_steps_are_found() {
         off.iter().any(|off| off.as_f64().unwrap().abs() > 0.05),
         "{result:#}"
     );
+}
+
+/// A cutting load beyond the pull-out force of the motors loses whole electrical turns, which are
+/// ten full steps of a 5-phase motor; a load within it loses none. The command says where.
+#[test]
+fn a_load_beyond_the_motors_loses_steps() {
+    let folder = Folder::new("load");
+    folder.write(
+        "hook.dxf",
+        "0\nSECTION\n2\nENTITIES\n0\nLINE\n8\n0\n10\n10\n20\n10\n11\n22\n21\n10\n\
+         0\nLINE\n8\n0\n10\n22\n20\n10\n11\n22\n21\n18\n0\nENDSEC\n0\nEOF\n",
+    );
+    let machine = std::fs::read_to_string(root().join("machines/engraver.toml")).unwrap();
+    // The largest force is 1.2 N times the scale; 130 N less 20 N of friction move a slide.
+    for (scale, is_lost) in [("60.0", false), ("400.0", true)] {
+        let loaded = machine.replace("force_scale = 1.0", &format!("force_scale = {scale}"));
+        assert_ne!(loaded, machine);
+        folder.write("loaded.toml", &loaded);
+        let (code, result) = folder.run(&[
+            "hook.dxf",
+            "--depth",
+            "0.5",
+            "--machine",
+            "loaded.toml",
+            "-o",
+            "hook.ngc",
+            "--run",
+        ]);
+        let off: Vec<f64> = result["off_mm"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|off| off.as_f64().unwrap())
+            .collect();
+        if !is_lost {
+            assert_eq!(code, 0, "{result:#}");
+            assert!(off.iter().all(|off| off.abs() < 0.008), "{result:#}");
+            assert!(result["lost_at"].is_null(), "{result:#}");
+            continue;
+        }
+        assert_eq!(code, 6, "{result:#}");
+        assert!(off[..2].iter().any(|off| off.abs() > 1.0), "{result:#}");
+        for off in &off[..2] {
+            // 2 * 5 steps of 0.005 mm; friction holds the slide off by a part of a step.
+            let turns = (off / 0.05).round();
+            assert!((off - turns * 0.05).abs() < 0.008, "{result:#}");
+        }
+        assert!(
+            result["lost_at"]["line"].as_u64().unwrap() > 0,
+            "{result:#}"
+        );
+    }
+}
+
+/// A drawing above the limit of 512 MiB is refused by its size, with less memory than the limit. A
+/// large one below it that is no drawing is refused after it is read. Both files are sparse.
+#[test]
+fn large_drawings_are_refused_or_read_to_their_end() {
+    let folder = Folder::new("large");
+    for (name, bytes, memory_kib, why) in [
+        ("huge.dxf", 600_u64 << 30, 300_000, "larger than 512 MiB"),
+        ("zeros.dxf", 300 << 20, 800_000, "is not a group code"),
+    ] {
+        let file = std::fs::File::create(folder.0.join(name)).unwrap();
+        file.set_len(bytes).unwrap();
+        let ran = Command::new("sh")
+            .args(["-c", "ulimit -v $0; exec \"$1\" engrave \"$2\" -o out.ngc"])
+            .arg(memory_kib.to_string())
+            .args([env!("CARGO_BIN_EXE_haptimill"), name])
+            .current_dir(&folder.0)
+            .output()
+            .unwrap();
+        let text = String::from_utf8(ran.stderr).unwrap();
+        assert_eq!(ran.status.code(), Some(3), "{name}: {text}");
+        assert!(text.contains(name) && text.contains(why), "{name}: {text}");
+        assert!(text.len() < 400, "{name}: {text}");
+    }
+    assert!(!folder.0.join("out.ngc").exists());
 }
 
 /// A drawing outside of the plate, and a damaged one: refused with line, entity and remedy, and no

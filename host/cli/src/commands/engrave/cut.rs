@@ -15,9 +15,15 @@ use std::path::{Path, PathBuf};
 /// Distance of the points of the compared surface, as a part of the tool's diameter.
 const CELL: f64 = 1.0 / 20.0;
 
-/// Deviation of the tool from its commanded position at the end, at standstill, above which steps
-/// are lost, mm. A lost electrical turn is ten steps of the engraver: 0.05 mm in x and y.
+/// Deviation of the tool from its commanded position at standstill above which steps are lost, mm.
+/// A lost electrical turn is ten steps of the engraver: 0.05 mm in x and y.
 const LOST_MM: f64 = 0.008;
+
+/// The same on the way: away from the reference the geometry of a machine adds to it.
+const LOST_ON_THE_WAY_MM: f64 = 0.02;
+
+/// Control periods without a new commanded position after which an axis is at standstill.
+const STANDSTILL: u32 = 500;
 
 /// Thickness of the plate below the floor of the cut, mm.
 const BELOW: f64 = 2.0;
@@ -28,12 +34,44 @@ pub(super) struct Cut {
     pub(super) surface: PlateReport,
     /// True minus commanded position of the tool at the end, mm.
     pub(super) off_mm: [f64; 3],
+    /// The first standstill above the plate where steps are lost: line of the program, and true
+    /// minus commanded position there, mm. Steps that are lost to and fro cancel out at the end.
+    pub(super) lost_at: Option<(u32, [f64; 3])>,
+}
+
+/// Standstill of the axes above the plate.
+#[derive(Default)]
+struct Standstill {
+    commanded: [f64; 3],
+    /// Periods without motion, by axis.
+    periods: [u32; 3],
+    lost_at: Option<(u32, [f64; 3])>,
+}
+
+impl Standstill {
+    /// Takes the next period: true and commanded position, mm, and line of the program.
+    fn add(&mut self, at: [f64; 3], commanded: [f64; 3], line: u32) {
+        for ((count, new), old) in self.periods.iter_mut().zip(commanded).zip(self.commanded) {
+            *count = if new == old { *count + 1 } else { 0 };
+        }
+        self.commanded = commanded;
+        // Cutting forces bend the machine.
+        if self.lost_at.is_some() || at[2] <= 0.0 {
+            return;
+        }
+        let off = std::array::from_fn(|axis| at[axis] - commanded[axis]);
+        if (0..3)
+            .any(|axis| self.periods[axis] >= STANDSTILL && off[axis].abs() > LOST_ON_THE_WAY_MM)
+        {
+            self.lost_at = Some((line, off));
+        }
+    }
 }
 
 impl Cut {
     /// Whether the machine is not where its controller takes it to be.
     pub(super) fn lost_steps(&self) -> bool {
-        self.off_mm.iter().any(|off| off.abs() > LOST_MM)
+        self.lost_at.is_some() || self.off_mm.iter().any(|off| off.abs() > LOST_MM)
     }
 
     /// Describes it.
@@ -41,7 +79,13 @@ impl Cut {
         let [x, y, z] = self.off_mm;
         let at = format!("at the end the tool is {x:.4}, {y:.4}, {z:.4} mm off");
         if self.lost_steps() {
-            format!("lost: {at}; lower the feed or the acceleration, or take less depth at once")
+            let first = self.lost_at.map(|(line, [x, y, z])| {
+                format!("first seen in line {line}, {x:.4}, {y:.4}, {z:.4} mm off; ")
+            });
+            format!(
+                "lost: {}{at}; lower the feed or the acceleration, or take less depth at once",
+                first.unwrap_or_default()
+            )
         } else {
             format!("none lost: {at}")
         }
@@ -145,14 +189,16 @@ fn measure(args: &EngraveArgs, drawing: &Drawing, path: &Path) -> Result<Cut, Cl
     let step = args.tool * CELL / 4.0;
     let mut last: Option<[f64; 3]> = None;
     let mut off_mm = [0.0; 3];
+    let mut standstill = Standstill::default();
     for record in recording.iter().map_err(|error| failed(&error))? {
         let record = record.map_err(|error| failed(&error))?;
         if !record.has(flag::TOOL_TRUE) {
             continue;
         }
         let at: [f64; 3] = std::array::from_fn(|axis| f64::from(record.tool[axis]) * units[axis]);
-        off_mm =
-            std::array::from_fn(|axis| at[axis] - f64::from(record.commanded[axis]) * units[axis]);
+        let commanded = std::array::from_fn(|axis| f64::from(record.commanded[axis]) * units[axis]);
+        off_mm = std::array::from_fn(|axis| at[axis] - commanded[axis]);
+        standstill.add(at, commanded, record.line);
         match last {
             Some(from) => {
                 let moved = (0..3)
@@ -171,5 +217,40 @@ fn measure(args: &EngraveArgs, drawing: &Drawing, path: &Path) -> Result<Cut, Cl
     Ok(Cut {
         surface: plate.compare(drawing, &options),
         off_mm,
+        lost_at: standstill.lost_at,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Periods at standstill above the plate with a true position.
+    fn stand(standstill: &mut Standstill, periods: u32, at: [f64; 3], line: u32) {
+        for _ in 0..periods {
+            standstill.add(at, [10.0, 20.0, 1.0], line);
+        }
+    }
+
+    #[test]
+    fn steps_that_are_lost_to_and_fro_are_seen_between() {
+        let mut seen = Standstill::default();
+        stand(&mut seen, 600, [10.002, 19.998, 1.001], 1);
+        // Lag in motion, bending in the cut, and a short halt are no loss.
+        for k in 0..600 {
+            seen.add(
+                [f64::from(k), 20.05, 1.0],
+                [f64::from(k) + 0.05, 20.05, 1.0],
+                2,
+            );
+            seen.add([10.05, 20.05, -0.5], [10.0, 20.0, -0.5], 3);
+        }
+        stand(&mut seen, 499, [10.05, 20.0, 1.0], 4);
+        seen.add([10.05, 20.0, 1.0], [10.1, 20.1, 1.1], 5);
+        assert_eq!(seen.lost_at, None);
+        stand(&mut seen, 600, [10.05, 20.0, 1.0], 6);
+        stand(&mut seen, 600, [10.0, 20.0, 1.0], 7);
+        let (line, off) = seen.lost_at.unwrap();
+        assert!(line == 6 && (off[0] - 0.05).abs() < 1e-9, "{line} {off:?}");
+    }
 }

@@ -341,6 +341,9 @@ fn print_json(
         },
         "surface": cut.map(|cut| &cut.surface),
         "off_mm": cut.map(|cut| cut.off_mm),
+        "lost_at": cut.and_then(|cut| cut.lost_at).map(|(line, off_mm)| {
+            serde_json::json!({ "line": line, "off_mm": off_mm })
+        }),
     });
     print_line!("{value:#}");
 }
