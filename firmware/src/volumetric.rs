@@ -212,8 +212,9 @@ impl Compensation {
     /// Part of the fade that is over, percent: 100 where the whole correction is in effect.
     #[must_use]
     pub const fn percent(&self) -> u8 {
+        // The product fits: a fade has at most FADE_US periods of a microsecond.
         let fade = if self.fade == 0 { 1 } else { self.fade };
-        (self.faded as u64 * 100 / fade as u64) as u8
+        (self.faded.wrapping_mul(100) / fade) as u8
     }
 
     /// Switches the correction off without a fade. Callers must make the corrected pose the
