@@ -25,7 +25,7 @@ struct Planted {
 
 /// Plants all bugs into a copy of the sources, each behind a switch, and runs the storm on each.
 pub fn planted(arguments: &[&str]) -> Result<(), String> {
-    let mut minutes = "3".to_string();
+    let mut episodes = "1000".to_string();
     let mut seed = "1".to_string();
     let mut only = None;
     let mut words = arguments.iter();
@@ -34,12 +34,12 @@ pub fn planted(arguments: &[&str]) -> Result<(), String> {
             .next()
             .ok_or_else(|| format!("{word} needs a value"))?;
         match *word {
-            "--minutes" => minutes = (*value).to_string(),
+            "--episodes" => episodes = (*value).to_string(),
             "--seed" => seed = (*value).to_string(),
             "--bug" => only = Some((*value).to_string()),
             _ => {
                 return Err(format!(
-                    "--planted takes --minutes N, --seed S and --bug NAME, not '{word}'"
+                    "--planted takes --episodes N, --seed S and --bug NAME, not '{word}'"
                 ));
             }
         }
@@ -71,8 +71,11 @@ pub fn planted(arguments: &[&str]) -> Result<(), String> {
         let start = Instant::now();
         // A failure with all switches off is not that of the planted bug.
         let options = [
+            // The episodes end the run, whatever the speed of the host.
             "--minutes",
-            &minutes,
+            "1000",
+            "--episodes",
+            &episodes,
             "--seed",
             &seed,
             "--stop",

@@ -2,7 +2,7 @@
 
 use super::limits::{MachineModel, PoseProblem, Settings};
 use super::profile::Along;
-use haptimill_gcode::{AxisKind, Coordinates, Feed, Measure, Move, Path, Place, Problem};
+use haptimill_gcode::{AxisKind, Coordinates, Feed, Move, Path, Place, Problem};
 
 /// Planned share of the acceleration limit; the rest is for rounding to periods and units.
 pub(super) const ACCELERATION_SHARE: f64 = 0.95;
@@ -40,7 +40,7 @@ pub(crate) struct Block {
     pub exact_stop: bool,
     /// Whether the next block is the next part of the same move.
     pub continues: bool,
-    /// Whether the joints keep it below its feed.
+    /// Whether the limits of the machine keep it below its feed.
     pub is_slowed: bool,
     /// Largest distance of a corner from the path, mm, if the program gives one.
     pub tolerance: Option<f64>,
@@ -297,14 +297,14 @@ fn examine(
                     .unwrap_or(refusal),
             )
         })?;
-        limits.sample(s, &pose, &tangent, &joints);
+        limits.sample(s, &tangent, &joints);
         if index == 0 {
             (tangents[0], joint_tangents[0]) = (tangent, joints);
         }
         (tangents[1], joint_tangents[1]) = (tangent, joints);
     }
     if let Feed::PerMinute(feed) = step.feed {
-        limits.feed(feed, path.measure).map_err(problem)?;
+        limits.speed = feed / 60.0;
     }
     limits.joints();
     let (along, most) = limits.along(path);
@@ -316,7 +316,7 @@ fn examine(
         is_rapid: step.feed == Feed::Rapid,
         exact_stop: false,
         continues: false,
-        is_slowed: limits.speed < f64::INFINITY && limits.joint_speed < limits.speed,
+        is_slowed: limits.is_slowed(),
         tolerance: step.tolerance,
         along,
         most,
@@ -347,7 +347,6 @@ struct Search<'a> {
     /// Largest speed that the rates of the pose allow, and the axis that limits it: its index, rate
     /// per speed, and pose.
     rate_speed: f64,
-    slowest: (usize, f64, Coordinates),
     /// Largest speed that rates, accelerations and jerks of the joints allow.
     joint_speed: f64,
     acceleration: f64,
@@ -366,7 +365,6 @@ impl<'a> Search<'a> {
         Self {
             settings,
             rate_speed: infinite,
-            slowest: (0, 0.0, [0.0; 6]),
             joint_speed: infinite,
             acceleration: infinite,
             jerk: infinite,
@@ -376,15 +374,12 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn sample(&mut self, s: f64, pose: &Coordinates, tangent: &Coordinates, joints: &[f64; 6]) {
+    fn sample(&mut self, s: f64, tangent: &Coordinates, joints: &[f64; 6]) {
         let settings = self.settings;
-        for (k, (axis, tangent)) in settings.pose.iter().zip(tangent).enumerate() {
+        for (axis, tangent) in settings.pose.iter().zip(tangent) {
             let part = tangent.abs();
             if part > 1e-12 {
-                if axis.rate / part < self.rate_speed {
-                    self.rate_speed = axis.rate / part;
-                    self.slowest = (k, part, *pose);
-                }
+                self.rate_speed = self.rate_speed.min(axis.rate / part);
                 self.acceleration = self
                     .acceleration
                     .min(ACCELERATION_SHARE * axis.acceleration / part);
@@ -407,40 +402,11 @@ impl<'a> Search<'a> {
         self.joint_speed = joint_speed(self.settings, &self.derivatives);
     }
 
-    /// Applies the programmed feed, per minute.
-    ///
-    /// # Errors
-    ///
-    /// Returns problem and remedy if the feed exceeds a rate of the pose. The joints lower it.
-    fn feed(&mut self, feed: f64, measure: Measure) -> Result<(), Refusal> {
-        let speed = feed / 60.0;
-        if speed > self.rate_speed {
-            let (index, part, pose) = &self.slowest;
-            let axis = &self.settings.pose[*index];
-            let unit = if axis.kind == AxisKind::Linear {
-                "mm"
-            } else {
-                "deg"
-            };
-            let feed_unit = if measure == Measure::Tip {
-                "mm/min"
-            } else {
-                "deg/min"
-            };
-            let largest = (self.rate_speed * 60.0 * 10.0).floor() / 10.0;
-            return Err((
-                format!(
-                    "a feed of {feed} {feed_unit} needs {:.3} {unit}/s of axis {} at {}, its limit is {:.3} {unit}/s",
-                    speed * part,
-                    axis.letter,
-                    format_pose(pose, self.settings),
-                    axis.rate
-                ),
-                format!("the largest feed for this block is {largest} {feed_unit}"),
-            ));
-        }
-        self.speed = speed;
-        Ok(())
+    /// Whether the limits of the machine lower the programmed feed.
+    fn is_slowed(&self) -> bool {
+        let most = self.rate_speed.min(self.joint_speed);
+        // A feed at the limit is not lowered, whatever its rounding.
+        self.speed < f64::INFINITY && most < self.speed * (1.0 - 1e-9)
     }
 
     /// Returns the limits along the path, and the largest speed without the feed.

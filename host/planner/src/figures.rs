@@ -11,7 +11,7 @@ pub struct Figures {
     pub path_length_mm: f64,
     /// Number of moves.
     pub blocks: usize,
-    /// Number of moves that the joints keep below their feed.
+    /// Number of moves that the limits of the machine keep below their feed.
     pub slowed: usize,
     /// Slowest and fastest speed of the turning spindle, rev/min; `None` if it stands.
     pub spindle_rpm: Option<[u16; 2]>,

@@ -48,12 +48,6 @@ fn program_mistakes_are_reported_by_line() {
     );
     text += &refused(
         &folder,
-        "too-fast.ngc",
-        "G21 G90\nG1 X60 Y60 F100\nG1 Y90 F6000\n",
-        4,
-    );
-    text += &refused(
-        &folder,
         "not-utf-8.ngc",
         b"G21 G90 (caf\xe9)\nG1 X1 F100\n\xff\xfe\n",
         3,
@@ -67,6 +61,20 @@ fn program_mistakes_are_reported_by_line() {
         4,
     );
     insta::assert_snapshot!("program_mistakes", text);
+}
+
+/// F6000 is 100 mm/s, and the axis moves at 50 mm/s.
+#[test]
+fn a_feed_beyond_the_limits_is_lowered_with_a_notice() {
+    let folder = TestFolder::new();
+    let file = folder.file("fast.ngc", "G21 G90\nG1 X20 F100\nG1 Y20 F6000\n");
+    let out = folder.path("out");
+    let more: [&[&str]; 2] = [&["--check"], &["--out", &out]];
+    for more in more {
+        let ran = haptimill(&[&["run", &file], more].concat()).expect_code(0);
+        let notice = "fast.ngc: the limits of the machine keep 1 block below the feed";
+        assert!(ran.out.contains(notice), "{}", ran.out);
+    }
 }
 
 #[test]
