@@ -1,8 +1,10 @@
 //! From a drawing to a tool path.
 
+mod area;
 mod options;
 mod outline;
 
+pub use area::{check_area, check_pocket};
 pub use options::{Operation, Options, Ordering, Side};
 
 use crate::drawing::{Drawing, Problem};
@@ -282,57 +284,4 @@ fn drill(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     let chosen = measured(&job.toolpath.cuts, "shortest found", options);
     job.candidates.push(chosen);
     Ok(job)
-}
-
-/// Refuses a job of which a part is outside an area (low and high corner, mm).
-///
-/// # Errors
-/// Each entity with a path of the tool outside.
-pub fn check_area(
-    job: &Job,
-    drawing: &Drawing,
-    [low, high]: [Point; 2],
-    name: &str,
-) -> Result<(), Vec<Problem>> {
-    let mut problems: Vec<Problem> = Vec::new();
-    let mut seen = vec![false; drawing.entities.len()];
-    for cut in &job.toolpath.cuts {
-        let mut bounds = [cut.start, cut.start];
-        for step in &cut.steps {
-            if let Step::Along(segment, _) = step {
-                let [l, h] = segment.bounds();
-                for axis in 0..2 {
-                    bounds[0][axis] = bounds[0][axis].min(l[axis]);
-                    bounds[1][axis] = bounds[1][axis].max(h[axis]);
-                }
-            }
-        }
-        let within = (0..2).all(|axis| {
-            bounds[0][axis] >= low[axis] - 1e-6 && bounds[1][axis] <= high[axis] + 1e-6
-        });
-        if !within && !std::mem::replace(&mut seen[cut.entity], true) {
-            problems.push(Problem::of(
-                &drawing.entities[cut.entity],
-                format!(
-                    "the tool runs from {:.3}, {:.3} to {:.3}, {:.3}, outside of {name}: {}, {} \
-                     to {}, {}",
-                    bounds[0][0],
-                    bounds[0][1],
-                    bounds[1][0],
-                    bounds[1][1],
-                    low[0],
-                    low[1],
-                    high[0],
-                    high[1]
-                ),
-                "move the drawing with --origin or --at, scale it with --scale, or check its unit \
-                 with --unit",
-            ));
-        }
-    }
-    if problems.is_empty() {
-        Ok(())
-    } else {
-        Err(problems)
-    }
 }

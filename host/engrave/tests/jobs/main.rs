@@ -9,7 +9,9 @@ use common::dxf;
 use haptimill_engrave::drawing::Drawing;
 use haptimill_engrave::gcode::{Rates, program};
 use haptimill_engrave::geometry::{Path, Point};
-use haptimill_engrave::job::{Job, Operation, Options, Ordering, Side, check_area, plan};
+use haptimill_engrave::job::{
+    Job, Operation, Options, Ordering, Side, check_area, check_pocket, plan,
+};
 use haptimill_engrave::plate::{Plate, PlateReport};
 use haptimill_engrave::preview::{area, cut};
 use haptimill_engrave::read::{ReadOptions, read};

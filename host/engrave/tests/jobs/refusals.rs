@@ -69,6 +69,26 @@ fn a_job_outside_of_the_area_is_refused_with_its_entity() {
     assert!(problems[0].remedy.contains("--at"));
 }
 
+/// A drawing in metres: its pocket is 244 m wide, which nobody clears with a tool of 0.3 mm.
+#[test]
+fn a_pocket_outside_of_the_area_is_refused_before_it_is_planned() {
+    let text = dxf(&squares(&[[0.0, 0.0, 110.2], [5.0, 5.0, 244_000.0]]));
+    let area = [[0.0, 0.0], [110.0, 250.0]];
+    let problems = check_pocket(&drawing(&text), 0.3, area, "the plate").unwrap_err();
+    assert_eq!(problems.len(), 2);
+    assert!(
+        problems[1].message.contains("handle 65 on layer Cut"),
+        "{}",
+        problems[1]
+    );
+    // The tool stays half of its diameter inside the contour.
+    let within = dxf(&squares(&[[-0.1, -0.1, 110.2]]));
+    assert_eq!(
+        check_pocket(&drawing(&within), 0.3, area, "the plate"),
+        Ok(())
+    );
+}
+
 #[test]
 fn numbers_that_make_no_job_are_refused() {
     for options in [

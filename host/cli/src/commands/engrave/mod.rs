@@ -8,7 +8,7 @@ use haptimill_client::{Error, Located};
 use haptimill_engrave::drawing::{Drawing, LayerChoice, Problem};
 use haptimill_engrave::gcode::{Rates, program};
 use haptimill_engrave::geometry::Point;
-use haptimill_engrave::job::{Job, check_area, plan};
+use haptimill_engrave::job::{Job, Operation, check_area, check_pocket, plan};
 use haptimill_engrave::kurbo::Affine;
 use haptimill_engrave::plate::PlateReport;
 use haptimill_engrave::preview;
@@ -136,11 +136,15 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
     }
     let begin = Instant::now();
     let refused = |problems: Vec<Problem>| refuse(&args.drawing, Exit::BadInput, &problems);
-    let job = plan(&drawing, &args.options()).map_err(refused)?;
-    let analysis_s = begin.elapsed().as_secs_f64();
     let outside = format!("the area of {}", machine.config.name);
-    check_area(&job, &drawing, area, &outside)
-        .map_err(|problems| refuse(&args.drawing, Exit::Refused, &problems))?;
+    let leaves = |problems: Vec<Problem>| refuse(&args.drawing, Exit::Refused, &problems);
+    let options = args.options();
+    if options.operation == Operation::Pocket {
+        check_pocket(&drawing, options.tool_mm, area, &outside).map_err(leaves)?;
+    }
+    let job = plan(&drawing, &options).map_err(refused)?;
+    let analysis_s = begin.elapsed().as_secs_f64();
+    check_area(&job, &drawing, area, &outside).map_err(leaves)?;
     let lengths = job.toolpath.lengths([0.0; 2]);
     let rates = Rates {
         feed: args.feed,
