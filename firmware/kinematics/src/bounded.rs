@@ -135,6 +135,19 @@ impl BoundedKinematics {
         }
     }
 
+    /// Checks that no joint passes the half turn, where its stroke ends: an arc with both ends in
+    /// the stroke does not go round the other way.
+    #[inline]
+    fn check_arcs(&self, [low, high]: &[Joints; 2]) -> Result<(), PoseError> {
+        for axis in 0..MAX_AXES {
+            let place = |joints: &Joints| joints.0[axis].wrapping_sub(self.lows[axis]).0 as u32;
+            if self.widths[axis] != u32::MAX && place(low) > place(high) {
+                return Err(PoseError::Unreachable);
+            }
+        }
+        Ok(())
+    }
+
     /// Error for the first joint outside its stroke.
     #[cold]
     #[inline(never)]
@@ -207,6 +220,7 @@ impl Kinematics for BoundedKinematics {
         for joints in &bounds.joints {
             self.check_strokes(joints)?;
         }
+        self.check_arcs(&bounds.joints)?;
         Ok(bounds)
     }
 

@@ -60,13 +60,29 @@ pub struct JointDescriptor {
     pub name: &'static str,
     /// Linear or rotary.
     pub kind: AxisKind,
+    /// Whether the joint may wrap around although it is no pose coordinate.
+    pub may_wrap: bool,
 }
 
 impl JointDescriptor {
     /// A joint with this name and kind.
     #[must_use]
     pub const fn new(name: &'static str, kind: AxisKind) -> Self {
-        Self { name, kind }
+        Self {
+            name,
+            kind,
+            may_wrap: false,
+        }
+    }
+
+    /// The joint, which may wrap around although it is no pose coordinate: the model computes its
+    /// angle modulo a turn, and its bounds over a box as an arc from low upwards to high.
+    #[must_use]
+    pub const fn wrapping(self) -> Self {
+        Self {
+            may_wrap: true,
+            ..self
+        }
     }
 }
 

@@ -48,7 +48,8 @@ impl Config {
         self.check_geometry()?;
         // Telemetry of forces and of turns do not fit into one message.
         let has_axes = self.model.descriptor().has_force_axes();
-        let force = self.force.is_none() || (has_axes && self.wrapping() == 0);
+        let force = self.force.is_none()
+            || (has_axes && self.wrapping() == 0 && self.wrapping_joints() == 0);
         require(force, ConfigField::Force, None)?;
         self.check_haptics()?;
         self.check_volumetric()?;
@@ -210,6 +211,9 @@ impl Config {
         let turns = || {
             let machine = self.model.descriptor();
             let joint = machine.joints.get(index)?;
+            if joint.may_wrap {
+                return Some(axis.wraps());
+            }
             let named = |axis: &CoordinateDescriptor| axis.name == joint.name;
             let coordinate = machine.pose.iter().position(named)?;
             Some(self.is_turntable(axis.wraps(), coordinate))

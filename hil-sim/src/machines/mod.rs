@@ -11,6 +11,7 @@ pub mod five_bar;
 pub mod four_axis;
 pub mod h4;
 pub mod linear_delta;
+pub mod polar_mill;
 pub mod scara;
 pub mod trunnion;
 
@@ -240,6 +241,8 @@ geometries! {
     LinearDelta("linear_delta", linear_delta::LinearDelta);
     /// Two arms of two links, from motors on one line to one tool, and a vertical slide.
     FiveBar("five_bar", five_bar::FiveBar);
+    /// A radial slide over a table that turns about z, and a vertical slide.
+    PolarMill("polar_mill", polar_mill::PolarMill);
     /// Joints that carry nothing: the pose is the joint positions.
     Joints("joints", cartesian::BareJoints);
 }

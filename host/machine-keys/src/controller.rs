@@ -65,7 +65,7 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .rotary("high_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS);
     wrap = flag().is("the joint turns without limits and has no stroke")
         .only("rotary joints").or_text("false")
-        .bounded("the pose coordinate of the same name wraps too");
+        .bounded("the pose coordinate of the same name wraps too; of a joint that is no coordinate: where the model allows it");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
         .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES);
     acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")

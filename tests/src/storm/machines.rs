@@ -45,6 +45,7 @@ machine_files! {
     "vmc3-tables", "vmc3.toml";
     "engraver", "engraver.toml";
     "fivebar", "fivebar.toml";
+    "polar3", "polar3.toml";
 }
 
 impl MachineKind {

@@ -14,6 +14,7 @@ pub mod facet;
 pub mod five_bar;
 pub mod h4;
 pub mod linear_delta;
+pub mod polar_mill;
 pub mod scara;
 pub mod subject;
 pub mod suite;
@@ -43,6 +44,8 @@ macro_rules! subjects {
             delta_uneven: linear_delta::Slides::new(linear_delta::UNEVEN), 0.1, 200;
             five_bar_apart: five_bar::Arms::new(five_bar::APART), 0.2, 500;
             five_bar_on_one_axis: five_bar::Arms::new(five_bar::ON_ONE_AXIS), 0.1, 200;
+            polar_aside: polar_mill::Table::new(polar_mill::ASIDE), 0.2, 500;
+            polar_centred: polar_mill::Table::new(polar_mill::CENTRED), 0.1, 200;
         }
     };
 }

@@ -8,6 +8,7 @@ pub mod facet;
 pub mod five_bar;
 pub mod h4;
 pub mod linear_delta;
+pub mod polar_mill;
 pub mod scara;
 pub mod trunnion;
 
@@ -195,4 +196,6 @@ machines! {
     LinearDelta(linear_delta::LinearDelta);
     /// Two arms of two links, from motors on one line to one tool, and a vertical slide.
     FiveBar(five_bar::FiveBar);
+    /// A radial slide over a table that turns about z, and a vertical slide.
+    PolarMill(polar_mill::PolarMill);
 }

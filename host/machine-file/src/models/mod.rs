@@ -6,6 +6,7 @@ mod five_bar;
 mod four_axis;
 mod h4;
 mod linear_delta;
+mod polar_mill;
 mod scara;
 mod trunnion;
 
@@ -60,6 +61,7 @@ models! {
     FourAxis(four_axis::File);
     LinearDelta(linear_delta::File);
     FiveBar(five_bar::File);
+    PolarMill(polar_mill::File);
 }
 
 /// A model and the reader of its keys.
