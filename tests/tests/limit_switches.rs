@@ -12,6 +12,7 @@ use haptimill_protocol::message::{
 };
 use haptimill_tests::Bench;
 use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
 use setup::{MM, drives_off, jog, line, state};
 
 const SERVO: &str = include_str!("../../machines/mill3-servo.toml");
@@ -337,7 +338,7 @@ fn bench_with_plant(text: &str, plant: &str) -> Bench {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 16, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 16, rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Whatever interrupts the motion, it ends within its bounds, the drives are off or hold off
     /// the switch, and a kept position is true to the plant.
@@ -395,7 +396,9 @@ proptest! {
                 bench.ask(Command::Reset).expect("reset");
                 bench.steps(2000);
             }
-            if truth < low || truth > high {
+            // Enable refuses a measured pose beyond the stroke; the true one differs before homing.
+            let measured = f64::from(bench.status().joints[joint]) / MM;
+            if measured < low || measured > high {
                 bench.ask(Command::MoveOff { axis: joint as u8 }).expect("moves");
                 follow(&mut bench, &[joint], upper, |_, _| ());
             }
