@@ -275,10 +275,10 @@ impl Compensation {
         &self.corrected
     }
 
-    /// What [`correct`](Self::correct) took away last, axis units. For a measured pose, which is off
-    /// the corrected one by the following error, it differs from the error there by that times the
-    /// slope of the errors: 1 um per mm for the steepest translations. To evaluate the tables there
-    /// would double the cost of a period.
+    /// What [`correct`](Self::correct) took away last, axis units. A measured pose is off the
+    /// corrected one by the following error; the error there differs by that times the slope of the
+    /// errors: 1 um per mm for the steepest translations. To evaluate the tables there would double
+    /// the cost of a period.
     #[must_use]
     #[inline]
     pub fn taken(&self) -> [i32; ERROR_AXES] {

@@ -6,6 +6,9 @@ use haptimill_math::scale::{multiply_high, round_shift, scale, total};
 use haptimill_math::trig::{ONE, QUARTER_PI_Q31, sin_cos};
 use haptimill_math::{Acceleration, Angle, Coordinate, Rate};
 
+/// Raw units of an angle in a radian: 2^32 / 2 pi.
+pub(crate) const RADIAN: i64 = 683_565_276;
+
 /// 2 pi, Q28.
 pub(crate) const TWO_PI_Q28: i32 = 1_686_629_713;
 

@@ -13,7 +13,7 @@
 //! The workpiece frame is the lap: its origin is the centre, z points away from the lap. The tool
 //! is the stone; its own frame is that of the tip.
 
-use super::Geometry;
+use super::{DEGREE, Geometry};
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
@@ -49,12 +49,10 @@ pub struct FacetConfig {
 /// Rows of the upper part of a homogeneous matrix.
 type Transform = [[f64; 4]; 3];
 
-const RADIAN: f64 = core::f64::consts::PI / 180.0;
-
 /// Transform of a link.
 fn link(alpha_deg: f64, a: f64, d: f64, theta_deg: f64) -> Transform {
-    let (sin_alpha, cos_alpha) = libm::sincos(alpha_deg * RADIAN);
-    let (sin, cos) = libm::sincos(theta_deg * RADIAN);
+    let (sin_alpha, cos_alpha) = libm::sincos(alpha_deg * DEGREE);
+    let (sin, cos) = libm::sincos(theta_deg * DEGREE);
     [
         [cos, -sin, 0.0, a],
         [sin * cos_alpha, cos * cos_alpha, -sin_alpha, -sin_alpha * d],
@@ -167,7 +165,7 @@ impl Geometry for Facet {
             [0.0, 0.0, -config.lap_dir],
         ];
         let about_x = link(config.lap_about_x_deg, 0.0, 0.0, 0.0);
-        let (sin, cos) = libm::sincos(config.lap_about_y_deg * RADIAN);
+        let (sin, cos) = libm::sincos(config.lap_about_y_deg * DEGREE);
         let about_y: Transform = [
             [cos, 0.0, sin, 0.0],
             [0.0, 1.0, 0.0, 0.0],

@@ -22,6 +22,9 @@ use crate::process::ToolPose;
 use crate::vector::{LEVEL, Vector};
 use serde::{Deserialize, Serialize};
 
+/// A degree in radians.
+const DEGREE: f64 = core::f64::consts::PI / 180.0;
+
 /// Geometry of a simulated machine: it follows the joints with the pose of the tool.
 pub trait Geometry: Sized {
     /// Section of the machine file, mm and degrees.

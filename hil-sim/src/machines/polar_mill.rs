@@ -4,7 +4,7 @@
 //! Units: mm and degrees. The tool points down along z. The machine frame has its origin on the
 //! axis of the table and its x along the radial slide.
 
-use super::Geometry;
+use super::{DEGREE, Geometry};
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
@@ -38,12 +38,11 @@ pub struct PolarMill {
     config: PolarMillConfig,
 }
 
-const RADIAN: f64 = core::f64::consts::PI / 180.0;
 const UP: Vector = [0.0, 0.0, 1.0];
 
 /// Directions of the workpiece in the machine frame, with the table at this angle.
 fn frame(degrees: f64) -> [Vector; 3] {
-    let (sin, cos) = libm::sincos(degrees * RADIAN);
+    let (sin, cos) = libm::sincos(degrees * DEGREE);
     let ahead = [cos, sin, 0.0];
     [ahead, cross(UP, ahead), UP]
 }
@@ -118,7 +117,7 @@ impl Geometry for PolarMill {
         let [x, y, _] = plus([pose[0], pose[1], pose[2]], self.origin());
         let away = libm::hypot(x, y);
         let across = libm::asin((self.config.across / away).clamp(-1.0, 1.0));
-        frame((across - libm::atan2(y, x)) / RADIAN)
+        frame((across - libm::atan2(y, x)) / DEGREE)
     }
 
     /// Virtual work: the slides move the tool, the table moves the workpiece under it.

@@ -4,7 +4,7 @@
 //! Units: mm and degrees. The tool points down along the slide. The chain is: the tilt of the
 //! column, turn by the shoulder, upper arm, turn by the elbow, forearm, slide.
 
-use super::Geometry;
+use super::{DEGREE, Geometry};
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
@@ -48,11 +48,9 @@ pub struct Scara {
     column: [Vector; 3],
 }
 
-const RADIAN: f64 = core::f64::consts::PI / 180.0;
-
 /// A vector turned about an axis of length 1, by Rodrigues' formula.
 fn turned(vector: Vector, axis: Vector, degrees: f64) -> Vector {
-    let (sin, cos) = libm::sincos(degrees * RADIAN);
+    let (sin, cos) = libm::sincos(degrees * DEGREE);
     let along = times(axis, dot(axis, vector));
     let across = minus(vector, along);
     plus(

@@ -5,7 +5,7 @@
 //! trunnion's axis, its misalignment, turn by a about x, to the table's axis, its misalignment,
 //! turn by c about z, to the origin of the workpiece.
 
-use super::Geometry;
+use super::{DEGREE, Geometry};
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
@@ -64,8 +64,6 @@ struct Transform {
     origin: Vector,
 }
 
-const RADIAN: f64 = core::f64::consts::PI / 180.0;
-
 impl Transform {
     const NONE: Self = Self {
         columns: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
@@ -81,7 +79,7 @@ impl Transform {
 
     /// Rotation about a coordinate axis, right-handed.
     fn turned(axis: usize, degrees: f64) -> Self {
-        let (sin, cos) = libm::sincos(degrees * RADIAN);
+        let (sin, cos) = libm::sincos(degrees * DEGREE);
         let (one, two) = ((axis + 1) % 3, (axis + 2) % 3);
         let mut turned = Self::NONE;
         turned.columns[one][one] = cos;

@@ -594,6 +594,17 @@ fn bad_drawings_are_refused_before_anything_is_written() {
             .contains("LWPOLYLINE handle 22 on layer FRAME")
     );
     assert!(problem["remedy"].as_str().unwrap().contains("--origin"));
+    // In metres the pocket is not planned: it would take hours.
+    let metres = [
+        "--unit",
+        "1000",
+        "--operation",
+        "pocket",
+        "--layer",
+        "PICTURE",
+    ];
+    let (code, result) = folder.run(&[&[&*plate, "-o", "out.ngc"], &metres[..]].concat());
+    assert_eq!(code, 4, "{result:#}");
     let text = std::fs::read_to_string(&plate).unwrap();
     folder.write("cut.dxf", &text[..text.len() / 2]);
     let (code, result) = folder.run(&["cut.dxf", "-o", "out.ngc"]);

@@ -22,7 +22,7 @@
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::machine::Machine;
-use crate::planar::{held, swing, turned};
+use crate::planar::{RADIAN, held, swing, turned};
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };
@@ -42,8 +42,6 @@ const THETA: usize = 1;
 /// Index of the vertical slide in a pose and in the joints.
 const Z: usize = 2;
 
-/// Raw units of an angle in a radian: 2^32 / 2 pi.
-const RADIAN: i64 = 683_565_276;
 /// Least singularity margin, 2^-20 mm: 1 mm. Quotients by r fit then.
 const LEAST_MARGIN: i32 = 1 << 20;
 /// What was rounded in the bound of an angle, or of its rate, raw units.

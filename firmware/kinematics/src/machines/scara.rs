@@ -27,6 +27,7 @@
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::machine::Machine;
+use crate::planar::RADIAN;
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };
@@ -42,8 +43,6 @@ const AXES: usize = 3;
 /// Index of the slide in a pose and in the joints.
 const Z: usize = 2;
 
-/// Raw units of an angle in a radian: 2^32 / 2 pi.
-const RADIAN: i64 = 683_565_276;
 /// 2 pi, Q28.
 const TWO_PI_Q28: i32 = 1_686_629_713;
 

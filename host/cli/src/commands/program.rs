@@ -25,7 +25,7 @@ pub(crate) struct Planned {
     pub(crate) pauses: Pauses,
     /// The approach of a program that begins in the middle.
     pub(crate) approach: Option<String>,
-    /// Words that change nothing on this machine, as lines of text.
+    /// Words that change nothing on this machine, and feeds that it lowers, as lines of text.
     pub(crate) notices: Vec<String>,
 }
 
@@ -35,8 +35,14 @@ pub(crate) struct Checked {
     pub(crate) figures: Figures,
     /// Duration at the overrides, seconds.
     pub(crate) duration_s: f64,
-    /// Words that change nothing on this machine, as lines of text.
+    /// Words that change nothing on this machine, and feeds that it lowers, as lines of text.
     pub(crate) notices: Vec<String>,
+}
+
+/// What lowers the feed of blocks, if there are any.
+pub(crate) fn slowed(figures: &Figures) -> Option<String> {
+    let blocks = haptimill_report::count(figures.slowed, "block");
+    (figures.slowed > 0).then(|| format!("the limits of the machine keep {blocks} below the feed"))
 }
 
 impl Planned {
@@ -312,9 +318,9 @@ impl PartProgram {
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         Ok(Planned {
             pauses: self.pauses_of(&plan, &program.steps),
-            plan,
             approach,
-            notices: self.describe_notices(&program.notices, &program.called),
+            notices: self.all_notices(&program.notices, &program.called, &plan.figures),
+            plan,
         })
     }
 
@@ -384,8 +390,8 @@ impl PartProgram {
         })?;
         Ok(Checked {
             duration_s: figures.duration_s,
+            notices: self.all_notices(interpreter.notices(), interpreter.called(), &figures),
             figures,
-            notices: self.describe_notices(interpreter.notices(), interpreter.called()),
         })
     }
 
@@ -450,6 +456,17 @@ impl PartProgram {
             format!("{name}:{line}:{column}: notice: {}", notice.what)
         };
         notices.iter().map(describe).collect()
+    }
+
+    fn all_notices(&self, notices: &[Notice], called: &[String], figures: &Figures) -> Vec<String> {
+        let mut all = self.describe_notices(notices, called);
+        all.extend(self.describe_slowed(figures));
+        all
+    }
+
+    /// The notice of blocks whose feed the machine does not reach, if there are any.
+    pub(crate) fn describe_slowed(&self, figures: &Figures) -> Option<String> {
+        slowed(figures).map(|what| format!("{}: notice: {what}", self.file))
     }
 
     /// Refuses a program with pauses where standard input is no terminal, because a pause waits for

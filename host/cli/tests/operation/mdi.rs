@@ -108,6 +108,9 @@ fn a_probe_block_finds_the_simulated_block() {
     assert!(found.out.starts_with("contact at  x 1"), "{}", found.out);
     let z = commanded(&served.status_of(machine), "z");
     assert!((z - 5.0).abs() < 0.05, "{z} in {}", found.out);
+    let fast = served.run_ok(&[&["mdi", "G1 Z6 F99999"], &on[..]].concat());
+    let notice = "notice: the limits of the machine keep 1 block below the feed";
+    assert!(fast.out.contains(notice), "{}", fast.out);
     let missed = served.run(&[&["mdi", "G38.2 Z30 F600"], &on[..]].concat());
     let missed = missed.expect_code(8);
     assert!(

@@ -69,10 +69,10 @@ fn a_feed_beyond_the_limits_is_lowered_with_a_notice() {
     let folder = TestFolder::new();
     let file = folder.file("fast.ngc", "G21 G90\nG1 X20 F100\nG1 Y20 F6000\n");
     let out = folder.path("out");
-    let more: [&[&str]; 2] = [&["--check"], &["--out", &out]];
+    let more: [&[&str]; 3] = [&["--check"], &["--out", &out], &["--out", &out, "--stream"]];
     for more in more {
         let ran = haptimill(&[&["run", &file], more].concat()).expect_code(0);
-        let notice = "fast.ngc: the limits of the machine keep 1 block below the feed";
+        let notice = "fast.ngc: notice: the limits of the machine keep 1 block below the feed";
         assert!(ran.out.contains(notice), "{}", ran.out);
     }
 }

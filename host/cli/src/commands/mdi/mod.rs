@@ -4,7 +4,7 @@ use super::args::{BoardArg, ConnectArgs};
 use super::board::file_of;
 use super::operator_input::Input;
 use super::probing::{Touch, find_input, probe_along};
-use super::program::LanguageArgs;
+use super::program::{LanguageArgs, slowed};
 use super::run::job::refuse_latched_fault;
 use super::simple::{open, print_status};
 use super::{CliError, Exit};
@@ -297,6 +297,9 @@ impl Mdi {
             return Err(CliError::new(Exit::Usage, what));
         }
         let plan = self.plan(steps, &status)?;
+        if let Some(what) = slowed(&plan.figures) {
+            print_line!("notice: {what}");
+        }
         let mut pauses = Pauses {
             input,
             what: what.into_iter(),

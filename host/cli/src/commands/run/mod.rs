@@ -228,9 +228,6 @@ fn check_planned(
     for notice in &planned.notices {
         args.print_message(notice);
     }
-    if planned.plan.figures.slowed > 0 {
-        args.print_message(&slowed(program, planned.plan.figures.slowed));
-    }
     if !args.skips_pauses() {
         program.check_pauses(&planned)?;
     }
@@ -290,9 +287,6 @@ fn print_check(args: &RunArgs, program: &PartProgram, checked: &Checked) {
     for notice in &checked.notices {
         args.print_message(notice);
     }
-    if figures.slowed > 0 {
-        args.print_message(&slowed(program, figures.slowed));
-    }
     args.print_message(&format!(
         "{}: no problem; {}, {:.1} mm, {}",
         program.name,
@@ -300,15 +294,6 @@ fn print_check(args: &RunArgs, program: &PartProgram, checked: &Checked) {
         figures.path_length_mm,
         args.describe_duration(checked.duration_s)
     ));
-}
-
-/// The notice of blocks whose feed the machine does not reach.
-fn slowed(program: &PartProgram, blocks: usize) -> String {
-    format!(
-        "{}: the limits of the machine keep {} below the feed",
-        program.name,
-        count(blocks, "block")
-    )
 }
 
 /// Options of a client on a serial line. The client sends no faster than the line transmits, so a

@@ -401,7 +401,11 @@ impl Planning {
         if let Err(problem) = self.planner.finish(line) {
             self.fail(problem);
         }
-        self.end.lock().is_empty = self.planner.figures().blocks == 0;
+        let figures = self.planner.figures();
+        self.end.lock().is_empty = figures.blocks == 0;
+        if let Some(text) = self.program.describe_slowed(&figures) {
+            (self.stream.print)(&text);
+        }
         self.send()
     }
 
