@@ -25,7 +25,7 @@ struct Planted {
 
 /// Plants all bugs into a copy of the sources, each behind a switch, and runs the storm on each.
 pub fn planted(arguments: &[&str]) -> Result<(), String> {
-    let mut episodes = "1000".to_string();
+    let mut episodes = "1500".to_string();
     let mut seed = "1".to_string();
     let mut only = None;
     let mut words = arguments.iter();
