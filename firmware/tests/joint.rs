@@ -565,3 +565,35 @@ fn a_resonating_rotor_is_no_stuck_channel() {
     assert_eq!(fault(0.01), None);
     assert_eq!(fault(0.2), Some(Fault::EncoderStuck { axis: 1 }));
 }
+
+/// A slide with an effort of -60 N against its new direction moves on by two counts while its loop
+/// reverses the effort, and then sticks at 80 N for 40 ms: friction, no dead encoder. If the same
+/// efforts give no count at all, the encoder is dead.
+#[test]
+fn a_slide_that_moves_on_after_a_reversal_has_a_live_encoder() {
+    let axis = axis(torque(), 0.0);
+    let encoder = axis.encoder.clone().expect("an encoder");
+    let count = (encoder.per_count >> 24) as i32;
+    let fault = |against: &[usize]| {
+        let mut monitor = JointMonitor::default();
+        let mut measured = 100 << 20;
+        (0..200).find_map(|period| {
+            let moved = -i32::from(against.contains(&period));
+            measured += moved * count;
+            let newtons = (-60.0 + 20.0 * period as f64).min(80.0);
+            let sample = JointSample {
+                commanded: Coordinate((100 << 20) + period as i32 * 10),
+                commanded_rate: Rate(100_000),
+                measured: Coordinate(measured),
+                moved,
+                effort: Effort((newtons * NEWTON) as i32),
+                period_us: 200,
+                placed: true,
+                ..JointSample::default()
+            };
+            monitor.check(1, &axis, &encoder, 0, &sample)
+        })
+    };
+    assert_eq!(fault(&[2, 6]), None);
+    assert_eq!(fault(&[]), Some(Fault::EncoderStuck { axis: 1 }));
+}

@@ -184,6 +184,12 @@ impl<C: Control> Rig<C> {
         })
     }
 
+    /// Whether the controller is late: it misses the next period.
+    #[must_use]
+    pub const fn is_late(&self) -> bool {
+        self.late > 0
+    }
+
     /// Simulates one control period. Returns false when the controller missed it.
     pub fn step(&mut self) -> bool {
         let now = self.plant.time_ns();

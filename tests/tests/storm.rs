@@ -70,7 +70,9 @@ fn a_joint_far_behind_its_switch_is_homed() {
 /// that was taken for a dead encoder (2174), an unknown flank of a screw at rest (3640).
 #[test]
 fn episodes_that_failed_once_pass() {
-    for seed in [884, 2174, 3640, 3_003_157, 3_005_430, 3_006_605, 7_000_844] {
+    for seed in [
+        884, 2174, 3640, 3_003_157, 3_005_430, 3_006_605, 7_000_844, 9_503_908,
+    ] {
         let outcome = run(&Episode::of(seed));
         assert_eq!(outcome.violation, None, "seed {seed}");
     }

@@ -81,6 +81,8 @@ struct LastCount {
     direction: i32,
     /// Excess of the effort over what friction can hold; effort units times periods.
     impulse: i64,
+    /// The encoder counted along the commanded direction since it changed.
+    follows: bool,
 }
 
 /// Consecutive periods against the drive that mean a runaway. One wrong rate between two edges ends
@@ -353,6 +355,10 @@ impl JointMonitor {
     /// standstill or a reversal growth is measured from the same effort, or from twice the friction
     /// above the present effort if that is more. Friction is the compensated friction, and at least
     /// a 32nd of the drive's limit; growth up to that value is ignored.
+    ///
+    /// After a reversal a slide may move on against its command by less than a stuck channel
+    /// counts, and its friction changes its sign late. So each count against the command that comes
+    /// before the first count along it sets the effort anew.
     fn pushed(
         &mut self,
         axis: u8,
@@ -374,6 +380,7 @@ impl JointMonitor {
             peak: along,
             direction,
             impulse: 0,
+            follows: false,
         };
         let last_count = self.last_count.get_or_insert(begun);
         if direction == 0 || direction != last_count.direction {
@@ -394,9 +401,16 @@ impl JointMonitor {
             *last_count = LastCount {
                 needed,
                 reference: needed,
+                follows: true,
                 ..begun
             };
             return None;
+        }
+        if !last_count.follows && sample.moved != 0 {
+            last_count.follows = counts_along(encoder, sample.moved, direction);
+            if !last_count.follows {
+                last_count.reference = last_count.reference.max(begun.reference);
+            }
         }
         let growth = i64::from(along) - i64::from(last_count.reference);
         last_count.impulse += (growth - i64::from(holds)).max(0);
@@ -462,6 +476,11 @@ impl JointMonitor {
 #[inline(always)]
 const fn direction_of(value: i32) -> i32 {
     (value >> 31) | (value.wrapping_neg() as u32 >> 31) as i32
+}
+
+/// Whether `moved` counts are motion in `direction`.
+const fn counts_along(encoder: &EncoderAxis, moved: i32, direction: i32) -> bool {
+    (moved > 0) == ((encoder.per_count > 0) == (direction > 0))
 }
 
 /// Size of an encoder count, axis units.

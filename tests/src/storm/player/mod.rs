@@ -342,6 +342,10 @@ impl Player {
         if self.bench.away_since.take().is_some() {
             self.bench.open_session();
         }
+        // A fault by missed periods is latched after the last of them.
+        while self.bench.rig.is_late() {
+            self.step()?;
+        }
         self.steps(10)?;
         if matches!(
             self.state(),
