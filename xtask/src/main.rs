@@ -112,11 +112,12 @@ const CHECKS: &[Step] = &[
     },
 ];
 
-/// All tests that need no emulator.
+/// All tests that need no emulator. Tests of served machines mostly wait for the simulator, which
+/// runs in real time, so more of them run at a time than there are processors.
 const TESTS: &[Step] = &[Step {
     name: "tests",
     arguments: &["test", "--workspace", "--no-fail-fast"],
-    environment: &[],
+    environment: &[("RUST_TEST_THREADS", "4")],
     component: None,
 }];
 
