@@ -183,8 +183,12 @@ fn a_program_with_probe_moves_runs_in_parts() {
         machine,
         "--out",
         &folder.path("out"),
+        "--json",
     ];
-    served.run_ok(&run);
+    // Nothing is recorded, so there are no figures; standard output is a document all the same.
+    let document = served.run_ok(&run).json();
+    assert_eq!(document["program"], "probe.ngc", "{document:#}");
+    assert_eq!(document["completed"], true, "{document:#}");
     let status = served.status_of(machine);
     let at = |name: &str| number(&status["commanded"], name);
     // The top is Z0. The second move found nothing, and the input stayed on: #5399 is -1.

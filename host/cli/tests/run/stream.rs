@@ -82,6 +82,47 @@ fn a_stream_stops_before_a_block_that_cannot_be_done() {
     assert!(ran.err.contains("nothing moved"), "{}", ran.err);
 }
 
+/// With --json standard output is one document: the summary with the error that ended the program.
+#[test]
+fn an_error_of_a_stream_is_in_its_json() {
+    let folder = TestFolder::new();
+    for (text, code, line, moved) in [
+        ("G21 G90 F600\nG1 X4\nX500\n", 4, 3, true),
+        ("G21 G90 F600\nG1 X4\nG7777\n", 3, 3, true),
+        ("G1 X1\n", 3, 1, false),
+    ] {
+        let file = folder.file("stream.ngc", text);
+        let out = folder.path("out");
+        let run = ["run", &file, "--stream", "--json", "--out", &out];
+        let ran = haptimill(&run).expect_code(code);
+        let document = ran.json();
+        assert_eq!(document["exit_code"], code, "{document:#}");
+        assert_eq!(document["problems"][0]["line"], line, "{document:#}");
+        let error = document["error"].as_str().expect("a text");
+        assert_eq!(error, ran.err.trim_end());
+        assert_eq!(error.contains("nothing moved"), !moved, "{error}");
+        assert_eq!(document["completed"], false);
+        assert_eq!(
+            number(&document, "path_length_mm") > 3.9,
+            moved,
+            "{document:#}"
+        );
+    }
+    // A program without an error has none in its summary.
+    let file = folder.file("stream.ngc", "G21 G90 F600\nG1 X1\nM2\n");
+    let run = [
+        "run",
+        &file,
+        "--stream",
+        "--json",
+        "--out",
+        &folder.path("out"),
+    ];
+    let document = haptimill(&run).expect_code(0).json();
+    assert_eq!(document["completed"], true);
+    assert!(document.get("error").is_none(), "{document:#}");
+}
+
 /// The options that need the whole program are refused, and a file that is not there.
 #[test]
 fn a_stream_refuses_what_needs_the_whole_program() {

@@ -17,8 +17,9 @@ use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
-use haptimill_report::{Outcome, Statistics};
+use haptimill_report::{Outcome, Statistics, Summary};
 use haptimill_trace::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
+use serde::Serialize;
 use std::fs::File;
 use std::io::{BufWriter, IsTerminal as _, Write};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -280,10 +281,27 @@ impl Job<'_> {
         for fault in missed {
             eprintln!("--fault \"{fault}\" was not injected: the run ended at {end_s:.2} s");
         }
+        let failure = if recorded.disk_full {
+            Some(results::disk_full(&dir))
+        } else if let Err(error) = end.and_then(|end| self.judge(session, &end)) {
+            Some(error.into())
+        } else {
+            let error = stream_end
+                .as_ref()
+                .and_then(|end| Some((end, end.take_error()?)));
+            error.map(|(end, error)| {
+                let line = track.lock().place_of(u32::MAX).line;
+                self.ended_early(error, (!end.is_empty()).then_some(line))
+            })
+        };
         if self.args.silent {
             // The caller prints its own result.
         } else if self.args.json {
-            let json = serde_json::to_string_pretty(&summary)
+            let document = Document {
+                summary: &summary,
+                failure: failure.as_ref().map(CliError::to_json),
+            };
+            let json = serde_json::to_string_pretty(&document)
                 .map_err(|error| CliError::new(Exit::Internal, error))?;
             print_line!("{json}");
         } else {
@@ -293,18 +311,11 @@ impl Job<'_> {
                 dir.join(haptimill_report::REPORT_FILE).display()
             );
         }
-        if recorded.disk_full {
-            return Err(results::disk_full(&dir).reported());
+        match failure {
+            Some(error) if self.args.silent => Err(error),
+            Some(error) => Err(error.reported()),
+            None => Ok(()),
         }
-        end.and_then(|end| self.judge(session, &end))
-            .map_err(|error| CliError::from(error).reported())?;
-        if let Some(stream_end) = stream_end
-            && let Some(error) = stream_end.take_error()
-        {
-            let line = track.lock().place_of(u32::MAX).line;
-            return Err(self.ended_early(error, (!stream_end.is_empty()).then_some(line)));
-        }
-        Ok(())
     }
 
     /// The recorder of the run, and the statistics of all records where it keeps a part of them.
@@ -377,6 +388,15 @@ impl Job<'_> {
         }
         session.check_completed(end)
     }
+}
+
+/// The result of a run on standard output: one document, also where an error ends the run.
+#[derive(Serialize)]
+struct Document<'a> {
+    #[serde(flatten)]
+    summary: &'a Summary,
+    #[serde(flatten)]
+    failure: Option<serde_json::Value>,
 }
 
 /// Refuses a start in the middle that has to be asked for where nobody can answer.

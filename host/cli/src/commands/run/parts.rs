@@ -223,6 +223,10 @@ impl Job<'_> {
             }
         }
         self.run_part(session, part.take(), &interpreter, operator)?;
+        if self.args.json && !self.args.silent {
+            let result = serde_json::json!({ "program": self.program.name, "completed": true });
+            print_line!("{result:#}");
+        }
         self.args
             .print_message(&format!("{}: done", self.program.file_name()));
         Ok(())
