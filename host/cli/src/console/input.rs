@@ -415,9 +415,9 @@ impl App {
     /// Does what a question asks for. The question for a program that was opened just now stays.
     pub(super) fn accept(&mut self, confirm: Confirm) {
         match confirm {
-            Confirm::Run(text) => {
+            Confirm::Run(text, notices) => {
                 if self.now_us() < self.opened_us + CONFIRM_DELAY_US {
-                    self.overlay = Overlay::Confirm(Confirm::Run(text));
+                    self.overlay = Overlay::Confirm(Confirm::Run(text, notices));
                 } else {
                     self.run_program();
                 }

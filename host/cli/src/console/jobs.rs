@@ -33,6 +33,8 @@ pub(super) struct Checked {
     /// The time that is left at the overrides.
     pub(super) times: TimeTable,
     pauses: Pauses,
+    /// Words that change nothing on this machine, and feeds that it lowers.
+    notices: Vec<String>,
     /// Spindle speeds, rev/min, by the setpoints at which they are set.
     spindle: Arc<BTreeMap<u32, i16>>,
     /// Number of lines of the file.
@@ -109,7 +111,11 @@ pub(super) fn check(
             _ => None,
         })
         .collect();
+    // The screen names a program without its folders.
+    let short = |notice: &String| notice.replacen(&job.file_name(), &job.name, 1);
+    let notices = planned.notices.iter().map(short).collect();
     Ok(Checked {
+        notices,
         name: job.name,
         times: TimeTable::new(machine, &planned.plan.setpoints, 100, 100),
         plan: Arc::new(planned.plan),
@@ -333,10 +339,14 @@ impl App {
                         figures.path_length_mm,
                         duration(figures.duration_s)
                     );
+                    let notices = checked.notices.clone();
                     self.jobs.path = Some(path);
                     self.jobs.checked = Some(checked);
                     self.note_overrides();
-                    self.confirm(Confirm::Run(text));
+                    for notice in &notices {
+                        self.notify(Severity::Info, notice.as_str());
+                    }
+                    self.confirm(Confirm::Run(text, notices));
                 }
                 Ok(Err(error)) => {
                     // A file that was refused is not offered; another one before it still is.

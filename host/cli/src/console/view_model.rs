@@ -180,8 +180,8 @@ pub(super) enum Confirm {
     /// Index of the joint that moves off its limit switch.
     MoveOff(usize),
     Tare,
-    /// Summary of the checked program.
-    Run(String),
+    /// Summary of the checked program, and its notices.
+    Run(String, Vec<String>),
     /// Effect on the machine.
     Quit(String),
 }

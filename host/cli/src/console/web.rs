@@ -182,7 +182,7 @@ impl Web {
                     Overlay::Confirm(Confirm::Quit(_)) => {}
                     Overlay::Confirm(confirm) if yes => {
                         app.accept(confirm);
-                        if matches!(app.overlay, Overlay::Confirm(Confirm::Run(_))) {
+                        if matches!(app.overlay, Overlay::Confirm(Confirm::Run(..))) {
                             let what = "the answer came less than 0.4 s after the question: read \
                                         the question, then answer again";
                             app.notify(Severity::Warning, what);
@@ -463,7 +463,11 @@ fn question(overlay: &Overlay, joints: &[Axis]) -> Option<String> {
                 .map_or("a joint", |joint| joint.name.as_str());
             format!("Move {name} off its limit switch? It moves slowly, then home the machine.")
         }
-        Confirm::Run(what) => format!("Run {what}?"),
+        Confirm::Run(what, notices) => [format!("Run {what}?")]
+            .into_iter()
+            .chain(notices.iter().cloned())
+            .collect::<Vec<_>>()
+            .join(" "),
         Confirm::Tare => "Tare the force sensor?".to_string(),
         Confirm::Quit(what) => what.clone(),
     })

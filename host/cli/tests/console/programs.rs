@@ -152,6 +152,31 @@ fn spindle_speed_of_the_running_program_is_shown() {
     terminal.expect_text("spindle - rev/min");
 }
 
+/// The question before a run shows the words that change nothing and the feeds that the machine
+/// lowers; the messages keep them.
+#[test]
+fn notices_of_a_program_are_shown_before_it_runs() {
+    let folder = TestFolder::new();
+    let text = "G21 G90 F90000\nM8\nG1 X5\nM30\n";
+    let program = folder.file("notice.ngc", text);
+    let terminal = homed(&[&program], Keyboard::Plain);
+    terminal.press_expect(b"p", "Enter checks it");
+    terminal.press_expect(ENTER, "The machine moves.");
+    let notices = [
+        "notice.ngc:2:1: notice: this machine has no coolant",
+        "notice.ngc: notice: the limits of the machine keep 1 block below the feed",
+    ];
+    for notice in notices {
+        terminal.expect_text(notice);
+    }
+    std::thread::sleep(Duration::from_millis(600));
+    terminal.press(ENTER);
+    terminal.expect_text("notice.ngc: done");
+    // The screen has rows for the last messages only, and wraps them.
+    let last = "notice.ngc: notice: the limits of the machine keep 1 block";
+    assert!(terminal.text().contains(last), "{}", terminal.text());
+}
+
 #[test]
 fn program_error_is_reported_with_its_line() {
     let folder = TestFolder::new();

@@ -8,12 +8,17 @@ use crate::console::view_model::{Axis, Confirm, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::PER_EFFORT;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::Source;
+use haptimill_report::count;
 use ratatui::Frame;
 use ratatui::layout::Rect;
 use ratatui::style::{Modifier, Style};
 use ratatui::text::Line;
 use ratatui::widgets::{Block, Clear, Paragraph};
 use std::borrow::Cow;
+
+/// Notices in the question before a run: with more of them its last row would not fit on a small
+/// screen.
+const SHOWN_NOTICES: usize = 4;
 
 /// Title, rows, and the row that stays visible where not all rows fit.
 type Content<'a> = (&'a str, Vec<Line<'a>>, usize);
@@ -66,8 +71,10 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
             )
         }
         Overlay::Confirm(confirm) => {
-            let rows = wrapped(&question(confirm, &view.static_info.joints), width, 0)
+            let question = wrapped(&question(confirm, &view.static_info.joints), width, 0);
+            let rows = question
                 .into_iter()
+                .chain(notice_rows(confirm, width))
                 .map(Line::from);
             let help = highlighted("Enter confirms, any other key cancels");
             ("Confirm", rows.chain([help]).collect())
@@ -170,9 +177,23 @@ fn question(confirm: &Confirm, joints: &[Axis]) -> String {
         Confirm::Tare => {
             "Tare? The present force becomes zero: nothing may touch the tool.".to_string()
         }
-        Confirm::Run(text) => format!("Run {text}? The machine moves."),
+        Confirm::Run(text, _) => format!("Run {text}? The machine moves."),
         Confirm::Quit(text) => format!("Quit? {text}."),
     }
+}
+
+/// The first notices of a program that is asked for; the messages have all of them.
+fn notice_rows(confirm: &Confirm, width: usize) -> Vec<String> {
+    let Confirm::Run(_, notices) = confirm else {
+        return Vec::new();
+    };
+    let shown = notices.iter().take(SHOWN_NOTICES);
+    let mut rows: Vec<String> = shown.flat_map(|notice| wrapped(notice, width, 2)).collect();
+    if notices.len() > SHOWN_NOTICES {
+        let more = count(notices.len() - SHOWN_NOTICES, "more notice");
+        rows.push(format!("{more} in the messages"));
+    }
+    rows
 }
 
 /// One row per pose coordinate: its source.
