@@ -19,7 +19,7 @@ pub(super) struct Timeouts {
     pub jog_until: u64,
     /// Periods in a hold.
     hold: u32,
-    /// Path rate at the begin of the hold; 1 is the programmed speed.
+    /// Largest path rate in the hold; 1 is the programmed speed.
     hold_rate: f64,
     /// Start of the newest session. With it the overrides become 100 % when nothing is active.
     session_start: u64,
@@ -137,9 +137,12 @@ impl Checks {
         };
         let rate = machine.motion.program.path_rate();
         if self.timeouts.hold <= 1 {
-            self.timeouts.hold_rate = rate as f64 / 4_294_967_296.0;
+            self.timeouts.hold_rate = 0.0;
         }
-        // The path rate falls by 1 in the stopping time. A faster part of the path may begin at 2.
+        let path_rate = rate as f64 / 4_294_967_296.0;
+        self.timeouts.hold_rate = self.timeouts.hold_rate.max(path_rate);
+        // The path rate falls by 1 in the stopping time. A faster part of the path may begin at 2,
+        // and an acceleration that a hold interrupts ends with the ramp.
         let stop = f64::from(machine.config.stopping.time_ms) * 5.0;
         let stop = (stop * self.timeouts.hold_rate.max(1.0)) as u32;
         let retracting = matches!(safety.pending(), Some(Fault::Force(_)));
