@@ -291,6 +291,64 @@ fn splines_are_within_their_tolerance() {
     }
 }
 
+/// G5.1 is the parabola of its end points and its control point: the arcs are within 0.5 um of it,
+/// over its whole length.
+#[test]
+fn a_quadratic_spline_is_the_parabola() {
+    for (start, control, end) in [
+        ([0.0, 0.0], [2.0, 4.0], [4.0, 0.0]),
+        ([-3.0, 1.0], [5.0, 6.5], [9.0, -2.0]),
+        ([1.0, 1.0], [1.5, 9.0], [30.0, 4.0]),
+    ] {
+        let [x, y]: [f64; 2] = start;
+        let path = moves(&format!(
+            "F100\nG0 X{x} Y{y}\nG5.1 X{} Y{} I{} J{}\n",
+            end[0],
+            end[1],
+            control[0] - x,
+            control[1] - y
+        ));
+        let arcs: Vec<_> = path
+            .iter()
+            .filter(|step| step.feed != Feed::Rapid)
+            .collect();
+        assert!(arcs.len() > 1 && arcs[0].path.from[..2] == start[..]);
+        let curve = |t: f64| {
+            [0, 1].map(|k: usize| {
+                (1.0 - t).powi(2) * start[k] + 2.0 * t * (1.0 - t) * control[k] + t * t * end[k]
+            })
+        };
+        let gap = |at: [f64; 2], t: f64| {
+            let on = curve(t);
+            (at[0] - on[0]).hypot(at[1] - on[1])
+        };
+        // The arcs pass the parabola in order, from its start to its end.
+        let mut done = 0.0;
+        for step in arcs {
+            for part in 0..=16 {
+                let at = step.path.at(step.path.length * f64::from(part) / 16.0);
+                let at = [at[0], at[1]];
+                let steps = (0..=400).map(|k| done + f64::from(k) * 0.0005);
+                let near = steps.min_by(|a, b| gap(at, *a).total_cmp(&gap(at, *b)));
+                let (mut low, mut high) = (near.unwrap_or(0.0) - 5e-4, near.unwrap_or(0.0) + 5e-4);
+                for _ in 0..60 {
+                    let third = (high - low) / 3.0;
+                    if gap(at, low + third) < gap(at, high - third) {
+                        high -= third;
+                    } else {
+                        low += third;
+                    }
+                }
+                let off = gap(at, low);
+                assert!(off < 0.00051, "{off} mm off the parabola at {at:?}");
+                done = low;
+            }
+        }
+        assert!((done - 1.0).abs() < 1e-6, "the arcs end at {done}");
+    }
+    assert!(refusal("F100\nG5.1 X4 Y0").contains("G5.1 without I and J"));
+}
+
 #[test]
 fn feeds_per_turn_and_inverse_time() {
     let path = moves("S1500 M3 G95 G1 X10 F0.2\nG93 X30 F2\n");

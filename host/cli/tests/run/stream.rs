@@ -185,12 +185,12 @@ fn a_program_beyond_64_mib() {
     let (code, error, peak) = watched(&["run", &file, "--check"]);
     assert_eq!(code, 0, "{error}");
     println!("{} MiB, peak {peak} KiB", text.len() >> 20);
-    assert!(peak > 0 && peak < 40 << 10, "{peak} KiB");
+    assert!(peak > 0 && peak < 32 << 10, "{peak} KiB");
     let file = folder.file("wrong.ngc", &(text + "X5000\nM2\n"));
     let (code, error, peak) = watched(&["run", &file, "--check"]);
     assert_eq!(code, 4, "{error}");
     assert!(error.contains(&format!("wrong.ngc:{blocks}:1:")), "{error}");
-    assert!(peak < 40 << 10, "{peak} KiB");
+    assert!(peak < 32 << 10, "{peak} KiB");
 }
 
 /// Work offsets and tool tables that are damaged on disk: a run and its check name the file, what

@@ -1,6 +1,7 @@
 //! The planner against independent mathematics: the cubics of its integer setpoints, differentiated
 //! here, and programs of known geometry.
 
+mod deviations;
 mod examples;
 mod h4;
 mod paces;

@@ -1,0 +1,210 @@
+//! Distance of the planned motion from the program, against the program's own geometry.
+
+use crate::h4::{H4, HOME, settings};
+use crate::properties::plan;
+use crate::spans::{Span, spans};
+use haptimill_gcode::{Options, read};
+use haptimill_planner::Plan;
+use proptest::prelude::*;
+
+/// Places of a span, its ends included, mm.
+fn places(span: &Span) -> impl Iterator<Item = [f64; 3]> + '_ {
+    (0..=16).map(|part| [0, 1, 2].map(|k| span.axes[k].at(f64::from(part) / 16.0)))
+}
+
+/// Distance of a point from a line between two points.
+fn distance(point: [f64; 3], from: [f64; 3], to: [f64; 3]) -> f64 {
+    let along = [0, 1, 2].map(|k| to[k] - from[k]);
+    let squared: f64 = along.iter().map(|part| part * part).sum();
+    let done: f64 = (0..3).map(|k| (point[k] - from[k]) * along[k]).sum();
+    let share = if squared > 0.0 {
+        (done / squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    (0..3)
+        .map(|k| (point[k] - from[k] - share * along[k]).powi(2))
+        .sum::<f64>()
+        .sqrt()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, cases: 96, ..ProptestConfig::default() })]
+
+    /// The setpoints of an arc or a helix stay within 1 um of it, also at the limits of the
+    /// machine. The exact stops keep the corners out.
+    #[test]
+    fn arcs_are_within_a_micrometre(
+        plane in 0usize..3,
+        radius in prop_oneof![0.3..3.0f64, 3.0..40.0f64],
+        from in 0.0..std::f64::consts::TAU,
+        sweep in 0.2..6.2f64,
+        left in any::<bool>(),
+        rise in prop_oneof![Just(0.0), -8.0..8.0f64],
+        feed in 60.0..6000.0f64,
+    ) {
+        let (word, [first, second, third]) =
+            [("G17", [0, 1, 2]), ("G18", [2, 0, 1]), ("G19", [1, 2, 0])][plane];
+        let letter = |axis: usize| ["X", "Y", "Z"][axis];
+        let offset = |axis: usize| ["I", "J", "K"][axis];
+        let mut centre = [0.0; 3];
+        centre[2] = 40.0;
+        let turn = if left { sweep } else { -sweep };
+        let at = |angle: f64, up: f64| {
+            let mut place = centre;
+            place[first] += radius * angle.cos();
+            place[second] += radius * angle.sin();
+            place[third] += up;
+            place
+        };
+        let (start, end) = (at(from, 0.0), at(from + turn, rise));
+        let text = format!(
+            "{word} G61\nG0 X{:.7} Y{:.7} Z{:.7}\nG{} F{feed:.2} X{:.7} Y{:.7} Z{:.7} {}{:.7} {}{:.7}\n",
+            start[0], start[1], start[2],
+            if left { 3 } else { 2 },
+            end[0], end[1], end[2],
+            offset(first), centre[first] - start[first],
+            offset(second), centre[second] - start[second],
+        );
+        let (_, plan) = plan(&text, &settings());
+        let mut samples = 0;
+        for (index, span) in spans(&plan).iter().enumerate() {
+            if plan.line_of(index) != 3 {
+                continue;
+            }
+            for place in places(span) {
+                let [x, y] = [place[first] - centre[first], place[second] - centre[second]];
+                let off = x.hypot(y) - radius;
+                prop_assert!(off.abs() <= 1e-3, "{off} mm off the radius\n{text}");
+                // The angle that is done, in the direction of the arc.
+                let done = (y.atan2(x) - from) * turn.signum();
+                let done = done.rem_euclid(std::f64::consts::TAU);
+                let done = if done > sweep + 0.04 { 0.0 } else { done };
+                let up = place[third] - centre[third] - rise * done / sweep;
+                prop_assert!(up.abs() <= 1e-3, "{up} mm off the helix in {}\n{text}", letter(third));
+                samples += 1;
+            }
+        }
+        prop_assert!(samples > 50, "{samples}\n{text}");
+    }
+
+    /// The setpoints stay within P of G64 of the programmed lines, and pass every programmed point
+    /// within it.
+    #[test]
+    fn p_of_g64_bounds_the_distance_from_the_program(
+        steps in prop::collection::vec((0.02..12.0f64, -2.0..2.0f64, -1.0..1.0f64), 2..24),
+        feed in 120.0..3000.0f64,
+        p in prop_oneof![Just(0.001), Just(0.01), Just(0.05), Just(0.3)],
+    ) {
+        let mut points = vec![[0.0, 0.0, 30.0]];
+        let mut heading = 0.0f64;
+        for (length, turn, rise) in steps {
+            heading += turn;
+            let last = points[points.len() - 1];
+            let mut next = [
+                last[0] + length * heading.cos(),
+                last[1] + length * heading.sin(),
+                30.0 + rise * length.min(3.0),
+            ];
+            if next[0].abs() > 35.0 || next[1].abs() > 35.0 {
+                heading += std::f64::consts::PI;
+                next = [0.5 * last[0], 0.5 * last[1], 30.0];
+            }
+            points.push(next.map(|part| (part * 1e4).round() / 1e4));
+        }
+        let words = |word: &str| {
+            points[1..].iter().fold(format!("G0 X0 Y0 Z30\n{word}\nG1 F{feed:.1}\n"), |text, at| {
+                text + &format!("X{:.4} Y{:.4} Z{:.4}\n", at[0], at[1], at[2])
+            })
+        };
+        let text = words(&format!("G64 P{p}"));
+        let (_, made) = plan(&text, &settings());
+        // The cubics are within 0.2 um of the planned motion in each coordinate.
+        let most = p + 4e-4;
+        let mut nearest = vec![f64::INFINITY; points.len()];
+        for (index, span) in spans(&made).iter().enumerate() {
+            if made.line_of(index) < 4 {
+                continue;
+            }
+            for place in places(span) {
+                let off = points
+                    .windows(2)
+                    .map(|ends| distance(place, ends[0], ends[1]))
+                    .fold(f64::INFINITY, f64::min);
+                prop_assert!(off <= most, "{off} mm from the program\n{text}");
+            }
+            let ends: Vec<_> = places(span).collect();
+            for (nearest, point) in nearest.iter_mut().zip(&points) {
+                for part in ends.windows(2) {
+                    *nearest = nearest.min(distance(*point, part[0], part[1]));
+                }
+            }
+        }
+        for (point, nearest) in points.iter().zip(nearest) {
+            prop_assert!(nearest <= most, "{point:?} is passed in {nearest} mm\n{text}");
+        }
+        // P is used: with exact stops the program takes longer. A corner within a few micrometres
+        // is nearly a stop.
+        let (_, stopped) = plan(&words("G61"), &settings());
+        let ratio = made.figures.duration_s / stopped.figures.duration_s;
+        prop_assert!(ratio < 1.0 || p < 0.05, "{ratio} of the time with exact stops\n{text}");
+    }
+}
+
+/// A place by the length of the way to it, about 1 mm a unit.
+type Curve = fn(f64) -> [f64; 2];
+
+/// Speeds of the setpoints of 10,000 blocks of 0.1 mm on a curve, but the first and the last
+/// blocks, mm/s. Coordinates have four decimals.
+fn speeds(mode: &str, feed: f64, place: Curve) -> Vec<f64> {
+    let at = |number: u32| place(f64::from(number) * 0.1);
+    let [x, y] = at(0);
+    let mut text = format!("G0 X{x:.4} Y{y:.4} Z25\n{mode}\nG1 F{feed}\n");
+    for number in 1..=10_000 {
+        let [x, y] = at(number);
+        text += &format!("X{x:.4} Y{y:.4}\n");
+    }
+    let options = Options::of_letters("XYZBA", HOME);
+    let program = read("t", text.as_bytes(), &options).expect("readable");
+    let plan = Plan::new(&program, &settings(), &H4).expect("possible");
+    let all = spans(&plan);
+    let moved = all.iter().enumerate();
+    let moved = moved.filter(|(index, _)| (200..9_800).contains(&plan.line_of(*index)));
+    moved
+        .map(|(_, span)| {
+            let moved = [0, 1, 2].map(|k| span.axes[k].p[1] - span.axes[k].p[0]);
+            moved.iter().map(|part| part * part).sum::<f64>().sqrt() / span.axes[0].t
+        })
+        .collect()
+}
+
+/// A circle of 20 mm radius, and loops whose radius changes between 20 and 30 mm.
+fn curves() -> [(&'static str, Curve); 2] {
+    [
+        ("circle", |s| {
+            let angle = s / 20.0;
+            [20.0 * angle.cos(), 20.0 * angle.sin()]
+        }),
+        ("loops", |s| {
+            let angle = s / 25.0;
+            let radius = 25.0 + 5.0 * (0.7 * angle).cos();
+            [radius * angle.cos(), radius * angle.sin()]
+        }),
+    ]
+}
+
+/// Thousands of short blocks have the programmed feed from the first to the last one, where each
+/// takes 25 ms.
+#[test]
+fn thousands_of_short_blocks_keep_their_feed() {
+    for (name, place) in curves() {
+        let speeds = speeds("G64", 240.0, place);
+        let least = speeds.iter().copied().fold(f64::INFINITY, f64::min);
+        println!(
+            "{name}: at least {least} mm/s in {} setpoints",
+            speeds.len()
+        );
+        assert!(speeds.len() > 1000, "{name}");
+        assert!(least > 0.97 * 4.0, "{name}: {least} mm/s");
+    }
+}

@@ -1,0 +1,235 @@
+//! Speed, acceleration and jerk of tip and joints in every control period of the simulated machine,
+//! by differences of what the controller commands, and the acceleration of the true tool.
+
+use haptimill_client::client::Options;
+use haptimill_client::session::{self, JobLine as _, JobRecording, NoObserver, Session, SimLine};
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_machine_file::scale::per_unit;
+use haptimill_planner::{Plan, SharedTrack};
+use haptimill_trace::{Header, Recorder};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+/// Commanded pose, commanded joints and true tool in a period, mm and degrees.
+type Motion = [[f64; 6]; 3];
+
+/// Plans a program from the home pose.
+///
+/// # Errors
+/// The message of what the machine cannot do.
+fn plan(machine: &MachineFile, text: &str) -> Result<Plan, String> {
+    let model = Model::new(machine);
+    let home = session::find_home_pose(machine, &model).expect("a home pose");
+    let start = model.to_engineering_units(&home);
+    let read = haptimill_gcode::read("t", text.as_bytes(), &program_options(machine, start))
+        .unwrap_or_else(|refused| panic!("{refused}"));
+    Plan::new(&read, &settings(machine), &model).map_err(|refused| refused.to_string())
+}
+
+/// Runs a program from the home pose on the simulated machine.
+fn run(machine: &MachineFile, text: &str) -> Vec<Motion> {
+    let home = session::find_home_pose(machine, &Model::new(machine)).expect("a home pose");
+    let plan = plan(machine, text).unwrap_or_else(|refused| panic!("{refused}"));
+    let rig = session::rig(machine, None, None, vec![]).expect("a simulated machine");
+    let mut session = Session::new(
+        SimLine::new(rig),
+        machine,
+        Options::default(),
+        Arc::default(),
+    );
+    session.connect(1).expect("a session");
+    session.configure(machine).expect("configured");
+    session.enable().expect("enabled");
+    session.go_home(machine, &home).expect("homed");
+    let folder = tempfile::tempdir().expect("a folder");
+    let header = Header::of(machine, "t").expect("a header");
+    let recorder = Recorder::create(&folder.path().join("t.hmr"), &header).expect("a file");
+    let motion: Arc<Mutex<Vec<Motion>>> = Arc::default();
+    let recorded = Arc::clone(&motion);
+    let pose_units: Vec<f64> = settings(machine).pose.iter().map(|it| it.units).collect();
+    let joint_units: Vec<f64> = machine
+        .config
+        .joints
+        .iter()
+        .map(|it| per_unit(it.kind))
+        .collect();
+    let recorder = recorder.observed(move |record| {
+        let of = |values: &[i32; 6], units: &[f64]| {
+            let mut out = [0.0; 6];
+            for ((out, value), unit) in out.iter_mut().zip(values).zip(units) {
+                *out = f64::from(*value) / unit;
+            }
+            out
+        };
+        recorded.lock().expect("no panic").push([
+            of(&record.commanded, &pose_units),
+            of(&record.joints_commanded, &joint_units),
+            of(&record.tool, &pose_units),
+        ]);
+    });
+    let setpoints = plan.setpoints.clone();
+    session.line_mut().begin_recording(JobRecording::new(
+        recorder,
+        SharedTrack::from(plan),
+        machine,
+    ));
+    let end = session
+        .run_job(2, home, setpoints, &mut NoObserver)
+        .expect("a run");
+    session.check_completed(&end).expect("completed");
+    drop(session.line_mut().end_recording());
+    let motion = motion.lock().expect("no panic").clone();
+    assert!(motion.len() > 1000, "{} periods", motion.len());
+    motion
+}
+
+/// Largest difference of an order over steps of `apart` periods, divided by their time.
+fn largest(values: &[f64], order: usize, apart: usize, period: f64) -> f64 {
+    let mut values = values.to_vec();
+    for _ in 0..order {
+        values = values
+            .iter()
+            .zip(&values[apart..])
+            .map(|(a, b)| b - a)
+            .collect();
+    }
+    let time = (apart as f64 * period).powi(order as i32);
+    values
+        .iter()
+        .fold(0.0f64, |most, value| most.max(value.abs()))
+        / time
+}
+
+/// Lines, corners, arcs, short blocks, rapids and, where the machine has them, rotary moves.
+fn program(rotary: &str) -> String {
+    let mut text = format!(
+        "G21 G90 G91.1 G64 P0.01\nG91\nG0 X8 Y6\nG1 F1200 X10\nY8\nX-5 Y5\nX-5 Y-9 {rotary}\n\
+         G2 X6 Y0 I3 J0 F1500\nG3 X3 Y-3 I3 J0\nG1 X-6 Y1 Z2\nG61 G1 X2\nG64\n"
+    );
+    for number in 0..60 {
+        let angle = f64::from(number) * 0.12;
+        text += &format!("X{:.4} Y{:.4}\n", 0.5 * angle.cos(), 0.5 * angle.sin());
+    }
+    text + "G0 X-5 Y-5 Z3\nG0 Z-3 X-3\nM30\n"
+}
+
+/// Checks rates, accelerations and jerks of what was commanded. Returns the largest share of each
+/// kind of limit.
+fn check_limits(name: &str, machine: &MachineFile, motion: &[Motion]) -> [f64; 3] {
+    let settings = settings(machine);
+    let period = f64::from(settings.period_us) * 1e-6;
+    let mut used = [0.0f64; 3];
+    let mut check = |what: &str, kind: usize, k: usize, limits: [f64; 3], unit: f64| {
+        let values: Vec<f64> = motion.iter().map(|all| all[kind][k]).collect();
+        // Half a unit of rounding at each of 2, 4 and 8 values.
+        for (order, (limit, apart)) in limits.into_iter().zip([5, 10, 20]).enumerate() {
+            let time = apart as f64 * period;
+            let rounding = f64::from(1 << order) / unit / time.powi(order as i32 + 1);
+            let found = largest(&values, order + 1, apart, period);
+            let kind = ["rate", "acceleration", "jerk"][order];
+            println!("{name} {what}: {kind} {found:.2} of {limit}, rounding {rounding:.3}");
+            assert!(
+                found <= limit * 1.01 + rounding,
+                "{name} {what}: {kind} {found} of {limit}"
+            );
+            used[order] = used[order].max(found / limit);
+        }
+    };
+    for (k, axis) in settings.pose.iter().enumerate() {
+        let limits = [axis.rate, axis.acceleration, axis.jerk];
+        check(&axis.letter.to_string(), 0, k, limits, axis.units);
+    }
+    for (k, joint) in settings.joints.iter().enumerate() {
+        let limits = [joint.rate, joint.acceleration, joint.jerk];
+        let unit = per_unit(machine.config.joints[k].kind);
+        check(&joint.name, 1, k, limits, unit);
+    }
+    used
+}
+
+fn machine(name: &str) -> MachineFile {
+    let machines = Path::new(env!("CARGO_MANIFEST_DIR")).join("../machines");
+    MachineFile::load(&machines.join(name)).unwrap_or_else(|problems| panic!("{problems}"))
+}
+
+#[test]
+fn the_commanded_motion_keeps_its_limits_in_every_period() {
+    for (name, rotary) in [
+        ("h4.toml", "B3 A-4"),
+        ("mill3-servo.toml", ""),
+        ("trunnion5.toml", "A12 C50"),
+    ] {
+        let machine = machine(name);
+        let motion = run(&machine, &program(rotary));
+        let used = check_limits(name, &machine, &motion);
+        // The bounds are tight: the program uses the limits of the machine.
+        assert!(used[1] > 0.9 && used[2] > 0.75, "{name} uses {used:?}");
+        // The true tool follows, with the play and the noise of the drives.
+        let settings = settings(&machine);
+        let period = f64::from(settings.period_us) * 1e-6;
+        for (k, axis) in settings.pose.iter().enumerate().take(3) {
+            let values: Vec<f64> = motion.iter().map(|all| all[2][k]).collect();
+            let found = largest(&values, 2, 100, period);
+            println!("{name} true {}: acceleration {found:.1}", axis.letter);
+            assert!(
+                found <= 1.05 * axis.acceleration,
+                "{name}: true {} {found}",
+                axis.letter
+            );
+        }
+    }
+}
+
+/// With the tool half a degree from the table's axis, a small change of its direction is half a
+/// turn of the table: the feed falls to what table and slides can do, and the tip stays on its
+/// line.
+#[test]
+fn past_the_vertical_tool_the_feed_falls() {
+    let machine = machine("trunnion5.toml");
+    let text = "G21 G90 G61\nG0 X80 Y0 Z5 A0.5\nG91 G0 C-90\nG1 X2 Y1 C180 F3000\nM30\n";
+    let planned = plan(&machine, text).expect("possible");
+    assert_eq!(planned.figures.slowed, 1);
+    let motion = run(&machine, text);
+    let used = check_limits("trunnion5", &machine, &motion);
+    assert!(used[0] > 0.9, "no rate is near its limit: {used:?}");
+    // At its feed the move would take 45 ms. The table carries the tip with at most 150 mm/s of a
+    // slide, 80 mm from its axis.
+    let begin = motion.iter().position(|all| all[0][4] < -89.999);
+    let turning = &motion[begin.expect("the table turns")..];
+    let turning: Vec<_> = turning
+        .iter()
+        .filter(|all| all[0][4].abs() < 89.999)
+        .collect();
+    let seconds = turning.len() as f64 * f64::from(machine.config.period_us) * 1e-6;
+    let least = 80.0 * 80.0_f64.to_radians() / 150.0;
+    assert!(seconds > least, "{seconds} s");
+    for [commanded, _, tool] in turning {
+        // From the line, in the workpiece.
+        let off = |place: &[f64; 6]| (place[1] - 0.5 * (place[0] - 80.0)).abs() * 0.8_f64.sqrt();
+        assert!(off(commanded) < 5e-4, "{} mm off the line", off(commanded));
+        assert!(
+            off(tool) < 0.05,
+            "the tool is {} mm off the line",
+            off(tool)
+        );
+    }
+}
+
+/// A polar mill, whose pole is at X-110: a line that passes it keeps the limits of the table, one
+/// through it is refused with its place and a remedy.
+#[test]
+fn a_line_through_the_pole_is_refused_by_its_place() {
+    let machine = machine("polar3.toml");
+    let past = "G21 G90 G61\nG0 X-88 Y60 Z5\nG1 Y-60 F2400\nM30\n";
+    let used = check_limits("polar3", &machine, &run(&machine, past));
+    assert!(used[0] > 0.9, "{used:?}");
+    let through = "G21 G90\nG0 X-60 Y0 Z5\nG1 X-80 F1800\nX-140\nM30\n";
+    let refused = plan(&machine, through).map(|plan| plan.figures.duration_s);
+    let refused = refused.expect_err("refused");
+    assert!(refused.starts_with("t:4:"), "{refused}");
+    assert!(
+        refused.contains("cannot reach") && refused.contains("; "),
+        "{refused}"
+    );
+}
