@@ -264,6 +264,17 @@ impl Board {
         Ok(path)
     }
 
+    /// Builds all images other than the product's, for the emulated runs.
+    ///
+    /// # Errors
+    /// An image cannot be built, or does not fit the memory of the board.
+    pub fn build_others(&self, root: &Path) -> Result<(), String> {
+        for (name, ..) in self.others {
+            self.build_other(root, name)?;
+        }
+        Ok(())
+    }
+
     /// Builds any image by its name.
     pub fn build_other(&self, root: &Path, name: &str) -> Result<PathBuf, String> {
         match self.others.iter().find(|(other, ..)| *other == name) {

@@ -226,6 +226,7 @@ fn test() -> Result<(), String> {
         if board.has_uf2 {
             board.uf2(&image)?;
         }
+        board.build_others(&root())?;
     }
     run(TESTS)?;
     // The tests are slow, and parallel ones slow each other down: they run one at a time.
