@@ -27,6 +27,9 @@ pub struct Move {
     /// Largest distance of a blended corner from the programmed one, mm (G64 P); `None` is the
     /// machine's.
     pub tolerance: Option<f64>,
+    /// Largest distance of a joined path from the blocks that are joined to it, mm (G64 Q); 0 joins
+    /// none.
+    pub joining: f64,
 }
 
 /// Which edge of the probe ends a probe move.

@@ -423,18 +423,20 @@ impl Executor {
             return Ok(());
         };
         self.state.modes.path_control = if code.tenths == 640 {
-            let tolerance = block.word(b'P');
-            if let Some(word) = tolerance
-                && word.value < 0.0
-            {
+            let words = [block.word(b'P'), block.word(b'Q')];
+            if let Some(word) = words.iter().flatten().find(|word| word.value < 0.0) {
                 return mistake(
                     word.at,
                     "a tolerance below zero",
-                    "write P with the largest distance from the path",
+                    "write P and Q with the largest distance from the path",
                 );
             }
             let unit = self.state.unit();
-            PathControl::Blend(tolerance.map(|word| word.value * unit))
+            let [tolerance, joining] = words.map(|word| word.map(|word| word.value * unit));
+            PathControl::Blend {
+                tolerance,
+                joining: joining.unwrap_or(0.0),
+            }
         } else {
             PathControl::ExactStop
         };
@@ -569,9 +571,9 @@ impl Executor {
 
     /// Returns a straight leg with the modes in force.
     pub(crate) fn line_to(&self, place: Place, to: super::PerLetter, pace: Pace) -> Leg {
-        let (exact_stop, tolerance) = match self.state.modes.path_control {
-            PathControl::ExactStop => (true, None),
-            PathControl::Blend(tolerance) => (false, tolerance),
+        let (exact_stop, tolerance, joining) = match self.state.modes.path_control {
+            PathControl::ExactStop => (true, None, 0.0),
+            PathControl::Blend { tolerance, joining } => (false, tolerance, joining),
         };
         Leg {
             place,
@@ -580,6 +582,7 @@ impl Executor {
             pace,
             exact_stop,
             tolerance,
+            joining,
         }
     }
 }

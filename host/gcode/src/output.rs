@@ -28,6 +28,7 @@ pub(crate) struct Leg {
     pub pace: Pace,
     pub exact_stop: bool,
     pub tolerance: Option<f64>,
+    pub joining: f64,
 }
 
 /// Queue of the steps that are made but not yet taken.
@@ -116,6 +117,7 @@ impl Output {
             feed,
             exact_stop: leg.exact_stop,
             tolerance: leg.tolerance,
+            joining: leg.joining,
         })
     }
 }

@@ -121,7 +121,12 @@ pub(crate) enum FeedMode {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum PathControl {
     ExactStop,
-    Blend(Option<f64>),
+    Blend {
+        /// P, mm.
+        tolerance: Option<f64>,
+        /// Q, mm; 0 without it.
+        joining: f64,
+    },
 }
 
 /// Direction of the spindle.
@@ -247,7 +252,10 @@ impl State {
                 feed_mode: FeedMode::PerMinute,
                 feed: None,
                 feed_mm: 0.0,
-                path_control: PathControl::Blend(None),
+                path_control: PathControl::Blend {
+                    tolerance: None,
+                    joining: 0.0,
+                },
                 return_to_r: true,
                 speed: None,
                 surface_limit: None,

@@ -44,6 +44,7 @@ mod block;
 mod check;
 mod corner;
 mod figures;
+mod joining;
 mod limits;
 mod lookahead;
 mod messages;

@@ -3,6 +3,7 @@
 use super::block::{self, Block};
 use super::corner::Corner;
 use super::figures::Figures;
+use super::joining::Joining;
 use super::limits::{MachineModel, Settings};
 use super::lookahead::Run;
 use super::messages::Messages;
@@ -61,6 +62,8 @@ pub struct Planner<M> {
     /// memory.
     prepared: Vec<Block>,
     phases: Vec<Phase>,
+    /// Moves that are joined and not planned.
+    joining: Joining,
     /// End of the last step.
     at: Coordinates,
     /// Whether a step was refused.
@@ -116,6 +119,7 @@ impl<M: MachineModel> Planner<M> {
             time: 0.0,
             prepared: Vec::new(),
             phases: Vec::new(),
+            joining: Joining::default(),
             at: start,
             refused: false,
             ended: false,
@@ -197,10 +201,11 @@ impl<M: MachineModel> Planner<M> {
         match step {
             Step::Move(step) => return self.add(step),
             Step::Message { place, text } => {
+                let joined = self.add_joined();
                 if self.keep != Keep::Nothing {
                     self.messages.add(*place, text);
                 }
-                return Ok(());
+                return joined;
             }
             Step::Dwell { seconds: dwell, .. } => seconds = *dwell,
             Step::Spindle { rpm, place } => {
@@ -357,7 +362,42 @@ impl<M: MachineModel> Planner<M> {
         Ok(rpm)
     }
 
+    /// Adds a move, joined with those before where it can be.
     fn add(&mut self, step: &Move) -> Result<(), Problem> {
+        let messages = self.messages.count();
+        let kinds = self.settings.kinds();
+        if !self.refused && self.joining.extend(step, &kinds) {
+            return Ok(());
+        }
+        let joined = self.add_joined();
+        if self.refused || !self.joining.begin(step, messages) {
+            return joined.and(self.prepare(step, messages));
+        }
+        joined
+    }
+
+    /// Adds the moves that are joined.
+    fn add_joined(&mut self) -> Result<(), Problem> {
+        let Some(joined) = self.joining.take() else {
+            return Ok(());
+        };
+        let others = joined.moves.len() - 1;
+        let (settings, model) = (&self.settings, &self.model);
+        let is_possible = others > 0
+            && block::prepare(&joined.whole, settings, model, &mut self.prepared).is_ok();
+        if is_possible {
+            self.figures.blocks += others;
+            return self.prepare(&joined.whole, joined.messages);
+        }
+        // One by one: an error has the place of its block.
+        let mut result = Ok(());
+        for step in &joined.moves {
+            result = result.and(self.prepare(step, joined.messages));
+        }
+        result
+    }
+
+    fn prepare(&mut self, step: &Move, messages: u32) -> Result<(), Problem> {
         self.prepared.clear();
         block::prepare(step, &self.settings, &self.model, &mut self.prepared)
             .inspect_err(|_| self.refused = true)?;
@@ -367,7 +407,7 @@ impl<M: MachineModel> Planner<M> {
         self.at = step.path.to;
         self.figures.slowed += usize::from(self.prepared.iter().any(|block| block.is_slowed));
         for mut block in self.prepared.drain(..) {
-            block.messages = self.messages.count();
+            block.messages = messages;
             self.run.push(block, &self.settings);
         }
         if self.run.blocks.len() < self.window {
@@ -382,9 +422,11 @@ impl<M: MachineModel> Planner<M> {
 
     /// Plans the blocks of the look-ahead up to a standstill.
     fn stop(&mut self) -> Result<(), Problem> {
+        // What could be planned before an error comes to a standstill.
+        let joined = self.add_joined();
         let count = self.run.blocks.len();
         if count == 0 && !self.run.moves {
-            return Ok(());
+            return joined;
         }
         self.run.plan();
         self.ended_rapid = match self.run.blocks.last() {
@@ -399,7 +441,7 @@ impl<M: MachineModel> Planner<M> {
         self.trajectory
             .pieces
             .push(Piece::resting(self.time, path, length));
-        made
+        joined.and(made)
     }
 
     /// Makes the setpoints of the planned blocks.

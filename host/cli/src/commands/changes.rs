@@ -121,6 +121,7 @@ impl Frame {
             feed,
             exact_stop: true,
             tolerance: None,
+            joining: 0.0,
         }))
     }
 

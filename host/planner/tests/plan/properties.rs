@@ -119,7 +119,7 @@ pub fn contour() -> impl Strategy<Value = String> {
 
 /// Checks rates, accelerations and jerks of the cubics against the limits plus the rounding to
 /// units.
-fn check_limits(plan: &Plan, settings: &Settings, text: &str) {
+pub fn check_limits(plan: &Plan, settings: &Settings, text: &str) {
     for (index, span) in spans(plan).iter().enumerate() {
         for (k, (cubic, axis)) in span.axes.iter().zip(&settings.pose).enumerate() {
             let t = cubic.t;
@@ -152,7 +152,7 @@ fn check_limits(plan: &Plan, settings: &Settings, text: &str) {
 /// Checks that the mean accelerations of neighbouring spans differ by no more than the jerk limit
 /// allows in the time between their middles: a step of acceleration between two spans is no jerk of
 /// either.
-fn check_steps(plan: &Plan, settings: &Settings, text: &str) {
+pub fn check_steps(plan: &Plan, settings: &Settings, text: &str) {
     for pair in spans(plan).windows(2) {
         for (k, axis) in settings.pose.iter().enumerate() {
             let [before, after] = [&pair[0].axes[k], &pair[1].axes[k]];

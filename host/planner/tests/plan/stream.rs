@@ -349,3 +349,82 @@ fn messages_are_due_before_their_motion() {
     take(&mut planner);
     assert_eq!(streamed, plan.messages());
 }
+
+/// Joined blocks (G64 Q) have the same motion in a plan, a stream and a check, with messages
+/// between them as well; late steps end at the last block.
+#[test]
+fn joined_blocks_are_the_same_in_plan_stream_and_check() {
+    let text = spiral(900).replace("G1 F900\n", "G64 P0.003 Q0.002\nG1 F900\n");
+    let text: String = text
+        .lines()
+        .enumerate()
+        .map(|(number, line)| match number % 70 {
+            69 => format!("{line} (MSG, line {number})\n"),
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    let program = program(&text);
+    let plan = Plan::new(&program, &settings(), &H4).expect("plannable");
+    let apart = text.replace("Q0.002", "Q0");
+    let apart = Plan::new(&self::program(&apart), &settings(), &H4).expect("plannable");
+    assert!(
+        plan.setpoints.len() < apart.setpoints.len() / 2,
+        "nothing is joined"
+    );
+    let (made, _) = stream(&program);
+    assert_eq!(setpoints(&made).last(), plan.setpoints.last());
+    let options = Options::of_letters("XYZBA", HOME);
+    let mut interpreter = Interpreter::new(Cursor::new(text.as_bytes()), &options);
+    let figures = check("t", &mut interpreter, HOME, &settings(), &H4, |_| {}).expect("possible");
+    assert_eq!(figures.blocks, plan.figures.blocks);
+    assert!((figures.duration_s - plan.figures.duration_s).abs() < 1e-9);
+    let seconds = made
+        .iter()
+        .map(|it| f64::from(it.setpoint.periods) * plan.period_s);
+    assert!((seconds.sum::<f64>() / plan.figures.duration_s - 1.0).abs() < 0.01);
+    // Every block so far is done where the next one is late.
+    let mut planner = Planner::new(program.start, settings(), H4);
+    let mut last = None;
+    for (number, step) in program.steps.iter().enumerate() {
+        planner.step(step).expect("possible");
+        if number % 90 == 60 {
+            planner.hurry(true).expect("possible");
+        }
+        last = planner.made().last().or(last);
+        if let (60, Step::Move(step)) = (number % 90, step) {
+            let pose = &last.as_ref().expect("a setpoint").setpoint.pose;
+            for k in 0..3 {
+                let off = f64::from(pose[k]) * unit(k) - step.path.to[k];
+                assert!(off.abs() < 1e-6, "block {number} ends {off} mm off");
+            }
+        }
+    }
+}
+
+/// A block that cannot be done is named by its own place where others are joined to it, and the
+/// motion ends at standstill within the limits of the machine.
+#[test]
+fn an_impossible_block_among_joined_ones_has_its_place() {
+    let mut text = String::from("G0 X148 Y0 Z25\nG64 Q0.002\nG1 F900\n");
+    for block in 1..=60 {
+        text += &format!("X{:.2}\n", 148.0 + 0.05 * f64::from(block));
+    }
+    let program = program(&text);
+    let mut planner = Planner::new(program.start, settings(), H4);
+    let mut problems = Vec::new();
+    for step in &program.steps {
+        problems.extend(planner.step(step).err());
+    }
+    problems.extend(planner.finish(program.lines).err());
+    // X150.05 is beyond the soft limit of 150 mm.
+    assert_eq!(
+        problems.first().map(|it| it.place.line),
+        Some(3 + 41),
+        "{problems:?}"
+    );
+    let made: Vec<Planned> = planner.made().collect();
+    let last = &made.last().expect("the motion before it").setpoint;
+    assert!(last.rates.iter().all(|rate| *rate == 0));
+    let x = f64::from(last.pose[0]) * unit(0);
+    assert!(x <= 150.0 && x > 147.9, "{x}");
+}

@@ -1,0 +1,221 @@
+//! Joins successive short lines to one line or arc (G64 Q).
+//!
+//! The speed changes within a block, without acceleration at its ends, so that a short block limits
+//! the speed. The program of a curve has many of them; the joined path has few.
+
+use haptimill_gcode::{Arc, AxisKind, Coordinates, Feed, Measure, Move, Path};
+
+/// Most moves of a joined path: a new move is compared with all of them.
+const MOST: usize = 256;
+/// Largest length of a move that is joined, mm; a longer one limits no speed.
+const LONGEST_MM: f64 = 2.0;
+/// Largest duration of a joined path at its feed, seconds: its moves have one place in the program.
+const LONGEST_S: f64 = 1.0;
+/// Share of Q for the distance across an arc, and along its axis: together below Q.
+const ARC_SHARE: f64 = 0.7;
+/// Largest angle of an arc, radians.
+const LARGEST_SWEEP: f64 = 2.5;
+/// Largest angle of one line on an arc, radians.
+const LARGEST_STEP: f64 = 0.5;
+/// Planes of arcs, in the order that makes a positive sweep counter-clockwise, and their axis.
+const PLANES: [([usize; 2], usize); 3] = [([0, 1], 2), ([2, 0], 1), ([1, 2], 0)];
+
+/// Moves that are joined.
+#[derive(Debug)]
+pub(crate) struct Joined {
+    /// The joined move; it has the place of the first one.
+    pub whole: Move,
+    pub moves: Vec<Move>,
+    /// Number of messages of the program before them.
+    pub messages: u32,
+}
+
+/// The last moves, if they can be joined.
+#[derive(Debug, Default)]
+pub(crate) struct Joining(Option<Joined>);
+
+impl Joining {
+    /// Takes the moves that are joined.
+    pub(crate) fn take(&mut self) -> Option<Joined> {
+        self.0.take()
+    }
+
+    /// Begins with a move; returns false if it is no short line at a feed with a tolerance.
+    pub(crate) fn begin(&mut self, step: &Move, messages: u32) -> bool {
+        if !is_short_line(step) {
+            return false;
+        }
+        self.0 = Some(Joined {
+            whole: step.clone(),
+            moves: vec![step.clone()],
+            messages,
+        });
+        true
+    }
+
+    /// Joins a move to those before; returns false if it cannot be.
+    pub(crate) fn extend(&mut self, step: &Move, kinds: &[AxisKind]) -> bool {
+        let Some(joined) = &mut self.0 else {
+            return false;
+        };
+        let first = &joined.whole;
+        let is_alike = is_short_line(step)
+            && (step.feed, step.tolerance, step.joining)
+                == (first.feed, first.tolerance, first.joining)
+            && step.place.file == first.place.file
+            && step.path.from == first.path.to
+            && joined.moves.len() < MOST;
+        let Feed::PerMinute(feed) = step.feed else {
+            return false;
+        };
+        if !is_alike || first.path.length + step.path.length > LONGEST_S * feed / 60.0 {
+            return false;
+        }
+        joined.moves.push(step.clone());
+        let path = line_through(&joined.moves, kinds).or_else(|| {
+            let arcs = PLANES.iter();
+            arcs.filter_map(|plane| arc_through(&joined.moves, plane, kinds))
+                .next()
+        });
+        match path {
+            Some(path) => {
+                joined.whole.path = path;
+                true
+            }
+            None => {
+                joined.moves.pop();
+                false
+            }
+        }
+    }
+}
+
+fn is_short_line(step: &Move) -> bool {
+    let path = &step.path;
+    step.joining > 0.0
+        && !step.exact_stop
+        && step.feed != Feed::Rapid
+        && path.arc.is_none()
+        && path.measure == Measure::Tip
+        && path.length <= LONGEST_MM
+}
+
+/// The points of the moves, from the start of the first one to the end of the last one.
+fn points(moves: &[Move]) -> impl Iterator<Item = &Coordinates> {
+    let first = moves.first().map(|step| &step.path.from);
+    first
+        .into_iter()
+        .chain(moves.iter().map(|step| &step.path.to))
+}
+
+/// Returns the line from the first to the last point if all points are within Q of it, in its
+/// direction.
+fn line_through(moves: &[Move], kinds: &[AxisKind]) -> Option<Path> {
+    let (first, last) = (moves.first()?, moves.last()?);
+    let (from, to) = (&first.path.from, &last.path.to);
+    let mut along = [0.0; 6];
+    for k in 0..6 {
+        along[k] = to[k] - from[k];
+        if kinds.get(k) == Some(&AxisKind::Rotary) && along[k] != 0.0 {
+            return None;
+        }
+    }
+    let squared: f64 = along.iter().map(|part| part * part).sum();
+    let mut before = 0.0;
+    for point in points(moves) {
+        let part: Coordinates = std::array::from_fn(|k| point[k] - from[k]);
+        let done: f64 = part.iter().zip(&along).map(|(a, b)| a * b).sum();
+        let share = done / squared;
+        let off: f64 = (0..6).map(|k| (part[k] - share * along[k]).powi(2)).sum();
+        // The rotary coordinates of all points are equal, too.
+        if share
+            .partial_cmp(&before)
+            .is_none_or(std::cmp::Ordering::is_lt)
+            || off > first.joining * first.joining
+        {
+            return None;
+        }
+        before = share;
+    }
+    Path::line(kinds, *from, *to)
+}
+
+/// Returns the arc through the first, a middle and the last point if all points, and the middles of
+/// the lines between them, are within Q of it.
+fn arc_through(
+    moves: &[Move],
+    (plane, axis): &([usize; 2], usize),
+    kinds: &[AxisKind],
+) -> Option<Path> {
+    let (first, last) = (moves.first()?, moves.last()?);
+    let (from, to) = (&first.path.from, &last.path.to);
+    let is_linear = |k: &usize| kinds.get(*k) == Some(&AxisKind::Linear);
+    if !plane.iter().all(is_linear) {
+        return None;
+    }
+    let in_plane = |point: &Coordinates| plane.map(|k| point[k]);
+    let ends = [from, &moves[moves.len() / 2].path.from, to].map(in_plane);
+    let centre = centre_of(ends)?;
+    let polar = |[x, y]: [f64; 2]| {
+        let (x, y) = (x - centre[0], y - centre[1]);
+        (x.hypot(y), y.atan2(x))
+    };
+    let (radius, angle) = polar(ends[0]);
+    let most = ARC_SHARE * first.joining;
+    let mut sweep = 0.0f64;
+    let mut angles = Vec::with_capacity(moves.len());
+    for step in moves {
+        let [a, b] = [&step.path.from, &step.path.to].map(in_plane);
+        let middle = [0, 1].map(|k| 0.5 * (a[k] + b[k]));
+        let turned = polar(b).1 - polar(a).1;
+        let whole = std::f64::consts::TAU;
+        let turned = turned - whole * (turned / whole).round();
+        let is_onward = turned * sweep >= 0.0 && turned.abs() <= LARGEST_STEP;
+        let is_near = [b, middle]
+            .iter()
+            .all(|at| (polar(*at).0 - radius).abs() <= most);
+        if !is_onward || !is_near {
+            return None;
+        }
+        sweep += turned;
+        angles.push(sweep);
+    }
+    if sweep == 0.0 || sweep.abs() > LARGEST_SWEEP {
+        return None;
+    }
+    // The other coordinates are in proportion to the angle.
+    for (step, angle) in moves.iter().zip(angles) {
+        for k in 0..6 {
+            let off = step.path.to[k] - from[k] - (to[k] - from[k]) * angle / sweep;
+            let most = match k {
+                _ if plane.contains(&k) => continue,
+                _ if k == *axis => most,
+                _ => 0.0,
+            };
+            if off.abs() > most {
+                return None;
+            }
+        }
+    }
+    let arc = Arc {
+        plane: *plane,
+        centre,
+        radius: [radius, polar(ends[2]).0],
+        angle,
+        sweep,
+    };
+    Path::arc(kinds, *from, *to, arc)
+}
+
+/// Returns the centre of the circle through three points; none if it is nearly a line.
+fn centre_of([a, b, c]: [[f64; 2]; 3]) -> Option<[f64; 2]> {
+    let (b, c) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
+    let cross = 2.0 * (b[0] * c[1] - b[1] * c[0]);
+    let squares = [b[0] * b[0] + b[1] * b[1], c[0] * c[0] + c[1] * c[1]];
+    if cross.abs() <= 1e-9 * (squares[0] * squares[1]).sqrt() {
+        return None;
+    }
+    let x = (c[1] * squares[0] - b[1] * squares[1]) / cross;
+    let y = (b[0] * squares[1] - c[0] * squares[0]) / cross;
+    Some([a[0] + x, a[1] + y])
+}
