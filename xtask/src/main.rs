@@ -229,8 +229,8 @@ fn test() -> Result<(), String> {
         board.build_others(&root())?;
     }
     run(TESTS)?;
-    // The tests are slow, and parallel ones slow each other down: they run one at a time.
-    emulated("emulated runs", "emulated*", "--test-threads=1", &[])?;
+    // Controller and simulated machine take turns: a test keeps one processor busy.
+    emulated("emulated runs", "emulated*", "--test-threads=2", &[])?;
     short_storm()?;
     emulator::emulator(&root(), emulator::Task::Test)
 }

@@ -4,8 +4,8 @@ use super::super::bench::StormBench;
 use super::super::episode::{JOINTS, joint_of};
 use super::super::units::{class, joint_unit};
 use super::following::distance;
-use super::{Cause, CheckResult, Checks, PreviousPeriod, bounds, jump_threshold};
-use haptimill_firmware::config::{Drive, EncoderAxis};
+use super::{Cause, CheckResult, Checks, PERIOD, PreviousPeriod, bounds, jump_threshold};
+use haptimill_firmware::config::{Drive, EncoderAxis, JointAxis};
 use haptimill_hil_sim::fault::{Channel, FaultKind};
 use haptimill_protocol::message::State;
 
@@ -123,6 +123,28 @@ fn size_of_count(encoder: &EncoderAxis, unit: f64) -> f64 {
     encoder.per_count.unsigned_abs() as f64 / f64::from(1 << 24) / unit
 }
 
+/// Returns the error of a joint with a reversed encoder when its runaway is found, mm or degrees.
+///
+/// With the sign of the feedback reversed the error of the loop grows as exp(g t), with
+/// g^2 = kp + kd g / (1 + g T), where T is the time of the rate filter. The monitor looks at
+/// efforts from an eighth of the drive's limit on, for four periods. The position is off by twice
+/// the error of the loop: the joint moves as far as its count moves the other way. Friction and a
+/// load that the law does not know slow the growth down, for which half as much is added.
+fn runaway_error(limits: &JointAxis, unit: f64) -> f64 {
+    let Drive::Torque { limit, .. } = &limits.drive else {
+        return 0.0;
+    };
+    let law = &limits.law;
+    let [kp, kd] = [law.kp, law.kd].map(|gain| f64::from(gain.0) / 256.0);
+    let filter = f64::from(law.rate_filter_us) / 1e6;
+    let stiffness = |growth: f64| kp + kd * growth / (1.0 + growth * filter);
+    let growth = (0..50).fold(kp.sqrt(), |growth, _| stiffness(growth).sqrt());
+    // Axis units per second squared in an effort over an inertia: `ServoConfig::inertia`.
+    let limit = f64::from(limit.0) * f64::from(1 << 28) / f64::from(law.inertia);
+    let error = limit / 8.0 / stiffness(growth) / unit;
+    3.0 * error * (5.0 * growth * PERIOD).exp()
+}
+
 /// Returns whether the controller claims to know the position.
 pub(super) fn is_position_known(bench: &StormBench) -> bool {
     let safety = bench.controller().safety();
@@ -203,12 +225,14 @@ impl Checks {
                 name: ["motor mm", "motor deg"][class],
             },
             EncoderDefect::Single => ErrorBounds {
-                // The bound is that of the H-4 machines, which are slower.
-                most: if self.other_machine {
-                    self.until_found(joint, bounds::FOUND)
-                } else {
-                    bounds::FOUND
-                },
+                // The bound is that of the H-4 machines, which are slower and heavier. A reversed
+                // encoder takes the play of the screw with the wrong sign.
+                most: f64::from(limits.backlash.0) / unit
+                    + if self.other_machine {
+                        self.until_found(joint, bounds::FOUND.max(runaway_error(limits, unit)))
+                    } else {
+                        bounds::FOUND
+                    },
                 lasting: unseen.max(creep),
                 periods: bounds::LASTING,
                 name: "off after one fault",
