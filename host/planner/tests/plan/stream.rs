@@ -390,7 +390,7 @@ fn joined_blocks_are_the_same_in_plan_stream_and_check() {
         if number % 90 == 60 {
             planner.hurry(true).expect("possible");
         }
-        last = planner.made().last().or(last);
+        last = planner.made().next_back().or(last);
         if let (60, Step::Move(step)) = (number % 90, step) {
             let pose = &last.as_ref().expect("a setpoint").setpoint.pose;
             for k in 0..3 {
