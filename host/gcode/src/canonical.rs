@@ -28,8 +28,8 @@ pub struct Move {
     /// machine's.
     pub tolerance: Option<f64>,
     /// Largest distance of a joined path from the blocks that are joined to it, mm (G64 Q); 0 joins
-    /// none.
-    pub joining: f64,
+    /// none, `None` is half of the tolerance, of which the corners then have the other half.
+    pub joining: Option<f64>,
 }
 
 /// Which edge of the probe ends a probe move.

@@ -433,10 +433,7 @@ impl Executor {
             }
             let unit = self.state.unit();
             let [tolerance, joining] = words.map(|word| word.map(|word| word.value * unit));
-            PathControl::Blend {
-                tolerance,
-                joining: joining.unwrap_or(0.0),
-            }
+            PathControl::Blend { tolerance, joining }
         } else {
             PathControl::ExactStop
         };
@@ -572,7 +569,7 @@ impl Executor {
     /// Returns a straight leg with the modes in force.
     pub(crate) fn line_to(&self, place: Place, to: super::PerLetter, pace: Pace) -> Leg {
         let (exact_stop, tolerance, joining) = match self.state.modes.path_control {
-            PathControl::ExactStop => (true, None, 0.0),
+            PathControl::ExactStop => (true, None, None),
             PathControl::Blend { tolerance, joining } => (false, tolerance, joining),
         };
         Leg {

@@ -28,7 +28,7 @@ pub(crate) struct Leg {
     pub pace: Pace,
     pub exact_stop: bool,
     pub tolerance: Option<f64>,
-    pub joining: f64,
+    pub joining: Option<f64>,
 }
 
 /// Queue of the steps that are made but not yet taken.

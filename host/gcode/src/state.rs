@@ -124,8 +124,8 @@ pub(crate) enum PathControl {
     Blend {
         /// P, mm.
         tolerance: Option<f64>,
-        /// Q, mm; 0 without it.
-        joining: f64,
+        /// Q, mm.
+        joining: Option<f64>,
     },
 }
 
@@ -254,7 +254,7 @@ impl State {
                 feed_mm: 0.0,
                 path_control: PathControl::Blend {
                     tolerance: None,
-                    joining: 0.0,
+                    joining: None,
                 },
                 return_to_r: true,
                 speed: None,

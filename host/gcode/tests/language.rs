@@ -298,11 +298,11 @@ fn words_of_path_control() {
         let path = moves(&format!("{text}\nG1 X1 F100\n"));
         (path[0].tolerance, path[0].joining, path[0].exact_stop)
     };
-    assert_eq!(of("G64 P0.01 Q0.02"), (Some(0.01), 0.02, false));
-    assert_eq!(of("G64 Q0.02"), (None, 0.02, false));
-    assert_eq!(of("G20 G64 P1 Q2"), (Some(25.4), 50.8, false));
-    assert_eq!(of("G64 P0.01 Q0.02\nG64"), (None, 0.0, false));
-    assert_eq!(of("G64 P0.01 Q0.02\nG61"), (None, 0.0, true));
+    assert_eq!(of("G64 P0.01 Q0.02"), (Some(0.01), Some(0.02), false));
+    assert_eq!(of("G64 Q0.02"), (None, Some(0.02), false));
+    assert_eq!(of("G20 G64 P1 Q2"), (Some(25.4), Some(50.8), false));
+    assert_eq!(of("G64 P0.01 Q0.02\nG64"), (None, None, false));
+    assert_eq!(of("G64 P0.01 Q0.02\nG61"), (None, None, true));
     let refused = refusal("G64 P0.01 Q-0.02\n");
     assert!(refused.starts_with("t.ngc:1:11: "), "{refused}");
 }

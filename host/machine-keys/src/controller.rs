@@ -201,7 +201,8 @@ joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)."
 
 planner "planner" "How the planner joins the blocks of a program." {
     corner_tolerance_mm = real(0.0, 1.0, "mm")
-        .is("largest distance of the path from a programmed corner; 0 stops at every corner");
+        .is("largest distance of the path from the programmed one, at corners and where short \
+             lines are joined; 0 stops at every corner");
     corner_tolerance_deg = real(0.0, 1.0, "deg").is("the same for rotary coordinates");
     curvature_step = real(0.0, 1.0, "")
         .is("change of the acceleration where a line meets an arc, as a fraction of its limit");

@@ -2,6 +2,9 @@
 //!
 //! The speed changes within a block, without acceleration at its ends, so that a short block limits
 //! the speed. The program of a curve has many of them; the joined path has few.
+//!
+//! Without Q the joined path may take half of the tolerance P. Its corners have the other half, so
+//! that the motion stays within P of the program.
 
 use haptimill_gcode::{Arc, AxisKind, Coordinates, Feed, Measure, Move, Path};
 
@@ -11,7 +14,7 @@ const MOST: usize = 256;
 const LONGEST_MM: f64 = 2.0;
 /// Largest duration of a joined path at its feed, seconds: its moves have one place in the program.
 const LONGEST_S: f64 = 1.0;
-/// Share of Q for the distance across an arc, and along its axis: together below Q.
+/// Share of the distance for that across an arc, and for that along its axis: together below it.
 const ARC_SHARE: f64 = 0.7;
 /// Largest angle of an arc, radians.
 const LARGEST_SWEEP: f64 = 2.5;
@@ -26,6 +29,10 @@ pub(crate) struct Joined {
     /// The joined move; it has the place of the first one.
     pub whole: Move,
     pub moves: Vec<Move>,
+    /// Largest distance of the path from the moves, mm.
+    within: f64,
+    /// Tolerance of its corners, mm, if it has two moves or more; `None` is that of the moves.
+    corners: Option<f64>,
     /// Number of messages of the program before them.
     pub messages: u32,
 }
@@ -40,14 +47,19 @@ impl Joining {
         self.0.take()
     }
 
-    /// Begins with a move; returns false if it is no short line at a feed with a tolerance.
-    pub(crate) fn begin(&mut self, step: &Move, messages: u32) -> bool {
-        if !is_short_line(step) {
+    /// Begins with a move; returns false if it is no short line at a feed with a tolerance. Without
+    /// P its tolerance is `tolerance` mm.
+    pub(crate) fn begin(&mut self, step: &Move, messages: u32, tolerance: f64) -> bool {
+        let half = 0.5 * step.tolerance.unwrap_or(tolerance);
+        let within = step.joining.unwrap_or(half);
+        if !is_short_line(step) || within <= 0.0 {
             return false;
         }
         self.0 = Some(Joined {
             whole: step.clone(),
             moves: vec![step.clone()],
+            within,
+            corners: step.joining.is_none().then_some(half),
             messages,
         });
         true
@@ -58,28 +70,32 @@ impl Joining {
         let Some(joined) = &mut self.0 else {
             return false;
         };
-        let first = &joined.whole;
+        let Some(first) = joined.moves.first() else {
+            return false;
+        };
+        let length = joined.whole.path.length;
         let is_alike = is_short_line(step)
             && (step.feed, step.tolerance, step.joining)
                 == (first.feed, first.tolerance, first.joining)
             && step.place.file == first.place.file
-            && step.path.from == first.path.to
+            && step.path.from == joined.whole.path.to
             && joined.moves.len() < MOST;
         let Feed::PerMinute(feed) = step.feed else {
             return false;
         };
-        if !is_alike || first.path.length + step.path.length > LONGEST_S * feed / 60.0 {
+        if !is_alike || length + step.path.length > LONGEST_S * feed / 60.0 {
             return false;
         }
         joined.moves.push(step.clone());
-        let path = line_through(&joined.moves, kinds).or_else(|| {
-            let arcs = PLANES.iter();
-            arcs.filter_map(|plane| arc_through(&joined.moves, plane, kinds))
-                .next()
+        let (moves, within) = (&joined.moves, joined.within);
+        let path = line_through(moves, within, kinds).or_else(|| {
+            let mut planes = PLANES.iter();
+            planes.find_map(|plane| arc_through(moves, within, plane, kinds))
         });
         match path {
             Some(path) => {
                 joined.whole.path = path;
+                joined.whole.tolerance = joined.corners.or(joined.whole.tolerance);
                 true
             }
             None => {
@@ -92,8 +108,7 @@ impl Joining {
 
 fn is_short_line(step: &Move) -> bool {
     let path = &step.path;
-    step.joining > 0.0
-        && !step.exact_stop
+    !step.exact_stop
         && step.feed != Feed::Rapid
         && path.arc.is_none()
         && path.measure == Measure::Tip
@@ -108,9 +123,9 @@ fn points(moves: &[Move]) -> impl Iterator<Item = &Coordinates> {
         .chain(moves.iter().map(|step| &step.path.to))
 }
 
-/// Returns the line from the first to the last point if all points are within Q of it, in its
+/// Returns the line from the first to the last point if all points are `within` mm of it, in its
 /// direction.
-fn line_through(moves: &[Move], kinds: &[AxisKind]) -> Option<Path> {
+fn line_through(moves: &[Move], within: f64, kinds: &[AxisKind]) -> Option<Path> {
     let (first, last) = (moves.first()?, moves.last()?);
     let (from, to) = (&first.path.from, &last.path.to);
     let mut along = [0.0; 6];
@@ -131,7 +146,7 @@ fn line_through(moves: &[Move], kinds: &[AxisKind]) -> Option<Path> {
         if share
             .partial_cmp(&before)
             .is_none_or(std::cmp::Ordering::is_lt)
-            || off > first.joining * first.joining
+            || off > within * within
         {
             return None;
         }
@@ -141,9 +156,10 @@ fn line_through(moves: &[Move], kinds: &[AxisKind]) -> Option<Path> {
 }
 
 /// Returns the arc through the first, a middle and the last point if all points, and the middles of
-/// the lines between them, are within Q of it.
+/// the lines between them, are `within` mm of it.
 fn arc_through(
     moves: &[Move],
+    within: f64,
     (plane, axis): &([usize; 2], usize),
     kinds: &[AxisKind],
 ) -> Option<Path> {
@@ -161,7 +177,7 @@ fn arc_through(
         (x.hypot(y), y.atan2(x))
     };
     let (radius, angle) = polar(ends[0]);
-    let most = ARC_SHARE * first.joining;
+    let most = ARC_SHARE * within;
     let mut sweep = 0.0f64;
     let mut angles = Vec::with_capacity(moves.len());
     for step in moves {

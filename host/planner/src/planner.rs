@@ -197,15 +197,23 @@ impl<M: MachineModel> Planner<M> {
     /// Returns what the machine cannot do, with the place of the block.
     pub fn step(&mut self, step: &Step) -> Result<(), Problem> {
         self.released = false;
+        // Moves on both sides of another step are not joined.
+        let joined = match step {
+            Step::Move(_) => Ok(()),
+            _ => self.add_joined(),
+        };
+        joined.and(self.add_step(step))
+    }
+
+    fn add_step(&mut self, step: &Step) -> Result<(), Problem> {
         let (mut first, mut second, mut seconds) = (Action::None, Action::None, 0.0);
         match step {
             Step::Move(step) => return self.add(step),
             Step::Message { place, text } => {
-                let joined = self.add_joined();
                 if self.keep != Keep::Nothing {
                     self.messages.add(*place, text);
                 }
-                return joined;
+                return Ok(());
             }
             Step::Dwell { seconds: dwell, .. } => seconds = *dwell,
             Step::Spindle { rpm, place } => {
@@ -370,7 +378,8 @@ impl<M: MachineModel> Planner<M> {
             return Ok(());
         }
         let joined = self.add_joined();
-        if self.refused || !self.joining.begin(step, messages) {
+        let tolerance = self.settings.tolerance_mm;
+        if self.refused || !self.joining.begin(step, messages, tolerance) {
             return joined.and(self.prepare(step, messages));
         }
         joined

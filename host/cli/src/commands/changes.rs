@@ -121,7 +121,7 @@ impl Frame {
             feed,
             exact_stop: true,
             tolerance: None,
-            joining: 0.0,
+            joining: Some(0.0),
         }))
     }
 

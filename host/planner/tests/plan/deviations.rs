@@ -88,14 +88,14 @@ proptest! {
         prop_assert!(samples > 50, "{samples}\n{text}");
     }
 
-    /// The setpoints stay within P and Q of G64 of the programmed lines, and pass every programmed
-    /// point within them.
+    /// The setpoints stay within P and Q of G64 of the programmed lines, without Q within P, and
+    /// pass every programmed point within them.
     #[test]
     fn p_of_g64_bounds_the_distance_from_the_program(
         steps in prop::collection::vec((0.02..12.0f64, -2.0..2.0f64, -1.0..1.0f64), 2..24),
         feed in 120.0..3000.0f64,
         p in prop_oneof![Just(0.001), Just(0.01), Just(0.05), Just(0.3)],
-        q in prop_oneof![Just(0.0), Just(0.002), Just(0.02)],
+        q in prop_oneof![Just(None), Just(Some(0.0)), Just(Some(0.002)), Just(Some(0.02))],
         is_gentle in any::<bool>(),
     ) {
         let mut points = vec![[0.0, 0.0, 30.0]];
@@ -116,13 +116,14 @@ proptest! {
             }
             points.push(next.map(|part| (part * 1e4).round() / 1e4));
         }
-        let head = format!("G0 X0 Y0 Z30\nG64 P{p} Q{q}\nG1 F{feed:.1}\n");
+        let word = q.map_or(String::new(), |q| format!("Q{q}"));
+        let head = format!("G0 X0 Y0 Z30\nG64 P{p} {word}\nG1 F{feed:.1}\n");
         let text = points[1..].iter().fold(head, |text, at| {
             text + &format!("X{:.4} Y{:.4} Z{:.4}\n", at[0], at[1], at[2])
         });
         let (_, made) = plan(&text, &settings());
         // The cubics are within 0.2 um of the planned motion in each coordinate.
-        let most = p + q + 4e-4;
+        let most = p + q.unwrap_or(0.0) + 4e-4;
         let mut nearest = vec![f64::INFINITY; points.len()];
         for (index, span) in spans(&made).iter().enumerate() {
             if made.line_of(index) < 4 {
@@ -193,12 +194,12 @@ fn curves() -> [(&'static str, Curve); 2] {
     ]
 }
 
-/// Thousands of short blocks have the programmed feed from the first to the last one, where each
-/// takes 25 ms.
+/// Thousands of short blocks that are not joined have the programmed feed from the first to the
+/// last one, where each takes 25 ms.
 #[test]
 fn thousands_of_short_blocks_keep_their_feed() {
     for (name, place) in curves() {
-        let speeds = speeds(&short_blocks("G64", 240.0, place));
+        let speeds = speeds(&short_blocks("G64 Q0", 240.0, place));
         let least = speeds.iter().copied().fold(f64::INFINITY, f64::min);
         println!(
             "{name}: at least {least} mm/s in {} setpoints",
@@ -220,17 +221,22 @@ fn p_of_g64_is_used() {
     assert!(rough < 0.9 * fine, "{rough} s, with the smaller P {fine} s");
 }
 
-/// Q of G64 joins short blocks, which then have a feed that each of them is too short for. The
-/// motion stays within P and Q of the programmed lines.
+/// Short blocks are joined, with Q within Q and without it within half of P, and then have a feed
+/// that each of them is too short for. The motion stays within P and Q, or P, of the programmed
+/// lines.
 #[test]
 fn joined_blocks_reach_their_feed() {
-    for (name, place) in curves() {
-        let plan = short_blocks("G64 P0.003 Q0.002", 1500.0, place);
+    let modes = ["G64 P0.003 Q0.002", "G64 P0.005", "G64"];
+    for ((name, place), mode) in curves()
+        .into_iter()
+        .flat_map(|curve| modes.map(|mode| (curve, mode)))
+    {
+        let plan = short_blocks(mode, 1500.0, place);
         assert_eq!(plan.figures.blocks, 10_001, "{name}");
         let speeds = speeds(&plan);
         let least = speeds.iter().copied().fold(f64::INFINITY, f64::min);
         println!(
-            "{name}: at least {least} mm/s in {} setpoints",
+            "{name}, {mode}: at least {least} mm/s in {} setpoints",
             speeds.len()
         );
         assert!(speeds.len() > 100, "{name}");
@@ -280,7 +286,7 @@ fn blocks_are_joined_within_q_only() {
         let head = format!("G0 X0 Y0 Z25\n{mode}\nG1 F1200\n");
         head + &(1..400).map(at).collect::<String>()
     };
-    let apart = time(&lines("G64", ""));
+    let apart = time(&lines("G64 Q0", ""));
     let joined = time(&lines("G64 Q0.001", ""));
     // 20 mm at 20 mm/s.
     assert!(apart > 4.0 && joined < 1.6, "{apart} s and {joined} s");

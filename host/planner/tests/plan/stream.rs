@@ -8,7 +8,7 @@ use std::io::Cursor;
 
 /// A spiral of short blocks, with a dwell and a spindle command on the way.
 fn spiral(blocks: u32) -> String {
-    let mut text = String::from("G0 X0 Y0 Z25\nM3 S1000\nG1 F900\n");
+    let mut text = String::from("G0 X0 Y0 Z25 G64 Q0\nM3 S1000\nG1 F900\n");
     for k in 0..blocks {
         let angle = f64::from(k) * 0.01;
         let radius = 5.0 + 30.0 * f64::from(k) / f64::from(blocks);
