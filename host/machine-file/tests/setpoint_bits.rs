@@ -5,9 +5,10 @@ use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_planner::Plan;
 use std::fmt::Write as _;
 
-/// Lines with and without a tilt, half circles, a helix, rapid moves, exact stops, corners.
-fn program(letters: &str, height: f64) -> String {
-    let mut text = format!("G21 G90 G17\nG0 X0 Y0 Z{height}\nG1 F900\n");
+/// Lines with and without a tilt, half circles, a helix, rapid moves, exact stops, corners. `word`
+/// is Q of G64 or nothing.
+fn program(letters: &str, height: f64, word: &str) -> String {
+    let mut text = format!("G21 G90 G17 G64 {word}\nG0 X0 Y0 Z{height}\nG1 F900\n");
     for block in 0..600 {
         let angle = f64::from(block) * 0.05;
         let radius = 10.0 + 5.0 * libm::sin(0.13 * angle);
@@ -20,7 +21,7 @@ fn program(letters: &str, height: f64) -> String {
             41 => writeln!(text, "G2 X{x:.4} Y{y:.4} Z{z:.4} R2.5"),
             42 => writeln!(text, "G0 X{:.4} Y{y:.4}", x + 6.0),
             43 => writeln!(text, "G61 G1 X{x:.4} Y{:.4}", y + 3.0),
-            44 => writeln!(text, "G64 P0.02 G1 X{x:.4} Y{y:.4}"),
+            44 => writeln!(text, "G64 P0.02 {word} G1 X{x:.4} Y{y:.4}"),
             45.. if letters.len() > 3 => {
                 let turn = 0.4 * libm::sin(0.31 * angle);
                 let letter = &letters[3..4];
@@ -40,8 +41,8 @@ fn digest(plan: &Plan) -> u64 {
     })
 }
 
-#[test]
-fn setpoints_keep_their_bits() {
+/// Number of setpoints and digest of the plan on some machines.
+fn digests(word: &str) -> Vec<String> {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../machines/");
     let mut found = Vec::new();
     for (name, height) in [
@@ -60,7 +61,7 @@ fn setpoints_keep_their_bits() {
         let mut start = [0.0; 6];
         start[2] = height;
         let options = program_options(&machine, start);
-        let text = program(&letters, height);
+        let text = program(&letters, height, word);
         let read = haptimill_gcode::read("bits.ngc", text.as_bytes(), &options)
             .unwrap_or_else(|refused| panic!("{name}: {refused}"));
         let plan = Plan::new(&read, &settings(&machine), &Model::new(&machine))
@@ -71,13 +72,29 @@ fn setpoints_keep_their_bits() {
             digest(&plan)
         ));
     }
+    found
+}
+
+#[test]
+fn setpoints_keep_their_bits() {
+    // Short lines are not joined.
     assert_eq!(
-        found,
+        digests("Q0"),
         [
             "h4 2700 197e924037436a80",
             "mill3-servo 2527 8da0599f80723a3b",
             "trunnion5 2536 1c7b3e756305c83c",
             "delta3 2675 1143c6888316e6ae",
+        ]
+    );
+    // They are joined within half of P.
+    assert_eq!(
+        digests(""),
+        [
+            "h4 1540 f0f663dee5b327f9",
+            "mill3-servo 1373 efe1bfbf548faf18",
+            "trunnion5 1456 c9ed0e8280d52af9",
+            "delta3 1762 23eba2efed0bccbf",
         ]
     );
 }
