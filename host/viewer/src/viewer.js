@@ -40,6 +40,8 @@ void main() {
   pixel = vec4(colour * light, opacity);
 }`;
 
+// A picture that takes longer than this is slow.
+const SLOW_PICTURE_MS = 50;
 // Colour maps: dark to light, and blue over grey to red.
 const MAPS = {
   sequential: ['#2b1e66', '#27508f', '#1c7f8c', '#2fa86b', '#8fc742', '#f2d024', '#e8590c'],
@@ -234,7 +236,7 @@ function create(root, scene) {
   timeBar.style.display = 'none';
   const camera = { yaw: -0.7, pitch: 0.6, target: [0, 0, 0], span: 100 };
   let low = [0, 0, 0], high = [0, 0, 0], end = 0, until = Infinity, marker = null;
-  let drawing = false, playing = null;
+  let drawing = false, again = false, playing = null;
 
   function upload(data) {
     data.buffers = [];
@@ -365,7 +367,6 @@ function create(root, scene) {
   }
 
   function paint() {
-    drawing = false;
     const ratio = window.devicePixelRatio || 1;
     const [w, h] = [stage.clientWidth, stage.clientHeight];
     for (const part of [canvas, overlay]) {
@@ -478,11 +479,28 @@ function create(root, scene) {
         ? `, ${here.layer.scale.label}: ${rounded(here.value)}` : '');
   }
 
+  // After a slow picture the renderer rests as long as the picture took. Otherwise the timers of the
+  // page are late, and a jog button that is held repeats its press too late for the dead-man time.
   function draw() {
-    if (!drawing) {
-      drawing = true;
-      requestAnimationFrame(paint);
+    if (drawing) {
+      again = true;
+      return;
     }
+    drawing = true;
+    requestAnimationFrame(() => {
+      const begun = performance.now();
+      paint();
+      requestAnimationFrame(() => {
+        const took = performance.now() - begun;
+        setTimeout(() => {
+          drawing = false;
+          if (again) {
+            again = false;
+            draw();
+          }
+        }, took > SLOW_PICTURE_MS ? Math.min(took, 1000) : 0);
+      });
+    });
   }
 
   function setLayer(layer) {

@@ -52,12 +52,13 @@ async function answer({ page, seen, wait }) {
 // The page, and what its WebSocket receives.
 async function open(browser, link, size) {
   const page = await browser.newPage({ viewport: size });
-  const seen = { states: 0, state: null, force: 0, problems: [] };
+  const seen = { states: 0, state: null, jogs: 0, force: 0, problems: [] };
   page.on('websocket', socket => socket.on('framereceived', ({ payload }) => {
     const message = JSON.parse(payload);
     if (message.kind !== 'state') return;
     seen.states += 1;
     seen.state = message;
+    if (/jog/.test(message.state)) seen.jogs += 1;
     seen.force = Math.max(seen.force, ...(message.force || [0]).map(Math.abs));
   }));
   page.on('pageerror', error => seen.problems.push(String(error)));
@@ -125,9 +126,9 @@ async function run() {
     await page.click('#ask .yes');
     await second.page.waitForFunction(() => !document.getElementById('run').disabled);
     await second.page.locator('.jog[data-axis="0"][data-up="false"]').hover();
+    const jogs = seen.jogs;
     await second.page.mouse.down();
-    await wait('the jog of the second viewer', state => state.state === 'in a jog'
-      || /jog/.test(state.state));
+    await wait('the jog of the second viewer', () => seen.jogs > jogs);
     await second.page.screenshot({ path: path.join(pictures, 'phone.png') });
     await second.page.close();
     const closed = Date.now();
@@ -139,10 +140,13 @@ async function run() {
     // Back to the start of the program, which cuts the stock.
     await page.click('#take');
     await page.waitForFunction(() => !document.getElementById('run').disabled);
+    // The machine is idle between the search of the references and the move to the home pose.
+    const homed = state => state.messages
+      .reduce((sum, entry) => sum + (/home pose: done/.test(entry.text) ? entry.times : 0), 0);
+    const homings = homed(seen.state);
     await page.click('[data-command=home]');
     await answer(first);
-    await sleep(500);
-    await wait('the home pose', state => state.state === 'idle' && !state.question);
+    await wait('the home pose', state => state.state === 'idle' && homed(state) > homings);
     await page.selectOption('#programs', 'slot.ngc');
     await wait('its path', state => state.selected === 'slot.ngc' && !state.planning);
     await page.click('#run');
