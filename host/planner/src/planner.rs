@@ -395,7 +395,10 @@ impl<M: MachineModel> Planner<M> {
         let is_possible = others > 0
             && block::prepare(&joined.whole, settings, model, &mut self.prepared).is_ok();
         if is_possible {
+            // Figures are those of the program.
             self.figures.blocks += others;
+            let programmed: f64 = joined.moves.iter().map(|it| it.path.tip_length()).sum();
+            self.figures.path_length_mm += programmed - joined.whole.path.tip_length();
             return self.prepare(&joined.whole, joined.messages);
         }
         // One by one: an error has the place of its block.

@@ -479,8 +479,8 @@ function create(root, scene) {
         ? `, ${here.layer.scale.label}: ${rounded(here.value)}` : '');
   }
 
-  // After a slow picture the renderer rests as long as the picture took. Otherwise the timers of the
-  // page are late, and a jog button that is held repeats its press too late for the dead-man time.
+  // After a slow picture the renderer rests as long as the picture took. Otherwise the timers of
+  // the page are late, and a held jog button repeats its press too late for the dead-man time.
   function draw() {
     if (drawing) {
       again = true;

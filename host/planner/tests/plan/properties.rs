@@ -236,20 +236,17 @@ fn nearest(span: &Span, point: &Coordinates) -> f64 {
 fn check_ends(program: &Program, plan: &Plan, settings: &Settings, text: &str) {
     let spans = spans(plan);
     let mut from = 0;
-    let (mut length, mut moves) = (0.0, 0);
+    let mut length = 0.0;
     for step in &program.steps {
         let Step::Move(step) = step else { continue };
         length += step.path.tip_length();
-        moves += 1;
         let passed = |span: &Span| nearest(span, &step.path.to) <= settings.tolerance_mm + 1e-3;
         let Some(further) = spans[from..].iter().position(passed) else {
             panic!("the end of line {} is not passed\n{text}", step.place.line);
         };
         from += further;
     }
-    // A joined path passes each end within half of the tolerance.
-    let most = settings.tolerance_mm * f64::from(moves) + 1e-9 * length.max(1.0);
-    assert!((plan.figures.path_length_mm - length).abs() < most);
+    assert!((plan.figures.path_length_mm - length).abs() < 1e-9 * length.max(1.0));
     let last = plan.setpoints.last().expect("a setpoint");
     assert!(
         last.rates.iter().all(|&rate| rate == 0),

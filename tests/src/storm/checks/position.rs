@@ -182,6 +182,12 @@ impl Checks {
         }
     }
 
+    /// Whether the encoder of a joint was reversed.
+    fn is_reversed(&self, joint: usize) -> bool {
+        let mut faults = self.faults_of(joint);
+        faults.any(|kind| matches!(kind, FaultKind::EncoderSwapped { .. }))
+    }
+
     /// Largest error until the reversals of the count show a dead channel, at least `least`.
     fn until_found(&self, joint: usize, least: f64) -> f64 {
         let (fastest, unseen) = (self.position.fastest[joint], self.position.unseen[joint]);
@@ -210,6 +216,15 @@ impl Checks {
                 name: "open loop",
             });
         }
+        // A reversed encoder takes the play of the screw with the wrong sign.
+        let [runaway, wrong_play] = if self.is_reversed(joint) {
+            [
+                runaway_error(limits, unit),
+                f64::from(limits.backlash.0) / unit,
+            ]
+        } else {
+            [0.0; 2]
+        };
         let found_by_index = self.position.index_pulses[joint] > 2;
         Some(match self.encoder_defect(joint) {
             EncoderDefect::None => ErrorBounds {
@@ -225,14 +240,12 @@ impl Checks {
                 name: ["motor mm", "motor deg"][class],
             },
             EncoderDefect::Single => ErrorBounds {
-                // The bound is that of the H-4 machines, which are slower and heavier. A reversed
-                // encoder takes the play of the screw with the wrong sign.
-                most: f64::from(limits.backlash.0) / unit
-                    + if self.other_machine {
-                        self.until_found(joint, bounds::FOUND.max(runaway_error(limits, unit)))
-                    } else {
-                        bounds::FOUND
-                    },
+                // The bound is that of the H-4 machines, which are slower and heavier.
+                most: if self.other_machine {
+                    self.until_found(joint, bounds::FOUND.max(runaway))
+                } else {
+                    bounds::FOUND
+                } + wrong_play,
                 lasting: unseen.max(creep),
                 periods: bounds::LASTING,
                 name: "off after one fault",
