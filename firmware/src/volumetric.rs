@@ -36,7 +36,7 @@
 
 use crate::config::volumetric::{CORRECTION, ERROR_AXES, ERRORS, ErrorAxis, VolumetricConfig};
 use crate::motion::PoseCommand;
-use haptimill_math::scale::{saturate, shift_right};
+use haptimill_math::scale::saturate;
 use haptimill_math::{Acceleration, Coordinate, Rate};
 
 /// Time of a fade from 0 to 1, microseconds.
@@ -212,9 +212,12 @@ impl Compensation {
     /// Part of the fade that is over, percent: 100 where the whole correction is in effect.
     #[must_use]
     pub const fn percent(&self) -> u8 {
-        // The product fits: a fade has at most FADE_US periods of a microsecond.
-        let fade = if self.fade == 0 { 1 } else { self.fade };
-        (self.faded.wrapping_mul(100) / fade) as u8
+        if self.is_complete() {
+            return 100;
+        }
+        let part = self.faded.wrapping_mul(self.constants.fade);
+        let percent = (part >> 7).wrapping_mul(100).wrapping_add(1 << 22) >> 23;
+        if percent < 100 { percent as u8 } else { 99 }
     }
 
     /// Switches the correction off without a fade. Callers must make the corrected pose the
@@ -244,8 +247,11 @@ impl Compensation {
     /// same period replaces the first one.
     #[inline(never)]
     pub fn correct(&mut self, config: &VolumetricConfig, commanded: &PoseCommand) -> &PoseCommand {
-        self.corrected = *commanded;
         let corrected = &mut self.corrected;
+        // Field by field: a copy of the whole is a call.
+        corrected.pose = commanded.pose;
+        corrected.rates = commanded.rates;
+        corrected.accelerations = commanded.accelerations;
         let [x, y, z, ..] = &mut corrected.pose.0;
         x.0 = x.0.saturating_sub(self.before[0].units);
         y.0 = y.0.saturating_sub(self.before[1].units);
@@ -286,16 +292,16 @@ impl Compensation {
     }
 
     /// Errors at a pose with the fade, 2^-8 pm.
-    #[inline(never)]
+    #[inline(always)]
     fn errors(&self, config: &VolumetricConfig, pose: &[Coordinate]) -> [i64; ERROR_AXES] {
         let mut errors = self.constants.errors(config, pose);
         if self.faded < self.fade {
             let weight = self.weight();
             for error in &mut errors {
                 // In two parts, as the whole product has more than 64 bits.
-                let lower = product((*error & 0xFFFF) as i32, weight) >> 30;
-                let upper = product((*error >> 16) as i32, weight) >> 14;
-                *error = upper.wrapping_add(lower);
+                let lower = u64::from(*error as u32).wrapping_mul(u64::from(weight)) >> 30;
+                let upper = product((*error >> 32) as i32, weight as i32) << 2;
+                *error = upper.wrapping_add(lower as i64);
             }
         }
         errors
@@ -304,11 +310,11 @@ impl Compensation {
     /// Weight of the errors in the fade, 2^-30: 3 s^2 - 2 s^3, which begins and ends with rate
     /// zero.
     #[inline(always)]
-    const fn weight(&self) -> i32 {
+    const fn weight(&self) -> u32 {
         let part = self.faded.wrapping_mul(self.constants.fade) as i32;
         let square = (product(part, part) >> 30) as i32;
         let cube = (product(square, part) >> 30) as i32;
-        (square - cube).wrapping_mul(2).wrapping_add(square)
+        square.wrapping_mul(3).wrapping_sub(cube.wrapping_mul(2)) as u32
     }
 }
 
@@ -329,8 +335,8 @@ impl Constants {
         };
         let at = [x >> 2, y >> 2, z >> 2];
         let [mut ex, mut ey, mut ez] = [0_i64; ERROR_AXES];
-        let axes = config.axes.iter().zip(&self.axes).zip([x, y, z]);
-        for ((tables, constants), position) in axes {
+        for (axis, position) in [x, y, z].into_iter().enumerate() {
+            let (tables, constants) = (&config.axes[axis], &self.axes[axis]);
             let from = position.saturating_sub(tables.first.0);
             let place = product(from, constants.reciprocal);
             let (mut number, mut part) = ((place >> 50) as i32, (place >> 19) as i32 & MOST_PART);
@@ -374,7 +380,8 @@ impl Constants {
         }
         let [c0y, b0z, a0z] = config.squareness;
         let square = product(b0z, at[2]).wrapping_sub(product(c0y, at[1]));
-        let fine = |sum| shift_right(sum, self.scale);
+        // The mask tells the compiler that a shift stays within a word.
+        let fine = |sum: i64| sum >> (self.scale & 31);
         [
             fine(ex).wrapping_add(square >> 10),
             fine(ey).wrapping_sub(product(a0z, at[2]) >> 10),

@@ -36,10 +36,12 @@ fn forced() -> Config {
 
 /// Checks until a change is detected; a full check takes one for each part.
 fn rounds_until_seen(change: impl FnOnce(&mut Machine)) -> Option<usize> {
+    // More than the digest parts of a machine.
+    const PERIODS: usize = 100;
     let mut machine = Machine::new(forced(), 0, &Inputs::default()).expect("sound");
-    assert!((0..40).all(|_| machine.check_next_digest()));
+    assert!((0..PERIODS).all(|_| machine.check_next_digest()));
     change(&mut machine);
-    (0..40).find(|_| !machine.check_next_digest())
+    (0..PERIODS).find(|_| !machine.check_next_digest())
 }
 
 #[test]

@@ -1,8 +1,11 @@
-//! Volumetric compensation in a fault that leaves the drives on: the tool stays at its place.
+//! Volumetric compensation in a fault that leaves the drives on: the tool stays at its place. A
+//! changed value of the error tables is found while the machine runs.
 
 mod setup;
 
 use haptimill_firmware::controller::Controller;
+use haptimill_firmware::io::Inputs;
+use haptimill_firmware::machine::Machine;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::{Command, State};
@@ -12,13 +15,41 @@ use setup::{drives_off, jog, line, state};
 const MILL: &str = include_str!("../../machines/vmc3.toml");
 const ERRORS: &str = include_str!("../../host/volumetric/data/vmc3_errors.csv");
 
+fn mill() -> MachineFile {
+    let machine = MachineFile::parse("machines/vmc3.toml", MILL).expect("sound");
+    machine
+        .with_errors("vmc3_errors.csv", ERRORS, "wYbXZt")
+        .expect("sound tables")
+}
+
+/// The integrity check covers each value of the tables, their scale and the squareness errors.
+#[test]
+fn a_changed_error_table_is_found() {
+    // More than the digest parts of a machine.
+    const PERIODS: usize = 100;
+    let config = mill().config;
+    let number = config.volumetric.as_ref().expect("tables").values.len();
+    assert!(number > 200, "{number}");
+    let mut machine = Machine::new(config, 0, &Inputs::default()).expect("sound");
+    let is_sound = |machine: &mut Machine| (0..PERIODS).all(|_| machine.check_next_digest());
+    assert!(is_sound(&mut machine));
+    for place in 0..number + 4 {
+        let sound = machine.config.volumetric.clone();
+        let tables = machine.config.volumetric.as_mut().expect("tables");
+        match place.checked_sub(number) {
+            None => tables.values[place] ^= 1,
+            Some(3) => tables.shift += 1,
+            Some(axis) => tables.squareness[axis] += 1,
+        }
+        assert!(!is_sound(&mut machine), "place {place}");
+        machine.config.volumetric = sound;
+    }
+    assert!(is_sound(&mut machine));
+}
+
 #[test]
 fn the_correction_stays_while_a_fault_holds_the_tool() {
-    let machine = MachineFile::parse("machines/vmc3.toml", MILL).expect("sound");
-    let machine = machine
-        .with_errors("vmc3_errors.csv", ERRORS, "wYbXZt")
-        .expect("sound tables");
-    let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
+    let mut bench = Bench::of_machine(mill(), &RigOptions::default(), Controller::new(200));
     bench.steps(500);
     bench.configure();
     bench.ask(Command::Enable).expect("enabled");

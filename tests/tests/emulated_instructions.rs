@@ -4,7 +4,7 @@
 
 mod emulator;
 
-use emulator::{BOARDS, part_of_dome, results, root, run_counted, run_timed, scenario};
+use emulator::{BOARDS, helix, part_of_dome, results, root, run_counted, run_timed, scenario};
 use haptimill_client::port::Board;
 use haptimill_client::session::pil::{self, Instructions};
 use haptimill_hil_sim::RigOptions;
@@ -94,6 +94,8 @@ fn the_kinematics_stay_within_their_instructions() -> String {
 fn a_period_stays_within_its_instructions() {
     let circle = root().join("examples/e11-circle.ngc");
     let dome = part_of_dome(500);
+    // Compensation moves every joint, and a joint in motion costs more: so does the program.
+    let helix = helix();
     let path = |path: PathBuf| path.display().to_string();
     let bare = || vec!["--machine".to_string(), path(WITHOUT_FORCE.clone())];
     let yielding = || {
@@ -140,18 +142,18 @@ fn a_period_stays_within_its_instructions() {
             [11_320.0, 17_780.0],
         ),
         job(
-            "E11 circle on the vertical mill, without error tables",
+            "Helix on the vertical mill, without error tables",
             "vmc-bare",
-            &circle,
+            &helix,
             mill.to_vec(),
-            [4_440.0, 8_190.0],
+            [4_730.0, 8_290.0],
         ),
         job(
-            "E11 circle on the vertical mill, with error tables",
+            "Helix on the vertical mill, with error tables",
             "vmc",
-            &circle,
+            &helix,
             [mill, errors].concat(),
-            [5_490.0, 10_410.0],
+            [5_480.0, 9_230.0],
         ),
         Job {
             title: "E8, teleoperation with force feedback, force control of x, y and z, the image with the haptic arm",
@@ -162,7 +164,7 @@ fn a_period_stays_within_its_instructions() {
     ];
     let mut table = String::from(TABLE_HEAD) + &the_kinematics_stay_within_their_instructions();
     let mut beyond = Vec::new();
-    let mut means = std::collections::BTreeMap::new();
+    let mut costs = std::collections::BTreeMap::new();
     for Job {
         title,
         name,
@@ -212,15 +214,15 @@ fn a_period_stays_within_its_instructions() {
                     ", then at least {low} while more were to come"
                 ))
         ));
-        means.insert(name, mean);
+        costs.insert(name, [mean, worst]);
         if mean >= mean_ceiling || worst >= worst_ceiling {
             beyond.push(format!("{title}: {mean:.0} and {worst:.0} instructions"));
         }
     }
     assert!(beyond.is_empty(), "{beyond:#?}");
-    let compensation = means["vmc"] - means["vmc-bare"];
-    println!("volumetric compensation: {compensation:.0} in the mean");
-    assert!(compensation <= 1_000.0, "{compensation}");
+    let [mean, worst] = [0, 1].map(|which| costs["vmc"][which] - costs["vmc-bare"][which]);
+    println!("volumetric compensation: {mean:.0} in the mean, {worst:.0} in the worst period");
+    assert!(mean <= 1_000.0 && worst <= 1_000.0, "{mean} {worst}");
     println!("{table}");
     let file = root().join("docs/instructions.md");
     if std::env::var_os("HAPTIMILL_WRITE").is_some() {

@@ -2,12 +2,12 @@
 //! parts against their digests.
 
 use super::Machine;
+use super::correction::VOLUMETRIC_PARTS;
 use super::gantry::Gantries;
 use super::joint_rates::JointRates;
 use super::masters::Masters;
 use super::switches::Switches;
 use crate::config::digest::{Constants, Digest};
-use crate::config::volumetric::ERROR_AXES;
 use crate::config::{AxisKind, Config, Drive, JointAxis, SwitchInput};
 use crate::force::Design;
 use crate::force::sensor::COMPONENTS;
@@ -25,15 +25,15 @@ use heapless::Vec;
 
 /// Number of parts in which the configuration and the values derived from it are checked against
 /// their digests. The parts are: geometry and bounds, motion, each pose axis and each joint, the
-/// haptic arm, the named inputs and outputs, the error tables and each axis of them, the force
-/// sensor, each axis of force control.
+/// haptic arm, the named inputs and outputs, the error tables, the force sensor, each axis of
+/// force control.
 pub(super) const PARTS: usize = FORCE_PART + 1 + COMPONENTS;
 
 /// Digest part of the haptic arm.
 pub(super) const HAPTICS_PART: usize = 2 + 2 * MAX_AXES;
 
 /// Digest part of the force sensor.
-pub(super) const FORCE_PART: usize = VOLUMETRIC_PART + 1 + ERROR_AXES;
+pub(super) const FORCE_PART: usize = VOLUMETRIC_PART + VOLUMETRIC_PARTS;
 
 /// Digest part of the error tables.
 pub(super) const VOLUMETRIC_PART: usize = IO_PART + 1;

@@ -6,12 +6,18 @@
 //! one.
 
 use super::Machine;
-use super::configure::VOLUMETRIC_PART;
 use crate::config::digest::Digest;
-use crate::config::volumetric::ERRORS;
-use crate::volumetric::Fade;
+use crate::config::volumetric::ERROR_VALUES;
+use crate::volumetric::{Compensation, Fade};
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;
+
+/// Values of the error tables in one digest part. It bounds the instructions of a period for tables
+/// of any size.
+const DIGEST_VALUES: usize = 48;
+
+/// Number of digest parts of the error tables.
+pub(super) const VOLUMETRIC_PARTS: usize = 2 + ERROR_VALUES.div_ceil(DIGEST_VALUES);
 
 impl Machine {
     /// One period of the fade. With the drives off there is no correction: at enable the commanded
@@ -54,21 +60,16 @@ impl Machine {
         pose
     }
 
-    /// Adds a digest part of the error tables: 0 has the sizes, the others the values of one axis
-    /// each.
+    /// Adds a digest part of the error tables: 0 has the sizes, 1 the constants, the others have
+    /// [`DIGEST_VALUES`] values each.
     pub(super) fn digest_volumetric(&self, part: usize, digest: &mut Digest) {
         let Some(config) = &self.config.volumetric else {
             return;
         };
-        let Some(axis) = part.checked_sub(1) else {
-            digest.add(&(&config.axes, config.shift, config.squareness));
-            let constants = self.compensation.as_ref().map(|known| known.constants());
-            digest.add(&constants);
-            return;
-        };
-        let start = config.start(axis);
-        let end = start + usize::from(config.axes[axis].nodes) * ERRORS;
-        digest.add(&config.values.get(start..end));
-        debug_assert!(part < super::PARTS - VOLUMETRIC_PART);
+        match part {
+            0 => digest.add(&(&config.axes, config.shift, config.squareness)),
+            1 => digest.add(&self.compensation.as_ref().map(Compensation::constants)),
+            _ => digest.add(&config.values.chunks(DIGEST_VALUES).nth(part - 2)),
+        }
     }
 }

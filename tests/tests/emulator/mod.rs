@@ -68,6 +68,14 @@ pub fn part_of_dome(blocks: usize) -> PathBuf {
     file
 }
 
+/// Returns a program that moves x, y and z all the time: a turn of the circle of E11 with a fall.
+pub fn helix() -> PathBuf {
+    let file = results("helix.ngc");
+    let text = "G21 G17 G90 G94\nG0 Z23.232\nS5000 M3\nG2 I-15 Z19.232 F240\nM5\nM30\n";
+    std::fs::write(&file, text).expect("written");
+    file
+}
+
 /// Returns the image of the board with this name, for example `faults`.
 pub fn image(name: &'static str) -> PathBuf {
     pil::other_image(Board::Mps2, name).expect("builds")
