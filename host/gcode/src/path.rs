@@ -110,6 +110,12 @@ impl Path {
         })
     }
 
+    /// Whether the path turns a rotary coordinate.
+    pub fn turns(&self, kinds: &[AxisKind]) -> bool {
+        let mut ends = kinds.iter().zip(self.from.iter().zip(&self.to));
+        ends.any(|(kind, (from, to))| *kind == AxisKind::Rotary && from != to)
+    }
+
     /// Returns the two halves of the path.
     pub fn halves(&self) -> [Path; 2] {
         let middle = self.at(0.5 * self.length);

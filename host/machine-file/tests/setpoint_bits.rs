@@ -91,9 +91,9 @@ fn setpoints_keep_their_bits() {
     assert_eq!(
         digests(""),
         [
-            "h4 1540 f0f663dee5b327f9",
+            "h4 1459 b21420883c18a1e1",
             "mill3-servo 1373 efe1bfbf548faf18",
-            "trunnion5 1456 c9ed0e8280d52af9",
+            "trunnion5 1376 7af42deacc601353",
             "delta3 1762 23eba2efed0bccbf",
         ]
     );

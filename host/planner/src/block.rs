@@ -44,6 +44,8 @@ pub(crate) struct Block {
     pub is_slowed: bool,
     /// Largest distance of a corner from the path, mm, if the program gives one.
     pub tolerance: Option<f64>,
+    /// Share of the tolerance of rotary coordinates that its corners have.
+    pub turns: f64,
     /// Limits along the path.
     pub along: Along,
     /// Largest speed without the feed.
@@ -318,6 +320,7 @@ fn examine(
         continues: false,
         is_slowed: limits.is_slowed(),
         tolerance: step.tolerance,
+        turns: 1.0,
         along,
         most,
         tangents,

@@ -140,7 +140,8 @@ impl Corner {
         } else {
             1.0
         };
-        for (squared, tolerance) in squared.iter().zip([tolerance, settings.tolerance_deg]) {
+        let turns = before.turns.min(after.turns) * settings.tolerance_deg;
+        for (squared, tolerance) in squared.iter().zip([tolerance, turns]) {
             if *squared > 0.0 {
                 corner.largest = corner
                     .largest

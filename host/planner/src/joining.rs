@@ -4,8 +4,10 @@
 //! the speed. The program of a curve has many of them; the joined path has few.
 //!
 //! Without Q the joined path may take half of the tolerance P. Its corners have the other half, so
-//! that the motion stays within P of the program.
+//! that the motion stays within P of the program. Rotary coordinates have half of their tolerance,
+//! with and without Q.
 
+use super::limits::Settings;
 use haptimill_gcode::{Arc, AxisKind, Coordinates, Feed, Measure, Move, Path};
 
 /// Most moves of a joined path: a new move is compared with all of them.
@@ -14,8 +16,13 @@ const MOST: usize = 256;
 const LONGEST_MM: f64 = 2.0;
 /// Largest duration of a joined path at its feed, seconds: its moves have one place in the program.
 const LONGEST_S: f64 = 1.0;
+/// Largest duration of a joined move that turns a rotary coordinate, seconds. Below 21 ms it limits
+/// the speed, at an override of 200 % below 42 ms; beyond that the exact motion is better.
+const LONGEST_TURN_S: f64 = 0.045;
 /// Share of the distance for that across an arc, and for that along its axis: together below it.
 const ARC_SHARE: f64 = 0.7;
+/// Share of the tolerance of rotary coordinates; corners have the rest.
+pub(crate) const TURN_SHARE: f64 = 0.5;
 /// Largest angle of an arc, radians.
 const LARGEST_SWEEP: f64 = 2.5;
 /// Largest angle of one line on an arc, radians.
@@ -29,12 +36,20 @@ pub(crate) struct Joined {
     /// The joined move; it has the place of the first one.
     pub whole: Move,
     pub moves: Vec<Move>,
-    /// Largest distance of the path from the moves, mm.
-    within: f64,
+    /// Largest distance of the path from the moves.
+    within: Within,
     /// Tolerance of its corners, mm, if it has two moves or more; `None` is that of the moves.
     corners: Option<f64>,
     /// Number of messages of the program before them.
     pub messages: u32,
+}
+
+/// Largest distance of a joined path from its moves.
+#[derive(Debug, Clone, Copy)]
+struct Within {
+    mm: f64,
+    /// Of a rotary coordinate.
+    degrees: f64,
 }
 
 /// The last moves, if they can be joined.
@@ -47,12 +62,14 @@ impl Joining {
         self.0.take()
     }
 
-    /// Begins with a move; returns false if it is no short line at a feed with a tolerance. Without
-    /// P its tolerance is `tolerance` mm.
-    pub(crate) fn begin(&mut self, step: &Move, messages: u32, tolerance: f64) -> bool {
-        let half = 0.5 * step.tolerance.unwrap_or(tolerance);
-        let within = step.joining.unwrap_or(half);
-        if !is_short_line(step) || within <= 0.0 {
+    /// Begins with a move; returns false if it is no short line at a feed with a tolerance.
+    pub(crate) fn begin(&mut self, step: &Move, messages: u32, settings: &Settings) -> bool {
+        let half = 0.5 * step.tolerance.unwrap_or(settings.tolerance_mm);
+        let within = Within {
+            mm: step.joining.unwrap_or(half),
+            degrees: TURN_SHARE * settings.tolerance_deg,
+        };
+        if !is_short_line(step, &settings.kinds()) || within.mm <= 0.0 {
             return false;
         }
         self.0 = Some(Joined {
@@ -74,7 +91,7 @@ impl Joining {
             return false;
         };
         let length = joined.whole.path.length;
-        let is_alike = is_short_line(step)
+        let is_alike = is_short_line(step, kinds)
             && (step.feed, step.tolerance, step.joining)
                 == (first.feed, first.tolerance, first.joining)
             && step.place.file == first.place.file
@@ -106,13 +123,15 @@ impl Joining {
     }
 }
 
-fn is_short_line(step: &Move) -> bool {
+fn is_short_line(step: &Move, kinds: &[AxisKind]) -> bool {
     let path = &step.path;
     !step.exact_stop
         && step.feed != Feed::Rapid
         && path.arc.is_none()
         && path.measure == Measure::Tip
         && path.length <= LONGEST_MM
+        && (!path.turns(kinds)
+            || matches!(step.feed, Feed::PerMinute(feed) if path.length <= LONGEST_TURN_S * feed / 60.0))
 }
 
 /// The points of the moves, from the start of the first one to the end of the last one.
@@ -123,30 +142,27 @@ fn points(moves: &[Move]) -> impl Iterator<Item = &Coordinates> {
         .chain(moves.iter().map(|step| &step.path.to))
 }
 
-/// Returns the line from the first to the last point if all points are `within` mm of it, in its
-/// direction.
-fn line_through(moves: &[Move], within: f64, kinds: &[AxisKind]) -> Option<Path> {
+/// Returns the line from the first to the last point if all points are near it, in its direction.
+fn line_through(moves: &[Move], within: Within, kinds: &[AxisKind]) -> Option<Path> {
     let (first, last) = (moves.first()?, moves.last()?);
     let (from, to) = (&first.path.from, &last.path.to);
-    let mut along = [0.0; 6];
-    for k in 0..6 {
-        along[k] = to[k] - from[k];
-        if kinds.get(k) == Some(&AxisKind::Rotary) && along[k] != 0.0 {
-            return None;
-        }
-    }
-    let squared: f64 = along.iter().map(|part| part * part).sum();
+    let is_rotary = |k: usize| kinds.get(k) == Some(&AxisKind::Rotary);
+    let along: Coordinates = std::array::from_fn(|k| to[k] - from[k]);
+    let linear = |k: &usize| !is_rotary(*k);
+    let squared: f64 = (0..6).filter(linear).map(|k| along[k] * along[k]).sum();
     let mut before = 0.0;
     for point in points(moves) {
         let part: Coordinates = std::array::from_fn(|k| point[k] - from[k]);
-        let done: f64 = part.iter().zip(&along).map(|(a, b)| a * b).sum();
+        let done: f64 = (0..6).filter(linear).map(|k| part[k] * along[k]).sum();
         let share = done / squared;
-        let off: f64 = (0..6).map(|k| (part[k] - share * along[k]).powi(2)).sum();
-        // The rotary coordinates of all points are equal, too.
+        let off: Coordinates = std::array::from_fn(|k| part[k] - share * along[k]);
+        let across: f64 = (0..6).filter(linear).map(|k| off[k].powi(2)).sum();
+        let turned = (0..6).any(|k| is_rotary(k) && off[k].abs() > within.degrees);
         if share
             .partial_cmp(&before)
             .is_none_or(std::cmp::Ordering::is_lt)
-            || off > within * within
+            || across > within.mm * within.mm
+            || turned
         {
             return None;
         }
@@ -156,10 +172,10 @@ fn line_through(moves: &[Move], within: f64, kinds: &[AxisKind]) -> Option<Path>
 }
 
 /// Returns the arc through the first, a middle and the last point if all points, and the middles of
-/// the lines between them, are `within` mm of it.
+/// the lines between them, are near it.
 fn arc_through(
     moves: &[Move],
-    within: f64,
+    within: Within,
     (plane, axis): &([usize; 2], usize),
     kinds: &[AxisKind],
 ) -> Option<Path> {
@@ -177,7 +193,7 @@ fn arc_through(
         (x.hypot(y), y.atan2(x))
     };
     let (radius, angle) = polar(ends[0]);
-    let most = ARC_SHARE * within;
+    let most = ARC_SHARE * within.mm;
     let mut sweep = 0.0f64;
     let mut angles = Vec::with_capacity(moves.len());
     for step in moves {
@@ -199,16 +215,22 @@ fn arc_through(
     if sweep == 0.0 || sweep.abs() > LARGEST_SWEEP {
         return None;
     }
-    // The other coordinates are in proportion to the angle.
+    // The other coordinates are in proportion to the angle. Between the ends of a line its angle is
+    // not in proportion to its length: by up to 2 / 9 sqrt(3) times the cube of half its angle.
+    let mut before = 0.0;
     for (step, angle) in moves.iter().zip(angles) {
+        let between = 0.129 * (0.5 * (angle - before)).abs().powi(3);
+        before = angle;
         for k in 0..6 {
-            let off = step.path.to[k] - from[k] - (to[k] - from[k]) * angle / sweep;
+            let slope = (to[k] - from[k]) / sweep;
+            let off = step.path.to[k] - from[k] - slope * angle;
             let most = match k {
                 _ if plane.contains(&k) => continue,
                 _ if k == *axis => most,
+                _ if kinds.get(k) == Some(&AxisKind::Rotary) => within.degrees,
                 _ => 0.0,
             };
-            if off.abs() > most {
+            if off.abs() + between * slope.abs() > most {
                 return None;
             }
         }

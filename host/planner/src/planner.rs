@@ -3,7 +3,7 @@
 use super::block::{self, Block};
 use super::corner::Corner;
 use super::figures::Figures;
-use super::joining::Joining;
+use super::joining::{self, Joining};
 use super::limits::{MachineModel, Settings};
 use super::lookahead::Run;
 use super::messages::Messages;
@@ -378,9 +378,8 @@ impl<M: MachineModel> Planner<M> {
             return Ok(());
         }
         let joined = self.add_joined();
-        let tolerance = self.settings.tolerance_mm;
-        if self.refused || !self.joining.begin(step, messages, tolerance) {
-            return joined.and(self.prepare(step, messages));
+        if self.refused || !self.joining.begin(step, messages, &self.settings) {
+            return joined.and(self.prepare(step, messages, 1.0));
         }
         joined
     }
@@ -390,6 +389,7 @@ impl<M: MachineModel> Planner<M> {
         let Some(joined) = self.joining.take() else {
             return Ok(());
         };
+        let kinds = self.settings.kinds();
         let others = joined.moves.len() - 1;
         let (settings, model) = (&self.settings, &self.model);
         let is_possible = others > 0
@@ -399,17 +399,25 @@ impl<M: MachineModel> Planner<M> {
             self.figures.blocks += others;
             let programmed: f64 = joined.moves.iter().map(|it| it.path.tip_length()).sum();
             self.figures.path_length_mm += programmed - joined.whole.path.tip_length();
-            return self.prepare(&joined.whole, joined.messages);
+            let turns = joined.whole.path.turns(&kinds);
+            let corners = if turns {
+                1.0 - joining::TURN_SHARE
+            } else {
+                1.0
+            };
+            return self.prepare(&joined.whole, joined.messages, corners);
         }
         // One by one: an error has the place of its block.
         let mut result = Ok(());
         for step in &joined.moves {
-            result = result.and(self.prepare(step, joined.messages));
+            result = result.and(self.prepare(step, joined.messages, 1.0));
         }
         result
     }
 
-    fn prepare(&mut self, step: &Move, messages: u32) -> Result<(), Problem> {
+    /// Adds the blocks of a move. `turns` is the share of the tolerance of rotary coordinates that
+    /// its corners have.
+    fn prepare(&mut self, step: &Move, messages: u32, turns: f64) -> Result<(), Problem> {
         self.prepared.clear();
         block::prepare(step, &self.settings, &self.model, &mut self.prepared)
             .inspect_err(|_| self.refused = true)?;
@@ -420,6 +428,7 @@ impl<M: MachineModel> Planner<M> {
         self.figures.slowed += usize::from(self.prepared.iter().any(|block| block.is_slowed));
         for mut block in self.prepared.drain(..) {
             block.messages = messages;
+            block.turns = turns;
             self.run.push(block, &self.settings);
         }
         if self.run.blocks.len() < self.window {

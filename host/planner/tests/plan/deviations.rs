@@ -3,7 +3,7 @@
 use crate::h4::{H4, HOME, settings};
 use crate::properties::{check_limits, check_steps, plan};
 use crate::spans::{Span, spans};
-use haptimill_gcode::{Options, read};
+use haptimill_gcode::{Coordinates, Options, read};
 use haptimill_planner::Plan;
 use proptest::prelude::*;
 
@@ -147,6 +147,95 @@ proptest! {
             prop_assert!(nearest <= most, "{point:?} is passed in {nearest} mm\n{text}");
         }
     }
+
+    /// Short blocks that turn the tool: the tip is within P and Q of the program, where the rotary
+    /// coordinates are within their tolerance.
+    #[test]
+    fn the_tool_turns_with_the_program(
+        steps in prop::collection::vec((0.02..0.4f64, -0.1..0.1f64, -1.0..1.0f64, -1.0..1.0f64), 10..120),
+        feed in 300.0..3000.0f64,
+        p in prop_oneof![Just(0.002), Just(0.01), Just(0.05)],
+        q in prop_oneof![Just(None), Just(Some(0.0)), Just(Some(0.005))],
+        bend in 0.0..0.3f64,
+    ) {
+        let mut points: Vec<Coordinates> = vec![[0.0, 0.0, 30.0, 0.0, 0.0, 0.0]];
+        let (mut heading, mut slopes) = (0.0f64, [0.5, -0.5]);
+        for (length, turn, first, second) in steps {
+            heading += turn + 0.02;
+            for (slope, change) in slopes.iter_mut().zip([first, second]) {
+                *slope = (*slope + bend * change * length).clamp(-2.0, 2.0);
+            }
+            let [x, y, z, b, a, _] = points[points.len() - 1];
+            let next = [
+                x + length * heading.cos(),
+                y + length * heading.sin(),
+                z + 0.2 * length,
+                b + slopes[0] * length,
+                a + slopes[1] * length,
+                0.0,
+            ];
+            points.push(next.map(|part| (part * 1e5).round() / 1e5));
+        }
+        let word = q.map_or(String::new(), |q| format!("Q{q}"));
+        let head = format!("G0 X0 Y0 Z30\nG64 P{p} {word}\nG1 F{feed:.1}\n");
+        let text = points[1..].iter().fold(head, |text, [x, y, z, b, a, _]| {
+            text + &format!("X{x:.5} Y{y:.5} Z{z:.5} B{b:.5} A{a:.5}\n")
+        });
+        let (_, made) = plan(&text, &settings());
+        check_limits(&made, &settings(), &text);
+        check_steps(&made, &settings(), &text);
+        let mut next = 0;
+        for (index, span) in spans(&made).iter().enumerate() {
+            if made.line_of(index) < 4 {
+                continue;
+            }
+            for at in poses(span) {
+                let is_near = |line: &usize| {
+                    let off = off_turning_line(&at, &points[*line], &points[*line + 1]);
+                    off <= p + q.unwrap_or(0.0) + 4e-4
+                };
+                let near = (next..points.len() - 1).find(is_near);
+                prop_assert!(near.is_some(), "{at:?} is off the program after line {next}\n{text}");
+                next = near.unwrap_or(next);
+            }
+        }
+        prop_assert!(next + 2 >= points.len(), "ends at {next}\n{text}");
+    }
+}
+
+/// Poses of a span.
+fn poses(span: &Span) -> impl Iterator<Item = Coordinates> {
+    let parts = (0..=8).map(|part| f64::from(part) / 8.0);
+    parts.map(|u| std::array::from_fn(|k| span.axes.get(k).map_or(0.0, |axis| axis.at(u))))
+}
+
+/// Distance of the tip from that part of a line where the rotary coordinates are within their
+/// tolerance, mm; infinite if there is none.
+fn off_turning_line(at: &Coordinates, from: &Coordinates, to: &Coordinates) -> f64 {
+    let along: Coordinates = std::array::from_fn(|k| to[k] - from[k]);
+    // The cubics are within 0.0004 degrees of the planned motion.
+    let most = settings().tolerance_deg + 4e-4;
+    let (mut low, mut high) = (0.0f64, 1.0f64);
+    for k in 3..5 {
+        let off = at[k] - from[k];
+        if along[k] == 0.0 {
+            if off.abs() > most {
+                return f64::INFINITY;
+            }
+            continue;
+        }
+        let ends = [(off - most) / along[k], (off + most) / along[k]];
+        low = low.max(ends[0].min(ends[1]));
+        high = high.min(ends[0].max(ends[1]));
+    }
+    if low > high {
+        return f64::INFINITY;
+    }
+    let squared: f64 = along[..3].iter().map(|part| part * part).sum();
+    let done: f64 = (0..3).map(|k| (at[k] - from[k]) * along[k]).sum();
+    let share = (done / squared).clamp(low, high);
+    let off = (0..3).map(|k| (at[k] - from[k] - share * along[k]).powi(2));
+    off.sum::<f64>().sqrt()
 }
 
 /// A place by the length of the way to it, about 1 mm a unit.
@@ -270,8 +359,66 @@ fn joined_blocks_reach_their_feed() {
     }
 }
 
-/// Blocks around a corner are joined no farther than Q, and a stop, another feed, a rotary move or
-/// a message is joined to nothing.
+/// Short blocks of five coordinates are joined: the tip is within P of the program, and the rotary
+/// coordinates are within their tolerance there.
+#[test]
+fn joined_blocks_of_five_axes_reach_their_feed() {
+    let point = |number: usize| -> Coordinates {
+        let turn = number as f64 * 0.1 / 20.0;
+        let [x, y] = [20.0 * turn.cos(), 18.0 * turn.sin()];
+        let [z, b, a] = [
+            25.0 + 5.0 * (0.8 * turn).sin(),
+            8.0 * (0.5 * turn).sin(),
+            6.0 * (0.3 * turn).cos(),
+        ];
+        [x, y, z, b, a, 0.0].map(|part| (part * 1e5).round() / 1e5)
+    };
+    let made = |mode: &str| {
+        let mut text = String::new();
+        for number in 0..=10_000 {
+            let [x, y, z, b, a, _] = point(number);
+            let head = if number == 0 { "G0 " } else { "" };
+            text += &format!("{head}X{x:.5} Y{y:.5} Z{z:.5} B{b:.5} A{a:.5}\n");
+            if number == 0 {
+                text += &format!("{mode}\nG1 F1200\n");
+            }
+        }
+        let options = Options::of_letters("XYZBA", HOME);
+        let program = read("t", text.as_bytes(), &options).expect("readable");
+        Plan::new(&program, &settings(), &H4).expect("possible")
+    };
+    let least = |plan: &Plan| speeds(plan).into_iter().fold(f64::INFINITY, f64::min);
+    let apart = least(&made("G64 Q0"));
+    let plan = made("G64 P0.005");
+    let joined = least(&plan);
+    println!("five axes: at least {joined} mm/s, {apart} mm/s with Q0");
+    assert!(
+        joined > 0.9 * 20.0 && apart < 6.0,
+        "{joined} and {apart} mm/s"
+    );
+    assert_eq!(plan.figures.blocks, 10_001);
+    check_limits(&plan, &settings(), "five axes");
+    check_steps(&plan, &settings(), "five axes");
+    let mut next = 0;
+    for (index, span) in spans(&plan).iter().enumerate() {
+        if plan.line_of(index) < 4 {
+            continue;
+        }
+        for at in poses(span) {
+            let is_near =
+                |line: &usize| off_turning_line(&at, &point(*line), &point(*line + 1)) <= 0.0054;
+            let near = (next..(next + 100).min(10_000)).find(is_near);
+            let Some(near) = near else {
+                panic!("{at:?} is beyond the tolerances after line {next}");
+            };
+            next = near;
+        }
+    }
+    assert!(next > 9_990, "ends at {next}");
+}
+
+/// Blocks around a corner are joined no farther than Q, and a stop, another feed or a message is
+/// joined to nothing.
 #[test]
 fn blocks_are_joined_within_q_only() {
     let time = |text: &str| {
