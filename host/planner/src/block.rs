@@ -33,6 +33,8 @@ const SHORTEST_PART: f64 = 1.0;
 #[derive(Debug, Clone)]
 pub(crate) struct Block {
     pub place: Place,
+    /// Places of the moves that are joined, by the length from which they hold; none for one move.
+    pub places: Vec<(f64, Place)>,
     /// Number of messages of the program before it.
     pub messages: u32,
     pub path: Path,
@@ -313,6 +315,7 @@ fn examine(
     let allowed = limits.speed.min(limits.rate_speed);
     let block = Block {
         place: step.place,
+        places: Vec::new(),
         messages: 0,
         path: path.clone(),
         is_rapid: step.feed == Feed::Rapid,

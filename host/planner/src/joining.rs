@@ -7,6 +7,7 @@
 //! that the motion stays within P of the program. Rotary coordinates have half of their tolerance,
 //! with and without Q.
 
+use super::block::Block;
 use super::limits::Settings;
 use haptimill_gcode::{Arc, AxisKind, Coordinates, Feed, Measure, Move, Path};
 
@@ -14,7 +15,7 @@ use haptimill_gcode::{Arc, AxisKind, Coordinates, Feed, Measure, Move, Path};
 const MOST: usize = 256;
 /// Largest length of a move that is joined, mm; a longer one limits no speed.
 const LONGEST_MM: f64 = 2.0;
-/// Largest duration of a joined path at its feed, seconds: its moves have one place in the program.
+/// Largest duration of a joined path at its feed, seconds: its setpoints wait for all of its moves.
 const LONGEST_S: f64 = 1.0;
 /// Largest duration of a joined move that turns a rotary coordinate, seconds. Below 21 ms it limits
 /// the speed, at an override of 200 % below 42 ms; beyond that the exact motion is better.
@@ -22,7 +23,7 @@ const LONGEST_TURN_S: f64 = 0.045;
 /// Share of the distance for that across an arc, and for that along its axis: together below it.
 const ARC_SHARE: f64 = 0.7;
 /// Share of the tolerance of rotary coordinates; corners have the rest.
-pub(crate) const TURN_SHARE: f64 = 0.5;
+const TURN_SHARE: f64 = 0.5;
 /// Largest angle of an arc, radians.
 const LARGEST_SWEEP: f64 = 2.5;
 /// Largest angle of one line on an arc, radians.
@@ -50,6 +51,35 @@ struct Within {
     mm: f64,
     /// Of a rotary coordinate.
     degrees: f64,
+}
+
+impl Joined {
+    /// Gives the blocks of the whole the places of the moves, and its corners their share of the
+    /// tolerance of rotary coordinates.
+    pub(crate) fn complete(&self, blocks: &mut [Block], kinds: &[AxisKind]) {
+        let whole = &self.whole.path;
+        let turns = if whole.turns(kinds) {
+            1.0 - TURN_SHARE
+        } else {
+            1.0
+        };
+        let programmed: f64 = self.moves.iter().map(|step| step.path.length).sum();
+        let mut moves = self.moves.iter().peekable();
+        // Where the next move and the next block begin, on the whole.
+        let (mut begin, mut start) = (0.0, 0.0);
+        let mut place = self.whole.place;
+        for block in blocks {
+            block.turns = turns;
+            block.place = place;
+            let end = start + block.path.length;
+            while let Some(step) = moves.next_if(|_| begin < end) {
+                place = step.place;
+                block.places.push((begin - start, place));
+                begin += step.path.length * whole.length / programmed;
+            }
+            start = end;
+        }
+    }
 }
 
 /// The last moves, if they can be joined.

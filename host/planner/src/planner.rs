@@ -3,7 +3,7 @@
 use super::block::{self, Block};
 use super::corner::Corner;
 use super::figures::Figures;
-use super::joining::{self, Joining};
+use super::joining::Joining;
 use super::limits::{MachineModel, Settings};
 use super::lookahead::Run;
 use super::messages::Messages;
@@ -103,6 +103,7 @@ impl<M: MachineModel> Planner<M> {
         let mut trajectory = Trajectory::default();
         trajectory.paths.push(Leg {
             place: Place::default(),
+            places: Vec::new(),
             messages: 0,
             path: standing,
             is_rapid: true,
@@ -379,7 +380,7 @@ impl<M: MachineModel> Planner<M> {
         }
         let joined = self.add_joined();
         if self.refused || !self.joining.begin(step, messages, &self.settings) {
-            return joined.and(self.prepare(step, messages, 1.0));
+            return joined.and(self.prepare(step, messages));
         }
         joined
     }
@@ -389,9 +390,9 @@ impl<M: MachineModel> Planner<M> {
         let Some(joined) = self.joining.take() else {
             return Ok(());
         };
-        let kinds = self.settings.kinds();
         let others = joined.moves.len() - 1;
         let (settings, model) = (&self.settings, &self.model);
+        self.prepared.clear();
         let is_possible = others > 0
             && block::prepare(&joined.whole, settings, model, &mut self.prepared).is_ok();
         if is_possible {
@@ -399,36 +400,33 @@ impl<M: MachineModel> Planner<M> {
             self.figures.blocks += others;
             let programmed: f64 = joined.moves.iter().map(|it| it.path.tip_length()).sum();
             self.figures.path_length_mm += programmed - joined.whole.path.tip_length();
-            let turns = joined.whole.path.turns(&kinds);
-            let corners = if turns {
-                1.0 - joining::TURN_SHARE
-            } else {
-                1.0
-            };
-            return self.prepare(&joined.whole, joined.messages, corners);
+            joined.complete(&mut self.prepared, &self.settings.kinds());
+            return self.add_prepared(&joined.whole, joined.messages);
         }
         // One by one: an error has the place of its block.
         let mut result = Ok(());
         for step in &joined.moves {
-            result = result.and(self.prepare(step, joined.messages, 1.0));
+            result = result.and(self.prepare(step, joined.messages));
         }
         result
     }
 
-    /// Adds the blocks of a move. `turns` is the share of the tolerance of rotary coordinates that
-    /// its corners have.
-    fn prepare(&mut self, step: &Move, messages: u32, turns: f64) -> Result<(), Problem> {
+    fn prepare(&mut self, step: &Move, messages: u32) -> Result<(), Problem> {
         self.prepared.clear();
         block::prepare(step, &self.settings, &self.model, &mut self.prepared)
             .inspect_err(|_| self.refused = true)?;
         if self.refused {
             return Ok(());
         }
+        self.add_prepared(step, messages)
+    }
+
+    /// Adds the prepared blocks of a move.
+    fn add_prepared(&mut self, step: &Move, messages: u32) -> Result<(), Problem> {
         self.at = step.path.to;
         self.figures.slowed += usize::from(self.prepared.iter().any(|block| block.is_slowed));
         for mut block in self.prepared.drain(..) {
             block.messages = messages;
-            block.turns = turns;
             self.run.push(block, &self.settings);
         }
         if self.run.blocks.len() < self.window {
@@ -586,6 +584,7 @@ impl<M: MachineModel> Planner<M> {
         let corners = [&self.run.corners[index], &self.run.corners[index + 1]];
         self.trajectory.paths.push(Leg {
             place: block.place,
+            places: block.places.clone(),
             messages: block.messages,
             path: block.path.clone(),
             is_rapid: block.is_rapid,

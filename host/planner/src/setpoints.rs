@@ -326,9 +326,13 @@ impl Emitter {
         let (mut pose, mut rates) = trajectory.intended(&mut self.cursor, time);
         // Place of the motion towards the setpoint; a setpoint at a corner may be up to a period
         // late.
-        let piece = trajectory.seek(&mut self.cursor, time - self.period);
-        let leg = trajectory.leg(piece.map_or(0, |piece| piece.path));
-        let place = leg.place;
+        let before = time - self.period;
+        let piece = trajectory.seek(&mut self.cursor, before);
+        let (path, s) = piece.map_or((0, 0.0), |piece| {
+            (piece.path, piece.along(before - piece.time).0)
+        });
+        let leg = trajectory.leg(path);
+        let place = leg.place_at(s);
         if at_rest {
             // The exact end, without the rounding errors of the phases.
             (pose, rates) = (leg.path.to, [0.0; 6]);

@@ -111,11 +111,22 @@ fn bend(x: f64) -> (f64, f64) {
 #[derive(Debug, Clone)]
 pub(crate) struct Leg {
     pub place: Place,
+    /// As in [`Block`].
+    pub places: Vec<(f64, Place)>,
     /// Number of messages of the program before it.
     pub messages: u32,
     pub path: Path,
     /// Whether it is a rapid move.
     pub is_rapid: bool,
+}
+
+impl Leg {
+    /// Returns the place of the motion at a length.
+    pub(crate) fn place_at(&self, s: f64) -> Place {
+        let passed = self.places.partition_point(|(begin, _)| *begin <= s);
+        let last = passed.checked_sub(1).and_then(|last| self.places.get(last));
+        last.map_or(self.place, |(_, place)| *place)
+    }
 }
 
 /// The exact paths and the speed profile along them.

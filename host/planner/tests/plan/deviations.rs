@@ -354,6 +354,10 @@ fn joined_blocks_reach_their_feed() {
                 };
                 next = near;
             }
+            // The place is that of the motion towards the setpoint: here the line at its end, or
+            // the one before. The first line has number 4.
+            let line = plan.line_of(index) as usize - 4;
+            assert!(line.abs_diff(next) <= 1, "{name}: line {line} at {next}");
         }
         assert!(next > 9_990, "{name} ends at {next}");
     }
