@@ -218,8 +218,40 @@ def main():
                       f"{100 * (closed / best - 1):.2f} % |", flush=True)
                 if closed > 1.03 * best:
                     failed.append(f"{name}, {len(lines)} paths: more than 3 % longer than LKH")
+            # A closed path ends where it starts: LKH orders the starts that haptimill chose.
+            for lines in (squares(1000, 1000), squares(4000, 4000)):
+                cut(folder, lines)
+                program = os.path.join(folder, "d.ngc")
+                best, closed = lkh_of_points(starts(program)), closed_air(program)
+                print(f"| squares | {len(lines)} | {best:.0f} | {closed:.0f} | "
+                      f"{100 * (closed / best - 1):.2f} % |", flush=True)
+                if closed > 1.03 * best:
+                    failed.append(f"squares, {len(lines)} paths: more than 3 % longer than LKH")
     if failed:
         sys.exit("\n".join(failed))
+
+
+def starts(path):
+    """The ends of the lifted moves: the origin and the start of each path."""
+    at, found = [0.0, 0.0], [(0.0, 0.0)]
+    for line in open(path):
+        head = re.match(r"(G[0-3])\b", line)
+        if head:
+            words = dict(re.findall(r"([XY])(-?[\d.]+)", line))
+            to = [float(words.get("X", at[0])), float(words.get("Y", at[1]))]
+            if head[1] == "G0" and to != at and tuple(to) not in found:
+                found.append(tuple(to))
+            at = to
+    return found
+
+
+def lkh_of_points(points):
+    """Length of the tour of LKH through points."""
+    import elkai
+
+    matrix = [[round(1000 * math.dist(a, b)) for b in points] for a in points]
+    tour = elkai.DistanceMatrix(matrix).solve_tsp(runs=1)
+    return length((points[a], points[b]) for a, b in zip(tour, tour[1:]))
 
 
 def closed_air(path):
