@@ -150,10 +150,13 @@ pub struct Allowed {
     pub unit: &'static str,
     /// Whether only whole numbers are allowed.
     pub whole: bool,
+    /// What to do about a number out of range instead of changing it; empty for nothing.
+    pub beyond: &'static str,
 }
 
 impl Allowed {
-    /// Allowed values of a key of the table; all numbers where it has no range.
+    /// Allowed values of a key of the table for one kind of axis; all numbers where it has no
+    /// range.
     fn of(key: Key) -> Self {
         match key.values {
             Values::Number {
@@ -167,6 +170,7 @@ impl Allowed {
                 high,
                 unit,
                 whole,
+                beyond: key.beyond[0],
             },
             _ => real(f64::NEG_INFINITY, f64::INFINITY, ""),
         }
@@ -180,6 +184,7 @@ pub fn real(low: f64, high: f64, unit: &'static str) -> Allowed {
         high,
         unit,
         whole: false,
+        beyond: "",
     }
 }
 
@@ -190,6 +195,7 @@ pub fn whole(low: u32, high: u32, unit: &'static str) -> Allowed {
         high: f64::from(high),
         unit,
         whole: true,
+        beyond: "",
     }
 }
 
@@ -340,7 +346,11 @@ impl<'d, 'i> Section<'d, 'i> {
             } else {
                 "lower"
             };
-            self.report(key, what, format!("{remedy} it"));
+            let remedy = match allowed.beyond {
+                "" => format!("{remedy} it"),
+                beyond => format!("{remedy} it, or {beyond}"),
+            };
+            self.report(key, what, remedy);
         } else if allowed.whole && number.fract() != 0.0 {
             let what = format!("{written} is not a whole number, {}", describe(allowed));
             self.report(key, what, "round it");

@@ -287,6 +287,51 @@ fn problems_of_the_controller_name_joints_as_joints() {
     );
 }
 
+/// A stroke or soft limit beyond the controller's range is refused at its key, with what to do
+/// about a longer axis.
+#[test]
+fn a_stroke_that_is_too_long_is_refused_with_its_bound_and_remedy() {
+    const MILL: &str = include_str!("../../../machines/mill4.toml");
+    let joint = |name: &str| MILL.find(&format!("[[joint]]\nname = \"{name}\"")).unwrap();
+    let refused = |section: usize, key: &str, value: &str| {
+        let start = section + MILL[section..].find(key).unwrap();
+        let end = start + MILL[start..].find('\n').unwrap();
+        let text = format!("{}{key} = {value}{}", &MILL[..start], &MILL[end..]);
+        let line = MILL[..start].matches('\n').count() + 1;
+        let column = key.len() + 4;
+        (problems(&text), format!("broken.toml:{line}:{column}: "))
+    };
+    let middle = "put the zero of the axis into the middle of its stroke";
+    for (index, key, value, bound, remedy) in [
+        (1, "low_mm", "-1900.1", "-1900 to 1900 mm", middle),
+        (2, "high_mm", "2047", "-1900 to 1900 mm", middle),
+        (4, "high_deg", "170001", "-170000 to 170000 deg", middle),
+    ] {
+        let section = joint(["x", "y", "z", "a"][index - 1]);
+        let (text, place) = refused(section, key, value);
+        let expected =
+            format!("{place}joint[{index}].{key}: {value} is out of range, allowed is {bound}; ");
+        assert!(text.contains(&expected), "{text}");
+        assert!(text.contains(remedy), "{text}");
+    }
+    let pose = MILL.find("[[pose]]").unwrap();
+    let (text, place) = refused(pose, "high_mm", "1950");
+    assert!(
+        text.contains(&format!("{place}pose[1].high_mm: 1950 is out of range")),
+        "{text}"
+    );
+    let text = broken("low_deg = -45.0", "low_deg = -170.0");
+    assert!(
+        text.contains(
+            "joint[5].low_deg: -170.0 is out of range, allowed is -166.99 to 166.99 deg; "
+        ) && text.contains("`wrap = true`"),
+        "{text}"
+    );
+    // The bounds themselves are possible.
+    let widest = BUILT_IN.replacen("low_deg = -45.0", "low_deg = -166.99", 1);
+    assert_eq!(problems(&widest), "no problem\n");
+}
+
 #[test]
 fn problems_are_listed_in_the_order_of_lines() {
     let text = BUILT_IN

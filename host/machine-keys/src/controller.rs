@@ -2,8 +2,23 @@
 
 use crate::key::{Values, real, sections};
 
+/// Coordinates of a linear axis. The controller's numbers end at +-2048 mm; it keeps 148 mm for
+/// sums and differences of positions.
+const LENGTHS: Values = real(-1900.0, 1900.0, "mm");
+
+/// Coordinates of a rotary axis within one turn; the controller keeps the same part of its range.
+const ANGLES: Values = real(-166.99, 166.99, "deg");
+
 /// Coordinates of a rotary axis over many turns; the controller counts +-512 turns.
 const TURNS: Values = real(-170_000.0, 170_000.0, "deg");
+
+/// What to do about a longer stroke of each kind of axis.
+const LONGER: [&str; 3] = [
+    "put the zero of the axis into the middle of its stroke: 3800 mm fit, from -1900 to 1900",
+    "write `wrap = true` and no limits where the axis turns on and the model allows it, or use a \
+     model with an axis over many turns (docs/machine-files.md)",
+    "put the zero of the axis into the middle of its stroke: 944 turns fit",
+];
 
 /// Rates of a rotary axis over many turns, up to 500 turns per second.
 const TURN_RATES: Values = real(0.001, 180_000.0, "deg/s");
@@ -30,11 +45,13 @@ kinematics "kinematics" "The model; its lengths are keys of the model." {
 pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may ask for." {
     name = text("the name that the model has at this place").is("name of the coordinate");
     kind = word(&["linear", "rotary"]).is("kind that the model has at this place");
-    low = real(-2047.0, 2047.0, "mm").is("lower soft limit").named("low_mm")
-        .rotary("low_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS)
-        .bounded("below the upper one; a tilt within +-90 deg; a coordinate that is a joint within its stroke");
-    high = real(-2047.0, 2047.0, "mm").is("upper soft limit").named("high_mm")
-        .rotary("high_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS);
+    low = super::LENGTHS.is("lower soft limit").named("low_mm")
+        .rotary("low_deg", super::ANGLES).many_turns(super::TURNS)
+        .bounded("below the upper one; a tilt within +-90 deg; a coordinate that is a joint within its stroke")
+        .beyond(super::LONGER);
+    high = super::LENGTHS.is("upper soft limit").named("high_mm")
+        .rotary("high_deg", super::ANGLES).many_turns(super::TURNS)
+        .beyond(super::LONGER);
     wrap = flag().is("the coordinate turns without limits and has no soft limits")
         .only("rotary coordinates without a role").or_text("false")
         .bounded("the joint of the same name wraps too");
@@ -59,10 +76,12 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
     racking = real(0.001, 100.0, "mm")
         .is("largest racking: distance between the two motors of a gantry, and in homing the difference of their motions")
         .named("racking_mm").only("second motors of gantries");
-    low = real(-2047.0, 2047.0, "mm").is("lower end of the stroke").named("low_mm")
-        .rotary("low_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS).bounded("below the upper end");
-    high = real(-2047.0, 2047.0, "mm").is("upper end of the stroke").named("high_mm")
-        .rotary("high_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS);
+    low = super::LENGTHS.is("lower end of the stroke").named("low_mm")
+        .rotary("low_deg", super::ANGLES).many_turns(super::TURNS)
+        .bounded("below the upper end").beyond(super::LONGER);
+    high = super::LENGTHS.is("upper end of the stroke").named("high_mm")
+        .rotary("high_deg", super::ANGLES).many_turns(super::TURNS)
+        .beyond(super::LONGER);
     wrap = flag().is("the joint turns without limits and has no stroke")
         .only("rotary joints").or_text("false")
         .bounded("the pose coordinate of the same name wraps too; of a joint that is no coordinate: where the model allows it");
@@ -100,12 +119,12 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
     encoder_stuck = real(0.0, 100.0, "mm").is("commanded motion without a count that is an encoder fault")
         .named("encoder_stuck_mm").rotary("encoder_stuck_deg", real(0.0, 30.0, "deg"))
         .bounded("at least 4 counts").only(super::ENCODER);
-    preset = real(-2047.0, 2047.0, "mm")
+    preset = super::LENGTHS
         .is("joint position of the home pose; where the joint homes by index or not at all, the operator sets it before power-on").named("preset_mm")
-        .rotary("preset_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS).bounded("within the stroke");
-    index = real(-2047.0, 2047.0, "mm")
+        .rotary("preset_deg", super::ANGLES).many_turns(super::TURNS).bounded("within the stroke");
+    index = super::LENGTHS
         .is("index pulse nearest to the preset, measured once for each machine").named("index_mm")
-        .rotary("index_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS)
+        .rotary("index_deg", super::ANGLES).many_turns(super::TURNS)
         .bounded("within the stroke, and within the search distance of the preset").only(super::ENCODER);
     search = real(0.0, 100.0, "mm").is("largest distance of an index pulse from its position")
         .named("search_mm").rotary("search_deg", real(0.0, 30.0, "deg"))
@@ -116,31 +135,31 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
 }
 
 joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \"switch_and_index\"." {
-    home_order = whole(1, 6, "").is("the lowest number is searched first, equal ones together")
+    home_order = whole(1, 6, "").is("the lowest number is searched first; joints with equal numbers move at the same time")
         .or(1.0);
     input = word(&["home", "limit_low", "limit_high"])
         .is("the switch; a limit switch is no fault until the machine is homed")
         .or_text("\"home\"");
     towards = word(&["down", "up"]).is("direction in which the joint moves to its switch")
         .bounded("down to `limit_low`, up to `limit_high`");
-    at = real(-2047.0, 2047.0, "mm")
+    at = super::LENGTHS
         .is("joint position where the switch becomes active, measured once for each machine")
-        .named("at_mm").rotary("at_deg", real(-179.0, 179.0, "deg")).many_turns(super::TURNS).bounded("within the stroke");
-    rate = real(0.001, 2000.0, "mm/s").is("rate to the switch, and off it").named("rate_mm_s")
+        .named("at_mm").rotary("at_deg", super::ANGLES).many_turns(super::TURNS).bounded("within the stroke");
+    rate = real(0.001, 2000.0, "mm/s").is("rate to the switch (first touch), off it, and over the back-off").named("rate_mm_s")
         .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES)
         .bounded("at most the joint's; stops within the release distance");
-    touch_rate = real(0.001, 100.0, "mm/s").is("rate of the second touch, whose position is used")
+    touch_rate = real(0.001, 100.0, "mm/s").is("rate of the second touch, which finds the reference, and to the index pulse behind it")
         .named("touch_rate_mm_s").rotary("touch_rate_deg_s", real(0.001, 30.0, "deg/s"))
         .bounded("at most the rate to the switch");
     back_off = real(0.01, 100.0, "mm")
-        .is("distance off the released switch, between the touches and at the end")
+        .is("distance off the released switch before the second touch, and off the reference at the end; the two touches differ by at most a quarter of it")
         .named("back_off_mm").rotary("back_off_deg", real(0.01, 30.0, "deg"))
         .bounded("homing ends within the stroke");
     release = real(0.01, 200.0, "mm")
-        .is("distance within which the switch must be released, from the end of the travel too")
+        .is("largest way off the active switch until it is released, at the start from the end of the stroke too")
         .named("release_mm").rotary("release_deg", real(0.01, 60.0, "deg"))
         .or_text("three times the back-off, at least the stroke behind the switch and the back-off");
-    travel = real(0.1, 1900.0, "mm").is("largest distance to the switch").named("travel_mm")
+    travel = real(0.1, 1900.0, "mm").is("largest way to the switch; without a switch there homing fails").named("travel_mm")
         .rotary("travel_deg", real(0.1, 166.0, "deg")).many_turns(real(0.1, 170_000.0, "deg"))
         .or_text("1.2 times the stroke and twice the release distance");
 }
@@ -253,14 +272,18 @@ supervision "supervision" "Limits of the controller's monitors." {
         .is("illegal transitions of an encoder since enable that are a fault")
         .only("not with role = \"master\"");
     singularity_margin_mm = real(1.0, 200.0, "mm")
-        .is("least distance from the parallel singularity").only("models with a singularity")
-        .bounded("to 100 for the controller");
+        .is("least distance from the singularity of the model; poses nearer to it are refused, and jogs stop before them")
+        .only("models with a singularity, see below")
+        .bounded("shorter than rods and links; a model may have a lower bound, see below");
 }
 
-homing "homing" "The search for the index pulses." {
-    rate_mm_s = real(0.01, 200.0, "mm/s").is("rate of the search of linear coordinates");
-    rate_deg_s = real(0.01, 90.0, "deg/s").is("rate of the search of the table")
-        .only("models with a rotary joint");
+homing "homing" "The search for the index pulses; only where a joint has home = \"index\"." {
+    rate_mm_s = real(0.01, 200.0, "mm/s")
+        .is("rate of the search of linear joints, or of the coordinate that moves them; an index pulse is found once, without a second touch")
+        .only("machines with a linear joint that homes by index");
+    rate_deg_s = real(0.01, 90.0, "deg/s")
+        .is("rate of the search of rotary joints")
+        .only("machines with a rotary joint that homes by index");
 }
 
 force "force" "Force sensor and force control; a machine without a force sensor has no such section." {

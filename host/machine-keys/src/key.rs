@@ -22,6 +22,9 @@ pub struct Key {
     pub machines: &'static str,
     /// Bounds besides the range, such as those that depend on other keys; empty for none.
     pub bounds: &'static str,
+    /// What to do about a number out of range instead of changing it, by kind of axis: linear,
+    /// rotary, over many turns; empty for nothing.
+    pub beyond: [&'static str; 3],
     /// Meaning, in one sentence.
     pub meaning: &'static str,
 }
@@ -168,6 +171,7 @@ impl Values {
             condition: None,
             machines: "",
             bounds: "",
+            beyond: [""; 3],
             meaning,
         }
     }
@@ -235,6 +239,11 @@ impl Key {
         }
         self.rotary = None;
         self.many_turns = None;
+        self.beyond = [self.beyond[match kind {
+            AxisKind::Linear => 0,
+            AxisKind::Rotary => 1,
+            AxisKind::MultiTurn => 2,
+        }]; 3];
         self
     }
 
@@ -328,6 +337,13 @@ impl Key {
     #[must_use]
     pub const fn bounded(mut self, bounds: &'static str) -> Self {
         self.bounds = bounds;
+        self
+    }
+
+    /// States what to do about a number out of range, by kind of axis.
+    #[must_use]
+    pub const fn beyond(mut self, beyond: [&'static str; 3]) -> Self {
+        self.beyond = beyond;
         self
     }
 
