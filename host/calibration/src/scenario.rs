@@ -133,7 +133,7 @@ impl Default for Extent {
 }
 
 impl Extent {
-    /// Few points and targets, and one feed.
+    /// Few points and targets, and fast circles.
     #[must_use]
     pub fn coarse() -> Self {
         let side = vec![-80.0, 0.0, 80.0];
@@ -146,7 +146,7 @@ impl Extent {
                 wait: 0.4,
                 ..Plan::default()
             },
-            feeds: vec![60.0],
+            feeds: vec![30.0, 45.0, 60.0],
             worn: true,
             sides: None,
         }

@@ -502,22 +502,24 @@ fn scenario_goes_from_error_file_to_compensated_part() {
         }
     }
     assert!(improved >= 10, "{improved}");
-    let circle = |state: &serde_json::Value, name: &str| number(&state["circles"][0][name]);
     // The errors of the machine file would show 15 urad less.
     let expected = ellipse(&other, 100.0);
-    let squareness = circle(before, "squareness_urad");
-    println!("squareness {squareness}, model {expected}");
-    assert!((squareness - expected).abs() < 1.5);
-    for state in [exact, measured] {
-        let [g, square] = ["deviation_um", "squareness_urad"].map(|name| match name {
-            "deviation_um" => number(&state["circles"][0][name][0]),
-            name => circle(state, name),
-        });
-        assert!(
-            g < number(&before["circles"][0]["deviation_um"][0]) / 2.0,
-            "{g}"
-        );
-        assert!(square.abs() < 3.0, "{square}");
+    for (index, feed) in [30.0, 45.0, 60.0].into_iter().enumerate() {
+        let circle = |state: &serde_json::Value| state["circles"][index].clone();
+        assert_eq!(number(&circle(before)["feed_mm_s"]), feed);
+        let squareness = number(&circle(before)["squareness_urad"]);
+        println!("{feed} mm/s: squareness {squareness}, model {expected}");
+        assert!((squareness - expected).abs() < 1.5);
+        for state in [exact, measured] {
+            let square = number(&circle(state)["squareness_urad"]);
+            assert!(square.abs() < 3.0, "{feed} mm/s: {square}");
+            // Both directions.
+            for turn in 0..2 {
+                let [left, there_was] =
+                    [state, before].map(|state| number(&circle(state)["deviation_um"][turn]));
+                assert!(left < 0.5 * there_was, "{feed} mm/s: {left} of {there_was}");
+            }
+        }
     }
     // The machine with errors ten times as large: the same with exact tables; measured ones are off
     // between their targets of 25 mm.
