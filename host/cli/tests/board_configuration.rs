@@ -89,6 +89,8 @@ fn no_command_replaces_the_configuration_without_machine() {
     // Axes of an unknown machine do not get the names of another machine.
     let shown = served.run_ok(&["status"]);
     assert!(!shown.out.contains("theta"), "{}", shown.out);
+    assert!(shown.out.contains("positions  not shown"), "{}", shown.out);
+    assert!(!shown.out.contains("measured"), "{}", shown.out);
     expect_machine_required(&shown);
     // With its machine file the commands work.
     served.run_ok(&["home", "--machine", &own]);

@@ -256,7 +256,7 @@ impl Summary {
             _ => "position lost: home the machine",
         };
         let mut text = format!(
-            "{}: {} in {}, {:.1} mm of path, {} setpoints, {} underruns\n\
+            "{}: {} in {}, {:.1} mm of path, {}, {}\n\
              {tool}: {:.4} mm rms, {:.4} mm largest (at {:.2} s{line}); contour {:.4} / {:.4} mm\n\
              largest following error: {}\n",
             self.program,
@@ -267,8 +267,8 @@ impl Summary {
             },
             duration(self.duration_s),
             self.path_length_mm,
-            self.setpoints,
-            self.underruns,
+            count(self.setpoints as usize, "setpoint"),
+            count(self.underruns as usize, "underrun"),
             self.tool_error_rms_mm,
             self.tool_error_max_mm,
             self.tool_error_max_time_s,

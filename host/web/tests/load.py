@@ -1,10 +1,12 @@
 #!/usr/bin/env python3
 """Load of `haptimill serve` with its simulated machine, one viewer and a cut.
 
-Usage, at the root of the repository: python3 host/web/tests/load.py COMMAND [PROGRAM [STOCK]]
+Usage, at the root of the repository:
+    python3 host/web/tests/load.py [--apart] COMMAND [PROGRAM [STOCK]]
 
 Prints the states per second, their largest gap, the bytes per second to the viewer, and the
-processor time of the process in percent of one core, over 40 s of the program.
+processor time of the process in percent of one core, over 40 s of the program. With --apart the
+machine is simulated in another process, at a pseudo-terminal, and does not count.
 """
 
 import base64
@@ -108,13 +110,21 @@ def processor_s(pid):
 
 
 def main():
-    command = sys.argv[1]
-    program = sys.argv[2] if len(sys.argv) > 2 else "examples/dome.ngc"
-    stock = sys.argv[3] if len(sys.argv) > 3 else "examples/block.toml"
+    apart = sys.argv[1] == "--apart"
+    command, *rest = sys.argv[1 + apart :]
+    program, stock = (rest + ["examples/dome.ngc", "examples/block.toml"][len(rest) :])[:2]
     folder = tempfile.mkdtemp()
     name = os.path.basename(program)
     shutil.copy(program, folder)
-    listen = ["--listen", "127.0.0.1:0", "--programs", folder, "--stock", stock]
+    listen = ["--listen", "127.0.0.1:0", "--programs", folder]
+    machine = None
+    if apart:
+        simulate = [command, "sim", "serve", "--stock", stock]
+        machine = subprocess.Popen(simulate, stdout=subprocess.PIPE, text=True)
+        port = machine.stdout.readline().strip()
+        listen += ["--port", port, "--machine", "machines/h4.toml"]
+    else:
+        listen += ["--stock", stock]
     server = subprocess.Popen([command, "serve", *listen], stdout=subprocess.PIPE, text=True)
     try:
         viewer = Viewer(server.stdout.readline().strip().split("/")[2])
@@ -144,8 +154,9 @@ def main():
             f"{100 * (processor_s(server.pid) - used) / took:.1f} % of one core"
         )
     finally:
-        server.terminate()
-        server.wait()
+        for process in filter(None, (server, machine)):
+            process.terminate()
+            process.wait()
         shutil.rmtree(folder)
 
 

@@ -338,7 +338,11 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
             status.lost_bytes
         );
     }
-    if !status.measured.is_empty() {
+    let names_axes = !model.pose_units().is_empty();
+    if !status.measured.is_empty() && !names_axes {
+        print_line!("positions  not shown; `--machine FILE` names the machine file");
+    }
+    if !status.measured.is_empty() && names_axes {
         if !(status.homed && status.position_kept) {
             print_line!("positions  not referenced; `haptimill home` finds the reference");
         }
