@@ -659,7 +659,7 @@ pub enum Event {
     },
     /// A fault was latched.
     Fault(Fault),
-    /// A jog reached a soft limit and was limited.
+    /// A jog reached a soft limit, a stroke or the edge of the workspace, and ends.
     JogLimited {
         /// The pose coordinate.
         axis: u8,

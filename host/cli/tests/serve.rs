@@ -130,12 +130,13 @@ fn simple_commands_in_sequence() {
         .run(&["jog", "theta=20", "--for", "1.5", "--json"])
         .expect_code(0);
     let theta = at(&limited.json(), "theta");
-    assert!(
-        limited.err.contains("theta stopped at its soft limit"),
-        "{limited:?}"
-    );
     // The stroke of a joint limits the jog before the soft limit of 35 degrees.
-    assert!(theta > 29.0 && theta <= 35.0, "{limited:?}");
+    assert!(theta > 29.0 && theta < 34.9, "{limited:?}");
+    let expected = format!(
+        "theta stopped at {theta:.3} deg, before its upper soft limit of 35 deg: farther on, l2 \
+         would leave its stroke by "
+    );
+    assert!(limited.err.starts_with(&expected), "{limited:?}");
     assert_eq!(limited.err.lines().count(), 1, "{}", limited.err);
     served.run_ok(&["jog", "theta=-20", "--for", "1.5"]);
     let axis = served.run(&["jog", "q=1"]).expect_code(2);
@@ -149,6 +150,16 @@ fn simple_commands_in_sequence() {
         .run_ok(&["jog", "a=5", "--for", "0.5", "--json"])
         .json();
     assert!(at(&turned, "alpha") > 1.5, "{turned:#}");
+    let by = format!("alpha={:.3}", -39.0 - at(&turned, "alpha"));
+    served.run_ok(&["jog", "--by", &by, "--feed", "1800"]);
+    let limited = served
+        .run(&["jog", "alpha=-10", "--for", "1", "--json"])
+        .expect_code(0);
+    let alpha = at(&limited.json(), "alpha");
+    assert!((-40.0..-39.98).contains(&alpha), "{limited:?}");
+    let expected = "alpha stopped at its lower soft limit of -40 deg; jog it the other way, or change \
+                    `low_deg`";
+    assert!(limited.err.starts_with(expected), "{limited:?}");
     let twice = served.run(&["jog", "A=5", "alpha=5"]).expect_code(2);
     assert!(twice.err.contains("alpha is given twice"), "{}", twice.err);
     let fast = served.run(&["jog", "x=500"]).expect_code(2);

@@ -19,6 +19,7 @@ mod gantry;
 mod haptic;
 mod homing;
 pub mod input;
+pub mod jog_limit;
 pub mod keys;
 mod likeness;
 pub mod migrate;

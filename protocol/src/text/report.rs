@@ -261,7 +261,8 @@ impl Describe for Event {
             }
             Self::JogLimited { axis } => write!(
                 f,
-                "{} is at its soft limit; the jog was limited",
+                "the jog of {} ended at its soft limit, at a stroke or at the edge of the workspace; \
+                 jog it the other way",
                 Named(axes.pose, axis)
             ),
             Self::Saturated { axis } => write!(

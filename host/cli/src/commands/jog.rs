@@ -8,7 +8,9 @@ use clap::Args;
 use haptimill_client::board::Chosen;
 use haptimill_client::session::{EMERGENCY_STOP, NoObserver, check_has_tool, plan_straight_move};
 use haptimill_firmware::config::AxisKind;
+use haptimill_gcode::Coordinates;
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::jog_limit::jog_limit;
 use haptimill_machine_file::scale::per_unit;
 use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
 use std::str::FromStr;
@@ -133,18 +135,26 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     };
     let ticket = session.client_mut().cancel_jog();
     session.wait_for_acknowledgement(ticket)?;
-    while session.status()?.state == State::Jog {}
+    let at = loop {
+        let status = session.status()?;
+        if status.state != State::Jog {
+            break session.model().to_engineering_units(&status.commanded);
+        }
+    };
     let mut limited = Vec::new();
     for (_, event) in &session.events[first..] {
         match event {
             // Every jog command at the limit reports it; the user needs it once.
             Event::JogLimited { axis } if !limited.contains(axis) => {
                 limited.push(*axis);
-                let name = machine
-                    .pose
-                    .get(usize::from(*axis))
-                    .map_or("?", |axis| axis.name.as_str());
-                eprintln!("{name} stopped at its soft limit");
+                let axis = usize::from(*axis);
+                if axis < machine.pose.len() {
+                    let rates = asked_rates(&args, &machine)?;
+                    eprintln!(
+                        "{}",
+                        jog_limit(&machine, session.model(), axis, &at, &rates)
+                    );
+                }
             }
             Event::Fault(fault) => return Err(session.fault(fault).into()),
             Event::State {
@@ -225,6 +235,17 @@ fn distances(given: &[AxisRate], machine: &MachineFile) -> Result<Vec<f64>, CliE
         distances[index] = command.rate;
     }
     Ok(distances)
+}
+
+/// Rates of all pose coordinates, mm/s and deg/s.
+fn asked_rates(args: &JogArgs, machine: &MachineFile) -> Result<Coordinates, CliError> {
+    let mut rates = Coordinates::default();
+    for command in &args.axes {
+        if let Some(rate) = rates.get_mut(axis_index(machine, &command.axis)?) {
+            *rate = command.rate;
+        }
+    }
+    Ok(rates)
 }
 
 /// Rates of all pose coordinates in the units of the protocol.

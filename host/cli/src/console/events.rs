@@ -5,6 +5,7 @@ use super::view_model::{Axis, Motion, Severity};
 use crate::commands::exit::{CliError, Exit};
 use haptimill_client::client::{Notification, RequestError, Ticket};
 use haptimill_firmware::config::AxisKind;
+use haptimill_machine_file::jog_limit::soft_limits;
 use haptimill_machine_file::scale::{PER_EFFORT, per_unit};
 use haptimill_protocol::force::{ForceLoop, ForceParameter};
 use haptimill_protocol::message::{Command, Event, Fault, InputProblem, Refusal, State, Telemetry};
@@ -253,6 +254,13 @@ impl App {
         if !routine {
             let text = match (event, &self.jobs.pause) {
                 (Event::Paused { .. }, Some(pause)) => format!("program pause in {pause}"),
+                (Event::JogLimited { axis }, _) => {
+                    let text = self.session.describe(event);
+                    match self.machine.pose.get(usize::from(*axis)) {
+                        Some(axis) => format!("{text} ({})", soft_limits(axis)),
+                        None => text,
+                    }
+                }
                 _ => self.session.describe(event),
             };
             self.notify(severity, text);
