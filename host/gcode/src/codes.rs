@@ -213,3 +213,54 @@ pub(crate) fn m_remedy(number: u16) -> &'static str {
         _ => "remove it if the part does not need it",
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{g_group, m_group};
+    use std::collections::BTreeSet;
+
+    const PAGE: &str = include_str!("../../../docs/gcode.md");
+
+    /// The codes of a letter in the first column of the tables of a text, in tenths; a range is
+    /// written `G54 to G59`.
+    fn codes(text: &str, letter: char) -> BTreeSet<u16> {
+        let mut codes = BTreeSet::new();
+        for row in text.lines().filter_map(|line| line.strip_prefix("| ")) {
+            let first = row.split(" |").next().unwrap_or_default();
+            let mut from = None;
+            let mut is_range = false;
+            for word in first.split([' ', ',']).filter(|word| !word.is_empty()) {
+                let number = word.strip_prefix(letter);
+                let number = number.and_then(|number| number.parse::<f64>().ok());
+                let Some(code) = number.map(|number| (number * 10.0).round() as u16) else {
+                    is_range = word == "to";
+                    continue;
+                };
+                // A range of whole codes has no codes with a tenth.
+                let step = if code % 10 == 0 { 10 } else { 1 };
+                match from {
+                    Some(from) if is_range => codes.extend((from..=code).step_by(step)),
+                    _ => codes.extend([code]),
+                }
+                (from, is_range) = (Some(code), false);
+            }
+        }
+        codes
+    }
+
+    #[test]
+    fn the_page_lists_each_code() {
+        let (supported, refused) = PAGE.split_once("\n## Refused\n").expect("two parts");
+        let g: BTreeSet<u16> = (0..=9990).filter(|code| g_group(*code).is_some()).collect();
+        assert_eq!(codes(supported, 'G'), g);
+        let m: BTreeSet<u16> = (0..=999).filter(|code| m_group(*code).is_some()).collect();
+        let listed = codes(supported, 'M');
+        assert_eq!(listed, m.iter().map(|code| code * 10).collect());
+        // Of these G70 and G71 are units without Q.
+        let refused = refused.split("\n## ").next().unwrap_or_default();
+        let refused = codes(refused, 'G');
+        assert!(refused.len() > 10, "{refused:?}");
+        let both: Vec<_> = refused.intersection(&g).collect();
+        assert_eq!(both, [&700, &710]);
+    }
+}
