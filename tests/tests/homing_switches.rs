@@ -126,6 +126,51 @@ fn the_switches_are_found_in_their_order() {
     }
 }
 
+/// The true joints move in the order of `home_order`, whatever the order of the joints: a joint is
+/// at rest off its switch before the first motion of a later one, and equal ones move together.
+#[test]
+fn the_order_of_the_file_is_the_order_of_motion() {
+    for order in [[1, 2, 3], [3, 2, 1], [2, 3, 1], [6, 1, 1]] {
+        let mut parts = MILL.split("home_order = ");
+        let mut text = parts.next().expect("a beginning").to_string();
+        let joints = order.iter().zip(parts);
+        for (number, part) in joints {
+            text.push_str(&format!("home_order = {number}{}", &part[1..]));
+        }
+        let mut bench = mill(&text, &[]);
+        bench.ask(Command::Enable).expect("enabled");
+        bench.ask(Command::Home).expect("homing");
+        let mut places = vec![bench.rig.truth().joints];
+        while state(&bench) == State::Homing {
+            bench.step();
+            places.push(bench.rig.truth().joints);
+        }
+        let (first, last) = (places[0], places[places.len() - 1]);
+        // First and last period in which a joint is 0.1 mm from where it began and ends.
+        let spans = [0, 1, 2].map(|axis| {
+            let far = |from: f64| move |place: &[f64; 6]| (place[axis] - from).abs() > 0.1;
+            let begin = places.iter().position(far(first[axis])).expect("it moves");
+            let end = places.iter().rposition(far(last[axis])).expect("it moves");
+            (begin, end)
+        });
+        println!("{order:?}: {spans:?}");
+        for (one, other) in [(0, 1), (0, 2), (1, 2)] {
+            let (a, b) = match order[one] <= order[other] {
+                true => (one, other),
+                false => (other, one),
+            };
+            if order[a] == order[b] {
+                assert!(
+                    spans[a].0.abs_diff(spans[b].0) < 100,
+                    "{order:?}: {spans:?}"
+                );
+            } else {
+                assert!(spans[a].1 < spans[b].0, "{order:?}: {spans:?}");
+            }
+        }
+    }
+}
+
 #[test]
 fn homing_again_finds_the_same_place() {
     let mut bench = mill(MILL, &[]);

@@ -3,6 +3,7 @@
 mod inputs;
 mod outputs;
 mod probing;
+mod recorded;
 #[path = "../setup/mod.rs"]
 mod setup;
 
