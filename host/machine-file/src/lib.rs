@@ -52,6 +52,7 @@ use haptimill_kinematics::Model;
 use haptimill_kinematics::descriptor::Role;
 use haptimill_machine_keys::controller::{self, root};
 use haptimill_math::{Coordinate, Rate};
+use haptimill_protocol::message::MAX_AXES;
 use models::ModelReader;
 use scale::{PER_DEG, PER_MM, to_i32, to_u16};
 use serde::de::DeserializeOwned;
@@ -490,11 +491,11 @@ fn place_axes<'d, 'i>(
             sections.len(),
             places.len()
         );
-        root.report(
-            key,
-            what,
-            format!("write one for each of {}", names.join(", ")),
-        );
+        let mut remedy = format!("write one for each of {}", names.join(", "));
+        if key == "pose" {
+            remedy.push_str(&other_models(sections.len()));
+        }
+        root.report(key, what, remedy);
     }
     let mut seen: Vec<&str> = Vec::new();
     let count_fits = sections.len() == places.len();
@@ -513,6 +514,22 @@ fn place_axes<'d, 'i>(
         result.push((section, place.copied()));
     }
     result
+}
+
+/// The end of the remedy for a file with `count` pose coordinates and a model with another number:
+/// the models that have as many.
+fn other_models(count: usize) -> String {
+    let fitting = haptimill_kinematics::DESCRIPTORS
+        .iter()
+        .filter(|model| model.pose.len() == count);
+    let codes: Vec<String> = fitting.map(|model| format!("\"{}\"", model.code)).collect();
+    match codes.is_empty() {
+        false => format!(", or choose a model with {count}: {}", codes.join(", ")),
+        true if count > MAX_AXES => format!("; a machine has at most {MAX_AXES} coordinates"),
+        true => format!(
+            "; no model has {count} coordinates, docs/adding-a-machine.md says how to add one"
+        ),
+    }
 }
 
 /// Checks the limits of pose coordinates that are joints themselves, and of the tilt.

@@ -332,6 +332,46 @@ fn a_stroke_that_is_too_long_is_refused_with_its_bound_and_remedy() {
     assert_eq!(problems(&widest), "no problem\n");
 }
 
+/// The number of coordinates is that of the model: the message names the models with as many.
+#[test]
+fn another_number_of_coordinates_is_refused_with_the_models_that_have_it() {
+    const MILL: &str = include_str!("../../../machines/mill3.toml");
+    let with = |names: &[&str]| {
+        let mut text = MILL.to_string();
+        for name in names {
+            text.push_str(&format!(
+                "\n[[pose]]\nname = \"{name}\"\nkind = \"linear\"\nlow_mm = -1.0\nhigh_mm = 1.0\n\
+                 rate_mm_s = 1.0\nacceleration_mm_s2 = 10.0\njerk_mm_s3 = 1000.0\n"
+            ));
+        }
+        problems(&text)
+    };
+    for (names, count, models) in [
+        (&["u"][..], 4, ", or choose a model with 4: \"four_axis\"\n"),
+        (
+            &["u", "v"],
+            5,
+            ", or choose a model with 5: \"h4\", \"trunnion\", \"facet\"\n",
+        ),
+        (
+            &["u", "v", "w"],
+            6,
+            "; no model has 6 coordinates, docs/adding-a-machine.md says how to add one\n",
+        ),
+        (
+            &["u", "v", "w", "a"],
+            7,
+            "; a machine has at most 6 coordinates\n",
+        ),
+    ] {
+        let text = with(names);
+        let expected = format!(
+            "pose: has {count} sections, the model has 3; write one for each of x, y, z{models}"
+        );
+        assert!(text.contains(&expected), "{text}");
+    }
+}
+
 #[test]
 fn problems_are_listed_in_the_order_of_lines() {
     let text = BUILT_IN
