@@ -202,6 +202,26 @@ fn invalid_geometry_refuses_all_poses() {
     }
 }
 
+/// A configuration has narrower bounds than the kinematics alone.
+#[test]
+fn a_model_beyond_its_bounds_is_unsound() {
+    assert!(Model::H4(reference()).is_sound());
+    let broken: [fn(&mut H4Geometry); 7] = [
+        |g| g.rod = Length::millimetres(1001),
+        |g| g.tool = Length::millimetres(1001),
+        |g| g.half_spacing = Length(1 << 19),
+        |g| g.y_offset = Length::millimetres(-1001),
+        |g| g.table_height = Length::millimetres(1001),
+        |g| g.singularity_margin = Length(1 << 19),
+        |g| g.singularity_margin = Length::millimetres(101),
+    ];
+    for (index, change) in broken.iter().enumerate() {
+        let mut geometry = reference();
+        change(&mut geometry);
+        assert!(!Model::H4(geometry).is_sound(), "change {index}");
+    }
+}
+
 #[test]
 fn singularity_distance_matches_the_reference_arm() {
     // At home D = 0 and y = 0: the distance is -Z = 578.768 - 25 - 250 mm.

@@ -372,6 +372,22 @@ fn another_number_of_coordinates_is_refused_with_the_models_that_have_it() {
     }
 }
 
+/// The range of the key is that of all models; this one has a narrower bound.
+#[test]
+fn a_singularity_margin_beyond_the_bound_of_the_model_is_refused() {
+    let text = broken(
+        "singularity_margin_mm = 5.0",
+        "singularity_margin_mm = 101.0",
+    );
+    assert!(
+        text.contains(
+            "kinematics.model: needs a singularity margin of 1 to 100 mm, and it is 101; \
+             lower singularity_margin_mm in [supervision]\n"
+        ),
+        "{text}"
+    );
+}
+
 #[test]
 fn problems_are_listed_in_the_order_of_lines() {
     let text = BUILT_IN

@@ -58,7 +58,8 @@ macro_rules! machines {
             #[must_use]
             pub fn is_sound(&self) -> bool {
                 match self {
-                    $(Self::$name(geometry) => <$machine>::is_sound(geometry),)*
+                    // A function of the same name of the machine itself has other bounds.
+                    $(Self::$name(geometry) => <$machine as Machine>::is_sound(geometry),)*
                     Self::None => true,
                 }
             }

@@ -87,6 +87,15 @@ fn read_geometry(section: &Section<'_, '_>, singularity_margin: f64) -> H4Geomet
     );
     let below = section.choice(kinematics::branch, &[("below", true), ("above", false)]);
 
+    if singularity_margin > 100.0 {
+        let what =
+            format!("needs a singularity margin of 1 to 100 mm, and it is {singularity_margin}");
+        section.report(
+            "model",
+            what,
+            "lower singularity_margin_mm in [supervision]",
+        );
+    }
     let lateral = a - b - e;
     if lateral <= 0.0 {
         let what = format!("E = a - b - e is {lateral} mm: the rails must be outside the platform");
