@@ -46,6 +46,10 @@ pub(super) struct EncoderRecord {
     unseen: [f64; 6],
     /// Largest motion of a motor in a period since a fault was injected into its encoder.
     fastest: [f64; 6],
+    /// Error by true motion with the drives off that a reversed encoder counted the other way.
+    ///
+    /// No effort and no command tells the direction there.
+    reversed_off: [f64; 6],
 }
 
 impl EncoderRecord {
@@ -74,16 +78,28 @@ impl EncoderRecord {
         self.suspect = self.homing_fault;
         self.unseen = [0.0; 6];
         self.fastest = [0.0; 6];
+        self.reversed_off = [0.0; 6];
         self.slipped_off = [false; 6];
     }
 
-    /// Records the count and the true position of a motor. `count` is the size of a count.
+    /// Records the count and the true position of a motor. `count` is the size of a count, and
+    /// `unwatched` says that its encoder is reversed and the drives are off.
     ///
     /// The live channel of an encoder has an edge every second count. A period with an even number
     /// of them leaves the count as it was, although the motor moved by more than two counts.
-    fn record_unseen_motion(&mut self, joint: usize, counts: i32, place: f64, count: f64) {
+    fn record_unseen_motion(
+        &mut self,
+        joint: usize,
+        counts: i32,
+        place: f64,
+        count: f64,
+        unwatched: bool,
+    ) {
         if let Some((before, from)) = self.last[joint].replace((counts, place)) {
             let travel = (place - from).abs();
+            if unwatched {
+                self.reversed_off[joint] += 2.0 * travel;
+            }
             if self.suspect[joint] {
                 self.fastest[joint] = self.fastest[joint].max(travel);
             }
@@ -226,6 +242,7 @@ impl Checks {
             [0.0; 2]
         };
         let found_by_index = self.position.index_pulses[joint] > 2;
+        let reversed_off = self.position.reversed_off[joint];
         Some(match self.encoder_defect(joint) {
             EncoderDefect::None => ErrorBounds {
                 most: f64::INFINITY,
@@ -262,12 +279,12 @@ impl Checks {
                 name: "off, noise or drives off",
             },
             EncoderDefect::Several => ErrorBounds {
-                most: self.until_found(joint, bounds::PUSHED),
+                most: self.until_found(joint, bounds::PUSHED) + reversed_off,
                 // Each fault may stay below the bound of one; index pulses reveal the sum.
                 lasting: if found_by_index {
                     unseen
                 } else {
-                    unseen * self.faults_of(joint).count().max(1) as f64
+                    unseen * self.faults_of(joint).count().max(1) as f64 + reversed_off
                 },
                 periods: bounds::PUSHED_LASTING,
                 name: "off after several",
@@ -298,7 +315,8 @@ impl Checks {
         {
             let unit = joint_unit(&machine.config.joints[joint]);
             let count = size_of_count(encoder, unit);
-            (self.position).record_unseen_motion(joint, counts, actual, count);
+            let unwatched = self.is_reversed(joint) && !bench.controller().safety().drives_on();
+            (self.position).record_unseen_motion(joint, counts, actual, count, unwatched);
         }
         let safety = bench.controller().safety();
         if !safety.drives_on() || !is_position_known(bench) {
