@@ -26,6 +26,29 @@ const SMALLEST_RADIUS: f64 = 0.005;
 /// Radius above which an arc is written as lines of its chords, mm.
 const LARGEST_RADIUS: f64 = 20_000.0;
 
+/// Length below which an arc whose rounded ends give another sweep is written as a line, mm.
+const SHORT_ARC: f64 = 0.01;
+
+/// Difference of the sweep of a written arc that no rounding explains, radians.
+const OTHER_SWEEP: f64 = 0.5;
+
+/// Difference of two angles that controls take for none, radians (`CIRCLE_FUZZ` of LinuxCNC).
+const SAME_ANGLE: f64 = 1e-6;
+
+/// Sweep of an arc as a control reads it, radians: above 0 to a whole circle, which it is where
+/// both ends have the same angle. `start` and `end` are from the centre.
+fn sweep_as_read(start: [i64; 2], end: [i64; 2], is_left: bool) -> f64 {
+    let [start, end] = [start, end].map(|at| at.map(|part| part as f64));
+    let cross = start[0] * end[1] - start[1] * end[0];
+    let dot = start[0] * end[0] + start[1] * end[1];
+    let turned = if is_left { cross } else { -cross }.atan2(dot);
+    if turned > SAME_ANGLE {
+        turned
+    } else {
+        turned + std::f64::consts::TAU
+    }
+}
+
 /// A coordinate or a rate in its shortest form.
 fn number(value: f64) -> String {
     shortest(rounded(value))
@@ -90,7 +113,7 @@ impl Writer {
             self.line("G1", segment.to, z, Some(feed));
             return;
         };
-        if target[..2] == self.at[..2] || arc.radius < SMALLEST_RADIUS {
+        if arc.radius < SMALLEST_RADIUS {
             self.line("G1", segment.to, z, Some(feed));
             return;
         }
@@ -108,6 +131,21 @@ impl Writer {
             }
             return;
         }
+        // The centre from the written start, so that its rounding does not add up.
+        let unit = 10f64.powi(-DECIMALS);
+        let centre = [0, 1].map(|k| rounded(arc.centre[k] - self.at[k] as f64 * unit));
+        let from_centre = [0, 1].map(|k| target[k] - self.at[k] - centre[k]);
+        let read = sweep_as_read(centre.map(|part| -part), from_centre, arc.sweep > 0.0);
+        if (read - arc.sweep.abs()).abs() > OTHER_SWEEP {
+            if arc.radius * arc.sweep.abs() < SHORT_ARC {
+                self.line("G1", segment.to, z, Some(feed));
+            } else {
+                let (first, second) = segment.split(0.5);
+                self.along(&first, f64::midpoint(self.at[2] as f64 * unit, z));
+                self.along(&second, z);
+            }
+            return;
+        }
         self.text
             .push_str(if arc.sweep > 0.0 { "G3" } else { "G2" });
         let _ = write!(
@@ -119,11 +157,8 @@ impl Writer {
         if target[2] != self.at[2] {
             let _ = write!(self.text, " Z{}", number(z));
         }
-        // The centre from the written start, so that its rounding does not add up.
-        let unit = 10f64.powi(-DECIMALS);
-        let i = arc.centre[0] - self.at[0] as f64 * unit;
-        let j = arc.centre[1] - self.at[1] as f64 * unit;
-        let _ = write!(self.text, " I{} J{}", number(i), number(j));
+        let [i, j] = centre.map(shortest);
+        let _ = write!(self.text, " I{i} J{j}");
         self.set_feed(feed);
         self.text.push('\n');
         self.at = target;

@@ -2,10 +2,13 @@
 
 use haptimill_engrave::drawing::{Drawing, LayerChoice};
 use haptimill_engrave::gcode::{Rates, program};
+use haptimill_engrave::geometry::Segment;
 use haptimill_engrave::job::{Job, Operation, Options, Side, plan};
 use haptimill_engrave::preview::{Speeds, html, plan as picture};
 use haptimill_engrave::read::{ReadOptions, read};
-use haptimill_engrave::toolpath::Tabs;
+use haptimill_engrave::toolpath::{Cut, Step, Tabs, Toolpath};
+use proptest::prelude::*;
+use std::f64::consts::TAU;
 
 const LIFT: f64 = 1.5;
 
@@ -115,6 +118,128 @@ fn the_tool_is_up_in_every_air_move_and_down_in_every_cut() {
         assert_eq!((at[0], at[1], at[2]), (0.0, 0.0, LIFT));
         let stated = job.toolpath.lengths([0.0; 2]);
         assert!((air - stated.air_mm).abs() < 0.001 * stated.lifts as f64);
+    }
+}
+
+/// Length of the cuts of a program, mm, read as a control reads it: an arc whose end is at the
+/// angle of its start is a whole circle.
+fn length_of_cuts(text: &str) -> f64 {
+    let (mut at, mut length) = ([0.0_f64; 2], 0.0);
+    for line in text.lines() {
+        let mut words = line.split(' ');
+        let word = words.next().unwrap_or_default();
+        if !matches!(word, "G0" | "G1" | "G2" | "G3") {
+            continue;
+        }
+        let (mut to, mut centre) = (at, at);
+        for word in words {
+            let value: f64 = word[1..].parse().unwrap();
+            match &word[..1] {
+                "X" => to[0] = value,
+                "Y" => to[1] = value,
+                "I" => centre[0] += value,
+                "J" => centre[1] += value,
+                _ => {}
+            }
+        }
+        let angle = |point: [f64; 2]| (point[1] - centre[1]).atan2(point[0] - centre[0]);
+        let turned = match word {
+            "G2" => angle(at) - angle(to),
+            _ => angle(to) - angle(at),
+        };
+        let turned = match turned.rem_euclid(TAU) {
+            // Controls take a smaller difference for none.
+            turned if turned < 1e-7 => TAU,
+            turned => turned,
+        };
+        length += match word {
+            "G0" => 0.0,
+            "G1" => (to[0] - at[0]).hypot(to[1] - at[1]),
+            _ => turned * (at[0] - centre[0]).hypot(at[1] - centre[1]),
+        };
+        at = to;
+    }
+    length
+}
+
+/// The program of cuts along segments.
+fn written(segments: &[Segment]) -> String {
+    let start = segments[0].from;
+    let steps = segments.iter().map(|segment| Step::Along(*segment, -0.1));
+    let cut = Cut {
+        start,
+        z: -0.1,
+        steps: steps.collect(),
+        entity: 0,
+    };
+    let rates = Rates {
+        feed: 300.0,
+        plunge: 60.0,
+        speed: 0.0,
+        lift_mm: LIFT,
+    };
+    program(&Toolpath { cuts: vec![cut] }, rates, [0.0; 2], &[])
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 2000,
+        rng_seed: proptest::test_runner::RngSeed::Fixed(1),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    /// The written cut is as long as the planned one: arcs of any length, up to whole circles.
+    #[test]
+    fn arcs_keep_their_length(
+        arcs in prop::collection::vec(
+            (-2.0..2.0f64, 0.0..TAU, -5.0..0.798f64, any::<bool>()),
+            1..40,
+        ),
+    ) {
+        let mut at = [10.0, 10.0];
+        let (mut segments, mut length) = (Vec::new(), 0.0);
+        for (radius, start, sweep, left) in arcs {
+            let (radius, sweep) = (10f64.powf(radius), 10f64.powf(sweep));
+            let turned = if left { sweep } else { -sweep };
+            let (sin, cos) = start.sin_cos();
+            let centre = [at[0] - radius * cos, at[1] - radius * sin];
+            let (sin, cos) = (start + turned).sin_cos();
+            let to = [centre[0] + radius * cos, centre[1] + radius * sin];
+            segments.push(Segment { from: at, to, bulge: (turned / 4.0).tan() });
+            length += radius * sweep;
+            at = to;
+        }
+        // Rounding moves each end by up to 0.1 um.
+        let most = 2e-4 * segments.len() as f64 + 1e-3 * length;
+        let text = written(&segments);
+        let off = length_of_cuts(&text) - length;
+        prop_assert!(off.abs() <= most, "{off} mm\n{text}");
+    }
+
+    /// A short arc whose end rounds away from its start towards its centre is no whole circle.
+    #[test]
+    fn a_short_arc_does_not_become_a_circle(
+        length in -9.0..-4.3f64,
+        radius in -2.0..2.0f64,
+        left in any::<bool>(),
+        quarter in 0..4_i32,
+        off in -9.0..-1.0f64,
+        up in any::<bool>(),
+        edge in prop_oneof![Just([0.5, 0.0]), Just([0.0, 0.5]), Just([0.5, 0.5])],
+    ) {
+        let (length, radius) = (10f64.powf(length), 10f64.powf(radius));
+        let off = if up { 10f64.powf(off) } else { -10f64.powf(off) };
+        let (sin, cos) = (f64::from(quarter) * TAU / 4.0 + off).sin_cos();
+        // The middle of the arc is where a coordinate rounds up or down.
+        let middle = edge.map(|part| 5.0 + part * 1e-4);
+        let place = |part: f64| [middle[0] + part * length * cos, middle[1] + part * length * sin];
+        let bulge = (0.25 * length / radius).min(0.3);
+        let bulge = if left { bulge } else { -bulge };
+        let segment = Segment { from: place(-0.5), to: place(0.5), bulge };
+        let text = written(&[segment]);
+        let cut = length_of_cuts(&text);
+        prop_assert!(cut <= 2.0 * length + 3e-4, "{cut} mm for {length}\n{text}");
     }
 }
 
