@@ -1,0 +1,131 @@
+#!/usr/bin/env python3
+"""Compares the pockets of `haptimill engrave` with the polygons of shapely.
+
+Needs the Python package shapely:
+    python3 host/engrave/pockets.py COMMAND DRAWING ...
+
+Every drawing is cleared in contours, in zig-zag rows and in one-way rows, by a tool of a sixtieth of
+its larger side. The area to clear is that between the closed paths of the program of
+`--operation outline`. What the tool sweeps is the union of the buffered cuts. Uncut is the part that
+the tool can reach, the area shrunk and grown by its radius, and that no cut sweeps. Over is what is
+swept farther than 2 um beyond the area. Drawings that `haptimill engrave` refuses are named.
+
+The script ends with exit code 1 where uncut or over is above 0.02 % of the area.
+"""
+
+import math
+import os
+import re
+import subprocess
+import sys
+import tempfile
+
+from shapely import make_valid
+from shapely.geometry import LineString, Polygon
+from shapely.ops import unary_union
+
+MOST_PERCENT = 0.02
+UNITS = ("1", "0.1", "0.01", "10")
+CLEARINGS = ("contour", "zigzag", "one-way")
+
+
+def machine(path):
+    """Writes the engraver with an area of 1200 x 1200 mm."""
+    text = open("machines/engraver.toml").read()
+    for low, high in (("low_mm = 0.0", "low_mm = -100.0"), ("low_mm = -4.0", "low_mm = -104.0"),
+                      ("high_mm = 110.0", "high_mm = 1200.0"), ("high_mm = 250.0", "high_mm = 1200.0"),
+                      ("high_mm = 112.0", "high_mm = 1204.0"), ("high_mm = 252.0", "high_mm = 1204.0")):
+        text = text.replace(low, high)
+    open(path, "w").write(text)
+
+
+def arc(start, end, i, j, clockwise):
+    """Points of an arc after its start; ends at one angle are a whole circle."""
+    centre, radius = (start[0] + i, start[1] + j), math.hypot(i, j)
+    angles = [math.atan2(at[1] - centre[1], at[0] - centre[0]) for at in (start, end)]
+    sweep = (angles[0] - angles[1] if clockwise else angles[1] - angles[0]) % math.tau
+    sweep = sweep if sweep > 1e-9 else math.tau
+    count = max(2, int(sweep / 0.03) + 1)
+    turns = [angles[0] + (-sweep if clockwise else sweep) * k / count for k in range(1, count)]
+    return [(centre[0] + radius * math.cos(a), centre[1] + radius * math.sin(a)) for a in turns] + [end]
+
+
+def cuts(path):
+    """The polylines that the tool follows below the surface."""
+    at, height, code, cut, found = (0.0, 0.0), 1.0, 0, [], []
+    for line in open(path):
+        line = line.split(";")[0]
+        head = re.match(r"G([0-3])\b", line)
+        if not head:
+            continue
+        code = int(head[1])
+        words = {letter: float(value) for letter, value in re.findall(r"([XYZIJ])(-?[\d.]+)", line)}
+        to = (words.get("X", at[0]), words.get("Y", at[1]))
+        below = height < 0.0 and words.get("Z", height) < 0.0 and code > 0
+        if below and (to != at or code > 1):
+            cut = cut or [at]
+            cut += [to] if code == 1 else arc(at, to, words.get("I", 0.0), words.get("J", 0.0), code == 2)
+        elif not below:
+            found += [cut] if len(cut) > 1 else []
+            cut = []
+        at, height = to, words.get("Z", height)
+    return found + ([cut] if len(cut) > 1 else [])
+
+
+def area_of(paths):
+    """The area between closed paths, and their number."""
+    closed = [path for path in paths if len(path) > 3 and math.dist(path[0], path[-1]) < 2e-3]
+    area = Polygon()
+    for path in closed:
+        area = area.symmetric_difference(make_valid(Polygon(path)))
+    return area, len(closed)
+
+
+def compare(command, drawing, folder):
+    """Prints a row for each way to clear a drawing; returns the largest percentage."""
+    name, program = os.path.basename(drawing), os.path.join(folder, "job.ngc")
+    options = ["--origin", "lower-left", "--skip-text", "--machine", os.path.join(folder, "machine.toml")]
+
+    def engrave(*more):
+        words = [command, "engrave", drawing, *options, "-o", program, *more]
+        return subprocess.run(words, capture_output=True, text=True)
+
+    for unit in UNITS:
+        outline = engrave("--unit", unit, "--operation", "outline", "--side", "on")
+        if outline.returncode == 0:
+            break
+    else:
+        print(f"{name}: {outline.stderr.strip().splitlines()[-1]}")
+        return 0.0
+    area, count = area_of(cuts(program))
+    if not count:
+        print(f"{name}: no closed path")
+        return 0.0
+    low_x, low_y, high_x, high_y = area.bounds
+    radius = round(max(high_x - low_x, high_y - low_y) / 60.0, 2) / 2.0
+    worst = 0.0
+    for clearing in CLEARINGS:
+        done = engrave("--unit", unit, "--operation", "pocket", "--clear", clearing, "--tool", str(2 * radius))
+        if done.returncode:
+            print(f"{name}: {clearing}: {done.stderr.strip().splitlines()[-1]}")
+            continue
+        swept = unary_union([LineString(cut).buffer(radius, 32) for cut in cuts(program)])
+        reach = area.buffer(-1.0005 * radius, 32).buffer(radius, 32)
+        uncut = 100.0 * reach.difference(swept).area / area.area
+        over = 100.0 * swept.difference(area.buffer(2e-3)).area / area.area
+        worst = max(worst, uncut, over)
+        print(f"{name}: {clearing}: {count} closed paths, {area.area:.2f} mm^2, tool {2 * radius:.2f} mm: "
+              f"uncut {uncut:.4f} %, over {over:.4f} %", flush=True)
+    return worst
+
+
+def main():
+    command, *drawings = sys.argv[1:]
+    with tempfile.TemporaryDirectory() as folder:
+        machine(os.path.join(folder, "machine.toml"))
+        worst = max((compare(command, drawing, folder) for drawing in drawings), default=0.0)
+    print(f"at most {worst:.4f} %")
+    sys.exit(worst > MOST_PERCENT)
+
+
+main()
