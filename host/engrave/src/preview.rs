@@ -1,7 +1,7 @@
 //! The offline page that shows a job before it is cut.
 
 use crate::drawing::Drawing;
-use crate::geometry::Point;
+use crate::geometry::{Point, distance};
 use crate::job::{Job, Options};
 use crate::plate::Plate;
 pub use crate::times::Speeds;
@@ -269,6 +269,16 @@ fn surface(drawing: &Drawing, job: &Job, options: &Options) -> Layer {
     )
 }
 
+/// Rising numbers in words: `1, 4-6, 9`.
+fn ranges(numbers: &[usize]) -> String {
+    let follows = |before: &usize, next: &usize| *next == before + 1;
+    let runs = numbers.chunk_by(follows).map(|run| match run {
+        [first, .., last] => format!("{first}-{last}"),
+        _ => run.iter().map(usize::to_string).collect(),
+    });
+    runs.collect::<Vec<_>>().join(", ")
+}
+
 /// The plan from above with numbered starts; the cuts have the width of the tool.
 #[must_use]
 pub fn plan(drawing: &Drawing, job: &Job, options: &Options) -> String {
@@ -288,6 +298,7 @@ pub fn plan(drawing: &Drawing, job: &Job, options: &Options) -> String {
     );
     let (mut wide, mut thin, mut air, mut numbers) =
         (String::new(), String::new(), String::new(), String::new());
+    let mut labels: Vec<(Point, Vec<usize>)> = Vec::new();
     let mut at = options.reference;
     for (index, one) in job.toolpath.cuts.iter().enumerate() {
         let start = one.start;
@@ -310,16 +321,28 @@ pub fn plan(drawing: &Drawing, job: &Job, options: &Options) -> String {
         if index < NUMBERS {
             let _ = writeln!(
                 numbers,
-                "<circle cx=\"{:.3}\" cy=\"{:.3}\" r=\"{:.3}\" fill=\"#1a7a3a\"/>\
-                 <text x=\"{:.3}\" y=\"{:.3}\">{}</text>",
+                "<circle cx=\"{:.3}\" cy=\"{:.3}\" r=\"{:.3}\" fill=\"#1a7a3a\"/>",
                 start[0],
                 -start[1],
-                0.35 * unit,
-                start[0] + 0.5 * unit,
-                -start[1] - 0.4 * unit,
-                index + 1
+                0.35 * unit
             );
+            // Starts of several depths are at one place, where their numbers would cover each
+            // other.
+            let mut known = labels.iter_mut();
+            match known.find(|(place, _)| distance(*place, start) < 2.0 * unit) {
+                Some((_, at_place)) => at_place.push(index + 1),
+                None => labels.push((start, vec![index + 1])),
+            }
         }
+    }
+    for (place, at_place) in labels {
+        let _ = writeln!(
+            numbers,
+            "<text x=\"{:.3}\" y=\"{:.3}\">{}</text>",
+            place[0] + 0.5 * unit,
+            -place[1] - 0.4 * unit,
+            ranges(&at_place)
+        );
     }
     let home = options.reference;
     let _ = writeln!(

@@ -261,16 +261,32 @@ fn the_page_numbers_the_starts_and_shows_every_move() {
     for (drawing, options, job) in jobs() {
         let svg = picture(&drawing, &job, &options);
         let svg = roxmltree::Document::parse(&svg).unwrap();
-        let texts: Vec<&str> = svg
+        let labels: Vec<_> = svg
             .descendants()
-            .filter_map(|node| {
-                node.has_tag_name(("http://www.w3.org/2000/svg", "text"))
-                    .then(|| node.text())?
-            })
+            .filter(|node| node.has_tag_name(("http://www.w3.org/2000/svg", "text")))
             .collect();
         let count = job.toolpath.cuts.len();
-        let numbers: Vec<String> = (1..=count).map(|number| number.to_string()).collect();
-        assert_eq!(texts, numbers);
+        // Each number once: alone, or in a range or a list of starts at one place.
+        let parts = labels
+            .iter()
+            .flat_map(|label| label.text().unwrap().split(", "));
+        let mut numbers: Vec<usize> = parts
+            .flat_map(|part| {
+                let (first, last) = part.split_once('-').unwrap_or((part, part));
+                first.parse::<usize>().unwrap()..=last.parse().unwrap()
+            })
+            .collect();
+        numbers.sort_unstable();
+        assert_eq!(numbers, (1..=count).collect::<Vec<_>>());
+        let place = |label: &roxmltree::Node, name| -> f64 {
+            label.attribute(name).unwrap().parse().unwrap()
+        };
+        for (index, one) in labels.iter().enumerate() {
+            for other in &labels[..index] {
+                let off = |name| place(one, name) - place(other, name);
+                assert!(off("x").hypot(off("y")) > 0.5, "{one:?} covers {other:?}");
+            }
+        }
         let paths = svg
             .descendants()
             .filter(|node| node.attribute("d").is_some());
