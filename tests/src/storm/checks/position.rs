@@ -16,7 +16,8 @@ enum EncoderDefect {
     None,
     /// One fault of its encoder is all that has happened to the joint.
     Single,
-    /// The counter gained or lost counts one by one, or slipped with the drives off.
+    /// The counter gained or lost counts one by one, slipped with the drives off, or slipped by
+    /// less than a counter jump.
     ///
     /// Only index pulses can reveal a slip that is smaller than a counter jump.
     Uncounted,
@@ -174,7 +175,8 @@ impl Checks {
         self.injected.iter().filter(of_joint)
     }
 
-    fn encoder_defect(&self, joint: usize) -> EncoderDefect {
+    /// The defect of an encoder. `jump` is the number of counts that are a counter jump.
+    fn encoder_defect(&self, joint: usize, jump: f64) -> EncoderDefect {
         if !self.position.suspect[joint] {
             return EncoderDefect::None;
         }
@@ -187,9 +189,13 @@ impl Checks {
         let noise = faults
             .iter()
             .any(|kind| matches!(kind, FaultKind::EncoderNoise { .. }));
+        let small_slip = faults.iter().any(|kind| match kind {
+            FaultKind::EncoderSlip { counts, .. } => f64::from(counts.unsigned_abs()) <= jump,
+            _ => false,
+        });
         if stuck(Channel::A) && stuck(Channel::B) {
             EncoderDefect::Dead
-        } else if self.position.slipped_off[joint] || noise {
+        } else if self.position.slipped_off[joint] || noise || small_slip {
             EncoderDefect::Uncounted
         } else if faults.len() > 1 || !self.causes.iter().all(|cause| *cause == Cause::HostSilent) {
             EncoderDefect::Several
@@ -243,7 +249,10 @@ impl Checks {
         };
         let found_by_index = self.position.index_pulses[joint] > 2;
         let reversed_off = self.position.reversed_off[joint];
-        Some(match self.encoder_defect(joint) {
+        let jump = limits.encoder.as_ref().map_or(0.0, |encoder| {
+            jump_threshold(limits) / unit / size_of_count(encoder, unit)
+        });
+        Some(match self.encoder_defect(joint, jump) {
             EncoderDefect::None => ErrorBounds {
                 most: f64::INFINITY,
                 // The bound is that of the H-4 machines, whose play is known.
