@@ -189,10 +189,12 @@ impl Checks {
         let noise = faults
             .iter()
             .any(|kind| matches!(kind, FaultKind::EncoderNoise { .. }));
-        let small_slip = faults.iter().any(|kind| match kind {
-            FaultKind::EncoderSlip { counts, .. } => f64::from(counts.unsigned_abs()) <= jump,
-            _ => false,
-        });
+        // The bounds of one fault are those of the H-4 machines.
+        let small_slip = self.other_machine
+            && faults.iter().any(|kind| match kind {
+                FaultKind::EncoderSlip { counts, .. } => f64::from(counts.unsigned_abs()) <= jump,
+                _ => false,
+            });
         if stuck(Channel::A) && stuck(Channel::B) {
             EncoderDefect::Dead
         } else if self.position.slipped_off[joint] || noise || small_slip {
