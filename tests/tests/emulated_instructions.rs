@@ -142,6 +142,20 @@ fn a_period_stays_within_its_instructions() {
             [11_320.0, 17_780.0],
         ),
         job(
+            "E11 circle on the vertical mill, without error tables",
+            "vmc-circle-bare",
+            &circle,
+            mill.to_vec(),
+            [4_440.0, 8_190.0],
+        ),
+        job(
+            "E11 circle on the vertical mill, with error tables",
+            "vmc-circle",
+            &circle,
+            [mill.clone(), errors.clone()].concat(),
+            [5_490.0, 10_410.0],
+        ),
+        job(
             "Helix on the vertical mill, without error tables",
             "vmc-bare",
             &helix,
@@ -220,6 +234,10 @@ fn a_period_stays_within_its_instructions() {
         }
     }
     assert!(beyond.is_empty(), "{beyond:#?}");
+    // On the circle the correction moves z, which rests without it.
+    let circle = costs["vmc-circle"][0] - costs["vmc-circle-bare"][0];
+    println!("volumetric compensation on the circle: {circle:.0} in the mean");
+    assert!(circle <= 1_000.0, "{circle}");
     let [mean, worst] = [0, 1].map(|which| costs["vmc"][which] - costs["vmc-bare"][which]);
     println!("volumetric compensation: {mean:.0} in the mean, {worst:.0} in the worst period");
     assert!(mean <= 1_000.0 && worst <= 1_000.0, "{mean} {worst}");

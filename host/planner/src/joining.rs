@@ -246,7 +246,7 @@ fn arc_through(
         return None;
     }
     // The other coordinates are in proportion to the angle. Between the ends of a line its angle is
-    // not in proportion to its length: by up to 2 / 9 sqrt(3) times the cube of half its angle.
+    // not in proportion to its length: by up to 2 / (9 sqrt(3)) times the cube of half its angle.
     let mut before = 0.0;
     for (step, angle) in moves.iter().zip(angles) {
         let between = 0.129 * (0.5 * (angle - before)).abs().powi(3);

@@ -16,8 +16,7 @@ enum EncoderDefect {
     None,
     /// One fault of its encoder is all that has happened to the joint.
     Single,
-    /// The counter gained or lost counts one by one, slipped with the drives off, or slipped by
-    /// less than a counter jump.
+    /// The counter gained or lost counts one by one, or slipped with the drives off.
     ///
     /// Only index pulses can reveal a slip that is smaller than a counter jump.
     Uncounted,
@@ -175,8 +174,7 @@ impl Checks {
         self.injected.iter().filter(of_joint)
     }
 
-    /// The defect of an encoder. `jump` is the number of counts that are a counter jump.
-    fn encoder_defect(&self, joint: usize, jump: f64) -> EncoderDefect {
+    fn encoder_defect(&self, joint: usize) -> EncoderDefect {
         if !self.position.suspect[joint] {
             return EncoderDefect::None;
         }
@@ -189,21 +187,24 @@ impl Checks {
         let noise = faults
             .iter()
             .any(|kind| matches!(kind, FaultKind::EncoderNoise { .. }));
-        // The bounds of one fault are those of the H-4 machines.
-        let small_slip = self.other_machine
-            && faults.iter().any(|kind| match kind {
-                FaultKind::EncoderSlip { counts, .. } => f64::from(counts.unsigned_abs()) <= jump,
-                _ => false,
-            });
         if stuck(Channel::A) && stuck(Channel::B) {
             EncoderDefect::Dead
-        } else if self.position.slipped_off[joint] || noise || small_slip {
+        } else if self.position.slipped_off[joint] || noise {
             EncoderDefect::Uncounted
         } else if faults.len() > 1 || !self.causes.iter().all(|cause| *cause == Cause::HostSilent) {
             EncoderDefect::Several
         } else {
             EncoderDefect::Single
         }
+    }
+
+    /// Counts by which the encoder of a joint slipped.
+    fn slipped(&self, joint: usize) -> f64 {
+        let counts = self.faults_of(joint).map(|kind| match kind {
+            FaultKind::EncoderSlip { counts, .. } => f64::from(counts.unsigned_abs()),
+            _ => 0.0,
+        });
+        counts.sum()
     }
 
     /// Whether the encoder of a joint was reversed.
@@ -251,10 +252,20 @@ impl Checks {
         };
         let found_by_index = self.position.index_pulses[joint] > 2;
         let reversed_off = self.position.reversed_off[joint];
-        let jump = limits.encoder.as_ref().map_or(0.0, |encoder| {
-            jump_threshold(limits) / unit / size_of_count(encoder, unit)
-        });
-        Some(match self.encoder_defect(joint, jump) {
+        // The lasting bound is that of the H-4 machines. A slip that is no counter jump stays until
+        // index pulses reveal it.
+        let small_slip = match &limits.encoder {
+            Some(encoder) if self.other_machine => {
+                let slip = self.slipped(joint) * size_of_count(encoder, unit);
+                if slip * unit <= jump_threshold(limits) {
+                    slip + bounds::MOTOR[class]
+                } else {
+                    0.0
+                }
+            }
+            _ => 0.0,
+        };
+        Some(match self.encoder_defect(joint) {
             EncoderDefect::None => ErrorBounds {
                 most: f64::INFINITY,
                 // The bound is that of the H-4 machines, whose play is known.
@@ -274,7 +285,7 @@ impl Checks {
                 } else {
                     bounds::FOUND
                 } + wrong_play,
-                lasting: unseen.max(creep),
+                lasting: unseen.max(creep).max(small_slip),
                 periods: bounds::LASTING,
                 name: "off after one fault",
             },
@@ -295,7 +306,8 @@ impl Checks {
                 lasting: if found_by_index {
                     unseen
                 } else {
-                    unseen * self.faults_of(joint).count().max(1) as f64 + reversed_off
+                    (unseen * self.faults_of(joint).count().max(1) as f64).max(small_slip)
+                        + reversed_off
                 },
                 periods: bounds::PUSHED_LASTING,
                 name: "off after several",
