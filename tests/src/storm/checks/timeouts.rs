@@ -46,6 +46,15 @@ impl Checks {
             self.faults.reported_state = None;
             self.jog_epoch = JogEpoch::default();
         }
+        // A session also resets the overrides of a controller that has no machine yet.
+        if self.timeouts.session_start != bench.session_start
+            && !bench.controller().safety().active()
+        {
+            self.timeouts.session_start = bench.session_start;
+            self.timeouts.percent = 100;
+            self.timeouts.spindle_percent = 100;
+            self.timeouts.settled = 0;
+        }
         let Some(machine) = bench.controller().machine() else {
             return Ok(());
         };
@@ -163,12 +172,6 @@ impl Checks {
         let safety = bench.controller().safety();
         let state = safety.state();
         let stop = u32::from(machine.config.stopping.time_ms) * 5;
-        if self.timeouts.session_start != bench.session_start && !safety.active() {
-            self.timeouts.session_start = bench.session_start;
-            self.timeouts.percent = 100;
-            self.timeouts.spindle_percent = 100;
-            self.timeouts.settled = 0;
-        }
         let program = &machine.motion.program;
         let at_standstill = program.is_at_standstill() || program.queued() == 0;
         let steady = state == State::Run
