@@ -29,6 +29,7 @@
 //! | sum of translations and of rotations times arms | 2^(shift - 32) pm | 2^62 |
 //! | correction | 2^-8 pm | 2^43 |
 //! | its change in a period | 2^-8 pm | 2^31, 8.4 um |
+//! | the change of that | 2^-8 pm | 2^28, 1.0 um |
 //! | position in a segment | 2^-31 | 2^31 |
 //!
 //! With these bounds no sum overflows, so none is checked. The change in a period is the difference
@@ -36,7 +37,6 @@
 
 use crate::config::volumetric::{CORRECTION, ERROR_AXES, ERRORS, ErrorAxis, VolumetricConfig};
 use crate::motion::PoseCommand;
-use haptimill_math::scale::saturate;
 use haptimill_math::{Acceleration, Coordinate, Rate};
 
 /// Time of a fade from 0 to 1, microseconds.
@@ -109,6 +109,10 @@ pub struct Constants {
 /// The constants of one axis.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 struct AxisConstants {
+    /// Position of the first node.
+    first: i32,
+    /// Largest distance from it within the last segment.
+    most: i32,
     /// 2^50 divided by the node pitch.
     reciprocal: i32,
     /// Its first value.
@@ -149,7 +153,10 @@ impl Constants {
         Self {
             axes: core::array::from_fn(|axis| {
                 let tables = &config.axes[axis];
+                let spans = i64::from(tables.nodes.max(2)) - 1;
                 AxisConstants {
+                    first: tables.first.0,
+                    most: bounded(spans * i64::from(tables.pitch.0) - 1),
                     reciprocal: bounded((1_i64 << 50) / i64::from(tables.pitch.0.max(1))),
                     start: config.start(axis),
                     arm: core::array::from_fn(|along| Arm::new(tables, along)),
@@ -256,29 +263,33 @@ impl Compensation {
         x.0 = x.0.saturating_sub(self.before[0].units);
         y.0 = y.0.saturating_sub(self.before[1].units);
         z.0 = z.0.saturating_sub(self.before[2].units);
-        let errors = self.errors(config, &self.corrected.pose.0);
-        let corrected = &mut self.corrected;
-        for (axis, error) in errors.iter().enumerate() {
-            let before = &self.before[axis];
-            let fine = *error as i32;
-            let change = fine.wrapping_sub(before.fine);
-            let units = units(*error);
-            self.corrections[axis] = Correction {
-                units,
-                fine,
-                change,
-            };
-            let at = commanded.pose.0[axis].0;
-            corrected.pose.0[axis] = Coordinate(at.saturating_sub(units));
-            let rate = upper(change, self.constants.rate);
-            let own = &mut corrected.rates[axis];
-            *own = own.saturating_sub(Rate(rate));
-            let change = change.wrapping_sub(before.change);
-            let acceleration = saturate(product(change, self.constants.acceleration) >> 24);
-            let own = &mut corrected.accelerations[axis];
-            *own = own.saturating_sub(Acceleration(acceleration));
-        }
+        let [x, y, z] = self.errors(config, &self.corrected.pose.0);
+        self.take(0, x, commanded);
+        self.take(1, y, commanded);
+        self.take(2, z, commanded);
         &self.corrected
+    }
+
+    /// Takes the error of an axis, 2^-8 pm, away from its commanded position, rate and
+    /// acceleration.
+    #[inline(always)]
+    fn take(&mut self, axis: usize, error: i64, commanded: &PoseCommand) {
+        let (before, corrected) = (&self.before[axis], &mut self.corrected);
+        let (fine, units) = (error as i32, units(error));
+        let change = fine.wrapping_sub(before.fine);
+        self.corrections[axis] = Correction {
+            units,
+            fine,
+            change,
+        };
+        let at = commanded.pose.0[axis].0;
+        corrected.pose.0[axis] = Coordinate(at.saturating_sub(units));
+        let rate = upper(change, self.constants.rate);
+        corrected.rates[axis] = corrected.rates[axis].saturating_sub(Rate(rate));
+        let change = change.wrapping_sub(before.change);
+        let acceleration = (product(change, self.constants.acceleration) >> 24) as i32;
+        let own = &mut corrected.accelerations[axis];
+        *own = own.saturating_sub(Acceleration(acceleration));
     }
 
     /// What [`correct`](Self::correct) took away last, axis units. A measured pose is off the
@@ -334,50 +345,10 @@ impl Constants {
             return [0; ERROR_AXES];
         };
         let at = [x >> 2, y >> 2, z >> 2];
-        let [mut ex, mut ey, mut ez] = [0_i64; ERROR_AXES];
-        for (axis, position) in [x, y, z].into_iter().enumerate() {
-            let (tables, constants) = (&config.axes[axis], &self.axes[axis]);
-            let from = position.saturating_sub(tables.first.0);
-            let place = product(from, constants.reciprocal);
-            let (mut number, mut part) = ((place >> 50) as i32, (place >> 19) as i32 & MOST_PART);
-            // Beyond its ends a table is constant.
-            let last = i32::from(tables.nodes) - 2;
-            if number < 0 {
-                (number, part) = (0, 0);
-            } else if number > last {
-                (number, part) = (last, MOST_PART);
-            }
-            let node = constants
-                .start
-                .wrapping_add((number as usize).wrapping_mul(ERRORS));
-            let values = config.values.get(node..node.wrapping_add(2 * ERRORS));
-            let Some(values) = values.and_then(|values| values.first_chunk()) else {
-                continue;
-            };
-            let t = [
-                between(values, 0, part),
-                between(values, 1, part),
-                between(values, 2, part),
-            ];
-            let [rx, ry, rz] = [
-                between(values, 3, part),
-                between(values, 4, part),
-                between(values, 5, part),
-            ];
-            let arm = &constants.arm;
-            let (ax, ay, az) = (arm[0].of(at[0]), arm[1].of(at[1]), arm[2].of(at[2]));
-            // A sum of products is one instruction each; a difference is three.
-            let (minus_x, minus_y, minus_z) =
-                (ax.wrapping_neg(), ay.wrapping_neg(), az.wrapping_neg());
-            let sum = |to: i64, t, a, arm, b, other| {
-                to.wrapping_add(product(t, TRANSLATION))
-                    .wrapping_add(product(a, arm))
-                    .wrapping_add(product(b, other))
-            };
-            ex = sum(ex, t[0], ry, az, rz, minus_y);
-            ey = sum(ey, t[1], rz, ax, rx, minus_z);
-            ez = sum(ez, t[2], rx, ay, ry, minus_x);
-        }
+        let [for_x, for_y, for_z] = &self.axes;
+        let sums = for_x.errors(config, x, at, [0; ERROR_AXES]);
+        let sums = for_y.errors(config, y, at, sums);
+        let [ex, ey, ez] = for_z.errors(config, z, at, sums);
         let [c0y, b0z, a0z] = config.squareness;
         let square = product(b0z, at[2]).wrapping_sub(product(c0y, at[1]));
         // The mask tells the compiler that a shift stays within a word.
@@ -386,6 +357,53 @@ impl Constants {
             fine(ex).wrapping_add(square >> 10),
             fine(ey).wrapping_sub(product(a0z, at[2]) >> 10),
             fine(ez),
+        ]
+    }
+}
+
+impl AxisConstants {
+    /// Adds the errors of one axis at a position to sums.
+    #[inline(always)]
+    fn errors(
+        &self,
+        config: &VolumetricConfig,
+        position: i32,
+        at: [i32; ERROR_AXES],
+        [ex, ey, ez]: [i64; ERROR_AXES],
+    ) -> [i64; ERROR_AXES] {
+        // Beyond its ends a table is constant.
+        let from = position.saturating_sub(self.first);
+        let place = product(from.max(0).min(self.most), self.reciprocal);
+        let (number, part) = ((place >> 50) as usize, (place >> 19) as i32 & MOST_PART);
+        let node = self.start.wrapping_add(number.wrapping_mul(ERRORS));
+        let values = config.values.get(node..node.wrapping_add(2 * ERRORS));
+        let Some(values) = values.and_then(|values| values.first_chunk()) else {
+            return [ex, ey, ez];
+        };
+        let [tx, ty, tz, rx, ry, rz] = [
+            between(values, 0, part),
+            between(values, 1, part),
+            between(values, 2, part),
+            between(values, 3, part),
+            between(values, 4, part),
+            between(values, 5, part),
+        ];
+        let [ax, ay, az] = [
+            self.arm[0].of(at[0]),
+            self.arm[1].of(at[1]),
+            self.arm[2].of(at[2]),
+        ];
+        // A sum of products is one instruction each; a difference is three.
+        let (minus_x, minus_y, minus_z) = (ax.wrapping_neg(), ay.wrapping_neg(), az.wrapping_neg());
+        let sum = |to: i64, t, a, arm, b, other| {
+            to.wrapping_add(product(t, TRANSLATION))
+                .wrapping_add(product(a, arm))
+                .wrapping_add(product(b, other))
+        };
+        [
+            sum(ex, tx, ry, az, rz, minus_y),
+            sum(ey, ty, rz, ax, rx, minus_z),
+            sum(ez, tz, rx, ay, ry, minus_x),
         ]
     }
 }
