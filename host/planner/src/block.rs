@@ -2,6 +2,7 @@
 
 use super::limits::{MachineModel, PoseProblem, Settings};
 use super::profile::Along;
+use super::samples::{JointDerivatives, Samples};
 use haptimill_gcode::{AxisKind, Coordinates, Feed, Move, Path, Place, Problem};
 
 /// Planned share of the acceleration limit; the rest is for rounding to periods and units.
@@ -215,44 +216,21 @@ fn divide(
 
 /// Returns the largest speed that the joints allow at a sample of a path that was examined.
 fn fastest(path: &Path, settings: &Settings, model: &impl MachineModel) -> f64 {
-    let intervals = intervals(path, settings);
+    let samples = Samples::of(path, settings);
     let mut fastest = 0.0_f64;
-    let mut before: Option<(f64, [f64; 6], [f64; 6])> = None;
-    for index in 0..=intervals {
-        let s = path.length * index as f64 / intervals as f64;
+    let mut before = JointDerivatives::default();
+    for index in 0..=samples.intervals {
+        let s = samples.length(index, path);
         let (pose, tangent) = path.at_with_tangent(s);
         let joints = model.joint_rates(&pose, &tangent);
-        let mut derivatives = [[0.0; 3]; 6];
-        let seconds = derive(&joints, s, before.as_ref(), &mut derivatives);
-        fastest = fastest.max(joint_speed(settings, &derivatives));
-        before = Some((s, joints, seconds));
+        before.largest = [[0.0; 3]; 6];
+        before.sample(s, &joints, &samples);
+        for (largest, joint) in before.largest.iter_mut().zip(joints) {
+            largest[0] = joint.abs();
+        }
+        fastest = fastest.max(joint_speed(settings, &before.largest));
     }
     fastest
-}
-
-/// Raises the largest derivatives of the joints by length by those of a sample, and returns the
-/// second ones. The sample before has its length, first and second derivatives.
-fn derive(
-    joints: &[f64; 6],
-    s: f64,
-    before: Option<&(f64, [f64; 6], [f64; 6])>,
-    largest: &mut [[f64; 3]; 6],
-) -> [f64; 6] {
-    let mut seconds = [0.0; 6];
-    for (k, largest) in largest.iter_mut().enumerate() {
-        largest[0] = largest[0].max(joints[k].abs());
-        let Some((at, rates, before)) = before else {
-            continue;
-        };
-        seconds[k] = (joints[k] - rates[k]) / (s - at);
-        largest[1] = largest[1].max(seconds[k].abs());
-        // The second derivative of the first interval is the first one.
-        if *at > 0.0 {
-            let third = (seconds[k] - before[k]) / (s - at);
-            largest[2] = largest[2].max(third.abs());
-        }
-    }
-    seconds
 }
 
 /// Returns the largest speed that rates, accelerations and jerks of the joints allow.
@@ -286,12 +264,12 @@ fn examine(
         remedy,
     };
     let path = &step.path;
-    let mut limits = Search::new(settings);
-    let intervals = intervals(path, settings);
+    let samples = Samples::of(path, settings);
+    let mut limits = Search::new(settings, &samples);
     let mut tangents = [[0.0; 6]; 2];
     let mut joint_tangents = [[0.0; 6]; 2];
-    for index in 0..=intervals {
-        let s = path.length * index as f64 / intervals as f64;
+    for index in 0..=samples.intervals {
+        let s = samples.length(index, path);
         let (pose, tangent) = path.at_with_tangent(s);
         let joints = check_motion(&pose, &tangent, settings, model).map_err(|refusal| {
             // The end of the move is what its block has in words.
@@ -310,7 +288,7 @@ fn examine(
     if let Feed::PerMinute(feed) = step.feed {
         limits.speed = feed / 60.0;
     }
-    limits.joints();
+    limits.limit_joints();
     let (along, most) = limits.along(path);
     let allowed = limits.speed.min(limits.rate_speed);
     let block = Block {
@@ -332,24 +310,10 @@ fn examine(
     Ok((block, allowed))
 }
 
-/// Returns the number of samples of a path: at most 1 mm, 1 degree of a rotary axis and 10 degrees
-/// of arc apart.
-fn intervals(path: &Path, settings: &Settings) -> usize {
-    let mut count = path.tip_length().max(1.0);
-    for (k, axis) in settings.pose.iter().enumerate() {
-        if axis.kind == AxisKind::Rotary {
-            count = count.max((path.to[k] - path.from[k]).abs());
-        }
-    }
-    if let Some(arc) = &path.arc {
-        count = count.max(arc.sweep.abs().to_degrees() / 10.0);
-    }
-    count.ceil() as usize
-}
-
 /// Search for the limits of a move over its samples.
 struct Search<'a> {
     settings: &'a Settings,
+    samples: &'a Samples,
     /// Largest speed that the rates of the pose allow, and the axis that limits it: its index, rate
     /// per speed, and pose.
     rate_speed: f64,
@@ -359,31 +323,32 @@ struct Search<'a> {
     jerk: f64,
     /// Programmed speed.
     speed: f64,
-    /// Length, and first and second derivatives of the joints, at the sample before.
-    before: Option<(f64, [f64; 6], [f64; 6])>,
-    /// Largest derivatives of each joint by length: first, second, third.
-    derivatives: [[f64; 3]; 6],
+    /// Derivatives of the pose by length at the sample before.
+    before: Option<Coordinates>,
+    joints: JointDerivatives,
 }
 
 impl<'a> Search<'a> {
-    fn new(settings: &'a Settings) -> Self {
+    fn new(settings: &'a Settings, samples: &'a Samples) -> Self {
         let infinite = f64::INFINITY;
         Self {
             settings,
+            samples,
             rate_speed: infinite,
             joint_speed: infinite,
             acceleration: infinite,
             jerk: infinite,
             speed: infinite,
             before: None,
-            derivatives: [[0.0; 3]; 6],
+            joints: JointDerivatives::default(),
         }
     }
 
     fn sample(&mut self, s: f64, tangent: &Coordinates, joints: &[f64; 6]) {
-        let settings = self.settings;
-        for (axis, tangent) in settings.pose.iter().zip(tangent) {
-            let part = tangent.abs();
+        let before = self.before.as_ref().unwrap_or(tangent);
+        let tangents = before.iter().zip(tangent);
+        for (axis, (before, tangent)) in self.settings.pose.iter().zip(tangents) {
+            let part = self.samples.peak(*before, *tangent);
             if part > 1e-12 {
                 self.rate_speed = self.rate_speed.min(axis.rate / part);
                 self.acceleration = self
@@ -392,20 +357,20 @@ impl<'a> Search<'a> {
                 self.jerk = self.jerk.min(JERK_SHARE * axis.jerk / part);
             }
         }
-        let seconds = derive(joints, s, self.before.as_ref(), &mut self.derivatives);
-        self.before = Some((s, *joints, seconds));
+        self.before = Some(*tangent);
+        self.joints.sample(s, joints, self.samples);
     }
 
     /// Applies the limits of the joints, after the last sample.
-    fn joints(&mut self) {
-        for (axis, [first, ..]) in self.settings.joints.iter().zip(&self.derivatives) {
+    fn limit_joints(&mut self) {
+        for (axis, [first, ..]) in self.settings.joints.iter().zip(&self.joints.largest) {
             if *first > 1e-12 {
                 self.acceleration = self
                     .acceleration
                     .min(JOINT_RAMP_SHARE * axis.acceleration / first);
             }
         }
-        self.joint_speed = joint_speed(self.settings, &self.derivatives);
+        self.joint_speed = joint_speed(self.settings, &self.joints.largest);
     }
 
     /// Whether the limits of the machine lower the programmed feed.
@@ -437,7 +402,7 @@ impl<'a> Search<'a> {
                 .min(ARC_ACROSS_JERK * plane_jerk / (3.0 * speed * curvature));
             jerk = jerk.min(ARC_RAMP_JERK * plane_jerk / share);
         }
-        for (axis, [first, second, third]) in self.settings.joints.iter().zip(self.derivatives) {
+        for (axis, [first, second, third]) in self.settings.joints.iter().zip(self.joints.largest) {
             let across = 3.0 * second * speed;
             if across > 1e-9 {
                 acceleration = acceleration.min(JOINT_ACROSS_JERK * axis.jerk / across);

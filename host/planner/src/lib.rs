@@ -53,6 +53,7 @@ mod pace;
 mod plan;
 mod planner;
 mod profile;
+mod samples;
 mod setpoints;
 mod track;
 mod trajectory;
