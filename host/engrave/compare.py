@@ -24,6 +24,8 @@ import subprocess
 import sys
 import tempfile
 
+import large_machine
+
 HAPTIMILL = sys.argv[1]
 PAGE = 1000.0
 
@@ -145,12 +147,7 @@ def cut(folder, lines):
     drawing, ngc = os.path.join(folder, "d.svg"), os.path.join(folder, "d.ngc")
     write_svg(drawing, lines)
     machine = os.path.join(folder, "machine.toml")
-    text = open("machines/engraver.toml").read()
-    for low, high in (("low_mm = 0.0", "low_mm = -100.0"), ("low_mm = -4.0", "low_mm = -104.0"),
-                      ("high_mm = 110.0", "high_mm = 1200.0"), ("high_mm = 250.0", "high_mm = 1200.0"),
-                      ("high_mm = 112.0", "high_mm = 1204.0"), ("high_mm = 252.0", "high_mm = 1204.0")):
-        text = text.replace(low, high)
-    open(machine, "w").write(text)
+    large_machine.write(machine)
     return run([HAPTIMILL, "engrave", drawing, "-o", ngc, "--machine", machine])
 
 

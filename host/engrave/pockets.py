@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 
+import large_machine
 from shapely import make_valid
 from shapely.geometry import LineString, Polygon
 from shapely.ops import unary_union
@@ -27,16 +28,6 @@ from shapely.ops import unary_union
 MOST_PERCENT = 0.02
 UNITS = ("1", "0.1", "0.01", "10")
 CLEARINGS = ("contour", "zigzag", "one-way")
-
-
-def machine(path):
-    """Writes the engraver with an area of 1200 x 1200 mm."""
-    text = open("machines/engraver.toml").read()
-    for low, high in (("low_mm = 0.0", "low_mm = -100.0"), ("low_mm = -4.0", "low_mm = -104.0"),
-                      ("high_mm = 110.0", "high_mm = 1200.0"), ("high_mm = 250.0", "high_mm = 1200.0"),
-                      ("high_mm = 112.0", "high_mm = 1204.0"), ("high_mm = 252.0", "high_mm = 1204.0")):
-        text = text.replace(low, high)
-    open(path, "w").write(text)
 
 
 def arc(start, end, i, j, clockwise):
@@ -122,7 +113,7 @@ def compare(command, drawing, folder):
 def main():
     command, *drawings = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
-        machine(os.path.join(folder, "machine.toml"))
+        large_machine.write(os.path.join(folder, "machine.toml"))
         worst = max((compare(command, drawing, folder) for drawing in drawings), default=0.0)
     print(f"at most {worst:.4f} %")
     sys.exit(worst > MOST_PERCENT)

@@ -1,6 +1,7 @@
 //! Shared code of the whole-system tests and benchmarks: a simulated machine with a host that sends
 //! one command at a time.
 
+pub mod job;
 pub mod storm;
 
 use haptimill_firmware::controller::Controller;

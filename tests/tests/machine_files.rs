@@ -1,16 +1,13 @@
 //! Every machine file of `machines/` runs: check, home, a program with all letters, recording and
 //! replay. A new machine file needs no row here.
 
-use haptimill_client::client::Options;
-use haptimill_client::session::{self, JobLine, JobRecording, NoObserver, Session, SimLine};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::model::{Model, program_options, settings};
-use haptimill_planner::Plan;
-use haptimill_trace::{Header, Recorder, Recording, replay};
+use haptimill_machine_file::model::Model;
+use haptimill_tests::job;
+use haptimill_trace::{Recording, replay};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// Largest distance of the simulated tool from the end of the program, mm and degrees. The errors
 /// are those of the drives, of backlash and of the home position.
@@ -85,46 +82,16 @@ fn every_machine_file_homes_runs_and_replays() {
     for file in files {
         let machine = MachineFile::load(&file).unwrap_or_else(|problems| panic!("{problems}"));
         let name = machine.config.name.to_string();
-        let model = Model::new(&machine);
-        let home = session::find_home_pose(&machine, &model).expect("a home pose");
-        let start = model.to_engineering_units(&home);
-        let text = program(&machine, &start);
-        let options = program_options(&machine, start);
-        let read = haptimill_gcode::read("test", text.as_bytes(), &options)
+        let start = Model::new(&machine).to_engineering_units(&job::home(&machine));
+        let plan = job::plan(&machine, &program(&machine, &start))
             .unwrap_or_else(|refused| panic!("{name}: {refused}"));
-        let plan = Plan::new(&read, &settings(&machine), &model)
-            .unwrap_or_else(|refused| panic!("{name}: {refused}"));
-        let setpoints = plan.setpoints.clone();
-
-        let rig = session::rig(&machine, None, None, vec![]).expect("a simulated machine");
-        let mut session = Session::new(
-            SimLine::new(rig),
-            &machine,
-            Options::default(),
-            Arc::default(),
-        );
-        session.connect(1).expect("a session");
-        session.configure(&machine).expect("configured");
-        session.enable().expect("enabled");
-        session
-            .go_home(&machine, &home)
-            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        let mut session = job::homed(&machine, vec![]);
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("recording.hmr");
-        let header = Header::of(&machine, "test").expect("encoded");
-        let recorder = Recorder::create(&path, &header).expect("a recording");
-        session
-            .line_mut()
-            .begin_recording(JobRecording::new(recorder, plan.into(), &machine));
-        let end = session
-            .run_job(2, home, setpoints, &mut NoObserver)
-            .unwrap_or_else(|error| panic!("{name}: {error}"));
-        session
-            .check_completed(&end)
-            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        job::begin_recording(&mut session, &path, &plan, &machine, |_| ());
+        let end = job::run(&mut session, 2, &machine, &plan);
         assert!(end.status.homed && end.status.position_kept, "{name}");
-        let recorder = session.line_mut().end_recording().expect("recorded");
-        recorder.finish().expect("written");
+        job::end_recording(&mut session);
 
         // The simulated tool is at the end of the program.
         let line = session.into_line();

@@ -2,19 +2,17 @@
 //!
 //! The true angle of the simulated axis counts turns in f64, apart from the controller's integers.
 
-use haptimill_client::client::Options;
-use haptimill_client::session::{self, JobLine, JobRecording, NoObserver, Session, SimLine};
 use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_machine_file::model::Model;
 use haptimill_machine_file::scale::per_unit;
-use haptimill_planner::Plan;
 use haptimill_protocol::message::MAX_AXES;
-use haptimill_trace::{Header, Recorder, Recording, replay};
+use haptimill_tests::job;
+use haptimill_trace::{Recording, replay};
 use std::path::Path;
-use std::sync::{Arc, LazyLock};
+use std::sync::LazyLock;
 
 static MACHINE: LazyLock<MachineFile> = LazyLock::new(|| {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../machines/mill4.toml");
@@ -26,47 +24,19 @@ const A: usize = 3;
 /// Seconds of a control period.
 const PERIOD: f64 = 2e-4;
 
-fn plan(text: &str, model: &Model) -> Result<Plan, String> {
-    let machine = &*MACHINE;
-    let home = session::find_home_pose(machine, model).expect("a home pose");
-    let options = program_options(machine, model.to_engineering_units(&home));
-    let read = haptimill_gcode::read("test", text.as_bytes(), &options)
-        .map_err(|refused| refused.to_string())?;
-    Plan::new(&read, &settings(machine), model).map_err(|refused| refused.to_string())
-}
-
 #[test]
 fn a_program_winds_the_axis_up_and_unwinds_it() {
     let machine = &*MACHINE;
     let model = Model::new(machine);
-    let home = session::find_home_pose(machine, &model).expect("a home pose");
     // 28 turns up at two turns per second, 50 down with a move of x, then to two angles.
     let text = "G21 G90 F43200\nG1 A10080\nG0 A-7920 X3\nG1 A-90\nG0 A725.25\nM30\n";
-    let plan = plan(text, &model).unwrap_or_else(|refused| panic!("{refused}"));
-    let rig = session::rig(machine, None, None, vec![]).expect("a simulated machine");
-    let mut session = Session::new(
-        SimLine::new(rig),
-        machine,
-        Options::default(),
-        Arc::default(),
-    );
-    session.connect(1).expect("a session");
-    session.configure(machine).expect("configured");
-    session.enable().expect("enabled");
-    session.go_home(machine, &home).expect("homed");
+    let plan = job::plan(machine, text).unwrap_or_else(|refused| panic!("{refused}"));
+    let mut session = job::homed(machine, vec![]);
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("recording.hmr");
-    let header = Header::of(machine, "test").expect("encoded");
-    let recorder = Recorder::create(&path, &header).expect("a recording");
-    session
-        .line_mut()
-        .begin_recording(JobRecording::new(recorder, plan.clone().into(), machine));
-    let end = session
-        .run_job(2, home.clone(), plan.setpoints.clone(), &mut NoObserver)
-        .unwrap_or_else(|error| panic!("{error}"));
-    session.check_completed(&end).expect("completed");
-    let recorder = session.line_mut().end_recording().expect("recorded");
-    recorder.finish().expect("written");
+    job::begin_recording(&mut session, &path, &plan, machine, |_| ());
+    let end = job::run(&mut session, 2, machine, &plan);
+    job::end_recording(&mut session);
     assert!(end.status.homed && end.status.position_kept);
     let status = session.status().expect("a status");
     let measured = model.to_engineering_units(&status.measured)[A];
@@ -74,7 +44,9 @@ fn a_program_winds_the_axis_up_and_unwinds_it() {
     let truth = session.line_mut().rig().plant().truth().joints[A];
     assert!((truth - 725.25).abs() < 0.05, "{truth}");
     // Home is two turns back, not the same angle a quarter turn away.
-    session.go_home(machine, &home).expect("homed again");
+    session
+        .go_home(machine, &job::home(machine))
+        .expect("homed again");
     let truth = session.into_line().rig().plant().truth().joints[A];
     assert!(truth.abs() < 0.05, "{truth}");
 
@@ -102,10 +74,9 @@ fn a_program_winds_the_axis_up_and_unwinds_it() {
 
 #[test]
 fn turns_beyond_the_limits_are_refused_by_name() {
-    let model = Model::new(&MACHINE);
-    assert!(plan("G21 G90\nG0 A10799\nM30\n", &model).is_ok());
+    assert!(job::plan(&MACHINE, "G21 G90\nG0 A10799\nM30\n").is_ok());
     for angle in ["A10801", "A-10801", "A190000", "A1e9"] {
-        let Err(refused) = plan(&format!("G21 G90\nG0 {angle}\nM30\n"), &model) else {
+        let Err(refused) = job::plan(&MACHINE, &format!("G21 G90\nG0 {angle}\nM30\n")) else {
             panic!("{angle} is accepted");
         };
         assert!(refused.contains(":2:"), "{refused}");

@@ -1,50 +1,22 @@
 //! Speed, acceleration and jerk of tip and joints in every control period of the simulated machine,
 //! by differences of what the controller commands, and the acceleration of the true tool.
 
-use haptimill_client::client::Options;
-use haptimill_client::session::{self, JobLine as _, JobRecording, NoObserver, Session, SimLine};
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_machine_file::model::settings;
 use haptimill_machine_file::scale::per_unit;
-use haptimill_planner::{Plan, SharedTrack};
-use haptimill_trace::{Header, Recorder};
+use haptimill_tests::job;
+use haptimill_trace::Record;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 /// Commanded pose, commanded joints and true tool in a period, mm and degrees.
 type Motion = [[f64; 6]; 3];
 
-/// Plans a program from the home pose.
-///
-/// # Errors
-/// The message of what the machine cannot do.
-fn plan(machine: &MachineFile, text: &str) -> Result<Plan, String> {
-    let model = Model::new(machine);
-    let home = session::find_home_pose(machine, &model).expect("a home pose");
-    let start = model.to_engineering_units(&home);
-    let read = haptimill_gcode::read("t", text.as_bytes(), &program_options(machine, start))
-        .unwrap_or_else(|refused| panic!("{refused}"));
-    Plan::new(&read, &settings(machine), &model).map_err(|refused| refused.to_string())
-}
-
 /// Runs a program from the home pose on the simulated machine.
 fn run(machine: &MachineFile, text: &str) -> Vec<Motion> {
-    let home = session::find_home_pose(machine, &Model::new(machine)).expect("a home pose");
-    let plan = plan(machine, text).unwrap_or_else(|refused| panic!("{refused}"));
-    let rig = session::rig(machine, None, None, vec![]).expect("a simulated machine");
-    let mut session = Session::new(
-        SimLine::new(rig),
-        machine,
-        Options::default(),
-        Arc::default(),
-    );
-    session.connect(1).expect("a session");
-    session.configure(machine).expect("configured");
-    session.enable().expect("enabled");
-    session.go_home(machine, &home).expect("homed");
+    let plan = job::plan(machine, text).unwrap_or_else(|refused| panic!("{refused}"));
+    let mut session = job::homed(machine, vec![]);
     let folder = tempfile::tempdir().expect("a folder");
-    let header = Header::of(machine, "t").expect("a header");
-    let recorder = Recorder::create(&folder.path().join("t.hmr"), &header).expect("a file");
     let motion: Arc<Mutex<Vec<Motion>>> = Arc::default();
     let recorded = Arc::clone(&motion);
     let pose_units: Vec<f64> = settings(machine).pose.iter().map(|it| it.units).collect();
@@ -54,7 +26,7 @@ fn run(machine: &MachineFile, text: &str) -> Vec<Motion> {
         .iter()
         .map(|it| per_unit(it.kind))
         .collect();
-    let recorder = recorder.observed(move |record| {
+    let observe = move |record: &Record| {
         let of = |values: &[i32; 6], units: &[f64]| {
             let mut out = [0.0; 6];
             for ((out, value), unit) in out.iter_mut().zip(values).zip(units) {
@@ -67,18 +39,11 @@ fn run(machine: &MachineFile, text: &str) -> Vec<Motion> {
             of(&record.joints_commanded, &joint_units),
             of(&record.tool, &pose_units),
         ]);
-    });
-    let setpoints = plan.setpoints.clone();
-    session.line_mut().begin_recording(JobRecording::new(
-        recorder,
-        SharedTrack::from(plan),
-        machine,
-    ));
-    let end = session
-        .run_job(2, home, setpoints, &mut NoObserver)
-        .expect("a run");
-    session.check_completed(&end).expect("completed");
-    drop(session.line_mut().end_recording());
+    };
+    let path = folder.path().join("recording.hmr");
+    job::begin_recording(&mut session, &path, &plan, machine, observe);
+    job::run(&mut session, 2, machine, &plan);
+    job::end_recording(&mut session);
     let motion = motion.lock().expect("no panic").clone();
     assert!(motion.len() > 1000, "{} periods", motion.len());
     motion
@@ -188,7 +153,7 @@ fn the_commanded_motion_keeps_its_limits_in_every_period() {
 fn past_the_vertical_tool_the_feed_falls() {
     let machine = machine("trunnion5.toml");
     let text = "G21 G90 G61\nG0 X80 Y0 Z5 A0.5\nG91 G0 C-90\nG1 X2 Y1 C180 F3000\nM30\n";
-    let planned = plan(&machine, text).expect("possible");
+    let planned = job::plan(&machine, text).expect("possible");
     assert_eq!(planned.figures.slowed, 1);
     let motion = run(&machine, text);
     let used = check_limits("trunnion5", &machine, &motion);
@@ -225,9 +190,9 @@ fn a_line_through_the_pole_is_refused_by_its_place() {
     let used = check_limits("polar3", &machine, &run(&machine, past));
     assert!(used[0] > 0.9, "{used:?}");
     let through = "G21 G90\nG0 X-60 Y0 Z5\nG1 X-80 F1800\nX-140\nM30\n";
-    let refused = plan(&machine, through).map(|plan| plan.figures.duration_s);
+    let refused = job::plan(&machine, through).map(|plan| plan.figures.duration_s);
     let refused = refused.expect_err("refused");
-    assert!(refused.starts_with("t:4:"), "{refused}");
+    assert!(refused.starts_with("test:4:"), "{refused}");
     assert!(
         refused.contains("cannot reach") && refused.contains("; "),
         "{refused}"

@@ -1,20 +1,18 @@
 //! The trunnion mill of `machines/trunnion5.toml`: the geometry of the simulator against the
 //! kinematics of the controller, misalignment, and a cut with the workpiece turned about both axes.
 
-use haptimill_client::client::Options;
-use haptimill_client::session::{self, Line as _, NoObserver, Session, SimLine};
+use haptimill_client::session::Line as _;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::machines::trunnion::{Trunnion, TrunnionConfig};
 use haptimill_hil_sim::machines::{Geometry, GeometryConfig};
 use haptimill_hil_sim::process::{Area, WorkpieceConfig};
 use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_math::Coordinate;
-use haptimill_planner::Plan;
+use haptimill_tests::job;
 use proptest::prelude::*;
 use std::path::Path;
-use std::sync::{Arc, LazyLock};
+use std::sync::LazyLock;
 
 static MACHINE: LazyLock<MachineFile> = LazyLock::new(|| {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../machines/trunnion5.toml");
@@ -146,16 +144,9 @@ fn a_leaning_table_shows_in_the_true_pose() {
 #[test]
 fn a_tilted_and_turned_workpiece_is_cut_where_the_program_says() {
     let machine = &*MACHINE;
-    let model = Model::new(machine);
-    let home = session::find_home_pose(machine, &model).expect("a home pose");
-    let start = model.to_engineering_units(&home);
     let text = "G21 G90 G17\nS9000 M3\nG0 A20 C30\nG0 X-12 Y5\nG1 Z2 F600\nG1 Z-1 F200\n\
                 G1 X12 F300\nG1 Z20 F600\nG0 A0 C0\nM5\nM30\n";
-    let options = program_options(machine, start);
-    let read = haptimill_gcode::read("test", text.as_bytes(), &options)
-        .unwrap_or_else(|refused| panic!("{refused}"));
-    let plan =
-        Plan::new(&read, &settings(machine), &model).unwrap_or_else(|refused| panic!("{refused}"));
+    let plan = job::plan(machine, text).unwrap_or_else(|refused| panic!("{refused}"));
 
     let area = |x: f64, y: f64| Area {
         x_min: -x,
@@ -173,22 +164,9 @@ fn a_tilted_and_turned_workpiece_is_cut_where_the_program_says() {
         bottom_mm: -20.0,
     });
     let radius = stock.cutter.radius_mm;
-    let rig = session::rig(machine, None, None, vec![]).expect("a simulated machine");
-    let mut session = Session::new(
-        SimLine::new(rig),
-        machine,
-        Options::default(),
-        Arc::default(),
-    );
-    session.connect(1).expect("a session");
-    session.configure(machine).expect("configured");
-    session.enable().expect("enabled");
-    session.go_home(machine, &home).expect("homed");
+    let mut session = job::homed(machine, vec![]);
     session.line_mut().clamp(&stock).expect("a stock");
-    let end = session
-        .run_job(2, home, plan.setpoints, &mut NoObserver)
-        .expect("a run");
-    session.check_completed(&end).expect("completed");
+    job::run(&mut session, 2, machine, &plan);
 
     let line = session.into_line();
     let process = line.rig().plant().process().expect("a process");

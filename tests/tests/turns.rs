@@ -3,21 +3,19 @@
 //! The controller holds angles of one turn. The unwound motion is the sum of their differences,
 //! each of less than half a turn.
 
-use haptimill_client::client::Options;
-use haptimill_client::session::{self, JobLine, JobRecording, NoObserver, Session, SimLine};
 use haptimill_firmware::motion::interpolator::Interpolator;
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_kinematics::{Joints, Kinematics, Pose};
 use haptimill_machine_file::MachineFile;
-use haptimill_machine_file::model::{Model, program_options, settings};
+use haptimill_machine_file::model::Model;
 use haptimill_math::Coordinate;
-use haptimill_planner::Plan;
 use haptimill_protocol::message::{Action, AxisValues, MAX_AXES};
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
-use haptimill_trace::{Header, Quantity, Recorder, Recording, flag, replay};
+use haptimill_tests::job;
+use haptimill_trace::{Quantity, Recording, flag, replay};
 use proptest::prelude::*;
 use std::path::Path;
-use std::sync::{Arc, LazyLock};
+use std::sync::LazyLock;
 
 static MACHINE: LazyLock<MachineFile> = LazyLock::new(|| {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../machines/trunnion5.toml");
@@ -61,15 +59,11 @@ impl Unwound {
 fn a_program_turns_the_table_many_times_forwards_and_back() {
     let machine = &*MACHINE;
     let model = Model::new(machine);
-    let home = session::find_home_pose(machine, &model).expect("a home pose");
+    let home = job::home(machine);
     let start = model.to_engineering_units(&home);
     // 5 turns up, 7.5 down while the tool moves, then absolute angles in both directions.
     let text = "G21 G91 F10200\nG1 C1800\nG0 C-2700 X3\nG90\nG1 C90\nG1 C-45\nG0 C45\nM30\n";
-    let options = program_options(machine, start);
-    let read = haptimill_gcode::read("test", text.as_bytes(), &options)
-        .unwrap_or_else(|refused| panic!("{refused}"));
-    let plan =
-        Plan::new(&read, &settings(machine), &model).unwrap_or_else(|refused| panic!("{refused}"));
+    let plan = job::plan(machine, text).unwrap_or_else(|refused| panic!("{refused}"));
     // The planned setpoints, unwound.
     let mut planned = Unwound {
         angle: home[C],
@@ -84,37 +78,14 @@ fn a_program_turns_the_table_many_times_forwards_and_back() {
     assert_eq!((high, low), (5 * TURN, -5 * TURN / 2));
     assert_eq!(planned.total, -15 * TURN / 8);
 
-    let rig = session::rig(machine, None, None, vec![]).expect("a simulated machine");
-    let mut session = Session::new(
-        SimLine::new(rig),
-        machine,
-        Options::default(),
-        Arc::default(),
-    );
-    session.connect(1).expect("a session");
-    session.configure(machine).expect("configured");
-    session.enable().expect("enabled");
-    session.go_home(machine, &home).expect("homed");
+    let mut session = job::homed(machine, vec![]);
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("recording.hmr");
-    let header = Header::of(machine, "test").expect("encoded");
-    let recorder = Recorder::create(&path, &header).expect("a recording");
-    session
-        .line_mut()
-        .begin_recording(JobRecording::new(recorder, plan.clone().into(), machine));
+    job::begin_recording(&mut session, &path, &plan, machine, |_| ());
     for round in 0..2 {
-        let end = session
-            .run_job(
-                2 + round,
-                home.clone(),
-                plan.setpoints.clone(),
-                &mut NoObserver,
-            )
-            .unwrap_or_else(|error| panic!("{error}"));
-        session.check_completed(&end).expect("completed");
+        let end = job::run(&mut session, 2 + round, machine, &plan);
         if round == 0 {
-            let recorder = session.line_mut().end_recording().expect("recorded");
-            recorder.finish().expect("written");
+            job::end_recording(&mut session);
         }
         assert!(end.status.homed && end.status.position_kept);
         // Telemetry counts the turns.

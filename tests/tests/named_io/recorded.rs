@@ -2,13 +2,9 @@
 //! and the replay.
 
 use super::*;
-use haptimill_client::client::Options;
-use haptimill_client::session::{self, JobLine, JobRecording, NoObserver, Session, SimLine};
 use haptimill_hil_sim::fault::Fault as Injected;
-use haptimill_machine_file::model::{Model, program_options, settings};
-use haptimill_planner::Plan;
-use haptimill_trace::{Column, Header, Period, Record, Recorder, Recording, columns, replay};
-use std::sync::Arc;
+use haptimill_tests::job;
+use haptimill_trace::{Column, Period, Record, Recording, columns, replay};
 
 /// Outputs at places of a line along x from the home pose; each move is 5 mm.
 const PROGRAM: &str = "G21 G91 G64 Q0 F600
@@ -44,39 +40,14 @@ const OUTPUTS: [(&str, f64, f64, f64); 5] = [
 /// Runs the program on the mill, with a level forced to an input, and records it.
 fn recorded(path: &std::path::Path) -> Recording {
     let machine = MachineFile::parse("mill3-servo.toml", MILL).expect("sound");
-    let model = Model::new(&machine);
-    let home = session::find_home_pose(&machine, &model).expect("a home pose");
-    let start = model.to_engineering_units(&home);
-    let options = program_options(&machine, start);
-    let read = haptimill_gcode::read("io.ngc", PROGRAM.as_bytes(), &options)
-        .unwrap_or_else(|refused| panic!("{refused}"));
-    let plan =
-        Plan::new(&read, &settings(&machine), &model).unwrap_or_else(|refused| panic!("{refused}"));
-    let setpoints = plan.setpoints.clone();
+    let plan = job::plan(&machine, PROGRAM).unwrap_or_else(|refused| panic!("{refused}"));
     // During the job.
     let fault = "input-level name=air-pressure level=low at=2.5s for=0.5s";
     let fault: Injected = fault.parse().expect("a fault");
-    let rig = session::rig(&machine, None, None, vec![fault]).expect("a simulated machine");
-    let mut session = Session::new(
-        SimLine::new(rig),
-        &machine,
-        Options::default(),
-        Arc::default(),
-    );
-    session.connect(1).expect("a session");
-    session.configure(&machine).expect("configured");
-    session.enable().expect("enabled");
-    session.go_home(&machine, &home).expect("at home");
-    let header = Header::of(&machine, "test").expect("encoded");
-    let recorder = Recorder::create(path, &header).expect("a recording");
-    let recording = JobRecording::new(recorder, plan.into(), &machine);
-    session.line_mut().begin_recording(recording);
-    let end = session
-        .run_job(2, home, setpoints, &mut NoObserver)
-        .expect("a job");
-    session.check_completed(&end).expect("completed");
-    let recorder = session.line_mut().end_recording().expect("recorded");
-    recorder.finish().expect("written");
+    let mut session = job::homed(&machine, vec![fault]);
+    job::begin_recording(&mut session, path, &plan, &machine, |_| ());
+    job::run(&mut session, 2, &machine, &plan);
+    job::end_recording(&mut session);
     Recording::open(path).expect("readable")
 }
 
