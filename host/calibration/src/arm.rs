@@ -33,7 +33,7 @@ use toml_edit::{DocumentMut, Item};
 pub const NAMES: [&str; 9] = ["r", "c", "w", "ge", "x_off", "l1", "l2", "l3", "l4"];
 
 /// What readings of the tip do not tell apart.
-const ONLY_SUMS: &str = "Readings of the tip do not tell w from x_off: they give only w + x_off, \
+const ONLY_SUMS: &str = "Readings of the tip do not distinguish w from x_off: they give only w + x_off, \
                          l2 + 2 w and l4 + 2 w.";
 
 /// Parameters that are lengths; the others are joint offsets.

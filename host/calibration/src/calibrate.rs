@@ -5,8 +5,8 @@
 //! drive of the machine serves all set-ups of the instruments; their noise is independent.
 //!
 //! The reflectors for positioning and straightness stand between the tool and the table: their
-//! readings are deviations of the tool relative to the work, on a compensated machine those that
-//! are left. Angles are those of the carriages, which no axis corrects.
+//! readings are deviations of the tool relative to the workpiece, on a compensated machine those
+//! that are left. Angles are those of the carriages, which no axis corrects.
 //!
 //! The tables do not contain what these readings do not contain:
 //! - An offset. A channel shows 0 at the first target; positioning and angles are then shifted to
@@ -14,9 +14,9 @@
 //! - The slope of a straightness: an optical straight edge is aligned with the axis, so the line of
 //!   least squares is removed. The angles between the axes come from a square.
 //!
-//! A table of errors therefore equals the truth up to a rigid motion of the whole work. Straight
-//! edge and square stand on the table, and their readings contain what the rotations of the table
-//! do on their arms; that part is taken off.
+//! A table of errors therefore equals the truth up to a rigid motion of the whole workpiece.
+//! Straight edge and square stand on the table, and their readings contain what the rotations of
+//! the table do on their arms; that part is taken off.
 
 use crate::drive::Machine;
 use crate::laser::{Channel, Environment, Laser, LaserOptions};

@@ -1,6 +1,6 @@
 //! A laser interferometer and the instruments beside it, on the simulated machine.
 //!
-//! Readings have the sign of the tool relative to the work. The values of [`LaserOptions`] are
+//! Readings have the sign of the tool relative to the workpiece. The values of [`LaserOptions`] are
 //! those of a common instrument (633 nm, class ML10), as two standard deviations. A scale error
 //! belongs to the set-up of a run, a constant one to a reading. The error of the expansion
 //! coefficient is a property of the machine: it is the same in all runs of a seed.

@@ -70,8 +70,8 @@ impl Volume {
         Self { points, errors }
     }
 
-    /// The errors less the best-fitting rigid translation and rotation of the whole work, which the
-    /// readings do not contain.
+    /// The errors less the best-fitting rigid translation and rotation of the whole workpiece,
+    /// which the readings do not contain.
     #[must_use]
     pub fn without_motion(&self) -> Self {
         let pairs = || self.points.iter().zip(&self.errors);

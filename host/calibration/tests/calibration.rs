@@ -26,7 +26,8 @@ fn plan(laser: LaserOptions) -> Plan {
 }
 
 /// Instruments without noise find the errors of the machine: the volumes differ by a motion of the
-/// whole work and by what the drives leave at standstill, at points whose coordinates are targets.
+/// whole workpiece and by what the drives leave at standstill, at points whose coordinates are
+/// targets.
 #[test]
 fn exact_instruments_find_the_errors() {
     let file = machine().unwrap();

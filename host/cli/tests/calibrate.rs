@@ -487,7 +487,7 @@ fn scenario_goes_from_error_file_to_compensated_part() {
     assert!(volume(exact, "largest_um") <= 0.1, "{exact}");
     let rest = volume(measured, "largest_without_motion_um");
     assert!(rest <= 0.35, "{rest}");
-    // An instrument sees no motion of the whole work, but it leaves less than there was.
+    // An instrument sees no motion of the whole workpiece, but it leaves less than there was.
     assert!(volume(measured, "largest_um") < 0.5 * largest, "{measured}");
     let rows = |state: &serde_json::Value| state["test_piece"].as_array().unwrap().clone();
     assert_eq!(rows(before).len(), 28);
@@ -677,7 +677,7 @@ fn a_calibrated_arm_stays_calibrated() {
     assert!(elsewhere(&out, "before") > 100.0, "{out}");
     assert!(elsewhere(&out, "after") < 5.0, "{out}");
     assert!(
-        out.contains("Readings of the tip do not tell w from x_off"),
+        out.contains("Readings of the tip do not distinguish w from x_off"),
         "{out}"
     );
     run(&["machine", "check", &first]).expect_code(0);

@@ -1,6 +1,6 @@
 //! The kinematic chain [w Y b X Z t]: the table moves along y, and the spindle along x, then z.
 //!
-//! Two models give the error of the tool relative to the work:
+//! Two models give the error of the tool relative to the workpiece:
 //! - [`Model::Physical`], the default. First order. The rotation of an axis acts on the arm from
 //!   the point where the axis was measured to the tool tip: z alone for the x axis, because z is
 //!   the only axis between its carriage and the tool; the whole work point for the table; the
@@ -64,7 +64,7 @@ impl Model {
         Self::Thesis(Vector::from(THESIS_TOOL))
     }
 
-    /// Error of the tool relative to the work at a work point, mm.
+    /// Error of the tool relative to the workpiece at a work point, mm.
     #[must_use]
     pub fn error(&self, errors: &ErrorSet, point: Vector) -> Vector {
         self.error_from(errors, point, [Approach::Any; 3])

@@ -7,8 +7,9 @@
 //! EC0Y,,,,25,urad
 //! ```
 //!
-//! A reading is the actual position less the target, in the sign of the tool relative to the work.
-//! The squareness errors are results, not readings. A problem names the line and the remedy.
+//! A reading is the actual position less the target, in the sign of the tool relative to the
+//! workpiece. The squareness errors are results, not readings. A problem names the line and the
+//! remedy.
 
 use crate::errors::{Function, Squareness};
 use crate::file::{FileProblem, Name, Row, problem, rows};

@@ -238,7 +238,7 @@ fn constant_set() -> ErrorSet {
 }
 
 /// The physical model against the chain itself: tool less work, in matrices, with the signs of the
-/// table turned because its errors are those of the tool relative to the work.
+/// table turned because its errors are those of the tool relative to the workpiece.
 #[test]
 fn physical_model() {
     let [y, x, z] = errors();

@@ -18,14 +18,14 @@ Receive a part program over a serial line (RS-232) and run it.
 A CAM computer sends the program on the line of --line, 8 data bits, no parity, 1 stop bit. FILE \
 keeps what was received. The program ends with the second %, with M2 or M30, or with Ctrl-D (EOT). \
 It is received whole and checked before anything moves, then it runs as `haptimill run FILE` does, \
-with the same options. These, the port and the folder of the results are checked before the line \
-is read. A line that falls silent for --silence seconds in the middle of the program \
-is an error that names the last block; nothing moves.
+with the same options. Options, port and results folder are checked before the line is read. A \
+pause of --silence seconds within the program is an error that names the last block; nothing \
+moves.
 
 With --stream the program runs as it comes, for programs of any length. The machine homes when the \
-first byte has come, and waits at standstill where the line is slower than the machine. Where the \
-line is cut, or a block cannot be done, the machine stops along its path, and the error names the \
-last block that came and the last one done.";
+first byte has arrived, and waits at standstill where the line is slower than the machine. Where \
+the line is cut, or a block cannot be executed, the machine stops along its path, and the error \
+names the last block received and the last one executed.";
 
 /// Arguments of `haptimill dnc`.
 #[derive(Debug, Clone, Args)]

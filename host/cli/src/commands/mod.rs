@@ -158,7 +158,13 @@ fn after_help() -> String {
 pub struct Cli {
     /// Token of a TCP port that requires one; the environment variable HAPTIMILL_TOKEN is safer,
     /// because other users of the computer cannot read it
-    #[arg(long, global = true, value_name = "TOKEN")]
+    #[arg(
+        long,
+        global = true,
+        value_name = "TOKEN",
+        help_heading = "Global options",
+        display_order = 1000
+    )]
     token: Option<Token>,
     #[command(subcommand)]
     command: Command,
@@ -184,7 +190,7 @@ enum Command {
     Enable(simple::SimpleArgs),
     /// Switch the drives off, from standstill
     Disable(simple::SimpleArgs),
-    /// Decelerate along the path and abort the job; the position stays valid
+    /// Decelerate along the path and drop the job; the position is kept
     Stop(simple::StopArgs),
     /// Move a joint off its limit switch, slowly and by a sixteenth of its stroke at most; a
     /// latched fault of a limit switch is reset first
@@ -196,10 +202,10 @@ enum Command {
     Hold(operate::OperateArgs),
     /// End the hold or the pause of a job that another process runs
     Resume(operate::OperateArgs),
-    /// Run the experiments of the thesis in the simulator and compare them with its figures
+    /// Run the experiments of the theses in the simulator and compare the results with theirs
     #[command(subcommand)]
     Scenario(scenario::ScenarioCommand),
-    /// Measure the geometric errors of the simulated machine
+    /// Measure geometric errors, correct programs by them, and calibrate an arm
     #[command(subcommand)]
     Calibrate(calibrate::CalibrateCommand),
     Identify(identify::IdentifyArgs),

@@ -23,9 +23,9 @@ pub struct OperateArgs {
 #[derive(Debug, Clone, Args)]
 #[command(
     about = "Change the overrides of a job that another process runs",
-    long_about = "Change the overrides of a job that another process runs: a `haptimill run` of \
-                  the same user on this computer, with a port. Without a change the command prints \
-                  the overrides."
+    long_about = "Change the overrides of a job that another process runs: a `run`, `console`, \
+                  `serve` or `bridge grbl` of the same user on this computer, with a port. Without a \
+                  change the command prints the overrides."
 )]
 pub struct OverrideArgs {
     /// Feed override, percent of the programmed feed; above 100 as far as the limits of the machine

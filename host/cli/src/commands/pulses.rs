@@ -37,7 +37,7 @@ pub struct PulsesArgs {
     #[arg(value_name = "VCD")]
     pub capture: PathBuf,
     /// The recording (recording.hmr) of the job on the same board, since its power-on
-    #[arg(long, value_name = "TRACE")]
+    #[arg(long, value_name = "RECORDING")]
     pub recording: Option<PathBuf>,
     /// Lines of a joint; may be repeated
     #[arg(long, value_name = "NAME=STEP,DIRECTION", value_parser = lines_of_joint)]

@@ -23,7 +23,7 @@ telemetry is recorded.";
 #[command(about = "Replay a recorded job through a new controller and compare bit by bit", long_about = LONG)]
 pub struct ReplayArgs {
     /// The recording (recording.hmr)
-    #[arg(value_name = "TRACE")]
+    #[arg(value_name = "RECORDING")]
     pub trace: PathBuf,
     /// Print the result as JSON on standard output, and nothing else there
     #[arg(long)]

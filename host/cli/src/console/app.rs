@@ -344,7 +344,7 @@ impl App {
             },
             Request::Resume if state == State::Hold => {
                 self.execute(Action::Resume);
-                Ok("the job goes on".into())
+                Ok("the job continues".into())
             }
             Request::Resume => Err("the job is not held, and does not pause".into()),
         }

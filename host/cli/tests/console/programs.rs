@@ -194,7 +194,7 @@ fn program_error_is_reported_with_its_line() {
     let terminal = homed(&[], Keyboard::Plain);
     terminal.press_expect(b"p", "Part program");
     terminal.press(bad.as_bytes());
-    terminal.press_expect(ENTER, "Program rejected");
+    terminal.press_expect(ENTER, "Program refused");
     terminal.expect_text("bad.ngc:3:");
     terminal.escape();
     // A refused file is not offered.

@@ -177,7 +177,7 @@ pub fn rows() -> (Vec<String>, Vec<String>) {
             let names = option.get_value_names().unwrap_or_default();
             let is_file = names
                 .iter()
-                .any(|it| matches!(it.as_str(), "FILE" | "TRACE"));
+                .any(|it| matches!(it.as_str(), "FILE" | "RECORDING"));
             let Some(long) = option.get_long().filter(|_| is_file) else {
                 continue;
             };

@@ -306,7 +306,7 @@ impl Bridge {
             }
             Request::Resume if is_held => {
                 self.real_time(RealTime::Resume);
-                Ok("the job goes on".into())
+                Ok("the job continues".into())
             }
             Request::Resume => Err("the job is not held, and does not pause".into()),
         }

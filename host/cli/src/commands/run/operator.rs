@@ -69,7 +69,7 @@ impl Operator {
             }
             Request::Resume if self.is_held => {
                 self.resumes = true;
-                Ok("the job goes on".into())
+                Ok("the job continues".into())
             }
             Request::Resume => Err("the job is not held, and does not pause".into()),
         }

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 #[command(about = "Write a recording as CSV; the column names have the units")]
 pub struct CsvArgs {
     /// The recording (recording.hmr)
-    #[arg(value_name = "TRACE")]
+    #[arg(value_name = "RECORDING")]
     pub trace: PathBuf,
     /// Columns, as time_s,x_*_mm,l?_drive_n; * is any text, ? one character [default: all]
     #[arg(long, value_name = "NAMES")]
@@ -32,7 +32,7 @@ pub struct CsvArgs {
 #[command(about = "Plot columns of a recording over time: on the terminal, or as SVG with --out")]
 pub struct PlotArgs {
     /// The recording (recording.hmr)
-    #[arg(value_name = "TRACE")]
+    #[arg(value_name = "RECORDING")]
     pub trace: PathBuf,
     /// Columns, as l?_joint_error_mm; * is any text, ? one character
     #[arg(value_name = "NAMES", required = true)]
@@ -50,7 +50,7 @@ pub struct PlotArgs {
 #[command(about = "Write a recording as MCAP, for Foxglove and PlotJuggler")]
 pub struct McapArgs {
     /// The recording (recording.hmr)
-    #[arg(value_name = "TRACE")]
+    #[arg(value_name = "RECORDING")]
     pub trace: PathBuf,
     /// Samples per second, rounded to whole control periods
     #[arg(long, value_name = "HZ", default_value_t = MCAP_RATE, value_parser = parse_rate)]

@@ -16,7 +16,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 )]
 pub struct InfoArgs {
     /// The recording (recording.hmr)
-    #[arg(value_name = "TRACE")]
+    #[arg(value_name = "RECORDING")]
     pub trace: PathBuf,
     /// Print only JSON on standard output
     #[arg(long)]

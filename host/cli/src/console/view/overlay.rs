@@ -66,7 +66,7 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
         Overlay::Problems { lines, from } => {
             let rows = lines.iter().flat_map(|line| wrapped(line, width, 2));
             (
-                "Program rejected: arrows scroll, Esc closes",
+                "Program refused: arrows scroll, Esc closes",
                 scrolled(rows, *from),
             )
         }
