@@ -56,7 +56,7 @@ pub use canonical::{Feed, Move, OutputValue, ProbeKind, Step, WaitFor};
 pub use dialog::Dialog;
 pub use interpreter::Interpreter;
 pub use path::{Arc, AxisKind, Coordinates, Measure, Path};
-pub use problem::{LISTED_PROBLEMS, Notice, Place, Problem, Refused, file_name};
+pub use problem::{LISTED_PROBLEMS, Notice, Place, Problem, Problems, Refused, file_name};
 pub use program::{Comment, Program, read};
 pub use source::{LONGEST_LINE, ProgramBytes};
 pub use tool_table::{Offsets, PerLetter, SYSTEM_NAMES, SYSTEMS, Tool, ToolTable, WorkOffset};

@@ -66,6 +66,52 @@ impl fmt::Display for Refused {
 
 impl std::error::Error for Refused {}
 
+/// Problems of a program, of which the first are listed.
+#[derive(Debug, Default)]
+pub struct Problems {
+    listed: Vec<Problem>,
+    more: usize,
+}
+
+impl Problems {
+    /// Notes the problem of a result, if there is one. One that a loop repeats is listed once.
+    pub fn note(&mut self, result: Result<(), Problem>) {
+        let Err(problem) = result else { return };
+        let is_known = |it: &Problem| it.place == problem.place && it.what == problem.what;
+        if self.listed.iter().any(is_known) {
+            return;
+        }
+        if self.listed.len() < LISTED_PROBLEMS {
+            self.listed.push(problem);
+        } else {
+            self.more += 1;
+        }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.listed.is_empty()
+    }
+
+    /// Ends the collection.
+    ///
+    /// # Errors
+    ///
+    /// The problems in the order of the file, if there is one.
+    pub fn take(mut self, file: &str, called: &[String]) -> Result<(), Refused> {
+        if self.listed.is_empty() {
+            return Ok(());
+        }
+        self.listed.sort_by_key(|problem| problem.place);
+        Err(Refused {
+            file: file.to_owned(),
+            called: called.to_vec(),
+            problems: self.listed,
+            more: self.more,
+        })
+    }
+}
+
 /// Returns the name of a place's file.
 pub fn file_name<'a>(main: &'a str, called: &'a [String], file: u16) -> &'a str {
     usize::from(file)

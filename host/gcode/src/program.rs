@@ -1,6 +1,6 @@
 //! Whole programs: all steps, or all problems.
 
-use super::problem::{LISTED_PROBLEMS, Notice, Place, Refused};
+use super::problem::{Notice, Place, Problems, Refused};
 use super::{Coordinates, Interpreter, Options, Step};
 use std::io::Cursor;
 
@@ -41,25 +41,16 @@ pub struct Program {
 pub fn read(file: &str, text: &[u8], options: &Options) -> Result<Program, Refused> {
     let mut interpreter = Interpreter::new(Cursor::new(text), options);
     interpreter.keep_comments();
-    let (mut steps, mut problems, mut more) = (Vec::new(), Vec::new(), 0);
+    let (mut steps, mut problems) = (Vec::new(), Problems::default());
     for next in interpreter.by_ref() {
         match next {
             Ok(step) if problems.is_empty() => steps.push(step),
             Ok(_) => {}
-            Err(problem) if problems.len() < LISTED_PROBLEMS => problems.push(problem),
-            Err(_) => more += 1,
+            Err(problem) => problems.note(Err(problem)),
         }
     }
     let called = interpreter.called().to_vec();
-    if !problems.is_empty() {
-        problems.sort_by_key(|problem| problem.place);
-        return Err(Refused {
-            file: file.to_owned(),
-            called,
-            problems,
-            more,
-        });
-    }
+    problems.take(file, &called)?;
     Ok(Program {
         file: file.to_owned(),
         called,

@@ -492,6 +492,8 @@ fn a_mistake_is_reported_once() {
         "F10 G81 X1 Y1 Z-1\nX2\nX3",
         "#<a>=[1/0]\nG0 X#<a>",
         "G0 X1 \u{0}\u{0}\u{1}",
+        "O1 repeat [10]\nG0 X#<a>\nO1 endrepeat",
+        "#1=0\nO1 while [#1 LT 5]\nG2 X5 I9 F100\n#1=[#1+1]\nO1 endwhile",
     ] {
         let refused = refusal(text);
         assert_eq!(refused.lines().count(), 1, "{text:?}\n{refused}");

@@ -31,6 +31,16 @@ use toml::{Table, Value};
 /// Keys of the axes, in the order of [`PerLetter`].
 const AXES: [&str; 9] = ["x", "y", "z", "a", "b", "c", "u", "v", "w"];
 
+/// First line of a file of offsets.
+const OFFSETS_HEAD: &str = "# Work offsets: origins in machine coordinates, mm, degrees. The last \
+                            line is \"# end\".\n";
+
+/// First line of a tool table.
+const TOOLS_HEAD: &str = "# Tool table: lengths and diameters, mm. The last line is \"# end\".\n";
+
+/// Last line of both: a file without it was cut.
+const END: &str = "# end";
+
 /// Largest magnitude of an offset, mm or degrees.
 const LARGEST: f64 = 1e6;
 
@@ -81,7 +91,7 @@ impl WorkData {
     pub fn load(machine: &Path) -> Result<WorkData, String> {
         let mut data = WorkData::default();
         let path = offsets_path(machine);
-        for (name, table) in &sections(&path)? {
+        for (name, table) in &sections(&path, OFFSETS_HEAD)? {
             let refuse = |what: String| damaged(&path, &what);
             if let Some(index) = system_index(name) {
                 let system = &mut data.offsets.systems[index];
@@ -101,7 +111,7 @@ impl WorkData {
             read_values(name, table, values, "").map_err(refuse)?;
         }
         let path = tools_path(machine);
-        for (name, table) in &sections(&path)? {
+        for (name, table) in &sections(&path, TOOLS_HEAD)? {
             let refuse = |what: String| damaged(&path, &what);
             let number = name
                 .strip_prefix('t')
@@ -153,8 +163,7 @@ impl WorkData {
     ///
     /// The file cannot be written; the old one is unchanged.
     pub fn save_offsets(&self, machine: &Path) -> Result<(), String> {
-        let mut text =
-            String::from("# Work offsets: origins in machine coordinates, mm, degrees.\n");
+        let mut text = String::from(OFFSETS_HEAD);
         for (name, system) in SYSTEM_NAMES.iter().zip(&self.offsets.systems) {
             let key = name.to_ascii_lowercase().replace('.', "_");
             write_section(
@@ -166,6 +175,7 @@ impl WorkData {
         }
         write_section(&mut text, "g28", &self.offsets.g28, ("", 0.0));
         write_section(&mut text, "g30", &self.offsets.g30, ("", 0.0));
+        let _ = writeln!(text, "\n{END}");
         replace(&offsets_path(machine), &text)
     }
 
@@ -175,11 +185,12 @@ impl WorkData {
     ///
     /// The file cannot be written; the old one is unchanged.
     pub fn save_tools(&self, machine: &Path) -> Result<(), String> {
-        let mut text = String::from("# Tool table: lengths and diameters, mm.\n");
+        let mut text = String::from(TOOLS_HEAD);
         for (number, tool) in &self.tools {
             let _ = writeln!(text, "\n[t{number}]");
             write_values(&mut text, &tool.offset, ("diameter", tool.diameter));
         }
+        let _ = writeln!(text, "\n{END}");
         replace(&tools_path(machine), &text)
     }
 }
@@ -210,7 +221,8 @@ fn damaged(path: &Path, what: &str) -> String {
     format!("{}: {what}; {remedy}", path.display())
 }
 
-fn sections(path: &Path) -> Result<Table, String> {
+/// Reads a file that begins with `head`, if the project wrote it.
+fn sections(path: &Path, head: &str) -> Result<Table, String> {
     if let Err(error) = path.metadata()
         && error.kind() == ErrorKind::NotFound
     {
@@ -218,6 +230,19 @@ fn sections(path: &Path) -> Result<Table, String> {
     }
     let bytes = input::read(path, SETTINGS_BYTES).map_err(|error| damaged(path, &error.what))?;
     let text = String::from_utf8(bytes).map_err(|_| damaged(path, "is not UTF-8"))?;
+    let is_ours = text.starts_with(head);
+    if is_ours && text.lines().next_back() != Some(END) {
+        return Err(damaged(
+            path,
+            "the last line \"# end\" is missing, so the file was cut",
+        ));
+    }
+    if !is_ours && head.starts_with(&text) && backup_path(path).exists() {
+        return Err(damaged(
+            path,
+            "is empty beside its backup, so the file was cut",
+        ));
+    }
     text.parse::<Table>()
         .map_err(|error| damaged(path, error.to_string().trim_end()))
 }
@@ -314,6 +339,33 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("haptimill-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a folder");
         folder.join("mill.toml")
+    }
+
+    /// A file that was cut anywhere is refused with the name of its backup, and is never taken for
+    /// offsets of zero.
+    #[test]
+    fn a_file_that_was_cut_is_refused() {
+        let machine = machine("cut");
+        let mut data = WorkData::default();
+        data.offsets.systems[0].origin = [12.5, -3.25, 100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        data.offsets.g28[2] = 80.0;
+        data.tools.insert(4, Tool::default());
+        for _ in 0..2 {
+            data.save_offsets(&machine).expect("written");
+            data.save_tools(&machine).expect("written");
+        }
+        for path in [offsets_path(&machine), tools_path(&machine)] {
+            let whole = std::fs::read_to_string(&path).expect("read");
+            let length = whole.trim_end().len();
+            for cut in 0..length {
+                std::fs::write(&path, &whole[..cut]).expect("written");
+                let refused = WorkData::load(&machine).expect_err("cut");
+                assert!(refused.contains(".toml.bak"), "{cut}: {refused}");
+            }
+            std::fs::write(&path, &whole[..length]).expect("written");
+            assert_eq!(WorkData::load(&machine).expect("whole"), data);
+        }
+        std::fs::remove_dir_all(machine.parent().expect("a folder")).expect("removed");
     }
 
     #[test]

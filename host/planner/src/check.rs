@@ -2,9 +2,8 @@
 
 use super::figures::Figures;
 use super::limits::{MachineModel, Settings};
-use super::plan::Problems;
 use super::planner::{Keep, Planner};
-use haptimill_gcode::{Coordinates, Interpreter, Refused, Step};
+use haptimill_gcode::{Coordinates, Interpreter, Problems, Refused, Step};
 use std::fmt;
 
 /// Reason why a program is refused.

@@ -6,7 +6,7 @@ use super::planner::{Keep, Planner};
 use super::setpoints::quantise_pose;
 use super::track::{SharedTrack, Track};
 use super::trajectory::{Cursor, Trajectory};
-use haptimill_gcode::{Coordinates, LISTED_PROBLEMS, Place, Problem, Program, Refused};
+use haptimill_gcode::{Coordinates, Place, Problems, Program, Refused};
 use haptimill_protocol::message::AxisValues;
 use haptimill_protocol::setpoint::Setpoint;
 
@@ -108,43 +108,6 @@ impl Plan {
     /// Returns the line of the program of the motion towards a setpoint.
     pub fn line_of(&self, setpoint: usize) -> u32 {
         self.place_of(setpoint).line
-    }
-}
-
-/// Problems of a program, of which the first are listed.
-#[derive(Debug, Default)]
-pub(crate) struct Problems {
-    listed: Vec<Problem>,
-    more: usize,
-}
-
-impl Problems {
-    pub(crate) fn note(&mut self, result: Result<(), Problem>) {
-        match result {
-            Ok(()) => {}
-            Err(problem) if self.listed.len() < LISTED_PROBLEMS => self.listed.push(problem),
-            Err(_) => self.more += 1,
-        }
-    }
-
-    pub(crate) fn is_empty(&self) -> bool {
-        self.listed.is_empty()
-    }
-
-    /// # Errors
-    ///
-    /// The problems, if there is one.
-    pub(crate) fn take(mut self, file: &str, called: &[String]) -> Result<(), Refused> {
-        if self.listed.is_empty() {
-            return Ok(());
-        }
-        self.listed.sort_by_key(|problem| problem.place);
-        Err(Refused {
-            file: file.to_owned(),
-            called: called.to_vec(),
-            problems: self.listed,
-            more: self.more,
-        })
     }
 }
 

@@ -57,17 +57,35 @@ impl Planned {
     }
 }
 
-/// A pause of a program (M0, M1).
+/// A pause of a program: M0, M1, or a tool change.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Pause {
     pub(crate) line: u32,
+    /// The called file of the line; `None` for the program itself.
+    file: Option<String>,
+    /// The tool to fit.
+    tool: Option<u32>,
     /// The comment in this line, for the operator.
     comment: Option<String>,
 }
 
 impl Pause {
-    pub(crate) const fn new(line: u32, comment: Option<String>) -> Self {
-        Self { line, comment }
+    /// The pause of a step, with the comment of its block; `None` for other steps.
+    pub(crate) fn of(step: &Step, called: &[String], comment: Option<String>) -> Option<Self> {
+        let (place, tool) = match step {
+            Step::Pause { place } => (place, None),
+            Step::ToolChange { place, tool, .. } => (place, Some(*tool)),
+            _ => return None,
+        };
+        let number = usize::from(place.file);
+        Some(Self {
+            line: place.line,
+            file: number
+                .checked_sub(1)
+                .and_then(|index| called.get(index).cloned()),
+            tool,
+            comment,
+        })
     }
 }
 
@@ -107,6 +125,14 @@ impl FromIterator<(u32, Pause)> for Pauses {
 impl fmt::Display for Pause {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "line {}", self.line)?;
+        if let Some(file) = &self.file {
+            write!(out, " of {file}")?;
+        }
+        match self.tool {
+            Some(0) => out.write_str(", take out the tool")?,
+            Some(tool) => write!(out, ", fit tool {tool}")?,
+            None => {}
+        }
         match &self.comment {
             Some(comment) => write!(out, " ({comment})"),
             None => Ok(()),
@@ -317,7 +343,7 @@ impl PartProgram {
         let plan = Plan::new(&program, &self.settings(machine), model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         Ok(Planned {
-            pauses: self.pauses_of(&plan, &program.steps),
+            pauses: self.pauses_of(&plan, &program.steps, &program.called),
             approach,
             notices: self.all_notices(&program.notices, &program.called, &plan.figures),
             plan,
@@ -325,24 +351,23 @@ impl PartProgram {
     }
 
     /// The pauses of planned steps, with their comments.
-    pub(crate) fn pauses_of(&self, plan: &Plan, steps: &[Step]) -> Pauses {
+    pub(crate) fn pauses_of(&self, plan: &Plan, steps: &[Step], called: &[String]) -> Pauses {
         // Each pause of the program has one setpoint, in the same order.
         let setpoints = (0..)
             .zip(&plan.setpoints)
             .filter(|(_, setpoint)| setpoint.action == Action::Pause);
-        let lines = steps.iter().filter_map(|step| match step {
-            Step::Pause { place } | Step::ToolChange { place, .. } => Some(place.line),
-            _ => None,
-        });
         let source = source_lines(&self.text);
-        let pause = |line: u32| Pause {
-            line,
-            comment: source
-                .get(line.saturating_sub(1) as usize)
-                .and_then(|block| comment_of(block)),
-        };
-        let pauses = setpoints.map(|(index, _)| index).zip(lines.map(pause));
-        pauses.collect()
+        let pauses = steps
+            .iter()
+            .filter(|step| matches!(step, Step::Pause { .. } | Step::ToolChange { .. }));
+        let pauses = pauses.filter_map(|step| {
+            let place = step.place();
+            // The text of a called file is not kept.
+            let block = source.get(place.line.saturating_sub(1) as usize);
+            let block = block.filter(|_| place.file == 0);
+            Pause::of(step, called, block.and_then(|block| comment_of(block)))
+        });
+        setpoints.map(|(index, _)| index).zip(pauses).collect()
     }
 
     /// Checks the program from a start pose, and keeps nothing of it.
@@ -473,14 +498,16 @@ impl PartProgram {
     /// Enter.
     pub(crate) fn check_pauses(&self, planned: &Planned) -> Result<(), CliError> {
         match planned.pauses.first() {
-            Some(Pause { line, .. }) if !std::io::stdin().is_terminal() => Err(CliError::new(
-                Exit::Usage,
-                format!(
-                    "{}:{line}: the program pauses here and standard input is no terminal to press Enter on; \
-                     run it in a terminal, or with --skip-pauses",
-                    self.file
-                ),
-            )),
+            Some(Pause { line, file, .. }) if !std::io::stdin().is_terminal() => {
+                let file = file.as_ref().unwrap_or(&self.file);
+                Err(CliError::new(
+                    Exit::Usage,
+                    format!(
+                        "{file}:{line}: the program pauses here and standard input is no terminal \
+                         to press Enter on; run it in a terminal, or with --skip-pauses"
+                    ),
+                ))
+            }
             _ => Ok(()),
         }
     }

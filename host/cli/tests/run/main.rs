@@ -415,6 +415,36 @@ fn optional_stop_pauses_with_its_option() {
     );
 }
 
+/// A tool change names the tool; a pause in a called file names that file, and not the comment that
+/// the program has in the same line.
+#[test]
+fn a_pause_names_its_tool_and_its_file() {
+    let folder = TestFolder::new();
+    folder.file("turn.ngc", "O<turn> sub\n\nM0\nO<turn> endsub\nM2\n");
+    let text = "G21 G90 F600\nT4 M6 (long drill)\nG0 X1 (wrong comment)\nO<turn> call\nM30\n";
+    let file = folder.file("part.ngc", text);
+    let port = ["--port", "tcp:localhost:1"];
+    let refused = haptimill(&[&["run", &file], &port[..]].concat()).expect_code(2);
+    assert!(
+        refused.err.contains("part.ngc:2: the program pauses"),
+        "{}",
+        refused.err
+    );
+    for more in [&[][..], &["--stream"]] {
+        let out = folder.path("out");
+        let run = ["run", &file, "--skip-pauses", "--out", &out];
+        let ran = haptimill(&[&run[..], more].concat()).expect_code(0);
+        let said = ran.out + &ran.err;
+        assert!(
+            said.contains("line 2, fit tool 4 (long drill): pause skipped"),
+            "{said}"
+        );
+        let in_file = said.lines().find(|line| line.starts_with("line 3 of "));
+        let in_file = in_file.unwrap_or_else(|| panic!("{said}"));
+        assert!(in_file.ends_with("turn.ngc: pause skipped"), "{said}");
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn ctrl_c_stops_along_the_path_and_keeps_the_trace() {

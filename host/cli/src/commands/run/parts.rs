@@ -256,7 +256,9 @@ impl Job<'_> {
         let plan = Plan::new(&program, &self.program.settings(self.machine), model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         let planned = Planned {
-            pauses: self.program.pauses_of(&plan, &program.steps),
+            pauses: self
+                .program
+                .pauses_of(&plan, &program.steps, &program.called),
             plan,
             approach: None,
             notices: Vec::new(),

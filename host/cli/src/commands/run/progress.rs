@@ -136,7 +136,7 @@ impl JobObserver for ProgressDisplay<'_> {
             return;
         };
         if self.skips_pauses {
-            self.bar.println(format!("{pause}: pause skipped"));
+            self.show(&format!("{pause}: pause skipped"));
             return;
         }
         let (line, why) = (pause.line, format!("{pause}: the program pauses"));
@@ -145,7 +145,7 @@ impl JobObserver for ProgressDisplay<'_> {
 
     fn held_by_input(&mut self, what: &str) {
         if self.skips_pauses {
-            self.bar.println(what);
+            self.show(what);
         } else {
             self.wait_for_enter(self.line, what);
         }
@@ -202,11 +202,16 @@ impl ProgressDisplay<'_> {
     /// Shows the messages of the program up to a setpoint.
     fn show_messages(&self, setpoint: u32) {
         while let Some(text) = self.next_message(setpoint) {
-            if self.bar.is_hidden() {
-                self.args.print_message(&text);
-            } else {
-                self.bar.println(text);
-            }
+            self.show(&text);
+        }
+    }
+
+    /// Shows a line above the bar, or as a message where there is none.
+    fn show(&self, text: &str) {
+        if self.bar.is_hidden() {
+            self.args.print_message(text);
+        } else {
+            self.bar.println(text);
         }
     }
 

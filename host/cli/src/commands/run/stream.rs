@@ -365,17 +365,18 @@ impl Planning {
         step: &Step,
         comment: Option<String>,
     ) -> Result<(), haptimill_gcode::Problem> {
-        if let Step::Pause { place } | Step::ToolChange { place, .. } = step {
+        let pause = Pause::of(step, &self.end.lock().called, comment);
+        if let Some(pause) = pause {
             if self.stream.refuses_pauses {
                 return Err(haptimill_gcode::Problem {
-                    place: *place,
+                    place: step.place(),
                     what: "the program pauses here and standard input is no terminal to press \
                            Enter on"
                         .into(),
                     remedy: "run it from a file in a terminal, or with --skip-pauses".into(),
                 });
             }
-            self.waiting.push_back(Pause::new(place.line, comment));
+            self.waiting.push_back(pause);
         }
         self.planner.step(step)
     }
