@@ -37,6 +37,8 @@ pub struct Interpreter<'a> {
     repeats: u32,
     pub(super) ended: Option<Place>,
     pub(super) finished: bool,
+    /// Line of the newest call that the program itself made.
+    pub(super) call_line: u32,
     pub(super) doubt: Doubt,
     pub(super) comments: Option<Vec<Comment>>,
 }
@@ -74,6 +76,7 @@ impl<'a> Interpreter<'a> {
             repeats: 0,
             ended: None,
             finished: false,
+            call_line: 0,
             doubt: Doubt::default(),
             comments: None,
         }
@@ -105,6 +108,19 @@ impl<'a> Interpreter<'a> {
     /// Returns the number of lines of the program that were read.
     pub fn lines(&self) -> u32 {
         self.sources[0].line
+    }
+
+    /// Returns the line of the program itself that made the step taken last: for a step of a
+    /// subroutine that of its outermost call.
+    pub fn main_line(&self, step: &Step) -> u32 {
+        let Place { file, line, .. } = step.place();
+        // A step of a subroutine may be taken after its end.
+        let is_own = file == 0 && (self.call_line..=self.sources[0].line).contains(&line);
+        if self.flow.frames.is_empty() && is_own {
+            line
+        } else {
+            self.call_line
+        }
     }
 
     /// Reports where a probe move ended: mm, degrees, in the machine's order, and whether the probe

@@ -24,6 +24,8 @@ pub struct Program {
     pub start: Coordinates,
     /// Steps, in order.
     pub steps: Vec<Step>,
+    /// Line of the program itself that made each step, see [`Interpreter::main_line`].
+    pub main_lines: Vec<u32>,
     /// Comments, in the order in which they were read.
     pub comments: Vec<Comment>,
     /// Words that change nothing on this machine.
@@ -41,10 +43,14 @@ pub struct Program {
 pub fn read(file: &str, text: &[u8], options: &Options) -> Result<Program, Refused> {
     let mut interpreter = Interpreter::new(Cursor::new(text), options);
     interpreter.keep_comments();
-    let (mut steps, mut problems) = (Vec::new(), Problems::default());
-    for next in interpreter.by_ref() {
+    let (mut steps, mut main_lines) = (Vec::new(), Vec::new());
+    let mut problems = Problems::default();
+    while let Some(next) = interpreter.next() {
         match next {
-            Ok(step) if problems.is_empty() => steps.push(step),
+            Ok(step) if problems.is_empty() => {
+                main_lines.push(interpreter.main_line(&step));
+                steps.push(step);
+            }
             Ok(_) => {}
             Err(problem) => problems.note(Err(problem)),
         }
@@ -56,6 +62,7 @@ pub fn read(file: &str, text: &[u8], options: &Options) -> Result<Program, Refus
         called,
         start: options.start,
         steps,
+        main_lines,
         comments: interpreter.take_comments(),
         notices: interpreter.notices().to_vec(),
         lines: interpreter.lines(),

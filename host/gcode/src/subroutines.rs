@@ -29,6 +29,9 @@ impl Interpreter<'_> {
             )));
         }
         self.flow.jump(at)?;
+        if self.flow.frames.is_empty() {
+            self.call_line = self.place(at).line;
+        }
         let body = self.find_subroutine(&label, at)?;
         let state = &mut self.executor.state;
         let saved = arguments.map(|arguments| {

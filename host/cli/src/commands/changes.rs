@@ -83,7 +83,7 @@ impl ChangeArgs {
     ) -> Result<Option<String>, CliError> {
         let frame = Frame::of(options);
         let approach = match self.from_line {
-            Some(line) => Some(frame.begin_at(program, line, run_up_s)?),
+            Some(line) => Some(frame.begin_at(program, line, run_up_s, self.dry)?),
             None => None,
         };
         if self.dry {
@@ -125,16 +125,18 @@ impl Frame {
         }))
     }
 
-    /// Replaces the steps before a line by an approach, and describes it.
+    /// Replaces the steps before a line by an approach, and describes it. A line with a call begins
+    /// at the first step of the subroutine. Spindle, coolant and outputs stay off in a dry run.
     fn begin_at(
         &self,
         program: &mut Program,
         line: u32,
         run_up_s: f64,
+        is_dry: bool,
     ) -> Result<String, CliError> {
-        let is_at = |step: &Step| step.place().file == 0 && step.place().line >= line;
-        let Some(first) = program.steps.iter().position(is_at) else {
-            let last = program.steps.last().map_or(0, |step| step.place().line);
+        let main_lines = std::mem::take(&mut program.main_lines);
+        let Some(first) = main_lines.iter().position(|at| *at >= line) else {
+            let last = main_lines.iter().max().copied().unwrap_or(0);
             let what = format!(
                 "{}: nothing is to be done from line {line} on; the last block that does \
                  something is in line {last}",
@@ -144,7 +146,10 @@ impl Frame {
         };
         let rest = program.steps.split_off(first);
         let before = std::mem::take(&mut program.steps);
-        let place = rest[0].place();
+        let place = Place {
+            line: main_lines[first],
+            ..Place::default()
+        };
         let (mut rpm, mut tool, mut at) = (0, None, program.start);
         let mut top = self.z.map_or(0.0, |z| program.start[z]);
         let (mut coolant, mut outputs) = (None, BTreeMap::new());
@@ -164,6 +169,9 @@ impl Frame {
                 }
                 _ => {}
             }
+        }
+        if is_dry {
+            (rpm, coolant, outputs) = (0, None, BTreeMap::new());
         }
         let feed = rest.iter().find_map(|step| match step {
             Step::Move(Move {
@@ -335,6 +343,57 @@ mod tests {
                 at = step.path.to;
             }
         }
+    }
+
+    /// A line that calls a subroutine begins with the motion of the subroutine: one that the
+    /// program defines before, one behind its end, and a call in a loop.
+    #[test]
+    fn a_start_at_a_call_keeps_the_motion_of_the_subroutine() {
+        let moves = "G1 X1 F100\nX2\n";
+        let before = format!("G21 G90\nO1 sub\n{moves}O1 endsub\nG1 Y1 F100\nO1 call\nY2\nM30\n");
+        let behind = format!("G21 G90\nG1 Y1 F100\n\n\n\n\nM98 P7\nY2\nM30\nO7\n{moves}M99\n");
+        let looped = format!(
+            "G21 G90\nO1 sub\n{moves}O1 endsub\nO2 repeat [2]\nO1 call\nO2 endrepeat\nM30\n"
+        );
+        for (text, count) in [(before, 3), (behind, 3), (looped, 4)] {
+            let options = Options::of_letters("XYZ", [0.0; 6]);
+            let read = haptimill_gcode::read("part", text.as_bytes(), &options);
+            let mut program = read.unwrap_or_else(|refused| panic!("{text}\n{refused}"));
+            let whole = ends(&program);
+            let line = program.main_lines[whole.len() - count];
+            let change = ChangeArgs {
+                from_line: Some(line),
+                ..ChangeArgs::default()
+            };
+            change.apply(&mut program, &options, 5.0).expect("changed");
+            let ends = ends(&program);
+            assert_eq!(
+                ends[ends.len() - count..],
+                whole[whole.len() - count..],
+                "{text}"
+            );
+            assert_eq!(
+                text.lines().nth(line as usize - 1).map(|it| &it[..2]),
+                Some(if text.contains("M98") { "M9" } else { "O1" }),
+                "{text}"
+            );
+        }
+    }
+
+    /// The approach of a dry run says and does nothing with spindle, coolant and outputs.
+    #[test]
+    fn a_dry_start_in_the_middle_leaves_the_spindle_off() {
+        let (mut program, options) = program();
+        let change = ChangeArgs {
+            from_line: Some(6),
+            dry: true,
+            ..ChangeArgs::default()
+        };
+        let text = change.apply(&mut program, &options, 5.0).expect("changed");
+        let text = text.expect("a description");
+        assert!(text.contains("spindle off"), "{text}");
+        let waits = |step: &Step| matches!(step, Step::Dwell { .. } | Step::Spindle { .. });
+        assert!(!program.steps.iter().any(waits), "{text}");
     }
 
     /// Coolant and outputs that the lines before switched are on before the way down.

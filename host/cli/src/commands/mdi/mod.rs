@@ -267,6 +267,7 @@ impl Mdi {
             called: Vec::new(),
             start,
             steps,
+            main_lines: Vec::new(),
             comments: Vec::new(),
             notices: Vec::new(),
             lines: self.dialog.line(),

@@ -249,6 +249,7 @@ impl Job<'_> {
             called: interpreter.called().to_vec(),
             start: from.unwrap_or_else(|| model.to_engineering_units(&status.commanded)),
             steps,
+            main_lines: Vec::new(),
             comments: Vec::new(),
             notices: Vec::new(),
             lines: interpreter.lines(),
