@@ -424,5 +424,10 @@ fn differs(ours: &Element, theirs: &Element) -> Option<String> {
             return Some("turns".into());
         }
     }
+    // `rs274` prints the feed with four decimals, in units of the program.
+    let off = (ours.feed - theirs.feed).abs();
+    if matches!(theirs.kind, 'F' | 'A') && off > 1e-3 + 1e-4 * theirs.feed {
+        return Some(format!("feed, {} and {}", ours.feed, theirs.feed));
+    }
     None
 }
