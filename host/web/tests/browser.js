@@ -85,6 +85,11 @@ async function run() {
     const { page, seen, wait } = first;
     await wait('the machine', state => state.ready && state.state === 'disabled');
     assert(await page.isDisabled('#run'), 'nobody commands at first');
+    // The machine has no machine file, and so no work offsets.
+    await page.waitForFunction(() => document.querySelector('#offsets .warning').textContent);
+    const isVisible = part => page.isVisible(`#offsets ${part}`);
+    assert(await isVisible('.warning'), 'the page says why there are no work offsets');
+    assert(!await isVisible('.row') && !await isVisible('table'), 'and has no list of them');
     // The picture is not mirrored: in the view from above x is to the right and y up, in the first
     // view the axes are right-handed.
     const axes = () => page.evaluate(() => {
