@@ -582,3 +582,63 @@ fn work_offsets_are_set_and_another_process_holds_the_job() {
     viewer.wait_for_state("running");
     viewer.wait("end", |viewer| has_message(viewer, "part.ngc: done"));
 }
+
+/// A program that is refused is not the selected one any more, and the page has its problems.
+#[test]
+fn a_refused_program_is_not_selected() {
+    let served = serve(&[]);
+    served.folder.file("good.ngc", "G21 G90 F300\nG1 X1\nM30\n");
+    served
+        .folder
+        .file("bad.ngc", "G21 F600\nG1 X10\nG1 X900\nM30\n");
+    let mut viewer = Viewer::open(&served.address);
+    viewer.home();
+    viewer.send(json!({"command": "select", "name": "good.ngc"}));
+    viewer.wait("path", |viewer| {
+        viewer.state["selected"] == "good.ngc" && viewer.state["planning"] == false
+    });
+    viewer.send(json!({"command": "select", "name": "bad.ngc"}));
+    viewer.wait("problems", |viewer| viewer.state["problems"].is_array());
+    let problems = viewer.state["problems"].to_string();
+    assert!(problems.contains("bad.ngc:3:"), "{problems}");
+    assert_eq!(viewer.state["selected"], Value::Null);
+    viewer.send(json!({"command": "answer", "yes": false}));
+    viewer.wait("no problems", |viewer| viewer.state["problems"].is_null());
+    viewer.command("run");
+    viewer.wait("refusal", |viewer| {
+        has_message(viewer, "run: select a part program first")
+    });
+    assert_eq!(viewer.state["state"], "idle");
+}
+
+/// The push moves the joint with the drives off, onto its switch at 158 mm.
+#[test]
+fn a_joint_is_moved_off_its_limit_switch_by_the_button() {
+    let mill = "machines/mill3-servo.toml";
+    let push = "push axis=x effort=45 at=1s for=5s";
+    let served = serve(&["--machine", mill, "--fault", push]);
+    let mut viewer = Viewer::open(&served.address);
+    viewer.take();
+    viewer.wait_for_state("disabled");
+    let pushed = Instant::now() + Duration::from_millis(6500);
+    while Instant::now() < pushed {
+        viewer.next();
+    }
+    viewer.command("enable");
+    viewer.wait("refusal", |viewer| {
+        has_message(viewer, "x is on its limit switch; move it off")
+    });
+    assert_eq!(viewer.state["state"], "disabled");
+    // The pose is not known so far out.
+    let x = |viewer: &Viewer| viewer.state["joints"][0]["actual"].as_f64().unwrap();
+    assert!(x(&viewer) > 157.0, "{}", x(&viewer));
+    viewer.command("move-off");
+    viewer.wait("question", |viewer| {
+        let question = viewer.state["question"].as_str().unwrap_or_default();
+        question.contains("Move x off its limit switch?")
+    });
+    viewer.answer();
+    viewer.wait("x off its switch", |viewer| {
+        viewer.state["state"] == "idle" && (140.0..155.0).contains(&x(viewer))
+    });
+}

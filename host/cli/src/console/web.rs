@@ -269,6 +269,14 @@ impl Web {
             Ok((name, Ok(scene))) => self.server.publish_scene(&name, &scene),
             Ok((name, Err(error))) => {
                 self.server.publish_scene(&name, "null");
+                // A file that is refused is not offered, as in the console.
+                self.selected = None;
+                if app.overlay == Overlay::None {
+                    app.overlay = Overlay::Problems {
+                        lines: error.message.lines().map(ToString::to_string).collect(),
+                        from: 0,
+                    };
+                }
                 app.notify(Severity::Warning, error.message);
             }
         }
