@@ -31,6 +31,7 @@ use haptimill_protocol::message::{
 };
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::time::{Duration, Instant};
 
 /// Sleep while no port is open.
@@ -124,6 +125,8 @@ pub(super) struct App {
     pub(super) state_period: u64,
     pub(super) log: Log,
     pub(super) overlay: Overlay,
+    /// First row of the last page of the overlay, which its drawing writes.
+    pub(super) last_scroll: Arc<AtomicUsize>,
     pub(super) sources: [Source; MAX_AXES],
     /// Feed, rapid and spindle override, percent.
     pub(super) overrides: [u8; 3],
@@ -204,6 +207,7 @@ impl App {
             state_period: 0,
             log: Log::default(),
             overlay: Overlay::None,
+            last_scroll: Arc::default(),
             sources: [Source::Program; MAX_AXES],
             overrides: [100; 3],
             requested_overrides: [100; 3],

@@ -2,7 +2,7 @@
 
 use super::app::{App, OnAck, OverrideKind};
 use super::jogging::{KeyPhase, Mode};
-use super::keys::{Action, BINDINGS, Key};
+use super::keys::{Action, Key};
 use super::recording::Recording;
 use super::view_model::{Confirm, LinkState, Overlay, Severity};
 use crate::commands::exit::{CliError, Exit};
@@ -12,6 +12,7 @@ use crate::commands::run::overrides;
 use haptimill_machine_file::work_data::offsets_path;
 use haptimill_protocol::message::{Command, Fault, Source, State};
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use std::sync::atomic::Ordering;
 
 /// Change of a force setpoint per key press, 2^-16 N: 0.5 N.
 const FORCE_STEP: i32 = 1 << 15;
@@ -107,6 +108,7 @@ impl App {
             // may be part of a split sequence.
             key = Key::from_event(&KeyEvent::from(KeyCode::Esc));
         }
+        let last_scroll = self.last_scroll.load(Ordering::Relaxed);
         match std::mem::replace(&mut self.overlay, Overlay::None) {
             Overlay::None => match key.action() {
                 Some(Action::Jog { axis, up }) => self.jog_key(usize::from(axis), up, phase),
@@ -114,11 +116,11 @@ impl App {
                 _ => {}
             },
             Overlay::Help { from } => {
-                self.overlay = scroll(key, from, BINDINGS.len())
+                self.overlay = scroll(key, from, last_scroll)
                     .map_or(Overlay::None, |from| Overlay::Help { from })
             }
             Overlay::Problems { lines, from } => {
-                if let Some(from) = scroll(key, from, lines.len()) {
+                if let Some(from) = scroll(key, from, last_scroll) {
                     self.overlay = Overlay::Problems { lines, from };
                 }
             }
@@ -513,13 +515,15 @@ fn move_selection(key: Key, selected: usize, last: usize) -> Option<usize> {
     }
 }
 
-/// First row of a list after a key; none when the key closes the list.
-fn scroll(key: Key, from: usize, rows: usize) -> Option<usize> {
+/// First row of a list after a key; none when the key closes the list. `last` is the first row of
+/// its last page.
+fn scroll(key: Key, from: usize, last: usize) -> Option<usize> {
+    let from = from.min(last);
     match key.code {
         KeyCode::Up => Some(from.saturating_sub(1)),
-        KeyCode::Down => Some((from + 1).min(rows.saturating_sub(1))),
+        KeyCode::Down => Some((from + 1).min(last)),
         KeyCode::PageUp => Some(from.saturating_sub(10)),
-        KeyCode::PageDown => Some((from + 10).min(rows.saturating_sub(1))),
+        KeyCode::PageDown => Some((from + 10).min(last)),
         _ => None,
     }
 }

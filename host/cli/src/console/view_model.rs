@@ -12,6 +12,7 @@ use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterTelemetry};
 use haptimill_protocol::message::{MAX_AXES, Source, Telemetry};
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
 
 /// Capacity of the message log.
@@ -238,6 +239,8 @@ pub(super) struct ViewModel {
     pub(super) prompt: (Severity, String),
     pub(super) log: Log,
     pub(super) overlay: Overlay,
+    /// First row of the last page of the overlay; its drawing writes it.
+    pub(super) last_scroll: Arc<AtomicUsize>,
     pub(super) sources: [Source; MAX_AXES],
     /// Feed, rapid and spindle override, percent.
     pub(super) overrides: [u8; 3],

@@ -84,6 +84,13 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
         settings(text).is_some_and(|x| x[..2] == [40.0, 3.2]) && !text.contains("40 %?")
     });
     terminal.press_expect(b"150\r", "150 % is out of its range");
+    // The newest message is in the overlay, and not once more among the messages.
+    for (columns, rows) in [(80, 24), (100, 40), (80, 24)] {
+        terminal.resize(columns, rows);
+        terminal.wait_until("the message once", |text| {
+            text.contains(TITLE) && text.matches("150 % is out of its range").count() == 1
+        });
+    }
     terminal.press_expect(b"1.2.3\r", "'1.2.3' is not a number");
     terminal.press_expect(b"55\r", "55 %");
     terminal.press_expect(b"+", "60 %");

@@ -242,3 +242,42 @@ fn axis_sources_and_force_control_are_set_from_the_screen() {
             .any(|row| row.contains("control x>") && !row.contains("x>5.0N"))
     });
 }
+
+/// The push moves the joint with the drives off, onto its switch at 158 mm.
+#[test]
+fn a_joint_is_moved_off_its_limit_switch_by_a_key() {
+    let mill = "machines/mill3-servo.toml";
+    let push = "push axis=x effort=45 at=1s for=5s";
+    let terminal = console(&["--machine", mill, "--fault", push], Keyboard::Plain);
+    terminal.expect_state("DISABLED");
+    terminal.press_expect(
+        b"b",
+        "move off: no joint is known to be on its limit switch",
+    );
+    std::thread::sleep(Duration::from_millis(6500));
+    terminal.press_expect(b"e", "x is on its limit switch");
+    terminal.expect_state("DISABLED");
+    // A row of x, with the mark of a machine that is not homed.
+    let has_x = |text: &str, range: std::ops::Range<f64>| {
+        let rows = text.lines().filter(|row| row.starts_with(" x "));
+        let mut words = rows.flat_map(str::split_whitespace);
+        words.any(|word| {
+            let value = word.trim_end_matches('?').parse();
+            value.is_ok_and(|value: f64| range.contains(&value))
+        })
+    };
+    assert!(
+        !has_x(&terminal.text(), 140.0..155.0),
+        "{}",
+        terminal.text()
+    );
+    let question = "Move x off its limit switch? It moves alone, slowly";
+    // Another key than Enter answers no.
+    terminal.press_expect(b"b", question);
+    terminal.press(b"n");
+    terminal.wait_until("closed", |text| !text.contains(question));
+    terminal.expect_state("DISABLED");
+    confirm(&terminal, b"b", question);
+    terminal.expect_state("IDLE");
+    terminal.wait_until("x off its switch", |text| has_x(text, 140.0..155.0));
+}

@@ -74,21 +74,38 @@ fn homing_enables_and_positions_before_it_are_marked() {
 }
 
 #[test]
-fn key_table_keeps_its_width_while_it_scrolls() {
+fn key_table_keeps_its_frame_while_it_scrolls() {
     let terminal = console(&[], Keyboard::Plain);
     terminal.press_expect(b"?", "Keys: arrows scroll");
+    // First and last row of the frame, and its width.
     let frame = |terminal: &Terminal| {
         let text = terminal.text();
-        let row = text.lines().find(|row| row.contains("Keys: arrows scroll"));
-        row.map(|row| row.chars().filter(|letter| *letter == '─').count())
+        let rows: Vec<&str> = text.lines().collect();
+        let top = rows.iter().position(|row| row.contains("Keys: arrows"));
+        let bottom = rows.iter().position(|row| row.contains('└'));
+        let width = top.map(|top| rows[top].chars().filter(|letter| *letter == '─').count());
+        (top, bottom, width)
     };
     let before = frame(&terminal);
+    assert!(before.1 > before.0, "{before:?}");
     terminal.press(PAGE_DOWN);
     terminal.wait_until("scrolled", |text| !text.contains("Space, F5"));
     assert_eq!(frame(&terminal), before);
-    // The table has less than four pages.
-    terminal.press(PAGE_DOWN);
-    terminal.press(PAGE_DOWN);
-    terminal.expect_text("Esc        close");
+    // The table has less than eight pages.
+    for _ in 0..8 {
+        terminal.press(PAGE_DOWN);
+    }
+    let last = "Esc        close";
+    terminal.expect_text(last);
+    assert_eq!(frame(&terminal), before);
+    // The last row is at the bottom of the frame, and the first key upwards moves it out of it.
+    let is_above_bottom = |text: &str| {
+        let rows: Vec<&str> = text.lines().collect();
+        let at = rows.iter().position(|row| row.contains(last));
+        at.is_some_and(|at| rows[at + 1].contains('└'))
+    };
+    terminal.wait_until("last row", is_above_bottom);
+    terminal.press(UP);
+    terminal.wait_until("scrolled up", |text| !text.contains(last));
     assert_eq!(frame(&terminal), before);
 }

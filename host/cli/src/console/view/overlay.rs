@@ -15,18 +15,28 @@ use ratatui::style::{Modifier, Style};
 use ratatui::text::Line;
 use ratatui::widgets::{Block, Clear, Paragraph};
 use std::borrow::Cow;
+use std::sync::atomic::Ordering;
 
 /// Notices in the question before a run: with more of them its last row would not fit on a small
 /// screen.
 const SHOWN_NOTICES: usize = 4;
 
-/// Title, rows, and the row that stays visible where not all rows fit.
-type Content<'a> = (&'a str, Vec<Line<'a>>, usize);
+/// Title, rows, and which of them are visible where not all fit.
+type Content<'a> = (&'a str, Vec<Line<'a>>, Visible);
+
+/// Which rows are visible.
+#[derive(Clone, Copy)]
+enum Visible {
+    /// A part with this row.
+    With(usize),
+    /// The part from this row on, without empty rows below the last one.
+    From(usize),
+}
 
 /// Draws the overlay, if there is one, in the middle of an area.
 pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     let width = usize::from(area.width.saturating_sub(4)).clamp(1, 90);
-    let Some((title, rows, focus)) = content(view, width) else {
+    let Some((title, rows, visible)) = content(view, width) else {
         return;
     };
     let height = (rows.len() as u16 + 2).min(area.height);
@@ -50,8 +60,13 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
     frame.render_widget(Clear, frame_area);
     let block = Block::bordered().title(title).style(style);
     let inside = usize::from(frame_area.height.saturating_sub(2)).max(1);
-    let hidden = (focus + 1).saturating_sub(inside) as u16;
-    let text = Paragraph::new(rows).block(block).scroll((hidden, 0));
+    let last = rows.len().saturating_sub(inside);
+    view.last_scroll.store(last, Ordering::Relaxed);
+    let hidden = match visible {
+        Visible::With(row) => (row + 1).saturating_sub(inside),
+        Visible::From(row) => row.min(last),
+    };
+    let text = Paragraph::new(rows).block(block).scroll((hidden as u16, 0));
     frame.render_widget(text, frame_area);
 }
 
@@ -59,16 +74,14 @@ pub(super) fn draw(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
 fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
     let (title, rows) = match &view.overlay {
         Overlay::None => return None,
-        Overlay::Help { from } => (
-            "Keys: arrows scroll, Esc closes",
-            key_rows(view, *from, width),
-        ),
+        Overlay::Help { from } => {
+            let title = "Keys: arrows scroll, Esc closes";
+            return Some((title, key_rows(view, width), Visible::From(*from)));
+        }
         Overlay::Problems { lines, from } => {
+            let title = "Program refused: arrows scroll, Esc closes";
             let rows = lines.iter().flat_map(|line| wrapped(line, width, 2));
-            (
-                "Program refused: arrows scroll, Esc closes",
-                scrolled(rows, *from),
-            )
+            return Some((title, rows.map(Line::from).collect(), Visible::From(*from)));
         }
         Overlay::Confirm(confirm) => {
             let question = wrapped(&question(confirm, &view.static_info.joints), width, 0);
@@ -107,23 +120,10 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
             let title = "Master: forces, force feedback, virtual fixture";
             let settings = view.master.as_ref()?;
             let (rows, focus) = master::overlay(view, settings, *position, typed, width);
-            return Some((title, rows, focus));
+            return Some((title, rows, Visible::With(focus)));
         }
     };
-    Some((title, rows, 0))
-}
-
-/// The rows from `from` on, as wide as the widest of all: the frame keeps its width.
-fn scrolled(rows: impl Iterator<Item = String>, from: usize) -> Vec<Line<'static>> {
-    let rows: Vec<String> = rows.collect();
-    let width = rows
-        .iter()
-        .map(|row| row.chars().count())
-        .max()
-        .unwrap_or(0);
-    let rows = rows.into_iter().skip(from);
-    rows.map(|row| Line::from(format!("{row:width$}")))
-        .collect()
+    Some((title, rows, Visible::With(0)))
 }
 
 /// A row in reverse video.
@@ -144,15 +144,16 @@ fn list(rows: Vec<String>, selected: usize, help: &'static str) -> Vec<Line<'sta
     rows.chain([Line::raw(help)]).collect()
 }
 
-/// The key table from a row on, with the axis names of the machine file.
-fn key_rows(view: &ViewModel, from: usize, width: usize) -> Vec<Line<'static>> {
+/// The key table with the axis names of the machine file.
+fn key_rows(view: &ViewModel, width: usize) -> Vec<Line<'static>> {
     let pose = view.static_info.pose.iter();
     let axes: Vec<&str> = pose.map(|axis| axis.name.as_str()).collect();
     let rows = BINDINGS.iter().filter_map(|row| {
         let mark = if row.always_active { " (always)" } else { "" };
         Some(format!("{:<11}{}{mark}", row.name, row.describe(&axes)?))
     });
-    scrolled(rows.flat_map(|row| wrapped(&row, width, 11)), from)
+    let rows = rows.flat_map(|row| wrapped(&row, width, 11));
+    rows.map(Line::from).collect()
 }
 
 fn question(confirm: &Confirm, joints: &[Axis]) -> String {

@@ -153,6 +153,7 @@ impl App {
             prompt: self.prompt(),
             log: self.log.clone(),
             overlay: self.overlay.clone(),
+            last_scroll: Arc::clone(&self.last_scroll),
             sources: self.sources,
             overrides: self.overrides,
             motion: self.motion,
