@@ -234,4 +234,22 @@ fn emergency_stop_during_homing_ends_with_the_fault_code() {
     );
     let page = folder.read("out/report.html");
     assert!(page.contains("<li>emergency-stop at=4s</li>"));
+    // The terminal and the page have the words, and not the name in the code.
+    for part in [
+        "<b>Emergency stop</b><span>final state",
+        "<td>Emergency stop, position kept</td>",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    let out = folder.path("told");
+    let program = folder.file("told.ngc", "G21 G90 G1 X5 F100\nM30\n");
+    let stop = ["--fault", "emergency-stop at=4s"];
+    let told = haptimill(&[&["run", &program, "--out", &out], &stop[..]].concat());
+    let told = told.expect_code(6);
+    assert!(
+        told.out.contains("\nEmergency stop, position kept\n"),
+        "{}",
+        told.out
+    );
+    assert!(!page.contains("EmergencyStop") && !told.out.contains("EmergencyStop"));
 }

@@ -223,6 +223,7 @@ fn run_job<C: Controlled>(
         line_bytes_per_setpoint: f64::from(end.sent.bytes) / f64::from(end.setpoints.max(1)),
         // The page of the experiment has the cut surface.
         cut: None,
+        spindle_rpm: None,
         recorded_part: None,
     };
     let summary = haptimill_report::write_all(dir, &recorded, &outcome, TRACE_EVERY, None)

@@ -87,7 +87,7 @@ fn page(
     paths(&mut page, summary, statistics, data);
     process(&mut page, recording, statistics, data);
     cut_surface(&mut page, summary, surface, data);
-    time_charts(&mut page, recording, statistics, data);
+    time_charts(&mut page, recording, summary, statistics, data);
     table(&mut page, summary);
     page.push_str(markup::END);
     page
@@ -216,10 +216,16 @@ fn tiles(page: &mut String, summary: &Summary) {
             summary.underruns.to_string(),
             summary.underruns == 0,
         ),
-        ("final state", summary.final_state.clone(), is_completed),
+        (
+            "final state",
+            summary.final_state_text.clone(),
+            is_completed,
+        ),
     ];
+    let force = summary.process.tile(summary.tool_is_true);
+    let force = force.map(|(name, value)| (name, value, true));
     page.push_str("<div class=\"tiles\">");
-    for (name, value, good) in tiles {
+    for (name, value, good) in tiles.into_iter().chain(force) {
         let class = if good { "tile" } else { "tile bad" };
         put(
             page,
@@ -243,6 +249,15 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, data: &C
     let extent = spans.iter().copied().fold(1e-3, f64::max);
     let magnified = round_down(0.06 * extent / summary.tool_error_max_mm.max(1e-6)).max(1.0);
     let names = data.tip.names;
+    let (reference, caption) = if summary.is_compliant() {
+        (
+            "compliant path",
+            "Compliant path (the programmed one, moved by the compliant displacement) and actual \
+             path, true to scale",
+        )
+    } else {
+        ("programmed", "Programmed and actual path, true to scale")
+    };
     let mut planes = vec![(0, 1)];
     if spans[2] > 0.01 {
         planes.push((0, 2));
@@ -261,7 +276,7 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, data: &C
             y_label: format!("{}, mm", names[v]),
             lines: vec![
                 Line {
-                    label: "programmed".into(),
+                    label: reference.into(),
                     colour: REFERENCE,
                     width: 4.0,
                     pieces: vec![commanded.clone()],
@@ -281,7 +296,7 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, data: &C
         };
         page.push_str("<div class=\"pair\">");
         let actual = chart("actual".into(), COLOURS[0], 1.0).svg();
-        card(page, "Programmed and actual path, true to scale", &actual);
+        card(page, caption, &actual);
         let label = format!("actual, error x {magnified}");
         let chart = chart(label, COLOURS[1], magnified).svg();
         let note = format!("Error at the same time, magnified {magnified} times");
@@ -303,6 +318,7 @@ fn round_down(value: f64) -> f64 {
 fn time_charts(
     page: &mut String,
     recording: &Recording,
+    summary: &Summary,
     statistics: &Statistics,
     data: &ChartData,
 ) {
@@ -343,14 +359,18 @@ fn time_charts(
         let name = "from the path (contour)";
         errors.push(line(name, COLOURS[0], 1.2, &data.contour_error));
     }
-    let caption = if statistics.tool_is_true {
-        "True position of the tool against the program"
+    let position = if statistics.tool_is_true {
+        "True position of the tool"
     } else {
-        "Position of the tool measured by the controller, against the program"
+        "Position of the tool measured by the controller,"
+    };
+    let against = match summary.is_compliant() {
+        true => "the compliant path",
+        false => "the program",
     };
     card(
         page,
-        caption,
+        &format!("{position} against {against}"),
         &over_time("tool error, \u{b5}m", errors, true),
     );
     for (name, axes, [_, unit]) in &groups {
@@ -446,7 +466,10 @@ fn table(page: &mut String, summary: &Summary) {
             format!("{:.3} mm", summary.path_length_mm),
         ),
         (
-            "Tool error at the same time, rms / largest",
+            match summary.is_compliant() {
+                true => "Tool error against the compliant path at the same time, rms / largest",
+                false => "Tool error at the same time, rms / largest",
+            },
             format!(
                 "{:.5} / {:.5} mm",
                 summary.tool_error_rms_mm, summary.tool_error_max_mm
@@ -472,10 +495,9 @@ fn table(page: &mut String, summary: &Summary) {
             "Volumetric compensation",
             summary.volumetric_compensation.clone().unwrap_or_default(),
         ),
-        (
-            "Force on the tool, rms / largest",
-            summary.process.force_text(),
-        ),
+    ];
+    let process = summary.process.rows(summary.tool_is_true);
+    let rest = [
         ("Setpoints", summary.setpoints.to_string()),
         ("Underruns", summary.underruns.to_string()),
         (
@@ -494,7 +516,7 @@ fn table(page: &mut String, summary: &Summary) {
             "Final state",
             format!(
                 "{}, position {}{}",
-                summary.final_state,
+                summary.final_state_text,
                 match summary.final_state.as_str() {
                     "Unknown" => "not known",
                     _ if summary.position_kept => "kept",
@@ -506,7 +528,8 @@ fn table(page: &mut String, summary: &Summary) {
         ("SHA-256 of the recording", summary.trace_sha256.clone()),
     ];
     page.push_str("<h2>Figures</h2><table>");
-    for (name, value) in rows.into_iter().filter(|(_, value)| !value.is_empty()) {
+    let rows = rows.into_iter().chain(process).chain(rest);
+    for (name, value) in rows.filter(|(_, value)| !value.is_empty()) {
         let value = escape(&value);
         let value = if name.starts_with("SHA") {
             format!("<code>{value}</code>")

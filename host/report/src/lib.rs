@@ -63,6 +63,9 @@ pub struct Outcome {
     pub line_bytes_per_setpoint: f64,
     /// What was cut from the stock of the simulated machine.
     pub cut: Option<Cut>,
+    /// Greatest spindle speed of the program, rev/min; the recording of a job through a port has
+    /// none.
+    pub spindle_rpm: Option<u16>,
     /// Which part of the control periods the recording has; none where it has all.
     pub recorded_part: Option<String>,
 }
@@ -100,9 +103,12 @@ pub struct Summary {
     pub following_error_max_deg: f64,
     /// Joint of the largest; empty without a rotary joint.
     pub following_error_max_deg_joint: String,
-    /// The position of the tool is that of the simulated tool; otherwise the controller measured
-    /// it.
+    /// The position of the tool, and the force on it, are those of the simulated tool; otherwise
+    /// the controller measured them, the force as its peak in the last revolution of the spindle.
     pub tool_is_true: bool,
+    /// What the tool and contour errors are against: `programmed path`, or `compliant path` where
+    /// an axis under force control yielded.
+    pub error_reference: &'static str,
     /// Setpoints of the job that were reached.
     pub setpoints: u64,
     /// Number of underruns.
@@ -115,6 +121,9 @@ pub struct Summary {
     pub completed: bool,
     /// State of the controller at the end; `Unknown` when the link was lost.
     pub final_state: String,
+    /// The same in words.
+    #[serde(skip)]
+    final_state_text: String,
     /// The position is known to be right since homing.
     pub position_kept: bool,
     /// Joints without an encoder: their steps are counted, and lost steps are not detected.
@@ -190,6 +199,10 @@ impl Summary {
             following_error_max_deg: statistics.following_rotary.error.max,
             following_error_max_deg_joint: name(&statistics.following_rotary),
             tool_is_true: statistics.tool_is_true,
+            error_reference: match statistics.displacement.max > 0.0 {
+                true => "compliant path",
+                false => "programmed path",
+            },
             setpoints: outcome.setpoints,
             underruns: outcome.underruns,
             faults: outcome.faults.clone(),
@@ -198,6 +211,9 @@ impl Summary {
             final_state: outcome
                 .final_state
                 .map_or("Unknown".to_string(), |state| format!("{state:?}")),
+            final_state_text: outcome
+                .final_state
+                .map_or("Unknown".to_string(), state_text),
             position_kept: outcome.position_kept,
             open_loop_joints: (header.joints.iter().zip(&recording.config().joints))
                 .filter(|(_, joint)| joint.is_open_loop())
@@ -245,11 +261,13 @@ impl Summary {
             0 => String::new(),
             line => format!(", line {line}"),
         };
-        let tool = if self.tool_is_true {
-            "tool error"
+        let measured = if self.tool_is_true { "" } else { " (measured)" };
+        let against = if self.is_compliant() {
+            " against the compliant path"
         } else {
-            "tool error (measured)"
+            ""
         };
+        let tool = format!("tool error{measured}{against}");
         let kept = match self.final_state.as_str() {
             "Unknown" => "the link to the controller was lost; `haptimill status` shows its state",
             _ if self.position_kept => "position kept",
@@ -279,7 +297,7 @@ impl Summary {
         if let Some(state) = &self.volumetric_compensation {
             text.push_str(&format!("volumetric compensation: {state}\n"));
         }
-        text.push_str(&self.process.terminal());
+        text.push_str(&self.process.terminal(self.tool_is_true));
         if let Some(part) = &self.recorded_part {
             let records = count(self.periods as usize, "record");
             text.push_str(&format!(
@@ -292,8 +310,17 @@ impl Summary {
         for fault in &self.faults {
             text.push_str(&format!("fault: {fault}\n"));
         }
-        text.push_str(&format!("{}, {kept}{}\n", self.final_state, self.counted()));
+        text.push_str(&format!(
+            "{}, {kept}{}\n",
+            self.final_state_text,
+            self.counted()
+        ));
         text
+    }
+
+    /// An axis under force control yielded: the errors are against the compliant path.
+    fn is_compliant(&self) -> bool {
+        self.process.displacement_max_mm.is_some()
     }
 
     /// The joints without an encoder if the position is kept: it is not measured there.
@@ -304,6 +331,16 @@ impl Summary {
         let joints = self.open_loop_joints.join(", ");
         format!(" ({joints}: counted steps, not measured)")
     }
+}
+
+/// A state as the first words of a line: `Emergency stop`.
+#[must_use]
+pub fn state_text(state: State) -> String {
+    let text = state.to_string();
+    let text = text.strip_prefix("in ").unwrap_or(&text);
+    let mut letters = text.chars();
+    let first = letters.next().map(|first| first.to_ascii_uppercase());
+    first.into_iter().chain(letters).collect()
 }
 
 /// A number of things: `1 block`, `2 blocks`.

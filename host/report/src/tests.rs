@@ -79,6 +79,7 @@ fn outcome() -> Outcome {
         bytes_per_setpoint: 20.5,
         line_bytes_per_setpoint: 31.0,
         cut: None,
+        spindle_rpm: None,
         recorded_part: None,
         position_kept: true,
     }

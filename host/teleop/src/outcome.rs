@@ -130,6 +130,9 @@ pub struct Outcome {
     pub master_round_trip_ms: f64,
     /// State of the machine's controller at the end.
     pub final_state: String,
+    /// The same in words.
+    #[serde(skip)]
+    pub final_state_text: String,
     /// The position is known to be right.
     pub position_kept: bool,
 }

@@ -18,6 +18,7 @@ fn a_cut_reports_force_volume_and_surface() {
         "e7-slot.ngc",
         &["--stock", "examples/block.toml"],
     );
+    assert_eq!(summary["error_reference"], "programmed path");
     let recording = Recording::open(folder.path("out/recording.hmr").as_ref()).unwrap();
     let records = recording.iter().unwrap().map(Result::unwrap);
     let job = records.filter(|record| record.has(flag::PROGRAMMED));
@@ -51,13 +52,26 @@ fn a_cut_reports_force_volume_and_surface() {
     );
     assert_eq!(summary["spindle_rpm"], 5000);
     let page = folder.read("out/report.html");
+    let row = |name: &str, value: String| format!("<tr><td>{name}</td><td>{value}</td></tr>");
+    let rms = number(&summary, "force_rms_n");
+    let cut_depth = number(&summary, "cut_depth_mm");
     for part in [
-        "Force on the simulated tool",
-        "Cut surface",
-        "data:image/png;base64",
+        "Force on the simulated tool".to_string(),
+        "Cut surface".to_string(),
+        "data:image/png;base64".to_string(),
+        format!("<b>{most:.2} N</b><span>force, largest</span>"),
+        row(
+            "Force on the tool, rms / largest",
+            format!("{rms:.3} / {most:.3} N"),
+        ),
+        row("Spindle speed, largest", "5000 rev/min".to_string()),
+        row("Volume removed", format!("{removed:.1} mm^3")),
+        row("Depth of the cut, largest", format!("{cut_depth:.3} mm")),
+        "programmed</text>".to_string(),
     ] {
-        assert!(page.contains(part), "{part}");
+        assert!(page.contains(&part), "{part}");
     }
+    assert!(!page.contains("compliant"), "nothing yielded");
 }
 
 /// The tool yields to the force by millimetres, as it should: that is no error of the tool.
@@ -76,8 +90,30 @@ fn a_tool_that_yields_has_no_error() {
     let displacement = number(&summary, "displacement_max_mm");
     assert!(displacement > 0.5, "{summary:#}");
     assert!(number(&summary, "tool_error_rms_mm") < 0.02, "{summary:#}");
+    assert_eq!(summary["error_reference"], "compliant path");
     let page = folder.read("out/report.html");
-    assert!(page.contains("Compliant displacement"));
+    for part in [
+        "Compliant displacement: ".to_string(),
+        format!("<td>Compliant displacement, largest</td><td>{displacement:.5} mm</td>"),
+        "<td>Tool error against the compliant path at the same time, rms / largest</td>"
+            .to_string(),
+        "compliant path</text>".to_string(),
+        "True position of the tool against the compliant path".to_string(),
+    ] {
+        assert!(page.contains(&part), "{part}");
+    }
+    let run = [
+        "run",
+        "examples/e5-incline-2.ngc",
+        "--out",
+        &folder.path("told"),
+    ];
+    let told = haptimill(&[&run[..], &given].concat()).expect_code(0).out;
+    assert!(
+        told.contains("\ntool error against the compliant path: 0.0"),
+        "{told}"
+    );
+    assert!(told.contains("\nspindle: "), "{told}");
 }
 
 /// Without a stock and a force nothing about them is said.

@@ -181,6 +181,10 @@ impl Job<'_> {
         let header = Header::of(self.machine, &self.program.name)
             .map_err(|error| CliError::new(Exit::Internal, error))?
             .with_program(&self.program.text);
+        let spindle_rpm = match &work {
+            Work::Planned(planned) => planned.plan.figures.spindle_rpm.map(|[_, most]| most),
+            Work::Stream(..) | Work::Parts(_) => None,
+        };
         let supply = match work {
             Work::Planned(planned) => Supply::of(*planned, self.args, self.machine),
             Work::Stream(bytes, is_live) => {
@@ -249,6 +253,7 @@ impl Job<'_> {
                 line_bytes_per_setpoint: f64::from(end.sent.bytes)
                     / f64::from(end.setpoints.max(1)),
                 cut,
+                spindle_rpm,
                 recorded_part,
             },
             // The session is lost, so only the last telemetry is known.

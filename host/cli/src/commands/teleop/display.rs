@@ -12,7 +12,7 @@ pub(super) fn describe(outcome: &Outcome) -> String {
         outcome.duration_s,
         outcome.samples_sent,
         outcome.holds.len(),
-        outcome.final_state
+        outcome.final_state_text
     );
     for hold in &outcome.holds {
         let resumed = hold.resumed_s.map_or("not resumed".to_string(), |at| {

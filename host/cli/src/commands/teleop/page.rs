@@ -167,7 +167,7 @@ fn lists(page: &mut String, outcome: &Outcome) {
     } else {
         "position lost"
     };
-    let mut end = vec![format!("{}, {kept}", outcome.final_state)];
+    let mut end = vec![format!("{}, {kept}", outcome.final_state_text)];
     end.extend(outcome.because.clone());
     let holds = outcome.holds.iter().map(|hold| {
         let resumed = hold.resumed_s.map_or("not resumed".to_string(), |at| {
