@@ -93,6 +93,18 @@ fn simple_commands_in_sequence() {
         (&"Disabled".into(), &false.into()),
         "{status:#}"
     );
+    // As docs/getting-started.md quotes it.
+    let page = std::fs::read_to_string(scene::root().join("docs/getting-started.md")).unwrap();
+    let shown = served.run_ok(&["status"]).out;
+    let rows = [
+        "h4: disabled, homed: no, position kept: no\n\
+         positions  not referenced; `haptimill home` finds the reference\n",
+        "\ncommanded  nothing: the drives are off\n",
+    ];
+    for row in rows {
+        assert!(shown.contains(row), "{shown}");
+        assert!(page.contains(row), "{row}");
+    }
     // The machine is not homed: an error message with its exit code.
     let refused = served.run(&["home", "--timeout", "0"]);
     assert_eq!(refused.code, 2);
@@ -232,7 +244,9 @@ fn second_host_is_refused_and_its_stop_is_obeyed() {
     let run = start_job(&served, &folder, &long_program(&folder));
     let second = served.run(&["status", "--json"]).expect_code(5);
     assert!(
-        second.err.contains("another host is connected") && !second.err.contains("fuser"),
+        second.err.contains("another host is connected")
+            && second.err.contains("haptimill watch")
+            && !second.err.contains("fuser"),
         "{}",
         second.err
     );
@@ -252,7 +266,11 @@ fn second_host_is_refused_and_its_stop_is_obeyed() {
         second.err
     );
     let stop = served.run_ok(&["stop"]);
-    assert!(stop.out.contains("stop sent"), "{}", stop.out);
+    assert!(
+        stop.out.contains("stop sent") && !stop.out.contains("another host"),
+        "{}",
+        stop.out
+    );
     let ran = run.end().expect_code(7);
     assert!(ran.err.contains("stopped from elsewhere"), "{}", ran.err);
     expect_stopped(&folder);

@@ -223,7 +223,7 @@ fn stop_out_of_band(args: &StopArgs, why: &CliError) -> Result<(), CliError> {
     } else {
         print_line!(
             "out-of-band stop sent past the host that has the port; the machine decelerates along \
-             its path ({why})"
+             its path"
         );
     }
     Ok(())
@@ -297,7 +297,9 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
             "period": status.period,
             "setpoint": status.setpoint,
             "path_rate": f64::from(status.path_rate) / f64::from(FULL_PATH_RATE),
-            "commanded": map(pose(&status.commanded)),
+            // With the drives off nothing is commanded, as the text says.
+            "commanded": (!status.state.has_drives_off()).then(|| map(pose(&status.commanded))),
+            "referenced": status.homed && status.position_kept,
             "measured": map(pose(&status.measured)),
             "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(&status)).collect()),
             "open_loop": open_loop,

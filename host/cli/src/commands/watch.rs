@@ -15,7 +15,8 @@ use std::time::Duration;
     long_about = "Observe a run that another process commands: `haptimill run part.ngc --port PORT \
                   --serve tcp:127.0.0.1:7100` serves any number of observers, and `haptimill watch \
                   --from tcp:127.0.0.1:7100` is one. An observer cannot command the machine. It \
-                  ends with the run, or with Ctrl-C."
+                  ends with the run, or with Ctrl-C. `?` marks the positions of a machine that is \
+                  not homed."
 )]
 pub struct WatchArgs {
     /// The address of --serve, as tcp:HOST:PORT
@@ -77,9 +78,20 @@ fn describe(line: &str, shown: &mut String) -> Option<String> {
     if let Some(event) = report["event"].as_str() {
         return Some(event.to_string());
     }
-    let position = report["commanded"].as_object()?.iter();
-    let position: String = position
-        .filter_map(|(name, value)| Some(format!("  {name} {:.3}", value.as_f64()?)))
+    // With the drives off nothing is commanded.
+    let commanded = report["commanded"].as_object();
+    let commanded = commanded.filter(|position| !position.is_empty());
+    let position = commanded.or(report["measured"].as_object())?;
+    let is_referenced = report["homed"] == true && report["position_kept"] == true;
+    let mark = if is_referenced { "" } else { "?" };
+    let axes = report["axes"].as_array()?.iter();
+    let axes = axes.zip(report["units"].as_array()?);
+    let position: String = axes
+        .filter_map(|(name, unit)| {
+            let (name, unit) = (name.as_str()?, unit.as_str()?);
+            let value = position.get(name)?.as_f64()?;
+            Some(format!("  {name} {value:.3}{mark} {unit}"))
+        })
         .collect();
     let line = match report["line"].as_u64() {
         Some(line) => format!(", line {line}"),

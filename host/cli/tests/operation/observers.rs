@@ -28,6 +28,7 @@ fn any_number_of_observers_see_a_run_and_command_nothing() {
     let address = address_of(&mut run);
     let watch = || start(&["watch", "--json", "--from", &address]);
     let (first, second) = (watch(), watch());
+    let reader = start(&["watch", "--from", &address]);
     // One that talks, one that never reads, one that leaves at once.
     let host = address.strip_prefix("tcp:").unwrap();
     let mut rude = TcpStream::connect(host).unwrap();
@@ -36,6 +37,24 @@ fn any_number_of_observers_see_a_run_and_command_nothing() {
     drop(TcpStream::connect(host).unwrap());
     run.end().expect_code(0);
     assert_eq!(folder.summary("out")["completed"], true);
+    // The axes in the order of the machine, with their units.
+    let seen = reader.end().expect_code(0).out;
+    let row = seen.lines().find(|row| row.starts_with("running, line 2"));
+    let words: Vec<&str> = row.expect(&seen).split_whitespace().skip(3).collect();
+    let at = |index: usize| {
+        words
+            .iter()
+            .skip(index)
+            .step_by(3)
+            .copied()
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(at(0), ["x", "y", "z", "theta", "alpha"], "{words:?}");
+    assert_eq!(at(2), ["mm", "mm", "mm", "deg", "deg"], "{words:?}");
+    assert!(
+        at(1).iter().all(|value| value.parse::<f64>().is_ok()),
+        "{words:?}"
+    );
     for observer in [first, second] {
         let seen = observer.end().expect_code(0);
         let reports: Vec<serde_json::Value> = seen
@@ -59,6 +78,43 @@ fn any_number_of_observers_see_a_run_and_command_nothing() {
     let _ = rude.read_to_end(&mut text);
     drop(silent);
     assert!(String::from_utf8_lossy(&text).contains("commanded"));
+}
+
+/// Before homing the positions are not those of the machine; with the drives off nothing is
+/// commanded.
+#[test]
+fn observers_see_which_positions_are_not_referenced() {
+    let served = SimServer::on_tcp(&[]);
+    let folder = TestFolder::new();
+    let status = served.status();
+    assert_eq!(
+        (&status["state"], &status["referenced"]),
+        (&"Disabled".into(), &false.into())
+    );
+    assert_eq!(status["commanded"], serde_json::Value::Null);
+    let part = folder.file("part.ngc", "G21 G90 F300\nG1 X1\nM30\n");
+    let out = folder.path("out");
+    let serve = ["--serve", "tcp:127.0.0.1:0", "--port", &served.port];
+    let mut run = start(&[&["run", &part, "--out", &out], &serve[..]].concat());
+    let address = address_of(&mut run);
+    let seen = start(&["watch", "--from", &address]).end().expect_code(0);
+    run.end().expect_code(0);
+    let (before, after) = seen.out.split_once("homing -> idle").expect(&seen.out);
+    let positions = |text: &str| -> Vec<String> {
+        let rows = text.lines().filter(|row| row.contains("  x "));
+        rows.map(ToString::to_string).collect()
+    };
+    let (before, after) = (positions(before), positions(after));
+    assert!(!before.is_empty() && !after.is_empty(), "{}", seen.out);
+    for row in before {
+        assert!(row.contains("? mm") && row.contains("? deg"), "{row}");
+    }
+    for row in after {
+        assert!(!row.contains('?'), "{row}");
+    }
+    let status = served.status();
+    assert_eq!(status["referenced"], true);
+    assert!(status["commanded"]["x"].is_number(), "{status:#}");
 }
 
 #[test]

@@ -287,12 +287,12 @@ impl fmt::Display for PortError {
             Self::Busy { name } if name.starts_with("tcp:") => write!(
                 out,
                 "{name}: another host is connected to it; end that one, then try again \
-                 (`haptimill stop` works meanwhile)"
+                 (`haptimill stop` works meanwhile, and `haptimill watch` observes a `run --serve`)"
             ),
             Self::Busy { name } => write!(
                 out,
                 "{name}: another program uses it; close that program (`fuser {name}` names it), then try again \
-                 (`haptimill stop` works meanwhile)"
+                 (`haptimill stop` works meanwhile, and `haptimill watch` observes a `run --serve`)"
             ),
             Self::Denied { name } => write!(
                 out,

@@ -217,8 +217,9 @@ impl PortLine {
     }
 
     /// Passes reports and events on to observers, one JSON object per line: the keys are `period`,
-    /// `state`, `homed`, `position_kept`, `line` of the program, `path_rate`, `commanded` and
-    /// `measured` (mm, degrees); or `period`, `level` and `event`.
+    /// `state`, `homed`, `position_kept`, `line` of the program, `path_rate`, `axes` and `units` in
+    /// the order of the machine, `commanded` (null while the drives are off) and `measured` by the
+    /// names of the axes; or `period`, `level` and `event`.
     pub fn observe(&mut self, observers: Observers, machine: &MachineFile) {
         let model = Model::new(machine);
         self.observed = Some(Observed { observers, model });
@@ -242,7 +243,9 @@ impl PortLine {
             "position_kept": telemetry.position_kept,
             "line": line,
             "path_rate": f64::from(telemetry.path_rate) / f64::from(FULL_PATH_RATE),
-            "commanded": pose(&telemetry.commanded),
+            "axes": model.pose_names(),
+            "units": model.pose_units(),
+            "commanded": (!telemetry.state.has_drives_off()).then(|| pose(&telemetry.commanded)),
             "measured": pose(&telemetry.measured),
         })
         .to_string()
