@@ -43,6 +43,23 @@ impl From<io::Error> for ReadError {
     }
 }
 
+/// The remedy for a file that cannot be read: a relative path into the folder `examples` or
+/// `machines` is that of a copy of the repository, which an installed command has not.
+#[must_use]
+pub fn remedy_of(path: &Path, error: &io::Error) -> &'static str {
+    let is_missing = error.kind() == io::ErrorKind::NotFound && path.is_relative();
+    let folder = path.parent().and_then(Path::file_name);
+    match folder.and_then(|folder| folder.to_str()) {
+        Some("examples") if is_missing => {
+            "check the path; `haptimill examples --out .` writes the examples"
+        }
+        Some("machines") if is_missing => {
+            "check the path; `haptimill machine init` writes a machine file"
+        }
+        _ => "check the path",
+    }
+}
+
 /// Reads a file to its end.
 ///
 /// # Errors
@@ -50,7 +67,10 @@ impl From<io::Error> for ReadError {
 /// Returns an error if the file cannot be opened or read, is larger than `most` bytes, or is a pipe
 /// that does not end.
 pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, ReadError> {
-    let kind = path.metadata()?;
+    let kind = path.metadata().map_err(|error| ReadError {
+        remedy: remedy_of(path, &error),
+        ..ReadError::from(error)
+    })?;
     if kind.is_file() && kind.len() > most {
         return Err(too_large(most));
     }

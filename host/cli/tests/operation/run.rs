@@ -115,6 +115,61 @@ fn a_served_machine_gets_a_stock_after_homing() {
     let mut served = SimServer::on_tcp(&["--stock", "examples/block.toml"]);
     served.run_ok(&["home"]);
     served.process.wait_for_error("the stock is clamped");
+    // The sensor measures the force of the cut, as its peak in each revolution of the spindle. The
+    // controller reports no speed: that is the one of the program.
+    let folder = TestFolder::new();
+    let slot = "G21 G90 G17\nM3 S5000\nG1 Z20.232 F120\nX-6 F240\nG0 Z23.232\nM5\nM30\n";
+    let slot = folder.file("slot.ngc", slot);
+    let ran = served.run_ok(&["run", &slot, "--out", &folder.path("out")]);
+    let summary = folder.summary("out");
+    assert!(number(&summary, "force_max_n") > 1.0, "{summary:#}");
+    assert_eq!(summary["tool_is_true"], false);
+    assert_eq!(summary["spindle_rpm"], 5000);
+    let told = "\npeak force per revolution (measured): ";
+    assert!(ran.out.contains(told), "{}", ran.out);
+    let page = folder.read("out/report.html");
+    for part in [
+        "Peak force per revolution (measured), rms / largest",
+        "<span>peak force, largest</span>",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+}
+
+/// An installed command has no copy of the repository beside it.
+#[test]
+fn a_missing_example_or_machine_file_is_told_how_to_write_it() {
+    let folder = TestFolder::new();
+    let examples = "check the path; `haptimill examples --out .` writes the examples";
+    let machines = "check the path; `haptimill machine init` writes a machine file";
+    let missing = "examples/nothere.ngc";
+    let run = |more: &[&str], code: i32| {
+        let out = folder.path("out");
+        let run = [&["run"], more, &["--out", &out]].concat();
+        haptimill(&run).expect_code(code).err
+    };
+    for more in [
+        &[missing][..],
+        &[missing, "--check"],
+        &[missing, "--stream"],
+    ] {
+        let told = run(more, 3);
+        assert!(
+            told.contains("nothere.ngc") && told.contains(examples),
+            "{told}"
+        );
+    }
+    let part = folder.file("part.ngc", "G21 G90 G1 X1 F100\nM30\n");
+    let told = run(&[&part, "--stock", "examples/nothere.toml"], 3);
+    assert!(told.contains(examples), "{told}");
+    let told = run(&[&part, "--machine", "machines/nothere.toml"], 3);
+    assert!(told.contains(machines), "{told}");
+    // Elsewhere the path is wrong.
+    let told = run(&[&folder.path("examples/nothere.ngc")], 3);
+    assert!(
+        told.contains("check the path") && !told.contains("writes"),
+        "{told}"
+    );
 }
 
 #[test]

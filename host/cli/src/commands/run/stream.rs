@@ -11,6 +11,7 @@ use crate::commands::{CliError, Exit};
 use haptimill_client::client::{SetpointSource, Setpoints};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_gcode::{Comment, Interpreter, Options, ProgramBytes, Refused, Step};
+use haptimill_machine_file::input;
 use haptimill_machine_file::model::Model;
 use haptimill_planner::{Planner, Settings, SharedTrack};
 use haptimill_protocol::message::Action;
@@ -48,8 +49,11 @@ pub(super) fn open(path: &Path) -> Result<(Bytes, bool), CliError> {
     if path == Path::new("-") {
         return Ok((spool(Box::new(io::stdin()))?, true));
     }
-    let unreadable =
-        |error: io::Error| CliError::new(Exit::BadInput, format!("{}: {error}", path.display()));
+    let unreadable = |error: io::Error| {
+        let remedy = input::remedy_of(path, &error);
+        let what = format!("{}: {error}; {remedy}", path.display());
+        CliError::new(Exit::BadInput, what)
+    };
     let file = File::open(path).map_err(unreadable)?;
     if file.metadata().map_err(unreadable)?.is_dir() {
         let what = format!("{}: it is a folder; name a part program", path.display());
