@@ -519,3 +519,45 @@ fn figures_of_a_partial_recording_are_those_of_the_whole_one() {
         assert!(refused.err.contains("write all, every=N"), "{refused:?}");
     }
 }
+
+/// The size of a long recording is printed before the run: that of the file within a fifth.
+#[test]
+fn a_long_recording_is_announced_with_its_size() {
+    let folder = TestFolder::new();
+    let program = folder.file("long.ngc", "G21 G90 G1 F1 X1.15\nM30\n");
+    let out = folder.path("out");
+    let run = |program: &str, more: &[&str]| {
+        haptimill(&[&["run", program, "--out", &out], more].concat()).expect_code(0)
+    };
+    let announced = |text: &str, unit: &str| -> f64 {
+        let told = text.lines().find(|line| line.starts_with("the recording"));
+        let mut words = told.expect(text).split(' ');
+        let index = words.clone().position(|word| word == unit).expect(unit);
+        words.nth(index - 1).unwrap().parse().unwrap()
+    };
+    let size = || {
+        let file = std::fs::metadata(folder.path("out/recording.hmr")).unwrap();
+        file.len() as f64 / 1e6
+    };
+    let told = announced(&run(&program, &[]).out, "MB");
+    assert!(
+        told > 100.0 && (told / size() - 1.0).abs() < 0.2,
+        "{told} of {} MB",
+        size()
+    );
+    // The length of a stream is not known. A short recording is not announced.
+    let short = folder.file(
+        "short.ngc",
+        "G21 G90 G1 F60 X5
+M30
+",
+    );
+    let growth = announced(&run(&short, &["--stream"]).out, "MB/s");
+    let per_s = size() / number(&folder.summary("out"), "duration_s");
+    assert!(
+        (growth / per_s - 1.0).abs() < 0.2,
+        "{growth} of {per_s} MB/s"
+    );
+    let silent = run(&short, &[]).out;
+    assert!(!silent.contains("the recording"), "{silent}");
+}

@@ -371,3 +371,23 @@ what = \"end\"
     let ran = haptimill(&[&["run", "examples/e7-slot.ngc", "--check"], &master[..]].concat());
     assert_eq!(ran.code, 3, "{}", ran.err);
 }
+
+/// The length of a session is not known: the growth of its recording is printed, as the file has
+/// it.
+#[test]
+fn the_growth_of_the_recording_is_announced() {
+    let folder = TestFolder::new();
+    let script = folder.file("script.toml", format!("end_s = 3.0\n{AWAY}"));
+    let (master, out) = (format!("script:{script}"), folder.path("out"));
+    let told = haptimill(&["teleop", "--master", &master, "--out", &out]).expect_code(0);
+    let growth = told
+        .out
+        .lines()
+        .find_map(|line| line.strip_prefix("the recording grows by about "));
+    let growth = growth.and_then(|rest| rest.strip_suffix(" MB/s"));
+    let growth: f64 = growth.expect(&told.out).parse().unwrap();
+    let size = std::fs::metadata(folder.path("out/recording.hmr")).unwrap();
+    let seconds = number(&folder.summary("out")["session"], "duration_s");
+    let mb_s = size.len() as f64 / 1e6 / seconds;
+    assert!((growth / mb_s - 1.0).abs() < 0.2, "{growth} of {mb_s} MB/s");
+}

@@ -277,6 +277,11 @@ impl RunArgs {
         }
     }
 
+    /// The recording has the last records only, so that it does not grow.
+    pub(super) const fn keeps_last(&self) -> bool {
+        matches!(self.record, RecordedPart::Last(_))
+    }
+
     /// The records that are kept.
     pub(super) fn keep(&self, machine: &MachineFile) -> Keep {
         match self.record {

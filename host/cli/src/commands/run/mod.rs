@@ -77,6 +77,11 @@ fn run_from(args: RunArgs, input: Option<Box<dyn Read + Send>>) -> Result<(), Cl
             Some(input) => (stream::spool(input)?, true),
             None => stream::open(&args.program)?,
         };
+        // The duration is not known.
+        let growth = describe_growth(args.recording_bytes(&machine, 3600.0));
+        if let Some(growth) = growth.filter(|_| !args.keeps_last()) {
+            args.print_message(&growth);
+        }
         Work::Stream(bytes, is_live)
     } else {
         // The steps are interpreted once. Only a program that asks the machine is interpreted
@@ -244,6 +249,14 @@ fn check_planned(
         args.print_message(&format!("{name}: no motion; the machine is homed only"));
     }
     Ok(Work::Planned(Box::new(planned)))
+}
+
+/// The growth of a recording, which has this size after an hour; none for one that stays small.
+pub(super) fn describe_growth(hour_bytes: f64) -> Option<String> {
+    (hour_bytes >= ANNOUNCED_BYTES).then(|| {
+        let mb_s = hour_bytes / 3600.0 / 1e6;
+        format!("the recording grows by about {mb_s:.1} MB/s")
+    })
 }
 
 /// Opens the port of the observers, and prints its address and a new token.

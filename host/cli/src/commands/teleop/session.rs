@@ -6,9 +6,9 @@ use super::display::{Display, describe};
 use super::master::MasterSpec;
 use super::page::page;
 use crate::commands::board::file_of;
-use crate::commands::run::bytes_per_s;
 use crate::commands::run::job::refuse_latched_fault;
 use crate::commands::run::results::{self, ResultFolder};
+use crate::commands::run::{bytes_per_s, describe_growth};
 use crate::commands::{CliError, Exit, interrupt};
 use haptimill_client::board::Chosen;
 use haptimill_client::client::Options;
@@ -70,6 +70,15 @@ impl TeleopSession<'_> {
             .ok_or_else(|| CliError::new(Exit::Internal, "the recording was lost"))?
             .finish()
             .map_err(|error| results::recording_error(self.dir, &error))
+    }
+
+    /// Prints by how much the recording grows, where the simulated machine records every period.
+    fn announce_growth(&self) {
+        let is_simulated = self.args.port.is_simulated();
+        let hour_bytes = bytes_per_s(self.machine) * 3600.0;
+        if let Some(growth) = describe_growth(hour_bytes).filter(|_| is_simulated) {
+            self.args.print_message(&growth);
+        }
     }
 
     /// Runs a session with a master that has no recording of its own.
@@ -159,6 +168,7 @@ impl TeleopSession<'_> {
             MasterSpec::Keyboard | MasterSpec::Script(_)
         );
         let lines = reads_commands.then(commands::listen);
+        self.announce_growth();
         self.args.print_message("teleoperation started");
         let teleop = Teleop::new(&mut session, source, self.options).with_command_input(lines);
         let outcome = teleop.run(&mut |row, event| {
