@@ -44,8 +44,8 @@ of its controller.
           after_long_help = run::faults_help(),
           after_help = "`haptimill teleop --help` has details and lists the faults.")]
 pub struct TeleopArgs {
-    /// Master device: sim, script:FILE, the port of a haptic arm, joystick[:PATH], mouse3d:PATH
-    /// or keyboard
+    /// Master device: sim, script:FILE, the port of a haptic arm, joystick or joystick:PATH,
+    /// mouse3d:PATH, keyboard
     #[arg(long, value_name = "MASTER")]
     pub master: MasterSpec,
     #[command(flatten)]
