@@ -31,6 +31,7 @@ use haptimill_machine_file::MachineFile;
 use haptimill_volumetric::errors::{
     Approach, Axis, ErrorSet, Function, Kind, Shape, Squareness, Table, even_nodes, interpolate,
 };
+use haptimill_volumetric::file::NOT_TO_COMPENSATE;
 use haptimill_volumetric::gdt::fit_line;
 use haptimill_volumetric::readings::{self, Readings};
 use std::fmt::Write as _;
@@ -510,9 +511,9 @@ impl Conditions {
     #[must_use]
     pub fn report(&self) -> String {
         let compensation = match self.compensated {
-            None => "not stated: the readings of a compensated machine are what it leaves",
-            Some(false) => "off",
-            Some(true) => REMAINS,
+            None => "not stated: the readings of a compensated machine are what it leaves".into(),
+            Some(false) => "off".into(),
+            Some(true) => format!("ON: {REMAINS}; {NOT_TO_COMPENSATE}"),
         };
         let stated = |value: Option<f64>, unit: &str| {
             value.map_or_else(
@@ -538,8 +539,8 @@ impl Conditions {
 }
 
 /// What the readings of a compensated machine are.
-const REMAINS: &str = "ON: positioning, straightness and squareness are what it leaves on the \
-                       measured lines; rotations remain; do not compensate with this file";
+const REMAINS: &str = "positioning, straightness and squareness are what it leaves on the measured \
+                       lines; rotations remain";
 
 /// Warning of a machine that has not the temperature at which lengths are stated; empty otherwise.
 fn warm(environment: &Environment) -> String {
@@ -638,7 +639,7 @@ impl Calibration {
         let compensation = match self.compensation {
             None => "the machine has none".to_string(),
             Some(0) => "off".to_string(),
-            Some(percent) => REMAINS.replacen("ON", &format!("ON ({percent} %)"), 1),
+            Some(percent) => format!("ON ({percent} %): {REMAINS}; {NOT_TO_COMPENSATE}"),
         };
         let wavelength = if self.options.corrects_wavelength {
             "corrected by sensors".to_string()

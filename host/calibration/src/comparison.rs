@@ -96,14 +96,16 @@ impl<'a> Row<'a> {
 
 impl SideTable {
     /// Reads a table: a header, then a line for each of `rows` positions with the position and the
-    /// readings of the runs; further columns are ignored. Coordinates are those of the part, mm:
+    /// readings of the runs; further columns are ignored. `along` is the letter of the coordinate
+    /// along the side; the header must not name the other one. Coordinates are those of the part,
+    /// mm:
     /// positions within its side, each once, and readings within [`MOST_OFF`] of its nominal place
     /// at -80.
     ///
     /// # Errors
     /// The first of: a first line without names, a value that is missing or no number, a coordinate
     /// off the side, a position that is there twice, too few or too many lines.
-    pub fn read(text: &str, runs: usize, rows: usize) -> Result<Self, TableProblem> {
+    pub fn read(text: &str, along: char, runs: usize, rows: usize) -> Result<Self, TableProblem> {
         let lines = text.lines().enumerate();
         let mut lines = lines
             .map(|(index, line)| (index + 1, line))
@@ -120,6 +122,19 @@ impl SideTable {
             if first.trim().parse::<f64>().is_ok() {
                 let what = "has numbers where the names of the columns belong; begin the table \
                             with a line as x_mm,y_run1_mm,y_run2_mm,y_run3_mm";
+                return Err(TableProblem::at(line, what));
+            }
+            let letter = first
+                .trim()
+                .chars()
+                .next()
+                .map(|it| it.to_ascii_lowercase());
+            if matches!(letter, Some('x' | 'y')) && letter != Some(along) {
+                let what = format!(
+                    "the first column is \"{}\" and the side is along {along}; exchange the files of \
+                     the two sides",
+                    first.trim()
+                );
                 return Err(TableProblem::at(line, what));
             }
         }
@@ -149,8 +164,9 @@ impl SideTable {
         let found = table.positions.len();
         if found != rows {
             let what = format!(
-                "the table has {found} of {rows} rows and ends here; probe the missing points \
-                 again, the comparison needs all of them"
+                "the table has {found} of {rows} rows and ends here{}; probe the missing points \
+                 again, the comparison needs all of them",
+                widest_gap(&table.positions)
             );
             return Err(TableProblem::at(last, what));
         }
@@ -198,6 +214,17 @@ impl SideTable {
     pub fn slope(&self) -> f64 {
         fit_line(&self.means()).map_or(0.0, |line| line.slope)
     }
+}
+
+/// Names the largest gap between positions, if there are two.
+fn widest_gap(positions: &[f64]) -> String {
+    let mut positions = positions.to_vec();
+    positions.sort_by(f64::total_cmp);
+    let pairs = positions.windows(2);
+    let widest = pairs.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
+    widest.map_or(String::new(), |gap| {
+        format!("; its largest gap is from {} to {} mm", gap[0], gap[1])
+    })
 }
 
 /// Squareness of a side along y to one along x, radians, in the sign of `EC0Y`. It does not depend

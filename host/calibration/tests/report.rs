@@ -51,10 +51,16 @@ fn outcome() -> Outcome {
 #[test]
 fn a_side_below_the_limit_of_the_measuring_machine_is_marked() {
     let sides = [
-        include_str!("../../volumetric/tests/data/table_4_1_cmm_x_side.csv"),
-        include_str!("../../volumetric/tests/data/table_4_2_cmm_y_side.csv"),
+        (
+            'x',
+            include_str!("../../volumetric/tests/data/table_4_1_cmm_x_side.csv"),
+        ),
+        (
+            'y',
+            include_str!("../../volumetric/tests/data/table_4_2_cmm_y_side.csv"),
+        ),
     ]
-    .map(|text| SideTable::read(text, 3, 15).unwrap());
+    .map(|(along, text)| SideTable::read(text, along, 3, 15).unwrap());
     let errors = include_str!("../../volumetric/data/vmc3_errors.csv");
     let errors = file::read(errors, &Limits::default()).unwrap();
     let mut outcome = outcome();

@@ -20,8 +20,10 @@ use haptimill_volumetric::part::probe_points;
 const X: &str = include_str!("../../volumetric/tests/data/table_4_1_cmm_x_side.csv");
 const Y: &str = include_str!("../../volumetric/tests/data/table_4_2_cmm_y_side.csv");
 
+/// A published table; its header names the coordinate along the side.
 fn table(text: &str) -> SideTable {
-    SideTable::read(text, 3, 15).unwrap()
+    let along = if text == Y { 'y' } else { 'x' };
+    SideTable::read(text, along, 3, 15).unwrap()
 }
 
 fn errors() -> ErrorSet {
@@ -376,7 +378,7 @@ fn squareness_of_two_sides() {
 #[test]
 fn tables_are_written() {
     let sides = table(X);
-    let again = SideTable::read(&sides.write("x", "y"), 3, 15).unwrap();
+    let again = SideTable::read(&sides.write("x", "y"), 'x', 3, 15).unwrap();
     assert_eq!(again, sides);
     assert!(
         sides
@@ -389,11 +391,21 @@ fn tables_are_written() {
 /// their line.
 #[test]
 fn wrong_tables() {
-    let refused = |text: &str| SideTable::read(text, 3, 15).unwrap_err().to_string();
+    let refused = |text: &str| SideTable::read(text, 'x', 3, 15).unwrap_err().to_string();
     let missing: Vec<&str> = X.lines().take(15).collect();
     let problem = refused(&missing.join("\n"));
-    let expected = "line 15: the table has 12 of 15 rows and ends here; probe the missing points";
+    let expected = "line 15: the table has 12 of 15 rows and ends here; its largest gap is from";
     assert!(problem.starts_with(expected), "{problem}");
+    // The point at 10 mm is missing.
+    let missing: Vec<&str> = X.lines().filter(|line| !line.starts_with("10,")).collect();
+    let problem = refused(&missing.join("\n"));
+    assert!(problem.contains("14 of 15 rows"), "{problem}");
+    assert!(problem.contains("gap is from 0 to 20 mm"), "{problem}");
+    let other = refused(Y);
+    assert!(
+        other.contains("the first column is \"y_mm\" and the side is along x"),
+        "{other}"
+    );
     assert!(refused("").starts_with("the table has 0 of 15 rows"));
     // Lines 1 and 2 are comments, 3 is the header.
     assert!(

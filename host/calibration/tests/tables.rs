@@ -106,6 +106,38 @@ fn unusable_tables_are_refused() {
     );
 }
 
+/// An error function that changes between the nodes of the controller's tables, here with the lead
+/// of a screw, is refused with its name: compensation would make it worse. One that the nodes
+/// resolve is accepted, and so is the noise of an instrument.
+#[test]
+fn errors_between_the_nodes_are_refused() {
+    let machine = machine().unwrap();
+    let travel = travel(&machine);
+    let wave = |length: f64, amplitude: f64| {
+        let mut errors = truth(&machine).unwrap().1.tabulated(&travel, [31; 3]);
+        let function = Function::all().next().unwrap();
+        let nodes: Vec<f64> = even_nodes(travel[0], 651);
+        let value = |at: &f64| amplitude * (std::f64::consts::TAU * at / length).sin();
+        let values = nodes.iter().map(value).collect();
+        errors.set(function, Shape::Table(Table::both(nodes, values)));
+        let text = file::write(&errors, "");
+        machine.with_errors("errors.csv", &text, "wYbXZt")
+    };
+    for (length, amplitude) in [(10.0, 1.5e-3), (20.0, 3e-3)] {
+        let refused = wave(length, amplitude).expect_err("refused").to_string();
+        assert!(
+            refused.contains("EXX changes between the nodes"),
+            "{refused}"
+        );
+        assert!(refused.contains("; smooth the function"), "{refused}");
+    }
+    for (length, amplitude) in [(200.0, 1.5e-3), (10.0, 5e-5)] {
+        if let Err(refused) = wave(length, amplitude) {
+            panic!("{length} {amplitude}: {refused}");
+        }
+    }
+}
+
 /// With the drives off there is no correction, after an emergency stop and after a fault of a
 /// drive; the end of the correction moves no joint.
 #[test]

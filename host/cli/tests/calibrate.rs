@@ -396,8 +396,8 @@ fn readings_beyond_the_limits_are_refused() {
             refused.err
         );
     }
-    let refused = run(&[&laser[..], &["--compensation", "off"]].concat()).expect_code(2);
-    assert!(refused.err.contains("--readings"), "{}", refused.err);
+    let refused = run(&[&laser[..], &["--compensation", "on"]].concat()).expect_code(2);
+    assert!(refused.err.contains("no error tables"), "{}", refused.err);
 }
 
 /// The errors that a controller compensates while it is measured are in full effect: the report
@@ -423,6 +423,24 @@ fn a_compensated_machine_is_measured() {
             assert!(value.abs() < 0.2, "{line}");
         }
     }
+    // They are no errors to compensate.
+    let again = ["--errors", &out, "--interval", "150"];
+    let refused = run(&[&laser[..], &again].concat()).expect_code(3);
+    assert!(
+        refused.err.contains("--compensation off"),
+        "{}",
+        refused.err
+    );
+    // Without compensation the same machine has its errors.
+    let off = [&laser[..], &options, &["--compensation", "off"]].concat();
+    let report = run(&off).expect_code(0).out;
+    assert!(report.contains("volumetric compensation off"), "{report}");
+    let largest = errors(&out).iter().skip(1).fold(0.0_f64, |largest, line| {
+        let words: Vec<&str> = line.split(',').collect();
+        let value: f64 = words[3].parse().unwrap();
+        largest.max(if words[4] == "um" { value.abs() } else { 0.0 })
+    });
+    assert!(largest > 1.0, "{largest}");
 }
 
 /// A machine without errors has nothing to measure, and a circle beyond its reach is refused.

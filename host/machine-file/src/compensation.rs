@@ -11,7 +11,7 @@ use haptimill_firmware::config::{BACKLASH_NODES, JointAxis, PoseAxis};
 use haptimill_machine_keys::controller::compensation as keys;
 use haptimill_math::Coordinate;
 use haptimill_volumetric::errors::{Approach, Axis, ErrorSet, Function, Shape, interpolate};
-use haptimill_volumetric::file::{self, Limits};
+use haptimill_volumetric::file::{self, Limits, NOT_TO_COMPENSATE};
 
 /// Largest number of nodes of an axis: all tables together have room for three such axes.
 pub const MOST_NODES: usize = ERROR_VALUES / ERRORS / ERROR_AXES;
@@ -22,6 +22,13 @@ pub const CHAIN: &str = "wYbXZt";
 
 /// Largest negative lost motion that counts as none, mm: the noise of an instrument.
 const NO_LOST_MOTION: f64 = 0.001;
+
+/// Difference between a function and its table in the controller that is never too large, mm, rad:
+/// the noise of an instrument.
+const SMALL_REST: [f64; 2] = [1e-4, 5e-7];
+
+/// Largest such difference, as a part of the largest value of the function.
+const LARGEST_REST: f64 = 0.5;
 
 /// Reads the section. `pose` has the soft limits. Where a positioning error depends on the
 /// direction, its joint in `joints` gets the difference as lost motion.
@@ -53,8 +60,24 @@ pub(super) fn read<'a>(
         travel: Some(travel),
         ..Limits::default()
     };
+    let is_remainder = |line: &str| line.starts_with('#') && line.contains(NOT_TO_COMPENSATE);
+    if text.lines().any(is_remainder) {
+        section.report(
+            "errors",
+            "they were measured while the controller compensated: they are what remained",
+            "measure again with --compensation off",
+        );
+        return None;
+    }
     match file::read(text, &limits) {
         Ok(errors) => {
+            if let Some(what) = too_fine(&errors, &travel) {
+                let remedy = format!(
+                    "smooth the function, or give at most {MOST_NODES} evenly spaced nodes over \
+                     the travel to all functions of the axis"
+                );
+                section.report("errors", what, remedy);
+            }
             add_lost_motion(section, &errors, joints);
             Some(config(&errors, &travel, arms, measured_at))
         }
@@ -206,6 +229,47 @@ fn nodes_of(errors: &ErrorSet, moving: Axis, (low, high): (f64, f64)) -> usize {
         even && same && (2..=MOST_NODES).contains(&nodes.len())
     });
     even.map_or(MOST_NODES, Vec::len)
+}
+
+/// Describes a function that changes between the nodes of the controller's tables, so that
+/// compensation would leave more than half of it, or make it worse.
+fn too_fine(errors: &ErrorSet, travel: &[(f64, f64); ERROR_AXES]) -> Option<String> {
+    Function::all().find_map(|function| {
+        let Shape::Table(table) = errors.function(function) else {
+            return None;
+        };
+        let (low, high) = travel[function.moving.index()];
+        let count = nodes_of(errors, function.moving, (low, high));
+        let pitch = (high - low) / (count - 1) as f64;
+        let places: Vec<f64> = (0..count).map(|node| low + pitch * node as f64).collect();
+        let at_places = places.iter().map(|at| table.value(*at, Approach::Any));
+        let values: Vec<f64> = at_places.collect();
+        let inside = table.nodes.iter().filter(|at| (low..=high).contains(at));
+        let (mut most, mut rest, mut place) = (0.0_f64, 0.0_f64, low);
+        for at in inside {
+            let value = table.value(*at, Approach::Any);
+            let off = (value - interpolate(&places, &values, *at)).abs();
+            most = most.max(value.abs());
+            if off > rest {
+                (rest, place) = (off, *at);
+            }
+        }
+        let small = SMALL_REST[usize::from(function.rotates)];
+        (rest > small.max(LARGEST_REST * most)).then(|| {
+            let (rest, most) = (1e3 * rest, 1e3 * most);
+            let (scale, unit) = if function.rotates {
+                (1e3, "urad")
+            } else {
+                (1.0, "um")
+            };
+            format!(
+                "{function} changes between the nodes of the controller, which are {pitch:.1} mm \
+                 apart: at {place:.1} mm its table is off by {:.2} of {:.2} {unit}",
+                scale * rest,
+                scale * most
+            )
+        })
+    })
 }
 
 fn config(

@@ -20,6 +20,9 @@ use std::fmt::Write as _;
 /// Header of a table.
 pub const TABLE_HEADER: &str = "function,position_mm,direction,value,unit";
 
+/// What the comment of a file says that was measured while the controller compensated.
+pub const NOT_TO_COMPENSATE: &str = "do not compensate with this file";
+
 /// Header of closed forms.
 pub const FORM_HEADER: &str = "function,unit,mean,slope_per_mm,amplitude,wavelength_mm,phase_rad,\
                                amplitude_2,wavelength_2_mm,phase_2_rad";

@@ -2,7 +2,7 @@
 //! readings of a real laser, and calibrates the H-4 arm.
 
 use super::args::MachineArg;
-use super::{CliError, interrupt, output};
+use super::{CliError, Exit, interrupt, output};
 use clap::{Args, Subcommand};
 use haptimill_calibration::ball_bar::{self, CircleTest};
 use haptimill_calibration::calibrate::{Conditions, Plan, calibrate, of_readings, write_readings};
@@ -88,8 +88,9 @@ pub struct LaserArgs {
     /// Readings of a laser (CSV) to evaluate, instead of a measurement of the simulated machine
     #[arg(long, value_name = "FILE", conflicts_with_all = OF_A_MEASUREMENT)]
     pub readings: Option<PathBuf>,
-    /// State of the volumetric compensation during the readings of --readings
-    #[arg(long, value_name = "STATE", value_parser = ["on", "off"], requires = "readings")]
+    /// State of the volumetric compensation during the readings [default: on where the machine has
+    /// error tables, and not stated with --readings]
+    #[arg(long, value_name = "STATE", value_parser = ["on", "off"])]
     pub compensation: Option<String>,
     /// File for all readings (CSV)
     #[arg(long, value_name = "FILE")]
@@ -130,6 +131,9 @@ pub struct BallBarArgs {
     /// Errors that the controller compensates during the test
     #[arg(long, value_name = "FILE")]
     pub errors: Option<PathBuf>,
+    /// State of the volumetric compensation [default: on where the machine has error tables]
+    #[arg(long, value_name = "STATE", value_parser = ["on", "off"])]
+    pub compensation: Option<String>,
     /// Radius of the circle, mm
     #[arg(long, value_name = "MM", default_value_t = 100.0, value_parser = radius)]
     pub radius: f64,
@@ -327,10 +331,7 @@ fn measure(args: &LaserArgs) -> Result<(), CliError> {
         ..Plan::default()
     };
     let mut machine = Machine::new(&machine_file, SLOW, &interrupt::flag())?;
-    if machine_file.config.volumetric.is_some() {
-        // Readings during its fade would be of no state.
-        machine.compensate(true)?;
-    }
+    compensate(&mut machine, &machine_file, args.compensation.as_deref())?;
     let calibration = calibrate(&mut machine, &machine_file, &plan, |line| {
         print_line!("{line}");
     })?;
@@ -341,6 +342,24 @@ fn measure(args: &LaserArgs) -> Result<(), CliError> {
     if let Some(path) = &args.save_readings {
         output::save(path, write_readings(&calibration))?;
         print_line!("readings    {}", path.display());
+    }
+    Ok(())
+}
+
+/// Switches compensation to a state, on by default, and waits for the end of its fade: readings
+/// during the fade would be of no state. A machine without error tables has only the state off.
+fn compensate(
+    machine: &mut Machine,
+    machine_file: &MachineFile,
+    state: Option<&str>,
+) -> Result<(), CliError> {
+    let has_tables = machine_file.config.volumetric.is_some();
+    if !has_tables && state == Some("on") {
+        let what = "--compensation on: the machine has no error tables; give them with --errors";
+        return Err(CliError::new(Exit::Usage, what));
+    }
+    if has_tables {
+        machine.compensate(state != Some("off"))?;
     }
     Ok(())
 }
@@ -397,9 +416,7 @@ fn circle(args: &BallBarArgs) -> Result<(), CliError> {
     let degree_s = args.radius * 1_f64.to_radians() / args.feed;
     let every = (degree_s * 1e6 / f64::from(machine_file.config.period_us) / 8.0) as u64;
     let mut machine = Machine::new(&machine_file, every.clamp(1, SLOW), &interrupt::flag())?;
-    if machine_file.config.volumetric.is_some() {
-        machine.compensate(true)?;
-    }
+    compensate(&mut machine, &machine_file, args.compensation.as_deref())?;
     let compensation = machine.status()?.compensation;
     let result = ball_bar::run(&mut machine, &test)?;
     let um = |value: f64| value * 1e3;

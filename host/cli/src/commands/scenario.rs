@@ -219,7 +219,7 @@ fn run_volumetric(args: &RunArgs) -> Result<(), CliError> {
         None => machine,
     };
     let sides = match (&args.cmm_x, &args.cmm_y) {
-        (Some(x), Some(y)) => Some([side(x)?, side(y)?]),
+        (Some(x), Some(y)) => Some([side(x, 'x')?, side(y, 'y')?]),
         _ => None,
     };
     let extent = if args.coarse {
@@ -255,11 +255,14 @@ fn run_volumetric(args: &RunArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// A side of the square, as a measuring machine wrote it.
-fn side(path: &Path) -> Result<haptimill_calibration::comparison::SideTable, CliError> {
+/// The side of the square along an axis, as a measuring machine wrote it.
+fn side(
+    path: &Path,
+    along: char,
+) -> Result<haptimill_calibration::comparison::SideTable, CliError> {
     use haptimill_calibration::comparison::{POINTS, RUNS, SideTable};
     let text = haptimill_machine_file::read_text(path)?;
-    let read = SideTable::read(&text, RUNS, POINTS);
+    let read = SideTable::read(&text, along, RUNS, POINTS);
     Ok(read.map_err(|problem| Error::in_file(path.display(), problem))?)
 }
 
