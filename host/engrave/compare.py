@@ -75,6 +75,18 @@ def lettering(count, seed):
     return lines
 
 
+def clusters(count, seed):
+    """Short lines about 10 to 30 centres, as words and parts on a plate."""
+    rnd = random.Random(seed)
+    centres = [(rnd.uniform(50, 950), rnd.uniform(50, 950)) for _ in range(rnd.choice((10, 20, 30)))]
+    lines = []
+    for _ in range(count):
+        x, y = (min(990, max(10, rnd.gauss(at, 15))) for at in rnd.choice(centres))
+        a, r = rnd.uniform(0, math.tau), rnd.uniform(0.5, 6)
+        lines.append([(x, y), (x + r * math.cos(a), y + r * math.sin(a))])
+    return lines
+
+
 def rows(count, _seed):
     """Rows of a hatch, all in one direction."""
     return [[(10, 10 + k * 980 / count), (900, 10 + k * 980 / count)] for k in range(count)]
@@ -207,7 +219,9 @@ def main():
             print("\n| drawing | paths | LKH, mm (closed tour) | haptimill, mm (closed tour) | longer |")
             print("| --- | ---: | ---: | ---: | ---: |")
             for name, lines in (("random", random_lines(300, 1)), ("random", random_lines(1000, 1000)),
-                                ("lettering", lettering(1000, 1000))):
+                                ("lettering", lettering(1000, 1000)),
+                                ("clusters", clusters(300, 1)), ("clusters", clusters(400, 2)),
+                                ("clusters", clusters(800, 3)), ("clusters", clusters(1000, 4))):
                 cut(folder, lines)
                 best = lkh(lines)
                 closed = closed_air(os.path.join(folder, "d.ngc"))

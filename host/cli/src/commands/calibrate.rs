@@ -220,7 +220,7 @@ fn feed(text: &str) -> Result<f64, String> {
 /// Runs a calibration.
 ///
 /// # Errors
-/// See [`Exit`](super::Exit).
+/// See [`Exit`].
 pub fn run(command: CalibrateCommand) -> Result<(), CliError> {
     match command {
         CalibrateCommand::Laser(args) => match &args.readings {

@@ -64,19 +64,49 @@ pub fn gap(a: Point, b: Point) -> f64 {
     (x * x + y * y).sqrt()
 }
 
-/// Nearest ends of other pieces for every end; `u32::MAX` where there are fewer.
-pub fn near_ends(ends: &[Point], width: usize) -> Vec<u32> {
-    let tree = Neighbours::new(ends);
-    let mut near = vec![u32::MAX; ends.len() * width];
-    let mut found = Vec::new();
-    for &(at, end) in tree.points() {
-        let end = end as usize;
-        tree.nearest(at, width, &|other| other / 2 != end / 2, &mut found);
-        for (slot, &(_, other)) in near[end * width..].iter_mut().zip(&found) {
-            *slot = other;
-        }
+/// Which ends of other pieces are neighbours of an end.
+#[derive(Debug, Clone, Copy)]
+pub struct Nearness {
+    /// This many nearest ones.
+    pub nearest: usize,
+    /// At least this many nearest ones in each quadrant: the nearest ones of an end in a cluster
+    /// are all in its cluster.
+    pub per_quadrant: usize,
+}
+
+impl Nearness {
+    /// Most neighbours of an end.
+    pub const fn width(self) -> usize {
+        self.nearest + 4 * self.per_quadrant
     }
-    near
+
+    /// The neighbours of every end, nearest first, [`Nearness::width`] for each; `u32::MAX` where
+    /// there are fewer.
+    pub fn of(self, ends: &[Point]) -> Vec<u32> {
+        let (tree, width) = (Neighbours::new(ends), self.width());
+        let mut near = vec![u32::MAX; ends.len() * width];
+        let (mut found, mut more) = (Vec::new(), Vec::new());
+        for &(at, end) in tree.points() {
+            let end = end as usize;
+            let is_other = |other: usize| other / 2 != end / 2;
+            tree.nearest(at, self.nearest, &is_other, &mut found);
+            let quadrant = |other: usize| (ends[other][0] > at[0], ends[other][1] > at[1]);
+            for sides in [(false, false), (false, true), (true, false), (true, true)] {
+                if self.per_quadrant == 0 {
+                    break;
+                }
+                let is_there = |other: usize| is_other(other) && quadrant(other) == sides;
+                tree.nearest(at, self.per_quadrant, &is_there, &mut more);
+                more.retain(|one| !found[..self.nearest.min(found.len())].contains(one));
+                found.append(&mut more);
+            }
+            found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            for (slot, &(_, other)) in near[end * width..].iter_mut().zip(&found) {
+                *slot = other;
+            }
+        }
+        near
+    }
 }
 
 impl<'e> Search<'e> {
@@ -553,8 +583,12 @@ mod tests {
     fn check(points: &[Point], kicks: usize) -> Result<(), TestCaseError> {
         let count = points.len() / 2;
         let ends = &points[..2 * count];
-        let near = near_ends(ends, 6);
-        let mut search = Search::new(ends, near, 6);
+        let nearness = Nearness {
+            nearest: 6,
+            per_quadrant: count % 3,
+        };
+        let near = nearness.of(ends);
+        let mut search = Search::new(ends, near, nearness.width());
         let mut length = search.length();
         length -= search.improve();
         prop_assert!(
