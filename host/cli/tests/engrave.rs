@@ -626,3 +626,37 @@ fn bad_drawings_are_refused_before_anything_is_written() {
     );
     assert!(!folder.0.join("out.ngc").exists());
 }
+
+/// Levels that the travel of z does not have, and negative numbers, are refused with the option,
+/// and nothing is written.
+#[test]
+fn wrong_depths_and_heights_are_refused() {
+    let folder = Folder::new("levels");
+    for (option, code, text) in [
+        (
+            ["--depth", "6"],
+            4,
+            "--depth 6: Z-6 is outside of the travel",
+        ),
+        (
+            ["--lift", "30"],
+            4,
+            "--lift 30: Z30 is outside of the travel",
+        ),
+        (["--depth", "-1"], 2, "depth"),
+        (["--tool", "-1"], 2, "tool"),
+        (["--lift", "-1"], 2, "--lift -1: it must be above 0"),
+    ] {
+        let ran = Command::new(env!("CARGO_BIN_EXE_haptimill"))
+            .args(["engrave", &plate(), "--skip-text", "-o", "part.ngc"])
+            .args(option)
+            .current_dir(&folder.0)
+            .output()
+            .unwrap();
+        let err = String::from_utf8(ran.stderr).unwrap();
+        assert_eq!(ran.status.code(), Some(code), "{option:?}: {err}");
+        assert!(err.contains(text), "{option:?}: {err}");
+        assert!(!err.contains("unexpected argument"), "{err}");
+        assert!(!folder.0.join("part.ngc").exists(), "{option:?}");
+    }
+}

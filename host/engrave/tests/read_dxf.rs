@@ -360,6 +360,86 @@ fn what_is_left_out_is_reported() {
     }
 }
 
+/// Dashes, by the linetype of an entity or of its layer, and widths are not cut: the drawing is
+/// read, and they are named.
+#[test]
+fn dashes_and_widths_are_named() {
+    let text = sections(&[
+        (
+            "TABLES",
+            "0 TABLE\n2 LTYPE\n0 LTYPE\n2 Plain\n73 0\n0 LTYPE\n2 Dashes\n73 2\n0 ENDTAB
+            0 TABLE\n2 LAYER\n0 LAYER\n2 Axes\n70 0\n62 7\n6 Dashes\n0 ENDTAB",
+        ),
+        (
+            "ENTITIES",
+            "0 LINE\n5 10\n8 Axes\n10 0\n20 0\n11 1\n21 1
+            0 LINE\n5 11\n8 0\n6 DASHES\n10 0\n20 0\n11 1\n21 2
+            0 LINE\n5 12\n8 Axes\n6 Plain\n10 0\n20 0\n11 1\n21 3
+            0 LINE\n5 13\n8 0\n10 0\n20 0\n11 1\n21 4
+            0 LINE\n5 14\n8 Axes\n6 CONTINUOUS\n10 0\n20 0\n11 1\n21 5
+            0 LWPOLYLINE\n5 15\n8 0\n90 2\n70 0\n43 2.5\n10 0\n20 0\n10 4\n20 0
+            0 LWPOLYLINE\n5 16\n8 0\n90 2\n70 0\n43 0\n10 0\n20 0\n10 5\n20 0
+            0 POLYLINE\n5 17\n8 0\n66 1\n40 1\n41 1
+            0 VERTEX\n8 0\n10 0\n20 0
+            0 VERTEX\n8 0\n10 6\n20 0
+            0 SEQEND\n8 0",
+        ),
+    ]);
+    let drawing = draw(&text);
+    assert_eq!(drawing.paths.len(), 8);
+    let handles = |what: &str| -> Vec<String> {
+        let notice = drawing.notices.iter().find(|one| one.starts_with(what));
+        let notice = notice.unwrap_or_else(|| panic!("{what}: {:?}", drawing.notices));
+        let all = notice.split("handle ").skip(1);
+        all.map(|rest| rest.chars().take(2).collect()).collect()
+    };
+    assert_eq!(handles("dashed lines are cut whole"), ["10", "11"]);
+    assert_eq!(
+        handles("wide polylines are cut along their middle"),
+        ["15", "17"]
+    );
+}
+
+/// A block reference with a clip (XCLIP) is refused with its handle, as it would be cut whole.
+#[test]
+fn clipped_blocks_are_refused() {
+    let file = |state: &str| {
+        let objects = format!(
+            "0 DICTIONARY\n5 A1\n102 {{ACAD_REACTORS\n330 20\n102 }}\n330 20\n100 AcDbDictionary\n3 ACAD_FILTER\n360 A2
+            0 DICTIONARY\n5 A2\n330 A1\n100 AcDbDictionary\n3 SPATIAL\n360 A3
+            0 SPATIAL_FILTER\n5 A3\n330 A2\n100 AcDbFilter\n100 AcDbSpatialFilter\n70 2\n10 0\n20 0\n10 1\n20 1\n71 {state}"
+        );
+        sections(&[
+            (
+                "BLOCKS",
+                "0 BLOCK\n2 B\n10 0\n20 0\n0 LINE\n8 0\n10 0\n20 0\n11 9\n21 0\n0 ENDBLK",
+            ),
+            ("ENTITIES", "0 INSERT\n5 20\n8 0\n2 B\n10 0\n20 0"),
+            ("OBJECTS", &objects),
+        ])
+    };
+    let problem = mistake(file("1"));
+    assert!(
+        problem
+            .message
+            .contains("INSERT handle 20: its clip (XCLIP)"),
+        "{problem}"
+    );
+    assert!(problem.remedy.contains("--ignore-clips"), "{problem}");
+    let ignored = ReadOptions {
+        ignore_clips: true,
+        ..ReadOptions::default()
+    };
+    let drawing = read(file("1").as_bytes(), &ignored).unwrap();
+    assert!(
+        drawing
+            .notices
+            .iter()
+            .any(|one| one.contains("INSERT handle 20"))
+    );
+    assert_eq!(draw(&file("0")).paths.len(), 1);
+}
+
 #[test]
 fn text_without_a_font_is_refused_by_name() {
     let text =

@@ -194,3 +194,43 @@ fn bad_files_name_line_and_remedy() {
     );
     assert!(mistake("<html/>").message.contains("html"));
 }
+
+/// What is not cut as it is drawn is named: arrow heads, dots, alternatives, transparent elements.
+#[test]
+fn markers_dots_and_alternatives_are_named() {
+    let line = "d=\"M0 0h10\"";
+    for (content, notice) in [
+        (
+            format!("<path {line} marker-end=\"url(#a)\"/>"),
+            "markers (arrow heads): line 2: path",
+        ),
+        (
+            format!("<g style=\"marker:url(#a)\"><path {line}/></g>"),
+            "markers (arrow heads): line 2: path",
+        ),
+        (
+            "<path d=\"M10 10L20 20M30 30h0\"/>".to_string(),
+            "parts of them have no length: line 2: path",
+        ),
+        (
+            format!("<switch id=\"s\"><g><path {line}/></g><g><path {line}/></g></switch>"),
+            "all alternatives of a switch are cut: line 2: switch",
+        ),
+        (
+            format!("<g opacity=\"0\"><path {line}/></g>"),
+            "cut although they are transparent: line 2: g",
+        ),
+    ] {
+        let drawing = draw(&content);
+        let notices = drawing.notices.join("\n");
+        assert!(notices.contains(notice), "{content}: {notices}");
+    }
+    let whole = format!(
+        "<path {line} marker-end=\"none\"/><rect width=\"3\" height=\"3\" style=\"opacity:1\"/>\
+         <switch><foreignObject/><path {line}/></switch>"
+    );
+    let notices = draw(&whole).notices.join("\n");
+    for part in ["markers", "transparent", "alternatives"] {
+        assert!(!notices.contains(part), "{notices}");
+    }
+}

@@ -22,12 +22,15 @@ const DEPTH: usize = 16;
 #[derive(Default, Clone)]
 struct Layer {
     hidden: bool,
+    linetype: Option<String>,
 }
 
 /// An entity with what it draws.
 struct Item<'a> {
     entity: Entity,
     hidden: bool,
+    /// Its linetype in capitals; `None` is that of its layer.
+    linetype: Option<String>,
     read: Read,
     /// The pairs of a curve in a block: it is read again at the size of each reference, so that
     /// its arcs deviate by no more than the tolerance there.
@@ -44,13 +47,18 @@ struct Reader<'a, 'o> {
     pairs: Pairs<'a>,
     options: &'o ReadOptions<'o>,
     layers: HashMap<String, Layer>,
+    /// Names of the linetypes of the tables in capitals, and whether they have dashes.
+    linetypes: HashMap<String, bool>,
+    /// Objects that clip a block reference, and their dictionaries: handle and owner.
+    clips: Vec<String>,
+    owners: HashMap<String, String>,
     blocks: HashMap<String, Block<'a>>,
     unit: Option<i64>,
     metric: Option<i64>,
     drawing: Drawing,
     left_out: BTreeMap<String, Vec<Entity>>,
     /// Entities that are drawn in another way than they ask for.
-    changed: BTreeMap<&'static str, Vec<Entity>>,
+    changed: BTreeMap<String, Vec<Entity>>,
     hidden: usize,
     paper: usize,
     /// Whether the file stated Z coordinates other than 0.
@@ -68,6 +76,9 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
         pairs: Pairs::new(&decoded.bytes),
         options,
         layers: HashMap::new(),
+        linetypes: HashMap::new(),
+        clips: Vec::new(),
+        owners: HashMap::new(),
         blocks: HashMap::new(),
         unit: None,
         metric: None,
@@ -158,6 +169,8 @@ impl<'a> Reader<'a, '_> {
             self.pairs.rest_of_record(record)?;
             match (name, kind) {
                 ("TABLES", "LAYER") => self.layer(record),
+                ("TABLES", "LTYPE") => self.linetype(record),
+                ("OBJECTS", "DICTIONARY" | "SPATIAL_FILTER") => self.object(kind, record),
                 ("BLOCKS", "BLOCK") => {
                     let value = |code| record.iter().find(|pair| pair.code == code);
                     let number = |code| {
@@ -233,8 +246,69 @@ impl<'a> Reader<'a, '_> {
         if let Some(name) = value(2) {
             let hidden = number(62).is_some_and(|colour| colour < 0)
                 || number(70).is_some_and(|flags| flags & 1 != 0);
-            self.layers
-                .insert(name.text().trim().to_uppercase(), Layer { hidden });
+            let linetype = value(6).map(|pair| pair.text().trim().to_uppercase());
+            let name = name.text().trim().to_uppercase();
+            self.layers.insert(name, Layer { hidden, linetype });
+        }
+    }
+
+    fn linetype(&mut self, record: &[Pair]) {
+        let value = |code| record.iter().find(|pair| pair.code == code);
+        if let Some(name) = value(2) {
+            // The number of dashes and gaps.
+            let parts = value(73).and_then(|pair| pair.word().parse::<i64>().ok());
+            let name = name.text().trim().to_uppercase();
+            self.linetypes.insert(name, parts.unwrap_or(0) > 0);
+        }
+    }
+
+    /// Notes the owner of a dictionary or of a clip (XCLIP) that is switched on.
+    fn object(&mut self, kind: &str, record: &[Pair]) {
+        let value = |code| record.iter().find(|pair| pair.code == code);
+        let Some(handle) = value(5).map(|pair| pair.word().to_uppercase()) else {
+            return;
+        };
+        // The last of the pointers before the first subclass is the owner.
+        let head = record.iter().take_while(|pair| pair.code != 100);
+        let owner = head.filter(|pair| pair.code == 330).last();
+        if let Some(owner) = owner {
+            let owner = owner.word().to_uppercase();
+            self.owners.insert(handle.clone(), owner);
+        }
+        if kind == "SPATIAL_FILTER" && value(71).is_none_or(|pair| pair.word() != "0") {
+            self.clips.push(handle);
+        }
+    }
+
+    /// Whether a linetype has dashes. One that the tables do not have is no plain line, if it is
+    /// not named as one.
+    fn is_dashed(&self, name: &str) -> bool {
+        !matches!(name, "" | "CONTINUOUS" | "BYLAYER" | "BYBLOCK")
+            && self.linetypes.get(name).copied().unwrap_or(true)
+    }
+
+    /// Refuses clipped block references, which would be cut whole, or notes them.
+    fn check_clips(&mut self) {
+        for clip in std::mem::take(&mut self.clips) {
+            // The clip is in a dictionary of the dictionary of the reference.
+            let mut handle = Some(&clip);
+            for _ in 0..3 {
+                handle = handle.and_then(|handle| self.owners.get(handle));
+            }
+            let reference = match handle {
+                Some(handle) => format!("INSERT handle {handle}"),
+                None => format!("the reference of SPATIAL_FILTER handle {clip}"),
+            };
+            if self.options.ignore_clips {
+                let notice = format!("cut whole, without its clip (XCLIP): {reference}");
+                self.drawing.notices.push(notice);
+                continue;
+            }
+            self.drawing.problems.push(Problem::general(
+                format!("{reference}: its clip (XCLIP) hides a part of it, which would be cut"),
+                "explode and trim the block in the drawing program, or cut it whole with \
+                 --ignore-clips",
+            ));
         }
     }
 
@@ -249,6 +323,10 @@ impl<'a> Reader<'a, '_> {
         let entity = record.entity();
         let flag = |code, bit| matches!(record.integer(code), Ok(Some(value)) if value & bit != 0);
         let hidden = flag(60, 1) || kind == "ATTRIB" && flag(70, 1);
+        let linetype = record
+            .value(6)
+            .map(|pair| pair.text().trim().to_uppercase())
+            .filter(|name| name != "BYLAYER");
         if record.integer(67).is_ok_and(|value| value == Some(1)) {
             self.paper += 1;
             self.skip_parts(kind, pairs)?;
@@ -276,6 +354,7 @@ impl<'a> Reader<'a, '_> {
         Ok(Some(Item {
             entity,
             hidden,
+            linetype,
             read: read.unwrap_or_else(Read::Refused),
             curve: None,
         }))
@@ -351,6 +430,9 @@ impl<'a> Reader<'a, '_> {
             entity.kind = format!("{} (in {})", entity.kind, outer.kind);
         }
         let layer = self.layers.get(&entity.layer.to_uppercase());
+        let linetype = item.linetype.as_ref();
+        let linetype = linetype.or(layer.and_then(|layer| layer.linetype.as_ref()));
+        let is_dashed = linetype.is_some_and(|name| self.is_dashed(name));
         if item.hidden || layer.is_some_and(|layer| layer.hidden) {
             self.hidden += 1;
             return Ok(());
@@ -372,7 +454,15 @@ impl<'a> Reader<'a, '_> {
                     .push(entity);
             }
             Read::Shapes(shapes) => {
-                for &note in &shapes.notes {
+                let is_text = matches!(item.entity.kind.as_str(), "TEXT" | "MTEXT" | "ATTRIB");
+                let notes = shapes.notes.iter().map(|note| match is_text {
+                    true => format!("text with {note}"),
+                    false => (*note).into(),
+                });
+                // The outlines of a text have no dashes.
+                let dashed = (is_dashed && !is_text && !shapes.paths.is_empty())
+                    .then(|| "dashed lines are cut whole".to_string());
+                for note in notes.chain(dashed) {
                     self.changed.entry(note).or_default().push(entity.clone());
                 }
                 let index = self.drawing.add_entity(entity);
@@ -448,12 +538,12 @@ impl<'a> Reader<'a, '_> {
 
     fn finish(mut self) -> Result<Drawing, Problem> {
         let scale = self.millimetres()?;
+        self.check_clips();
         self.note_unit();
         let drawing = &mut self.drawing;
         let left_out = self.left_out.iter();
         let left_out = left_out.map(|(reason, all)| (format!("left out, {reason}"), all));
-        let changed = self.changed.iter();
-        let changed = changed.map(|(note, all)| (format!("text with {note}"), all));
+        let changed = self.changed.iter().map(|(note, all)| (note.clone(), all));
         for (what, entities) in left_out.chain(changed) {
             let shown: Vec<String> = entities.iter().take(3).map(ToString::to_string).collect();
             let more = match entities.len() {

@@ -205,7 +205,20 @@ fn light_polyline(record: &Record) -> Result<Read, Problem> {
         let what = format!("it announces {count} vertices and has {}", vertices.len());
         return Err(record.refuse(what, "repair or delete the entity"));
     }
-    bulged(record, vertices, closed)
+    let widths = record.pairs.iter();
+    let mut widths = widths.filter(|pair| matches!(pair.code, 40 | 41 | 43));
+    let is_wide = widths.any(|pair| record.parse(pair).is_ok_and(|width| width > 0.0));
+    Ok(with_width(bulged(record, vertices, closed)?, is_wide))
+}
+
+/// What a polyline of some width draws: its middle line.
+fn with_width(mut read: Read, is_wide: bool) -> Read {
+    if let (Read::Shapes(shapes), true) = (&mut read, is_wide) {
+        shapes
+            .notes
+            .insert("wide polylines are cut along their middle");
+    }
+    read
 }
 
 /// Reads a POLYLINE with the records of its vertices.
@@ -214,6 +227,7 @@ pub fn polyline(record: &Record, parts: &[(usize, Vec<Pair>)]) -> Result<Read, P
     if flags & (16 | 64) != 0 {
         return Ok(Read::LeftOut("POLYLINE is a mesh".into()));
     }
+    let mut is_wide = record.or(40, 0.0)? > 0.0 || record.or(41, 0.0)? > 0.0;
     let mut vertices = Vec::new();
     for (line, pairs) in parts {
         let part = Record {
@@ -225,12 +239,16 @@ pub fn polyline(record: &Record, parts: &[(usize, Vec<Pair>)]) -> Result<Read, P
         if part.integer(70)?.unwrap_or(0) & 16 != 0 {
             continue;
         }
+        is_wide |= part.or(40, 0.0)? > 0.0 || part.or(41, 0.0)? > 0.0;
         vertices.push(Vertex {
             at: part.point(10, 20)?,
             bulge: part.or(42, 0.0)?,
         });
     }
-    bulged(record, vertices, flags & 1 != 0)
+    Ok(with_width(
+        bulged(record, vertices, flags & 1 != 0)?,
+        is_wide,
+    ))
 }
 
 fn ellipse(record: &Record, tolerance: f64) -> Result<Path, Problem> {

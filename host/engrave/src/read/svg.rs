@@ -21,6 +21,9 @@ pub const PIXEL_MM: f64 = 25.4 / 96.0;
 /// Deepest nesting of elements and references.
 const DEPTH: usize = 64;
 
+/// Reason why a part of a path is left out.
+const DOTS: &str = "parts of them have no length";
+
 const REPAIR: &str = "repair or delete the element in the drawing program";
 
 pub struct Reader<'a, 'o> {
@@ -226,6 +229,10 @@ impl<'a> Reader<'a, '_> {
                 paint.dashed =
                     value != "none" && value.contains(|digit: char| matches!(digit, '1'..='9'));
             }
+            let markers = ["marker", "marker-start", "marker-mid", "marker-end"];
+            for value in markers.into_iter().filter_map(property) {
+                paint.marked = value != "none";
+            }
             if one.has_children() {
                 self.paints.insert(one.id(), paint);
             }
@@ -298,6 +305,10 @@ impl<'a> Reader<'a, '_> {
             self.leave_out("it is hidden (display none)", node, layer);
             return Ok(());
         }
+        let opacity = self.styles.property(node, "opacity");
+        if opacity.is_some_and(|text| text.trim_end_matches('%').parse() == Ok(0.0)) {
+            self.note("cut although they are transparent".into(), node, layer);
+        }
         let transform = self.styles.property(node, "transform");
         let map = match transform {
             None => map,
@@ -326,6 +337,13 @@ impl<'a> Reader<'a, '_> {
         let name = node.tag_name().name();
         match name {
             "g" | "a" | "svg" | "switch" => {
+                let drawn = node.children().filter(|child| {
+                    child.is_element() && child.tag_name().name() != "foreignObject"
+                });
+                if name == "switch" && drawn.count() > 1 {
+                    let what = "all alternatives of a switch are cut";
+                    self.note(what.into(), node, layer);
+                }
                 let map = if name == "svg" {
                     map * self.inner_page(node, None)
                 } else {
@@ -349,6 +367,9 @@ impl<'a> Reader<'a, '_> {
         if paint.dashed {
             self.note("dashed lines are cut whole".into(), node, layer);
         }
+        if paint.marked && matches!(name, "path" | "line" | "polyline" | "polygon") {
+            self.note("left out, their markers (arrow heads)".into(), node, layer);
+        }
         if paint.unfilled && !paint.stroked {
             self.note(
                 "cut although they have neither fill nor stroke".into(),
@@ -357,7 +378,12 @@ impl<'a> Reader<'a, '_> {
             );
         }
         match self.shape(node, map) {
-            Ok(Some(paths)) => self.add(node, layer, paths),
+            Ok(Some((paths, dots))) => {
+                if dots > 0 && !paths.is_empty() {
+                    self.leave_out(DOTS, node, layer);
+                }
+                self.add(node, layer, paths);
+            }
             Ok(None) => self.leave_out(&format!("{name} is not a path"), node, layer),
             Err(what) => self.problem(node, layer, what),
         }
@@ -392,10 +418,14 @@ impl<'a> Reader<'a, '_> {
     }
 
     pub fn add(&mut self, node: Node, layer: &str, mut paths: Vec<Path>) {
+        let count = paths.len();
         paths.retain(|path| path.length() > 1e-9);
         if paths.is_empty() {
             self.leave_out("it has no length", node, layer);
             return;
+        }
+        if paths.len() < count {
+            self.leave_out(DOTS, node, layer);
         }
         let finite = |at: Point| at.iter().all(|value| value.abs() <= COORDINATE_LIMIT);
         let inside = paths
@@ -487,8 +517,8 @@ impl<'a> Reader<'a, '_> {
         }))
     }
 
-    /// Paths of a shape; `None` for an element that is not one.
-    pub fn shape(&self, node: Node, map: Affine) -> Result<Option<Vec<Path>>, String> {
+    /// Paths of a shape, and the number of its dots; `None` for an element that is not one.
+    pub fn shape(&self, node: Node, map: Affine) -> Result<Option<(Vec<Path>, usize)>, String> {
         let or = |name: &str, axis, default: f64| -> Result<f64, String> {
             Ok(self.length(node, name, axis)?.unwrap_or(default))
         };
@@ -541,11 +571,11 @@ impl<'a> Reader<'a, '_> {
                 if rx < 0.0 || ry < 0.0 {
                     return Err("its radius is negative".into());
                 }
-                return Ok(Some(vec![ellipse(map, centre, rx, ry)]));
+                return Ok(Some((vec![ellipse(map, centre, rx, ry)], 0)));
             }
             _ => return Ok(None),
         }
-        Ok(Some(builder.paths))
+        Ok(Some((builder.paths, builder.dots)))
     }
 }
 

@@ -67,7 +67,7 @@ impl<'a> Reader<'a, '_> {
             return false;
         };
         let paths = match self.shape(shape, map * outer * inner) {
-            Ok(Some(paths)) => paths,
+            Ok(Some((paths, _))) => paths,
             _ => return false,
         };
         let [path] = paths.as_slice() else {

@@ -13,6 +13,10 @@ pub struct Builder {
     /// Last control point, for the smooth curves, with whether it is that of a cubic.
     control: Option<(Point, bool)>,
     segments: Vec<Segment>,
+    /// A line ended where it began.
+    is_dot: bool,
+    /// Number of dots: paths of such lines only, which are not in `paths`.
+    pub dots: usize,
     pub paths: Vec<Path>,
 }
 
@@ -24,6 +28,8 @@ impl Builder {
             at: [0.0; 2],
             control: None,
             segments: Vec::new(),
+            is_dot: false,
+            dots: 0,
             paths: Vec::new(),
         }
     }
@@ -47,6 +53,8 @@ impl Builder {
                 bulge: 0.0,
             });
             self.at = to;
+        } else {
+            self.is_dot = true;
         }
     }
 
@@ -122,13 +130,16 @@ impl Builder {
 
     /// Ends the present subpath.
     pub fn finish(&mut self, close: bool) {
+        let is_dot = std::mem::take(&mut self.is_dot);
         if close {
             self.line_to(self.start);
+            self.is_dot = false;
         }
         let segments = std::mem::take(&mut self.segments);
         self.at = self.start;
         self.control = None;
         if segments.is_empty() {
+            self.dots += usize::from(is_dot);
             return;
         }
         let mut path = Path::from_segments(&segments, 0);

@@ -11,15 +11,22 @@ pub struct Paint {
     pub unfilled: bool,
     pub stroked: bool,
     pub dashed: bool,
+    /// Markers at its vertices, as arrow heads.
+    pub marked: bool,
 }
 
 /// Properties that matter to a path; others of a style sheet are not kept.
-const PROPERTIES: [&str; 10] = [
+const PROPERTIES: [&str; 15] = [
     "clip-path",
     "display",
     "fill",
     "font-size",
+    "marker",
+    "marker-end",
+    "marker-mid",
+    "marker-start",
     "mask",
+    "opacity",
     "stroke",
     "stroke-dasharray",
     "text-anchor",

@@ -87,25 +87,55 @@ pub struct EngraveArgs {
     #[arg(long, value_enum, default_value_t = OperationName::Outline)]
     pub operation: OperationName,
     /// Diameter of the tool, mm
-    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 1.0,
+        allow_negative_numbers = true
+    )]
     pub tool: f64,
     /// Depth below the surface, mm
-    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 1.0,
+        allow_negative_numbers = true
+    )]
     pub depth: f64,
     /// Largest depth of a pass, mm [default: the diameter of the tool]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     pub step_down: Option<f64>,
     /// Feed along the paths, mm/min
-    #[arg(long, value_name = "MM/MIN", default_value_t = 300.0)]
+    #[arg(
+        long,
+        value_name = "MM/MIN",
+        default_value_t = 300.0,
+        allow_negative_numbers = true
+    )]
     pub feed: f64,
     /// Feed of plunges, mm/min
-    #[arg(long, value_name = "MM/MIN", default_value_t = 60.0)]
+    #[arg(
+        long,
+        value_name = "MM/MIN",
+        default_value_t = 60.0,
+        allow_negative_numbers = true
+    )]
     pub plunge: f64,
     /// Spindle speed, rev/min; 0 for a pen
-    #[arg(long, value_name = "RPM", default_value_t = 10_000.0)]
+    #[arg(
+        long,
+        value_name = "RPM",
+        default_value_t = 10_000.0,
+        allow_negative_numbers = true
+    )]
     pub speed: f64,
     /// Height of lifted moves above the plate, mm
-    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 1.0,
+        allow_negative_numbers = true
+    )]
     pub lift: f64,
     /// Outline: where the tool runs beside closed paths
     #[arg(long, value_enum, default_value_t = SideName::On)]
@@ -117,7 +147,12 @@ pub struct EngraveArgs {
     #[arg(long, value_enum, default_value_t = ClearName::Contour)]
     pub clear: ClearName,
     /// Pocket: distance of rows or contours as a part of the tool's diameter
-    #[arg(long, value_name = "PART", default_value_t = 0.5)]
+    #[arg(
+        long,
+        value_name = "PART",
+        default_value_t = 0.5,
+        allow_negative_numbers = true
+    )]
     pub overlap: f64,
     /// Pocket: angle of the rows, degrees
     #[arg(
@@ -128,28 +163,48 @@ pub struct EngraveArgs {
     )]
     pub angle: f64,
     /// Leave this material at the walls for a last pass, mm
-    #[arg(long, value_name = "MM", default_value_t = 0.0)]
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
     pub finish: f64,
     /// Descend along the path at this angle, degrees [default: plunge]
-    #[arg(long, value_name = "DEG")]
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub ramp: Option<f64>,
     /// Radius of the arcs that lead onto contours, mm; with --side outside or inside
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     pub lead: Option<f64>,
     /// Holding tabs on each closed contour
     #[arg(long, value_name = "N")]
     pub tabs: Option<usize>,
     /// Width of a tab, mm
-    #[arg(long, value_name = "MM", default_value_t = 2.0)]
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 2.0,
+        allow_negative_numbers = true
+    )]
     pub tab_width: f64,
     /// Height of a tab above the floor, mm
-    #[arg(long, value_name = "MM", default_value_t = 0.5)]
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 0.5,
+        allow_negative_numbers = true
+    )]
     pub tab_height: f64,
     /// Conventional (up-cut) milling [default: climb milling]
     #[arg(long)]
     pub conventional: bool,
     /// Join ends of paths that are at most this far apart, mm
-    #[arg(long, value_name = "MM", default_value_t = 0.01)]
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 0.01,
+        allow_negative_numbers = true
+    )]
     pub join: f64,
     /// Only this layer; repeatable
     #[arg(long, value_name = "NAME")]

@@ -119,6 +119,31 @@ fn area(machine: &MachineFile) -> Result<([Point; 2], f64), CliError> {
     Ok(([[x.low, y.low], [x.high, y.high]], x.rate.min(y.rate)))
 }
 
+/// Refuses a depth or a lift that the travel of z does not have. Z0 is the surface of the plate.
+fn check_height(machine: &MachineFile, args: &EngraveArgs) -> Result<(), CliError> {
+    let Some(z) = machine.pose.iter().find(|axis| axis.name == "z") else {
+        return Ok(());
+    };
+    let levels = [
+        ("--depth", args.depth, -args.depth),
+        ("--lift", args.lift, args.lift),
+    ];
+    match levels
+        .iter()
+        .find(|(.., level)| !(z.low..=z.high).contains(level))
+    {
+        None => Ok(()),
+        Some((option, value, level)) => {
+            let what = format!(
+                "{option} {value}: Z{level} is outside of the travel of {}, {} to {} mm about the \
+                 surface of the plate",
+                machine.config.name, z.low, z.high
+            );
+            Err(CliError::new(Exit::Refused, what))
+        }
+    }
+}
+
 /// Writes the part program of a drawing.
 ///
 /// # Errors
@@ -130,6 +155,7 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
         None => MachineFile::parse(ENGRAVER.0, ENGRAVER.1)?,
     };
     let (area, rapid) = area(&machine)?;
+    check_height(&machine, &args)?;
     let drawing = load(&args)?;
     if !args.json {
         print_notices(&args, &drawing.notices);
