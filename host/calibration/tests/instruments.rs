@@ -369,3 +369,62 @@ fn measuring_machine() {
     // Row 40: capability.
     assert!((mpe_e(160.0) - 2.38e-3).abs() < 1e-9 && MPE_P < mpe_e(1.0));
 }
+
+/// Index of refraction of air by Edlen's equation as revised by Birch and Downs (Metrologia 30,
+/// 1993), at 0.633 um: temperature in degrees Celsius, pressures of air and of water vapour in Pa.
+fn index_of_air(celsius: f64, pascal: f64, vapour: f64) -> f64 {
+    let wave_number = 1.0 / (0.633 * 0.633);
+    let standard =
+        1e-8 * (8342.54 + 2_406_147.0 / (130.0 - wave_number) + 15_998.0 / (38.9 - wave_number));
+    let dry = standard * pascal / 96_095.43 * (1.0 + 1e-8 * (0.601 - 0.00972 * celsius) * pascal)
+        / (1.0 + 0.003_661 * celsius);
+    1.0 + dry - vapour * (3.7345 - 0.0401 * wave_number) * 1e-10
+}
+
+/// The wavelength in the air changes with temperature, pressure and humidity as the index of
+/// refraction tells, in sign and size.
+#[test]
+fn the_wavelength_follows_the_index_of_refraction() {
+    let stated = Environment::default();
+    let change = |air_c: f64, pressure_hpa: f64, humidity_percent: f64| {
+        // Pressure of saturated vapour at 20 degrees, at which the humidity changes alone.
+        let index = |air: f64, hpa: f64, humidity: f64| {
+            index_of_air(air, 100.0 * hpa, 2339.0 * humidity / 100.0)
+        };
+        let [air, hpa, humidity] = [stated.air_c, stated.pressure_hpa, stated.humidity_percent];
+        let expected = index(air, hpa, humidity) / index(air_c, pressure_hpa, humidity_percent);
+        let environment = Environment {
+            air_c,
+            pressure_hpa,
+            humidity_percent,
+            ..stated
+        };
+        (environment.wavelength_change(), expected - 1.0)
+    };
+    for (air_c, hpa, humidity, tolerance) in [
+        (
+            stated.air_c + 3.0,
+            stated.pressure_hpa,
+            stated.humidity_percent,
+            0.04,
+        ),
+        (
+            stated.air_c,
+            stated.pressure_hpa + 20.0,
+            stated.humidity_percent,
+            0.04,
+        ),
+        (
+            stated.air_c,
+            stated.pressure_hpa,
+            stated.humidity_percent + 30.0,
+            0.2,
+        ),
+    ] {
+        let (ours, expected) = change(air_c, hpa, humidity);
+        assert!(
+            (ours / expected - 1.0).abs() < tolerance,
+            "{air_c} {hpa} {humidity}: {ours:e}, {expected:e}"
+        );
+    }
+}
