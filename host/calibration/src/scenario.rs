@@ -432,7 +432,7 @@ pub fn table(outcome: &Outcome) -> String {
         text,
         "\n* below MPE_P = {:.1} um of the measuring machine, whose MPE_E is {:.2} um over the \
          square; ! beyond the tolerance\n\n\
-         {:<40} feed    G ccw     G cw        H",
+         {:<40} feed    G ccw     G cw        H                F",
         MPE_P * 1e3,
         mpe_e(2.0 * HALF_SIDE) * 1e3,
         "circle test, um; feed 0 is standstill"
@@ -443,9 +443,11 @@ pub fn table(outcome: &Outcome) -> String {
         for (feed, circle) in &state.circles {
             let [ccw, cw] = circle.deviation.map(|value| value * 1e3);
             let hysteresis = circle.hysteresis * 1e3;
+            let [most, least] = circle.radial.map(|value| value * 1e3);
             let _ = writeln!(
                 text,
-                "{name:<40} {feed:>4} {ccw:>8.2} {cw:>8.2} {hysteresis:>8.2}"
+                "{name:<40} {feed:>4} {ccw:>8.2} {cw:>8.2} {hysteresis:>8.2} {least:>8.2} to \
+                 {most:.2}"
             );
         }
     }
@@ -518,6 +520,7 @@ pub fn summary(outcome: &Outcome) -> String {
                         "feed_mm_s": feed,
                         "deviation_um": circle.deviation.map(|value| value * 1e3),
                         "hysteresis_um": circle.hysteresis * 1e3,
+                        "radial_um": circle.radial.map(|value| value * 1e3),
                         "squareness_urad": circle.squareness * 1e6,
                     })
                 })

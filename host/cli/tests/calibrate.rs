@@ -537,6 +537,13 @@ fn scenario_goes_from_error_file_to_compensated_part() {
                     [state, before].map(|state| number(&circle(state)["deviation_um"][turn]));
                 assert!(left < 0.5 * there_was, "{feed} mm/s: {left} of {there_was}");
             }
+            // The contour error itself, with the radius and the dynamic error of the loops.
+            let [left, there_was] = [state, before].map(|state| {
+                let radial = &circle(state)["radial_um"];
+                number(&radial[0]).abs().max(number(&radial[1]).abs())
+            });
+            println!("{feed} mm/s: contour error {left} of {there_was} um");
+            assert!(left < there_was, "{feed} mm/s: {left} of {there_was}");
         }
     }
     // The machine with errors ten times as large: the same with exact tables; measured ones are off

@@ -202,6 +202,13 @@ pub(crate) fn g_remedy(tenths: u16) -> &'static str {
             "turning cycles belong to lathes: write the passes as G0 and G1, or a program for a mill"
         }
         171 | 181 | 191 => "planes of U, V, W are not supported: write G17, G18 or G19",
+        90 => "write G61, which stops exactly until G64",
+        120 | 130 => "write the circle of the pocket as G2 or G3",
+        150 | 160 => "write polar coordinates as @ (distance) and ^ (angle)",
+        310 => "write G38.2, which stops at the contact of the probe",
+        500 | 510 => "scaling and mirroring are not supported: let the CAM system write the moves",
+        650..=670 => "macros are called as O<name> call, or as M98 P",
+        680 | 690 => "write G10 L2 P R, which turns a coordinate system",
         _ => "remove it if the part does not need it",
     }
 }

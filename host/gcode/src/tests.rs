@@ -175,6 +175,18 @@ fn refusals_name_place_and_remedy() {
         ),
         ("M117 hello", "t.ngc:1:1: M117 is not supported"),
         (
+            "G68 X0 Y0 R30",
+            "t.ngc:1:1: G68 is not supported; write G10 L2 P R",
+        ),
+        (
+            "G31 Z-5 F50",
+            "t.ngc:1:1: G31 is not supported; write G38.2",
+        ),
+        (
+            "G65 P100",
+            "t.ngc:1:1: G65 is not supported; macros are called as O<name> call",
+        ),
+        (
             "G0 @5 X1",
             "t.ngc:1:7: X1 together with polar coordinates; write",
         ),

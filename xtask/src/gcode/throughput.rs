@@ -12,6 +12,10 @@ const BLOCKS: u32 = 200_000;
 /// Rounds: each runs the three commands one after another, and gives a pair of ratios.
 const ROUNDS: usize = 5;
 
+/// Largest ratios of CPU time to `rs274 -g`, of the interpreter and of `--check`, and largest
+/// memory of `--check`, MiB.
+const MOST: [f64; 3] = [0.5, 1.0, 32.0];
+
 /// Names and texts of the programs: a wave of short moves within the built-in machine.
 fn programs() -> Vec<(&'static str, String)> {
     let head = "G21 G90 G17\nG0 X0 Y0 Z30\nF600\n";
@@ -122,7 +126,7 @@ fn median(values: &mut [f64]) -> f64 {
 ///
 /// # Errors
 ///
-/// A program cannot be built or started, or it refuses a file.
+/// A program cannot be built or started, it refuses a file, or a figure is above [`MOST`].
 pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     for target in [
@@ -150,6 +154,7 @@ pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
         "{BLOCKS} blocks, release profile, median of {ROUNDS} paired runs; CPU time over rs274 -g"
     );
     println!("program     rs274 s  interpreter  --check  MiB of --check");
+    let mut beyond = Vec::new();
     for (name, program) in programs() {
         let file = text(folder.join(format!("throughput-{}.ngc", name.replace(' ', "-"))));
         super::write(Path::new(&file), &program)?;
@@ -168,13 +173,27 @@ pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
             whole.push(check / base);
             memory = memory.max(peak);
         }
-        println!(
-            "{name:<12}{:7.2}{:13.2}{:9.2}{:10.1}",
-            median(&mut theirs),
+        let figures = [
             median(&mut alone),
             median(&mut whole),
-            memory as f64 / 1024.0
+            memory as f64 / 1024.0,
+        ];
+        let [alone, whole, memory] = figures;
+        println!(
+            "{name:<12}{:7.2}{alone:13.2}{whole:9.2}{memory:10.1}",
+            median(&mut theirs)
         );
+        if figures
+            .iter()
+            .zip(MOST)
+            .any(|(figure, most)| *figure > most)
+        {
+            beyond.push(name);
+        }
+    }
+    if !beyond.is_empty() {
+        let names = beyond.join(", ");
+        return Err(format!("{names}: above {MOST:?}"));
     }
     Ok(())
 }
