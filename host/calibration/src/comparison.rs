@@ -216,15 +216,19 @@ impl SideTable {
     }
 }
 
-/// Names the largest gap between positions, if there are two.
+/// Names the largest gap between positions, if it is wider than others.
 fn widest_gap(positions: &[f64]) -> String {
     let mut positions = positions.to_vec();
     positions.sort_by(f64::total_cmp);
-    let pairs = positions.windows(2);
-    let widest = pairs.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
-    widest.map_or(String::new(), |gap| {
-        format!("; its largest gap is from {} to {} mm", gap[0], gap[1])
-    })
+    let mut gaps: Vec<[f64; 2]> = positions.windows(2).map(|two| [two[0], two[1]]).collect();
+    let width = |gap: &[f64; 2]| gap[1] - gap[0];
+    gaps.sort_by(|a, b| width(a).total_cmp(&width(b)));
+    match (gaps.first(), gaps.last()) {
+        (Some(least), Some(most)) if width(most) > 1.5 * width(least) => {
+            format!("; its largest gap is from {} to {} mm", most[0], most[1])
+        }
+        _ => String::new(),
+    }
 }
 
 /// Squareness of a side along y to one along x, radians, in the sign of `EC0Y`. It does not depend

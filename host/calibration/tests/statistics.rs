@@ -394,7 +394,7 @@ fn wrong_tables() {
     let refused = |text: &str| SideTable::read(text, 'x', 3, 15).unwrap_err().to_string();
     let missing: Vec<&str> = X.lines().take(15).collect();
     let problem = refused(&missing.join("\n"));
-    let expected = "line 15: the table has 12 of 15 rows and ends here; its largest gap is from";
+    let expected = "line 15: the table has 12 of 15 rows and ends here; probe the missing points";
     assert!(problem.starts_with(expected), "{problem}");
     // The point at 10 mm is missing.
     let missing: Vec<&str> = X.lines().filter(|line| !line.starts_with("10,")).collect();

@@ -634,6 +634,7 @@ fn wrong_files_of_the_scenario_are_refused() {
     std::fs::write(folder.path("x.csv"), missing.join("\n")).unwrap();
     let beyond = text.replace("\n60,", "\n90,");
     assert_ne!(beyond, text);
+    let beyond = beyond.replace("\nx_mm,", "\ny_mm,");
     std::fs::write(folder.path("beyond.csv"), beyond).unwrap();
     let beyond = folder.path("beyond.csv");
     let steep = std::fs::read_to_string(data.join("data/vmc3_errors.csv")).unwrap();
@@ -658,6 +659,10 @@ fn wrong_files_of_the_scenario_are_refused() {
         (
             [&vmc[..], &["--cmm-x", &y, "--cmm-y", &beyond]].concat(),
             "beyond.csv: line 5: value 1 is 90 mm, the side has -80 to 80 mm there; write mm",
+        ),
+        (
+            [&vmc[..], &["--cmm-x", &beyond, "--cmm-y", &y]].concat(),
+            "the first column is \"y_mm\" and the side is along x; exchange the files",
         ),
         (
             [&vmc[..], &["--errors", &errors]].concat(),
