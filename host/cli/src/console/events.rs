@@ -20,13 +20,14 @@ const BUSY_US: u64 = 20_000;
 /// Longest time between two reports that give a speed, s.
 const SPEED_S: f64 = 1.0;
 
-/// The commanded motion between two reports; none where they are too far apart, or where the drives
-/// are off in one of them: the commanded pose is set to the measured one when they switch on.
+/// The commanded motion between two reports; none where they are too far apart, where the drives
+/// are off in one of them (the commanded pose is set to the measured one when they switch on), or
+/// where the machine homes without references, which move the commanded pose when they are found.
 fn motion(axes: &[Axis], period_s: f64, before: &Telemetry, now: &Telemetry) -> Option<Motion> {
-    if [before, now]
-        .iter()
-        .any(|report| report.state.has_drives_off())
-    {
+    let is_set = |report: &&Telemetry| {
+        report.state.has_drives_off() || report.state == State::Homing && !report.homed
+    };
+    if [before, now].iter().any(is_set) || before.homed != now.homed {
         return None;
     }
     let time_s = now.period.checked_sub(before.period)? as f64 * period_s;
@@ -369,5 +370,33 @@ mod tests {
         }
         let (first, second) = (report(0, State::Idle, 0.0), report(250, State::Idle, 0.0));
         assert!(motion(&axes, 2e-4, &first, &second).is_some());
+    }
+
+    #[test]
+    fn a_commanded_pose_that_the_references_move_is_no_feed() {
+        let axes = [Axis {
+            name: String::new(),
+            kind: AxisKind::Linear,
+        }];
+        let report = |period: u64, homed: bool, x: f64| Telemetry {
+            period,
+            state: State::Homing,
+            homed,
+            commanded: [(x * per_unit(AxisKind::Linear)) as i32]
+                .into_iter()
+                .collect(),
+            ..Telemetry::default()
+        };
+        let [searching, found, after] = [
+            report(1000, false, 0.0),
+            report(1250, true, 98.3),
+            report(1500, true, 98.4),
+        ];
+        assert_eq!(
+            motion(&axes, 2e-4, &searching, &report(1100, false, 5.0)),
+            None
+        );
+        assert_eq!(motion(&axes, 2e-4, &searching, &found), None);
+        assert!(motion(&axes, 2e-4, &found, &after).is_some());
     }
 }
