@@ -348,55 +348,47 @@ mod tests {
         assert_eq!(moved(&report(9000, 9.0, 2.0, 0)), None);
     }
 
-    #[test]
-    fn a_commanded_pose_that_jumps_as_the_drives_switch_is_no_feed() {
-        let axes = [Axis {
+    fn along_a_line() -> [Axis; 1] {
+        [Axis {
             name: String::new(),
             kind: AxisKind::Linear,
-        }];
-        let report = |period: u64, state: State, x: f64| Telemetry {
+        }]
+    }
+
+    /// A report with one linear coordinate, mm.
+    fn at(period: u64, state: State, homed: bool, x: f64) -> Telemetry {
+        let raw = (x * per_unit(AxisKind::Linear)) as i32;
+        Telemetry {
             period,
             state,
-            commanded: [(x * per_unit(AxisKind::Linear)) as i32]
-                .into_iter()
-                .collect(),
+            homed,
+            commanded: [raw].into_iter().collect(),
             ..Telemetry::default()
-        };
-        for off in [State::Disabled, State::EmergencyStop] {
-            let (dark, lit) = (report(1000, off, 0.0), report(1250, State::Idle, 98.3));
-            assert_eq!(motion(&axes, 2e-4, &dark, &lit), None);
-            let dark = report(1500, off, 0.0);
-            assert_eq!(motion(&axes, 2e-4, &lit, &dark), None);
         }
-        let (first, second) = (report(0, State::Idle, 0.0), report(250, State::Idle, 0.0));
-        assert!(motion(&axes, 2e-4, &first, &second).is_some());
+    }
+
+    #[test]
+    fn a_commanded_pose_that_jumps_as_the_drives_switch_is_no_feed() {
+        let moved =
+            |before: &Telemetry, now: &Telemetry| motion(&along_a_line(), 2e-4, before, now);
+        let idle = |period, x| at(period, State::Idle, false, x);
+        for off in [State::Disabled, State::EmergencyStop] {
+            let dark = |period| at(period, off, false, 0.0);
+            let lit = idle(1250, 98.3);
+            assert_eq!(moved(&dark(1000), &lit), None);
+            assert_eq!(moved(&lit, &dark(1500)), None);
+        }
+        assert!(moved(&idle(0, 0.0), &idle(250, 0.0)).is_some());
     }
 
     #[test]
     fn a_commanded_pose_that_the_references_move_is_no_feed() {
-        let axes = [Axis {
-            name: String::new(),
-            kind: AxisKind::Linear,
-        }];
-        let report = |period: u64, homed: bool, x: f64| Telemetry {
-            period,
-            state: State::Homing,
-            homed,
-            commanded: [(x * per_unit(AxisKind::Linear)) as i32]
-                .into_iter()
-                .collect(),
-            ..Telemetry::default()
-        };
-        let [searching, found, after] = [
-            report(1000, false, 0.0),
-            report(1250, true, 98.3),
-            report(1500, true, 98.4),
-        ];
-        assert_eq!(
-            motion(&axes, 2e-4, &searching, &report(1100, false, 5.0)),
-            None
-        );
-        assert_eq!(motion(&axes, 2e-4, &searching, &found), None);
-        assert!(motion(&axes, 2e-4, &found, &after).is_some());
+        let moved =
+            |before: &Telemetry, now: &Telemetry| motion(&along_a_line(), 2e-4, before, now);
+        let homing = |period, homed, x| at(period, State::Homing, homed, x);
+        let (searching, found) = (homing(1000, false, 0.0), homing(1250, true, 98.3));
+        assert_eq!(moved(&searching, &homing(1100, false, 5.0)), None);
+        assert_eq!(moved(&searching, &found), None);
+        assert!(moved(&found, &homing(1500, true, 98.4)).is_some());
     }
 }
