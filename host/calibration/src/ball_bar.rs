@@ -7,6 +7,7 @@ use crate::drive::Machine;
 use crate::noise::Noise;
 use crate::observed::Sample;
 use haptimill_client::{Error, ErrorKind};
+use haptimill_volumetric::circle_readings::CircleReadings;
 use haptimill_volumetric::gdt::fit_circle;
 
 /// A circle test.
@@ -164,11 +165,39 @@ pub fn evaluate(samples: &[Sample], test: &CircleTest) -> Option<CircleResult> {
         (!points.is_empty()).then(|| [x, y].map(|part| part * length / inside))
     };
     let of = |points: &[Vec<[f64; 2]>]| points.iter().map(mean).collect::<Option<Vec<_>>>();
-    let both = [of(&profile[0])?, of(&profile[1])?];
+    result([of(&profile[0])?, of(&profile[1])?], test.radius)
+}
+
+/// Evaluates the readings of a real bar of a nominal length, mm. Between readings the deviation is
+/// linear.
+///
+/// `None` where the readings make no circle.
+#[must_use]
+pub fn of_readings(readings: &CircleReadings, radius: f64) -> Option<CircleResult> {
+    let at = |readings: &[[f64; 2]], angle: f64| {
+        let after = readings.partition_point(|[place, _]| *place <= angle);
+        let count = readings.len();
+        let [low, from] = *readings.get((after + count - 1) % count)?;
+        let [high, to] = *readings.get(after % count)?;
+        let share = (angle - low).rem_euclid(360.0) / (high - low).rem_euclid(360.0);
+        Some(from + (to - from) * share)
+    };
+    let points = |readings: &[[f64; 2]]| -> Option<Vec<[f64; 2]>> {
+        let point = |step: usize| {
+            let angle = step as f64 + 0.5;
+            let length = radius + at(readings, angle)?;
+            let (sine, cosine) = angle.to_radians().sin_cos();
+            Some([cosine, sine].map(|part| part * length))
+        };
+        (0..STEPS).map(point).collect()
+    };
+    result([points(&readings[0])?, points(&readings[1])?], radius)
+}
+
+/// Figures of two circles, one point for each degree.
+fn result(both: [Vec<[f64; 2]>; 2], radius: f64) -> Option<CircleResult> {
     let radii = |points: &[[f64; 2]]| -> Vec<f64> {
-        let lengths = points
-            .iter()
-            .map(|point| point[0].hypot(point[1]) - test.radius);
+        let lengths = points.iter().map(|point| point[0].hypot(point[1]) - radius);
         lengths.collect()
     };
     let radial = [radii(&both[0]), radii(&both[1])];
@@ -177,11 +206,11 @@ pub fn evaluate(samples: &[Sample], test: &CircleTest) -> Option<CircleResult> {
     let pairs = radial[0].iter().zip(&radial[1]);
     // A squareness moves x by -c0y y: the radius by -c0y r sin cos.
     let elliptic = |radii: &[f64]| {
-        let parts = radii.iter().enumerate().map(|(step, radius)| {
+        let parts = radii.iter().enumerate().map(|(step, deviation)| {
             let angle = (step as f64 + 0.5).to_radians();
-            radius * (2.0 * angle).sin()
+            deviation * (2.0 * angle).sin()
         });
-        -4.0 / test.radius * parts.sum::<f64>() / STEPS as f64
+        -4.0 / radius * parts.sum::<f64>() / STEPS as f64
     };
     Some(CircleResult {
         deviation: [round(&both[0])?, round(&both[1])?],

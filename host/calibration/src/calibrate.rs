@@ -250,9 +250,10 @@ fn read_axis(
         })
         .collect();
     let mut square = vec![[0.0; 3]; count];
+    // The optics stay in place over all runs of an axis.
+    let mut laser = Laser::new(&plan.laser, axis.index() as u64);
     for (pass, samples) in visited.chunks(count).enumerate() {
         let upwards = pass % 2 == 0;
-        let mut laser = Laser::new(&plan.laser, 100 * axis.index() as u64 + pass as u64);
         for (target, sample) in samples.iter().enumerate() {
             for (measured, (function, seen)) in functions.iter_mut().zip(&seen) {
                 let channel = match function.kind() {

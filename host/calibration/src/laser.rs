@@ -2,8 +2,9 @@
 //!
 //! Readings have the sign of the tool relative to the workpiece. The values of [`LaserOptions`] are
 //! those of a common instrument (633 nm, class ML10), as two standard deviations. A scale error
-//! belongs to the set-up of a run, a constant one to a reading. The error of the expansion
-//! coefficient is a property of the machine: it is the same in all runs of a seed.
+//! belongs to a set-up: all runs of an axis share it, and their mean keeps it. A constant error
+//! belongs to a reading. The error of the expansion coefficient is a property of the machine: it is
+//! the same in all set-ups of a seed.
 
 use crate::noise::Noise;
 use core::fmt;
@@ -163,7 +164,7 @@ pub struct Laser {
 }
 
 impl Laser {
-    /// Instruments that are set up for one run; `set_up` distinguishes the runs of a seed.
+    /// Instruments that are set up once; `set_up` distinguishes the set-ups of a seed.
     #[must_use]
     pub fn new(options: &LaserOptions, set_up: u64) -> Self {
         let mut noise = Noise::new(options.seed, 1000 + set_up);

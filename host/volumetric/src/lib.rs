@@ -9,6 +9,7 @@
 //! | [`grid`] | volumetric error over a grid of points |
 //! | [`gdt`] | form and position from measured points: least squares and minimum zone |
 //! | [`readings`] | readings of a laser as CSV |
+//! | [`circle_readings`] | readings of a double ball bar as CSV |
 //! | [`part`] | the test piece A160 of ISO 10791-7: its features, its surfaces, its tolerances |
 //!
 //! Units are mm and radians. Files have um and urad, and say so. Every error has the sign of the
@@ -16,6 +17,7 @@
 //! rule.
 
 pub mod chain;
+pub mod circle_readings;
 pub mod errors;
 pub mod file;
 pub mod gdt;

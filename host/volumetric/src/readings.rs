@@ -76,7 +76,7 @@ pub fn read(text: &str) -> Result<Readings, FileProblem> {
             functions.push(group(function, readings)?);
         }
     }
-    if functions.is_empty() {
+    if functions.is_empty() && squareness == [None; 3] {
         return Err(problem(0, "no readings", "add a line for each reading"));
     }
     Ok(Readings {

@@ -4,7 +4,7 @@
 use super::args::MachineArg;
 use super::{CliError, Exit, interrupt, output};
 use clap::{Args, Subcommand};
-use haptimill_calibration::ball_bar::{self, CircleTest};
+use haptimill_calibration::ball_bar::{self, CircleResult, CircleTest};
 use haptimill_calibration::calibrate::{Conditions, Plan, calibrate, of_readings, write_readings};
 use haptimill_calibration::drive::{Machine, SLOW};
 use haptimill_calibration::laser::{Environment, LaserOptions};
@@ -12,9 +12,10 @@ use haptimill_calibration::rewrite::rewritten_for;
 use haptimill_calibration::scenario::{errors_of, travel};
 use haptimill_client::Error;
 use haptimill_machine_file::{MachineFile, input};
+use haptimill_volumetric::errors::Squareness;
 use haptimill_volumetric::file::{FileProblem, Limits};
 use haptimill_volumetric::readings::Readings;
-use haptimill_volumetric::{file, readings};
+use haptimill_volumetric::{circle_readings, file, readings};
 use std::path::{Path, PathBuf};
 
 const LASER: &str = "\
@@ -30,7 +31,9 @@ Run the circle test of ISO 230-4 on the simulated machine: a circle in both dire
 origin, read by a ball bar.
 
 States the circular deviation G, the hysteresis H, the radial deviation F, and the squareness of x \
-and y. With --errors the controller compensates these errors during the test.";
+and y. With --errors the controller compensates these errors during the test. With --readings the \
+readings of a real bar are evaluated instead, and nothing moves. --out writes the squareness as an \
+error file; it takes the other errors as 0.";
 
 const REWRITE: &str = "\
 Correct all points of a part program by the errors of a machine, for a control without error tables. \
@@ -71,6 +74,9 @@ const OF_A_MEASUREMENT: [&str; 7] = [
     "no_noise",
     "seed",
 ];
+
+/// Options of a circle test of the simulated machine, which readings from a file do not have.
+const OF_A_CIRCLE: [&str; 5] = ["errors", "compensation", "feed", "no_noise", "seed"];
 
 /// Arguments of `haptimill calibrate laser`.
 #[derive(Debug, Clone, Args)]
@@ -134,9 +140,15 @@ pub struct BallBarArgs {
     /// State of the volumetric compensation [default: on where the machine has error tables]
     #[arg(long, value_name = "STATE", value_parser = ["on", "off"])]
     pub compensation: Option<String>,
-    /// Radius of the circle, mm
+    /// Radius of the circle, which is the nominal length of the bar, mm
     #[arg(long, value_name = "MM", default_value_t = 100.0, value_parser = radius)]
     pub radius: f64,
+    /// Readings of a ball bar (CSV) to evaluate, instead of a test of the simulated machine
+    #[arg(long, value_name = "FILE", conflicts_with_all = OF_A_CIRCLE)]
+    pub readings: Option<PathBuf>,
+    /// Error file to write: the squareness, and 0 for the other errors
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
     /// Feed, mm/s
     #[arg(long, value_name = "MM/S", default_value_t = 30.0, value_parser = feed)]
     pub feed: f64,
@@ -241,16 +253,22 @@ fn load(machine: &MachineArg, errors: Option<&PathBuf>) -> Result<MachineFile, C
     }
 }
 
+/// Text of a table of readings.
+fn table(path: &Path) -> Result<String, Error> {
+    let name = path.display();
+    let bytes =
+        input::read(path, input::TABLE_BYTES).map_err(|error| Error::in_file(&name, error))?;
+    String::from_utf8(bytes).map_err(|_| {
+        let what = "is no text; give a table of readings (CSV, UTF-8)";
+        Error::in_file(&name, what)
+    })
+}
+
 /// Errors of the readings of a real laser.
 fn evaluate(args: &LaserArgs, path: &Path) -> Result<(), CliError> {
     let machine_file = args.machine.load()?;
     let name = path.display();
-    let bytes =
-        input::read(path, input::TABLE_BYTES).map_err(|error| Error::in_file(&name, error))?;
-    let text = String::from_utf8(bytes).map_err(|_| {
-        let what = "is no text; give a table of readings (CSV, UTF-8)";
-        Error::in_file(&name, what)
-    })?;
+    let text = table(path)?;
     let found = readings::read(&text).map_err(|problem| Error::in_file(&name, problem))?;
     let conditions = Conditions {
         air_c: args.air,
@@ -404,6 +422,53 @@ fn arm(args: &ArmArgs) -> Result<(), CliError> {
 
 /// Runs a circle test on the simulated machine.
 fn circle(args: &BallBarArgs) -> Result<(), CliError> {
+    if let Some(path) = &args.out {
+        output::check_writable(path)?;
+    }
+    let (machine_file, result) = match &args.readings {
+        Some(path) => {
+            let machine_file = args.machine.load()?;
+            let name = path.display();
+            let readings = circle_readings::read(&table(path)?)
+                .map_err(|problem| Error::in_file(&name, problem))?;
+            let result = ball_bar::of_readings(&readings, args.radius).ok_or_else(|| {
+                Error::in_file(
+                    &name,
+                    "the readings make no circle; check --radius and the units",
+                )
+            })?;
+            print_line!("circle      radius {} mm, readings of {name}", args.radius);
+            (machine_file, result)
+        }
+        None => circle_test(args)?,
+    };
+    let um = |value: f64| value * 1e3;
+    let [ccw, cw] = result.deviation.map(um);
+    let [most, least] = result.radial.map(um);
+    print_line!("G ccw       {ccw:>8.3} um");
+    print_line!("G cw        {cw:>8.3} um");
+    print_line!("H           {:>8.3} um", um(result.hysteresis));
+    print_line!("F           {least:>8.3} to {most:.3} um");
+    print_line!("squareness  {:>8.2} urad", result.squareness * 1e6);
+    let Some(out) = &args.out else {
+        return Ok(());
+    };
+    let found = Readings {
+        functions: Vec::new(),
+        squareness: Squareness {
+            c0y: result.squareness,
+            ..Squareness::default()
+        },
+    };
+    let (errors, _) = of_readings(&found, &travel(&machine_file), &Conditions::default());
+    let report = "squareness of x and y by a circle test; the other errors were not measured";
+    output::save(out, file::write(&errors, report))?;
+    print_line!("errors      {}", out.display());
+    Ok(())
+}
+
+/// A circle test of the simulated machine.
+fn circle_test(args: &BallBarArgs) -> Result<(MachineFile, CircleResult), CliError> {
     let machine_file = load(&args.machine, args.errors.as_ref())?;
     let at = CircleTest::at(args.feed);
     let test = CircleTest {
@@ -419,7 +484,6 @@ fn circle(args: &BallBarArgs) -> Result<(), CliError> {
     compensate(&mut machine, &machine_file, args.compensation.as_deref())?;
     let compensation = machine.status()?.compensation;
     let result = ball_bar::run(&mut machine, &test)?;
-    let um = |value: f64| value * 1e3;
     print_line!(
         "circle      radius {} mm, {} mm/s, both directions",
         args.radius,
@@ -429,12 +493,5 @@ fn circle(args: &BallBarArgs) -> Result<(), CliError> {
         "compensation {}",
         compensation.map_or("none".to_string(), |percent| format!("{percent} %"))
     );
-    let [ccw, cw] = result.deviation.map(um);
-    let [most, least] = result.radial.map(um);
-    print_line!("G ccw       {ccw:>8.3} um");
-    print_line!("G cw        {cw:>8.3} um");
-    print_line!("H           {:>8.3} um", um(result.hysteresis));
-    print_line!("F           {least:>8.3} to {most:.3} um");
-    print_line!("squareness  {:>8.2} urad", result.squareness * 1e6);
-    Ok(())
+    Ok((machine_file, result))
 }

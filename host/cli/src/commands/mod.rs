@@ -197,6 +197,8 @@ enum Command {
     MoveOff(simple::MoveOffArgs),
     /// Clear a latched fault or emergency stop
     Reset(simple::SimpleArgs),
+    /// Fade the volumetric compensation in or out; it is on after the configuration
+    Compensation(simple::CompensationArgs),
     Override(operate::OverrideArgs),
     /// Hold a job that another process runs, along its path
     Hold(operate::OperateArgs),
@@ -258,6 +260,7 @@ impl Command {
             Self::Facet(command) => command.is_json(),
             Self::Home(args) => args.simple.json,
             Self::MoveOff(args) => args.simple.json,
+            Self::Compensation(args) => args.simple.json,
             Self::Status(args) | Self::Enable(args) | Self::Disable(args) | Self::Reset(args) => {
                 args.json
             }
@@ -364,6 +367,7 @@ fn dispatch(cli: Cli) -> Result<(), CliError> {
         Command::MoveOff(args) => simple::move_off(args),
         Command::Stop(args) => simple::stop(args),
         Command::Reset(args) => simple::run(SimpleCommand::Reset, args),
+        Command::Compensation(args) => simple::compensation(args),
         Command::Override(args) => operate::set_overrides(&args),
         Command::Hold(args) => operate::hold(&args),
         Command::Resume(args) => operate::resume(&args),

@@ -1,5 +1,5 @@
-//! `haptimill home`, `status`, `enable`, `disable`, `move-off`, `stop`, `reset`: one command to a
-//! running controller.
+//! `haptimill home`, `status`, `enable`, `disable`, `move-off`, `stop`, `reset` and `compensation`:
+//! one command to a running controller.
 
 use super::args::{BoardArg, ConnectArgs, check_baud};
 use super::board::{agree, file_of};
@@ -75,6 +75,36 @@ pub fn run(command: SimpleCommand, args: SimpleArgs) -> Result<(), CliError> {
         SimpleCommand::Reset => session.ask(Command::Reset)?,
     }
     print_status(&mut session, args.json)
+}
+
+/// Arguments of `haptimill compensation`.
+#[derive(Debug, Clone, Args)]
+pub struct CompensationArgs {
+    /// Whether the controller compensates
+    #[arg(value_name = "STATE", value_parser = ["on", "off"])]
+    pub state: String,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub simple: SimpleArgs,
+}
+
+/// Fades the volumetric compensation in or out, and prints the status.
+///
+/// # Errors
+/// See [`Exit`].
+pub fn compensation(args: CompensationArgs) -> Result<(), CliError> {
+    let chosen = args.simple.machine.load()?;
+    let mut session = open(&args.simple.connect, &chosen.file)?;
+    agree(&chosen, &mut session, Need::Configuration)?;
+    let on = args.state == "on";
+    session.ask(Command::Compensation { on })?;
+    if !args.simple.json {
+        print_line!(
+            "compensation fades {} within a second",
+            if on { "in" } else { "out" }
+        );
+    }
+    print_status(&mut session, args.simple.json)
 }
 
 /// Arguments of `haptimill home`.
@@ -304,6 +334,7 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
             "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(&status)).collect()),
             "open_loop": open_loop,
             "following_error": map(joints(&status.following_error)),
+            "compensation_percent": status.compensation,
             "bad_frames": status.bad_frames,
             "lost_bytes": status.lost_bytes,
             "inputs": io.inputs_json(),
@@ -365,6 +396,9 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
         }
         let unwound = joint_names.into_iter().zip(model.unwound_joints(&status));
         print_line!("joints   {}", line(unwound.collect(), joint_units));
+    }
+    if let Some(percent) = status.compensation {
+        print_line!("compensation  {percent} %");
     }
     io.print();
     Ok(())
