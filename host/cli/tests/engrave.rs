@@ -660,3 +660,85 @@ fn wrong_depths_and_heights_are_refused() {
         assert!(!folder.0.join("part.ngc").exists(), "{option:?}");
     }
 }
+
+/// An option that the job would ignore is refused by name; tabs that do not fit are a notice.
+#[test]
+fn options_that_do_nothing_are_refused() {
+    let folder = Folder::new("ignored");
+    let plate = plate();
+    let drill = ["--operation", "drill", "--layer", "HOLES"];
+    let pocket = ["--operation", "pocket", "--layer", "PICTURE"];
+    let cases: [(&[&str], &[&str], &str); 10] = [
+        (
+            &[],
+            &["--clear", "zigzag"],
+            "--clear is for --operation pocket",
+        ),
+        (
+            &[],
+            &["--overlap", "0.4"],
+            "--overlap is for --operation pocket",
+        ),
+        (
+            &[],
+            &["--angle", "45"],
+            "--angle needs --operation pocket and --clear",
+        ),
+        (
+            &pocket,
+            &["--angle", "45"],
+            "--angle needs --operation pocket and --clear",
+        ),
+        (
+            &[],
+            &["--finish", "0.2"],
+            "--finish needs --operation pocket, or --side",
+        ),
+        (
+            &[],
+            &["--conventional"],
+            "--conventional needs --operation pocket, or --side",
+        ),
+        (
+            &drill,
+            &["--ramp", "5"],
+            "--ramp is for --operation outline or pocket",
+        ),
+        (
+            &drill,
+            &["--finish", "0.2"],
+            "--finish needs --operation pocket, or --side",
+        ),
+        (
+            &[],
+            &["--tab-width", "3"],
+            "--tab-width and --tab-height need --tabs",
+        ),
+        (
+            &pocket,
+            &["--tabs", "4"],
+            "--tabs is for --operation outline",
+        ),
+    ];
+    for (job, ignored, expected) in cases {
+        let command = [&[plate.as_str()][..], job, ignored].concat();
+        let (code, result) = folder.run(&command);
+        assert_eq!(code, 2, "{command:?}: {result}");
+        let text = result.to_string();
+        assert!(text.contains(expected), "{command:?}: {text}");
+    }
+    assert!(!folder.0.join("plate.ngc").exists());
+    let frame = [&plate, "--layer", "FRAME", "--side", "outside", "--tabs"];
+    let notices = |count| {
+        let (code, result) = folder.run(&[&frame[..], &[count]].concat());
+        assert_eq!(code, 0, "{result}");
+        result["notices"].to_string()
+    };
+    assert!(!notices("4").contains("tabs"), "{}", notices("4"));
+    let many = notices("400");
+    assert!(
+        many.contains("cut through without tabs: 400 tabs"),
+        "{many}"
+    );
+    assert!(many.contains("use fewer or narrower tabs"), "{many}");
+}

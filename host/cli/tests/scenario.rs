@@ -105,25 +105,65 @@ fn an_experiment_is_deterministic() {
 fn the_engraver_repeats_the_analysis_of_its_thesis() {
     let folder = TestFolder::new();
     let out = folder.path("engraver");
-    let ran = haptimill(&["scenario", "run", "engraver", "--json", "--out", &out]).expect_code(0);
-    for number in [
+    let ran = haptimill(&["scenario", "run", "engraver", "--out", &out]).expect_code(0);
+    let table = ran.out;
+    for part in [
         "113.705 mm",
         "97.854 mm",
         "114.061 mm",
         "146.290 mm",
         "lines 1 2 4 3",
+        "differs",
+        "of the same kind",
+        "stands in",
     ] {
-        assert!(ran.out.contains(number), "{number}: {}", ran.out);
+        assert!(table.contains(part), "{part}: {table}");
     }
-    let table = haptimill(&["scenario", "run", "engraver", "--out", &out])
-        .expect_code(0)
-        .out;
+    // The letters that stand in save nothing: no verdict hides that.
+    let rows: serde_json::Value =
+        serde_json::from_str(&folder.read("engraver/engraver/summary.json")).expect("JSON");
+    let rows = rows.as_array().expect("rows");
+    let of = |part: &'static str| {
+        rows.iter()
+            .filter(move |row| row["what"].as_str().is_some_and(|what| what.contains(part)))
+    };
+    assert_eq!(of("KMITL").count(), 6);
     assert!(
-        table.contains("differs")
-            && table.contains("of the same kind")
-            && table.contains("stands in"),
+        of("KMITL").all(|row| row["verdict"] == "differs"),
         "{table}"
     );
+    // The simulated tool follows the drawing, and saves the time that the rules of the thesis give.
+    assert_eq!(of("simulated tool").count(), 2);
+    assert!(
+        of("simulated tool").all(|row| row["verdict"] == "agrees"),
+        "{table}"
+    );
+    let percent = |row: &serde_json::Value| -> f64 {
+        let ours = row["ours"].as_str().unwrap_or_default();
+        let number = ours.split(' ').next().unwrap_or_default();
+        number.parse().expect("percent")
+    };
+    for (shape, within) in [
+        ("here five squares", 1.0),
+        ("here S1", 8.0),
+        ("here S3", 8.0),
+    ] {
+        let shown = |simulated: bool| {
+            let mut found = of(shape).filter(move |row| {
+                row["what"]
+                    .as_str()
+                    .is_some_and(|what| what.contains("simulator"))
+                    == simulated
+            });
+            percent(found.next().expect("a row"))
+        };
+        let (computed, simulated) = (shown(false), shown(true));
+        println!("{shape}: computed {computed} %, simulated {simulated} %");
+        assert!(
+            (computed - simulated).abs() < within,
+            "{shape}: {computed} {simulated}"
+        );
+    }
 }
 
 /// The equations of the faceting machine as printed and as corrected, and a stone by feed and by

@@ -115,6 +115,14 @@ pub struct Tabs {
     pub height_mm: f64,
 }
 
+impl Tabs {
+    /// Length of a contour that the tabs need, with a tool of this diameter, mm.
+    #[must_use]
+    pub fn length(&self, tool_mm: f64) -> f64 {
+        self.count as f64 * (self.width_mm + tool_mm)
+    }
+}
+
 /// Depths of cuts along a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Depths {
@@ -248,7 +256,7 @@ fn around_tabs(
     let top = floor + tabs.height_mm;
     let total = path.length();
     let half = (tabs.width_mm + tool) / 2.0;
-    let fits = tabs.count as f64 * 2.0 * half < total;
+    let fits = tabs.length(tool) < total;
     if z >= top || !fits || tabs.count == 0 {
         steps.extend(path.segments().map(|segment| Step::Along(segment, z)));
         return;

@@ -160,6 +160,31 @@ fn what_is_left_out_is_reported() {
     assert_eq!(drawing.paths.len(), 1);
 }
 
+/// The frame of a nested `svg` hides what is beyond it, at any place and in any direction.
+#[test]
+fn a_frame_that_hides_a_part_is_refused() {
+    let nested = |more: &str, shape: &str| {
+        let frame = "x=\"10\" y=\"5\" width=\"20\" height=\"10\" viewBox=\"0 0 40 20\"";
+        svg(
+            PAGE,
+            &format!("<g transform=\"rotate(30)\"><svg id=\"p\" {frame} {more}>{shape}</svg></g>"),
+        )
+    };
+    let inside = "<line x1=\"1\" y1=\"1\" x2=\"39.9\" y2=\"1\"/>";
+    let beyond = "<line x1=\"1\" y1=\"1\" x2=\"41\" y2=\"1\"/>";
+    let problem = mistake(&nested("", beyond));
+    assert!(
+        problem
+            .message
+            .contains("its frame (overflow hidden) hides a part"),
+        "{problem}"
+    );
+    for (more, shape) in [("", inside), ("overflow=\"visible\"", beyond)] {
+        let drawing = read(nested(more, shape).as_bytes(), &ReadOptions::default()).unwrap();
+        assert_eq!(drawing.paths.len(), 1);
+    }
+}
+
 #[test]
 fn bad_files_name_line_and_remedy() {
     for (content, part) in [

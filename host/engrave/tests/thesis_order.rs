@@ -208,8 +208,11 @@ fn the_table_of_the_thesis_is_complete() {
         assert!(!stands_in || row.verdict != Verdict::Agrees, "{row:?}");
         if stands_in {
             let percent = |text: &str| text.trim_end_matches(" %").parse::<f64>().unwrap();
-            let off = (percent(&row.stated) - percent(&row.ours)).abs();
-            assert_eq!(row.verdict == Verdict::SameKind, off <= KIND, "{row:?}");
+            let (stated, ours) = (percent(&row.stated), percent(&row.ours));
+            // A small saving is of the same kind as none only if it is none.
+            let is_close =
+                (stated - ours).abs() <= KIND && ours >= 0.5 * stated && ours <= 2.0 * stated;
+            assert_eq!(row.verdict == Verdict::SameKind, is_close, "{row:?}");
         }
     }
     // Table 5.1: the times give its printed column; 79.255 % is printed as 79.25.
@@ -222,7 +225,10 @@ fn the_table_of_the_thesis_is_complete() {
         .filter(|row| row.verdict == Verdict::Differs)
         .map(|row| &*row.what)
         .collect();
-    // Four printed sums of rounded legs, and a text of which the analysis saves less.
-    assert_eq!(differs.len(), 5, "{differs:?}");
-    assert!(differs[4].contains("figure 8 (1)"), "{differs:?}");
+    // Four printed sums of rounded legs, and the texts, of which the analysis saves nothing.
+    assert_eq!(differs.len(), 10, "{differs:?}");
+    assert!(
+        differs[4..].iter().all(|what| what.contains("KMITL")),
+        "{differs:?}"
+    );
 }

@@ -163,7 +163,17 @@ fn show<'a, T: serde::Serialize>(
 /// Stated and found results of the thesis on the engraver (docs/engraving.md).
 fn run_engraver(args: &RunArgs) -> Result<(), CliError> {
     use haptimill_engrave::thesis::Verdict;
-    let rows = haptimill_engrave::thesis::rows();
+    let is_quiet = args.json;
+    let mut progress = |what: &str| {
+        if !is_quiet {
+            eprintln!("{what}");
+        }
+    };
+    let mut rows = haptimill_engrave::thesis::rows();
+    rows.extend(super::engrave::thesis::rows(
+        &interrupt::flag(),
+        &mut progress,
+    )?);
     show(args, ENGRAVER, &rows, |row| Statement {
         section: row.section,
         what: &row.what,

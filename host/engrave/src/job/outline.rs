@@ -62,11 +62,33 @@ pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<P
         }
     }
     job.notices.dedup();
+    note_tabs(&finished.loops(), drawing, options, &mut job);
     job.candidates = vec![
         measured(&file, Condition::File.name(), options),
         measured(&job.toolpath.cuts, "inner contours first", options),
     ];
     Ok(job)
+}
+
+/// Notes the contours that are cut through because their tabs do not fit.
+fn note_tabs(paths: &[Path], drawing: &Drawing, options: &Options, job: &mut Job) {
+    let Some(tabs) = options.tabs else {
+        return;
+    };
+    let needed = tabs.length(options.tool_mm);
+    for path in paths.iter().filter(|path| path.closed) {
+        if needed >= path.length() {
+            job.notices.push(format!(
+                "{}: cut through without tabs: {} tabs of {} mm with a tool of {} mm need {needed:.1} \
+                 mm, the contour has {:.1} mm; use fewer or narrower tabs",
+                drawing.entities[path.entity],
+                tabs.count,
+                tabs.width_mm,
+                options.tool_mm,
+                path.length()
+            ));
+        }
+    }
 }
 
 /// Groups closed paths by the number of others around them, the innermost first.
@@ -162,6 +184,7 @@ pub(super) fn with_leads(
 fn trace(drawing: &Drawing, options: &Options) -> Job {
     let mut job = Job::default();
     let chains = chained(drawing, options);
+    note_tabs(&chains, drawing, options, &mut job);
     let commands: Vec<Path> = drawing.paths.iter().flat_map(single_commands).collect();
     let ends: Vec<Ends> = commands
         .iter()

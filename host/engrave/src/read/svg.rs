@@ -344,12 +344,14 @@ impl<'a> Reader<'a, '_> {
                     let what = "all alternatives of a switch are cut";
                     self.note(what.into(), node, layer);
                 }
-                let map = if name == "svg" {
-                    map * self.inner_page(node, None)
-                } else {
-                    map
-                };
                 let layer = self.layer_of(node, layer);
+                if name == "svg" {
+                    let first = self.drawing.paths.len();
+                    let inner = map * self.inner_page(node, None);
+                    self.children(node, inner, layer, depth)?;
+                    self.clip_to_frame(node, map, layer, first);
+                    return Ok(());
+                }
                 return self.children(node, map, layer, depth);
             }
             "use" => return self.reference(node, map, layer, depth),
@@ -446,8 +448,7 @@ impl<'a> Reader<'a, '_> {
     /// Map of a nested `svg` element, or of a symbol by its reference.
     fn inner_page(&self, node: Node, reference: Option<Node>) -> Affine {
         let of = |node: Node, name: &str, axis: usize| self.length(node, name, axis).ok().flatten();
-        let at = |name: &str, axis: usize| of(node, name, axis).unwrap_or(0.0);
-        let place = Affine::translate((at("x", 0), at("y", 1)));
+        let place = Affine::translate(self.place(node));
         let view = node
             .attribute("viewBox")
             .and_then(|text| ViewBox::from_str(text).ok());
@@ -464,6 +465,12 @@ impl<'a> Reader<'a, '_> {
             }
         };
         place * fit_view(view, [size("width", 0), size("height", 1)], aspect(node))
+    }
+
+    /// Upper left corner of a nested `svg` element.
+    pub fn place(&self, node: Node) -> (f64, f64) {
+        let at = |name: &str, axis: usize| self.length(node, name, axis).ok().flatten();
+        (at("x", 0).unwrap_or(0.0), at("y", 1).unwrap_or(0.0))
     }
 
     fn reference(
@@ -500,7 +507,7 @@ impl<'a> Reader<'a, '_> {
     }
 
     /// A length in user units.
-    fn length(&self, node: Node, name: &str, axis: usize) -> Result<Option<f64>, String> {
+    pub fn length(&self, node: Node, name: &str, axis: usize) -> Result<Option<f64>, String> {
         let Some(text) = node.attribute(name) else {
             return Ok(None);
         };

@@ -2,7 +2,7 @@
 
 use super::svg::Reader;
 use crate::geometry::{Path, Point};
-use kurbo::Affine;
+use kurbo::{Affine, Rect};
 use roxmltree::Node;
 use std::str::FromStr;
 use svgtypes::Transform;
@@ -34,17 +34,50 @@ impl<'a> Reader<'a, '_> {
             if corners.is_empty() || whole {
                 continue;
             }
-            if self.options.ignore_clips {
-                self.note(format!("cut whole, without their {name}"), node, layer);
-                continue;
-            }
-            let what = format!("its {name} '{id}' hides a part of it, which would be cut");
-            let remedy = "apply the clip in the drawing program (in Inkscape: Path > \
-                          Intersection), or cut the element whole with --ignore-clips";
-            let mut problem = self.located(node, layer, what);
-            problem.remedy = remedy.into();
-            self.drawing.problems.push(problem);
+            self.refuse_hidden(node, layer, name, &format!("{name} '{id}'"));
         }
+    }
+
+    /// Refuses a nested `svg` element whose frame hides a part of its paths, as [`Reader::clip`].
+    /// `map` is that of its parent.
+    pub fn clip_to_frame(&mut self, node: Node<'a, 'a>, map: Affine, layer: &str, first: usize) {
+        let overflow = self.styles.property(node, "overflow");
+        if matches!(overflow, Some("visible" | "auto")) {
+            return;
+        }
+        let size = |name, axis| self.length(node, name, axis).ok().flatten();
+        let (Some(width), Some(height)) = (size("width", 0), size("height", 1)) else {
+            return;
+        };
+        let (x, y) = self.place(node);
+        let frame = Rect::new(x, y, x + width, y + height);
+        let scale = map.determinant().abs().sqrt().max(1e-9);
+        let frame = frame.inflate(MARGIN_MM / scale, MARGIN_MM / scale);
+        let back = map.inverse();
+        let paths = self.drawing.paths[first..].iter();
+        let hides = paths.filter_map(Path::bounds).any(|[l, h]| {
+            let corners = [l, [h[0], l[1]], h, [l[0], h[1]]];
+            corners
+                .iter()
+                .any(|[x, y]| !frame.contains(back * kurbo::Point::new(*x, *y)))
+        });
+        if hides {
+            self.refuse_hidden(node, layer, "frame", "frame (overflow hidden)");
+        }
+    }
+
+    /// Refuses an element of which a part is hidden, or notes that it is cut whole.
+    fn refuse_hidden(&mut self, node: Node<'a, 'a>, layer: &str, kind: &str, name: &str) {
+        if self.options.ignore_clips {
+            self.note(format!("cut whole, without their {kind}"), node, layer);
+            return;
+        }
+        let what = format!("its {name} hides a part of it, which would be cut");
+        let remedy = "apply the clip in the drawing program (in Inkscape: Path > Intersection), or \
+                      cut the element whole with --ignore-clips";
+        let mut problem = self.located(node, layer, what);
+        problem.remedy = remedy.into();
+        self.drawing.problems.push(problem);
     }
 
     /// Whether a clip path is one convex polygon around all points.

@@ -76,6 +76,15 @@ pub enum OriginName {
     Centre,
 }
 
+/// Width of a tab without --tab-width, mm.
+const TAB_WIDTH: f64 = 2.0;
+
+/// Height of a tab without --tab-height, mm.
+const TAB_HEIGHT: f64 = 0.5;
+
+/// Distance of rows without --overlap.
+const OVERLAP: f64 = 0.5;
+
 /// Arguments of `haptimill engrave`.
 #[derive(Debug, Clone, Args)]
 #[command(about = "Write the part program that engraves a drawing", long_about = LONG)]
@@ -150,7 +159,7 @@ pub struct EngraveArgs {
     #[arg(
         long,
         value_name = "PART",
-        default_value_t = 0.5,
+        default_value_t = OVERLAP,
         allow_negative_numbers = true
     )]
     pub overlap: f64,
@@ -183,7 +192,7 @@ pub struct EngraveArgs {
     #[arg(
         long,
         value_name = "MM",
-        default_value_t = 2.0,
+        default_value_t = TAB_WIDTH,
         allow_negative_numbers = true
     )]
     pub tab_width: f64,
@@ -191,7 +200,7 @@ pub struct EngraveArgs {
     #[arg(
         long,
         value_name = "MM",
-        default_value_t = 0.5,
+        default_value_t = TAB_HEIGHT,
         allow_negative_numbers = true
     )]
     pub tab_height: f64,
@@ -349,7 +358,9 @@ impl EngraveArgs {
             return usage("--angle must be a number of degrees".into());
         }
         let outline = self.operation == OperationName::Outline;
+        let pocket = self.operation == OperationName::Pocket;
         let beside = outline && self.side != SideName::On;
+        let tabs = [(self.tab_width, TAB_WIDTH), (self.tab_height, TAB_HEIGHT)];
         let misplaced = [
             (
                 self.side != SideName::On && !outline,
@@ -366,6 +377,34 @@ impl EngraveArgs {
             (
                 self.tabs.is_some() && !outline,
                 "--tabs is for --operation outline",
+            ),
+            (
+                self.tabs.is_none() && tabs.iter().any(|(given, usual)| given != usual),
+                "--tab-width and --tab-height need --tabs",
+            ),
+            (
+                self.clear != ClearName::Contour && !pocket,
+                "--clear is for --operation pocket",
+            ),
+            (
+                self.overlap != OVERLAP && !pocket,
+                "--overlap is for --operation pocket",
+            ),
+            (
+                self.angle != 0.0 && (!pocket || self.clear == ClearName::Contour),
+                "--angle needs --operation pocket and --clear zigzag or one-way",
+            ),
+            (
+                self.finish != 0.0 && !pocket && !beside,
+                "--finish needs --operation pocket, or --side outside or inside",
+            ),
+            (
+                self.conventional && !pocket && !beside,
+                "--conventional needs --operation pocket, or --side outside or inside",
+            ),
+            (
+                self.ramp.is_some() && !pocket && !outline,
+                "--ramp is for --operation outline or pocket",
             ),
         ];
         match misplaced.iter().find(|(misplaced, _)| *misplaced) {

@@ -2,6 +2,7 @@
 
 mod args;
 mod cut;
+pub mod thesis;
 
 use super::{CliError, Exit, output};
 use haptimill_client::{Error, Located};
