@@ -163,7 +163,7 @@ impl Controller {
 
     /// Commanded spindle speed, rev/min.
     #[must_use]
-    pub const fn spindle_rpm(&self) -> i16 {
+    pub fn spindle_rpm(&self) -> i16 {
         self.core.spindle_rpm()
     }
 }

@@ -97,12 +97,16 @@ impl Core {
                 .is_some_and(|machine| machine.motion.program.is_busy())
     }
 
-    /// The spindle speed in effect: 0 while an open door stops it.
+    /// The spindle speed in effect: 0 while an open door stops it. The override has no effect in a
+    /// part of the path without overrides.
     #[inline]
-    pub const fn spindle_rpm(&self) -> i16 {
+    pub fn spindle_rpm(&self) -> i16 {
+        let machine = self.machine.as_ref();
         if self.job.spindle_stopped {
             0
-        } else if self.job.spindle_percent == 100 {
+        } else if self.job.spindle_percent == 100
+            || machine.is_some_and(|machine| machine.motion.program.is_fixed())
+        {
             self.job.spindle_rpm
         } else {
             let rpm = self.job.spindle_rpm as i32 * self.job.spindle_percent as i32 / 100;

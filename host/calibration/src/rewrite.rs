@@ -58,6 +58,10 @@ fn write_step(out: &mut String, step: &Step, error: &impl Fn(Vector) -> Vector) 
                 Feed::Rapid => "G0".to_owned(),
                 Feed::PerMinute(feed) => format!("G1 F{feed:.3}"),
             };
+            // The overrides are off in a move of its own: tapping stops exactly before it.
+            if step.fixed {
+                out.push_str("M49\n");
+            }
             let count = pieces(&step.path, step.feed);
             for piece in 1..=count {
                 let [x, y, z, ..] = step
@@ -65,6 +69,9 @@ fn write_step(out: &mut String, step: &Step, error: &impl Fn(Vector) -> Vector) 
                     .at(step.path.length * f64::from(piece) / f64::from(count));
                 let at = compensated(Vector::new(x, y, z), error);
                 let _ = writeln!(out, "{word} X{:.6} Y{:.6} Z{:.6}", at.x, at.y, at.z);
+            }
+            if step.fixed {
+                out.push_str("M48\n");
             }
             if step.exact_stop {
                 out.push_str("G4 P0.001\n");

@@ -22,6 +22,8 @@ pub struct Move {
     pub path: Path,
     /// Feed.
     pub feed: Feed,
+    /// Whether the overrides have no effect (tapping, M49, M50 P0).
+    pub fixed: bool,
     /// Whether to stop at the end (G61, G61.1, cycles).
     pub exact_stop: bool,
     /// Largest distance of a blended corner from the programmed one, mm (G64 P); `None` is the

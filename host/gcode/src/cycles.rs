@@ -30,6 +30,8 @@ struct Hole {
     place: Place,
     at: usize,
     pace: Pace,
+    /// The feed belongs to the speed of the spindle: the overrides have no effect.
+    is_tapped: bool,
 }
 
 impl Executor {
@@ -186,6 +188,7 @@ impl Executor {
             place: here.place(at),
             at,
             pace: self.pace(at, block)?,
+            is_tapped: matches!(number, 74 | 84),
         };
         if start[normal] < r {
             self.level(&hole, r, Pace::Rapid)?;
@@ -211,6 +214,7 @@ impl Executor {
     fn exact_to(&mut self, hole: &Hole, to: PerLetter, pace: Pace) -> Read<()> {
         let mut leg = self.line_to(hole.place, to, pace);
         leg.exact_stop = true;
+        leg.fixed |= hole.is_tapped;
         self.out.leg(&leg);
         self.state.at = to;
         Ok(())

@@ -228,8 +228,18 @@ impl Executor {
         let Some(code) = block.codes.get(Group::Override) else {
             return Ok(());
         };
-        let what = "M48 to M53 change nothing: the feed override is always possible".into();
-        self.notice(here, code.at, "override", what)
+        let switch = block.value(b'P').unwrap_or(1.0) == 0.0;
+        match code.tenths {
+            480 => self.state.modes.fixed = false,
+            490 => self.state.modes.fixed = true,
+            500 => self.state.modes.fixed = switch,
+            _ => {
+                let what = "M51 to M53 change nothing: M49 and M50 P0 switch the overrides of feed and \
+                            spindle off, and a hold is always possible";
+                return self.notice(here, code.at, "override", what.into());
+            }
+        }
+        Ok(())
     }
 
     pub(crate) fn set_outputs(&mut self, block: &Block, here: &Here) -> Read<()> {

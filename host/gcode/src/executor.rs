@@ -576,6 +576,7 @@ impl Executor {
             place,
             to,
             arc: None,
+            fixed: self.state.modes.fixed,
             pace,
             exact_stop,
             tolerance,

@@ -26,6 +26,8 @@ pub(crate) struct Leg {
     /// Arc with the indices of X, Y, Z.
     pub arc: Option<Arc>,
     pub pace: Pace,
+    /// The overrides have no effect.
+    pub fixed: bool,
     pub exact_stop: bool,
     pub tolerance: Option<f64>,
     pub joining: Option<f64>,
@@ -115,6 +117,7 @@ impl Output {
             place: leg.place,
             path,
             feed,
+            fixed: leg.fixed && leg.pace != Pace::Rapid,
             exact_stop: leg.exact_stop,
             tolerance: leg.tolerance,
             joining: leg.joining,

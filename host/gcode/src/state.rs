@@ -152,6 +152,8 @@ pub(crate) struct Modes {
     /// F in mm/min (mm per turn with G95).
     pub feed_mm: f64,
     pub path_control: PathControl,
+    /// M49 or M50 P0: the overrides have no effect on moves at feed.
+    pub fixed: bool,
     /// G99.
     pub return_to_r: bool,
     /// Rev/min, or m/min with G96.
@@ -256,6 +258,7 @@ impl State {
                     tolerance: None,
                     joining: None,
                 },
+                fixed: false,
                 return_to_r: true,
                 speed: None,
                 surface_limit: None,

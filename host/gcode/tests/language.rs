@@ -170,6 +170,29 @@ fn tapping_reverses_the_spindle() {
     assert!(stopped.contains("does not turn clockwise"), "{stopped}");
 }
 
+/// M49 and M50 P0 switch the overrides off for moves at feed; tapping has none.
+#[test]
+fn overrides_are_off_where_the_program_says_so() {
+    let fixed = |text: &str| -> String {
+        let steps = steps_with(text, &options());
+        let moves = steps.iter().filter_map(|step| match step {
+            Step::Move(step) => Some(if step.fixed { 'f' } else { '-' }),
+            _ => None,
+        });
+        moves.collect()
+    };
+    let moves = "G1 X1\nG2 X3 I1\nG0 X4\n";
+    let off_and_on = |off, on| format!("F100\n{moves}{off}\n{moves}{on}\n{moves}");
+    for (off, on) in [("M49", "M48"), ("M50 P0", "M50 P1"), ("M50 P0", "M50")] {
+        assert_eq!(fixed(&off_and_on(off, on)), "---ff----", "{off} {on}");
+    }
+    assert_eq!(fixed(&off_and_on("M51 P0", "M53 P0")), "---------");
+    // Rapid to the place and to R, down, up; the same in every hole.
+    assert_eq!(fixed("F100 S500 M3\nG84 X1 Y1 Z-3 R2"), "--ff");
+    assert_eq!(fixed("F100 S500 M4\nG74 X1 Y1 Z-3 R2 L2"), "--ffff");
+    assert_eq!(fixed("F100 S500 M3\nG81 X1 Y1 Z-3 R2"), "----");
+}
+
 #[test]
 fn offsets_shift_and_turn() {
     // Positions of the machine; rs274 prints the same in program coordinates.
@@ -531,7 +554,7 @@ fn words_that_change_nothing_are_noticed_once_or_refused() {
         coolant: false,
         ..options()
     };
-    let program = read("t.ngc", b"M8\nM9\nM48\nM8\nT1 M6\nG43 H1", &plain).expect("read");
+    let program = read("t.ngc", b"M8\nM9\nM53\nM8\nT1 M6\nG43 H1", &plain).expect("read");
     assert_eq!(program.notices.len(), 3);
     assert_eq!(program.notices[0].place.line, 1);
     let strict = Options {

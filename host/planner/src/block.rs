@@ -40,6 +40,8 @@ pub(crate) struct Block {
     pub messages: u32,
     pub path: Path,
     pub is_rapid: bool,
+    /// Whether the overrides have no effect.
+    pub is_fixed: bool,
     pub exact_stop: bool,
     /// Whether the next block is the next part of the same move.
     pub continues: bool,
@@ -297,6 +299,7 @@ fn examine(
         messages: 0,
         path: path.clone(),
         is_rapid: step.feed == Feed::Rapid,
+        is_fixed: step.fixed,
         exact_stop: false,
         continues: false,
         is_slowed: limits.is_slowed(),

@@ -84,7 +84,10 @@ impl Corner {
             (Some(one), Some(other)) => one.min(other),
             (one, other) => one.or(other).unwrap_or(settings.tolerance_mm),
         };
-        if before.exact_stop || tolerance < 1e-6 || before.path.measure != after.path.measure {
+        // At standstill the path rate takes that of the overrides, or 1 without them, at once.
+        let is_alike =
+            (before.path.measure, before.is_fixed) == (after.path.measure, after.is_fixed);
+        if before.exact_stop || tolerance < 1e-6 || !is_alike {
             return Corner::stop();
         }
         let (u1, u2) = (&before.tangents[1], &after.tangents[0]);

@@ -122,8 +122,8 @@ impl Joining {
         };
         let length = joined.whole.path.length;
         let is_alike = is_short_line(step, kinds)
-            && (step.feed, step.tolerance, step.joining)
-                == (first.feed, first.tolerance, first.joining)
+            && (step.feed, step.fixed) == (first.feed, first.fixed)
+            && (step.tolerance, step.joining) == (first.tolerance, first.joining)
             && step.place.file == first.place.file
             && step.path.from == joined.whole.path.to
             && joined.moves.len() < MOST;

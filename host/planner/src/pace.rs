@@ -92,6 +92,10 @@ impl Pacer {
         let (window, [feed_until, rapid_until]) = &mut self.kinds;
         let is_known = advance(window, &mut |piece, end| {
             let leg = trajectory.leg(trajectory.pieces[piece].path);
+            // The motion stops before a move without overrides.
+            if leg.is_fixed {
+                return;
+            }
             *(if leg.is_rapid {
                 &mut *rapid_until
             } else {

@@ -107,6 +107,7 @@ impl<M: MachineModel> Planner<M> {
             messages: 0,
             path: standing,
             is_rapid: true,
+            is_fixed: false,
         });
         trajectory.pieces.push(Piece::resting(0.0, 0, 1.0));
         Self {
@@ -507,7 +508,7 @@ impl<M: MachineModel> Planner<M> {
     fn lay_blocks(&mut self, count: usize) -> Result<(), Problem> {
         if !self.run.moves {
             let first = &self.run.blocks[0];
-            let slows = self.ended_rapid && !first.is_rapid;
+            let slows = self.ended_rapid && !first.is_rapid || first.is_fixed;
             let from = first.path.from;
             self.time = self
                 .emitter
@@ -588,6 +589,7 @@ impl<M: MachineModel> Planner<M> {
             messages: block.messages,
             path: block.path.clone(),
             is_rapid: block.is_rapid,
+            is_fixed: block.is_fixed,
         });
         let path = self.trajectory.last_path();
         let is_rounded = |corner: &Corner, speed: f64| {

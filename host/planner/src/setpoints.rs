@@ -345,7 +345,8 @@ impl Emitter {
         }
         let is_rapid = leg.is_rapid;
         self.messages = leg.messages;
-        self.set_pace(trajectory, [from, to]);
+        let is_fixed = leg.is_fixed;
+        self.set_pace(trajectory, [from, to], is_fixed);
         self.push(to, &pose, &rates, (place, is_rapid), settings);
         checked.map(|_| ()).map_err(|(what, remedy)| Problem {
             place,
@@ -356,9 +357,10 @@ impl Emitter {
 
     /// Sets the pace of the motion between two periods, as the action of the last setpoint. An
     /// action that is there has priority: the pace changes one setpoint later.
-    fn set_pace(&mut self, trajectory: &Trajectory, span: [u64; 2]) {
+    fn set_pace(&mut self, trajectory: &Trajectory, span: [u64; 2], is_fixed: bool) {
         let span = span.map(|period| period as f64 * self.period);
-        let pace = self.pacer.pace(trajectory, span, self.known, self.period);
+        let of_overrides = self.pacer.pace(trajectory, span, self.known, self.period);
+        let pace = if is_fixed { Pace::FIXED } else { of_overrides };
         if pace == self.pace {
             return;
         }

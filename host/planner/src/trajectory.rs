@@ -118,6 +118,8 @@ pub(crate) struct Leg {
     pub path: Path,
     /// Whether it is a rapid move.
     pub is_rapid: bool,
+    /// Whether the overrides have no effect.
+    pub is_fixed: bool,
 }
 
 impl Leg {

@@ -3,7 +3,7 @@
 use super::units::{DEGREE, MM, PERIOD};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::machines::h4::{Arm, ArmGeometry, Tip};
-use haptimill_protocol::message::Action;
+use haptimill_protocol::message::{Action, Pace};
 use haptimill_protocol::setpoint::Setpoint;
 
 /// The simulator's geometry, for commanded joints and poses.
@@ -215,7 +215,17 @@ impl PlannedJob {
             let highest = i32::from(i16::MAX);
             speed.clamp(-highest, highest) == i32::from(seen.spindle)
         };
-        let overrides = &seen.spindle_overrides;
+        let pace = self.setpoints[..place].iter().rev();
+        let pace = pace.filter_map(|setpoint| match setpoint.action {
+            Action::Pace(pace) => Some(pace),
+            _ => None,
+        });
+        let is_fixed = pace.take(1).any(|pace| pace == Pace::FIXED);
+        let overrides = match seen.spindle_overrides.as_slice() {
+            [] => Vec::new(),
+            _ if is_fixed => vec![100],
+            overrides => overrides.to_vec(),
+        };
         if !overrides.is_empty() && !overrides.iter().any(is_planned) {
             return Err(format!(
                 "the spindle is at {} after setpoint {place}, by the host's plan at {spindle} with \

@@ -122,6 +122,12 @@ impl Interpolator {
         self.override_rate = FULL_RATE * i64::from(pace.factor(feed, rapid)) / 100;
     }
 
+    /// Whether the motion is in a part of the path in which overrides have no effect.
+    #[must_use]
+    pub fn is_fixed(&self) -> bool {
+        self.pace == Pace::FIXED
+    }
+
     /// Begins a part of the path with another pace.
     #[inline(never)]
     pub(super) fn enter_pace(&mut self, pace: Pace) {

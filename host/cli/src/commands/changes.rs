@@ -119,6 +119,7 @@ impl Frame {
             place,
             path,
             feed,
+            fixed: false,
             exact_stop: true,
             tolerance: None,
             joining: Some(0.0),

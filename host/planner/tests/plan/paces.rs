@@ -171,3 +171,46 @@ fn rapid_moves_and_moves_at_feed_are_told_apart() {
     }
     assert!(seen.len() >= 5, "{seen:?}");
 }
+
+/// Moves without overrides have the fixed pace over their whole path, and begin and end at
+/// standstill, where the path rate changes at once.
+#[test]
+fn moves_without_overrides_are_fixed_from_standstill_to_standstill() {
+    let text = "G64 P0.1 F900\nG1 X5\nX10 Y4\nM49\nX15\nX20 Y8\nG0 X22\nG4 P0.1\nG1 X25\nM48\nX30 Y2\n\
+                X33\nM49\nX36 Y5\nX38\n";
+    let (program, plan) = plan(text, &settings());
+    let fixed: std::collections::BTreeSet<u32> = (program.steps.iter())
+        .filter_map(|step| match step {
+            Step::Move(step) => step.fixed.then_some(step.place.line),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(fixed.iter().copied().collect::<Vec<_>>(), [5, 6, 9, 14, 15]);
+    let (mut seen, mut changes) = (std::collections::BTreeSet::new(), 0);
+    let all = spans(&plan);
+    for (index, (pace, span)) in paces(&plan).iter().zip(&all).enumerate() {
+        let is_fixed = fixed.contains(&plan.line_of(index));
+        if span.axes.iter().all(|cubic| cubic.p[0] == cubic.p[1]) {
+            continue;
+        }
+        assert_eq!(
+            *pace == Pace::FIXED,
+            is_fixed,
+            "line {}",
+            plan.line_of(index)
+        );
+        if is_fixed {
+            seen.insert(plan.line_of(index));
+        }
+        let before = index.checked_sub(1).map(|before| plan.line_of(before));
+        if before.is_some_and(|before| fixed.contains(&before) != is_fixed) {
+            changes += 1;
+            assert!(
+                ends_at_rest(&all[index - 1]),
+                "line {}",
+                plan.line_of(index)
+            );
+        }
+    }
+    assert_eq!((seen, changes), (fixed, 5));
+}
