@@ -202,6 +202,61 @@ fn faults_of_step_motors_stop_the_job_with_a_remedy() {
     insta::assert_snapshot!("step_motor_faults", text);
 }
 
+/// A controller without encoders cannot see lost steps. The simulator can: a run that lost steps
+/// did not succeed. It ends with the joint, its distance and the code of a fault.
+#[test]
+fn lost_steps_without_encoders_are_no_success() {
+    let folder = TestFolder::new();
+    // Longer than homing, in which the joint finds its place again.
+    let text = format!("G21 G90 F600\n{}G1 X0\nM30\n", "G1 X20\nX-20\n".repeat(6));
+    let program = folder.file("part.ngc", &text);
+    let run = |faults: &[&str]| {
+        let out = folder.path("out");
+        let job = [
+            "run",
+            &program,
+            "--json",
+            "--machine",
+            "machines/mill3.toml",
+            "--out",
+            &out,
+        ];
+        haptimill(&[&job[..], faults].concat())
+    };
+    let whole = run(&[]).expect_code(0).json();
+    assert_eq!(whole["faults"], serde_json::json!([]), "{whole:#}");
+    let lost = run(&["--fault", "joint-jammed axis=x at=30s for=100ms"]).expect_code(6);
+    let summary = lost.json();
+    let fault = summary["faults"][0].as_str().unwrap_or_default();
+    for part in ["steps were lost", "x is ", " mm off", "home again"] {
+        assert!(
+            fault.contains(part) && lost.err.contains(part),
+            "{part}: {lost:?}"
+        );
+    }
+    // The true tool is as far away.
+    let mm = fault
+        .split("x is ")
+        .nth(1)
+        .and_then(|rest| rest.split(' ').next());
+    let off: f64 = mm.and_then(|mm| mm.parse().ok()).expect("a distance");
+    let file = folder.path("out/recording.hmr");
+    let recording = Recording::open(Path::new(&file)).unwrap();
+    let last = recording
+        .iter()
+        .unwrap()
+        .map(Result::unwrap)
+        .last()
+        .unwrap();
+    let per_mm = f64::from(1 << 20);
+    let tool = f64::from(last.tool[0] - last.commanded[0]) / per_mm;
+    println!("the joint is {off} mm off, the tool {tool} mm");
+    assert!(
+        off.abs() > 0.05 && (tool - off).abs() < 0.02,
+        "{off} {tool}"
+    );
+}
+
 #[test]
 fn fault_before_the_job_prevents_motion() {
     let folder = TestFolder::new();

@@ -84,8 +84,12 @@ const SCALE: f64 = 0.01;
 /// above which it is another switch.
 const SWITCH: f64 = 1.0;
 
-/// Checks that a step and a count move the simulated joint as far as the controller computes, and
-/// that its home switch is where the controller expects it.
+/// Part of a stroke beyond a hard stop of the simulated joint, mm or degrees, above which it is a
+/// mistake: the stop yields.
+const STOP: f64 = 0.01;
+
+/// Checks that a step and a count move the simulated joint as far as the controller computes, that
+/// its home switch is where the controller expects it, and that it can reach its whole stroke.
 fn check_scales(
     document: &Document<'_>,
     root: &DeTable<'_>,
@@ -109,6 +113,19 @@ fn check_scales(
                 report(field, what, remedy);
             }
         };
+        let [low, high] = [joint.low, joint.high].map(|end| f64::from(end.0) / per_unit);
+        for (key, end, stop, beyond) in [
+            ("low", low, simulated.low, simulated.low - low),
+            ("high", high, simulated.high, high - simulated.high),
+        ] {
+            if beyond > STOP {
+                let what = format!(
+                    "the hard stop of the simulated joint is at {stop} {unit}, the stroke of the \
+                     controller ends at {end} {unit}"
+                );
+                report(key, what, "correct it, or the stroke in [[joint]]");
+            }
+        }
         if let (Some(encoder), Some(read)) = (&simulated.encoder, &joint.encoder) {
             let truth = simulated.per_count(encoder);
             let remedy = "correct lead or counts_per_turn, here or in [[joint]]";

@@ -329,6 +329,7 @@ fn a_stroke_that_is_too_long_is_refused_with_its_bound_and_remedy() {
     );
     // The bounds themselves are possible.
     let widest = BUILT_IN.replacen("low_deg = -45.0", "low_deg = -166.99", 1);
+    let widest = widest.replacen("low = -47.0", "low = -169.0", 1);
     assert_eq!(problems(&widest), "no problem\n");
 }
 
@@ -661,6 +662,21 @@ fn steps_counts_and_switches_of_the_simulated_machine_are_compared() {
             "at_mm = -140.0",
             "plant.joint[1].home",
             "the switch is at -150 mm, the controller expects it at -140 mm",
+        ),
+        (
+            mill,
+            "low = -160.0",
+            "low = -154.0",
+            "plant.joint[1].low",
+            "the hard stop of the simulated joint is at -154 mm, the stroke of the controller ends \
+             at -155 mm",
+        ),
+        (
+            mill,
+            "high_mm = 155.0",
+            "high_mm = 165.0",
+            "plant.joint[1].high",
+            "is at 160 mm, the stroke of the controller ends at 165 mm",
         ),
     ] {
         assert!(MachineFile::parse("machine.toml", text).is_ok());

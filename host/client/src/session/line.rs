@@ -11,7 +11,7 @@ use haptimill_hil_sim::process::{CuttingConfig, Workpiece};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
-use haptimill_protocol::message::{FULL_PATH_RATE, Telemetry};
+use haptimill_protocol::message::{FULL_PATH_RATE, MAX_AXES, Telemetry};
 use haptimill_trace::Recorder;
 
 /// A byte channel to a controller, with a clock.
@@ -55,6 +55,11 @@ pub trait Line {
     /// The stock on the table of a simulated machine, with all material removed that the tool has
     /// passed; `None` for others.
     fn stock(&mut self) -> Option<&Workpiece> {
+        None
+    }
+
+    /// True positions of the joints of a simulated machine, mm or degrees; `None` for others.
+    fn true_joints(&self) -> Option<[f64; MAX_AXES]> {
         None
     }
 
@@ -107,6 +112,10 @@ impl<L: Line + ?Sized> Line for Box<L> {
 
     fn stock(&mut self) -> Option<&Workpiece> {
         (**self).stock()
+    }
+
+    fn true_joints(&self) -> Option<[f64; MAX_AXES]> {
+        (**self).true_joints()
     }
 
     fn snapshot(&self) -> Option<Snapshot> {

@@ -248,6 +248,10 @@ impl<C: Control> Line for SimLine<C> {
         Some(cutting.workpiece())
     }
 
+    fn true_joints(&self) -> Option<[f64; MAX_AXES]> {
+        Some(self.rig.plant().truth().joints)
+    }
+
     fn is_recording_broken(&self) -> bool {
         self.recording.as_ref().is_some_and(JobRecording::is_broken)
     }

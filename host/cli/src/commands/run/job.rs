@@ -1,6 +1,7 @@
 //! A run of a part program on a connected machine.
 
 use super::args::RunArgs;
+use super::lost_steps::StepJoints;
 use super::operator::Operator;
 use super::progress::ProgressDisplay;
 use super::results::{self, ResultFolder};
@@ -209,6 +210,7 @@ impl Job<'_> {
         } = supply;
         let mut progress = ProgressDisplay::new(self.args, self.machine, &shown, operator);
         let track = shown.track.clone();
+        let step_joints = StepJoints::of(session, self.machine)?;
         session.line_mut().begin_recording(JobRecording::new(
             recorder,
             track.clone(),
@@ -217,6 +219,13 @@ impl Job<'_> {
         let end = session.run_job(2, start, setpoints, &mut progress);
         let completed = matches!(&end, Ok(end) if session.check_completed(end).is_ok());
         progress.finish(completed);
+        // `haptimill engrave` compares the cut plate itself.
+        let lost_steps = match &end {
+            Ok(end) if end.status.position_kept && !self.args.silent => {
+                step_joints.lost(session, self.machine)?
+            }
+            _ => None,
+        };
         // The recording is kept and reported after an error, too.
         let recorder = session.line_mut().end_recording();
         let recorded = match recorder {
@@ -243,7 +252,10 @@ impl Job<'_> {
             Ok(end) => Outcome {
                 setpoints: u64::from(end.setpoints),
                 underruns: end.underruns.len() as u64,
-                faults: describe_faults(session, end),
+                faults: describe_faults(session, end)
+                    .into_iter()
+                    .chain(lost_steps.clone())
+                    .collect(),
                 injected,
                 completed: is_whole && matches!(end.ending, JobEnding::Done { .. }),
                 final_state: Some(end.status.state),
@@ -290,6 +302,8 @@ impl Job<'_> {
             Some(results::disk_full(&dir))
         } else if let Err(error) = end.and_then(|end| self.judge(session, &end)) {
             Some(error.into())
+        } else if let Some(lost) = lost_steps {
+            Some(CliError::new(Exit::Fault, lost))
         } else {
             let error = stream_end
                 .as_ref()

@@ -4,6 +4,7 @@ mod args;
 mod emulated;
 pub(super) mod job;
 mod keys;
+mod lost_steps;
 mod operator;
 pub(crate) mod overrides;
 mod parts;
