@@ -60,18 +60,14 @@ fn tapping_has_no_overrides() {
             periods.abs_diff(whole) > 500,
             "{periods} of {whole}: no override"
         );
-        assert_eq!(overridden.len(), plain.len(), "{feed} {rapid} {spindle}");
-        for (index, (found, expected)) in overridden.iter().zip(&plain).enumerate() {
-            assert!(
-                (found.0 - expected.0).abs() < 1e-3,
-                "{index}: {found:?} {expected:?}"
-            );
-            // The spindle reverses in the period in which the motion has ended, to one period.
-            let near = &plain[index.saturating_sub(1)..(index + 2).min(plain.len())];
-            assert!(
-                near.iter().any(|(_, rpm)| *rpm == found.1),
-                "{index}: {found:?}"
-            );
+        // The rapid move to the retract plane ends within a period of it.
+        let difference = overridden.len().abs_diff(plain.len());
+        assert!(difference <= 2, "{feed} {rapid} {spindle}: {difference}");
+        for (index, (z, rpm)) in overridden.iter().enumerate() {
+            // To two periods: 5 mm/s in a period of 200 us is 0.001 mm.
+            let near = &plain[index.saturating_sub(2)..(index + 3).min(plain.len())];
+            let is_near = |it: &(f64, i16)| it.1 == *rpm && (it.0 - z).abs() < 2e-3;
+            assert!(near.iter().any(is_near), "{index}: {z} {rpm}, {near:?}");
         }
     }
 }

@@ -143,11 +143,8 @@ fn the_engraver_repeats_the_analysis_of_its_thesis() {
         let number = ours.split(' ').next().unwrap_or_default();
         number.parse().expect("percent")
     };
-    for (shape, within) in [
-        ("here five squares", 1.0),
-        ("here S1", 8.0),
-        ("here S3", 8.0),
-    ] {
+    // Accelerations, and the contours of the pockets, are not in the rules.
+    for shape in ["here five squares", "here S1", "here S3"] {
         let shown = |simulated: bool| {
             let mut found = of(shape).filter(move |row| {
                 row["what"]
@@ -160,7 +157,7 @@ fn the_engraver_repeats_the_analysis_of_its_thesis() {
         let (computed, simulated) = (shown(false), shown(true));
         println!("{shape}: computed {computed} %, simulated {simulated} %");
         assert!(
-            (computed - simulated).abs() < within,
+            (computed - simulated).abs() < 2.0,
             "{shape}: {computed} {simulated}"
         );
     }
