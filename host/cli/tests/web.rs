@@ -79,6 +79,8 @@ struct Viewer {
     stock: Vec<f64>,
     /// Changes of the stock that came.
     parts: usize,
+    /// Largest feed of the states, mm/min.
+    feed: f64,
 }
 
 impl Viewer {
@@ -97,6 +99,7 @@ impl Viewer {
             refused: Vec::new(),
             stock: Vec::new(),
             parts: 0,
+            feed: 0.0,
         }
     }
 
@@ -107,7 +110,13 @@ impl Viewer {
         };
         let message: Value = serde_json::from_str(&text).unwrap();
         match message["kind"].as_str().unwrap() {
-            "state" => self.state = message,
+            "state" => {
+                self.feed = message["feed_mm_min"]
+                    .as_f64()
+                    .unwrap_or(0.0)
+                    .max(self.feed);
+                self.state = message;
+            }
             "control" => self.control = message,
             "scene" => self.scene = message,
             "stock" => self.stock = numbers(&message["heights"]),
@@ -178,6 +187,8 @@ impl Viewer {
         });
         self.wait_for_state("idle");
         assert_eq!(self.state["referenced"], true);
+        // The coordinates of the built-in machine are limited to 50 mm/s each, three of them.
+        assert!(self.feed < 50.0 * 60.0 * 3.0_f64.sqrt(), "{}", self.feed);
     }
 
     /// Answers a question with yes, once it has been there for as long as an operator reads.

@@ -120,6 +120,8 @@ pub(super) struct App {
     pub(super) requests: Vec<(Ticket, OnAck)>,
     pub(super) telemetry: Option<Telemetry>,
     pub(super) telemetry_at: Instant,
+    /// The newest telemetry as it was received.
+    pub(super) reported: Option<Telemetry>,
     pub(super) motion: Option<Motion>,
     /// Control period of the last change of state; older telemetry describes another state.
     pub(super) state_period: u64,
@@ -203,6 +205,7 @@ impl App {
             requests: Vec::new(),
             telemetry: None,
             telemetry_at: now,
+            reported: None,
             motion: None,
             state_period: 0,
             log: Log::default(),

@@ -299,10 +299,12 @@ impl App {
                 (*scale, *since) = (fits, Instant::now());
             }
         }
-        self.motion = self.telemetry.as_ref().and_then(|before| {
+        // The newest telemetry gets the state of an event, before the pose of that state is known.
+        self.motion = self.reported.as_ref().and_then(|before| {
             let period_s = self.static_info.period_s;
             motion(&self.static_info.pose, period_s, before, &telemetry)
         });
+        self.reported = Some(telemetry.clone());
         if let Some(recording) = &mut self.recording
             && let Err(reason) = recording.add(&telemetry)
         {
@@ -379,6 +381,34 @@ mod tests {
             assert_eq!(moved(&lit, &dark(1500)), None);
         }
         assert!(moved(&idle(0, 0.0), &idle(250, 0.0)).is_some());
+    }
+
+    /// The event of the new state comes before the first report with its pose.
+    #[test]
+    fn enabling_gives_no_feed_from_the_pose_before() {
+        #[derive(clap::Parser)]
+        struct Given {
+            #[command(flatten)]
+            console: crate::commands::console::ConsoleArgs,
+        }
+        let given: Given = clap::Parser::parse_from(["console"]);
+        let mut app = super::super::open_app(given.console, false).unwrap();
+        let report =
+            |period, state, x| Notification::Telemetry(Box::new(at(period, state, false, x)));
+        app.handle_notification(report(1000, State::Disabled, 0.0))
+            .unwrap();
+        let event = Event::State {
+            from: State::Disabled,
+            to: State::Idle,
+            position_kept: true,
+        };
+        app.handle_event(1200, &event);
+        app.handle_notification(report(1250, State::Idle, 98.3))
+            .unwrap();
+        assert_eq!(app.motion, None);
+        app.handle_notification(report(1500, State::Idle, 98.3))
+            .unwrap();
+        assert_eq!(app.motion.map(|motion| motion.feed_mm_min), Some(0.0));
     }
 
     #[test]
