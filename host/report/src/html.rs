@@ -1,11 +1,11 @@
 //! Report of a job: one self-contained HTML page with charts.
 
-use super::chart::{Backdrop, COLOURS, Chart, Line};
+use super::chart::{COLOURS, Chart, Line};
 use super::chart_data::ChartData;
 use super::contour::Point;
 use super::markup::{self, escape, put};
 use super::series::Columns;
-use super::{Statistics, Summary, duration};
+use super::{Cut, Statistics, Summary, duration};
 use haptimill_firmware::config::JointAxis;
 use haptimill_trace::{Recording, RecordingError};
 use std::io::{self, Write};
@@ -18,8 +18,8 @@ const SURFACE_MARGINS: (f64, f64) = (90.0, 70.0);
 /// Colour of the programmed values.
 const REFERENCE: &str = "#b7c0ca";
 
-/// Writes the report of a recording. `statistics` are those of [`Summary::of`]; `surface` is the
-/// cut surface from above.
+/// Writes the report of a recording. `statistics` are those of [`Summary::of`]; `cut` is what
+/// was cut from a simulated stock.
 ///
 /// # Errors
 /// The recording cannot be read, or the report not written.
@@ -27,7 +27,7 @@ pub fn write_html(
     recording: &Recording,
     summary: &Summary,
     statistics: &Statistics,
-    surface: Option<&Backdrop>,
+    cut: Option<&Cut>,
     out: &mut dyn Write,
 ) -> Result<(), RecordingError> {
     let mut data = ChartData::new(recording, statistics);
@@ -35,7 +35,7 @@ pub fn write_html(
         data.add(&record?);
     }
     data.finish();
-    let page = page(recording, summary, statistics, surface, &data);
+    let page = page(recording, summary, statistics, cut, &data);
     let io = |error: io::Error| RecordingError::Io(PathBuf::from("report"), error);
     out.write_all(page.as_bytes()).map_err(io)
 }
@@ -68,7 +68,7 @@ fn page(
     recording: &Recording,
     summary: &Summary,
     statistics: &Statistics,
-    surface: Option<&Backdrop>,
+    cut: Option<&Cut>,
     data: &ChartData,
 ) -> String {
     let mut page = markup::head(&summary.program, "");
@@ -86,7 +86,14 @@ fn page(
     list(&mut page, "Faults", "card bad", &summary.faults);
     paths(&mut page, summary, statistics, data);
     process(&mut page, recording, statistics, data);
-    cut_surface(&mut page, summary, surface, data);
+    if let Some(cut) = cut {
+        let tool = data.path.points.iter();
+        cut_surface(
+            &mut page,
+            cut,
+            tool.map(|[_, tool]| (tool[0], tool[1])).collect(),
+        );
+    }
     time_charts(&mut page, recording, summary, statistics, data);
     table(&mut page, summary);
     page.push_str(markup::END);
@@ -136,17 +143,12 @@ fn process(page: &mut String, recording: &Recording, statistics: &Statistics, da
     }
 }
 
-/// The cut surface from above, with the path of the tool.
-fn cut_surface(page: &mut String, summary: &Summary, surface: Option<&Backdrop>, data: &ChartData) {
-    let Some(surface) = surface else { return };
+/// Adds the cut surface from above to a page, with the path of the tool, mm; nothing where nothing
+/// was cut.
+pub fn cut_surface(page: &mut String, cut: &Cut, path: Vec<(f64, f64)>) {
+    let Some(surface) = &cut.surface else { return };
     let (x_mm, y_mm) = (surface.x.1 - surface.x.0, surface.y.1 - surface.y.0);
     let scale = (SURFACE.0 / x_mm).min(SURFACE.1 / y_mm);
-    let path = data
-        .path
-        .points
-        .iter()
-        .map(|[_, tool]| (tool[0], tool[1]))
-        .collect();
     let image = Chart {
         x_label: "x, mm".into(),
         y_label: "y, mm".into(),
@@ -162,12 +164,10 @@ fn cut_surface(page: &mut String, summary: &Summary, surface: Option<&Backdrop>,
         from_zero: false,
         backdrop: Some(surface.clone()),
     };
-    let process = &summary.process;
     let caption = format!(
         "Seen from above, light from the upper left; blue is deep. {:.1} mm^3 removed, {:.2} mm \
          deep at most",
-        process.removed_mm3.unwrap_or_default(),
-        process.cut_depth_mm.unwrap_or_default()
+        cut.removed_mm3, cut.depth_mm
     );
     page.push_str("<h2>Cut surface</h2>");
     card(page, &caption, &image.svg());

@@ -18,7 +18,7 @@ mod tests;
 mod tip;
 
 pub use contour::Contour;
-pub use html::write_html;
+pub use html::{cut_surface, write_html};
 pub use process::{Cut, Process};
 pub use statistics::{Extent, Following, Spread, Statistics};
 
@@ -398,8 +398,8 @@ pub fn write_all(
         .and_then(|()| file.flush())
         .map_err(io)?;
     let mut file = create(REPORT_FILE)?;
-    let surface = outcome.cut.as_ref().and_then(|cut| cut.surface.as_ref());
-    write_html(&recording, &summary, &statistics, surface, &mut file)?;
+    let cut = outcome.cut.as_ref();
+    write_html(&recording, &summary, &statistics, cut, &mut file)?;
     file.flush()
         .map_err(|error| RecordingError::Io(dir.join(REPORT_FILE), error))?;
     Ok(summary)

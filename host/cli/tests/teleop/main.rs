@@ -221,8 +221,15 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
         checked += 1;
     }
     assert!(checked > 50, "{checked}");
+    // What was cut: the ball end mill left a groove as deep as its tip was in the block.
+    let (removed, cut_depth) = (number(&one, "removed_mm3"), number(&one, "cut_depth_mm"));
+    assert!(removed > 1.0, "{removed} mm^3");
+    assert_eq!(one["spindle_rpm"], 5000);
     let page = folder.read("one/report.html");
     for part in [
+        "<h2>Cut surface</h2>",
+        "<b>5000 rev/min</b>",
+        &format!("<b>{removed:.1} mm^3</b>"),
         "Orientation of the handle",
         "Force of the master on the operator",
         "error, mm",
@@ -237,6 +244,47 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     let lowest = made.iter().map(|record| record.tool[2]).min().unwrap();
     let depth = 21.232 - f64::from(lowest) / MM;
     assert!((0.7..1.6).contains(&depth), "{depth} mm deep");
+    // The top of the block of the example is at the tip's height of the home pose.
+    assert!(
+        (cut_depth - depth).abs() < 0.05,
+        "{cut_depth} mm, the tip was {depth} mm deep"
+    );
+}
+
+/// A thinned recording of a session has one of so many control periods, in both files, and a
+/// session without a stock has no cut.
+#[test]
+fn a_part_of_a_session_is_recorded() {
+    let folder = TestFolder::new();
+    let more = ["--for", "2", "--record"];
+    let all = run_script(&folder, "all", AWAY, &[&more[..], &["all"]].concat());
+    let thin = run_script(&folder, "thin", AWAY, &[&more[..], &["every=50"]].concat());
+    let (all_periods, thin_periods) = (number(&all, "periods"), number(&thin, "periods"));
+    assert!(
+        (all_periods / thin_periods - 50.0).abs() < 1.0,
+        "{thin_periods} of {all_periods}"
+    );
+    assert_eq!(all["session"], thin["session"]);
+    assert_eq!(
+        (&all["recorded"], &all["removed_mm3"]),
+        (&Value::Null, &Value::Null)
+    );
+    assert!(thin["recorded"].is_string());
+    for file in ["recording.hmr", "master.hmr"] {
+        let size = |out: &str| {
+            let path = folder.path(&format!("{out}/{file}"));
+            std::fs::metadata(path).unwrap().len()
+        };
+        assert!(
+            30 * size("thin") < size("all"),
+            "{file}: {} of {}",
+            size("thin"),
+            size("all")
+        );
+    }
+    let refused = haptimill(&["teleop", "--master", "sim", "--record", "every=1"]).expect_code(2);
+    assert!(refused.err.contains("last=TIME"), "{}", refused.err);
+    assert!(folder.read("thin/report.html").contains("error, mm"));
 }
 
 #[test]

@@ -255,42 +255,8 @@ impl RunArgs {
     /// Estimated size of the recording of a program with this duration, and of the files from
     /// which it is made.
     pub(super) fn recording_bytes(&self, machine: &MachineFile, seconds: f64) -> f64 {
-        let is_simulated = self.port.is_simulated();
-        // One record per telemetry frame, one frame every 20 ms.
-        let telemetry = 50.0 * RECORD_BYTES as f64;
-        let records = match is_simulated {
-            true => periods_per_s(machine) * RECORD_BYTES as f64,
-            false => telemetry,
-        };
-        match self.record {
-            RecordedPart::All if is_simulated => seconds * bytes_per_s(machine),
-            RecordedPart::All => seconds * telemetry,
-            RecordedPart::Every(periods) => {
-                let thinned = periods_per_s(machine) / f64::from(periods) * RECORD_BYTES as f64;
-                seconds * records.min(thinned)
-            }
-            // Two files in turn, and the one that is made of them.
-            RecordedPart::Last(last_s) => {
-                let turns = if seconds > last_s { 3.0 } else { 1.0 };
-                seconds.min(last_s) * turns * records
-            }
-        }
-    }
-
-    /// The recording has the last records only, so that it does not grow.
-    pub(super) const fn keeps_last(&self) -> bool {
-        matches!(self.record, RecordedPart::Last(_))
-    }
-
-    /// The records that are kept.
-    pub(super) fn keep(&self, machine: &MachineFile) -> Keep {
-        match self.record {
-            RecordedPart::All => Keep::All,
-            RecordedPart::Every(periods) => Keep::Every(periods),
-            RecordedPart::Last(seconds) => {
-                Keep::Last((seconds * periods_per_s(machine)).round() as u64)
-            }
-        }
+        self.record
+            .bytes(machine, seconds, self.port.is_simulated())
     }
 
     /// Whether the overrides of motion are 100 %.
@@ -374,8 +340,53 @@ pub enum RecordedPart {
     Last(f64),
 }
 
+impl RecordedPart {
+    /// Estimated size of the recording of a session with this duration, and of the files from which
+    /// it is made.
+    pub(in crate::commands) fn bytes(
+        self,
+        machine: &MachineFile,
+        seconds: f64,
+        is_simulated: bool,
+    ) -> f64 {
+        // One record per telemetry frame, one frame every 20 ms.
+        let telemetry = 50.0 * RECORD_BYTES as f64;
+        let records = match is_simulated {
+            true => periods_per_s(machine) * RECORD_BYTES as f64,
+            false => telemetry,
+        };
+        match self {
+            Self::All if is_simulated => seconds * bytes_per_s(machine),
+            Self::All => seconds * telemetry,
+            Self::Every(periods) => {
+                let thinned = periods_per_s(machine) / f64::from(periods) * RECORD_BYTES as f64;
+                seconds * records.min(thinned)
+            }
+            // Two files in turn, and the one that is made of them.
+            Self::Last(last_s) => {
+                let turns = if seconds > last_s { 3.0 } else { 1.0 };
+                seconds.min(last_s) * turns * records
+            }
+        }
+    }
+
+    /// The recording has the last records only, so that it does not grow.
+    pub(in crate::commands) const fn keeps_last(self) -> bool {
+        matches!(self, Self::Last(_))
+    }
+
+    /// The records that are kept.
+    pub(in crate::commands) fn keep(self, machine: &MachineFile) -> Keep {
+        match self {
+            Self::All => Keep::All,
+            Self::Every(periods) => Keep::Every(periods),
+            Self::Last(seconds) => Keep::Last((seconds * periods_per_s(machine)).round() as u64),
+        }
+    }
+}
+
 /// Reads `all`, `every=N` or `last=TIME`.
-fn recorded_part(text: &str) -> Result<RecordedPart, String> {
+pub(in crate::commands) fn recorded_part(text: &str) -> Result<RecordedPart, String> {
     let usage = || "write all, every=N (N from 2 on), or last=TIME (as 90s, 10min, 2h)".to_string();
     match text.split_once('=') {
         None if text == "all" => Ok(RecordedPart::All),

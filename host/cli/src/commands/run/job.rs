@@ -245,6 +245,7 @@ impl Job<'_> {
             .map(haptimill_experiments::cut_of);
         let recorded_part = self
             .args
+            .record
             .keep(self.machine)
             .describe(self.machine.config.period_us);
         let is_whole = !stream_end.as_ref().is_some_and(StreamEnd::has_error);
@@ -341,7 +342,7 @@ impl Job<'_> {
     fn recorder(&self, header: &Header) -> Result<(Recorder, Option<SharedStatistics>), CliError> {
         let output = |error: &dyn std::fmt::Display| CliError::new(Exit::Output, error);
         let path = self.args.out_dir().join(haptimill_report::RECORDING_FILE);
-        let keep = self.args.keep(self.machine);
+        let keep = self.args.record.keep(self.machine);
         let mut recorder =
             Recorder::create_thinned(&path, header, keep).map_err(|error| output(&error))?;
         let Some(part) = keep.describe(self.machine.config.period_us) else {

@@ -31,7 +31,7 @@ use results::ResultFolder;
 use std::io::Read;
 
 pub use args::RunArgs;
-pub(super) use args::{bytes_per_s, faults_help};
+pub(super) use args::{RecordedPart, faults_help, recorded_part};
 
 /// Size of a recording from which it is announced.
 const ANNOUNCED_BYTES: f64 = 100e6;
@@ -80,7 +80,7 @@ fn run_from(args: RunArgs, input: Option<Box<dyn Read + Send>>) -> Result<(), Cl
         };
         // The duration is not known.
         let growth = describe_growth(args.recording_bytes(&machine, 3600.0));
-        if let Some(growth) = growth.filter(|_| !args.keeps_last()) {
+        if let Some(growth) = growth.filter(|_| !args.record.keeps_last()) {
             args.print_message(&growth);
         }
         Work::Stream(bytes, is_live)
@@ -241,15 +241,19 @@ fn check_planned(
     let duration_s = args.duration_s(machine, &planned.plan);
     let bytes = args.recording_bytes(machine, duration_s);
     results::check_space(&args.out_dir(), bytes)?;
-    if bytes >= ANNOUNCED_BYTES {
-        let what = format!("the recording takes about {:.0} MB", bytes / 1e6);
-        args.print_message(&what);
+    if let Some(size) = describe_size(bytes) {
+        args.print_message(&size);
     }
     if planned.plan.figures.blocks == 0 {
         let name = program.file_name();
         args.print_message(&format!("{name}: no motion; the machine is homed only"));
     }
     Ok(Work::Planned(Box::new(planned)))
+}
+
+/// The size of a recording; none for a small one.
+pub(super) fn describe_size(bytes: f64) -> Option<String> {
+    (bytes >= ANNOUNCED_BYTES).then(|| format!("the recording takes about {:.0} MB", bytes / 1e6))
 }
 
 /// The growth of a recording, which has this size after an hour; none for one that stays small.

@@ -2,6 +2,7 @@
 
 use super::master::MasterSpec;
 use crate::commands::args::{BoardArg, PortArgs, SimulatorArgs, StockArg, check_baud, seconds};
+use crate::commands::run::{RecordedPart, recorded_part};
 use crate::commands::{CliError, Exit, run};
 use clap::Args;
 use haptimill_client::board::Chosen;
@@ -110,6 +111,10 @@ pub struct TeleopArgs {
     /// Write one row of trace.csv every N control periods
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     pub trace_every: u32,
+    /// What is recorded of machine and arm: all (a simulated session can then be replayed), every=N
+    /// (one of N control periods), or last=TIME (as 90s, 10min, 2h)
+    #[arg(long, value_name = "PART", default_value = "all", value_parser = recorded_part)]
+    pub record: RecordedPart,
     /// Print only the summary as JSON on standard output
     #[arg(long)]
     pub json: bool,

@@ -1,12 +1,14 @@
 //! Progress and summary of a session on the terminal.
 
 use super::TeleopArgs;
+use haptimill_report::Cut;
 use haptimill_teleop::{Outcome, Row};
 use std::io::{IsTerminal, Write};
 
-/// Describes the outcome of a session.
-pub(super) fn describe(outcome: &Outcome) -> String {
-    let three = |values: &[f64; 3]| format!("{:.2} {:.2} {:.2}", values[0], values[1], values[2]);
+/// Describes the outcome of a session, with its greatest spindle speed in rev/min and its cut.
+pub(super) fn describe(outcome: &Outcome, spindle_rpm: u16, cut: Option<&Cut>) -> String {
+    let three =
+        |values: &[f64; 3]| format!("x {:.2} y {:.2} z {:.2}", values[0], values[1], values[2]);
     let mut text = format!(
         "teleoperation for {:.2} s with {} master samples; {} holds; {}\n",
         outcome.duration_s,
@@ -28,6 +30,13 @@ pub(super) fn describe(outcome: &Outcome) -> String {
         three(&outcome.largest_force_n),
         three(&outcome.largest_feedback_n)
     );
+    if let Some(cut) = cut {
+        let (volume, depth) = (cut.removed_mm3, cut.depth_mm);
+        text += &format!("cut: {volume:.1} mm^3, {depth:.2} mm deep\n");
+    }
+    if spindle_rpm > 0 {
+        text += &format!("spindle: {spindle_rpm} rev/min at most\n");
+    }
     if let Some(latency) = &outcome.latency {
         let how = if outcome.latency_is_exact {
             "exact to the control period"

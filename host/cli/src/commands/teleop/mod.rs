@@ -156,13 +156,13 @@ fn run_script(
         number
     });
     let mut arm = Arm::new(line, master_machine, None, pace, numbers)?;
-    let outcome = session.run_with(&mut arm, &folder, |arm| {
+    let ended = session.run_with(&mut arm, &folder, |arm| {
         let recording = session.create_recording(master_machine, MASTER_RECORDING_FILE)?;
         arm.line_mut().begin_recording(recording);
         Ok(())
     })?;
     let recorded = session.finish_recording(arm.line_mut().end_recording())?;
-    session.report(outcome, Some(recorded))
+    session.report(ended, Some(recorded))
 }
 
 #[cfg(unix)]

@@ -5,9 +5,9 @@ use super::session::TABLE_FILE;
 use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{self, card, escape, put};
 use haptimill_report::series::Columns;
-use haptimill_report::{count, duration};
+use haptimill_report::{Cut, count, cut_surface, duration};
 use haptimill_teleop::Outcome;
-use haptimill_trace::{Column, Recording, columns};
+use haptimill_trace::{Column, Recording, RecordingError, columns};
 use std::error::Error;
 use std::path::Path;
 
@@ -92,7 +92,13 @@ fn line(label: &str, index: usize, series: &Columns) -> Line {
 ///
 /// # Errors
 /// A file of the folder cannot be read.
-pub(super) fn page(dir: &Path, machine: &str, outcome: &Outcome) -> Result<String, Box<dyn Error>> {
+pub(super) fn page(
+    dir: &Path,
+    machine: &str,
+    outcome: &Outcome,
+    joints: &JointErrors,
+    cut: Option<&Cut>,
+) -> Result<String, Box<dyn Error>> {
     let mut page = markup::head(&format!("teleoperation, {machine}"), "");
     put(
         &mut page,
@@ -102,15 +108,18 @@ pub(super) fn page(dir: &Path, machine: &str, outcome: &Outcome) -> Result<Strin
             duration(outcome.duration_s)
         ),
     );
-    tiles(&mut page, outcome);
+    tiles(&mut page, outcome, joints.spindle_rpm, cut);
     lists(&mut page, outcome);
     page.push_str("<h2>Master and tool</h2>");
-    for (group, lines) in GROUPS.iter().zip(table_lines(dir, outcome)?) {
+    let (groups, path) = table_lines(dir, outcome)?;
+    for (group, lines) in GROUPS.iter().zip(groups) {
         card(&mut page, group.caption, &chart(group.y_label, lines));
     }
+    if let Some(cut) = cut {
+        cut_surface(&mut page, cut, path);
+    }
     page.push_str("<h2>Joints of the machine</h2>");
-    let recording = Recording::open(&dir.join(haptimill_report::RECORDING_FILE))?;
-    for (unit, lines) in error_lines(&recording)? {
+    for (unit, lines) in joints.lines() {
         let caption = "Following error: commanded minus measured position";
         card(&mut page, caption, &chart(&format!("error, {unit}"), lines));
     }
@@ -118,7 +127,7 @@ pub(super) fn page(dir: &Path, machine: &str, outcome: &Outcome) -> Result<Strin
     Ok(page)
 }
 
-fn tiles(page: &mut String, outcome: &Outcome) {
+fn tiles(page: &mut String, outcome: &Outcome, spindle_rpm: u16, cut: Option<&Cut>) {
     let size = |force: &[f64; 3]| force.iter().fold(0.0_f64, |most, part| most.max(*part));
     let latency = outcome.latency.as_ref();
     let tiles = [
@@ -149,6 +158,17 @@ fn tiles(page: &mut String, outcome: &Outcome) {
         ),
         (count(outcome.holds.len(), "hold"), "of the machine"),
     ];
+    let mut tiles = tiles.to_vec();
+    if let Some(cut) = cut {
+        tiles.push((format!("{:.1} mm^3", cut.removed_mm3), "removed"));
+        tiles.push((
+            format!("{:.2} mm", cut.depth_mm),
+            "depth of the cut, largest",
+        ));
+    }
+    if spindle_rpm > 0 {
+        tiles.push((format!("{spindle_rpm} rev/min"), "spindle, largest"));
+    }
     page.push_str("<div class=\"tiles\">");
     for (value, label) in tiles {
         let value = escape(&value);
@@ -196,8 +216,12 @@ fn lists(page: &mut String, outcome: &Outcome) {
     }
 }
 
-/// The lines of [`GROUPS`], from the table of reports.
-fn table_lines(dir: &Path, outcome: &Outcome) -> Result<Vec<Vec<Line>>, Box<dyn Error>> {
+/// The lines of [`GROUPS`], and the path of the tool from above, from the table of reports.
+#[allow(clippy::type_complexity, reason = "two results of one pass")]
+fn table_lines(
+    dir: &Path,
+    outcome: &Outcome,
+) -> Result<(Vec<Vec<Line>>, Vec<(f64, f64)>), Box<dyn Error>> {
     let mut reader = csv::Reader::from_path(dir.join(TABLE_FILE))?;
     let names = reader.headers()?.clone();
     let place = |name: &str| {
@@ -215,10 +239,20 @@ fn table_lines(dir: &Path, outcome: &Outcome) -> Result<Vec<Vec<Line>>, Box<dyn 
     let mut row = csv::StringRecord::new();
     // The tip of the master is far from the origin of its base.
     let mut begun = vec![None; names.len()];
+    let (tool_x, tool_y) = (place("tool_x_mm")?, place("tool_y_mm")?);
+    let mut path = Vec::new();
     let is_tip = |at: usize| names[at].starts_with("master_") && names[at].ends_with("_mm");
     while reader.read_record(&mut row)? {
         let value = |at: usize| row.get(at).and_then(|text| text.parse::<f64>().ok());
         let Some(time_s) = value(0) else { continue };
+        // A point where the tool moved by more than 0.02 mm: a chart has no finer line.
+        if let (Some(x), Some(y)) = (value(tool_x), value(tool_y))
+            && path
+                .last()
+                .is_none_or(|last: &(f64, f64)| (x - last.0).hypot(y - last.1) > 0.02)
+        {
+            path.push((x, y));
+        }
         for (at, series) in groups.iter_mut().flatten() {
             if let Some(value) = value(*at) {
                 let begin = *begun[*at].get_or_insert(value);
@@ -231,43 +265,61 @@ fn table_lines(dir: &Path, outcome: &Outcome) -> Result<Vec<Vec<Line>>, Box<dyn 
         let lines = labels.map(|(index, ((_, label), (_, series)))| line(label, index, &series));
         lines.collect()
     });
-    Ok(lines.collect())
+    Ok((lines.collect(), path))
 }
 
-/// Following errors of the joints, with their unit: linear and rotary ones apart.
-fn error_lines(
-    recording: &Recording,
-) -> Result<Vec<(&'static str, Vec<Line>)>, haptimill_trace::RecordingError> {
-    let all = columns(recording).into_iter();
-    let errors: Vec<Column> = all.filter(|column| column.group == "joint_error").collect();
-    let Some(first) = recording.iter()?.next().transpose()? else {
-        return Ok(Vec::new());
-    };
-    let last = recording.last()?.map_or(first.period, |last| last.period);
-    let seconds = |period: u64| period.saturating_sub(first.period) as f64 * recording.period_s();
-    let end = seconds(last).max(1e-3);
-    let mut series: Vec<Columns> = errors.iter().map(|_| Columns::new(0.0, end)).collect();
-    for record in recording.iter()? {
-        let record = record?;
-        let time_s = seconds(record.period);
-        for (column, series) in errors.iter().zip(&mut series) {
-            if let Some(value) = column.value(&record, time_s) {
-                series.add(time_s, value.number());
+/// Following errors of the joints, and the greatest spindle speed, from the recording.
+pub(super) struct JointErrors {
+    errors: Vec<(Column, Columns)>,
+    /// Either direction, rev/min.
+    pub(super) spindle_rpm: u16,
+}
+
+impl JointErrors {
+    pub(super) fn read(file: &Path) -> Result<Self, RecordingError> {
+        let recording = Recording::open(file)?;
+        let mut read = Self {
+            errors: Vec::new(),
+            spindle_rpm: 0,
+        };
+        let Some(first) = recording.iter()?.next().transpose()? else {
+            return Ok(read);
+        };
+        let last = recording.last()?.map_or(first.period, |last| last.period);
+        let seconds =
+            |period: u64| period.saturating_sub(first.period) as f64 * recording.period_s();
+        let end = seconds(last).max(1e-3);
+        let errors = columns(&recording).into_iter();
+        read.errors = errors
+            .filter(|column| column.group == "joint_error")
+            .map(|column| (column, Columns::new(0.0, end)))
+            .collect();
+        for record in recording.iter()? {
+            let record = record?;
+            let time_s = seconds(record.period);
+            read.spindle_rpm = read.spindle_rpm.max(record.spindle_rpm.unsigned_abs());
+            for (column, series) in &mut read.errors {
+                if let Some(value) = column.value(&record, time_s) {
+                    series.add(time_s, value.number());
+                }
             }
         }
+        Ok(read)
     }
-    let mut groups = Vec::new();
-    for unit in ["mm", "deg"] {
-        let of_unit = errors.iter().zip(&series);
-        let of_unit = of_unit
-            .filter(|(column, _)| column.unit == unit)
-            .enumerate();
-        let lines: Vec<Line> = of_unit
-            .map(|(index, (column, series))| line(&column.name, index, series))
-            .collect();
-        if !lines.is_empty() {
-            groups.push((unit, lines));
+
+    /// Lines with their unit: linear and rotary joints apart.
+    fn lines(&self) -> Vec<(&'static str, Vec<Line>)> {
+        let mut groups = Vec::new();
+        for unit in ["mm", "deg"] {
+            let of_unit = self.errors.iter().filter(|(column, _)| column.unit == unit);
+            let lines: Vec<Line> = of_unit
+                .enumerate()
+                .map(|(index, (column, series))| line(&column.name, index, series))
+                .collect();
+            if !lines.is_empty() {
+                groups.push((unit, lines));
+            }
         }
+        groups
     }
-    Ok(groups)
 }

@@ -4,11 +4,11 @@ use super::args::{TeleopArgs, line_rate};
 use super::commands;
 use super::display::{Display, describe};
 use super::master::MasterSpec;
-use super::page::page;
+use super::page::{JointErrors, page};
 use crate::commands::board::file_of;
 use crate::commands::run::job::refuse_latched_fault;
 use crate::commands::run::results::{self, ResultFolder};
-use crate::commands::run::{bytes_per_s, describe_growth};
+use crate::commands::run::{describe_growth, describe_size};
 use crate::commands::{CliError, Exit, interrupt};
 use haptimill_client::board::Chosen;
 use haptimill_client::client::Options;
@@ -23,6 +23,7 @@ use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Command;
+use haptimill_report::Cut;
 use haptimill_teleop::{Ended, MasterDevice, Outcome, Row, Teleop, TeleopOptions};
 use haptimill_trace::{Header, Recorded, Recorder, Recording, RecordingError, write_csv};
 use std::io::{BufWriter, Write};
@@ -30,6 +31,15 @@ use std::path::Path;
 
 /// The table of reports.
 pub(super) const TABLE_FILE: &str = "teleop.csv";
+
+/// What a session leaves.
+pub(super) struct SessionEnd {
+    pub(super) outcome: Outcome,
+    /// The recording of the machine.
+    pub(super) recorded: Recorded,
+    /// What was cut from a simulated stock.
+    pub(super) cut: Option<Cut>,
+}
 
 /// A teleoperation session.
 pub(super) struct TeleopSession<'a> {
@@ -56,7 +66,8 @@ impl TeleopSession<'_> {
     ) -> Result<JobRecording, CliError> {
         let header =
             Header::of(machine, "teleop").map_err(|error| CliError::new(Exit::Internal, error))?;
-        let recorder = Recorder::create(&self.dir.join(file), &header)
+        let keep = self.args.record.keep(machine);
+        let recorder = Recorder::create_thinned(&self.dir.join(file), &header, keep)
             .map_err(|error| self.output_error(&error))?;
         Ok(JobRecording::unplanned(recorder, machine))
     }
@@ -72,12 +83,24 @@ impl TeleopSession<'_> {
             .map_err(|error| results::recording_error(self.dir, &error))
     }
 
-    /// Prints by how much the recording grows, where the simulated machine records every period.
-    fn announce_growth(&self) {
+    /// Size of the recording of the machine after this time.
+    fn recording_bytes(&self, seconds: f64) -> f64 {
         let is_simulated = self.args.port.is_simulated();
-        let hour_bytes = bytes_per_s(self.machine) * 3600.0;
-        if let Some(growth) = describe_growth(hour_bytes).filter(|_| is_simulated) {
-            self.args.print_message(&growth);
+        self.args.record.bytes(self.machine, seconds, is_simulated)
+    }
+
+    /// Prints the size of the recording where it is known and large, else its growth.
+    fn announce_size(&self) {
+        let is_last = self.args.record.keeps_last();
+        // A ring of records has its largest size after any long time.
+        let seconds = self
+            .options
+            .duration_s
+            .or(is_last.then_some(f64::from(u32::MAX)));
+        let size = seconds.and_then(|seconds| describe_size(self.recording_bytes(seconds)));
+        let growth = || describe_growth(self.recording_bytes(3600.0)).filter(|_| !is_last);
+        if let Some(what) = size.or_else(growth) {
+            self.args.print_message(&what);
         }
     }
 
@@ -87,8 +110,8 @@ impl TeleopSession<'_> {
     /// See [`Exit`].
     pub(super) fn run<S: MasterDevice>(&self, source: &mut S) -> Result<(), CliError> {
         let folder = ResultFolder::open(self.dir)?;
-        let outcome = self.run_with(source, &folder, |_| Ok(()))?;
-        self.report(outcome, None)
+        let ended = self.run_with(source, &folder, |_| Ok(()))?;
+        self.report(ended, None)
     }
 
     /// Runs a session. When the machine is ready, clears the folder and calls `on_ready`.
@@ -100,12 +123,10 @@ impl TeleopSession<'_> {
         source: &mut S,
         folder: &ResultFolder,
         on_ready: impl FnOnce(&mut S) -> Result<(), CliError>,
-    ) -> Result<(Outcome, Recorded), CliError> {
+    ) -> Result<SessionEnd, CliError> {
         let (args, machine) = (self.args, self.machine);
-        if let Some(seconds) = self.options.duration_s
-            && args.port.is_simulated()
-        {
-            results::check_space(self.dir, seconds * bytes_per_s(machine))?;
+        if let Some(seconds) = self.options.duration_s {
+            results::check_space(self.dir, self.recording_bytes(seconds))?;
         }
         source.prepare()?;
         let interrupted = interrupt::flag();
@@ -151,7 +172,7 @@ impl TeleopSession<'_> {
         source: &mut S,
         folder: &ResultFolder,
         on_ready: impl FnOnce(&mut S) -> Result<(), CliError>,
-    ) -> Result<(Outcome, Recorded), CliError> {
+    ) -> Result<SessionEnd, CliError> {
         session.connect(number)?;
         self.prepare_machine(&mut session)?;
         folder.clear()?;
@@ -168,7 +189,7 @@ impl TeleopSession<'_> {
             MasterSpec::Keyboard | MasterSpec::Script(_)
         );
         let lines = reads_commands.then(commands::listen);
-        self.announce_growth();
+        self.announce_size();
         self.args.print_message("teleoperation started");
         let teleop = Teleop::new(&mut session, source, self.options).with_command_input(lines);
         let outcome = teleop.run(&mut |row, event| {
@@ -189,6 +210,8 @@ impl TeleopSession<'_> {
             .and_then(|()| table.flush())
             .map_err(|error| self.output_error(&error))?;
         let (outcome, recorded) = (outcome?, recorded?);
+        let stock = session.line_mut().stock();
+        let cut = stock.map(haptimill_experiments::cut_of);
         let trace = || -> Result<(), RecordingError> {
             let recording = Recording::open(&self.dir.join(haptimill_report::RECORDING_FILE))?;
             let path = self.dir.join(haptimill_report::TRACE_FILE);
@@ -200,7 +223,11 @@ impl TeleopSession<'_> {
                 .map_err(|error| RecordingError::Io(path, error))
         };
         trace().map_err(|error| self.output_error(&error))?;
-        Ok((outcome, recorded))
+        Ok(SessionEnd {
+            outcome,
+            recorded,
+            cut,
+        })
     }
 
     /// Prepares the machine: configuration, homing, stock, zero of the force sensor.
@@ -243,27 +270,44 @@ impl TeleopSession<'_> {
     /// The session ended by a stop, a fault or a lost connection.
     pub(super) fn report(
         &self,
-        (outcome, recorded): (Outcome, Recorded),
+        ended: SessionEnd,
         master: Option<Recorded>,
     ) -> Result<(), CliError> {
-        let value = serde_json::json!({
+        let SessionEnd {
+            outcome,
+            recorded,
+            cut,
+        } = ended;
+        let joints = JointErrors::read(&self.dir.join(haptimill_report::RECORDING_FILE))
+            .map_err(|error| self.output_error(&error))?;
+        let mut value = serde_json::json!({
             "machine": self.machine.config.name.as_str(),
             "session": outcome,
             "periods": recorded.records,
             "trace_sha256": recorded.sha256,
             "hand_trace_sha256": master.map(|master| master.sha256),
+            "recorded": self.args.record.keep(self.machine).describe(self.machine.config.period_us),
+            "spindle_rpm": joints.spindle_rpm,
         });
+        if let Some(cut) = &cut {
+            value["removed_mm3"] = cut.removed_mm3.into();
+            value["cut_depth_mm"] = cut.depth_mm.into();
+        }
         let text = format!("{value:#}\n");
         std::fs::write(self.dir.join(haptimill_report::SUMMARY_FILE), &text)
             .map_err(|error| self.output_error(&error))?;
-        let page = page(self.dir, self.machine.config.name.as_str(), &outcome);
+        let name = self.machine.config.name.as_str();
+        let page = page(self.dir, name, &outcome, &joints, cut.as_ref());
         let report = self.dir.join(haptimill_report::REPORT_FILE);
         page.and_then(|page| Ok(std::fs::write(&report, page)?))
             .map_err(|error| self.output_error(&error))?;
         if self.args.json {
             print_line!("{value:#}");
         } else {
-            print_line!("{}", describe(&outcome).trim_end());
+            print_line!(
+                "{}",
+                describe(&outcome, joints.spindle_rpm, cut.as_ref()).trim_end()
+            );
             print_line!("results in {}", self.dir.display());
             print_line!("report     {}", report.display());
         }
