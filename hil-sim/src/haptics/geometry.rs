@@ -72,6 +72,33 @@ impl Default for HapticGeometry {
 }
 
 impl HapticGeometry {
+    /// The arm as polylines in the base frame, mm, for a picture: each leg from its foot over the
+    /// end of its rod to its ball joint, the base, the platform, and the handle from the centre of
+    /// the platform to the tip. `tip` is in mm, `x` and `z` are directions of the handle. None
+    /// where a leg does not reach the handle.
+    #[must_use]
+    pub fn links(&self, tip: Vector, [x, z]: [Vector; 2]) -> Vec<Vec<Vector>> {
+        let columns = [x, cross(z, x), z];
+        let frame = [0, 1, 2].map(|row| columns.map(|column| column[row]));
+        let centre = minus(tip, turned(&frame, self.tip_mm));
+        let geometry = Geometry::new(self);
+        let Ok(legs) = geometry.legs(&HandlePose { centre, frame }) else {
+            return Vec::new();
+        };
+        let feet = [0, 1, 2, 0].map(|leg| geometry.foot(leg));
+        let joints = [0, 1, 2, 0].map(|leg: usize| plus(centre, legs[leg].lever));
+        let mut lines: Vec<Vec<Vector>> = legs
+            .iter()
+            .enumerate()
+            .map(|(index, leg)| {
+                let rod = plus(feet[index], times(leg.axis, leg.slide));
+                vec![feet[index], rod, joints[index]]
+            })
+            .collect();
+        lines.extend([feet.to_vec(), joints.to_vec(), vec![centre, tip]]);
+        lines
+    }
+
     pub(super) fn check(&self, check: &mut Check) {
         for (name, value) in [
             ("base_radius_mm", self.base_radius_mm),

@@ -13,7 +13,7 @@
 //! The workpiece frame is the lap: its origin is the centre, z points away from the lap. The tool
 //! is the stone; its own frame is that of the tip.
 
-use super::{DEGREE, Geometry};
+use super::{DEGREE, Geometry, round_table};
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
@@ -207,6 +207,17 @@ impl Geometry for Facet {
             // From the tip to the machine.
             axis: times(axis, -1.0),
         }
+    }
+
+    /// The arm from the top of the lift to the tip, the lift, and the lap.
+    fn links(&self, joints: &JointArray, _: &JointArray) -> Vec<Vec<Vector>> {
+        let [tilt, tip] = self.frames(joints);
+        let lap = self.lap_origin(joints);
+        let place = |base: Vector| self.to_lap(minus(base, lap));
+        let top = place([0.0, 0.0, joints[2]]);
+        let arm = [top, place(column(&tilt, 3)), place(column(&tip, 3))];
+        let edge = round_table([0.0; 3], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        vec![arm.to_vec(), vec![place([0.0; 3]), top], edge]
     }
 
     fn tool_axes(&self, pose: &JointArray) -> [Vector; 3] {

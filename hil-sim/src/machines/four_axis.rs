@@ -4,7 +4,7 @@
 //! rotary axis. The workpiece frame is the machine frame with the rotary axis at 0, and turns with
 //! the workpiece.
 
-use super::Geometry;
+use super::{Geometry, PICTURE_MM, round_table};
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
@@ -68,6 +68,15 @@ impl Geometry for FourAxis {
     fn follow(&mut self, joints: &JointArray, pose: &mut JointArray) -> bool {
         *pose = *joints;
         true
+    }
+
+    /// The rotary axis, its chuck, and the stand of the chuck.
+    fn links(&self, _: &JointArray, pose: &JointArray) -> Vec<Vec<Vector>> {
+        let end = |side: f64| plus(self.origin, [side * PICTURE_MM, 0.0, 0.0]);
+        let chuck = round_table(end(-1.0), [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+        let up = self.tool_pose(pose).axis;
+        let stand = minus(end(-1.0), times(up, 1.5 * PICTURE_MM));
+        vec![vec![end(-1.0), end(1.0)], chuck, vec![stand, end(-1.0)]]
     }
 
     fn tool_pose(&self, pose: &JointArray) -> ToolPose {

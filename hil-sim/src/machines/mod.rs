@@ -19,11 +19,35 @@ use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
 use crate::process::ToolPose;
-use crate::vector::{LEVEL, Vector};
+use crate::vector::{LEVEL, Vector, plus, times};
 use serde::{Deserialize, Serialize};
 
 /// A degree in radians.
 const DEGREE: f64 = core::f64::consts::PI / 180.0;
+
+/// Radius of a table, and half the length of an axis, of which the machine file has no size, mm:
+/// for pictures.
+const PICTURE_MM: f64 = 80.0;
+
+/// The edge of a table about a centre, with the directions of two of its radii.
+fn round_table(centre: Vector, [first, second]: [Vector; 2]) -> Vec<Vector> {
+    let place = |step: u32| {
+        let (sin, cos) = libm::sincos(f64::from(step) * 15.0 * DEGREE);
+        let from_centre = plus(times(first, cos), times(second, sin));
+        plus(centre, times(from_centre, PICTURE_MM))
+    };
+    (0..=24).map(place).collect()
+}
+
+/// A machine as a picture shows it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// The links of an arm, and what holds the workpiece and turns, as polylines; none where all
+    /// joints are slides of the tool.
+    pub links: Vec<Vec<Vector>>,
+    /// Unit vector from the tip to the spindle.
+    pub tool_axis: Vector,
+}
 
 /// Geometry of a simulated machine: it follows the joints with the pose of the tool.
 pub trait Geometry: Sized {
@@ -59,8 +83,8 @@ pub trait Geometry: Sized {
         pose[..3].copy_from_slice(&tip);
     }
 
-    /// The links of an arm as polylines in the workpiece frame, mm, for a picture; none where the
-    /// joints are slides and dials alone.
+    /// The links of an arm, and what holds the workpiece and turns, as polylines in the workpiece
+    /// frame, mm, for a picture; none where all joints are slides of the tool.
     fn links(&self, joints: &JointArray, pose: &JointArray) -> Vec<Vec<Vector>> {
         let _ = (joints, pose);
         Vec::new()
@@ -137,21 +161,21 @@ macro_rules! geometries {
         }
 
         impl GeometryConfig {
-            /// The links of an arm with its joints at these positions, mm and degrees, as polylines
-            /// in the workpiece frame; none where the machine cannot be assembled there, or is no
-            /// arm.
+            /// The machine with its joints at these positions, mm and degrees, in the workpiece
+            /// frame, mm; `None` where it cannot be assembled there.
             #[must_use]
-            pub fn links(&self, joints: &JointArray) -> Vec<Vec<Vector>> {
+            pub fn picture(&self, joints: &JointArray) -> Option<Picture> {
                 let mut pose = JointArray::default();
-                let Ok(mut machine) = AnyGeometry::new(self, joints) else {
-                    return Vec::new();
-                };
+                let mut machine = AnyGeometry::new(self, joints).ok()?;
                 if !machine.follow(joints, &mut pose) {
-                    return Vec::new();
+                    return None;
                 }
-                match &machine {
-                    $(AnyGeometry::$name(machine) => Geometry::links(machine, joints, &pose),)*
-                }
+                Some(match &machine {
+                    $(AnyGeometry::$name(machine) => Picture {
+                        links: Geometry::links(machine, joints, &pose),
+                        tool_axis: Geometry::tool_pose(machine, &pose).axis,
+                    },)*
+                })
             }
         }
 

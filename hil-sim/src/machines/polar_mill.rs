@@ -4,7 +4,7 @@
 //! Units: mm and degrees. The tool points down along z. The machine frame has its origin on the
 //! axis of the table and its x along the radial slide.
 
-use super::{DEGREE, Geometry};
+use super::{DEGREE, Geometry, round_table};
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
@@ -103,6 +103,14 @@ impl Geometry for PolarMill {
         let on_table = self.table(joints).map(|direction| dot(direction, tip));
         pose[..3].copy_from_slice(&minus(on_table, self.origin()));
         true
+    }
+
+    /// The slide of the tool from above the table's axis, and the table.
+    fn links(&self, joints: &JointArray, pose: &JointArray) -> Vec<Vec<Vector>> {
+        let axis = times(self.origin(), -1.0);
+        let tip = [pose[0], pose[1], pose[2]];
+        let edge = round_table(axis, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        vec![edge, vec![plus(axis, times(UP, joints[2])), tip]]
     }
 
     fn tool_pose(&self, pose: &JointArray) -> ToolPose {

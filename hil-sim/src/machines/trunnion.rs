@@ -5,7 +5,7 @@
 //! trunnion's axis, its misalignment, turn by a about x, to the table's axis, its misalignment,
 //! turn by c about z, to the origin of the workpiece.
 
-use super::{DEGREE, Geometry};
+use super::{DEGREE, Geometry, PICTURE_MM, round_table};
 use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
@@ -228,6 +228,34 @@ impl Geometry for Trunnion {
             tip: [pose[0], pose[1], pose[2]],
             axis: frame.direction_back([0.0, 0.0, 1.0]),
         }
+    }
+
+    /// The head above the tip, the table, its cradle on the trunnion's axis, and the stands of the
+    /// trunnion.
+    fn links(&self, joints: &JointArray, _: &JointArray) -> Vec<Vec<Vector>> {
+        let config = &self.config;
+        let workpiece = self.workpiece(joints[A], joints[C]);
+        let [tilt, table] = self.axes(joints[A], joints[C]);
+        let tip = self.tip(joints);
+        let height = config.z_off - config.tilt_z;
+        let centre = table.point([0.0, 0.0, height]);
+        let end = |side: f64, up: f64| tilt.point([config.table_x + side * PICTURE_MM, 0.0, up]);
+        let foot = |side: f64| plus(end(side, 0.0), [0.0, 0.0, -1.5 * PICTURE_MM]);
+        let lines = [
+            vec![
+                end(-1.0, 0.0),
+                end(-1.0, height),
+                end(1.0, height),
+                end(1.0, 0.0),
+            ],
+            vec![end(-1.0, 0.0), end(1.0, 0.0)],
+            vec![foot(-1.0), end(-1.0, 0.0)],
+            vec![foot(1.0), end(1.0, 0.0)],
+            round_table(centre, [table.columns[0], table.columns[1]]),
+            vec![plus(tip, [0.0, 0.0, 2.0 * PICTURE_MM]), tip],
+        ];
+        let place = |line: &Vec<Vector>| line.iter().map(|at| workpiece.point_back(*at)).collect();
+        lines.iter().map(place).collect()
     }
 
     fn workpiece_axes(&self, pose: &JointArray) -> [Vector; 3] {

@@ -15,7 +15,8 @@
 //! | `view.removeLayer(name)` | removes a layer |
 //! | `view.setMarker([x, y, z])` | shows a mark, such as the tool; `null` removes it |
 //! | `view.setTime(t)` | shows polylines up to a time; `null` shows all |
-//! | `view.fit()` | fits the view to the scene |
+//! | `view.fit(all)` | fits the view to all layers, or with `false` to those that are not aside; without an argument to what it showed before |
+//! | `view.refit()` | the same as `view.fit()`, unless the reader has moved the view |
 //! | `view.project([x, y, z])` | place on the screen (pixels), and depth |
 //!
 //! # Data format
@@ -39,6 +40,7 @@
 //! | `values` | all | one number for each point, which its colour shows |
 //! | `scale` | all | `{label, low, high, map}` of the values; `map` is `sequential` or `diverging` |
 //! | `visible` | all | whether it is shown at first; default true |
+//! | `aside` | all | not of the part: a view of the part may leave it out; default false |
 //! | `starts` | lines | index of the first point of each polyline; default one polyline |
 //! | `times` | lines | seconds at each point, not decreasing: time line, play |
 //! | `lines` | lines | program line of the motion towards each point |

@@ -71,6 +71,21 @@ function numbers(data, Kind) {
   return new Kind(bytes.buffer);
 }
 
+// Corners of the box around points; null without points.
+function boxOf(points) {
+  const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+  for (let k = 0; k < points.length; k++) {
+    low[k % 3] = Math.min(low[k % 3], points[k]);
+    high[k % 3] = Math.max(high[k % 3], points[k]);
+  }
+  return points.length ? { low, high } : null;
+}
+
+// The box around boxes, of which some may be null.
+function around(boxes) {
+  return boxOf(boxes.filter(box => box).flatMap(box => [...box.low, ...box.high]));
+}
+
 function unpacked(layer) {
   const points = numbers(layer.points, Float32Array);
   const count = points.length / 3;
@@ -88,6 +103,7 @@ function unpacked(layer) {
     lines: numbers(layer.lines, Uint32Array),
     triangles: numbers(layer.triangles, Uint32Array),
     vectors: numbers(layer.vectors, Float32Array),
+    box: boxOf(points),
     visible: layer.visible !== false,
   };
 }
@@ -204,6 +220,15 @@ function matrixOf(camera, w, h, size) {
   return m;
 }
 
+// Target and span with which a camera shows a box on a stage.
+function fitted(camera, { low, high }, w, h) {
+  const { right, up } = basis(camera);
+  const size = high.map((x, k) => x - low[k]);
+  const extent = axis => size.reduce((sum, part, k) => sum + Math.abs(part * axis[k]), 0);
+  return { target: low.map((x, k) => 0.5 * (x + high[k])),
+    span: 1.15 * Math.max(extent(up), extent(right) * h / w, 1e-3) };
+}
+
 // Place of a point on the stage: pixels from the left and from the top, and the depth, which grows
 // away from the eye.
 function project(m, w, h, point) {
@@ -235,7 +260,9 @@ function create(root, scene) {
   const timeBar = element(frame, 'div', 'hv-bar');
   timeBar.style.display = 'none';
   const camera = { yaw: -0.7, pitch: 0.6, target: [0, 0, 0], span: 100 };
-  let low = [0, 0, 0], high = [0, 0, 0], end = 0, until = Infinity, marker = null;
+  const none = { low: [0, 0, 0], high: [0, 0, 0] };
+  // Boxes of the part, which is what is not aside, and of all layers.
+  let part = none, whole = none, showsWhole = true, isMoved = false, end = 0, until = Infinity, marker = null;
   let drawing = false, again = false, playing = null;
 
   function upload(data) {
@@ -279,21 +306,18 @@ function create(root, scene) {
     data.buffers.forEach(made => gl.deleteBuffer(made));
   }
 
-  // Bounds of the layers, without those aside while there are others; end time.
+  // Boxes of the layers; end time.
   function bounds() {
-    low = [Infinity, Infinity, Infinity];
-    high = [-Infinity, -Infinity, -Infinity];
-    end = 0;
     const all = [...layers.values()];
     const main = all.filter(data => !data.layer.aside && data.count > 0);
-    for (const data of main.length ? main : all) {
-      for (let k = 0; k < data.points.length; k++) {
-        low[k % 3] = Math.min(low[k % 3], data.points[k]);
-        high[k % 3] = Math.max(high[k % 3], data.points[k]);
-      }
+    whole = around(all.map(data => data.box)) || none;
+    part = main.length ? around(main.map(data => data.box)) : whole;
+    end = 0;
+    for (const data of all) {
       if (data.times.length) end = Math.max(end, data.times[data.times.length - 1]);
     }
-    if (!isFinite(low[0])) { low = [0, 0, 0]; high = [0, 0, 0]; }
+    const hasBoth = main.length > 0 && main.length < all.length;
+    fits.forEach(button => { button.style.display = hasBoth ? '' : 'none'; });
     timeBar.style.display = end > 0 ? '' : 'none';
     slider.max = end;
     slider.step = end / 2000 || 1;
@@ -324,22 +348,29 @@ function create(root, scene) {
   }
 
   function matrix() {
-    const size = Math.hypot(...high.map((x, k) => x - low[k]));
-    return matrixOf(camera, stage.clientWidth || 1, stage.clientHeight || 1, size);
+    // Nothing is cut off before or behind.
+    const far = Math.hypot(...camera.target.map((x, k) =>
+      Math.max(Math.abs(x - whole.low[k]), Math.abs(x - whole.high[k]))));
+    return matrixOf(camera, stage.clientWidth || 1, stage.clientHeight || 1, far);
   }
 
   function place(point) {
     return project(matrix(), stage.clientWidth || 1, stage.clientHeight || 1, point);
   }
 
-  function fit() {
-    const { right, up } = basis(camera);
-    const [w, h] = [stage.clientWidth || 1, stage.clientHeight || 1];
-    camera.target = low.map((x, k) => 0.5 * (x + high[k]));
-    const size = high.map((x, k) => x - low[k]);
-    const extent = axis => size.reduce((sum, part, k) => sum + Math.abs(part * axis[k]), 0);
-    camera.span = 1.15 * Math.max(extent(up), extent(right) * h / w, 1e-3);
+  // Fits the view to all layers, or to the part; without an argument to what it showed before.
+  function fit(all) {
+    if (all !== undefined) showsWhole = all;
+    isMoved = false;
+    Object.assign(camera, fitted(camera, showsWhole ? whole : part, stage.clientWidth || 1,
+      stage.clientHeight || 1));
     draw();
+  }
+
+  // Fits the view again, unless the reader has moved it.
+  function refit() {
+    if (isMoved) draw();
+    else fit();
   }
 
   // Position, line and value at a time: on the layer whose times contain it.
@@ -435,9 +466,15 @@ function create(root, scene) {
       pen.stroke();
       pen.fillText('XYZ'[k], x + 6 * right[k] - 4, y - 6 * up[k] + 4);
     });
+    // Readable over a dark surface, too.
+    const sheet = (x, y, width, height) => {
+      pen.fillStyle = 'rgba(255,255,255,0.85)';
+      pen.fillRect(x, y, width, height);
+    };
+    sheet(92, h - 60, 150, 54);
     pen.fillStyle = '#5b6875';
     'XYZ'.split('').forEach((name, k) => {
-      const text = `${name} ${rounded(low[k])} to ${rounded(high[k])} ${unit}`;
+      const text = `${name} ${rounded(part.low[k])} to ${rounded(part.high[k])} ${unit}`;
       pen.fillText(text, 96, h - 46 + 16 * k);
     });
     const scales = new Map();
@@ -447,6 +484,7 @@ function create(root, scene) {
       }
     }
     let top = 16;
+    if (scales.size) sheet(8, 4, 196, 54 * scales.size);
     for (const scale of scales.values()) {
       const ramp = pen.createLinearGradient(16, 0, 196, 0);
       const stops = MAPS[scale.map] || MAPS.sequential;
@@ -532,6 +570,11 @@ function create(root, scene) {
       fit();
     };
   }
+  const fits = [['part', false], ['all', true]].map(([name, all]) => {
+    const button = element(bar, 'button', '', name);
+    button.onclick = () => fit(all);
+    return button;
+  });
   const play = element(timeBar, 'button', '', 'play');
   const slider = element(timeBar, 'input');
   slider.type = 'range';
@@ -600,14 +643,16 @@ function create(root, scene) {
         camera.pitch = Math.min(Math.max(camera.pitch + dy * 0.008, -Math.PI / 2), Math.PI / 2);
       }
     }
+    isMoved = true;
     draw();
   };
   stage.addEventListener('wheel', event => {
     event.preventDefault();
+    isMoved = true;
     camera.span *= Math.exp(event.deltaY * 0.0012);
     draw();
   }, { passive: false });
-  if (window.ResizeObserver) new ResizeObserver(draw).observe(stage);
+  if (window.ResizeObserver) new ResizeObserver(refit).observe(stage);
 
   (scene.layers || []).forEach(setLayer);
   if (scene.view) {
@@ -616,7 +661,7 @@ function create(root, scene) {
   }
   fit();
   return {
-    setLayer, setTime, fit, project: place,
+    setLayer, setTime, fit, refit, project: place,
     removeLayer: name => {
       if (!layers.has(name)) return;
       release(layers.get(name));
@@ -628,7 +673,7 @@ function create(root, scene) {
   };
 }
 
-window.HaptimillViewer = { create, matrixOf, project };
+window.HaptimillViewer = { create, matrixOf, project, fitted, boxOf };
 // Scenes that are written into the page.
 for (const data of document.querySelectorAll('script[data-haptimill-scene]')) {
   const root = document.createElement('div');

@@ -18,6 +18,7 @@ const HEAD: Duration = Duration::from_secs(5);
 const WRITE: Duration = Duration::from_secs(2);
 
 const PAGE: &str = include_str!("page.html");
+const MACHINE: &str = include_str!("machine.js");
 const SCRIPT: &str = include_str!("page.js");
 const STYLE: &str = include_str!("page.css");
 
@@ -66,7 +67,7 @@ pub(super) fn serve(shared: &Arc<Shared>, mut stream: TcpStream, peer: SocketAdd
         "/" => ("text/html; charset=utf-8", PAGE.to_string()),
         "/page.js" => (
             "text/javascript; charset=utf-8",
-            [haptimill_viewer::SCRIPT, SCRIPT].concat(),
+            [haptimill_viewer::SCRIPT, MACHINE, SCRIPT].concat(),
         ),
         "/page.css" => (
             "text/css; charset=utf-8",

@@ -8,8 +8,6 @@ const LONGEST = 8 * 1024 * 1024;
 const REPEAT_MS = 50;
 // Points of the done path at most; beyond, every second one is left out.
 const MOST_DONE = 20000;
-// Drawn length of a force.
-const FORCE_MM_PER_N = 0.5;
 // Length of the plot, and the colours of its lines.
 const PLOT_S = 60;
 const SYSTEMS = ['G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3'];
@@ -103,7 +101,7 @@ function showScene(message) {
   for (const layer of scene ? scene.layers : []) view.setLayer(layer);
   done = [];
   view.removeLayer('done');
-  view.fit();
+  view.fit(!scene);
 }
 
 function number(value, digits) {
@@ -287,107 +285,21 @@ function showTip(message) {
   }
 }
 
-// The workspace, the joints along its edges, the tool, and the force on it. All of it comes from
-// the machine file: no link of a particular machine is drawn.
+// The machine of the state. The view shows the whole machine until a path is chosen.
+const machine = {};
 function showMachine(message) {
-  const xyz = ['x', 'y', 'z'].map(name =>
-    message.pose.find(axis => axis.name.toLowerCase() === name && axis.unit === 'mm'));
-  const low = xyz.map(axis => axis && axis.low !== null ? axis.low : 0);
-  const high = xyz.map(axis => axis && axis.high !== null ? axis.high : 0);
-  const box = JSON.stringify([low, high]);
-  if (box !== showMachine.box) {
-    showMachine.box = box;
-    const [a, b] = [low, high];
-    const corner = k => [k & 1 ? b[0] : a[0], k & 2 ? b[1] : a[1], k & 4 ? b[2] : a[2]];
-    const edges = [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5],
-      [2, 6], [3, 7]];
-    view.setLayer({ kind: 'lines', name: 'workspace', colour: '#9aa7b4', width: 1, aside: true,
-      points: edges.flatMap(([i, j]) => [...corner(i), ...corner(j)]),
-      starts: edges.map((_, k) => 2 * k) });
-  }
-  showJoints(message, low, high);
-  // Until there is a stock or a path, the view shows the whole workspace.
-  if (box !== showMachine.fitted && !scene && !showStock.seen) view.fit();
-  showMachine.fitted = box;
-  const pose = JSON.stringify([message.tip, message.tool_axis, message.force, message.referenced]);
-  if (pose === showMachine.pose) return;
-  showMachine.pose = pose;
-  if (!message.referenced || !message.tip) {
-    for (const name of ['tool', 'force', 'links']) view.removeLayer(name);
-    return;
-  }
-  if (message.links.length) {
-    const starts = [];
-    message.links.forEach((line, k) => {
-      starts.push(k ? starts[k - 1] + message.links[k - 1].length : 0);
-    });
-    view.setLayer({ kind: 'lines', name: 'links', colour: '#b8860b', width: 4, aside: true,
-      points: message.links.flat(2), starts });
-  }
-  view.setLayer(toolMesh(message.tip, message.tool_axis));
-  const force = message.force || [0, 0, 0];
-  if (Math.hypot(...force) > 0.5) {
-    view.setLayer({ kind: 'arrows', name: 'force', colour: '#c2185b', width: 3, aside: true,
-      points: message.tip, vectors: force, magnify: FORCE_MM_PER_N });
-  } else {
-    view.removeLayer('force');
-  }
-}
-
-// A ball where the direction of the tool is not known, else a cutter with its holder.
-function toolMesh(tip, axis) {
-  const rings = axis ? [[0, 0], [1, 1.6], [3, 3], [22, 3], [22, 9], [42, 9], [42, 0]]
-    : [[0, 0], [1, 2.2], [3, 3], [5, 2.2], [6, 0]];
-  const along = axis || [0, 0, 1];
-  const cross = (u, v) => [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2],
-    u[0] * v[1] - u[1] * v[0]];
-  const unit = u => u.map(part => part / Math.hypot(...u));
-  const first = unit(cross(Math.abs(along[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0], along));
-  const second = cross(along, first);
-  const sides = 20;
-  const points = [], triangles = [];
-  rings.forEach(([height, radius], ring) => {
-    for (let k = 0; k < sides; k += 1) {
-      const [c, s] = [Math.cos(2 * Math.PI * k / sides), Math.sin(2 * Math.PI * k / sides)];
-      for (let i = 0; i < 3; i += 1) {
-        points.push(tip[i] + height * along[i] + radius * (c * first[i] + s * second[i]));
-      }
-      if (ring === 0) continue;
-      const here = ring * sides + k, next = ring * sides + (k + 1) % sides;
-      triangles.push(here, next, here - sides, next, next - sides, here - sides);
+  let grows = false;
+  for (const [name, layer] of Object.entries(window.HaptimillMachine.layers(message))) {
+    if (!layer) {
+      if (machine[name]) view.removeLayer(name);
+      delete machine[name];
+    } else if (machine[name] !== layer.key) {
+      grows = grows || !(name in machine) && name !== 'force';
+      machine[name] = layer.key;
+      view.setLayer(layer.make());
     }
-  });
-  return { kind: 'mesh', name: 'tool', colour: '#8393a3', opacity: 1, aside: true, points,
-    triangles };
-}
-
-// Each linear joint as a rail with its carriage, each rotary one as a dial, side by side behind the
-// workspace.
-function showJoints(message, low, high) {
-  const state = JSON.stringify(message.joints.map(joint => joint.actual && joint.actual.toFixed(2)));
-  if (state === showJoints.state) return;
-  showJoints.state = state;
-  const width = Math.max(high[0] - low[0], 10), depth = high[1] + 0.1 * width;
-  const height = Math.max(high[2] - low[2], 0.3 * width), size = width / message.joints.length;
-  const points = [], starts = [];
-  const stroke = (...places) => { starts.push(points.length / 3); places.forEach(p => points.push(...p)); };
-  message.joints.forEach((joint, k) => {
-    const x = low[0] + (k + 0.5) * size, radius = 0.35 * size;
-    const at = (dx, dz) => [x + dx, depth, low[2] + dz];
-    if (joint.actual === null) return;
-    if (joint.low !== null && joint.high !== null && joint.unit === 'mm') {
-      const part = (joint.actual - joint.low) / (joint.high - joint.low || 1) * height;
-      stroke(at(0, 0), at(0, height));
-      const [w, h] = [0.4 * radius, 0.03 * height];
-      stroke(at(-w, part - h), at(w, part - h), at(w, part + h), at(-w, part + h), at(-w, part - h));
-      return;
-    }
-    const place = angle => at(radius * Math.sin(angle), height / 2 + radius * Math.cos(angle));
-    stroke(...Array.from({ length: 33 }, (_, j) => place(2 * Math.PI * j / 32)));
-    stroke(at(0, height / 2), place(joint.actual * Math.PI / 180));
-  });
-  view.setLayer({ kind: 'lines', name: 'joints', colour: '#2e8b57', width: 2, aside: true, points,
-    starts });
+  }
+  if (grows) view.refit();
 }
 
 // The surface of the stock, coloured by depth.
@@ -431,7 +343,7 @@ function drawStock() {
   });
   view.setLayer({ kind: 'mesh', name: 'stock', opacity: 1, points, triangles, values,
     scale: { label: 'depth of cut, mm', low: 0, high: deepest, map: 'sequential' } });
-  if (!showStock.seen && !scene) view.fit();
+  if (!showStock.seen) view.refit();
   showStock.seen = true;
 }
 
@@ -539,8 +451,9 @@ window.addEventListener('pagehide', endJog);
 
 try {
   view = window.HaptimillViewer.create(at('view'), { layers: [], height: 600 });
-  // For tests of the picture.
+  // For tests of picture and plot.
   window.haptimillView = view;
+  window.haptimillPlot = () => trace;
 } catch (error) {
   at('view').textContent = `no 3D view: ${error.message}`;
 }

@@ -1,5 +1,5 @@
-// Operates the page of `haptimill serve` in Chromium: load, home, jog, run, hold, resume, stop,
-// second viewer, disconnect. Measures frames and the load of the server.
+// Operates the page of `haptimill serve` in Chromium: load, home, jog, upload, run, hold, resume,
+// stop, second viewer, disconnect. Measures frames and the load of the server.
 //
 // Usage, at the root of the repository: node browser.js FOLDER COMMAND; FOLDER has node_modules with
 // playwright-core and gets the pictures.
@@ -15,7 +15,6 @@ const DEAD_MAN_MS = 200;
 const pictures = path.resolve(folder, 'pictures');
 fs.mkdirSync(pictures, { recursive: true });
 const programs = fs.mkdtempSync(path.join(require('os').tmpdir(), 'haptimill-browser-'));
-fs.copyFileSync('examples/e7-slot.ngc', path.join(programs, 'slot.ngc'));
 
 const assert = (holds, what) => {
   if (!holds) throw new Error(what);
@@ -152,11 +151,21 @@ async function run() {
     await page.click('[data-command=home]');
     await answer(first);
     await wait('the home pose', state => state.state === 'idle' && homed(state) > homings);
+    await page.setInputFiles('#file',
+      { name: 'slot.ngc', mimeType: 'text/plain', buffer: fs.readFileSync('examples/e7-slot.ngc') });
+    await page.waitForSelector('#programs option[value="slot.ngc"]', { state: 'attached' });
+    assert(fs.readFileSync(path.join(programs, 'slot.ngc')).equals(
+      fs.readFileSync('examples/e7-slot.ngc')), 'the program was uploaded');
     await page.selectOption('#programs', 'slot.ngc');
     await wait('its path', state => state.selected === 'slot.ngc' && !state.planning);
+    await page.selectOption('#columns', ['feed, mm/min', 'force z, N']);
     await page.click('#run');
     await answer(first);
     await wait('the run', state => state.program && state.feed_mm_min > 100);
+    const most = await page.evaluate(() => Math.max(...window.haptimillPlot()
+      .map(({ values }) => values['feed, mm/min'] || 0)));
+    assert(most > 100 && most < 50 * 60 * Math.sqrt(3),
+      `the plot has the feed since the start, at most ${most.toFixed(0)} mm/min`);
     const [states, used, begun] = [seen.states, processorTime(server.pid), Date.now()];
     await sleep(3000);
     const seconds = (Date.now() - begun) / 1000;

@@ -19,10 +19,11 @@ use crate::commands::program::{LanguageArgs, PartProgram};
 use crate::commands::serve::ServeArgs;
 use crate::commands::sim::token_of;
 use haptimill_hil_sim::config::PlantConfig;
-use haptimill_hil_sim::machines::GeometryConfig;
+use haptimill_hil_sim::haptics::geometry::HapticGeometry;
+use haptimill_hil_sim::machines::{GeometryConfig, Picture};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
-use haptimill_protocol::message::{AxisValues, MAX_AXES, State};
+use haptimill_protocol::message::{AxisValues, State};
 use haptimill_web::{Config, OperatorCommand, Scaled, Server};
 use serde_json::{Value, json};
 use std::io::Write as _;
@@ -31,7 +32,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
-use values::{changed_runs, columns, numbers, offsets, rows, tip, tool_axis};
+use values::{arm_links, changed_runs, columns, numbers, offsets, picture, rows, tip, tool_axis};
 
 /// Time between two states.
 const PUBLISH: Duration = Duration::from_millis(50);
@@ -59,8 +60,9 @@ struct Web {
     /// Heights that were published, and the length of the changes since the whole surface.
     heights: Vec<f32>,
     stock_parts: usize,
-    /// Geometry of the simulated machine, whose links are drawn.
+    /// Geometry of the simulated machine and of its haptic arm, which are drawn.
     geometry: Option<GeometryConfig>,
+    arm: Option<HapticGeometry>,
     offsets: Value,
     offsets_at: Instant,
 }
@@ -109,6 +111,7 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
             args.listen
         );
     }
+    let plant: Option<PlantConfig> = app.machine.plant().ok();
     let mut web = Web {
         server,
         selected: None,
@@ -116,11 +119,8 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
         stock_at: Instant::now(),
         heights: Vec::new(),
         stock_parts: 0,
-        geometry: app
-            .machine
-            .plant()
-            .ok()
-            .and_then(|plant: PlantConfig| plant.geometry),
+        geometry: plant.as_ref().and_then(|plant| plant.geometry.clone()),
+        arm: plant.and_then(|plant| plant.haptic).map(|arm| arm.geometry),
         offsets: Value::Null,
         offsets_at: Instant::now(),
     };
@@ -333,29 +333,28 @@ impl Web {
         self.offsets.clone()
     }
 
-    /// The links of an arm as polylines, mm, from the simulated geometry of the machine file.
-    fn links(&self, app: &App) -> Vec<Vec<[f64; 3]>> {
-        let (Some(geometry), Some(now)) = (&self.geometry, &app.telemetry) else {
-            return Vec::new();
-        };
-        if !is_referenced(app) || now.joints.is_empty() {
-            return Vec::new();
+    /// The machine from the simulated geometry of its file, once it is referenced; a haptic arm
+    /// where the machine has no axes.
+    fn picture(&self, app: &App) -> Option<Picture> {
+        let now = app.telemetry.as_ref()?;
+        match (&self.geometry, &self.arm) {
+            (Some(geometry), _) if is_referenced(app) && !now.joints.is_empty() => picture(
+                geometry,
+                &app.model.joints_to_engineering_units(&now.joints),
+            ),
+            (None, Some(arm)) => {
+                let report = app.session.client().master()?;
+                let links = arm_links(arm, &report.pose);
+                let tool_axis = [0.0, 0.0, 1.0];
+                Some(Picture { links, tool_axis })
+            }
+            _ => None,
         }
-        let mut joints = [0.0; MAX_AXES];
-        let measured = app.model.joints_to_engineering_units(&now.joints);
-        joints
-            .iter_mut()
-            .zip(measured)
-            .for_each(|(slot, joint)| *slot = joint);
-        let mut links = geometry.links(&joints);
-        for value in links.iter_mut().flatten().flatten() {
-            *value = (*value * 100.0).round() / 100.0;
-        }
-        links
     }
 
     fn state(&self, app: &App) -> Value {
         let view = app.view_model();
+        let picture = self.picture(app);
         let telemetry = view.telemetry.as_ref();
         let state = telemetry.map(|now| now.state);
         let has_drives = !state.is_some_and(State::has_drives_off);
@@ -397,11 +396,13 @@ impl Web {
             "pose": pose,
             "joints": joints,
             "tip": tip(&app.machine, measured.or(commanded)),
-            "links": self.links(app),
+            "tip_axes": app.machine.config.model.descriptor().tool_tip_parts(),
+            "links": picture.as_ref().map_or(&[][..], |picture| &picture.links),
             "feed_mm_min": view.motion.map(|motion| motion.feed_mm_min),
             "override": view.overrides[OverrideKind::Feed as usize],
             "overrides": view.overrides,
-            "tool_axis": tool_axis(&app.machine, measured.or(commanded)),
+            "tool_axis": tool_axis(&app.machine, measured.or(commanded))
+                .or(picture.as_ref().map(|picture| picture.tool_axis)),
             "force": telemetry.and_then(|now| now.force.as_ref()).map(|force| newtons(force.high)),
             "columns": columns(&view),
             "spindle_rpm": program.and_then(|program| program.spindle_rpm),

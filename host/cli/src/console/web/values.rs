@@ -1,17 +1,21 @@
 //! Values of the state as JSON: positions, the tool, work offsets, changes of the stock, and what
 //! the page plots.
 
+use super::super::master::{NAMES, PER_REPORTED};
 use super::super::view_model::{Axis, ViewModel};
 use crate::commands::force::newtons;
 use crate::commands::probe_cycle::kept_beside;
 use haptimill_firmware::config::AxisKind;
 use haptimill_gcode::{SYSTEM_NAMES, WorkOffset};
+use haptimill_hil_sim::haptics::geometry::HapticGeometry;
+use haptimill_hil_sim::machines::{GeometryConfig, Picture};
 use haptimill_hil_sim::process::ToolPose;
 use haptimill_kinematics::descriptor::Role;
-use haptimill_machine_file::scale::per_unit;
+use haptimill_machine_file::scale::{PER_MM, per_unit};
 use haptimill_machine_file::work_data::{WorkData, axis_index};
 use haptimill_machine_file::{AxisLimits, MachineFile};
-use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE};
+use haptimill_protocol::haptic::{COMPONENTS, MasterPose};
+use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, MAX_AXES};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 
@@ -115,6 +119,35 @@ pub(super) fn tip(machine: &MachineFile, pose: Option<&AxisValues>) -> Option<[f
     }))
 }
 
+/// Links, and the direction of the tool, from the simulated geometry with the joints at these
+/// positions, mm and degrees; links to 0.01 mm.
+pub(super) fn picture(geometry: &GeometryConfig, joints: &[f64]) -> Option<Picture> {
+    let mut places = [0.0; MAX_AXES];
+    for (slot, joint) in places.iter_mut().zip(joints) {
+        *slot = *joint;
+    }
+    let mut picture = geometry.picture(&places)?;
+    round(&mut picture.links);
+    Some(picture)
+}
+
+/// Links of a haptic arm at a pose of its handle, mm; none where it does not reach.
+pub(super) fn arm_links(geometry: &HapticGeometry, handle: &MasterPose) -> Vec<Vec<[f64; 3]>> {
+    let tip = handle.tip.map(|part| f64::from(part) / PER_MM);
+    let axes = handle
+        .axes
+        .map(|axis| axis.map(|part| f64::from(part) / f64::from(i16::MAX)));
+    let mut links = geometry.links(tip, axes);
+    round(&mut links);
+    links
+}
+
+fn round(links: &mut [Vec<[f64; 3]>]) {
+    for value in links.iter_mut().flatten().flatten() {
+        *value = (*value * 100.0).round() / 100.0;
+    }
+}
+
 /// Unit vector from the tip towards the spindle, in the workpiece; none for a machine with a rotary
 /// coordinate whose role does not say how it turns the tool.
 pub(super) fn tool_axis(machine: &MachineFile, pose: Option<&AxisValues>) -> Option<[f64; 3]> {
@@ -164,6 +197,30 @@ pub(super) fn columns(view: &ViewModel) -> Value {
         "program line".to_string(),
         json!(view.program.as_ref().map(|it| it.line)),
     );
+    columns.insert("setpoint".to_string(), json!(now.setpoint));
+    let time = f64::from(now.program_periods) * view.static_info.period_s;
+    columns.insert("program time, s".to_string(), json!(time));
+    let arm = view.master.as_ref().and_then(|master| master.arm.as_ref());
+    if let Some(report) = arm.and_then(|arm| arm.report.as_ref()) {
+        for (axis, name) in NAMES.iter().enumerate() {
+            let newtons = |force: &[i16; COMPONENTS]| f64::from(force[axis]) / PER_REPORTED;
+            let tip = f64::from(report.pose.tip[axis]) / PER_MM;
+            for (column, value) in [
+                (format!("handle {name}, mm"), tip),
+                (format!("handle force {name}, N"), newtons(&report.force)),
+                (
+                    format!("handle feedback {name}, N"),
+                    newtons(&report.feedback),
+                ),
+                (
+                    format!("handle fixture {name}, N"),
+                    newtons(&report.fixture),
+                ),
+            ] {
+                columns.insert(column, json!(value));
+            }
+        }
+    }
     if let Some(io) = &now.io {
         columns.insert("inputs, bits".to_string(), json!(io.inputs));
         columns.insert("outputs, bits".to_string(), json!(io.outputs));
@@ -183,6 +240,118 @@ pub(super) fn columns(view: &ViewModel) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use haptimill_hil_sim::config::PlantConfig;
+    use haptimill_machine_file::model::Model;
+    use std::io::ErrorKind;
+    use std::path::Path;
+    use std::process::{Command, Stdio};
+
+    /// What the page gets of a machine at its home pose.
+    fn at_home(machine: &MachineFile) -> Value {
+        let rows = |limits: &[AxisLimits], values: &[f64]| -> Vec<Value> {
+            let limit = |value: f64| value.is_finite().then_some(value);
+            let rows = limits.iter().zip(values).map(|(axis, actual)| {
+                json!({
+                    "name": axis.name,
+                    "unit": if axis.kind.is_rotary() { "deg" } else { "mm" },
+                    "actual": actual,
+                    "low": limit(axis.low),
+                    "high": limit(axis.high),
+                })
+            });
+            rows.collect()
+        };
+        let model = Model::new(machine);
+        let home = model.home(machine);
+        let joints: AxisValues = machine.preset().iter().map(|joint| joint.0).collect();
+        let joints = model.joints_to_engineering_units(&joints);
+        let pose = home.as_ref().map(|home| model.to_engineering_units(home));
+        let plant: PlantConfig = machine.plant().unwrap();
+        let drawn = plant
+            .geometry
+            .as_ref()
+            .map(|geometry| picture(geometry, &joints).unwrap());
+        let links = match (&drawn, &plant.haptic) {
+            (Some(drawn), _) => drawn.links.clone(),
+            (None, Some(arm)) => {
+                let geometry = &arm.geometry;
+                let tip = [0, 1, 2].map(|k| geometry.home_mm[k] + geometry.tip_mm[k]);
+                let handle = MasterPose {
+                    tip: tip.map(|part| (part * PER_MM) as i32),
+                    axes: [[i16::MAX, 0, 0], [0, 0, i16::MAX]],
+                    ..MasterPose::default()
+                };
+                arm_links(geometry, &handle)
+            }
+            (None, None) => Vec::new(),
+        };
+        json!({
+            "pose": rows(&machine.pose, pose.as_ref().map_or(&[][..], |pose| &pose[..])),
+            "joints": rows(&machine.joints, &joints),
+            "referenced": true,
+            "tip_axes": machine.config.model.descriptor().tool_tip_parts(),
+            "tip": tip(machine, home.as_ref()),
+            "tool_axis": tool_axis(machine, home.as_ref()).or(drawn.map(|it| it.tool_axis)),
+            "links": links,
+            "force": [0.0, 0.0, 20.0],
+        })
+    }
+
+    /// Each machine file has a picture of links or of rails and dials, and the first view contains
+    /// it, on a wide screen and on a phone. Needs Node.js, and passes with a note without it.
+    #[test]
+    fn every_machine_file_has_a_picture_within_the_view() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let mut machines = serde_json::Map::new();
+        for entry in std::fs::read_dir(root.join("machines")).unwrap() {
+            let path = entry.unwrap().path();
+            let text = std::fs::read_to_string(&path).unwrap();
+            // The others are sections to be appended.
+            if text.lines().any(|line| line.starts_with("format = ")) {
+                let machine = MachineFile::load(&path).unwrap_or_else(|error| panic!("{error}"));
+                let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+                machines.insert(name, at_home(&machine));
+            }
+        }
+        assert!(machines.len() > 12);
+        let mut node = Command::new("node");
+        let script = root.join("host/web/tests/picture.js");
+        let node = node.arg(script).arg(root.join("host/viewer/src/viewer.js"));
+        let node = node.arg(root.join("host/web/src/machine.js"));
+        let started = node.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+        let mut node = match started {
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                println!("not tested: Node.js is not installed");
+                return;
+            }
+            started => started.unwrap(),
+        };
+        serde_json::to_writer(node.stdin.take().unwrap(), &machines).unwrap();
+        let out = node.wait_with_output().unwrap();
+        assert!(out.status.success());
+        let pictures: Value = serde_json::from_slice(&out.stdout).unwrap();
+        for name in machines.keys() {
+            let picture = &pictures[name];
+            let parts = |layer: &str| picture["segments"][layer].as_u64().unwrap_or(0);
+            assert!(parts("links") + parts("joints") >= 3, "{name}: {picture}");
+            // A tool whose direction is known is not a ball: the ball is 6 mm high.
+            let tool = picture["tool_mm"].as_f64();
+            assert!(tool.is_none_or(|height| height > 40.0), "{name}: {picture}");
+            assert!(tool.is_some() || machines[name]["tip"].is_null(), "{name}");
+            for view in picture["views"].as_array().unwrap() {
+                let number = |key: &str| view[key].as_f64().unwrap();
+                let inside = |low: f64, high: f64, size: f64| low >= 0.0 && high <= size;
+                let fits = inside(number("left"), number("right"), number("width"))
+                    && inside(number("top"), number("bottom"), number("height"))
+                    && inside(number("near") + 1.0, number("far") + 1.0, 2.0);
+                assert!(fits, "{name}: {view}");
+                // And fills a good part of it.
+                let wide = (number("right") - number("left")) / number("width");
+                let high = (number("bottom") - number("top")) / number("height");
+                assert!(wide.max(high) > 0.5, "{name}: {view}");
+            }
+        }
+    }
 
     #[test]
     fn changed_heights_are_sent_as_runs() {
