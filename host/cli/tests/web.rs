@@ -187,6 +187,9 @@ impl Viewer {
         });
         self.wait_for_state("idle");
         assert_eq!(self.state["referenced"], true);
+        // Without force control the reference is the commanded position.
+        let x = &self.state["pose"][0]["commanded"];
+        assert_eq!(&self.state["columns"]["x reference, mm"], x);
         // The coordinates of the built-in machine are limited to 50 mm/s each, three of them.
         assert!(self.feed < 50.0 * 60.0 * 3.0_f64.sqrt(), "{}", self.feed);
     }

@@ -575,6 +575,7 @@ function create(root, scene) {
     button.onclick = () => fit(all);
     return button;
   });
+  timeBar.title = 'The planned path over time; the machine does not move';
   const play = element(timeBar, 'button', '', 'play');
   const slider = element(timeBar, 'input');
   slider.type = 'range';

@@ -44,6 +44,7 @@ class Viewer:
         self.state = {}
         self.bytes = 0
         self.times = []
+        self.underruns = set()
 
     def take(self, count):
         while len(self.received) < count:
@@ -69,6 +70,9 @@ class Viewer:
             message = json.loads(content)
             if message["kind"] == "state":
                 self.state = message
+                for entry in message["messages"]:
+                    if "periods late" in entry["text"]:
+                        self.underruns.add((entry["s"], entry["text"]))
                 self.times.append(time.monotonic())
             elif message["kind"] == "refused":
                 print("refused:", message["text"])
@@ -151,7 +155,8 @@ def main():
         print(
             f"{len(viewer.times) / took:.1f} states/s, largest gap {1000 * max(gaps):.0f} ms, "
             f"{(viewer.bytes - taken) / took / 1000:.0f} kB/s, "
-            f"{100 * (processor_s(server.pid) - used) / took:.1f} % of one core"
+            f"{100 * (processor_s(server.pid) - used) / took:.1f} % of one core, "
+            f"{len(viewer.underruns)} underruns"
         )
     finally:
         for process in filter(None, (server, machine)):

@@ -230,7 +230,12 @@ pub(super) fn columns(view: &ViewModel) -> Value {
         for (axis, name) in ["x", "y", "z"].iter().enumerate() {
             columns.insert(format!("force {name}, N"), json!(high[axis]));
             columns.insert(format!("opposite force {name}, N"), json!(low[axis]));
-            let displacement = f64::from(force.displacement[axis]) / f64::from(1 << 20);
+            let displacement = f64::from(force.displacement[axis]) / PER_MM;
+            // The servo loops follow the commanded pose, moved by the displacement.
+            if let Some(commanded) = now.commanded.get(axis) {
+                let reference = f64::from(*commanded) / PER_MM + displacement;
+                columns.insert(format!("{name} reference, mm"), json!(reference));
+            }
             columns.insert(format!("displacement {name}, mm"), json!(displacement));
         }
     }
