@@ -17,7 +17,7 @@
 //! the culet, as is one of angle -0.
 
 use crate::design::{Design, Tier};
-use crate::problem::Problems;
+use crate::problem::{Problem, Problems};
 
 /// Reads a file.
 pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
@@ -30,10 +30,16 @@ pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
     for (number, line) in text.lines().enumerate() {
         reader.line(number + 1, line.trim());
     }
+    let ends_in_tier = reader.tier.is_some();
     reader.end_tier();
     let Reader {
-        design, has_gear, ..
+        mut design,
+        has_gear,
+        ..
     } = reader;
+    if ends_in_tier {
+        check_end(text, &mut design, problems);
+    }
     if !has_gear {
         let what = "the index wheel is missing";
         problems.report(0, None, what, "write a line `g 96 0.0` before the facets");
@@ -47,6 +53,43 @@ pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
         );
     }
     Some(design)
+}
+
+/// Checks the end of a file whose last line is one of a tier: a file that was cut off has no line
+/// end there, lacks facets of its last tier, or lacks the table. Two of them are a problem.
+fn check_end(text: &str, design: &mut Design, problems: &mut Problems) {
+    let line = text.lines().count();
+    let Some(last) = design.facets.last().map(|facet| facet.tier) else {
+        return;
+    };
+    let alone = design.without_partners(design.gear);
+    let is_alone = |of: usize| design.facets[of].tier == last;
+    let alone = alone.iter().find(|it| is_alone(it.facet));
+    let has_end = text.ends_with('\n');
+    let mut signs = Vec::new();
+    if !has_end {
+        signs.push("its last line has no line end".to_string());
+    }
+    if let Some(alone) = alone {
+        let name = &design.facets[alone.facet].name;
+        signs.push(format!("facet {name} has no partner in its last tier"));
+    }
+    if !design.has_table() {
+        signs.push("it has no table".to_string());
+    }
+    if signs.len() > 1 {
+        let what = format!("the file is cut off: {}", signs.join(", and "));
+        let remedy = "take the whole file; if it is whole, end its last line and correct the \
+                      symmetry of line y";
+        problems.report(line, None, what, remedy);
+    } else if !has_end {
+        design.notices.push(Problem {
+            line,
+            facet: None,
+            what: "the last line has no line end".to_string(),
+            remedy: "check that the file is complete".to_string(),
+        });
+    }
 }
 
 struct Reader<'a> {
@@ -88,10 +131,12 @@ impl Reader<'_> {
             "g" => self.gear(number, rest),
             "y" => self.symmetry(number, rest),
             "I" => {
-                if let Some(value) = self.number(number, rest.split_whitespace().next(), "I") {
+                let mut words = words(rest);
+                if let Some(value) = self.number(number, words.next(), "I") {
                     let design = &mut self.design;
                     design.set_refractive_index(value, number, self.problems);
                 }
+                self.end(number, words.next(), "I");
             }
             "H" if self.design.title.is_empty() => self.design.title = rest.to_string(),
             "H" | "F" => {
@@ -120,7 +165,9 @@ impl Reader<'_> {
                 }
             }
             "G" | "n" if self.tier.is_some() => self.positions(number, line),
-            _ if word.starts_with(|first: char| first.is_ascii_digit()) && self.tier.is_some() => {
+            _ if self.tier.is_some()
+                && word.starts_with(|first: char| first.is_ascii_digit() || first == '-') =>
+            {
                 self.positions(number, line);
             }
             _ => {
@@ -136,7 +183,7 @@ impl Reader<'_> {
     }
 
     fn gear(&mut self, line: usize, rest: &str) {
-        let mut words = rest.split_whitespace();
+        let mut words = words(rest);
         self.has_gear = true;
         if !self.design.facets.is_empty() || self.tier.is_some() {
             let what = "the index wheel changes after a facet";
@@ -150,18 +197,42 @@ impl Reader<'_> {
         if let Some(word) = words.next()
             && let Some(at) = self.number(line, Some(word), "g")
         {
-            self.design.reference = at;
+            self.design.set_reference(at, line, self.problems);
         }
+        self.end(line, words.next(), "g");
     }
 
     fn symmetry(&mut self, line: usize, rest: &str) {
-        let mut words = rest.split_whitespace();
-        if let Some(order) = self.number(line, words.next(), "y") {
-            self.design.symmetry.order = order.max(0.0) as u32;
+        let mut words = words(rest);
+        let order = self.number(line, words.next(), "y");
+        let mirror = match words.next() {
+            None => false,
+            Some("y" | "Y") => true,
+            Some("n" | "N") => false,
+            Some(word) => {
+                let what = format!("\"{word}\" is neither y nor n for the mirror");
+                self.problems
+                    .report(line, None, what, "write a line as `y 8 y`");
+                false
+            }
+        };
+        if let Some(order) = order {
+            self.design.set_symmetry(order, mirror, line, self.problems);
         }
-        self.design.symmetry.mirror = words
-            .next()
-            .is_some_and(|word| word.starts_with(['y', 'Y']));
+        self.end(line, words.next(), "y");
+    }
+
+    /// Reports a further word of a line.
+    fn end(&mut self, line: usize, word: Option<&str>, of: &str) {
+        if let Some(word) = word {
+            let what = format!("\"{word}\" is behind the end of line {of}");
+            self.problems.report(
+                line,
+                None,
+                what,
+                "remove it, or begin a comment with a semicolon",
+            );
+        }
     }
 
     /// Reads positions, names and the note of the present tier.
@@ -244,6 +315,12 @@ impl Reader<'_> {
             }
         }
     }
+}
+
+/// The words of a line before its comment.
+fn words(text: &str) -> impl Iterator<Item = &str> {
+    let comment = text.find(';').unwrap_or(text.len());
+    text[..comment].split_whitespace()
 }
 
 /// The text behind this many words.

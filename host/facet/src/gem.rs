@@ -8,9 +8,10 @@ use haptimill_hil_sim::vector::{Vector, cross, dot, length, minus, plus, times};
 /// Tag of the faces of the rough.
 pub const ROUGH: usize = usize::MAX;
 
-/// Vertices nearer than this are one meet point, mm. Designs are written with five to eight
-/// decimals.
-const MEET_MM: f64 = 2e-4;
+/// Vertices nearer than this are one meet point, mm: the tolerance of meet points. Designs are
+/// written with five to eight decimals, which alone move a vertex by some micrometres where facets
+/// meet at shallow angles; and a stone whose depths are off by a few has other short edges there.
+const MEET_MM: f64 = 0.02;
 
 /// The stone before it is cut: a round preform about the spin axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,8 +25,10 @@ pub struct Rough {
 /// A point in which facets of the gem meet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeetPoint {
-    /// Position, mm.
+    /// Position, the mean of its vertices, mm.
     pub at: Vector,
+    /// Vertices of the gem that are this point, mm.
+    pub vertices: Vec<Vector>,
     /// Numbers of its facets.
     pub facets: Vec<usize>,
     /// Largest displacement of the point, mm, when each facet is off by at most 1 mm in depth. It
@@ -236,7 +239,8 @@ fn plane_mm(design: &Design, facet: &Facet, scale_mm: f64) -> Plane {
     }
 }
 
-/// The meet points of a body: its vertices, where those that nearly coincide are one point.
+/// The meet points of a body: its vertices, where those that are chained by short distances are one
+/// point.
 fn meet_points(body: &Polyhedron) -> Vec<MeetPoint> {
     let mut points: Vec<MeetPoint> = Vec::new();
     for (index, at) in body.vertices().iter().enumerate() {
@@ -244,16 +248,30 @@ fn meet_points(body: &Polyhedron) -> Vec<MeetPoint> {
             .faces()
             .iter()
             .filter(|face| face.ring.contains(&index));
-        let facets: Vec<usize> = facets.map(|face| face.tag).collect();
-        let near = |point: &&mut MeetPoint| length(minus(point.at, *at)) < MEET_MM;
-        match points.iter_mut().find(near) {
-            Some(point) => point.facets.extend(facets),
-            None => points.push(MeetPoint {
-                at: *at,
-                facets,
-                gain: 0.0,
-            }),
+        let mut point = MeetPoint {
+            at: *at,
+            vertices: vec![*at],
+            facets: facets.map(|face| face.tag).collect(),
+            gain: 0.0,
+        };
+        // Joins all points that the vertex connects.
+        let (near, far): (Vec<_>, Vec<_>) = points.into_iter().partition(|other| {
+            let mut vertices = other.vertices.iter();
+            vertices.any(|other| length(minus(*other, *at)) < MEET_MM)
+        });
+        for other in near {
+            point.vertices.extend(other.vertices);
+            point.facets.extend(other.facets);
         }
+        points = far;
+        points.push(point);
+    }
+    for point in &mut points {
+        let sum = point
+            .vertices
+            .iter()
+            .fold([0.0; 3], |sum, at| plus(sum, *at));
+        point.at = times(sum, 1.0 / point.vertices.len() as f64);
     }
     for point in &mut points {
         point.facets.sort_unstable();

@@ -41,7 +41,7 @@ pub const MAX_FACETS: usize = 2000;
 pub fn read(file: &str, text: &[u8]) -> Result<Design, Refused> {
     let end = file.rsplit('.').next().unwrap_or_default();
     let mut problems = problem::Problems::new(file);
-    let design = match end.to_ascii_lowercase().as_str() {
+    let mut design = match end.to_ascii_lowercase().as_str() {
         "asc" => asc::read(&latin(text), &mut problems),
         "toml" => list::read_toml(&utf8(text, &mut problems), &mut problems),
         "csv" => list::read_csv(&utf8(text, &mut problems), &mut problems),
@@ -56,7 +56,7 @@ pub fn read(file: &str, text: &[u8]) -> Result<Design, Refused> {
             None
         }
     };
-    if let Some(design) = &design {
+    if let Some(design) = &mut design {
         design.check(&mut problems);
     }
     problems.finish(design)

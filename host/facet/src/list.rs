@@ -33,11 +33,9 @@ struct RawDesign {
     #[serde(default)]
     title: String,
     gear: Spanned<f64>,
-    #[serde(default)]
-    reference: f64,
+    reference: Option<Spanned<f64>>,
     refractive_index: Option<Spanned<f64>>,
-    #[serde(default)]
-    symmetry: u32,
+    symmetry: Option<Spanned<f64>>,
     #[serde(default)]
     mirror: bool,
     #[serde(default)]
@@ -97,10 +95,15 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
     };
     let mut design = empty();
     design.title = raw.title;
-    design.reference = raw.reference;
-    design.symmetry.order = raw.symmetry;
-    design.symmetry.mirror = raw.mirror;
     design.set_gear(*raw.gear.get_ref(), line(raw.gear.span().start), problems);
+    if let Some(reference) = raw.reference {
+        let at = line(reference.span().start);
+        design.set_reference(*reference.get_ref(), at, problems);
+    }
+    if let Some(order) = raw.symmetry {
+        let at = line(order.span().start);
+        design.set_symmetry(*order.get_ref(), raw.mirror, at, problems);
+    }
     if let Some(index) = raw.refractive_index {
         design.set_refractive_index(*index.get_ref(), line(index.span().start), problems);
     }
@@ -108,6 +111,11 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
         let at = line(facet.span().start);
         let facet = facet.into_inner();
         if facet.transfer {
+            if facet.angle.is_some() || facet.index.is_some() || facet.depth.is_some() {
+                let what = "a transfer has no angle, index and depth";
+                let remedy = "write them as a facet of its own";
+                problems.report(at, facet.name.as_deref(), what, remedy);
+            }
             turn_over(&mut design);
             continue;
         }
@@ -127,6 +135,10 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
             Indices::One(index) => vec![index],
             Indices::More(indices) => indices,
         };
+        if indices.is_empty() {
+            let what = "the list of indices is empty";
+            problems.report(at, facet.name.as_deref(), what, "write an index");
+        }
         let tier = Tier {
             line: at,
             angle_deg,
@@ -241,8 +253,8 @@ fn setting(design: &mut Design, key: &str, value: &str, line: usize, problems: &
     };
     match key {
         "gear" => design.set_gear(number, line, problems),
-        "reference" => design.reference = number,
+        "reference" => design.set_reference(number, line, problems),
         "refractive_index" => design.set_refractive_index(number, line, problems),
-        _ => design.symmetry.order = number.max(0.0) as u32,
+        _ => design.set_symmetry(number, false, line, problems),
     }
 }

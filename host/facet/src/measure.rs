@@ -4,7 +4,7 @@ use crate::gem::Gem;
 use crate::job::{angle_between, angles};
 use haptimill_hil_sim::polyhedron::{Face, Polyhedron};
 use haptimill_hil_sim::process::grinding::Ground;
-use haptimill_hil_sim::vector::{length, minus};
+use haptimill_hil_sim::vector::{Vector, length, minus};
 
 /// A facet of the stone.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,8 +30,12 @@ pub struct FacetResult {
 pub struct MeetResult {
     /// Number of the point in the gem.
     pub meet: usize,
-    /// Largest distance of a vertex of its facets from it, mm; `None` if the stone has none.
-    pub error_mm: Option<f64>,
+    /// Largest distance between the vertices of the point on the stone and on the gem, mm. If the
+    /// stone has none: that of the nearest vertex that has two facets of the point, or of the
+    /// nearest vertex. 0 if the stone has no vertex.
+    pub error_mm: f64,
+    /// The stone has a vertex whose facets are all of this point.
+    pub is_found: bool,
 }
 
 /// A measured stone.
@@ -99,10 +103,7 @@ impl Measured {
         let mut missing: Vec<usize> = goal.filter(|facet| !has(*facet)).collect();
         missing.sort_unstable();
         let meets = (0..gem.meets.len())
-            .map(|meet| MeetResult {
-                meet,
-                error_mm: meet_error(gem, meet, stone, &owners),
-            })
+            .map(|meet| meet_result(gem, meet, stone, &owners))
             .collect();
         Self {
             missing,
@@ -132,11 +133,18 @@ impl Measured {
             .fold(0.0, f64::max)
     }
 
-    /// Largest error of a meet point, mm; infinite if the stone lacks one.
+    /// Largest error of a meet point, mm; see [`MeetResult::error_mm`].
     #[must_use]
     pub fn worst_meet_mm(&self) -> f64 {
-        let error = |meet: &MeetResult| meet.error_mm.unwrap_or(f64::INFINITY);
-        self.meets.iter().map(error).fold(0.0, f64::max)
+        self.meets.iter().map(|it| it.error_mm).fold(0.0, f64::max)
+    }
+
+    /// Numbers of the meet points of which the stone has no vertex.
+    pub fn lost_meets(&self) -> impl Iterator<Item = usize> {
+        self.meets
+            .iter()
+            .filter(|it| !it.is_found)
+            .map(|it| it.meet)
     }
 }
 
@@ -163,19 +171,48 @@ fn depth(stone: &Polyhedron, face: &Face, plane: &haptimill_hil_sim::polyhedron:
     sum / face.ring.len() as f64
 }
 
-/// Largest distance from a meet point to a vertex of the stone between facets of the point only.
-fn meet_error(gem: &Gem, meet: usize, stone: &Polyhedron, owners: &[Option<usize>]) -> Option<f64> {
+/// Compares a meet point with the vertices of the stone between facets of the point only.
+fn meet_result(gem: &Gem, meet: usize, stone: &Polyhedron, owners: &[Option<usize>]) -> MeetResult {
     let point = &gem.meets[meet];
-    let mut worst: Option<f64> = None;
+    let nearest = |from: &Vector, to: &[Vector]| {
+        let distances = to.iter().map(|at| length(minus(*at, *from)));
+        distances.fold(f64::INFINITY, f64::min)
+    };
+    let mut own: Vec<Vector> = Vec::new();
+    let mut shared: Vec<Vector> = Vec::new();
     for (index, at) in stone.vertices().iter().enumerate() {
         let around = stone.faces().iter().zip(owners);
-        let mut around = around.filter(|(face, _)| face.ring.contains(&index));
-        let belongs =
-            around.all(|(_, owner)| owner.is_some_and(|facet| point.facets.contains(&facet)));
-        if belongs {
-            let error = length(minus(*at, point.at));
-            worst = Some(worst.map_or(error, |worst| worst.max(error)));
+        let around = around.filter(|(face, _)| face.ring.contains(&index));
+        let (mut inside, mut outside) = (0, 0);
+        for (_, owner) in around {
+            match owner {
+                Some(facet) if point.facets.contains(facet) => inside += 1,
+                _ => outside += 1,
+            }
+        }
+        if inside >= 2 {
+            shared.push(*at);
+        }
+        if inside > 0 && outside == 0 {
+            own.push(*at);
         }
     }
-    worst
+    let error_mm = if own.is_empty() {
+        let from = if shared.is_empty() {
+            stone.vertices()
+        } else {
+            &shared
+        };
+        let error = nearest(&point.at, from);
+        if error.is_finite() { error } else { 0.0 }
+    } else {
+        let of_stone = own.iter().map(|at| nearest(at, &point.vertices));
+        let of_gem = point.vertices.iter().map(|at| nearest(at, &own));
+        of_stone.chain(of_gem).fold(0.0, f64::max)
+    };
+    MeetResult {
+        meet,
+        error_mm,
+        is_found: !own.is_empty(),
+    }
 }

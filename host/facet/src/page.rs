@@ -54,6 +54,7 @@ pub fn report(gem: &Gem, job: &Job, cutting: &Cutting, other: Option<(&Job, &Cut
         minutes(seconds)
     );
     problems(&mut body, gem, cutting);
+    lost(&mut body, gem, cutting);
     let _ = write!(body, "<h2>The stone</h2>{}", scene(gem, cutting).fragment());
     facets(&mut body, gem, cutting);
     meets(&mut body, gem, cutting);
@@ -65,11 +66,7 @@ pub fn report(gem: &Gem, job: &Job, cutting: &Cutting, other: Option<(&Job, &Cut
 }
 
 pub fn micrometres(mm: f64) -> String {
-    if mm.is_finite() {
-        format!("{:.1} um", 1e3 * mm)
-    } else {
-        "missing".to_string()
-    }
+    format!("{:.1} um", 1e3 * mm)
 }
 
 pub fn minutes(seconds: f64) -> String {
@@ -93,6 +90,19 @@ fn problems(body: &mut String, gem: &Gem, cutting: &Cutting) {
             body,
             "<p class=over>{} faces of the stone are no facet of the design.</p>",
             measured.strange
+        );
+    }
+}
+
+/// Says of which meet points the stone has no vertex.
+fn lost(body: &mut String, gem: &Gem, cutting: &Cutting) {
+    let lost = cutting.measured.lost_meets().count();
+    if lost > 0 {
+        let _ = write!(
+            body,
+            "<p class=over>Of {lost} of {} meet points the stone has no vertex; the table shows the \
+             distance of the nearest vertex with two of the facets.</p>",
+            gem.meets.len()
         );
     }
 }
@@ -227,15 +237,18 @@ fn meets(body: &mut String, gem: &Gem, cutting: &Cutting) {
             .map(|facet| facet.name.as_str())
             .collect();
         let [x, y, z] = meet.at;
-        let error = result.error_mm.unwrap_or(f64::INFINITY);
+        let error = result.error_mm;
         let _ = write!(
             body,
             "<tr><td>{}<td>{x:.3}<td>{y:.3}<td>{z:.3}<td>{:.1}<td{}>{}",
             escape(&names.join(" ")),
             meet.gain,
-            class(error > MEET_MM),
+            class(error > MEET_MM || !result.is_found),
             micrometres(error)
         );
+        if !result.is_found {
+            body.push_str(", nearest vertex");
+        }
     }
     body.push_str("</table>");
 }

@@ -18,6 +18,22 @@ pub struct Problem {
     pub remedy: String,
 }
 
+impl Problem {
+    /// `file:line: facet NAME: what; remedy`.
+    #[must_use]
+    pub fn text(&self, file: &str) -> String {
+        let mut text = format!("{file}:");
+        if self.line > 0 {
+            text.push_str(&format!("{}:", self.line));
+        }
+        if let Some(facet) = &self.facet {
+            text.push_str(&format!(" facet {facet}:"));
+        }
+        text.push_str(&format!(" {}; {}", self.what, self.remedy));
+        text
+    }
+}
+
 /// A refused design with its problems. No part of it may be cut.
 ///
 /// `Display` writes `file:line: facet NAME: what; remedy`, one line for each problem, in the order
@@ -38,14 +54,7 @@ impl fmt::Display for Refused {
             if index > 0 {
                 writeln!(out)?;
             }
-            write!(out, "{}:", self.file)?;
-            if problem.line > 0 {
-                write!(out, "{}:", problem.line)?;
-            }
-            if let Some(facet) = &problem.facet {
-                write!(out, " facet {facet}:")?;
-            }
-            write!(out, " {}; {}", problem.what, problem.remedy)?;
+            write!(out, "{}", problem.text(&self.file))?;
         }
         if self.more > 0 {
             write!(out, "\n{}: {} more problems", self.file, self.more)?;

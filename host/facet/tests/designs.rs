@@ -1,6 +1,6 @@
 //! Designs: the examples, formats, and what is refused.
 
-use haptimill_facet::{Gem, Job, JobSettings, Rough, Side, Stage, read};
+use haptimill_facet::{Gem, Job, JobSettings, Measured, Rough, Side, Stage, read};
 use haptimill_hil_sim::polyhedron::Plane;
 use haptimill_hil_sim::vector::{length, minus};
 use proptest::prelude::*;
@@ -239,18 +239,44 @@ fn what_cannot_be_cut_is_refused_by_line_and_facet() {
         ),
         (
             "a 0 0.3 0 n T\n",
-            "a 40 0.70 0 n D\na 0 0.3 0 n T\n",
-            "facet D@0: is the plane of facet C@0",
-        ),
-        (
-            "a 0 0.3 0 n T\n",
             "a 0 0.3 0 n T\na 0 0.2 0 n U\n",
             "small.asc:9: facet T@0: is wholly cut away by facet U@0",
         ),
         (
-            "a 0 0.3 0 n T\n",
-            "a 0 0.3 0 n T\na -44 0.7 0 n Q\n",
-            "small.asc:10: facet Q@0: is cut from a side",
+            "y 4 y",
+            "y -4 y",
+            "small.asc:3: a symmetry of order -4; write a whole number of 1 to 120",
+        ),
+        ("y 4 y", "y 1e30 y", "small.asc:3: a symmetry of order 1"),
+        ("y 4 y", "y 2.5 y", "small.asc:3: a symmetry of order 2.5"),
+        (
+            "y 4 y",
+            "y 4 maybe",
+            "small.asc:3: \"maybe\" is neither y nor n for the mirror",
+        ),
+        ("y 4 y", "y", "small.asc:3: \"\" is no number for y"),
+        (
+            "y 4 y",
+            "y 4 y y",
+            "small.asc:3: \"y\" is behind the end of line y",
+        ),
+        (
+            "g 64 0.0",
+            "g 64 0.0 junk",
+            "small.asc:2: \"junk\" is behind the end of line g",
+        ),
+        ("g 64 0.0", "g 64 1e300", "small.asc:2: azimuth 0 is at"),
+        (
+            "48 G to",
+            "-65 G to",
+            "small.asc:7: facet P@-65: index -65 is off the wheel of 64 teeth",
+        ),
+        // The indices are those of another wheel.
+        (
+            "g 64 0.0",
+            "g 72 0.0",
+            "small.asc:2: the indices have the symmetry `y 4 y` on a wheel of 64 teeth, and not on \
+             one of 72",
         ),
         (
             "a -45 0.72 0 n P 16 32 48 G to a point\n",
@@ -268,6 +294,15 @@ fn what_cannot_be_cut_is_refused_by_line_and_facet() {
         let problem = with(from, to);
         assert!(problem.contains(expected), "{from:?} -> {to:?}:\n{problem}");
     }
+    let list = "# gear = 64\n-45,0,1\ntransfer\n0,0,1\ntransfer\n-44,16,1\n";
+    assert!(problem("a.csv", list).contains("a.csv:6: facet 3@16: is cut from a side"));
+    let list = "# gear = 64\n-45,0,1\n-45,0,1,D\n-45,32,1\ntransfer\n45,16,1\n45,48,1\n";
+    assert!(problem("a.csv", list).contains("a.csv:3: facet D@0: is the plane of facet 1@0"));
+    let list = "gear = 64\n[[facet]]\nname = \"P\"\nangle = -4\nindex = []\ndepth = 1\n";
+    assert!(problem("a.toml", list).contains("a.toml:2: facet P: the list of indices is empty"));
+    let list = "gear = 64\nreference = nan\n[[facet]]\ntransfer = true\nangle = 3\n";
+    assert!(problem("a.toml", list).contains("a.toml:2: azimuth 0 is at NaN"));
+    assert!(problem("a.toml", list).contains("a.toml:3: a transfer has no angle"));
     assert!(problem("a.gem", "").contains("is no design"));
     assert!(problem("a.csv", "# gear = 64\n-45,0\n").contains("a.csv:2: the row has 2 cells"));
     assert!(problem("a.toml", "gear = 64\nangel = 1\n").contains("a.toml:2:"));
@@ -316,6 +351,216 @@ fn a_design_larger_than_its_rough_is_refused() {
         height_mm: 9.0,
     };
     assert!(Gem::new(name, design, 6.0, Some(rough)).is_ok());
+}
+
+/// Planes and notices of a design that can be cut.
+fn cut(name: &str, text: &str) -> (Gem, Vec<String>) {
+    let design = read(name, text.as_bytes()).unwrap_or_else(|refused| panic!("{refused}"));
+    let notices = design.notices.iter().map(|it| it.text(name)).collect();
+    let gem = Gem::new(name, design, 6.0, None).unwrap_or_else(|refused| panic!("{refused}"));
+    (gem, notices)
+}
+
+/// GemCad writes the position 0 of a wheel as the number of its teeth with the sign of the gear.
+/// Positions repeat after a turn. A negative gear counts the other way.
+#[test]
+fn positions_are_counted_modulo_the_gear() {
+    let (plain, _) = cut("small.asc", SMALL);
+    // The same stone, with positions of a wheel whose numbers run clockwise.
+    let (other, notices) = cut(
+        "clockwise.asc",
+        "GemCad 5.0\r\ng -96 48.0\r\ny 4 y\r\nI 1.54\r\nH Small\r\n\
+         a -90.000000 1.00000000 -96 24 n G 72 48\r\na -45.000000 0.72000000 24 n P -96 48\r\n 72\r\n\
+         a 40.000000 0.70000000 -96 n C 24 -48 -24\r\na 0.000000 0.30000000 -96 n T\r\nF end\r\n",
+    );
+    assert_eq!(notices, [] as [&str; 0]);
+    assert!((plain.body.volume() - other.body.volume()).abs() < 1e-9);
+    let names: Vec<&str> = other
+        .design
+        .facets
+        .iter()
+        .map(|it| it.name.as_str())
+        .collect();
+    assert_eq!(names[..4], ["G@96", "G@24", "G@72", "G@48"]);
+    assert_eq!(names[8..], ["C@96", "C@24", "C@48", "C@72", "T@96"]);
+    // Position 48 is azimuth 0, and an eighth of a turn on is -45 degrees.
+    assert!(other.design.azimuth_deg(48.0).abs() < 1e-9);
+    assert!((other.design.azimuth_deg(60.0) + 45.0).abs() < 1e-9);
+    // A chiral stone: the one facet beside the axis of the mirror is on the side of its azimuth.
+    let text = |gear: &str| {
+        let one = SMALL.replace("g 64 0.0", &format!("g {gear} 0.0"));
+        one.replace("y 4 y", "y 1 n")
+            .replace("n T\n", "n T\na 20 0.5 10 n X\n")
+    };
+    for (gear, sign) in [("64", 1.0), ("-64", -1.0)] {
+        let (gem, _) = cut("chiral.asc", &text(gear));
+        let normal = gem.plane(13).normal;
+        let azimuth = normal[1].atan2(normal[0]).to_degrees();
+        assert!((azimuth - sign * 56.25).abs() < 1e-9, "{gear}: {azimuth}");
+    }
+}
+
+/// GemCad lists planes; the order may go between the sides, and a plane may come twice.
+#[test]
+fn tiers_in_any_order_are_cut_by_side() {
+    let (plain, none) = cut("small.asc", SMALL);
+    assert_eq!(none, [] as [&str; 0]);
+    let (mixed, notices) = cut(
+        "mixed.asc",
+        "GemCad 4.51\ng 64 64.0\ny 4 y\nI 1.54\nH Mixed\na -90.00 1.00000 0 32\n\
+         a 40.00 0.70000 0 16 32 48\na -45.00 0.72000 0 16\na -90.00 1.00000 16 48\n\
+         a 0.00 0.30000 0\na -90.00 1.00000 64\na -45.00 0.72000 32 48\n",
+    );
+    assert!((plain.body.volume() - mixed.body.volume()).abs() < 1e-9);
+    assert_eq!(mixed.body.faces().len(), 13);
+    let sides: Vec<Side> = mixed.design.facets.iter().map(|facet| facet.side).collect();
+    let pavilion = sides.iter().filter(|side| **side == Side::Pavilion).count();
+    assert_eq!(pavilion, 8);
+    assert!(sides[..8].iter().all(|side| *side == Side::Pavilion));
+    let expected = [
+        "mixed.asc:8: facet 3@0: is behind facets of the other side; the stone is turned over once, \
+         and the side of the pavilion is cut first",
+        "mixed.asc:11: facet 6@64: is the plane of facet 1@0 and is not cut again",
+    ];
+    assert_eq!(notices.len(), 2, "{notices:?}");
+    for (notice, expected) in notices.iter().zip(expected) {
+        assert!(notice.contains(expected), "{notice}");
+    }
+}
+
+/// A facet that breaks the symmetry of its file is named with the position that is missing.
+#[test]
+fn broken_symmetry_and_a_missing_table_are_notices() {
+    for (from, to, expected) in [
+        (
+            "P 16 32 48",
+            "P 16 32 47",
+            "small.asc:7: facet P@0: has no partner at index 48, which the symmetry `y 4 y` asks for",
+        ),
+        (
+            "P 16 32 48",
+            "P 16 32 47",
+            "small.asc:7: facet P@47: has no partner at index 1, 15, 17",
+        ),
+        (
+            "y 4 y",
+            "y 5 n",
+            "small.asc:6: facet G@0: has no partner at index 12.8, 25.6, 38.4, 51.2, which",
+        ),
+        ("y 4 y", "y 8 y", "small.asc:7: 7 more facets"),
+        ("a 0 0.3 0 n T\n", "", "small.asc: the design has no table"),
+        (
+            "n T\nF end\n",
+            "n T",
+            "small.asc:9: the last line has no line end",
+        ),
+    ] {
+        assert!(SMALL.contains(from));
+        let design = read("small.asc", SMALL.replace(from, to).as_bytes());
+        let design = design.unwrap_or_else(|refused| panic!("{refused}"));
+        let texts = design.notices.iter().map(|notice| notice.text("small.asc"));
+        let texts: Vec<String> = texts.collect();
+        assert!(
+            texts.iter().any(|text| text.contains(expected)),
+            "{from:?} -> {to:?}: {texts:#?}"
+        );
+    }
+    for (from, to) in [("y 4 y", "y 1 n"), ("y 4 y", "y 2 y"), ("y 4 y\n", "")] {
+        let design = read("small.asc", SMALL.replace(from, to).as_bytes()).unwrap();
+        assert_eq!(design.notices, [], "{to}");
+    }
+    for name in ["round-brilliant.asc", "pentagon.asc", "step-cut.toml"] {
+        assert_eq!(gem(name).design.notices, [], "{name}");
+    }
+}
+
+/// A file that is cut off anywhere is refused, or a notice says that something is missing.
+#[test]
+fn a_file_that_is_cut_off_is_found() {
+    for name in ["round-brilliant.asc", "pentagon.asc"] {
+        let text = String::from_utf8(example(name)).unwrap();
+        let text = text.trim_end();
+        let mut refusals = 0;
+        // An end behind a whole number, with which the design is whole.
+        let whole = text.rfind(" n T").unwrap();
+        for end in 0..text.len() {
+            if end >= whole {
+                break;
+            }
+            let Ok(design) = read(name, &text.as_bytes()[..end]) else {
+                refusals += 1;
+                continue;
+            };
+            let notices = design.notices.clone();
+            let gem = Gem::new(name, design, 6.0, None);
+            refusals += usize::from(gem.is_err());
+            assert!(gem.is_err() || !notices.is_empty(), "{name}: {end} bytes");
+        }
+        // Only at the end of a tier can the rest be a design.
+        assert!(refusals + 30 > whole, "{refusals} of {whole}");
+    }
+    let (head, _) = SMALL.split_once("16 32 48\na 0 0.3").unwrap();
+    let found = problem("small.asc", head);
+    let expected = "small.asc:8: the file is cut off: its last line has no line end, and facet C@0 \
+                    has no partner in its last tier, and it has no table; take the whole file";
+    assert!(found.contains(expected), "{found}");
+}
+
+/// Distances with five decimals split the meet points of a design into vertices that are some
+/// micrometres apart. They are the same points.
+#[test]
+fn rounded_distances_keep_the_meet_points() {
+    for name in ["round-brilliant.asc", "pentagon.asc"] {
+        let exact = gem(name);
+        for decimals in [1e5, 1e6] {
+            let mut design = exact.design.clone();
+            for facet in &mut design.facets {
+                facet.distance = (facet.distance * decimals).round() / decimals;
+            }
+            let rounded = Gem::new(name, design, 6.0, None).unwrap();
+            let facets = |gem: &Gem| {
+                let facets = gem.meets.iter().map(|meet| meet.facets.clone());
+                facets.collect::<std::collections::BTreeSet<_>>()
+            };
+            assert_eq!(facets(&exact), facets(&rounded), "{name}");
+        }
+    }
+}
+
+/// The stone of a design whose facets are off by up to 2 um each has every meet point within the
+/// displacement that the gain allows.
+#[test]
+fn a_stone_with_small_errors_has_its_meet_points() {
+    let name = "round-brilliant.asc";
+    let mut design = read(name, &example(name)).unwrap();
+    for facet in &mut design.facets {
+        facet.distance = (facet.distance * 1e5).round() / 1e5;
+    }
+    let gem = Gem::new(name, design, 6.0, None).unwrap();
+    let mut stone = gem.rough_body();
+    for (number, facet) in gem.design.facets.iter().enumerate() {
+        let plane = gem.plane(number);
+        let off = 2e-3 * (12.9898 * facet.index + 78.233 * facet.angle_deg).sin();
+        let distance = plane.distance + off;
+        stone.cut(Plane { distance, ..plane }, number);
+    }
+    let measured = Measured::new(&gem, &stone, &[]);
+    assert_eq!(measured.lost_meets().count(), 0);
+    assert!(measured.worst_meet_mm() > 1e-3);
+    for result in &measured.meets {
+        let bound = 0.02 + 2.1e-3 * gem.meets[result.meet].gain;
+        assert!(result.error_mm < bound, "{result:?}");
+    }
+    // Without table and stars the stone lacks their points, and is off by a distance.
+    let mut stone = gem.rough_body();
+    for (number, facet) in gem.design.facets.iter().enumerate() {
+        if facet.stage != Stage::Crown && facet.stage != Stage::Table || facet.angle_deg > 25.0 {
+            stone.cut(gem.plane(number), number);
+        }
+    }
+    let measured = Measured::new(&gem, &stone, &[]);
+    assert!(measured.lost_meets().count() >= 8);
+    assert!(measured.worst_meet_mm() > 0.02 && measured.worst_meet_mm() < 6.0);
 }
 
 proptest! {

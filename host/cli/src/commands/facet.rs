@@ -282,6 +282,9 @@ fn read_design(path: &Path) -> Result<Design, CliError> {
 fn gem(args: &DesignArgs) -> Result<Gem, CliError> {
     let design = read_design(&args.design)?;
     let file = args.design.display().to_string();
+    for notice in &design.notices {
+        eprintln!("notice: {}", notice.text(&file));
+    }
     Gem::new(&file, design, args.width, args.rough).map_err(bad)
 }
 
@@ -329,8 +332,12 @@ fn check(args: &CheckArgs) -> Result<(), CliError> {
                 "index": facet.index, "depth_mm": facet.distance * gem.scale_mm,
             })
         });
+        let notices = gem.design.notices.iter().map(|it| {
+            json!({ "line": it.line, "facet": it.facet, "what": it.what, "remedy": it.remedy })
+        });
         let value = json!({
             "title": gem.design.title, "gear": gem.design.gear,
+            "notices": notices.collect::<Vec<_>>(),
             "size_mm": [ends(0), ends(1), ends(2)], "yield": gem.yield_part(),
             "volume_mm3": gem.body.volume(), "meet_points": gem.meets.len(), "gain": gain,
             "facets": facets.collect::<Vec<_>>(),
@@ -444,9 +451,9 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
         return Ok(());
     }
     let design = args.design.design.display();
-    print_stone(&format!("{design}"), &cutting);
+    print_stone(&format!("{design}"), &gem, &cutting);
     if let Some((_, second)) = beside {
-        print_stone(&format!("{design}, beside"), second);
+        print_stone(&format!("{design}, beside"), &gem, second);
     }
     print_line!("report      {}", dir.join("report.html").display());
     Ok(())
@@ -481,7 +488,7 @@ fn cut_all(
 }
 
 /// Prints the errors of a stone.
-fn print_stone(name: &str, cutting: &Cutting) {
+fn print_stone(name: &str, gem: &Gem, cutting: &Cutting) {
     let measured = &cutting.measured;
     let seconds: f64 = cutting.operations.iter().map(|it| it.seconds).sum();
     print_line!(
@@ -503,6 +510,19 @@ fn print_stone(name: &str, cutting: &Cutting) {
             measured.strange
         );
     }
+    let lost: Vec<usize> = measured.lost_meets().collect();
+    if let Some(first) = lost.first() {
+        let facets = gem.meets[*first].facets.iter();
+        let names: Vec<&str> = facets
+            .map(|facet| gem.design.facets[*facet].name.as_str())
+            .collect();
+        print_line!(
+            "of {} of {} meet points the stone has no vertex, the first one is that of {}",
+            lost.len(),
+            gem.meets.len(),
+            names.join(", ")
+        );
+    }
 }
 
 fn figures(gem: &Gem, cutting: &Cutting) -> serde_json::Value {
@@ -517,7 +537,11 @@ fn figures(gem: &Gem, cutting: &Cutting) -> serde_json::Value {
     });
     let meets = measured.meets.iter().map(|it| {
         let meet = &gem.meets[it.meet];
-        json!({ "at_mm": meet.at, "gain": meet.gain, "error_mm": it.error_mm })
+        let names: Vec<String> = meet.facets.iter().map(|it| name(*it)).collect();
+        json!({
+            "at_mm": meet.at, "facets": names, "gain": meet.gain, "error_mm": it.error_mm,
+            "found": it.is_found,
+        })
     });
     let operations = cutting.operations.iter().map(|it| {
         let force = &it.force;
