@@ -46,7 +46,7 @@ fn amplitude(machine: &str, rpm: f64, mode: Mode) -> Result<f64, Box<dyn std::er
         ..RunOptions::default()
     };
     let job = Job::new(&gem, settings)?;
-    let cutting = cut(&gem, &job, &machine, &options, &mut |_, _| {})?;
+    let cutting = cut(&gem, &job, &machine, &options, &mut |_, _| {})?.whole()?;
     let turns = &cutting.operations[0].turns;
     // The first contact is over after a third.
     let mut halves: Vec<f64> = turns[turns.len() / 3..]

@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         bed_n_mm3: rest.first().map(|text| text.parse()).transpose()?,
         ..RunOptions::default()
     };
-    let cutting = cut(&gem, &job, &machine, &options, &mut |_, _| {})?;
+    let cutting = cut(&gem, &job, &machine, &options, &mut |_, _| {})?.whole()?;
     let mut rows: BTreeMap<(usize, String, &str), Row> = BTreeMap::new();
     for result in &cutting.operations {
         let pass = &job.passes[result.pass];

@@ -39,6 +39,8 @@ pub struct MeetPoint {
 /// A design cut out of its rough, in mm.
 #[derive(Debug, Clone)]
 pub struct Gem {
+    /// Name of the file of the design, for messages.
+    pub file: String,
     /// The design.
     pub design: Design,
     /// Millimetres of a unit of the design.
@@ -72,11 +74,12 @@ impl Gem {
         rough: Option<Rough>,
     ) -> Result<Self, Refused> {
         let mut problems = Problems::new(file);
-        let gem = Self::cut(design, width_mm, rough, &mut problems);
+        let gem = Self::cut(file, design, width_mm, rough, &mut problems);
         problems.finish(gem)
     }
 
     fn cut(
+        file: &str,
         design: Design,
         width_mm: f64,
         rough: Option<Rough>,
@@ -133,6 +136,7 @@ impl Gem {
             height_mm: (high - low) * ALLOWANCE,
         });
         let mut gem = Self {
+            file: file.to_string(),
             design,
             scale_mm,
             rough,
@@ -222,6 +226,13 @@ impl Gem {
     #[must_use]
     pub fn plane(&self, number: usize) -> Plane {
         plane_mm(&self.design, &self.design.facets[number], self.scale_mm)
+    }
+
+    /// `file:line: facet NAME`, the place of a facet in messages.
+    #[must_use]
+    pub fn place(&self, number: usize) -> String {
+        let facet = &self.design.facets[number];
+        format!("{}:{}: facet {}", self.file, facet.line, facet.name)
     }
 
     /// Part of the rough that becomes the stone.

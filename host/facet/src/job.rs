@@ -10,7 +10,7 @@ use crate::design::{Side, Stage};
 use crate::gem::Gem;
 use core::fmt::Write as _;
 use haptimill_hil_sim::polyhedron::{Plane, Polyhedron, area_vector};
-use haptimill_hil_sim::vector::{Vector, dot, length};
+use haptimill_hil_sim::vector::{Vector, dot, length, minus, times};
 use serde::Deserialize;
 
 /// A lap of the job.
@@ -23,7 +23,8 @@ pub struct Lap {
     pub rpm: f64,
     /// Depth that it leaves for the next lap, mm.
     pub stock_mm: f64,
-    /// Feed into the stone, mm/s.
+    /// Feed into the stone, mm/s; by feed less where a facet is so large that its force would
+    /// exceed [`JobSettings::most_force_n`].
     pub feed_mm_s: f64,
     /// Force of the stone on the lap under force control, N. A facet on which it would remove more
     /// than the largest feed gets the force that removes as much.
@@ -38,7 +39,7 @@ pub struct Lap {
 /// How facets are ground.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Mode {
-    /// By feed to the depth.
+    /// By feed to the depth, with a steady force of at most [`JobSettings::most_force_n`].
     #[default]
     Feed,
     /// By force: the stone is lowered a little faster than its force removes material, at most at
@@ -56,6 +57,17 @@ impl Mode {
     }
 }
 
+/// Coolant of a machine that a part program switches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Coolant {
+    /// None: the cutter wets the lap.
+    None,
+    /// Mist, M7.
+    Mist,
+    /// Flood, M8.
+    Flood,
+}
+
 /// Largest speed at which the stone is lowered by force, mm/s.
 const FORCE_FEED: f64 = 0.15;
 
@@ -65,6 +77,9 @@ const LEAD: f64 = 1.1;
 
 /// Smallest force setpoint, N: below, noise and friction are a large part of it.
 const LEAST_FORCE_N: f64 = 0.5;
+
+/// Default of [`JobSettings::most_force_n`], N.
+pub const MOST_FORCE_N: f64 = 15.0;
 
 /// Largest number of strokes of a facet.
 const MAX_STROKES: usize = 20_000;
@@ -76,6 +91,9 @@ pub struct JobSettings {
     pub laps: Vec<Lap>,
     /// How facets are ground.
     pub mode: Mode,
+    /// Largest steady force of a facet by feed, N, as Preston's law has it: the feed of a large
+    /// facet is limited to what this force removes.
+    pub most_force_n: f64,
     /// Distance of the stone from the centre of the lap, mm.
     pub radius_mm: f64,
     /// Width of the sweep over the lap, mm.
@@ -105,6 +123,7 @@ impl Default for JobSettings {
                 lap("polish", 0.0, 0.004, 2.0, 5.0, 4e-6),
             ],
             mode: Mode::Feed,
+            most_force_n: MOST_FORCE_N,
             radius_mm: 45.0,
             sweep_mm: 10.0,
             sweep_mm_s: 20.0,
@@ -215,6 +234,10 @@ pub struct Operation {
     pub retract: String,
     /// Height of the tip at the end of the facet, mm.
     pub depth_mm: f64,
+    /// Area on the lap at the end of the facet, mm^2: before its neighbours are cut.
+    pub area_mm2: f64,
+    /// Largest distance of its corners from the axis of the tip on the lap then, mm.
+    pub extent_mm: f64,
 }
 
 /// Facets that are ground on one lap from one side.
@@ -290,11 +313,15 @@ impl Job {
                         start: above + APPROACH_MM,
                         goal: goal.distance,
                     };
+                    let contact = stone.section(&goal);
+                    let area_mm2 = area_mm2(&contact, &goal);
                     let Some(depths) = at.strokes(&stone, goal) else {
                         return Err(format!(
-                            "facet {} takes more than {MAX_STROKES} strokes on lap {}; raise \
-                             feed_mm_s or force_n of the lap, or lower the stock before it",
-                            of.name, lap.name
+                            "{} of {area_mm2:.1} mm^2 takes more than {MAX_STROKES} strokes on lap \
+                             {}; raise feed_mm_s, force_n or preston_mm2_n of the lap, lower the \
+                             stock before it, or cut a smaller stone",
+                            gem.place(facet),
+                            lap.name
                         ));
                     };
                     stone.cut(goal, facet);
@@ -303,6 +330,8 @@ impl Job {
                         lap: number,
                         stage: of.stage,
                         depth_mm: goal.distance,
+                        area_mm2,
+                        extent_mm: extent_mm(&contact, &goal),
                         force_n: at.force_n,
                         grind: at.grind(&of.name, mount.pose(goal.normal), &depths),
                         sweep: at.sweep(),
@@ -325,23 +354,64 @@ impl Job {
         })
     }
 
-    /// The whole job as one part program, which pauses for each lap and for the transfer.
+    /// Part program to where the stone spins and tilts, at the inner end of the sweep.
     #[must_use]
-    pub fn program(&self, title: &str) -> String {
+    pub fn above(&self) -> String {
+        let inner = self.settings.radius_mm - 0.5 * self.settings.sweep_mm;
+        format!("G21 G90\nG0 Z{:.4}\nG0 X{inner:.4} Y0", self.retracted_mm)
+    }
+
+    /// The whole job as one part program. For each lap, and for the transfer, spindle and coolant
+    /// stop and the program pauses. By force it is for a controller that holds the force: the first
+    /// pause says so, and a comment has the force of each facet.
+    #[must_use]
+    pub fn program(&self, title: &str, coolant: Coolant) -> String {
         let plain = |text: &str| text.replace(['(', ')', '\n', '\r'], " ");
+        let has_force = self.settings.mode.has_force();
         let mut text = format!("({})\n", plain(title));
+        if has_force {
+            text.push_str(
+                "(ground by force: the depths are reached under force control of the height only)\n\
+                 (without it the stone is fed at up to 0.15 mm/s whatever the force)\n",
+            );
+        }
         let mut side = None;
         for pass in &self.passes {
-            let lap = plain(&self.settings.laps[pass.lap].name);
+            let mut tasks = Vec::new();
+            if side.is_none() && has_force {
+                tasks.push("ground by force: put the height under force control".to_string());
+            }
+            if side.is_some() {
+                text.push_str("M5\n");
+                if coolant != Coolant::None {
+                    text.push_str("M9\n");
+                }
+            }
             if side.is_some_and(|side| side != pass.mount.side) {
-                text.push_str("M0 (MSG, transfer: turn the stone over on a new dop)\n");
+                tasks.push("transfer: turn the stone over on a new dop".to_string());
             }
             side = Some(pass.mount.side);
-            let _ = writeln!(text, "M0 (MSG, put on lap {lap})");
-            for operation in &pass.operations {
-                text.push_str(&operation.grind);
-                text.push_str(&operation.retract);
+            let lap = plain(&self.settings.laps[pass.lap].name);
+            tasks.push(format!("put on lap {lap}"));
+            let _ = writeln!(text, "M0 (MSG, {})", tasks.join("; "));
+            for (number, operation) in pass.operations.iter().enumerate() {
+                if has_force {
+                    let _ = writeln!(text, "(force {:.2} N)", operation.force_n);
+                }
+                for line in operation.grind.lines().chain(operation.retract.lines()) {
+                    let _ = writeln!(text, "{line}");
+                    let starts = line.ends_with(" M3") || line.ends_with(" M4");
+                    match coolant {
+                        Coolant::Flood if starts && number == 0 => text.push_str("M8\n"),
+                        Coolant::Mist if starts && number == 0 => text.push_str("M7\n"),
+                        _ => {}
+                    }
+                }
             }
+        }
+        text.push_str("M5\n");
+        if coolant != Coolant::None {
+            text.push_str("M9\n");
         }
         text.push_str("M30\n");
         text
@@ -357,10 +427,22 @@ impl Job {
 /// Distance of the stone from the lap at which the feed begins, mm.
 const APPROACH_MM: f64 = 0.05;
 
+/// Area of a section in its plane, mm^2.
+fn area_mm2(section: &[Vector], plane: &Plane) -> f64 {
+    0.5 * dot(area_vector(section), plane.normal)
+}
+
+/// Largest distance of the corners of a section from the foot of the origin in its plane, mm.
+fn extent_mm(section: &[Vector], plane: &Plane) -> f64 {
+    let foot = times(plane.normal, plane.distance);
+    let distances = section.iter().map(|at| length(minus(*at, foot)));
+    distances.fold(0.0, f64::max)
+}
+
 /// Depth that a newton removes by Preston's law where the plane of a facet is `plane`, K v / A,
 /// mm/s.
 fn removal_mm_s(settings: &JobSettings, lap: &Lap, stone: &Polyhedron, plane: &Plane) -> f64 {
-    let area = 0.5 * dot(area_vector(&stone.section(plane)), plane.normal);
+    let area = area_mm2(&stone.section(plane), plane);
     let speed = core::f64::consts::TAU * settings.radius_mm * lap.rpm.abs() / 60.0;
     lap.preston_mm2_n * speed / area.max(1e-9)
 }
@@ -418,7 +500,15 @@ impl Place<'_> {
             let removal = self.removal_mm_s(stone, &Plane { distance, ..goal });
             let feed = match mode {
                 Mode::Force => (LEAD * removal).min(FORCE_FEED),
-                Mode::Feed | Mode::Both => self.lap.feed_mm_s,
+                Mode::Both => self.lap.feed_mm_s,
+                Mode::Feed => {
+                    // The area at the end of the stroke is the largest one.
+                    let feed = self.lap.feed_mm_s;
+                    let distance = (distance - stroke_s * feed).max(self.goal);
+                    let end = Plane { distance, ..goal };
+                    let per_newton = removal_mm_s(self.settings, self.lap, stone, &end);
+                    feed.min(self.settings.most_force_n * per_newton)
+                }
             };
             let next = (distance - stroke_s * feed).max(self.goal);
             if mode.has_force() {

@@ -19,16 +19,18 @@ mod list;
 mod measure;
 mod page;
 mod problem;
+mod reach;
 mod run;
 pub mod thesis;
 
 pub use calibrate::{ArmLengths, Reading, calibrate};
 pub use design::{Design, Facet, Side, Stage, Symmetry};
 pub use gem::{Gem, MeetPoint, ROUGH, Rough};
-pub use job::{Job, JobSettings, Lap, Mode, Mount, Operation, Pass, in_design};
+pub use job::{Coolant, Job, JobSettings, Lap, Mode, Mount, Operation, Pass, in_design};
 pub use measure::{FacetResult, Measured, MeetResult};
 pub use page::report;
 pub use problem::{Problem, Refused};
+pub use reach::{check_machine, coolant, most_force_n};
 pub use run::{Cutting, OperationResult, RunOptions, cut};
 
 /// Largest number of facets of a design.

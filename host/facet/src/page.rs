@@ -76,6 +76,14 @@ pub fn minutes(seconds: f64) -> String {
 
 fn problems(body: &mut String, gem: &Gem, cutting: &Cutting) {
     let measured = &cutting.measured;
+    if let Some(error) = &cutting.stopped {
+        let error = escape(&error.message);
+        let _ = write!(
+            body,
+            "<p class=over>The job ended before its last facet: {error}. The stone is as it was \
+             then.</p>"
+        );
+    }
     if !measured.missing.is_empty() {
         let names: Vec<&str> = measured
             .missing

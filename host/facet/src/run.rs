@@ -2,8 +2,9 @@
 //! stone and the laps in the plant.
 
 use crate::gem::Gem;
-use crate::job::{Job, Lap, Mode, Mount, Operation, in_design};
+use crate::job::{Job, Lap, Mode, Mount, Operation, Pass, in_design};
 use crate::measure::Measured;
+use crate::reach::check_machine;
 use haptimill_client::client::Options;
 use haptimill_client::session::{
     ForceLoopChanges, JobObserver, Session, SimLine, commissioned, find_home_pose, rig,
@@ -23,8 +24,18 @@ use std::sync::atomic::AtomicBool;
 /// Axis of force control: z of the lap.
 const HEIGHT: u8 = 2;
 
+/// A facet sparks out as long as the displacement of the stone falls by this part in
+/// [`PROGRESS_SWEEPS`] spark-outs.
+const PROGRESS_PART: f64 = 0.05;
+
+/// Spark-outs in which it must fall.
+const PROGRESS_SWEEPS: u32 = 20;
+
 /// Further spark-outs of a facet, at most.
-const MAX_SWEEPS: u32 = 60;
+const MAX_SWEEPS: u32 = 2000;
+
+/// Further spark-outs of a facet that is at its depth and whose force does not vanish, at most.
+const MAX_FORCE_SWEEPS: u32 = 60;
 
 /// Longest time in which the stone returns from a displacement, microseconds.
 const RETURN_US: u64 = 30_000_000;
@@ -159,6 +170,22 @@ pub struct Cutting {
     pub operations: Vec<OperationResult>,
     /// Wear of the last lap by radius, mm.
     pub wear: Vec<f64>,
+    /// Why the job ended before its last facet; the other fields are those of the stone as it was
+    /// then.
+    pub stopped: Option<Error>,
+}
+
+impl Cutting {
+    /// The stone, if the job ended at its last facet.
+    ///
+    /// # Errors
+    /// Why the job ended before.
+    pub fn whole(self) -> Result<Self, Error> {
+        match self.stopped {
+            Some(error) => Err(error),
+            None => Ok(self),
+        }
+    }
 }
 
 /// What was observed while a facet was ground.
@@ -240,13 +267,7 @@ impl Bench<'_> {
     }
 
     /// Grinds a facet. A facet that does not reach its depth under force control is an error.
-    fn operate(
-        &mut self,
-        operation: &Operation,
-        mode: Mode,
-        lap: &Lap,
-        name: &str,
-    ) -> Result<FacetRun, Error> {
+    fn operate(&mut self, operation: &Operation, mode: Mode, lap: &Lap) -> Result<FacetRun, Error> {
         let watch = self.run(&operation.grind)?;
         // Turns are as long as those of the lap, and end with the program.
         let turns = self.turns()?;
@@ -259,9 +280,24 @@ impl Bench<'_> {
         });
         let mut pressure_n = watch.largest_n();
         let mut sweeps = 0;
-        while sweeps < MAX_SWEEPS {
-            let yields = mode.has_force() && self.displacement_mm()?.abs() > DONE_MM;
+        let mut before_mm = f64::INFINITY;
+        loop {
+            let displaced_mm = if mode.has_force() {
+                self.displacement_mm()?.abs()
+            } else {
+                0.0
+            };
+            let yields = displaced_mm > DONE_MM;
             if !yields && pressure_n < SPARKED_OUT_N {
+                break;
+            }
+            if yields && sweeps % PROGRESS_SWEEPS == 0 {
+                if displaced_mm > (1.0 - PROGRESS_PART) * before_mm {
+                    break;
+                }
+                before_mm = displaced_mm;
+            }
+            if sweeps >= if yields { MAX_SWEEPS } else { MAX_FORCE_SWEEPS } {
                 break;
             }
             pressure_n = self.run(&operation.sweep)?.largest_n();
@@ -278,9 +314,10 @@ impl Bench<'_> {
         self.run(&operation.retract)?;
         if left > DONE_MM {
             let what = format!(
-                "{name} is not at its depth after {sweeps} spark-outs: the stone is still displaced by \
-                 {left:.4} mm; raise force_n or spark_out_s of the lap, lower its stock, or grind \
-                 by feed"
+                "is not at its depth after {sweeps} spark-outs: the stone is still displaced by \
+                 {left:.4} mm on an area of {:.1} mm^2; raise force_n of the lap, lower the stock \
+                 before it, or grind by feed",
+                operation.area_mm2
             );
             return Err(Error::new(ErrorKind::Stopped, what));
         }
@@ -292,10 +329,22 @@ impl Bench<'_> {
     }
 }
 
-/// Cuts a gem. `progress` gets the number of operations that are done, and of all.
+/// An error at a facet, with its place in the design and its lap.
+fn at_facet(gem: &Gem, job: &Job, operation: &Operation, error: Error) -> Error {
+    let lap = &job.settings.laps[operation.lap].name;
+    let place = gem.place(operation.facet);
+    Error::new(
+        error.kind,
+        format!("{place} on lap {lap}: {}", error.message),
+    )
+}
+
+/// Cuts a gem. `progress` gets the number of operations that are done, and of all. A job that
+/// stops at a facet returns the stone as it is then, see [`Cutting::stopped`].
 ///
 /// # Errors
-/// The machine file has no simulated machine that can grind, or the machine stopped.
+/// The machine cannot make a motion of the job ([`check_machine`]), the machine file has no
+/// simulated machine that can grind, or the machine stopped before the first facet.
 pub fn cut(
     gem: &Gem,
     job: &Job,
@@ -303,6 +352,7 @@ pub fn cut(
     options: &RunOptions,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Cutting, Error> {
+    check_machine(gem, job, machine).map_err(|refused| Error::new(ErrorKind::Refused, refused))?;
     let model = Model::new(machine);
     let home = find_home_pose(machine, &model)?;
     let rig = rig(machine, options.seed, None, Vec::new())?;
@@ -315,32 +365,89 @@ pub fn cut(
     session.configure(machine)?;
     session.enable()?;
     session.go_home(machine, &home)?;
-    let mut bench = Bench {
+    let bench = Bench {
         session,
         machine,
         job: 2,
     };
-    let chosen =
-        |operation: &&Operation| options.only.is_empty() || options.only.contains(&operation.facet);
-    let all = job.passes.iter().flat_map(|pass| &pass.operations);
-    let total = all.filter(chosen).count();
-    let mut operations = Vec::new();
-    let mut stone = gem.rough_body();
-    let mut mount: Option<Mount> = None;
-    for (number, pass) in job.passes.iter().enumerate() {
-        let lap = &job.settings.laps[pass.lap];
-        if let Some(before) = mount {
+    let mut cut = Cut {
+        gem,
+        job,
+        options,
+        bench,
+        mount: None,
+        operations: Vec::new(),
+    };
+    let stopped = cut.all(progress).err();
+    let Cut {
+        mut bench,
+        mount,
+        operations,
+        ..
+    } = cut;
+    let Some(mount) = mount else {
+        let nothing = || Error::new(ErrorKind::BadInput, "the job has no facet");
+        return Err(stopped.unwrap_or_else(nothing));
+    };
+    let grinding = bench.grinding()?;
+    grinding.lift_off();
+    let ground = grinding.ground().to_vec();
+    let wear = grinding.wear().to_vec();
+    let stone = in_design(grinding.stone(), &mount);
+    Ok(Cutting {
+        measured: Measured::new(gem, &stone, &ground),
+        stone,
+        ground,
+        operations,
+        wear,
+        stopped,
+    })
+}
+
+/// A job on the machine.
+struct Cut<'a> {
+    gem: &'a Gem,
+    job: &'a Job,
+    options: &'a RunOptions,
+    bench: Bench<'a>,
+    /// How the stone sits on the dop; `None` before the first pass.
+    mount: Option<Mount>,
+    /// Operations that are done.
+    operations: Vec<OperationResult>,
+}
+
+impl Cut<'_> {
+    /// Runs all operations.
+    fn all(&mut self, progress: &mut dyn FnMut(usize, usize)) -> Result<(), Error> {
+        let (job, only) = (self.job, &self.options.only);
+        let chosen = |operation: &&Operation| only.is_empty() || only.contains(&operation.facet);
+        let all = job.passes.iter().flat_map(|pass| &pass.operations);
+        let total = all.filter(chosen).count();
+        for (number, pass) in job.passes.iter().enumerate() {
+            self.put_on(pass)?;
+            for operation in pass.operations.iter().filter(chosen) {
+                self.operate(number, operation)
+                    .map_err(|error| at_facet(self.gem, job, operation, error))?;
+                progress(self.operations.len(), total);
+            }
+        }
+        Ok(())
+    }
+
+    /// Puts the lap of a pass on, and the stone on the dop.
+    fn put_on(&mut self, pass: &Pass) -> Result<(), Error> {
+        let lap = lap_config(&self.job.settings.laps[pass.lap], self.options);
+        let bench = &mut self.bench;
+        if let Some(before) = self.mount {
             let grinding = bench.grinding()?;
-            grinding
-                .set_lap(lap_config(lap, options))
-                .map_err(refused)?;
+            grinding.set_lap(lap).map_err(refused)?;
             if before != pass.mount {
                 let design = in_design(grinding.stone(), &before);
                 grinding.set_stone(Job::mounted(&design, &pass.mount));
             }
         } else {
-            let mounted = Job::mounted(&stone, &pass.mount);
-            let grinding = Grinding::new(lap_config(lap, options), mounted).map_err(refused)?;
+            let mounted = Job::mounted(&self.gem.rough_body(), &pass.mount);
+            let grinding = Grinding::new(lap, mounted).map_err(refused)?;
             let plant = bench.session.line_mut().rig_mut().plant_mut();
             let Some(process) = plant.process_mut() else {
                 let what = "the simulated machine has no spindle; add [plant.spindle]";
@@ -348,53 +455,41 @@ pub fn cut(
             };
             process.set_grinding(Some(grinding));
         }
-        if mount != Some(pass.mount) {
+        if self.mount != Some(pass.mount) {
             let axes = pass.mount.axes();
-            let spot = options.hard_spot.map(|spot| HardSpot {
+            let spot = self.options.hard_spot.map(|spot| HardSpot {
                 centre: core::array::from_fn(|i| (0..3).map(|k| axes[k][i] * spot.centre[k]).sum()),
                 ..spot
             });
             bench.grinding()?.set_hard_spot(spot);
         }
-        mount = Some(pass.mount);
-        bench.tare(job.settings.mode)?;
-        for operation in pass.operations.iter().filter(chosen) {
-            let from = bench.session.now_us();
-            let before = bench.grinding()?.ground().len();
-            let name = &gem.design.facets[operation.facet].name;
-            bench.set_force(job.settings.mode, operation.force_n)?;
-            let done = bench.operate(operation, job.settings.mode, lap, name)?;
-            let seconds = (bench.session.now_us() - from) as f64 * 1e-6;
-            let grinding = bench.grinding()?;
-            let longest = grinding.ground()[before..]
-                .iter()
-                .max_by_key(|ground| ground.force.turns);
-            operations.push(OperationResult {
-                pass: number,
-                facet: operation.facet,
-                seconds,
-                sweeps: done.sweeps,
-                turns: done.turns,
-                held: done.held,
-                force: longest.map_or(ForceStatistics::default(), |ground| ground.force),
-            });
-            progress(operations.len(), total);
-        }
+        self.mount = Some(pass.mount);
+        bench.tare(self.job.settings.mode)
     }
-    let grinding = bench.grinding()?;
-    grinding.lift_off();
-    let ground = grinding.ground().to_vec();
-    let wear = grinding.wear().to_vec();
-    if let Some(mount) = mount {
-        stone = in_design(grinding.stone(), &mount);
+
+    /// Grinds a facet of the pass of this number.
+    fn operate(&mut self, pass: usize, operation: &Operation) -> Result<(), Error> {
+        let (bench, settings) = (&mut self.bench, &self.job.settings);
+        let from = bench.session.now_us();
+        let before = bench.grinding()?.ground().len();
+        bench.set_force(settings.mode, operation.force_n)?;
+        let done = bench.operate(operation, settings.mode, &settings.laps[operation.lap])?;
+        let seconds = (bench.session.now_us() - from) as f64 * 1e-6;
+        let grinding = bench.grinding()?;
+        let longest = grinding.ground()[before..]
+            .iter()
+            .max_by_key(|ground| ground.force.turns);
+        self.operations.push(OperationResult {
+            pass,
+            facet: operation.facet,
+            seconds,
+            sweeps: done.sweeps,
+            turns: done.turns,
+            held: done.held,
+            force: longest.map_or(ForceStatistics::default(), |ground| ground.force),
+        });
+        Ok(())
     }
-    Ok(Cutting {
-        measured: Measured::new(gem, &stone, &ground),
-        stone,
-        ground,
-        operations,
-        wear,
-    })
 }
 
 impl Bench<'_> {

@@ -265,7 +265,7 @@ pub fn rows(
             ..JobSettings::default()
         };
         let job = Job::new(&gem, settings).map_err(|error| refused(&error))?;
-        let done = cut(&gem, &job, machine, options, &mut |_, _| {})?;
+        let done = cut(&gem, &job, machine, options, &mut |_, _| {})?.whole()?;
         rows.extend(cutting(name, &done));
     }
     Ok(rows)

@@ -20,7 +20,7 @@ fn stone(mode: Mode, options: &RunOptions) -> (Gem, Cutting) {
     };
     let job = Job::new(&gem, settings).unwrap();
     let cutting = cut(&gem, &job, &machine(), options, &mut |_, _| {}).unwrap();
-    (gem, cutting)
+    (gem, cutting.whole().unwrap())
 }
 
 /// Every facet within 0.02 degrees, every meet point within 0.02 mm, and no face that is none of
@@ -68,6 +68,71 @@ fn a_stone_is_cut_by_feed() {
     check(&gem, &cutting);
     let volume = gem.body.volume();
     assert!((cutting.measured.volume_mm3 - volume).abs() < 0.03 * volume);
+}
+
+/// The same stone with the table, the facet 0, cut first: it is as large as the rough.
+fn table_first(width_mm: f64) -> Gem {
+    let text = "g 64 0.0\na 0 0.3 0 n T\na 40 0.70 0 n C 16 32 48\n\
+                a -90 1.0 0 n G 16 32 48\na -45 0.72 0 n P 16 32 48\n";
+    let design = read("table.asc", text.as_bytes()).unwrap();
+    Gem::new("table.asc", design, width_mm, None).unwrap()
+}
+
+/// A table of 115 mm^2: with the feed of the lap its force would be 80 N, beyond the 40 N at which
+/// the machine stops. By feed the planned force is at most 15 N, and so is the mean of each turn,
+/// but for the friction of the lift.
+#[test]
+fn the_force_of_a_large_facet_is_limited_by_feed() {
+    let gem = table_first(8.0);
+    let mut settings = JobSettings::default();
+    settings.laps.truncate(1);
+    settings.laps[0].stock_mm = 0.0;
+    let most = settings.most_force_n;
+    let job = Job::new(&gem, settings).unwrap();
+    let area = job.passes[0].operations[0].area_mm2;
+    assert!((area - 115.0).abs() < 5.0, "{area} mm^2");
+    let options = RunOptions {
+        only: vec![0],
+        ..RunOptions::default()
+    };
+    let cutting = cut(&gem, &job, &machine(), &options, &mut |_, _| {}).unwrap();
+    let cutting = cutting.whole().unwrap();
+    let force = &cutting.operations[0].force;
+    println!(
+        "turns {:.2} to {:.2} N",
+        force.least_turn_n, force.most_turn_n
+    );
+    assert!(force.most_turn_n < most + 3.0, "{force:?}");
+    // The limit is used.
+    assert!(force.most_turn_n > 0.8 * most, "{force:?}");
+}
+
+/// A job that the machine stops names the facet, its line and the lap, and keeps the stone as it is
+/// then, with the facets that are done.
+#[test]
+fn a_job_that_stops_keeps_its_facets() {
+    let gem = table_first(8.0);
+    let mut settings = JobSettings {
+        most_force_n: 1000.0,
+        ..JobSettings::default()
+    };
+    // The second lap takes 0.15 mm in one stroke.
+    settings.laps[0].stock_mm = 0.15;
+    settings.laps[0].feed_mm_s = 0.01;
+    settings.laps[1].feed_mm_s = 4.0;
+    let job = Job::new(&gem, settings).unwrap();
+    let options = RunOptions {
+        only: vec![0],
+        ..RunOptions::default()
+    };
+    let cutting = cut(&gem, &job, &machine(), &options, &mut |_, _| {}).unwrap();
+    let error = cutting.stopped.as_ref().unwrap();
+    assert_eq!(error.kind, haptimill_client::ErrorKind::Fault);
+    let expected = "table.asc:2: facet T@0 on lap 1200: machine fault: the force on the tool was";
+    assert!(error.message.starts_with(expected), "{error}");
+    assert_eq!(cutting.operations.len(), 1);
+    assert!(cutting.measured.volume_mm3 < gem.rough_body().volume());
+    assert!(cutting.whole().is_err());
 }
 
 /// By force the job ends each facet at its depth. Before, the further sweeps ran with the lap at a

@@ -4,8 +4,8 @@ use super::run::results::ResultFolder;
 use super::{CliError, Exit, interrupt, output};
 use clap::{Args, Subcommand, ValueEnum};
 use haptimill_facet::{
-    Cutting, Design, Gem, Job, JobSettings, Lap, Mode, Reading, Rough, RunOptions, calibrate, cut,
-    read, report,
+    Cutting, Design, Gem, Job, JobSettings, Lap, Mode, Reading, Rough, RunOptions, calibrate,
+    check_machine, coolant, cut, most_force_n, read, report,
 };
 use haptimill_hil_sim::process::grinding::HardSpot;
 use haptimill_machine_file::{MachineFile, input};
@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 
 const CHECK_LONG: &str = "\
 Check a gem design. It is cut, plane by plane, out of its rough; a facet that cannot be cut is \
-refused by line and name, as is a design that does not close or is larger than the rough.
+refused by line and name, as is a design that does not close or is larger than the rough, and a \
+facet that the machine cannot reach.
 
 Designs are GemCad ASCII files (.asc), or lists of facets (.toml, .csv) with depths in mm; \
 docs/faceting.md has both formats.";
@@ -72,7 +73,7 @@ pub struct DesignArgs {
     pub rough: Option<Rough>,
 }
 
-/// Laps of a job.
+/// Laps of a job, and its machine.
 #[derive(Debug, Clone, Args)]
 pub struct JobArgs {
     /// Laps, a TOML file of `[[lap]]` [default: 260, 1200 and polish for quartz]
@@ -81,6 +82,9 @@ pub struct JobArgs {
     /// How facets are ground
     #[arg(long, value_enum, default_value = "feed")]
     pub by: By,
+    /// Machine file [default: the built-in faceting machine]
+    #[arg(long, value_name = "FILE")]
+    pub machine: Option<PathBuf>,
 }
 
 /// How facets are ground.
@@ -110,6 +114,9 @@ pub struct CheckArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub design: DesignArgs,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub job: JobArgs,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
@@ -138,9 +145,6 @@ pub struct RunArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub job: JobArgs,
-    /// Machine file [default: the built-in faceting machine]
-    #[arg(long, value_name = "FILE")]
-    pub machine: Option<PathBuf>,
     /// Folder for the results [default: the design's name with .out]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -288,7 +292,7 @@ fn gem(args: &DesignArgs) -> Result<Gem, CliError> {
     Gem::new(&file, design, args.width, args.rough).map_err(bad)
 }
 
-fn settings(args: &JobArgs) -> Result<JobSettings, CliError> {
+fn settings(args: &JobArgs, machine: &MachineFile) -> Result<JobSettings, CliError> {
     #[derive(serde::Deserialize)]
     #[serde(deny_unknown_fields)]
     struct Laps {
@@ -296,6 +300,7 @@ fn settings(args: &JobArgs) -> Result<JobSettings, CliError> {
     }
     let mut settings = JobSettings {
         mode: args.by.mode(),
+        most_force_n: most_force_n(machine),
         ..JobSettings::default()
     };
     if let Some(path) = &args.laps {
@@ -317,7 +322,7 @@ fn settings(args: &JobArgs) -> Result<JobSettings, CliError> {
 }
 
 fn check(args: &CheckArgs) -> Result<(), CliError> {
-    let gem = gem(&args.design)?;
+    let (gem, _, _) = planned(&args.design, &args.job)?;
     let ends = |axis: usize| {
         let mut direction = [0.0; 3];
         direction[axis] = 1.0;
@@ -370,15 +375,34 @@ fn check(args: &CheckArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-fn planned(design: &DesignArgs, job: &JobArgs) -> Result<(Gem, Job), CliError> {
+/// The gem, its job and the machine, on which every facet can be ground.
+fn planned(design: &DesignArgs, args: &JobArgs) -> Result<(Gem, Job, MachineFile), CliError> {
+    let machine = match &args.machine {
+        Some(path) => MachineFile::load(path)?,
+        None => MachineFile::parse("facet.toml", MACHINE)?,
+    };
     let gem = gem(design)?;
-    let job = Job::new(&gem, settings(job)?).map_err(bad)?;
-    Ok((gem, job))
+    let job = job(&gem, args, &machine)?;
+    Ok((gem, job, machine))
 }
 
+/// The job of a gem, which the machine can do.
+fn job(gem: &Gem, args: &JobArgs, machine: &MachineFile) -> Result<Job, CliError> {
+    let job = Job::new(gem, settings(args, machine)?).map_err(bad)?;
+    check_machine(gem, &job, machine).map_err(|refused| CliError::new(Exit::Refused, refused))?;
+    Ok(job)
+}
+
+/// Notice on a program that is ground by force.
+const BY_FORCE: &str = "notice: the program is for a controller that holds the force of the height; \
+                        without force control it feeds the stone at up to 0.15 mm/s";
+
 fn plan(args: &PlanArgs) -> Result<(), CliError> {
-    let (gem, job) = planned(&args.design, &args.job)?;
-    let text = job.program(&gem.design.title);
+    let (gem, job, machine) = planned(&args.design, &args.job)?;
+    let text = job.program(&gem.design.title, coolant(&machine));
+    if job.settings.mode.has_force() {
+        eprintln!("{BY_FORCE}");
+    }
     if args.out.as_os_str() == "-" {
         print_line!("{}", text.trim_end());
         return Ok(());
@@ -387,11 +411,7 @@ fn plan(args: &PlanArgs) -> Result<(), CliError> {
 }
 
 fn grind(args: &RunArgs) -> Result<(), CliError> {
-    let (gem, job) = planned(&args.design, &args.job)?;
-    let machine = match &args.machine {
-        Some(path) => MachineFile::load(path)?,
-        None => MachineFile::parse("facet.toml", MACHINE)?,
-    };
+    let (gem, job, machine) = planned(&args.design, &args.job)?;
     let dir = args.out.clone().unwrap_or_else(|| {
         let name = args.design.design.file_stem().unwrap_or_default();
         PathBuf::from(name).with_extension("out")
@@ -425,7 +445,7 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
                 by,
                 ..args.job.clone()
             };
-            Some(Job::new(&gem, settings(&by)?).map_err(bad)?)
+            Some(self::job(&gem, &by, &machine)?)
         }
     };
     let jobs: Vec<&Job> = std::iter::once(&job).chain(&other).collect();
@@ -445,10 +465,13 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
         report(&gem, &job, &cutting, beside),
     )?;
     output::save(&dir.join("stone.json"), format!("{figures:#}\n"))?;
-    output::save(&dir.join("job.ngc"), job.program(&gem.design.title))?;
+    output::save(
+        &dir.join("job.ngc"),
+        job.program(&gem.design.title, coolant(&machine)),
+    )?;
     if args.json {
         print_line!("{figures:#}");
-        return Ok(());
+        return stopped(&cutting, second.as_ref());
     }
     let design = args.design.design.display();
     print_stone(&format!("{design}"), &gem, &cutting);
@@ -456,7 +479,17 @@ fn grind(args: &RunArgs) -> Result<(), CliError> {
         print_stone(&format!("{design}, beside"), &gem, second);
     }
     print_line!("report      {}", dir.join("report.html").display());
-    Ok(())
+    stopped(&cutting, second.as_ref())
+}
+
+/// The error of a job that ended before its last facet; its report is written.
+fn stopped(cutting: &Cutting, second: Option<&Cutting>) -> Result<(), CliError> {
+    let errors = [Some(cutting), second];
+    let mut errors = errors
+        .into_iter()
+        .flatten()
+        .filter_map(|it| it.stopped.clone());
+    errors.next().map_or(Ok(()), |error| Err(error.into()))
 }
 
 /// Cuts the jobs of a design at the same time, each on a simulated machine of its own.
@@ -556,6 +589,7 @@ fn figures(gem: &Gem, cutting: &Cutting) -> serde_json::Value {
         "meet_mm": measured.worst_meet_mm(), "yield": measured.yield_part,
         "volume_mm3": measured.volume_mm3, "strange": measured.strange,
         "missing": measured.missing.iter().map(|it| name(*it)).collect::<Vec<_>>(),
+        "stopped": cutting.stopped.as_ref().map(|error| error.message.clone()),
         "facets": facets.collect::<Vec<_>>(), "meet_points": meets.collect::<Vec<_>>(),
         "operations": operations.collect::<Vec<_>>(), "wear_mm": cutting.wear,
     })
