@@ -186,9 +186,10 @@ fn scene(gem: &Gem, cutting: &Cutting) -> Scene {
     };
     Scene {
         layers: vec![
+            // The first one of two equal faces is seen: the errors, where they are shown.
+            errors,
             Layer::new("stone", "#a8c8e4", plain),
             Layer::new("edges", "#16324f", edges(stone, 1.6)),
-            errors,
             Layer {
                 visible: false,
                 ..Layer::new("design", "#a3191f", edges(&gem.body, 1.0))
@@ -259,4 +260,35 @@ fn meets(body: &mut String, gem: &Gem, cutting: &Cutting) {
         }
     }
     body.push_str("</table>");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::Measured;
+    use crate::thesis::{SMALL, SMALL_MM};
+
+    /// The viewer draws opaque meshes in the order of the layers and keeps the nearest points, of
+    /// equal ones the first. The faces of the errors are those of the stone, so they must come
+    /// first to be seen.
+    #[test]
+    fn depth_errors_are_in_front_of_the_stone() {
+        let design = crate::read("small.asc", SMALL.as_bytes()).unwrap();
+        let gem = Gem::new("small.asc", design, SMALL_MM, None).unwrap();
+        let stone = gem.body.clone();
+        let cutting = Cutting {
+            measured: Measured::new(&gem, &stone, &[]),
+            stone,
+            ground: Vec::new(),
+            operations: Vec::new(),
+            wear: Vec::new(),
+            stopped: None,
+        };
+        let scene = scene(&gem, &cutting);
+        let place = |name: &str| {
+            let mut layers = scene.layers.iter();
+            layers.position(|layer| layer.name == name).unwrap()
+        };
+        assert!(place("depth errors") < place("stone"));
+    }
 }
