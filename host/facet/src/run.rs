@@ -280,6 +280,7 @@ impl Bench<'_> {
         });
         let mut pressure_n = watch.largest_n();
         let mut sweeps = 0;
+        let mut at_depth = 0;
         let mut before_mm = f64::INFINITY;
         loop {
             let displaced_mm = if mode.has_force() {
@@ -297,7 +298,8 @@ impl Bench<'_> {
                 }
                 before_mm = displaced_mm;
             }
-            if sweeps >= if yields { MAX_SWEEPS } else { MAX_FORCE_SWEEPS } {
+            at_depth += u32::from(!yields);
+            if sweeps >= MAX_SWEEPS || at_depth > MAX_FORCE_SWEEPS {
                 break;
             }
             pressure_n = self.run(&operation.sweep)?.largest_n();

@@ -107,6 +107,36 @@ fn the_force_of_a_large_facet_is_limited_by_feed() {
     assert!(force.most_turn_n > 0.8 * most, "{force:?}");
 }
 
+/// A stone that is ground 60 times slower than planned is displaced when the program ends. It
+/// sparks out as long as material is removed, here more than 60 times, and is at its depth.
+#[test]
+fn a_slow_facet_sparks_out_to_its_depth() {
+    let gem = table_first(2.5);
+    let mut settings = JobSettings {
+        mode: Mode::Force,
+        ..JobSettings::default()
+    };
+    settings.laps.truncate(1);
+    settings.laps[0].stock_mm = 0.0;
+    let job = Job::new(&gem, settings).unwrap();
+    let options = RunOptions {
+        only: vec![0],
+        hard_spot: Some(HardSpot {
+            centre: [0.0; 3],
+            radius_mm: 9.0,
+            part: 1.0 / 60.0,
+        }),
+        ..RunOptions::default()
+    };
+    let cutting = cut(&gem, &job, &machine(), &options, &mut |_, _| {}).unwrap();
+    let cutting = cutting.whole().unwrap();
+    println!("{} spark-outs", cutting.operations[0].sweeps);
+    assert!(cutting.operations[0].sweeps > 60);
+    let height = cutting.stone.reach([0.0, 0.0, 1.0]);
+    let depth = height - gem.plane(0).distance;
+    assert!(depth.abs() < 0.005, "{depth}");
+}
+
 /// A job that the machine stops names the facet, its line and the lap, and keeps the stone as it is
 /// then, with the facets that are done.
 #[test]
