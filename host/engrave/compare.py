@@ -7,13 +7,13 @@ Needs Python packages vpype and elkai, and a release build:
 
 Every drawing is an SVG of lines; the first one is a dot at the origin, where both programs start.
 Air is the length of the lifted moves from the origin through all lines, without the way back, read
-from the results: the SVG of vpype, the part program of haptimill. The column "with the way back" has
-the way back to the origin, which every job has. CPU is that of the whole process.
+from the results: the SVG of vpype, the part program of haptimill. The column "with the way back"
+has the way back to the origin, which every job has. CPU is that of the whole process.
 
-The script ends with exit code 1 where a bound is not kept: on random lines and lettering every order
-is shorter than that of vpype, by 20 % in the median, and on clusters, all in no more CPU time; on rows
-and squares none is longer, on a grid of dashes none with the way back; no tour is more than 3 % longer
-than that of LKH.
+The script ends with exit code 1 where a bound is not kept: on random lines and lettering every
+order is shorter than that of vpype, by 20 % in the median, and on clusters, all in no more CPU
+time; on rows and squares none is longer, on a grid of dashes none with the way back; no tour is
+more than 3 % longer than that of LKH.
 """
 
 import math
@@ -173,8 +173,8 @@ def cut(folder, lines):
 
 
 def compare(folder, name, lines):
-    """Writes a row of the table; returns what is saved without and with the way back, in percent, and
-    both CPU times."""
+    """Writes a row of the table; returns what is saved without and with the way back, in percent,
+    and both CPU times."""
     drawing, sorted_svg, ngc = (os.path.join(folder, name) for name in ("d.svg", "s.svg", "d.ngc"))
     write_svg(drawing, lines)
     vpype = [os.path.join(os.path.dirname(sys.executable), "vpype")]

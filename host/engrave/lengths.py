@@ -4,12 +4,12 @@
 Needs the Python packages ezdxf (for DXF) and vpype (for SVG):
     python3 host/engrave/lengths.py COMMAND DRAWING ...
 
-A drawing is cut once along its paths, with the lower left corner at the origin, without texts, and a
-DXF with the first of the units 1, 0.1, 0.01 and 10 mm with which it fits 1200 x 1200 mm. Lengths are
-in units of the DXF, and in mm of the SVG. The other length is that of the same entities in ezdxf,
-flattened within 0.001 units, or that of vpype. What one of both programs leaves out on purpose
-(hidden layers, fills, frozen blocks) is a difference: the last column has the notices and refusals
-of `haptimill engrave`. Refused drawings have no lengths.
+A drawing is cut once along its paths, with the lower left corner at the origin, without texts, and
+a DXF with the first of the units 1, 0.1, 0.01 and 10 mm with which it fits 1200 x 1200 mm. Lengths
+are in units of the DXF, and in mm of the SVG. The other length is that of the same entities in
+ezdxf, flattened within 0.001 units, or that of vpype. What one of both programs leaves out on
+purpose (hidden layers, fills, frozen blocks) is a difference: the last column has the notices and
+refusals of `haptimill engrave`. Refused drawings have no lengths.
 """
 
 import math

@@ -65,6 +65,29 @@ fn the_points_of_measurement_count() {
     );
 }
 
+/// A rewritten move has overrides where the programmed one has them: not in tapping, nor after M49.
+#[test]
+fn moves_without_overrides_stay_so() {
+    let file = MachineFile::parse(MACHINE_NAME, MACHINE).unwrap();
+    let (_, errors) = truth(&file).unwrap();
+    let program =
+        "G21 G90\nG1 X1 F600\nM49\nX2\nM48\nX3\nS300 M3\nG84 X4 Z-1 R2\nG80\nG1 X5\nM30\n";
+    let out = rewritten_for(&file, "a.ngc", program, &errors).unwrap();
+    let mut is_off = false;
+    let mut fixed = Vec::new();
+    for line in out.lines() {
+        match line {
+            "M49" => is_off = true,
+            "M48" => is_off = false,
+            _ if line.starts_with("G1 ") => fixed.push(is_off),
+            _ => {}
+        }
+    }
+    // Runs of moves with and without: X2, and the tapped hole.
+    fixed.dedup();
+    assert_eq!(fixed, [false, true, false, true, false], "{out}");
+}
+
 /// End points of the moves of a program.
 fn corrected_points(program: &str) -> Vec<Vector> {
     let moves = program

@@ -892,6 +892,15 @@ fn readings_of_a_ball_bar_make_an_error_file() {
         assert!(refused.err.contains("bar.csv"), "{}", refused.err);
         assert!(!std::path::Path::new(&errors).exists());
     }
+    // A file of what compensation left is marked as such, and refused as the errors of a machine.
+    let marked = folder.path("marked.csv");
+    std::fs::write(&bar, &text).unwrap();
+    let command = ["calibrate", "ball-bar", "--machine", &machine];
+    let files = ["--readings", &bar, "--compensation", "on", "--out", &marked];
+    run(&[&command[..], &files].concat()).expect_code(0);
+    let of_rest = [&command[..], &["--errors", &marked]].concat();
+    let refused = run(&of_rest).expect_code(3);
+    assert!(refused.err.contains("compensat"), "{}", refused.err);
     let both = ["--readings", &bar, "--feed", "20"];
     run(&[&["calibrate", "ball-bar"][..], &both].concat()).expect_code(2);
 

@@ -76,7 +76,7 @@ const OF_A_MEASUREMENT: [&str; 7] = [
 ];
 
 /// Options of a circle test of the simulated machine, which readings from a file do not have.
-const OF_A_CIRCLE: [&str; 5] = ["errors", "compensation", "feed", "no_noise", "seed"];
+const OF_A_CIRCLE: [&str; 4] = ["errors", "feed", "no_noise", "seed"];
 
 /// Arguments of `haptimill calibrate laser`.
 #[derive(Debug, Clone, Args)]
@@ -137,7 +137,8 @@ pub struct BallBarArgs {
     /// Errors that the controller compensates during the test
     #[arg(long, value_name = "FILE")]
     pub errors: Option<PathBuf>,
-    /// State of the volumetric compensation [default: on where the machine has error tables]
+    /// State of the volumetric compensation [default: on where the machine has error tables, and
+    /// not stated with --readings]
     #[arg(long, value_name = "STATE", value_parser = ["on", "off"])]
     pub compensation: Option<String>,
     /// Radius of the circle, which is the nominal length of the bar, mm
@@ -425,7 +426,7 @@ fn circle(args: &BallBarArgs) -> Result<(), CliError> {
     if let Some(path) = &args.out {
         output::check_writable(path)?;
     }
-    let (machine_file, result) = match &args.readings {
+    let (machine_file, result, compensated) = match &args.readings {
         Some(path) => {
             let machine_file = args.machine.load()?;
             let name = path.display();
@@ -438,7 +439,8 @@ fn circle(args: &BallBarArgs) -> Result<(), CliError> {
                 )
             })?;
             print_line!("circle      radius {} mm, readings of {name}", args.radius);
-            (machine_file, result)
+            let compensated = args.compensation.as_deref().map(|state| state == "on");
+            (machine_file, result, compensated)
         }
         None => circle_test(args)?,
     };
@@ -460,15 +462,19 @@ fn circle(args: &BallBarArgs) -> Result<(), CliError> {
             ..Squareness::default()
         },
     };
-    let (errors, _) = of_readings(&found, &travel(&machine_file), &Conditions::default());
-    let report = "squareness of x and y by a circle test; the other errors were not measured";
-    output::save(out, file::write(&errors, report))?;
+    let conditions = Conditions {
+        compensated,
+        ..Conditions::default()
+    };
+    let (errors, report) = of_readings(&found, &travel(&machine_file), &conditions);
+    let report = format!("squareness of x and y by a circle test\n{report}");
+    output::save(out, file::write(&errors, &report))?;
     print_line!("errors      {}", out.display());
     Ok(())
 }
 
-/// A circle test of the simulated machine.
-fn circle_test(args: &BallBarArgs) -> Result<(MachineFile, CircleResult), CliError> {
+/// A circle test of the simulated machine, and whether the controller compensated.
+fn circle_test(args: &BallBarArgs) -> Result<(MachineFile, CircleResult, Option<bool>), CliError> {
     let machine_file = load(&args.machine, args.errors.as_ref())?;
     let at = CircleTest::at(args.feed);
     let test = CircleTest {
@@ -493,5 +499,5 @@ fn circle_test(args: &BallBarArgs) -> Result<(MachineFile, CircleResult), CliErr
         "compensation {}",
         compensation.map_or("none".to_string(), |percent| format!("{percent} %"))
     );
-    Ok((machine_file, result))
+    Ok((machine_file, result, Some(compensation.unwrap_or(0) > 0)))
 }

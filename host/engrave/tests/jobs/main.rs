@@ -16,7 +16,7 @@ use haptimill_engrave::plate::{Plate, PlateReport};
 use haptimill_engrave::preview::{area, cut};
 use haptimill_engrave::read::{ReadOptions, read};
 use haptimill_engrave::shape::Clearing;
-use haptimill_engrave::thesis::{FIGURE_4_10, TOOL};
+use haptimill_engrave::thesis::{FIGURE_4_10, TOOL, closed, outlines};
 use haptimill_engrave::toolpath::{Cut, Step, Tabs};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -342,22 +342,7 @@ fn outline(corners: &[Point]) -> String {
 /// corners of the letter is round, that of the rules is pointed: their lengths differ by that.
 #[test]
 fn the_pockets_of_the_thesis_are_cleared_by_its_rules() {
-    let rectangle =
-        |low: f64, high: f64| outline(&[[low, low], [high, low], [high, high], [low, high]]);
-    let letter = outline(&[
-        [10.0, 10.0],
-        [15.0, 10.0],
-        [15.0, 25.0],
-        [30.0, 25.0],
-        [30.0, 10.0],
-        [35.0, 10.0],
-        [35.0, 45.0],
-        [30.0, 45.0],
-        [30.0, 30.0],
-        [15.0, 30.0],
-        [15.0, 45.0],
-        [10.0, 45.0],
-    ]);
+    let [square, island, letter] = outlines();
     let options = |clearing| Options {
         clearing,
         tool_mm: TOOL,
@@ -366,20 +351,12 @@ fn the_pockets_of_the_thesis_are_cleared_by_its_rules() {
     };
     // Rows, links, lifts, cut, air, and how far the lengths may be from them.
     let cases = [
-        (rectangle(10.0, 30.0), 42, 42, 1, 897.35, 46.371, 0.0006),
-        (
-            rectangle(9.55, 50.45) + &rectangle(20.0, 40.0),
-            135,
-            134,
-            3,
-            2902.3,
-            74.059,
-            1.0,
-        ),
+        (square, 42, 42, 1, 897.35, 46.371, 0.0006),
+        (island, 135, 134, 3, 2902.3, 74.059, 1.0),
         (letter, 141, 137, 5, 996.15, 136.187, 1.0),
     ];
-    for (text, rows, links, lifts, cut, air, within) in cases {
-        let drawing = drawing(&dxf(&text));
+    for (polygons, rows, links, lifts, cut, air, within) in cases {
+        let drawing = closed(&polygons);
         let job = plan(&drawing, &options(Clearing::Zigzag)).unwrap();
         let lengths = job.toolpath.lengths([0.0; 2]);
         // Rows, but not contours, nor links along a row.
