@@ -6,7 +6,7 @@
 
 mod emulator;
 
-use emulator::{part_of_dome, results, root, run_timed, scenario};
+use emulator::{part_of_dome, results, root, run_timed, scenario, teleoperate};
 use haptimill_client::port::Board;
 use haptimill_client::session::pil::{self, Emulator, Instructions};
 use haptimill_client::session::rig_around;
@@ -241,6 +241,25 @@ fn chip_and_native_outputs_are_equal_in_teleoperation() {
     }
     let read = |folder: &str| std::fs::read(recording(folder)).expect("readable");
     assert!(read("native") == read("m4"), "the headers differ");
+}
+
+/// A remote master leads a machine whose controller runs on the chip.
+#[test]
+fn chip_and_native_outputs_are_equal_with_a_remote_master() {
+    let script = results("remote-master.toml");
+    let text = "end_s = 3.0\n[[button]]\nat_s = 0.2\nheld = true\n\
+                [[stroke]]\nat_s = 0.6\nto_mm = [-8.0, 0.0, 0.0]\npace_mm_s = 6.0\nramp_s = 0.5\n";
+    std::fs::write(&script, text).expect("written");
+    let out = |port: &str| results(&format!("remote-master-{port}"));
+    teleoperate(&script, "sim", &out("native")).expect("runs");
+    teleoperate(&script, "pil:mps2", &out("m4")).expect("runs");
+    let open =
+        |folder: &str| Recording::open(&out(folder).join("recording.hmr")).expect("recorded");
+    let (native, emulated) = (open("native"), open("m4"));
+    assert!(native.records() > 10_000, "{}", native.records());
+    if let Some(found) = difference(&native, &emulated).expect("readable") {
+        panic!("{found}");
+    }
 }
 
 /// `explain` finds the one difference that was made, and no other.

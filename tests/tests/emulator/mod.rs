@@ -5,6 +5,7 @@ use clap::{Args, FromArgMatches, Subcommand};
 use haptimill::commands::CliError;
 use haptimill::commands::run::{self, RunArgs};
 use haptimill::commands::scenario::{self, ScenarioCommand};
+use haptimill::commands::teleop::{self, TeleopArgs};
 use haptimill_client::port::Board;
 use haptimill_client::session::pil::{self, Emulator, EmulatorOptions};
 use haptimill_firmware::io::Outputs;
@@ -57,6 +58,18 @@ pub fn scenario(name: &str, port: &str, out: &Path) -> Result<(), CliError> {
     let command = ScenarioCommand::augment_subcommands(clap::Command::new("scenario"));
     let matches = command.try_get_matches_from(words).expect("arguments");
     scenario::run(ScenarioCommand::from_arg_matches(&matches).expect("arguments"))
+}
+
+/// Runs a teleoperation by a script as the command line does.
+pub fn teleoperate(script: &Path, port: &str, out: &Path) -> Result<(), CliError> {
+    let script = format!("script:{}", script.display());
+    let out = out.display().to_string();
+    let words = [
+        "teleop", "--master", &script, "--port", port, "--out", &out, "--quiet",
+    ];
+    let command = TeleopArgs::augment_args(clap::Command::new("teleop"));
+    let matches = command.try_get_matches_from(words).expect("arguments");
+    teleop::run(TeleopArgs::from_arg_matches(&matches).expect("arguments"))
 }
 
 /// Returns the first seconds of the dome, a 5-axis program.

@@ -21,14 +21,16 @@ pub fn image(board: Board) -> Result<PathBuf, Error> {
     }
 }
 
-/// As [`image`], for a machine: one with a haptic arm needs an image with haptics.
+/// As [`image`], for a machine: a haptic arm or a mapping of a master needs an image with haptics.
 ///
 /// # Errors
 /// There are no sources and no image, or the build failed.
 pub fn image_for(board: Board, machine: &MachineFile) -> Result<PathBuf, Error> {
-    match &machine.config.haptic {
-        Some(_) if std::env::var_os("HAPTIMILL_IMAGE").is_none() => build(board, Some("haptics")),
-        _ => image(board),
+    let needs_haptics = machine.config.haptic.is_some() || machine.config.follow.is_some();
+    if needs_haptics && std::env::var_os("HAPTIMILL_IMAGE").is_none() {
+        build(board, Some("haptics"))
+    } else {
+        image(board)
     }
 }
 
