@@ -6,6 +6,7 @@ use haptimill_client::port::PortError;
 use haptimill_client::session::{self, Line};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::fault::Fault;
+use haptimill_hil_sim::plant::GroundTruth;
 use haptimill_hil_sim::process::{CuttingConfig, Workpiece};
 use haptimill_hil_sim::rig::Rig;
 use haptimill_machine_file::MachineFile;
@@ -81,5 +82,9 @@ impl Line for PacedSim {
 
     fn clamp(&mut self, stock: &CuttingConfig) -> Result<(), Error> {
         session::clamp(&mut self.rig, stock)
+    }
+
+    fn truth(&self) -> Option<&GroundTruth> {
+        Some(self.rig.plant().truth())
     }
 }

@@ -404,7 +404,7 @@ impl Web {
             "tool_axis": tool_axis(&app.machine, measured.or(commanded))
                 .or(picture.as_ref().map(|picture| picture.tool_axis)),
             "force": telemetry.and_then(|now| now.force.as_ref()).map(|force| newtons(force.high)),
-            "columns": columns(&view),
+            "columns": columns(&view, &app.machine.io, app.session.line().truth()),
             "spindle_rpm": program.and_then(|program| program.spindle_rpm),
             "selected": self.selected.as_deref().map(name_of),
             "planning": self.planning.is_some(),

@@ -7,11 +7,12 @@ use std::time::{Duration, Instant};
 use super::JobRecording;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::snapshot::Snapshot;
+use haptimill_hil_sim::plant::GroundTruth;
 use haptimill_hil_sim::process::{CuttingConfig, Workpiece};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
-use haptimill_protocol::message::{FULL_PATH_RATE, MAX_AXES, Telemetry};
+use haptimill_protocol::message::{FULL_PATH_RATE, Telemetry};
 use haptimill_trace::Recorder;
 
 /// A byte channel to a controller, with a clock.
@@ -58,8 +59,8 @@ pub trait Line {
         None
     }
 
-    /// True positions of the joints of a simulated machine, mm or degrees; `None` for others.
-    fn true_joints(&self) -> Option<[f64; MAX_AXES]> {
+    /// Ground truth of a simulated machine; `None` for others.
+    fn truth(&self) -> Option<&GroundTruth> {
         None
     }
 
@@ -114,8 +115,8 @@ impl<L: Line + ?Sized> Line for Box<L> {
         (**self).stock()
     }
 
-    fn true_joints(&self) -> Option<[f64; MAX_AXES]> {
-        (**self).true_joints()
+    fn truth(&self) -> Option<&GroundTruth> {
+        (**self).truth()
     }
 
     fn snapshot(&self) -> Option<Snapshot> {

@@ -165,6 +165,11 @@ impl<L: Line> Session<L> {
     }
 
     /// The line.
+    pub const fn line(&self) -> &L {
+        &self.line
+    }
+
+    /// The line, for changes.
     pub const fn line_mut(&mut self) -> &mut L {
         &mut self.line
     }

@@ -248,8 +248,8 @@ impl<C: Control> Line for SimLine<C> {
         Some(cutting.workpiece())
     }
 
-    fn true_joints(&self) -> Option<[f64; MAX_AXES]> {
-        Some(self.rig.plant().truth().joints)
+    fn truth(&self) -> Option<&GroundTruth> {
+        Some(self.rig.plant().truth())
     }
 
     fn is_recording_broken(&self) -> bool {

@@ -27,10 +27,10 @@ struct StepJoint {
 fn off<L: JobLine>(session: &mut Session<L>, index: usize) -> Result<Option<f64>, Error> {
     let status = session.status()?;
     let counted = session.model().unwound_joints(&status).get(index).copied();
-    let truth = session.line_mut().true_joints();
+    let truth = session.line_mut().truth();
     Ok(counted
         .zip(truth)
-        .map(|(counted, truth)| truth[index] - counted))
+        .map(|(counted, truth)| truth.joints[index] - counted))
 }
 
 impl StepJoints {
@@ -43,7 +43,7 @@ impl StepJoints {
         machine: &MachineFile,
     ) -> Result<Self, Error> {
         let mut joints = Vec::new();
-        let is_simulated = session.line_mut().true_joints().is_some();
+        let is_simulated = session.line_mut().truth().is_some();
         let plant = is_simulated
             .then(|| machine.plant::<PlantConfig>().ok())
             .flatten();

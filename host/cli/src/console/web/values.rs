@@ -9,11 +9,12 @@ use haptimill_firmware::config::AxisKind;
 use haptimill_gcode::{SYSTEM_NAMES, WorkOffset};
 use haptimill_hil_sim::haptics::geometry::HapticGeometry;
 use haptimill_hil_sim::machines::{GeometryConfig, Picture};
+use haptimill_hil_sim::plant::GroundTruth;
 use haptimill_hil_sim::process::ToolPose;
 use haptimill_kinematics::descriptor::Role;
 use haptimill_machine_file::scale::{PER_MM, per_unit};
 use haptimill_machine_file::work_data::{WorkData, axis_index};
-use haptimill_machine_file::{AxisLimits, MachineFile};
+use haptimill_machine_file::{AxisLimits, IoNames, MachineFile};
 use haptimill_protocol::haptic::{COMPONENTS, MasterPose};
 use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, MAX_AXES};
 use serde_json::{Value, json};
@@ -174,19 +175,40 @@ pub(super) fn tool_axis(machine: &MachineFile, pose: Option<&AxisValues>) -> Opt
     Some(tool.axis)
 }
 
-/// Further values that the page plots, by name.
-pub(super) fn columns(view: &ViewModel) -> Value {
+/// Further values that the page plots, by name. `truth` is that of a simulated machine.
+pub(super) fn columns(view: &ViewModel, names: &IoNames, truth: Option<&GroundTruth>) -> Value {
     let mut columns = serde_json::Map::new();
     let Some(now) = &view.telemetry else {
         return Value::Null;
     };
-    for (axis, error) in view.static_info.joints.iter().zip(&now.following_error) {
-        let unit = if axis.kind.is_rotary() { "mdeg" } else { "um" };
-        let value = f64::from(*error) / per_unit(axis.kind) * 1e3;
-        columns.insert(
-            format!("following error {}, {unit}", axis.name),
-            json!(value),
+    let unit = |axis: &Axis| if axis.kind.is_rotary() { "deg" } else { "mm" };
+    let joints = view.static_info.joints.iter().zip(&now.joints);
+    for ((axis, measured), error) in joints.zip(&now.following_error) {
+        let (name, fine) = (
+            &axis.name,
+            if axis.kind.is_rotary() { "mdeg" } else { "um" },
         );
+        let error = f64::from(*error) / per_unit(axis.kind);
+        columns.insert(
+            format!("following error {name}, {fine}"),
+            json!(error * 1e3),
+        );
+        let measured = view.unwound(axis, *measured) as f64 / per_unit(axis.kind);
+        columns.insert(
+            format!("joint {name} commanded, {}", unit(axis)),
+            json!(measured + error),
+        );
+    }
+    if let Some(truth) = truth.filter(|truth| truth.pose_valid) {
+        for (axis, value) in view.static_info.pose.iter().zip(truth.pose) {
+            columns.insert(
+                format!("true tool {}, {}", axis.name, unit(axis)),
+                json!(value),
+            );
+        }
+        for (name, newtons) in ["x", "y", "z"].iter().zip(truth.force) {
+            columns.insert(format!("true force {name}, N"), json!(newtons));
+        }
     }
     for (axis, drive) in view.static_info.joints.iter().zip(&now.drive) {
         columns.insert(format!("drive {}", axis.name), json!(drive));
@@ -222,8 +244,26 @@ pub(super) fn columns(view: &ViewModel) -> Value {
         }
     }
     if let Some(io) = &now.io {
-        columns.insert("inputs, bits".to_string(), json!(io.inputs));
-        columns.insert("outputs, bits".to_string(), json!(io.outputs));
+        for (kind, names, bits) in [
+            ("input", &names.inputs, io.inputs),
+            ("output", &names.outputs, io.outputs),
+        ] {
+            for (index, name) in names.iter().enumerate() {
+                columns.insert(format!("{kind} {name}"), json!(bits >> index & 1));
+            }
+        }
+        for (kind, names, codes) in [
+            ("input", &names.analog_inputs, &io.analog_inputs),
+            ("output", &names.analog_outputs, &io.analog_outputs),
+        ] {
+            for (analog, code) in names.iter().zip(codes) {
+                let column = match analog.unit.as_str() {
+                    "" => format!("{kind} {}", analog.name),
+                    unit => format!("{kind} {}, {unit}", analog.name),
+                };
+                columns.insert(column, json!(analog.value(*code)));
+            }
+        }
     }
     if let Some(force) = &now.force {
         let (high, low) = (newtons(force.high), newtons(force.low));
