@@ -3,7 +3,7 @@
 mod charts;
 
 use super::expected::Comparison;
-use super::table::{band, value, verdict};
+use super::table::{band, counts, value, verdict};
 use super::{Experiment, ExperimentResult, PassData};
 use haptimill_report::markup::{END, escape, head, put};
 
@@ -155,16 +155,16 @@ fn passes_table(page: &mut String, result: &ExperimentResult) {
 #[must_use]
 pub fn index(machine: &str, results: &[ExperimentResult]) -> String {
     let mut page = head("Experiments", MORE_STYLE);
-    let (inside, all) = results.iter().fold((0, 0), |(inside, all), result| {
-        (inside + result.inside(), all + result.comparisons.len())
-    });
+    let counts = counts(results);
+    let counts: Vec<String> = counts.lines().map(escape).collect();
     put(
         &mut page,
         format_args!(
             "<h1>The experiments of the thesis in the simulator</h1><p class=\"sub\">Machine: {}. \
-             {inside} of {all} results are inside their bands. All experiments use one plant; the \
-             forces on the incline (E3 to E5) are scaled by two.</p>",
-            escape(machine)
+             All experiments use one plant and one set of cutting parameters. Results inside their \
+             bands, by the source of the band:<br>{}</p>",
+            escape(machine),
+            counts.join("<br>")
         ),
     );
     page.push_str(

@@ -95,6 +95,15 @@ pub fn table(results: &[ExperimentResult]) -> String {
     for (index, reason) in reasons.iter().enumerate() {
         let _ = writeln!(text, "[{}] {reason}", index + 1);
     }
+    text.push_str(&counts(results));
+    text
+}
+
+/// Counts of the results inside their bands, a line each: stated and derived ones of the
+/// experiments of the fit and of the others, and all by their source. Each line ends with a line
+/// feed.
+pub(super) fn counts(results: &[ExperimentResult]) -> String {
+    let mut text = String::new();
     let not_run = results.iter().filter(|result| result.not_run.is_some());
     let of = |keep: &dyn Fn(&ExperimentResult) -> bool, source| {
         let counts = results.iter().filter(|result| keep(result));
