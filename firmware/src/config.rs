@@ -264,6 +264,18 @@ impl JointAxis {
         self.encoder.is_none()
     }
 
+    /// Whether the joint depends on limit switches: it searches one, or the line of one is low
+    /// while it is active. A board that does not read them must refuse it.
+    #[must_use]
+    pub const fn needs_limit_switches(&self) -> bool {
+        let limits = SwitchInput::LimitLow.bit() | SwitchInput::LimitHigh.bit();
+        let searched = match self.home.switch() {
+            Some(switch) => switch.input.bit(),
+            None => 0,
+        };
+        (self.active_low | searched) & limits != 0
+    }
+
     /// The active switches, by their [bits](SwitchInput::bit).
     #[must_use]
     #[inline]

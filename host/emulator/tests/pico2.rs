@@ -4,8 +4,8 @@
 mod common;
 
 use common::{board, enabled, five, mill, session};
-use haptimill_client::session::Homing;
 use haptimill_client::session::pins::record::{JOINTS, Period};
+use haptimill_client::session::{Homing, Session};
 use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
 use haptimill_firmware::io::DriveCommand;
@@ -110,6 +110,78 @@ fn the_emergency_stop_ends_the_pulses_within_two_microseconds() {
     assert!(worst > 0, "an edge 2 cycles later cannot be held back");
 }
 
+/// Waits until all joints have moved at their full rate for three control periods: a pulse every
+/// 150 cycles.
+fn reach_full_rate(session: &mut Session<Pico2>) {
+    let mut fast_periods = 0;
+    for waited in 0.. {
+        assert!(waited < 150, "the joints do not reach their full rate");
+        let before = session.line_mut().steps;
+        session.step().expect("the line works");
+        let steps = session.line_mut().steps.iter().zip(before);
+        fast_periods = match { steps }.all(|(now, before)| (now - before).abs() > 196) {
+            true => fast_periods + 1,
+            false => 0,
+        };
+        if fast_periods == 3 {
+            break;
+        }
+    }
+}
+
+/// A stop that is shorter than a pulse is seen only by the joints that make none. The board stops
+/// the others in the next control period, and knows how many steps each of them has made.
+#[test]
+fn a_stop_that_one_joint_does_not_see_stops_all() {
+    const STOP_CYCLES: u64 = 8;
+    let mut text = include_str!("five.toml").to_string();
+    // Pulses of 30 cycles, and of 60 cycles of the other joints.
+    text = text.replacen("pulse_us = 0.4", "pulse_us = 0.2", 2);
+    text = text.replacen("pulse_ns = 400.0", "pulse_ns = 200.0", 2);
+    let machine = MachineFile::parse("five.toml", &text).unwrap_or_else(|error| panic!("{error}"));
+    let mut session = enabled(&machine);
+    let mut found = [0; 2];
+    for after_edge in [4, 40, 70] {
+        let _homing = Homing::start(&mut session);
+        reach_full_rate(&mut session);
+        let board = session.line_mut();
+        while board.run_cycles(2).expect("the emulator runs").is_none() {}
+        board.run_cycles(after_edge).expect("the emulator runs");
+        let from = board.cycles();
+        board.set_emergency_stop(true);
+        board.run_cycles(STOP_CYCLES).expect("the emulator runs");
+        board.set_emergency_stop(false);
+        let last = board.run_cycles(30_000 * 10).expect("the emulator runs");
+        let late = last.map_or(0, |last| last - from);
+        println!("{after_edge}: last edge {late} cycles after the pin");
+        for _ in 0..20 {
+            session.step().expect("the line works");
+        }
+        let board = session.line_mut();
+        let last = board.periods.last().expect("control periods");
+        let is_seen = last.inputs.emergency_stop;
+        found[usize::from(is_seen)] += 1;
+        let counted = last.inputs.axes[..JOINTS].iter();
+        let counted: Vec<i64> = counted.map(|axis| axis.steps.into()).collect();
+        assert_eq!(counted, board.steps, "{after_edge} cycles after an edge");
+        if is_seen {
+            // The control period in which it was, and the one that finds it.
+            assert!(late <= 2 * 30_000, "{late} cycles");
+        }
+        for _ in 0..400 {
+            session.step().expect("the line works");
+        }
+        if is_seen {
+            session.ask(Command::Reset).expect("the stop is over");
+            session.enable().expect("the drives are ready");
+        } else {
+            session.ask(Command::Stop).expect("the joints stop");
+        }
+    }
+    println!("{found:?} stops were missed, and seen");
+    assert!(found[1] > 0);
+}
+
 /// Opens the emergency stop at these moments before an edge; the most cycles from the pin to the
 /// last edge.
 fn last_edge_after_the_pin(before_edges: &[u64]) -> u64 {
@@ -119,21 +191,7 @@ fn last_edge_after_the_pin(before_edges: &[u64]) -> u64 {
     let mut session = enabled(&machine);
     for &before_edge in before_edges {
         let _homing = Homing::start(&mut session);
-        // All joints move at their full rate for three control periods: a pulse every 150 cycles.
-        let mut fast_periods = 0;
-        for waited in 0.. {
-            assert!(waited < 150, "the joints do not reach their full rate");
-            let before = session.line_mut().steps;
-            session.step().expect("the line works");
-            let steps = session.line_mut().steps.iter().zip(before);
-            fast_periods = match { steps }.all(|(now, before)| (now - before).abs() > 196) {
-                true => fast_periods + 1,
-                false => 0,
-            };
-            if fast_periods == 3 {
-                break;
-            }
-        }
+        reach_full_rate(&mut session);
         let board = session.line_mut();
         while board.run_cycles(2).expect("the emulator runs").is_none() {}
         board

@@ -52,12 +52,16 @@ pub const WRAP: u32 = 7;
 /// Address at which a state machine stays after an emergency stop.
 pub const STOP: u32 = 8;
 
-/// Addresses at which a word was begun and its pulse was not: a state machine that is stopped there
-/// has still to emit it.
-pub const BEFORE_PULSE: core::ops::RangeInclusive<u32> = 1..=6;
+/// Address of the instruction that a state machine repeats while the step line is high.
+pub const PULSE: u32 = 7;
 
-/// Addresses at which a part of a word is in the output shift register.
-pub const SHIFTING: core::ops::RangeInclusive<u32> = 1..=2;
+/// Whether a state machine that was stopped at an address holds a word in its registers whose pulse
+/// it has not begun. A word of which a part is in the output shift register is not among them: the
+/// register holds it.
+#[must_use]
+pub const fn is_before_pulse(address: u32) -> bool {
+    address >= 3 && address < PULSE || address == STOP
+}
 
 /// Cycles of the state machine in a tick.
 pub const CYCLES_PER_TICK: u32 = 2;

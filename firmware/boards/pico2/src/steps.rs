@@ -6,15 +6,18 @@
 //! eight words in their FIFO, so the hand-over does not delay a pulse. In a missed period each
 //! joint gets one word that waits for the period: the pulses of later periods keep their times.
 //!
-//! The emergency stop ends the pulses in the state machines. [`Engine::begin`] finds it, counts the
-//! steps that did not leave, and starts the state machines again when the circuit is closed.
+//! The emergency stop ends the pulses in the state machines, each before its next pulse. A state
+//! machine does not see a stop that is shorter than the pulse that it makes. [`Engine::begin`]
+//! finds a stopped one, stops the others, counts the steps that did not leave, and starts all again
+//! when the circuit is closed.
 
 use crate::clocks::{CYCLES_PER_US, PERIOD_CYCLES, PERIOD_US};
 use crate::pins::{self, JOINTS, Levels};
 use crate::registers::{DMA, PIO, SYSTICK, clear, read, write};
 use core::cell::UnsafeCell;
 use haptimill_board_common::step_words::{
-    CYCLES_PER_TICK, LEAST_WIDTH, MOST, PROGRAM, STOP, StepWords, WRAP, width_register,
+    CYCLES_PER_TICK, LEAST_WIDTH, MOST, PROGRAM, PULSE, STOP, StepWords, WRAP, is_before_pulse,
+    width_register,
 };
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::io::{DriveCommand, StepSegment};
@@ -67,6 +70,20 @@ pub struct Batch {
     /// Joints whose steps did not fit, one bit each.
     unfit: u8,
 }
+
+/// What the state machines were given for a control period.
+#[derive(Clone, Copy)]
+struct HandedOver {
+    /// `None`: each joint got a word that waits for the period.
+    batch: Option<Batch>,
+    /// Number of words of each joint.
+    words: [u16; JOINTS],
+}
+
+const NOTHING: HandedOver = HandedOver {
+    batch: None,
+    words: [0; JOINTS],
+};
 
 /// Makes words; the side of the controller.
 pub struct Filler {
@@ -138,7 +155,8 @@ pub fn requirements(machine: Option<&Machine>) -> ([u16; JOINTS], u8) {
                 ..
             } if joint < JOINTS
                 && u32::from(*ticks_per_us) == TICKS_PER_US
-                && axis.encoder.is_none() =>
+                && axis.encoder.is_none()
+                && !axis.needs_limit_switches() =>
             {
                 widths[joint] = (*pulse).max(LEAST_WIDTH);
             }
@@ -159,8 +177,8 @@ enum State {
 pub struct Engine {
     state: State,
     widths: [u16; JOINTS],
-    /// Batches of this period and the one before.
-    batches: [Option<Batch>; 2],
+    /// Words of this period and the one before.
+    handed_over: [HandedOver; 2],
     emitted: [i32; JOINTS],
     /// Joints that lost steps since the last enable, one bit each.
     lost: u8,
@@ -178,7 +196,7 @@ impl Engine {
         let mut engine = Self {
             state: State::Running,
             widths: [LEAST_WIDTH; JOINTS],
-            batches: [None; 2],
+            handed_over: [NOTHING; 2],
             emitted: [0; JOINTS],
             lost: 0,
         };
@@ -192,7 +210,7 @@ impl Engine {
     /// A buffer that is free until its batch is handed over.
     pub fn free(&self) -> usize {
         let taken = |buffer| {
-            let mut batches = self.batches.iter().flatten();
+            let mut batches = self.handed_over.iter().filter_map(|it| it.batch.as_ref());
             batches.any(|batch| batch.buffer == buffer)
         };
         (0..BUFFERS).find(|buffer| !taken(*buffer)).unwrap_or(0)
@@ -222,7 +240,7 @@ impl Engine {
     /// SysTick.
     pub fn begin(&mut self, batch: Option<Batch>, late: u32) {
         // What was handed over before has been emitted, unless the emergency stop ended it.
-        if let Some(before) = self.batches[0] {
+        if let Some(before) = &self.handed_over[0].batch {
             for joint in 0..JOINTS {
                 self.emitted[joint] = self.emitted[joint].wrapping_add(before.steps[joint].into());
             }
@@ -230,29 +248,42 @@ impl Engine {
         match self.state {
             State::Running if (0..JOINTS).any(has_stopped) => {
                 self.stop();
-                self.batches = [None; 2];
+                self.handed_over = [NOTHING; 2];
             }
             State::Running => match batch {
                 Some(batch) if batch.widths != self.widths || late > TOO_LATE => {
                     self.lose(&batch);
                     self.widths = batch.widths;
                     self.restart();
-                    self.batches = [None; 2];
+                    self.handed_over = [NOTHING; 2];
                 }
                 Some(batch) => {
                     self.lost |= batch.unfit;
-                    let done = self.hand_over(&batch);
-                    self.batches = [done.then_some(batch), self.batches[0]];
+                    let now = if self.hand_over(&batch) {
+                        HandedOver {
+                            batch: Some(batch),
+                            words: batch.used,
+                        }
+                    } else {
+                        NOTHING
+                    };
+                    self.handed_over = [now, self.handed_over[0]];
                 }
                 None => {
-                    self.batches = [None, self.batches[0]];
+                    let mut now = NOTHING;
                     for joint in 0..JOINTS {
                         // SAFETY: only this function uses the gaps; an address is taken here.
-                        trigger(joint, unsafe { &raw const (*WORDS.gaps.get())[joint] }, 1);
+                        let gap = unsafe { &raw const (*WORDS.gaps.get())[joint] };
+                        now.words[joint] = trigger(joint, gap, 1).into();
                     }
+                    self.handed_over = [now, self.handed_over[0]];
                 }
             },
             State::Stopped(closed) => {
+                for joint in 0..JOINTS {
+                    // The pulses that the stop found have their width by now.
+                    execute(joint, 0xA042); // mov y, y  side 0
+                }
                 self.state = if Levels::read().emergency_stop() {
                     State::Stopped(0)
                 } else if closed < CLOSED {
@@ -292,28 +323,26 @@ impl Engine {
         true
     }
 
-    /// Ends the DMA after an emergency stop, and takes the steps that did not leave off the sum.
+    /// Stops all joints after an emergency stop, and subtracts the steps that did not leave.
     fn stop(&mut self) {
         self.state = State::Stopped(0);
+        for block in PIO {
+            write(block, 0x0, 0);
+        }
         for joint in 0..JOINTS {
-            let (block, machine) = place(joint);
-            let channel = 0x40 * joint;
-            let left = read(DMA, channel + 0x8) & 0x0FFF_FFFF;
-            let queued = read(PIO[block], 0xC) >> (8 * machine) & 0xF;
-            clear(DMA, channel + 0x10, 1);
-            write(DMA, 0x464, 1 << joint);
-            while read(DMA, channel + 0x10) >> 26 & 1 != 0 {}
-            // A state machine stops before the pulse of its word, so this word did not leave.
-            let mut unsent = (left + queued + 1) as usize;
+            let mut unsent = usize::from(unsent_words(joint));
             let mut steps = 0_i32;
-            for batch in self.batches.iter().flatten() {
-                let used = usize::from(batch.used[joint]);
+            for period in &self.handed_over {
+                let used = usize::from(period.words[joint]);
                 let from = used - unsent.min(used);
                 unsent -= used - from;
-                // SAFETY: see `Words`.
-                let words = unsafe { &(&(*WORDS.buffers.get())[batch.buffer])[joint][from..used] };
-                let pulses = words.iter().filter(|word| **word & 2 != 0).count() as i32;
-                steps += pulses * i32::from(batch.steps[joint].signum());
+                if let Some(batch) = &period.batch {
+                    // SAFETY: see `Words`.
+                    let words =
+                        unsafe { &(&(*WORDS.buffers.get())[batch.buffer])[joint][from..used] };
+                    let pulses = words.iter().filter(|word| **word & 2 != 0).count() as i32;
+                    steps += pulses * i32::from(batch.steps[joint].signum());
+                }
             }
             self.emitted[joint] = self.emitted[joint].wrapping_sub(steps);
         }
@@ -328,7 +357,6 @@ impl Engine {
             let (block, machine) = place(joint);
             let (block, own) = (PIO[block], 0xC8 + 0x18 * machine);
             let step = pins::FIRST_STEP + 2 * joint as u32;
-            let execute = |instruction: u16| write(block, own + 0x10, u32::from(instruction));
             write(block, own, 1 << 16);
             // Wrap from the last instruction to the first; JMP PIN tests the emergency stop.
             write(block, own + 0x4, pins::EMERGENCY_STOP << 24 | WRAP << 12);
@@ -345,12 +373,12 @@ impl Engine {
                 0x10 + 4 * machine,
                 width_register(self.widths[joint]),
             );
-            execute(0xE000); // set pins, 0
-            execute(0xE083); // set pindirs, 3
-            execute(0x80A0); // pull
-            execute(0xA0C7); // mov isr, osr
-            execute(0x6060); // out null, 32
-            execute(0x0000); // jmp 0
+            execute(joint, 0xE000); // set pins, 0
+            execute(joint, 0xE083); // set pindirs, 3
+            execute(joint, 0x80A0); // pull
+            execute(joint, 0xA0C7); // mov isr, osr
+            execute(joint, 0x6060); // out null, 32
+            execute(joint, 0x0000); // jmp 0
             write(block, own + 0x8, 1 << 30 | 1 << 19 | 1 << 17);
             let channel = 0x40 * joint;
             write(DMA, channel + 0x4, (block + 0x10 + 4 * machine) as u32);
@@ -374,10 +402,49 @@ impl Engine {
     }
 }
 
+/// Executes an instruction in the state machine of a joint, also while it is stopped.
+fn execute(joint: usize, instruction: u16) {
+    let (block, machine) = place(joint);
+    write(PIO[block], 0xD8 + 0x18 * machine, u32::from(instruction));
+}
+
+/// Address of the next instruction of the state machine of a joint.
+fn address(joint: usize) -> u32 {
+    let (block, machine) = place(joint);
+    read(PIO[block], 0xD4 + 0x18 * machine)
+}
+
 /// The state machine of a joint has seen the emergency stop.
 fn has_stopped(joint: usize) -> bool {
+    address(joint) == STOP
+}
+
+/// Ends the DMA of a joint whose state machine is stopped; the words that it did not emit. A step
+/// line that is high stays high.
+fn unsent_words(joint: usize) -> u16 {
     let (block, machine) = place(joint);
-    read(PIO[block], 0xD4 + 0x18 * machine) == STOP
+    let channel = 0x40 * joint;
+    let queued = || (read(PIO[block], 0xC) >> (8 * machine) & 0xF) as u16;
+    let is_busy = || read(DMA, channel + 0x10) >> 26 & 1 != 0;
+    // The DMA fills the FIFO of 8 words, which no one empties now.
+    for _ in 0..64 {
+        if queued() == 8 || !is_busy() {
+            break;
+        }
+    }
+    let left = (read(DMA, channel + 0x8) & 0x0FFF_FFFF) as u16;
+    let queued = queued();
+    clear(DMA, channel + 0x10, 1);
+    write(DMA, 0x464, 1 << joint);
+    while is_busy() {}
+    let stopped_at = address(joint);
+    // The output shift register may hold the next word, or a part of this one: a state machine
+    // refills it as soon as it is empty. Only its own condition shows that.
+    let line = if stopped_at == PULSE { 0x1000 } else { 0 };
+    execute(joint, line); // jmp 0
+    execute(joint, line | 0x00E0 | STOP as u16); // jmp !osre, stop
+    let shifting = u16::from(address(joint) == STOP);
+    left + queued + shifting + u16::from(is_before_pulse(stopped_at))
 }
 
 /// Gives words to the DMA of a joint. False if it still has others.

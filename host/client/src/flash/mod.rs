@@ -90,6 +90,11 @@ impl Board {
                 JointDrive::Steps { .. } if config.encoder.is_some() => {
                     "the board has no encoder inputs; remove its encoder".to_string()
                 }
+                JointDrive::Steps { .. } if config.needs_limit_switches() => {
+                    "the board has no inputs for limit switches; search the home switch, and leave \
+                     limit_low_active and limit_high_active out"
+                        .to_string()
+                }
                 JointDrive::Steps { .. } => continue,
             };
             let file = &machine.file;

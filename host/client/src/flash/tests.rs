@@ -179,6 +179,24 @@ fn a_machine_file_for_another_board_is_refused() {
         problem(&mill.replace("ticks_per_us = 84", "ticks_per_us = 75")),
         Ok(())
     );
+    // This board does not read limit switches.
+    let mill = mill.replace("ticks_per_us = 84", "ticks_per_us = 75");
+    for (from, to) in [
+        (
+            "[joint.switch]\n",
+            "[joint.switch]\ninput = \"limit_low\"\n",
+        ),
+        (
+            "home = \"switch\"\n",
+            "home = \"switch\"\nlimit_high_active = \"low\"\n",
+        ),
+    ] {
+        let limits = problem(&mill.replacen(from, to, 1)).unwrap_err();
+        assert!(
+            limits.contains("joint x: the board has no inputs for limit switches"),
+            "{limits}"
+        );
+    }
     let h4 = include_str!("../../../../machines/h4.toml");
     assert!(problem(h4).unwrap_err().contains("no torque drives"));
 }
