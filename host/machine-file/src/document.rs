@@ -66,6 +66,12 @@ impl<'i> Document<'i> {
         errors.is_empty().then_some(root)
     }
 
+    /// Whether a problem of such a key was reported.
+    pub fn has_problem(&self, is_it: impl Fn(&str) -> bool) -> bool {
+        let problems = self.problems.borrow();
+        problems.iter().any(|(_, problem)| is_it(&problem.key))
+    }
+
     /// Reports a problem at a byte offset of the text.
     pub fn report(
         &self,
@@ -252,13 +258,21 @@ impl<'d, 'i> Section<'d, 'i> {
         key.of(self.kind.get())
     }
 
+    /// Whether a problem of such a key was reported, in this section or in another one.
+    pub fn has_problem(&self, is_it: impl Fn(&str) -> bool) -> bool {
+        self.document.has_problem(is_it)
+    }
+
     /// As [`Self::report`], for a key of the table.
     pub fn refuse(&self, key: Key, what: impl Into<String>, remedy: impl Into<String>) {
         self.report(self.key(key).name, what, remedy);
     }
 
     fn get(&self, key: &'static str) -> Option<&'d Spanned<DeValue<'i>>> {
-        self.requested.borrow_mut().push(key);
+        let mut requested = self.requested.borrow_mut();
+        if !requested.contains(&key) {
+            requested.push(key);
+        }
         self.table.get(key)
     }
 

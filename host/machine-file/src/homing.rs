@@ -45,7 +45,7 @@ pub(super) fn read_home(
             .section("switch")
             .map(|switch| read_switch(&switch, place, rate, acceleration)),
         _ => {
-            if way.is_some() && section.has("switch") {
+            if section.has("switch") && way.is_some() {
                 let what = "has no meaning: the joint does not home by a switch";
                 section.report("switch", what, "remove it, or write home = \"switch\"");
             }

@@ -258,7 +258,8 @@ impl MachineFile {
                 let document = Document::new(&self.file, &self.text, keys::sections());
                 let offset = error.span().map_or(0, |span| span.start);
                 let message = error.message().trim().replace('\n', ", ");
-                document.report(offset, "plant", message, "see machines/h4.toml");
+                let remedy = "see [plant] in docs/machine-files.md";
+                document.report(offset, "plant", message, remedy);
                 Err(document.into_problems())
             }
         }
@@ -297,7 +298,7 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let kinematics = root.section("kinematics");
     let model = kinematics.as_ref().and_then(ModelReader::of);
     // Without a model the keys that depend on it are unknown: one report is enough.
-    let singular = model.is_none_or(|model| model.has_singularity);
+    let singular = model.map(|model| model.has_singularity);
     let planner = root.section("planner").map(read_planner);
     let spindle = read_spindle(&root);
     let places = model.map_or_else(Vec::new, |model| model.pose());
@@ -604,7 +605,7 @@ fn read_stopping(section: Section<'_, '_>) -> Stopping {
 
 fn read_supervision(
     section: Section<'_, '_>,
-    singular: bool,
+    singular: Option<bool>,
     encoders: bool,
 ) -> (Supervision, f64) {
     let result = Supervision {
@@ -616,8 +617,10 @@ fn read_supervision(
             0
         },
     };
-    let margin = if singular {
-        section.value(controller::supervision::singularity_margin_mm)
+    let key = controller::supervision::singularity_margin_mm;
+    // Of an unknown model it is not known whether it needs the key.
+    let margin = if singular.unwrap_or_else(|| section.has(key.name)) {
+        section.value(key)
     } else {
         0.0
     };
@@ -637,6 +640,11 @@ fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Ho
         rate: Rate(0),
         rotary_rate: Rate(0),
     };
+    // A joint whose way to find its reference is not known may need the section or not.
+    let is_unknown = root.has_problem(|key| key.ends_with(".home"));
+    if is_unknown && !root.has("homing") {
+        return homing;
+    }
     if !joints.is_empty() && !linear && !rotary {
         if root.has("homing") {
             let what = "has no meaning: no joint homes by its index pulse";

@@ -176,7 +176,9 @@ fn check_joint_names(
             let gantry = axis.gantry.as_ref()?;
             Some(machine.joints.get(usize::from(gantry.of))?.name.as_str())
         });
-        if plant.gantry_of.as_deref() != of {
+        let joint = format!("joint[{}].gantry_of", index + 1);
+        let is_unknown = document.has_problem(|key| key == joint);
+        if plant.gantry_of.as_deref() != of && !is_unknown {
             let (offset, key) = place_in_plant(root, &format!("joint {index}: gantry_of"));
             let (what, remedy) = match of {
                 Some(of) => (

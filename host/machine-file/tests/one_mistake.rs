@@ -1,0 +1,61 @@
+//! One mistake in a machine file is one problem: what is not known because of it is not reported.
+
+use haptimill_machine_file::MachineFile;
+
+const MILL: &str = include_str!("../../../machines/mill3.toml");
+const ROUTER: &str = include_str!("../../../machines/router3.toml");
+
+/// The problems of a file in which a text is replaced once.
+#[track_caller]
+fn problems(text: &str, from: &str, to: &str) -> Vec<String> {
+    assert!(text.contains(from), "{from}");
+    let text = text.replacen(from, to, 1);
+    let problems = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+    let problems = problems.0.iter();
+    problems
+        .map(|problem| format!("{}: {}", problem.key, problem.what))
+        .collect()
+}
+
+#[test]
+fn a_missing_way_to_home_needs_no_section_and_forbids_none() {
+    let found = problems(MILL, "home = \"switch\"\n", "");
+    assert_eq!(found, ["joint[1].home: is missing"]);
+    let found = problems(MILL, "home = \"switch\"\n", "home = \"swich\"\n");
+    assert!(
+        found.len() == 1 && found[0].starts_with("joint[1].home: "),
+        "{found:?}"
+    );
+}
+
+#[test]
+fn an_unknown_first_motor_is_not_compared_with_the_plant() {
+    let found = problems(ROUTER, "gantry_of = \"y\"", "gantry_of = \"q\"");
+    assert_eq!(
+        found,
+        ["joint[4].gantry_of: \"q\" is no joint of the model"]
+    );
+}
+
+#[test]
+fn an_unknown_model_asks_for_no_key_of_another_model() {
+    let found = problems(MILL, "model = \"cartesian\"", "model = \"cartesien\"");
+    assert_eq!(found, ["kinematics.model: \"cartesien\" is not known"]);
+}
+
+#[test]
+fn a_key_is_named_once_among_the_others() {
+    let text = MILL.replacen(
+        "home = \"switch\"\n",
+        "home = \"switch\"\nlubrication = 1\n",
+        1,
+    );
+    let problems = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+    let remedy = &problems.0[0].remedy;
+    let (_, keys) = remedy.split_once("other keys here are ").expect("a list");
+    let mut keys: Vec<&str> = keys.split(", ").collect();
+    let count = keys.len();
+    keys.sort_unstable();
+    keys.dedup();
+    assert_eq!(keys.len(), count, "{remedy}");
+}
