@@ -1,4 +1,4 @@
-//! Installs the system packages that boards and emulated runs need.
+//! Installs the system packages that boards, emulated runs and the scripts of the pages need.
 //!
 //! The decision is separate from the installation, so that it can be tested on a computer where
 //! nothing is missing.
@@ -8,6 +8,9 @@ use std::process::Command;
 
 /// The emulator, and the name of its Debian package.
 const EMULATOR: &str = "qemu-system-arm";
+
+/// What runs the scripts of the pages outside of a browser: its program and its Debian package.
+const SCRIPTS: (&str, &str) = ("node", "nodejs");
 
 /// Installs what is needed to build for a chip and to emulate it. If that is impossible, the error
 /// says how to install it.
@@ -27,14 +30,19 @@ struct Tools {
     /// A toolchain that builds for every board.
     toolchain: bool,
     emulator: bool,
+    scripts: bool,
 }
 
 /// Returns the tools installed on this computer.
 fn here() -> Tools {
-    let emulator = Command::new(EMULATOR).arg("--version").output();
+    let runs = |program: &str| {
+        let output = Command::new(program).arg("--version").output();
+        output.is_ok_and(|output| output.status.success())
+    };
     Tools {
         toolchain: BOARDS.iter().all(|board| board.toolchain().is_some()),
-        emulator: emulator.is_ok_and(|output| output.status.success()),
+        emulator: runs(EMULATOR),
+        scripts: runs(SCRIPTS.0),
     }
 }
 
@@ -46,7 +54,8 @@ fn missing(tools: Tools) -> Vec<&'static str> {
         DEBIAN_PACKAGES
     };
     let emulator: &[&str] = if tools.emulator { &[] } else { &[EMULATOR] };
-    [compiler, emulator].concat()
+    let scripts: &[&str] = if tools.scripts { &[] } else { &[SCRIPTS.1] };
+    [compiler, emulator, scripts].concat()
 }
 
 /// Installs missing packages with `apt`, which returns its success, and checks again.
@@ -78,7 +87,7 @@ fn provide_by(
         ""
     };
     Err(format!(
-        "boards and emulated runs need packages that cannot be installed from here. As root: apt-get update && apt-get install {}{compiler}. \
+        "boards, emulated runs and pages need packages that cannot be installed from here. As root: apt-get update && apt-get install {}{compiler}. \
          Without them: cargo xtask test --native-only",
         packages.join(" ")
     ))
@@ -92,10 +101,12 @@ mod tests {
     const NOTHING: Tools = Tools {
         toolchain: false,
         emulator: false,
+        scripts: false,
     };
     const ALL: Tools = Tools {
         toolchain: true,
         emulator: true,
+        scripts: true,
     };
 
     /// Returns the calls of apt and the result, for the tools before and after an installation that
@@ -124,17 +135,17 @@ mod tests {
         let (calls, done) = tried(NOTHING, true, ALL);
         let install = "install -y --no-install-recommends";
         let compiler = "rustc-web cargo-web rust-web-src lld-22";
-        let everything = format!("{install} {compiler} qemu-system-arm");
+        let everything = format!("{install} {compiler} qemu-system-arm nodejs");
         assert_eq!((calls, done), (vec!["update".into(), everything], Ok(())));
         let without_emulator = Tools {
-            toolchain: true,
             emulator: false,
+            ..ALL
         };
         let (calls, _) = tried(without_emulator, true, ALL);
         assert_eq!(calls[1], format!("{install} qemu-system-arm"));
         let without_compiler = Tools {
             toolchain: false,
-            emulator: true,
+            ..ALL
         };
         let (calls, _) = tried(without_compiler, true, ALL);
         assert_eq!(calls[1], format!("{install} {compiler}"));
@@ -145,15 +156,15 @@ mod tests {
         let (_, done) = tried(NOTHING, false, NOTHING);
         let problem = done.expect_err("nothing was installed");
         for word in [
-            "apt-get install rustc-web cargo-web rust-web-src lld-22 qemu-system-arm",
+            "apt-get install rustc-web cargo-web rust-web-src lld-22 qemu-system-arm nodejs",
             "rustup target add",
             "--native-only",
         ] {
             assert!(problem.contains(word), "{problem}");
         }
         let without_emulator = Tools {
-            toolchain: true,
             emulator: false,
+            ..ALL
         };
         let (_, done) = tried(without_emulator, false, without_emulator);
         let problem = done.expect_err("nothing was installed");
@@ -168,7 +179,7 @@ mod tests {
     fn an_installation_that_helps_nothing_is_told() {
         let still = Tools {
             toolchain: false,
-            emulator: true,
+            ..ALL
         };
         let (_, done) = tried(NOTHING, true, still);
         let problem = done.expect_err("there is no compiler");
