@@ -1,7 +1,5 @@
-//! Bounds over boxes, the search for a reference, the sign of the table and sound lengths of the
-//! polar mill: what the conformance suite does not check.
-
-mod bounds;
+//! The sign of the table, its half turn, and sound lengths of the polar mill: what the conformance
+//! suite does not check.
 
 use haptimill_kinematics::polar_mill::{PolarMill, PolarMillGeometry};
 use haptimill_kinematics::{
@@ -33,19 +31,6 @@ fn pose(x: i32, y: i32) -> Pose {
     pose.0[0] = Coordinate(x << 20);
     pose.0[1] = Coordinate(y << 20);
     pose
-}
-
-/// Every pose of a box has its joints, and their rates, within the bounds.
-#[test]
-fn boxes_hold_the_joints_and_rates_of_their_poses() {
-    bounds::boxes_hold_the_joints_and_rates_of_their_poses(&mills(), 480, 10_000);
-}
-
-/// In the search for a reference one joint moves and the others are at rest: 2 degrees or
-/// 5 mm per second.
-#[test]
-fn a_search_moves_one_joint() {
-    bounds::a_search_moves_one_joint(&mills(), 480, [5 << 20, 23_860_929, 5 << 20], 4000);
 }
 
 /// A quarter turn of the table, right-handed, brings +x of the workpiece to +y of the machine, so

@@ -39,6 +39,17 @@ macro_rules! tests {
             fn derivatives() {
                 suite::derivatives_against_differences(&$subject, SHARE / 50);
             }
+
+            #[test]
+            fn boxes() {
+                let share = bounds::boxes_bound_their_poses(&$subject, SHARE / 5);
+                println!("{share:.2} of the boxes are bounded");
+            }
+
+            #[test]
+            fn searches() {
+                bounds::a_search_moves_its_joints(&$subject, SHARE / 100);
+            }
         })*
     };
 }

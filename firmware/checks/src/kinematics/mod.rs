@@ -9,6 +9,7 @@
     reason = "an index is an axis here, of several arrays at once"
 )]
 
+pub mod bounds;
 pub mod cartesian;
 pub mod facet;
 pub mod five_bar;
@@ -78,6 +79,16 @@ macro_rules! checks {
             Check {
                 name: concat!("kinematics::", stringify!($name), "::derivatives"),
                 run: || suite::derivatives_against_differences(&$subject, $count / 50),
+            },
+            Check {
+                name: concat!("kinematics::", stringify!($name), "::boxes"),
+                run: || {
+                    bounds::boxes_bound_their_poses(&$subject, $count / 20);
+                },
+            },
+            Check {
+                name: concat!("kinematics::", stringify!($name), "::searches"),
+                run: || bounds::a_search_moves_its_joints(&$subject, $count / 50),
             },
         )*];
     };

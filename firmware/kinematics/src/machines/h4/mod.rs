@@ -489,7 +489,7 @@ fn turn(across: i32, up: i32, (sine, cosine): (i32, i32)) -> (i64, i64) {
 
 /// Checks the tilt of the tool, which must be less than a quarter turn.
 #[inline]
-fn check_tilt(theta: Coordinate) -> Result<(), PoseError> {
+pub(super) fn check_tilt(theta: Coordinate) -> Result<(), PoseError> {
     if theta.magnitude() >= Angle::QUARTER.0 as u32 {
         return Err(TILT);
     }

@@ -8,7 +8,7 @@
 
 use super::errors::near_reach_limit;
 use super::motion::Slope;
-use super::{ALPHA, AXES, H4, Pair};
+use super::{ALPHA, AXES, H4, Pair, THETA, check_table, check_tilt};
 use crate::{BoxBounds, Pose, PoseError, Rates};
 use haptimill_math::Coordinate;
 use haptimill_math::root::Root;
@@ -83,6 +83,12 @@ impl H4 {
             let width = high.wrapping_sub(low).0 as u32;
             *half = width.div_ceil(2);
             middle.0[axis] = Coordinate(low.0.wrapping_add((width / 2) as i32));
+        }
+        // With the middle, which `place` checks: an arc whose ends and middle are within a quarter
+        // turn is so as a whole.
+        for end in [low, high] {
+            check_tilt(end.0[THETA])?;
+            check_table(end.0[ALPHA])?;
         }
         let (placed, pairs) = self.place(&middle)?;
         let joints = self.joints(&placed, &pairs, middle.0[ALPHA])?;
