@@ -2,7 +2,7 @@
 //! replay. A new machine file needs no row here.
 
 use haptimill_hil_sim::config::PlantConfig;
-use haptimill_kinematics::descriptor::AxisKind;
+use haptimill_kinematics::descriptor::{AxisKind, CoordinateDescriptor};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_tests::job;
@@ -55,23 +55,52 @@ fn program(machine: &MachineFile, home: &[f64]) -> String {
             });
         values.collect()
     };
+    let linear = axes.iter().zip(&machine.pose);
+    let linear = linear.filter(|(axis, _)| axis.kind == AxisKind::Linear);
+    let slowest = linear.map(|(_, limits)| limits.rate).fold(15.0, f64::min);
+    format!(
+        "G21 G90 F{:.0}\nG1{}\n{}G1{}\nM30\n",
+        slowest * 60.0,
+        point(true),
+        arc(machine, home),
+        point(false),
+    )
+}
+
+/// A half circle in the first plane whose two coordinates the machine has; nothing where it has no
+/// plane.
+fn arc(machine: &MachineFile, home: &[f64]) -> String {
+    let axes = machine.config.model.descriptor().pose;
+    let find = |letter: char| {
+        let is_it = |axis: &CoordinateDescriptor| axis.letter == letter;
+        axes.iter().position(is_it)
+    };
+    let planes = [
+        ("G17", 'X', 'Y', 'I'),
+        ("G18", 'Z', 'X', 'K'),
+        ("G19", 'Y', 'Z', 'J'),
+    ];
+    let mut planes = planes.into_iter();
+    let found = planes.find_map(|(plane, first, second, centre)| {
+        Some((
+            plane,
+            (first, find(first)?),
+            (second, find(second)?),
+            centre,
+        ))
+    });
+    let Some((plane, (first, one), (second, two), to_centre)) = found else {
+        return String::new();
+    };
     let centre = |index: usize| {
         let (at, low) = (home[index], machine.pose[index].low);
         if at - 5.0 < low { at + 5.0 } else { at }
     };
-    let linear = axes.iter().zip(&machine.pose);
-    let linear = linear.filter(|(axis, _)| axis.kind == AxisKind::Linear);
-    let slowest = linear.map(|(_, limits)| limits.rate).fold(15.0, f64::min);
-    let [x, y] = [centre(0), centre(1)];
+    let (u, v) = (centre(one), centre(two));
     format!(
-        "G21 G90 G17 F{:.0}\nG1{}\nG1 X{:.4} Y{:.4}\nG2 X{:.4} Y{:.4} I5 J0\nG1{}\nM30\n",
-        slowest * 60.0,
-        point(true),
-        x - 5.0,
-        y,
-        x + 5.0,
-        y,
-        point(false),
+        "{plane} G1 {first}{:.4} {second}{v:.4}\nG2 {first}{:.4} {second}{v:.4} {to_centre}5\n",
+        u - 5.0,
+        u + 5.0,
     )
 }
 

@@ -13,6 +13,7 @@ pub mod h4;
 pub mod linear_delta;
 pub mod polar_mill;
 pub mod scara;
+pub mod six_axis;
 pub mod trunnion;
 
 use crate::check::Check;
@@ -270,6 +271,8 @@ geometries! {
     FiveBar("five_bar", five_bar::FiveBar);
     /// A radial slide over a table that turns about z, and a vertical slide.
     PolarMill("polar_mill", polar_mill::PolarMill);
+    /// Three slides, and three rotary axes beside the tool and the workpiece.
+    SixAxis("six_axis", six_axis::SixAxis);
     /// Joints that carry nothing: the pose is the joint positions.
     Joints("joints", cartesian::BareJoints);
 }

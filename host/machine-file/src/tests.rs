@@ -357,7 +357,7 @@ fn another_number_of_coordinates_is_refused_with_the_models_that_have_it() {
         (
             &["u", "v", "w"],
             6,
-            "; no model has 6 coordinates, docs/adding-a-machine.md says how to add one\n",
+            ", or choose a model with 6: \"six_axis\"\n",
         ),
         (
             &["u", "v", "w", "a"],
@@ -371,6 +371,11 @@ fn another_number_of_coordinates_is_refused_with_the_models_that_have_it() {
         );
         assert!(text.contains(&expected), "{text}");
     }
+    let last = MILL.rfind("[[pose]]").expect("a section");
+    let joints = MILL.find("[[joint]]").expect("a section");
+    let text = problems(&format!("{}{}", &MILL[..last], &MILL[joints..]));
+    let expected = "; no model has 2 coordinates, docs/adding-a-machine.md says how to add one\n";
+    assert!(text.contains(expected), "{text}");
 }
 
 /// The range of the key is that of all models; this one has a narrower bound.
@@ -744,7 +749,7 @@ fn force_control_and_a_master_need_their_roles() {
     let end = BUILT_IN.find("[plant]").expect("a section");
     let reported = problems(&format!("{trunnion}\n{}", &BUILT_IN[start..end]));
     assert!(
-        reported.contains("force: force control needs a machine without wrapping coordinates"),
+        reported.contains("force: force control needs a machine without wrapping axes"),
         "{reported}"
     );
     assert!(reported.contains("remove the section"), "{reported}");

@@ -8,6 +8,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 const STEP: &str = include_str!("../../../machines/h4-step.toml");
+const SWITCHES: &str = include_str!("../../../machines/mill3.toml");
 
 /// Text of a machine file with a model.
 fn file_of(model: &str) -> String {
@@ -31,6 +32,7 @@ fn file_of(model: &str) -> String {
 fn base(path: &str) -> Table {
     let text = match path {
         "plant.joint.drive.steps" => STEP.to_string(),
+        "plant.joint.home" => SWITCHES.to_string(),
         _ => match path.strip_prefix("plant.geometry.") {
             Some(model) => file_of(model),
             None => format!("{BUILT_IN}\n{HAPTIC_ARM}"),
@@ -160,4 +162,43 @@ fn defaults_are_those_of_the_simulator() {
         }
     }
     assert!(checked > 40, "{checked}");
+}
+
+/// The simulator names its keys where it refuses one that it does not know.
+#[test]
+fn every_key_of_the_simulator_has_a_row() {
+    let sections = sections();
+    let plant: Vec<_> = sections
+        .iter()
+        .filter(|section| section.path.split('.').next() == Some("plant"))
+        .collect();
+    let mut checked = 0;
+    for section in &plant {
+        let path = section.path;
+        let text = match path {
+            // A list that no machine file of the test has.
+            "plant.input" => format!("{BUILT_IN}\n[[plant.input]]\nunknown = 1\n"),
+            _ => with(path, "unknown", Some(Value::Integer(1))),
+        };
+        let root: Table = text.parse().unwrap();
+        let refused = root["plant"].clone().try_into::<PlantConfig>();
+        let refused = refused.expect_err(path).message().to_string();
+        assert!(
+            refused.contains("unknown field `unknown`"),
+            "{path}: {refused}"
+        );
+        let (_, known) = refused.split_once("expected ").unwrap_or_default();
+        let known = known.split('`').skip(1).step_by(2);
+        let below = format!("{path}.");
+        for name in known {
+            checked += 1;
+            let is_key = section.keys.iter().any(|key| key.name == name);
+            let is_section = plant.iter().any(|section| {
+                let rest = section.path.strip_prefix(&below);
+                rest.is_some_and(|rest| rest.split('.').next() == Some(name))
+            });
+            assert!(is_key || is_section, "{path}.{name} is in no table");
+        }
+    }
+    assert!(checked > 150, "{checked}");
 }

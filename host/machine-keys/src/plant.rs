@@ -65,7 +65,10 @@ joint "plant.joint" "A simulated joint, with the name of the controller's: motor
     start_spread = real(0.0, 2000.0, "mm").is("largest random offset of it, by the seed").or(0.0)
         .bounded("at most the distance to the nearer stop")
         .rotary("start_spread", real(0.0, 2000.0, "deg"));
-    home = other("{ at, active = \"below\" or \"above\" }").is("home switch").or_absent();
+    home = other("the keys of `[plant.joint.home]`").is("home switch").or_absent();
+    active_low = other("list of \"home\", \"limit-low\", \"limit-high\"")
+        .is("switches whose line is low while they are active, as the contact opens")
+        .or_text("[]");
     limit_low = real(-4000.0, 4000.0, "mm").is("lower limit switch").or_absent()
         .rotary("limit_low", real(-400_000.0, 400_000.0, "deg")).bounded("below the upper one");
     limit_high = real(-4000.0, 4000.0, "mm").is("upper limit switch").or_absent()
@@ -78,6 +81,16 @@ joint "plant.joint" "A simulated joint, with the name of the controller's: motor
         .only("second motors of gantries").bounded("a bound by substep and inertia");
     racked = real(-100.0, 100.0, "mm").is("racking at power-on: this joint minus the other one").or(0.0)
         .only("second motors of gantries").bounded("0 on other joints");
+}
+
+joint_home "plant.joint.home" "The home switch." {
+    at = real(-4000.0, 4000.0, "mm").is("coordinate at which it changes")
+        .rotary("at", real(-400_000.0, 400_000.0, "deg"));
+    active = word(&["below", "above"]).is("side on which it is active");
+    hysteresis = real(0.0, 100.0, "mm").is("distance back to the release").or(0.0)
+        .rotary("hysteresis", real(0.0, 100.0, "deg"));
+    bounce_ms = real(0.0, 1000.0, "ms").is("time for which the contact bounces after a change")
+        .or(0.0);
 }
 
 joint_encoder "plant.joint.encoder" "The encoder, on the motor shaft or on the slide." {

@@ -37,6 +37,7 @@ machine_files! {
     "mill3-servo", "mill3-servo.toml";
     "router3", "router3.toml";
     "mill4", "mill4.toml";
+    "mill6", "mill6.toml";
     "trunnion5", "trunnion5.toml";
     "facet", "facet.toml";
     "scara", "scara.toml";

@@ -2,12 +2,19 @@
 
 use super::subject::{Margins, Reals, Sequence, Subject};
 use haptimill_kinematics::cartesian::{CartesianGeometry, Direct};
+use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_kinematics::{Joints, MAX_AXES, Machine};
 use haptimill_math::Coordinate;
 use heapless::Vec;
 
-/// The ranges of the coordinates, mm and radians.
-const RANGES: [f64; 4] = [2047.0, 2047.0, 2047.0, 511.0 * core::f64::consts::TAU];
+/// The range of a coordinate, mm or radians.
+const fn range(kind: AxisKind) -> f64 {
+    match kind {
+        AxisKind::Linear => 2047.0,
+        AxisKind::Rotary => 3.1,
+        AxisKind::MultiTurn => 511.0 * core::f64::consts::TAU,
+    }
+}
 
 /// The machine with `AXES` joints.
 pub struct Axes<const AXES: usize> {
@@ -39,7 +46,8 @@ where
 
     fn random_pose(&self, sequence: &mut Sequence) -> Reals {
         let mut pose = [0.0; MAX_AXES];
-        for (value, range) in pose.iter_mut().zip(RANGES).take(AXES) {
+        for (value, axis) in pose.iter_mut().zip(Direct::<AXES>::DESCRIPTOR.pose) {
+            let range = range(axis.kind);
             *value = sequence.between(-range, range);
         }
         pose

@@ -1,12 +1,13 @@
 //! Kinematics of machines each of whose joints is a pose coordinate.
 //!
 //! The Cartesian machine has three slides x, y and z. The four-axis mill has a rotary axis a more,
-//! which may turn over +-500 turns. Directions and leads are matters of the drives and encoders,
+//! which may turn over +-500 turns. The six-axis machine has rotary axes a and b within a turn, and
+//! c over +-500 turns. Directions and leads are matters of the drives and encoders,
 //! offsets of the presets. Every pose has joints; the strokes are checked by
 //! [`crate::BoundedKinematics`].
 //!
-//! The pose of the four-axis mill is that of its axes: a program is made for a workpiece that
-//! turns under the tool, as posts for four axes write it.
+//! The pose of a machine with rotary axes is that of its axes: a program is made for a workpiece
+//! that turns under the tool, as posts for four axes write it.
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::machine::Machine;
@@ -28,6 +29,9 @@ pub type Cartesian = Direct<3>;
 
 /// Slides x, y and z, and a rotary axis a.
 pub type FourAxis = Direct<4>;
+
+/// Slides x, y and z, and rotary axes a, b and c.
+pub type SixAxis = Direct<6>;
 
 const X: CoordinateDescriptor = CoordinateDescriptor::new("x", AxisKind::Linear, 'X', Role::ToolX);
 const Y: CoordinateDescriptor = CoordinateDescriptor::new("y", AxisKind::Linear, 'Y', Role::ToolY);
@@ -65,6 +69,38 @@ impl Machine for FourAxis {
         code: "four_axis",
         pose: &[X, Y, Z, A],
         joints: &[joint(&X), joint(&Y), joint(&Z), joint(&A)],
+        errors: &[],
+    };
+
+    fn new(_: &CartesianGeometry) -> Self {
+        Self {}
+    }
+
+    fn is_sound(_: &CartesianGeometry) -> bool {
+        true
+    }
+}
+
+const A_WITHIN_A_TURN: CoordinateDescriptor =
+    CoordinateDescriptor::new("a", AxisKind::Rotary, 'A', Role::None);
+const B: CoordinateDescriptor = CoordinateDescriptor::new("b", AxisKind::Rotary, 'B', Role::None);
+const C: CoordinateDescriptor =
+    CoordinateDescriptor::new("c", AxisKind::MultiTurn, 'C', Role::None);
+
+impl Machine for SixAxis {
+    type Geometry = CartesianGeometry;
+
+    const DESCRIPTOR: Descriptor = Descriptor {
+        code: "six_axis",
+        pose: &[X, Y, Z, A_WITHIN_A_TURN, B, C],
+        joints: &[
+            joint(&X),
+            joint(&Y),
+            joint(&Z),
+            joint(&A_WITHIN_A_TURN),
+            joint(&B),
+            joint(&C),
+        ],
         errors: &[],
     };
 

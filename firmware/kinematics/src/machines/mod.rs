@@ -199,4 +199,6 @@ machines! {
     FiveBar(five_bar::FiveBar);
     /// A radial slide over a table that turns about z, and a vertical slide.
     PolarMill(polar_mill::PolarMill);
+    /// Three slides and three rotary axes, each joint a pose coordinate.
+    SixAxis(cartesian::SixAxis);
 }

@@ -8,6 +8,7 @@ mod h4;
 mod linear_delta;
 mod polar_mill;
 mod scara;
+mod six_axis;
 mod trunnion;
 
 use super::document::Section;
@@ -62,6 +63,7 @@ models! {
     LinearDelta(linear_delta::File);
     FiveBar(five_bar::File);
     PolarMill(polar_mill::File);
+    SixAxis(six_axis::File);
 }
 
 /// A model and the reader of its keys.
