@@ -196,10 +196,13 @@ impl Viewer {
             let (one, other) = (columns[column].as_f64().unwrap(), other.as_f64().unwrap());
             assert!((one - other).abs() < 0.05, "{column}: {one} {other}");
         };
-        near("true tool x, mm", &self.state["pose"][0]["actual"]);
-        near("true tool theta, deg", &self.state["pose"][4]["actual"]);
         near("joint l1 commanded, mm", &self.state["joints"][0]["actual"]);
-        near("true force z, N", &json!(0.0));
+        // Another process has the truth of its machine.
+        if self.state["port"] == "simulator" {
+            near("true tool x, mm", &self.state["pose"][0]["actual"]);
+            near("true tool theta, deg", &self.state["pose"][3]["actual"]);
+            near("true force z, N", &json!(0.0));
+        }
         // The coordinates of the built-in machine are limited to 50 mm/s each, three of them.
         assert!(self.feed < 50.0 * 60.0 * 3.0_f64.sqrt(), "{}", self.feed);
     }
