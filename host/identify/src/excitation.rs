@@ -55,6 +55,17 @@ pub struct Motion {
     pub windows: Vec<Window>,
 }
 
+/// Time of a change of the rate, seconds.
+pub(crate) fn ramp_time(line: &Line, change: f64) -> f64 {
+    // Half of what the machine may do: its limits are those of a perfect loop.
+    (PI * change.abs() / line.acceleration).max(0.05)
+}
+
+/// Time of one sine of `seconds` on a carrier, with its ramps.
+pub(crate) fn burst_time(line: &Line, rate: f64, seconds: f64) -> f64 {
+    seconds + 2.0 * TAPER + ramp_time(line, rate) + SETTLE
+}
+
 /// Builds a motion along a line.
 pub struct Builder<'a> {
     geometry: &'a Geometry<'a>,
@@ -120,8 +131,7 @@ impl<'a> Builder<'a> {
     }
 
     fn ramp_time(&self, change: f64) -> f64 {
-        // Half of what the machine may do: its limits are those of a perfect loop.
-        (PI * change.abs() / self.line.acceleration).max(0.05)
+        ramp_time(self.line, change)
     }
 
     /// Stands still.
@@ -184,9 +194,9 @@ impl<'a> Builder<'a> {
         while !waiting.is_empty() {
             let forward = self.place < (low + high) / 2.0;
             let target = if forward { high } else { low };
-            let ramps = rate * self.ramp_time(rate) + rate * SETTLE;
-            let room = (target - self.place).abs() - ramps;
-            if room < one {
+            let room = (target - self.place).abs() - rate * (self.ramp_time(rate) + SETTLE);
+            // The way back of one sine is as long as its way forth, but for rounding.
+            if room < 0.999 * one {
                 let what = format!(
                     "a line of {:.0} mm or degrees is too short for an excitation at {rate:.1} per \
                      second; lengthen --travel",

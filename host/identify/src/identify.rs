@@ -1,9 +1,9 @@
 //! The measurement of all torque joints of a machine, over the protocol.
 
-use crate::excitation::{Builder, Burst, Motion, PER_CYCLE, SHORTEST};
+use crate::excitation::{Builder, Burst, Motion, PER_CYCLE, SHORTEST, burst_time, ramp_time};
 use crate::line::{Geometry, Line};
 use crate::measure::{Friction, Sample, count_of, friction, response, samples, steady};
-use crate::two_mass::{Point, TwoMass};
+use crate::two_mass::{Fit, Point, TwoMass};
 use haptimill_client::session::{self, NoObserver, Session};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_firmware::config::{AxisKind, Drive};
@@ -62,6 +62,17 @@ const EXCITATION: f64 = 0.2;
 const FINE_EXCITATION: f64 = 0.1;
 const SLOW_HZ: f64 = 25.0;
 
+/// Least time at the top rate, seconds.
+const TOP_CRUISE: f64 = 0.8;
+
+/// The largest rate up to `rate` that fits.
+fn slowed(mut rate: f64, fits: impl Fn(f64) -> bool) -> f64 {
+    while !fits(rate) && rate > 1e-3 {
+        rate *= 0.9;
+    }
+    rate
+}
+
 /// Approximate bytes of a telemetry frame and of a setpoint on the line.
 const FRAME_BYTES: f64 = 160.0;
 const SETPOINT_BYTES: f64 = 20.0;
@@ -82,6 +93,9 @@ pub struct Identified {
     pub friction: Friction,
     /// The linear plant.
     pub plant: TwoMass,
+    /// The response shows a resonance; if not, its highest frequency, Hz. The plant then has the
+    /// worst mode that the response does not exclude.
+    pub resonance: Result<(), f64>,
     /// Measured frequency response.
     pub points: Vec<Point>,
     /// Median of the relative difference between the response and the plant.
@@ -89,6 +103,18 @@ pub struct Identified {
 }
 
 impl Identified {
+    /// The plant that the response shows: without a resonance, one mass.
+    #[must_use]
+    pub fn shown(&self) -> TwoMass {
+        match self.resonance {
+            Ok(()) => self.plant,
+            Err(highest) => TwoMass {
+                mode_hz: 1e3 * highest,
+                ..self.plant
+            },
+        }
+    }
+
     /// Mean of the Coulomb friction of both directions, N or N m.
     #[must_use]
     pub fn coulomb(&self) -> f64 {
@@ -249,7 +275,11 @@ impl<'a, L: session::Line> Identification<'a, L> {
         progress: &mut dyn FnMut(&str),
     ) -> Result<Vec<Identified>, Error> {
         let geometry = Geometry::new(self.machine);
-        let top = line.rate * self.options.rate_part;
+        // At the top rate a part of the line is left for the measurement.
+        let cruise = |rate: f64| line.high - line.low - rate * ramp_time(line, rate);
+        let top = slowed(line.rate * self.options.rate_part, |rate| {
+            cruise(rate) > TOP_CRUISE * rate
+        });
         let fast = self.dithered(line, top);
         let mut builder = Builder::new(&geometry, line, self.period, 0.0);
         for part in RATES {
@@ -365,7 +395,11 @@ impl<'a, L: session::Line> Identification<'a, L> {
         seconds: f64,
     ) -> Result<(Motion, Vec<Sample>), Error> {
         let geometry = Geometry::new(self.machine);
-        let carrier = self.dithered(line, line.rate * CARRIER);
+        // A line has room for one sine at least.
+        let carrier = slowed(line.rate * CARRIER, |rate| {
+            0.95 * line.room() > rate * burst_time(line, rate, seconds)
+        });
+        let carrier = self.dithered(line, carrier);
         let bursts: Vec<Burst> = frequencies
             .iter()
             .map(|frequency| {
@@ -426,7 +460,7 @@ impl<'a, L: session::Line> Identification<'a, L> {
                 let unit = acceleration_unit(axis.kind);
                 let inertia = inertia_of(self.machine, joint);
                 let fitted = TwoMass::fit(&points, inertia, friction.viscous, unit);
-                let (plant, error) = fitted.filter(|_| points.len() >= 8).ok_or_else(|| {
+                let fitted = fitted.filter(|_| points.len() >= 8).ok_or_else(|| {
                     let what = format!(
                         "joint {}: only {} of the sines are above the noise of the encoder; \
                          lower --highest",
@@ -435,12 +469,18 @@ impl<'a, L: session::Line> Identification<'a, L> {
                     );
                     Error::new(ErrorKind::Refused, what)
                 })?;
+                let Fit {
+                    plant,
+                    error,
+                    resonance,
+                } = fitted;
                 Ok(Identified {
                     joint,
                     name: axis.name.clone(),
                     kind: axis.kind,
                     friction: friction.clone(),
                     plant,
+                    resonance,
                     points,
                     error,
                 })

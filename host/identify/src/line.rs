@@ -39,6 +39,14 @@ pub struct Line {
     home: [f64; JOINTS],
 }
 
+impl Line {
+    /// Length on which sines are measured: 1 mm or degree off both ends.
+    #[must_use]
+    pub fn room(&self) -> f64 {
+        self.high - self.low - 2.0
+    }
+}
+
 /// Geometry of a machine in millimetres and degrees.
 pub struct Geometry<'a> {
     machine: &'a MachineFile,

@@ -72,7 +72,7 @@ fn decibel(response: Complex) -> f64 {
 
 fn bode(joint: &Identified) -> [Chart; 2] {
     let [effort, motion, _] = units(joint.kind);
-    let plant: TwoMass = joint.plant;
+    let plant: TwoMass = joint.shown();
     let low = joint.points.first().map_or(1.0, |it| it.frequency);
     let high = joint.points.last().map_or(100.0, |it| it.frequency);
     let measured = |value: &dyn Fn(Complex) -> f64| -> Vec<(f64, f64)> {
@@ -172,16 +172,26 @@ fn table(page: &mut String, changes: &[Change]) {
 pub fn summary(joint: &Identified) -> String {
     let [effort, motion, inertia] = units(joint.kind);
     let [forward, backward] = joint.friction.coulomb;
+    let plant = joint.plant;
+    let resonance = match joint.resonance {
+        Ok(()) => format!(
+            "resonance {:.1} Hz (damping {:.3}, {:.0} % of the inertia at the motor)",
+            plant.mode_hz,
+            plant.mode_damping,
+            plant.motor_share * 100.0
+        ),
+        Err(highest) => format!(
+            "no resonance below {highest:.0} Hz (gains are proposed for one at {:.0} Hz)",
+            plant.mode_hz
+        ),
+    };
     format!(
         "{}: inertia {:.4} {inertia}, Coulomb friction {forward:.3} {effort} forward and \
-         {backward:.3} {effort} backward, viscous {:.4} {effort} s/{motion}, resonance {:.1} Hz \
-         (damping {:.3}, {:.0} % of the inertia at the motor), median misfit {:.1} %",
+         {backward:.3} {effort} backward, viscous {:.4} {effort} s/{motion}, {resonance}, \
+         median misfit {:.1} %",
         joint.name,
-        joint.plant.inertia,
+        plant.inertia,
         joint.friction.viscous,
-        joint.plant.mode_hz,
-        joint.plant.mode_damping,
-        joint.plant.motor_share * 100.0,
         joint.error * 100.0
     )
 }

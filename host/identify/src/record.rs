@@ -50,6 +50,9 @@ pub fn write(machine: &str, date: &str, joints: &[Identified]) -> String {
         table["motor_share"] = value(joint.plant.motor_share);
         table["mode_hz"] = value(joint.plant.mode_hz);
         table["mode_damping"] = value(joint.plant.mode_damping);
+        if let Err(highest) = joint.resonance {
+            table["no_resonance_below_hz"] = value(highest);
+        }
         table["viscous"] = value(joint.plant.viscous);
         table["coulomb"] = value(row(joint.friction.coulomb));
         table["fit_error"] = value(joint.error);
@@ -154,6 +157,7 @@ fn joint(table: &Table, machine: &MachineFile) -> Option<Identified> {
             viscous,
             unit: acceleration_unit(kind),
         },
+        resonance: number("no_resonance_below_hz").map_or(Ok(()), Err),
         points: points.collect::<Option<_>>()?,
         error: number("fit_error")?,
     })

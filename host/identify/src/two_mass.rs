@@ -26,6 +26,33 @@ pub struct TwoMass {
     pub unit: f64,
 }
 
+/// A plant that was fitted to a frequency response.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fit {
+    /// The plant. Without a resonance its mode lies at [`UNSEEN`] times the highest frequency, with
+    /// [`UNSEEN_DAMPING`]: the worst that the points do not exclude.
+    pub plant: TwoMass,
+    /// Median of the relative difference between the response and the plant, without a resonance
+    /// the rigid one.
+    pub error: f64,
+    /// The points show a resonance; if not, the highest of their frequencies, Hz.
+    pub resonance: Result<(), f64>,
+}
+
+/// Frequency of a mode that was not seen, as a multiple of the highest measured frequency.
+pub const UNSEEN: f64 = 1.25;
+/// Its damping ratio.
+pub const UNSEEN_DAMPING: f64 = 0.02;
+
+/// Ratio by which a mode must lower the sum of the weighted squares, or it is none.
+const GAIN: f64 = 4.0;
+/// Largest damping ratio of a mode.
+const MOST_DAMPING: f64 = 0.3;
+/// Smallest and largest share of the motor in a mode: beyond them peak and notch coincide.
+const SHARES: std::ops::RangeInclusive<f64> = 0.1..=0.9;
+/// Range of the notch of a mode: multiples of the lowest and the highest measured frequency.
+const NOTCH: [f64; 2] = [1.2, 0.9];
+
 /// A measured point of the frequency response.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
@@ -132,10 +159,68 @@ impl TwoMass {
         residuals.iter().map(|it| it * it).sum()
     }
 
-    /// The plant whose response is nearest to the points, and the median of its relative error.
-    /// `inertia` starts the search; the frequency is sought over the range of the points.
+    /// One mass: its mode is far above the points.
+    const fn rigid(inertia: f64, viscous: f64, unit: f64, high: f64) -> Self {
+        Self {
+            inertia,
+            motor_share: 0.5,
+            mode_hz: 1e3 * high,
+            mode_damping: 0.05,
+            viscous,
+            unit,
+        }
+    }
+
+    /// The one mass whose response is nearest to the points.
+    fn fit_rigid(points: &[Point], viscous: f64, unit: f64, high: f64) -> Self {
+        // Each point gives an inertia; the best one is among them or between two of them.
+        let mut guesses: Vec<f64> = points
+            .iter()
+            .map(|point| {
+                let omega = TAU * point.frequency;
+                unit / (omega * omega * point.response.abs())
+            })
+            .collect();
+        guesses.sort_by(f64::total_cmp);
+        let cost = |inertia: f64| Self::rigid(inertia, viscous, unit, high).cost(points);
+        let (mut low, mut high_end) = (guesses[0] / 2.0, guesses[guesses.len() - 1] * 2.0);
+        for _ in 0..100 {
+            let step = (high_end / low).powf(1.0 / 3.0);
+            let (one, two) = (low * step, low * step * step);
+            if cost(one) < cost(two) {
+                high_end = two;
+            } else {
+                low = one;
+            }
+        }
+        Self::rigid((low * high_end).sqrt(), viscous, unit, high)
+    }
+
+    /// Whether the mode is one that the points show, against one mass without a mode.
+    fn is_shown(&self, points: &[Point], rigid: &Self, low: f64, high: f64) -> bool {
+        self.cost(points) * GAIN < rigid.cost(points)
+            && self.mode_damping < MOST_DAMPING
+            && SHARES.contains(&self.motor_share)
+            && (NOTCH[0] * low..=NOTCH[1] * high).contains(&self.antiresonance())
+    }
+
+    /// Median of the relative difference between the response and the plant.
+    fn median_error(&self, points: &[Point]) -> f64 {
+        let mut errors: Vec<f64> = points
+            .iter()
+            .map(|point| {
+                let difference = self.response(point.frequency) - point.response;
+                difference.abs() / point.response.abs()
+            })
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        errors[errors.len() / 2]
+    }
+
+    /// The plant whose response is nearest to the points. `inertia` starts the search; the
+    /// frequency is sought over the range of the points. `None` without points.
     #[must_use]
-    pub fn fit(points: &[Point], inertia: f64, viscous: f64, unit: f64) -> Option<(Self, f64)> {
+    pub fn fit(points: &[Point], inertia: f64, viscous: f64, unit: f64) -> Option<Fit> {
         let low = points.first()?.frequency;
         let high = points.last()?.frequency;
         let mut best: Option<(f64, Self)> = None;
@@ -158,15 +243,23 @@ impl TwoMass {
             }
         }
         let (_, found) = best?;
-        let mut errors: Vec<f64> = points
-            .iter()
-            .map(|point| {
-                let difference = found.response(point.frequency) - point.response;
-                difference.abs() / point.response.abs()
-            })
-            .collect();
-        errors.sort_by(f64::total_cmp);
-        Some((found, errors[errors.len() / 2]))
+        let rigid = Self::fit_rigid(points, viscous, unit, high);
+        if found.is_shown(points, &rigid, low, high) {
+            return Some(Fit {
+                plant: found,
+                error: found.median_error(points),
+                resonance: Ok(()),
+            });
+        }
+        Some(Fit {
+            plant: Self {
+                mode_hz: UNSEEN * high,
+                mode_damping: UNSEEN_DAMPING,
+                ..rigid
+            },
+            error: rigid.median_error(points),
+            resonance: Err(high),
+        })
     }
 
     /// Levenberg-Marquardt on the logarithms of the parameters.
@@ -276,11 +369,45 @@ mod tests {
                     deviation: 1e-6,
                 })
                 .collect();
-            let (found, error) =
-                TwoMass::fit(&points, 80.0, 0.15, 1000.0).unwrap_or((plant, f64::NAN));
-            assert!(error < 1e-3, "{error}");
-            for (found, expected) in found.parameters().iter().zip(plant.parameters()) {
+            let found = TwoMass::fit(&points, 80.0, 0.15, 1000.0).expect("points");
+            assert!(found.error < 1e-3, "{found:?}");
+            assert_eq!(found.resonance, Ok(()));
+            for (found, expected) in found.plant.parameters().iter().zip(plant.parameters()) {
                 assert!((found - expected).abs() < 1e-3, "{found} {expected}");
+            }
+        }
+    }
+
+    /// A mode far above the points is not invented, and one whose notch is within them is found,
+    /// with responses that are off by 3 %.
+    #[test]
+    fn a_mode_beyond_the_points_is_not_found() {
+        for (mode_hz, share, is_seen) in [(400.0, 0.5, false), (180.0, 0.5, true)] {
+            let plant = TwoMass {
+                inertia: 40.0,
+                motor_share: share,
+                mode_hz,
+                mode_damping: 0.05,
+                viscous: 0.15,
+                unit: 1000.0,
+            };
+            let points: Vec<Point> = (0..30)
+                .map(|i| (i, 4.0 * 37.5_f64.powf(f64::from(i) / 29.0)))
+                .map(|(i, frequency)| Point {
+                    frequency,
+                    response: plant.response(frequency)
+                        * (1.0 + 0.03 * f64::from(i * 7919 % 5 - 2)),
+                    deviation: 1e-9,
+                })
+                .collect();
+            let found = TwoMass::fit(&points, 80.0, 0.15, 1000.0).expect("points");
+            assert_eq!(found.resonance.is_ok(), is_seen, "{found:?}");
+            assert!((found.plant.inertia / 40.0 - 1.0).abs() < 0.08, "{found:?}");
+            if !is_seen {
+                assert!(
+                    (found.plant.mode_hz - UNSEEN * 150.0).abs() < 0.1,
+                    "{found:?}"
+                );
             }
         }
     }

@@ -11,7 +11,7 @@ use haptimill_client::client::Options as ClientOptions;
 use haptimill_client::port::PortSpec;
 use haptimill_client::session::{self, Line, Session, SimLine};
 use haptimill_identify::edit;
-use haptimill_identify::identify::{Identification, Identified, Options, lines};
+use haptimill_identify::identify::{Identification, Identified, Options, lines, torque_joints};
 use haptimill_identify::line::{Geometry, Line as Travel};
 use haptimill_identify::{page, record};
 use haptimill_machine_file::MachineFile;
@@ -186,11 +186,27 @@ fn confirm(args: &IdentifyArgs, machine: &MachineFile, ranges: &[Travel]) -> Res
                 format!("{} {low:.1} to {high:.1} {unit}", axis.name)
             })
             .collect();
+        let is_rotary = |joint: &usize| machine.joints[*joint].kind.is_rotary();
+        let unit = if line.joints.iter().any(is_rotary) {
+            "deg/s"
+        } else {
+            "mm/s"
+        };
         print_line!(
-            "  joint {}: {}, at up to {:.1} per second",
+            "  joint {}: {}, at up to {:.1} {unit}",
             names.join(", "),
             moved.join(", "),
             line.rate * args.rate
+        );
+    }
+    let measured = torque_joints(machine);
+    let others = machine.joints.iter().enumerate();
+    let others = others.filter(|(joint, _)| !measured.contains(joint));
+    let others: Vec<&str> = others.map(|(_, joint)| joint.name.as_str()).collect();
+    if !others.is_empty() {
+        print_line!(
+            "not measured, because they have no torque drive with an encoder: {}",
+            others.join(", ")
         );
     }
     if args.yes {
