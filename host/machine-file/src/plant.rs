@@ -5,9 +5,10 @@ use super::place::unit;
 use super::pose_difference::{ERROR, PoseDifference};
 use super::scale::{PER_COUNT, per_unit};
 use super::{MachineFile, Problems};
-use haptimill_firmware::config::{Drive, SwitchInput};
+use haptimill_firmware::config::{Drive, JointAxis, SwitchInput};
 use haptimill_hil_sim::config::PlantConfig;
-use haptimill_hil_sim::joint::DriveConfig;
+use haptimill_hil_sim::fault::Switch;
+use haptimill_hil_sim::joint::{DriveConfig, JointConfig, SwitchSide};
 use haptimill_hil_sim::plant::Plant;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -89,7 +90,7 @@ const SWITCH: f64 = 1.0;
 const STOP: f64 = 0.01;
 
 /// Checks that a step and a count move the simulated joint as far as the controller computes, that
-/// its home switch is where the controller expects it, and that it can reach its whole stroke.
+/// its switches are those that the controller expects, and that it can reach its whole stroke.
 fn check_scales(
     document: &Document<'_>,
     root: &DeTable<'_>,
@@ -131,30 +132,106 @@ fn check_scales(
             let remedy = "correct lead or counts_per_turn, here or in [[joint]]";
             scale("encoder", "count", read.per_count, truth, remedy);
         }
-        if let (DriveConfig::Steps(drive), Drive::Steps { per_step, .. }) =
-            (&simulated.drive, &joint.drive)
+        if let (
+            DriveConfig::Steps(drive),
+            Drive::Steps {
+                per_step,
+                ticks_per_us,
+                ..
+            },
+        ) = (&simulated.drive, &joint.drive)
         {
+            if drive.ticks_per_us != *ticks_per_us {
+                let what = format!(
+                    "ticks_per_us = {} is not the step clock of the controller, {ticks_per_us}",
+                    drive.ticks_per_us
+                );
+                report("drive: ticks_per_us", what, "write the same number in both");
+            }
             let steps = f64::from(drive.full_steps) * f64::from(drive.microsteps);
             let remedy = "correct lead, full_steps and microsteps here, or lead (gear_ratio) and \
                           steps_per_turn in [[joint]]";
             scale("drive", "step", *per_step, simulated.lead / steps, remedy);
         }
-        if let (Some(switch), Some(home)) = (&simulated.home, joint.home.switch())
-            && home.input == SwitchInput::Home
-        {
-            let expected = f64::from(home.coordinate.0) / per_unit;
-            if (switch.at - expected).abs() > SWITCH {
-                let what = format!(
-                    "the switch is at {} {unit}, the controller expects it at {expected} {unit}",
-                    switch.at
-                );
-                report(
-                    "home",
-                    what,
+        check_switches(simulated, joint, &report);
+    }
+}
+
+/// Checks that the switch that a joint searches is there, where the controller expects it, and that
+/// the lines of the switches have the levels that the controller expects.
+fn check_switches(simulated: &JointConfig, joint: &JointAxis, report: &dyn Fn(&str, String, &str)) {
+    let (unit, per_unit) = (unit(joint.kind), per_unit(joint.kind));
+    let home = simulated.home.as_ref();
+    let below = |is_below: bool| {
+        if is_below {
+            SwitchSide::Below
+        } else {
+            SwitchSide::Above
+        }
+    };
+    // Key, name of the controller's key, place and active side of each switch.
+    let switches = [
+        (SwitchInput::Home, "home", home.map(|it| (it.at, it.active))),
+        (
+            SwitchInput::LimitLow,
+            "limit_low",
+            simulated.limit_low.map(|at| (at, SwitchSide::Below)),
+        ),
+        (
+            SwitchInput::LimitHigh,
+            "limit_high",
+            simulated.limit_high.map(|at| (at, SwitchSide::Above)),
+        ),
+    ];
+    for (input, key, switch) in switches {
+        if let Some(search) = joint.home.switch().filter(|search| search.input == input) {
+            let expected = f64::from(search.coordinate.0) / per_unit;
+            let (what, remedy) = match switch {
+                None => (
+                    format!("is missing; the controller searches it at {expected} {unit}"),
+                    "add it, or correct [joint.switch] of the controller",
+                ),
+                Some((at, _)) if (at - expected).abs() > SWITCH => (
+                    format!(
+                        "the switch is at {at} {unit}, the controller expects it at {expected} \
+                         {unit}"
+                    ),
                     "correct it, or [joint.switch] of the controller",
-                );
+                ),
+                Some((_, side)) if side != below(search.downwards) => (
+                    "the switch is active on the side from which the controller comes".to_string(),
+                    "correct `active`, or `towards` in [joint.switch] of the controller",
+                ),
+                Some(_) => (String::new(), ""),
+            };
+            if !what.is_empty() {
+                report(key, what, remedy);
             }
         }
+        let is_low = |is_low: bool| if is_low { "low" } else { "high" };
+        let [expected, level] = [
+            joint.active_low & input.bit() != 0,
+            simulated.active_low.iter().any(|it| of(*it) == input),
+        ];
+        // The line of a switch that is not there is low.
+        if expected != level && (switch.is_some() || expected) {
+            let what = format!(
+                "the line of {key} is {} while it is active, the controller expects {}",
+                is_low(level),
+                is_low(expected)
+            );
+            let remedy = "correct it, or the level of the switch in [[joint]]";
+            report("active_low", what, remedy);
+        }
+    }
+}
+
+/// The input of the controller to which a simulated switch belongs.
+const fn of(switch: Switch) -> SwitchInput {
+    match switch {
+        Switch::Home => SwitchInput::Home,
+        Switch::LimitLow => SwitchInput::LimitLow,
+        Switch::LimitHigh => SwitchInput::LimitHigh,
     }
 }
 
