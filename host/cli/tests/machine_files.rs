@@ -127,6 +127,20 @@ fn a_fragment_is_named_as_one() {
         "{err}"
     );
     assert!(err.contains("1 problem\n"), "{err}");
+    // Nor does `migrate` take sections that every machine file has for a machine file.
+    let folder = Folder::new("sections");
+    for section in [
+        "[[joint]]\nname = \"x\"",
+        "[planner]\ncorner_tolerance_mm = 0.01",
+    ] {
+        let name = section.trim_matches(['[', ']']).split(']').next().unwrap();
+        folder.write("part.toml", section);
+        let (code, _, err) = folder.run(&["machine", "check", "part.toml"]);
+        assert_eq!(code, 3);
+        assert!(err.contains(&format!("it has [{name}] only")), "{err}");
+        let (code, _, err) = folder.run(&["machine", "migrate", "part.toml"]);
+        assert_eq!(code, 3, "{err}");
+    }
 }
 
 /// The way of a person with a plain mill: template, check, first cut in the simulator.

@@ -47,7 +47,8 @@ pub(super) fn kind(document: &Document<'_>, root: &DeTable<'_>) -> Option<Kind> 
         };
     }
     let has = |key: &str| root.contains_key(key);
-    if has("name") || has("period_us") || REQUIRED.into_iter().any(has) {
+    let sections = REQUIRED.into_iter().filter(|section| has(section)).count();
+    if has("name") || has("period_us") || sections > REQUIRED.len() / 2 {
         return Some(Kind::Machine(1));
     }
     let known = root.keys().map(|key| key.get_ref().as_ref()).filter(|key| {
