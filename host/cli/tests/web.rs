@@ -197,6 +197,8 @@ impl Viewer {
             assert!((one - other).abs() < 0.05, "{column}: {one} {other}");
         };
         near("joint l1 commanded, mm", &self.state["joints"][0]["actual"]);
+        near("homed", &json!(1.0));
+        assert!(columns["drive l1, code"].is_number(), "{columns}");
         // Another process has the truth of its machine.
         if self.state["port"] == "simulator" {
             near("true tool x, mm", &self.state["pose"][0]["actual"]);
@@ -487,6 +489,11 @@ fn a_program_is_uploaded_run_held_and_ends_without_its_viewer() {
     });
     viewer.send(json!({"command": "override", "percent": 50}));
     viewer.wait("override", |viewer| viewer.state["override"] == 50);
+    for (place, of, percent) in [(1, "rapid", 40), (2, "spindle", 80)] {
+        viewer.next();
+        viewer.send(json!({"command": "override", "of": of, "percent": percent}));
+        viewer.wait(of, |viewer| viewer.state["overrides"][place] == percent);
+    }
     viewer.command("run");
     viewer.wait("question", |viewer| viewer.state["question"].is_string());
     viewer.send(json!({"command": "jog", "axis": 17, "up": true, "repeat": false}));

@@ -302,8 +302,10 @@ function showMachine(message) {
   if (grows) view.refit();
 }
 
-// The surface of the stock, coloured by depth.
+// The surface of the stock, coloured by depth, on a block.
 let stock = null;
+// Height of the block below the deepest point, mm.
+const BLOCK_MM = 5;
 function showStock(message) {
   const { columns, rows: count, heights, depths } = message;
   // The surface before the cut.
@@ -316,7 +318,19 @@ function showStock(message) {
         here - columns);
     }
   }
-  stock = Object.assign({ blank, triangles }, message);
+  // The sides: strips from the border of the surface down to the floor.
+  const border = [];
+  for (let k = 0; k < columns; k += 1) border.push(k);
+  for (let k = 1; k < count; k += 1) border.push(k * columns + columns - 1);
+  for (let k = columns - 2; k >= 0; k -= 1) border.push((count - 1) * columns + k);
+  for (let k = count - 2; k > 0; k -= 1) border.push(k * columns);
+  border.forEach((here, k) => {
+    const [floor, end] = [heights.length + k, heights.length + (k + 1) % border.length];
+    const next = border[(k + 1) % border.length];
+    triangles.push(here, floor, next, next, floor, end);
+  });
+  const floor = Math.min(...heights) - BLOCK_MM;
+  stock = Object.assign({ blank, triangles, border, floor }, message);
   drawStock();
 }
 
@@ -330,9 +344,9 @@ function showStockPart(message) {
 
 function drawStock() {
   if (!view) return;
-  const { columns, rows: count, heights, blank, triangles, x, y } = stock;
-  const points = new Float32Array(3 * heights.length);
-  const values = new Float32Array(heights.length);
+  const { columns, rows: count, heights, blank, triangles, border, x, y } = stock;
+  const total = heights.length + border.length;
+  const [points, values] = [new Float32Array(3 * total), new Float32Array(total)];
   let deepest = 0.1;
   heights.forEach((height, k) => {
     points[3 * k] = x[0] + (x[1] - x[0]) * (k % columns) / (columns - 1 || 1);
@@ -340,6 +354,11 @@ function drawStock() {
     points[3 * k + 2] = height;
     values[k] = blank[k] - height;
     deepest = Math.max(deepest, values[k]);
+  });
+  stock.floor = Math.min(stock.floor, ...border.map(k => heights[k]));
+  border.forEach((of, k) => {
+    const at = 3 * (heights.length + k);
+    points.set([points[3 * of], points[3 * of + 1], stock.floor], at);
   });
   view.setLayer({ kind: 'mesh', name: 'stock', opacity: 1, points, triangles, values,
     scale: { label: 'depth of cut, mm', low: 0, high: deepest, map: 'sequential' } });

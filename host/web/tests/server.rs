@@ -290,6 +290,7 @@ fn a_viewer_needs_the_token() {
         let head = upgrade(at, query, &host, &origin).1;
         assert!(head.starts_with("HTTP/1.1 403"), "{query} {head}");
     }
+    served.wait_for_warning("token is wrong");
     let head = upgrade(at, "?token=abcdefghijklmnop", &host, &origin).1;
     assert!(head.starts_with("HTTP/1.1 101"), "{head}");
 }
@@ -413,10 +414,12 @@ fn programs_stay_in_their_folder() {
         viewer.send(upload(name, "M30\n"));
         viewer.wait_for_refusal("program");
     }
+    served.wait_for_warning("../out.ngc");
     viewer.next();
     let long = "G1 X1\n".repeat(haptimill_web::programs::LONGEST / 6 + 1);
     viewer.send(upload("long.ngc", &long));
     viewer.wait_for_refusal("split it");
+    served.wait_for_warning("split it");
     assert_eq!(served.folder.path().read_dir().unwrap().count(), 0);
     viewer.next();
     viewer.send(upload("part.ngc", "G1 X8\n"));

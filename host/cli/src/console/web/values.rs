@@ -210,9 +210,20 @@ pub(super) fn columns(view: &ViewModel, names: &IoNames, truth: Option<&GroundTr
             columns.insert(format!("true force {name}, N"), json!(newtons));
         }
     }
-    for (axis, drive) in view.static_info.joints.iter().zip(&now.drive) {
-        columns.insert(format!("drive {}", axis.name), json!(drive));
+    let drives = view
+        .static_info
+        .joints
+        .iter()
+        .zip(&view.static_info.analogue);
+    for ((axis, analogue), drive) in drives.zip(&now.drive) {
+        // A converter code, or the steps of a control period.
+        let unit = if *analogue { "code" } else { "steps" };
+        columns.insert(format!("drive {}, {unit}", axis.name), json!(drive));
     }
+    for (column, is_set) in [("homed", now.homed), ("position kept", now.position_kept)] {
+        columns.insert(column.to_string(), json!(u8::from(is_set)));
+    }
+    columns.insert("state".to_string(), json!(now.state.number()));
     let rate = f64::from(now.path_rate) / f64::from(FULL_PATH_RATE) * 100.0;
     columns.insert("path rate, %".to_string(), json!(rate));
     columns.insert(
