@@ -135,6 +135,8 @@ fn a_run_without_force_says_nothing_about_it() {
 fn an_empty_program_says_that_it_only_homes() {
     let folder = TestFolder::new();
     let program = folder.file("empty.ngc", "M30\n");
+    let ran = haptimill(&["run", &program, "--check"]).expect_code(0);
+    assert!(ran.out.contains("no motion; a run homes"), "{}", ran.out);
     let out = folder.path("out");
     let ran = haptimill(&["run", &program, "--out", &out]).expect_code(0);
     assert!(

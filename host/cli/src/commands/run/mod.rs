@@ -305,6 +305,10 @@ fn print_check(args: &RunArgs, program: &PartProgram, checked: &Checked) {
     for notice in &checked.notices {
         args.print_message(notice);
     }
+    if figures.blocks == 0 {
+        let name = &program.name;
+        args.print_message(&format!("{name}: no motion; a run homes the machine only"));
+    }
     args.print_message(&format!(
         "{}: no problem; {}, {:.1} mm, {}",
         program.name,
