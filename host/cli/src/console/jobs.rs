@@ -349,10 +349,10 @@ impl App {
                     self.confirm(Confirm::Run(text, notices));
                 }
                 Ok(Err(error)) => {
-                    // A file that was refused is not offered; another one before it still is.
-                    if self.jobs.path.as_ref() == Some(&path) {
-                        (self.jobs.path, self.jobs.checked) = (None, None);
-                    }
+                    // Neither the file that was refused nor the one before it is offered.
+                    (self.jobs.path, self.jobs.checked) = (None, None);
+                    let first = error.message.lines().next().unwrap_or_default();
+                    self.notify(Severity::Error, format!("refused: {first}"));
                     self.overlay = Overlay::Problems {
                         lines: error.message.lines().map(ToString::to_string).collect(),
                         from: 0,
