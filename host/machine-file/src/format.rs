@@ -47,8 +47,8 @@ pub(super) fn kind(document: &Document<'_>, root: &DeTable<'_>) -> Option<Kind> 
         };
     }
     let has = |key: &str| root.contains_key(key);
-    let sections = REQUIRED.into_iter().filter(|section| has(section)).count();
-    if has("name") || has("period_us") || sections > REQUIRED.len() / 2 {
+    let required = REQUIRED.into_iter().filter(|section| has(section)).count();
+    if has("name") || has("period_us") || required > REQUIRED.len() / 2 {
         return Some(Kind::Machine(1));
     }
     let known = root.keys().map(|key| key.get_ref().as_ref()).filter(|key| {
