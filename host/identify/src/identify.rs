@@ -135,8 +135,9 @@ pub const fn acceleration_unit(kind: AxisKind) -> f64 {
 /// Inertia of the machine file, kg or kg m^2.
 #[must_use]
 pub fn inertia_of(machine: &MachineFile, joint: usize) -> f64 {
-    let one = scale::inertia(1000.0, machine.joints[joint].kind);
-    f64::from(machine.config.joints[joint].law.inertia) * 1000.0 / f64::from(one)
+    // Within the range of the units of every kind of axis.
+    let hundred = scale::inertia(100.0, machine.joints[joint].kind);
+    f64::from(machine.config.joints[joint].law.inertia) * 100.0 / f64::from(hundred)
 }
 
 /// Joints that are measured: those with a torque drive and an encoder.

@@ -45,7 +45,7 @@ pub const UNSEEN: f64 = 1.25;
 pub const UNSEEN_DAMPING: f64 = 0.02;
 
 /// Ratio by which a mode must lower the sum of the weighted squares, or it is none.
-const GAIN: f64 = 4.0;
+const GAIN: f64 = 2.5;
 /// Largest damping ratio of a mode.
 const MOST_DAMPING: f64 = 0.3;
 /// Smallest and largest share of the motor in a mode: beyond them peak and notch coincide.
