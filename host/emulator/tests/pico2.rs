@@ -140,8 +140,8 @@ fn a_stop_that_one_joint_does_not_see_stops_all() {
     text = text.replacen("pulse_ns = 400.0", "pulse_ns = 200.0", 2);
     let machine = MachineFile::parse("five.toml", &text).unwrap_or_else(|error| panic!("{error}"));
     let mut session = enabled(&machine);
-    let mut found = [0; 2];
-    for after_edge in [4, 40, 70] {
+    // Three joints are in their pulse at the first moment, and none at the second.
+    for after_edge in [40, 70] {
         let _homing = Homing::start(&mut session);
         reach_full_rate(&mut session);
         let board = session.line_mut();
@@ -159,27 +159,21 @@ fn a_stop_that_one_joint_does_not_see_stops_all() {
         }
         let board = session.line_mut();
         let last = board.periods.last().expect("control periods");
-        let is_seen = last.inputs.emergency_stop;
-        found[usize::from(is_seen)] += 1;
+        assert!(
+            last.inputs.emergency_stop,
+            "{after_edge} cycles after an edge"
+        );
         let counted = last.inputs.axes[..JOINTS].iter();
         let counted: Vec<i64> = counted.map(|axis| axis.steps.into()).collect();
         assert_eq!(counted, board.steps, "{after_edge} cycles after an edge");
-        if is_seen {
-            // The control period in which it was, and the one that finds it.
-            assert!(late <= 2 * 30_000, "{late} cycles");
-        }
+        // The control period in which it was, and the one that finds it.
+        assert!(late <= 2 * 30_000, "{late} cycles");
         for _ in 0..400 {
             session.step().expect("the line works");
         }
-        if is_seen {
-            session.ask(Command::Reset).expect("the stop is over");
-            session.enable().expect("the drives are ready");
-        } else {
-            session.ask(Command::Stop).expect("the joints stop");
-        }
+        session.ask(Command::Reset).expect("the stop is over");
+        session.enable().expect("the drives are ready");
     }
-    println!("{found:?} stops were missed, and seen");
-    assert!(found[1] > 0);
 }
 
 /// Opens the emergency stop at these moments before an edge; the most cycles from the pin to the
