@@ -119,7 +119,8 @@ joint_steps "plant.joint.drive.steps" "A step motor with its drive." {
     damping = real(0.0, 1e6, "N per mm/s").is("damping by the drive").or(0.0)
         .rotary("damping", real(0.0, 1e6, "N m per deg/s"));
     reversed = flag().is("a positive step moves downwards").or_text("false");
-    ticks_per_us = whole(1, 1000, "ticks/us").is("step clock of the board");
+    ticks_per_us = whole(1, 1000, "ticks/us").is("step clock of the board")
+        .bounded("that of the joint of the controller");
     pulse_ns = real(0.0, 1e6, "ns").is("width of the pulses of the board");
     min_high_ns = real(0.0, 1e6, "ns").is("shortest pulse that the drive detects");
     min_low_ns = real(0.0, 1e6, "ns").is("shortest pause between two pulses");
