@@ -352,7 +352,7 @@ impl App {
                     // Neither the file that was refused nor the one before it is offered.
                     (self.jobs.path, self.jobs.checked) = (None, None);
                     let first = error.message.lines().next().unwrap_or_default();
-                    self.notify(Severity::Error, format!("refused: {first}"));
+                    self.notify(Severity::Warning, format!("refused: {first}"));
                     self.overlay = Overlay::Problems {
                         lines: error.message.lines().map(ToString::to_string).collect(),
                         from: 0,
