@@ -110,8 +110,8 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         Command::VirtualFixture {
             axis,
             upper,
-            fixture: wall,
-        } => haptics::set_wall(core, axis, upper, wall),
+            fixture,
+        } => haptics::set_fixture(core, axis, upper, fixture),
         Command::PositionScale { scale } => haptics::set_position_scale(core, scale),
         Command::MasterTelemetry { every } => {
             server.streams().set(Stream::Haptic, every);

@@ -57,8 +57,7 @@ pub struct ForceSample {
     pub overload: bool,
 }
 
-/// Legs of the haptic arm.
-pub const LEGS: usize = 3;
+pub use haptimill_kinematics::haptic_arm::LEGS;
 
 /// Inputs of one leg of the haptic arm, latched at the start of the period (docs/control.md 2.2).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

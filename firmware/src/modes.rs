@@ -8,7 +8,7 @@ use crate::machine::Machine;
 use crate::machine::masters::Leading;
 use crate::motion::Mode;
 use crate::motion::interpolator::Progress;
-use crate::safety::homing::{Outcome, Searched};
+use crate::safety::homing::{HomingProgress, Searched};
 use haptimill_protocol::message::{Action, Event, Fault, Refusal, State};
 
 /// One period of the present state.
@@ -165,9 +165,9 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
         .homing
         .advance(&searched, &pose, &mut machine.motion.jog, limited)
     {
-        Outcome::Searching => {}
-        Outcome::Failed(fault) => core.safety.raise(fault),
-        Outcome::Found(corrections) => match machine.apply_homing(&corrections, inputs) {
+        HomingProgress::Searching => {}
+        HomingProgress::Failed(fault) => core.safety.raise(fault),
+        HomingProgress::Found(corrections) => match machine.apply_homing(&corrections, inputs) {
             Ok(()) => {
                 for event in machine.homing_events() {
                     core.safety.push_event(event);

@@ -2,7 +2,7 @@
 //! changes at run time.
 
 use haptimill_firmware::force::admittance::{
-    AdmittanceAxis, AdmittanceLaw, DrivingForce, Yielding,
+    AdmittanceAxis, AdmittanceLaw, Compliance, DrivingForce,
 };
 use haptimill_firmware::force::zero_order_hold::{FINENESS, ZeroOrderHold, sound};
 use haptimill_firmware::force::{EnableCondition, ForceParameter, LoopSettings};
@@ -194,7 +194,7 @@ proptest! {
             AdmittanceLaw::new(&settings, 200, DELAY_US, RANGE).expect("sound")
         };
         let mut compliance = AdmittanceAxis::new(make(before, 10.0));
-        let mut last = Yielding::default();
+        let mut last = Compliance::default();
         for _ in 0..periods {
             last = compliance.advance(&push(force, 0.0));
         }
@@ -260,7 +260,7 @@ fn integral_of_force_error_matches_the_equation() {
         )
         .expect("sound"),
     );
-    let (mut impulse, mut now) = (0.0, Yielding::default());
+    let (mut impulse, mut now) = (0.0, Compliance::default());
     for k in 0..25_000 {
         let force = 8.0 + 2.0 * libm::sin(f64::from(k) * 0.002);
         now = compliance.advance(&push(force, 0.0));
@@ -286,7 +286,7 @@ fn accelerations_are_derivatives_of_rates() {
         )
         .expect("sound"),
     );
-    let mut last = Yielding::default();
+    let mut last = Compliance::default();
     for k in 0..4000 {
         let now = compliance.advance(&push(-12.0 - 4.0 * libm::sin(f64::from(k) * 0.01), 0.0));
         let gained = f64::from(now.rate.0 - last.rate.0) / MM / 200e-6;

@@ -6,7 +6,7 @@
 
 mod contact;
 
-use contact::{Contact, DESIRED, Drive, Outcome, run};
+use contact::{Contact, ContactResult, DESIRED, Drive, run};
 use haptimill_firmware::force::stability::Sign;
 
 /// Resolution of the encoders at the tool, mm.
@@ -15,11 +15,11 @@ const STIFFNESSES: [f64; 11] = [
     10.0, 20.0, 50.0, 100.0, 150.0, 200.0, 300.0, 420.0, 600.0, 800.0, 1000.0,
 ];
 
-fn quiet(contact: &Contact) -> Outcome {
+fn quiet(contact: &Contact) -> ContactResult {
     run(contact, |_, _, _, _| ())
 }
 
-/// The largest swing that counts as holding.
+/// The largest oscillation that counts as holding.
 fn bearable(stiffness: f64) -> f64 {
     (2.0 * COUNT * stiffness).max(0.2)
 }
@@ -50,7 +50,7 @@ fn found_limit(make: impl Fn(f64) -> Contact) -> f64 {
             approach: 1.0,
             ..make(middle)
         });
-        if outcome.swing > bearable(middle) {
+        if outcome.oscillation > bearable(middle) {
             high = middle
         } else {
             low = middle
@@ -147,7 +147,8 @@ fn monitor_stabilises_contacts_up_to_1000_n_mm() {
     for drive in [Drive::Rigid, Drive::Servo, Drive::Lag { omega: 200.0 }] {
         for count in [0.0, COUNT] {
             for stiction in [0.0, 0.002, 0.005] {
-                let (mut worst_swing, mut worst_mean, mut worst_first) = (0.0f64, 0.0f64, 0.0f64);
+                let (mut worst_oscillation, mut worst_mean, mut worst_first) =
+                    (0.0f64, 0.0f64, 0.0f64);
                 for stiffness in STIFFNESSES {
                     for approach in [0.2, 1.0, 4.0] {
                         let contact = Contact {
@@ -160,7 +161,7 @@ fn monitor_stabilises_contacts_up_to_1000_n_mm() {
                         let outcome = quiet(&contact);
                         let first = DESIRED + 1.2 * (5.0 * approach + approach * stiffness.sqrt());
                         assert!(
-                            outcome.swing <= bearable(stiffness),
+                            outcome.oscillation <= bearable(stiffness),
                             "{contact:?} {outcome:?}"
                         );
                         assert!(
@@ -172,14 +173,15 @@ fn monitor_stabilises_contacts_up_to_1000_n_mm() {
                             stiction > 0.0 || (outcome.mean - DESIRED).abs() <= 0.25,
                             "{contact:?} {outcome:?}"
                         );
-                        worst_swing = worst_swing.max(outcome.swing / bearable(stiffness));
+                        worst_oscillation =
+                            worst_oscillation.max(outcome.oscillation / bearable(stiffness));
                         worst_mean = worst_mean.max((outcome.mean - DESIRED).abs());
                         worst_first = worst_first
                             .max((outcome.first_peak - DESIRED) / (first - DESIRED) * 1.2);
                     }
                 }
                 println!(
-                    "{drive:?}, counts {count} mm, friction +-{stiction} mm: swing {worst_swing:.2} of what is allowed, |mean - f_d| {worst_mean:.3} N, first peak f_d + {worst_first:.2} (K_V v + v sqrt(K_A k))"
+                    "{drive:?}, counts {count} mm, friction +-{stiction} mm: oscillation {worst_oscillation:.2} of what is allowed, |mean - f_d| {worst_mean:.3} N, first peak f_d + {worst_first:.2} (K_V v + v sqrt(K_A k))"
                 );
             }
         }
@@ -197,7 +199,7 @@ fn limits_with_monitor_exceed_1000_n_mm() {
                 approach: 0.5,
                 ..Contact::new(stiffness)
             };
-            quiet(&contact).swing <= bearable(stiffness)
+            quiet(&contact).oscillation <= bearable(stiffness)
         };
         let mut limit = 500.0;
         while limit < 8000.0 && holds(limit * 1.05) {
@@ -231,10 +233,13 @@ fn same_contacts_oscillate_without_monitor() {
                 }),
             );
             println!(
-                "{drive:?}, counts {count} mm, {stiffness} N/mm: swing {:.1} N without, {:.2} N with the guard (level {})",
-                without.swing, with.swing, with.level
+                "{drive:?}, counts {count} mm, {stiffness} N/mm: oscillation {:.1} N without, {:.2} N with the guard (level {})",
+                without.oscillation, with.oscillation, with.level
             );
-            assert!(without.swing > 3.0 * bearable(stiffness) && with.swing <= bearable(stiffness));
+            assert!(
+                without.oscillation > 3.0 * bearable(stiffness)
+                    && with.oscillation <= bearable(stiffness)
+            );
         }
     }
 }
@@ -256,7 +261,8 @@ fn other_gains_are_stable() {
             };
             let outcome = quiet(&contact);
             assert!(
-                outcome.swing <= bearable(stiffness) && (outcome.mean - DESIRED).abs() <= 0.25,
+                outcome.oscillation <= bearable(stiffness)
+                    && (outcome.mean - DESIRED).abs() <= 0.25,
                 "{contact:?} {outcome:?}"
             );
             assert!(
@@ -287,7 +293,7 @@ fn steady_push_force_matches_the_equation() {
                 "{contact:?} {outcome:?} {steady}"
             );
             assert!(
-                outcome.swing <= 2.0 * bearable(stiffness),
+                outcome.oscillation <= 2.0 * bearable(stiffness),
                 "{contact:?} {outcome:?}"
             );
         }
@@ -315,7 +321,7 @@ fn mean_force_is_the_force_setpoint() {
             };
             let outcome = quiet(&contact);
             assert!(
-                outcome.swing <= bearable(stiffness),
+                outcome.oscillation <= bearable(stiffness),
                 "{contact:?} {outcome:?}"
             );
             let off = (outcome.mean - DESIRED).abs();

@@ -1,5 +1,5 @@
-//! Feedback law, virtual walls, passivity observer, and master-to-tool mapping, each alone, against
-//! docs/control.md 2.1 and 3.4-3.5.
+//! Feedback law, virtual fixtures, passivity observer, and master-to-tool mapping, each alone,
+//! against docs/control.md 2.1 and 3.4-3.5.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
@@ -10,9 +10,9 @@ mod arm;
 use arm::{M, Sequence, apply, rotation, times, transposed};
 use haptimill_firmware::haptics::feedback_filter::{FeedbackFilter, SLOW_US};
 use haptimill_firmware::haptics::feedback_law::FeedbackLaw;
-use haptimill_firmware::haptics::mapping::{Frame, MasterMapping};
+use haptimill_firmware::haptics::fixture::{FixtureConfig, VirtualFixtures};
+use haptimill_firmware::haptics::mapping::{HandleFrame, MasterMapping};
 use haptimill_firmware::haptics::passivity::{COUNTED, Passivity, PassivityConfig, WHOLE};
-use haptimill_firmware::haptics::walls::{WallConfig, Walls};
 use haptimill_math::force::Force;
 use haptimill_math::trig::sin_cos;
 use haptimill_math::{Angle, Coordinate, Length, Rate};
@@ -27,13 +27,13 @@ fn force(newtons: f64) -> Force {
     Force((newtons * NEWTON) as i32)
 }
 
-fn settings(percent: [u8; 3], most: [f64; 3], boost: f64) -> ForceFeedback {
+fn settings(percent: [u8; 3], most: [f64; 3], damping: f64) -> ForceFeedback {
     ForceFeedback {
         axes: core::array::from_fn(|axis| ForceFeedbackAxis {
             percent: percent[axis],
             limit: force(most[axis]).0,
         }),
-        damping: (boost * NEWTON) as u16,
+        damping: (damping * NEWTON) as u16,
         damping_below: force(2.0).0,
     }
 }
@@ -45,11 +45,11 @@ proptest! {
     #[test]
     fn force_share_keeps_sign_and_limit(forces: [i32; 3], percent in prop::array::uniform3(0_u8..=100), most in prop::array::uniform3(0.0_f64..10.0)) {
         let mut law = FeedbackLaw::new(&settings(percent, most, 0.0), 200);
-        let felt = law.reflect(&forces.map(Force), &[Rate(0); 3]);
+        let feedback = law.feedback(&forces.map(Force), &[Rate(0); 3]);
         for axis in 0..3 {
             let want = (f64::from(forces[axis]) * f64::from(percent[axis]) / 100.0).abs().min(most[axis] * NEWTON);
             let want = want.copysign(f64::from(forces[axis]));
-            prop_assert!((f64::from(felt[axis].0) - want).abs() <= 2.0 + want.abs() * 1e-6, "{} {want}", felt[axis].0);
+            prop_assert!((f64::from(feedback[axis].0) - want).abs() <= 2.0 + want.abs() * 1e-6, "{} {want}", feedback[axis].0);
         }
     }
 
@@ -57,12 +57,12 @@ proptest! {
     /// term has no step, neither in the force nor in the rate.
     #[test]
     fn nothing_steps(
-        newtons in -20.0_f64..20.0, rate in -25.0_f64..25.0, percents in prop::array::uniform2(1_u8..=100), most in 0.5_f64..8.0, boosts in prop::array::uniform2(0.0_f64..0.12),
+        newtons in -20.0_f64..20.0, rate in -25.0_f64..25.0, percents in prop::array::uniform2(1_u8..=100), most in 0.5_f64..8.0, dampings in prop::array::uniform2(0.0_f64..0.12),
     ) {
-        let mut law = FeedbackLaw::new(&settings([percents[0]; 3], [most; 3], boosts[0]), 200);
-        let at = |law: &mut FeedbackLaw, newtons: f64, rate: f64| law.reflect(&[force(newtons); 3], &[Rate((rate * MM) as i32); 3])[0].0;
+        let mut law = FeedbackLaw::new(&settings([percents[0]; 3], [most; 3], dampings[0]), 200);
+        let at = |law: &mut FeedbackLaw, newtons: f64, rate: f64| law.feedback(&[force(newtons); 3], &[Rate((rate * MM) as i32); 3])[0].0;
         let mut before = at(&mut law, newtons, rate);
-        law.set(&settings([percents[1]; 3], [most; 3], boosts[1]));
+        law.set(&settings([percents[1]; 3], [most; 3], dampings[1]));
         for _ in 0..6000 {
             let now = at(&mut law, newtons, rate);
             // The whole range in a second: 2e-4 of 20 N and of 25 mm/s, by the slope of the fade.
@@ -71,7 +71,7 @@ proptest! {
         }
         // Settled: two forces that differ by a millinewton, with up to 0.12 N s/mm * 25 mm/s over
         // 0.5 N of fade.
-        let slope = 1.0 + boosts[1] * rate.abs() / 0.5;
+        let slope = 1.0 + dampings[1] * rate.abs() / 0.5;
         let (low, high) = (at(&mut law, newtons, rate), at(&mut law, newtons + 0.001, rate));
         prop_assert!(f64::from((high - low).abs()) <= slope * 0.001 * NEWTON + 3.0);
     }
@@ -86,17 +86,17 @@ proptest! {
         let (tool, rates) = (tool.map(Force), rates.map(Rate));
         let mut law = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200);
         let mut last = *law.settings();
-        for (percent, most, boost, below, hold) in changes {
-            last = ForceFeedback { damping_below: force(below).0, ..settings(percent, most, boost) };
+        for (percent, most, damping, below, hold) in changes {
+            last = ForceFeedback { damping_below: force(below).0, ..settings(percent, most, damping) };
             law.set(&last);
             for _ in 0..hold {
-                law.reflect(&tool, &rates);
+                law.feedback(&tool, &rates);
             }
         }
         for _ in 0..5002 {
-            law.reflect(&tool, &rates);
+            law.feedback(&tool, &rates);
         }
-        prop_assert_eq!(law.reflect(&tool, &rates), FeedbackLaw::new(&last, 200).reflect(&tool, &rates));
+        prop_assert_eq!(law.feedback(&tool, &rates), FeedbackLaw::new(&last, 200).feedback(&tool, &rates));
         for axis in 0..3 {
             prop_assert_eq!(law.most(axis), Force(last.axes[axis].limit));
         }
@@ -106,9 +106,9 @@ proptest! {
     #[test]
     fn velocity_damping_opposes_the_motion(newtons in -8.0_f64..8.0, rate in -60.0_f64..60.0) {
         let rates = [Rate((rate * MM) as i32); 3];
-        let [plain, ..] = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.0), 200).reflect(&[force(newtons); 3], &rates);
-        let [boosted, ..] = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200).reflect(&[force(newtons); 3], &rates);
-        let extra = f64::from(boosted.0 - plain.0) / NEWTON;
+        let [plain, ..] = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.0), 200).feedback(&[force(newtons); 3], &rates);
+        let [damped, ..] = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200).feedback(&[force(newtons); 3], &rates);
+        let extra = f64::from(damped.0 - plain.0) / NEWTON;
         prop_assert!(extra * rate <= 1e-4 && extra.abs() <= 0.1 * rate.abs() + 1e-3);
         if (newtons * 0.4).abs() < 1.5 && rate.abs() < 12.0 {
             prop_assert!((extra + 0.1 * rate).abs() < 1e-3);
@@ -122,23 +122,23 @@ proptest! {
     /// by its own force and no more. The damping never adds along the
     /// motion; where it does not fit, the whole limit opposes the motion.
     #[test]
-    fn feedback_and_damping_share_one_limit(tool: [i32; 3], damping: i32, wall in -10.0_f64..10.0, most in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
+    fn feedback_and_damping_share_one_limit(tool: [i32; 3], damping: i32, fixture in -10.0_f64..10.0, most in prop::array::uniform3(0.0_f64..10.0), rates: [i32; 3]) {
         let mut law = FeedbackLaw::new(&settings([100; 3], most, 0.1), 200);
-        let felt = law.reflect(&tool.map(Force), &rates.map(Rate));
+        let feedback = law.feedback(&tool.map(Force), &rates.map(Rate));
         for axis in 0..3 {
-            let (limit, wall) = (law.most(axis).0, force(wall));
+            let (limit, fixture) = (law.most(axis).0, force(fixture));
             prop_assert_eq!(limit, force(most[axis]).0);
-            prop_assert!(felt[axis].0.abs() <= limit);
-            let alone = law.together(axis, felt[axis], Force(damping), Force(0)).0;
+            prop_assert!(feedback[axis].0.abs() <= limit);
+            let alone = law.combine(axis, feedback[axis], Force(damping), Force(0)).0;
             prop_assert!(alone.abs() <= limit);
-            let all = law.together(axis, felt[axis], Force(damping), wall).0;
-            prop_assert!(all <= limit + wall.0.max(0) && all >= -limit + wall.0.min(0));
-            let without = law.together(axis, felt[axis], Force(0), wall).0;
-            prop_assert_eq!(without, felt[axis].0 + wall.0);
+            let all = law.combine(axis, feedback[axis], Force(damping), fixture).0;
+            prop_assert!(all <= limit + fixture.0.max(0) && all >= -limit + fixture.0.min(0));
+            let without = law.combine(axis, feedback[axis], Force(0), fixture).0;
+            prop_assert_eq!(without, feedback[axis].0 + fixture.0);
             // Against a motion upwards the damping is downwards, and the sum not above what it was.
             if damping <= 0 {
                 prop_assert!(all <= without);
-                prop_assert!(i64::from(all) == i64::from(without) + i64::from(damping) || all == -limit + wall.0.min(0));
+                prop_assert!(i64::from(all) == i64::from(without) + i64::from(damping) || all == -limit + fixture.0.min(0));
             }
         }
     }
@@ -164,26 +164,26 @@ proptest! {
         }
     }
 
-    /// Into a wall and out again: it gives back no more than was put in, and says at any time how
-    /// much that is.
+    /// Into a fixture and out again: it gives back no more than was put in, and says at any time
+    /// how much that is.
     #[test]
-    fn virtual_wall_returns_no_more_energy_than_stored(stiffness in 0.05_f64..2.0, most in 0.5_f64..10.0, depth in 0.0_f64..40.0) {
-        let config = WallConfig { stiffness: (stiffness * NEWTON) as u32, most: force(most) };
-        let mut walls = Walls::new(&config, Length::millimetres(5), 200);
-        walls.set(1, true, Some((Length::millimetres(3), Rate(0)))).unwrap();
+    fn virtual_fixture_returns_no_more_energy_than_stored(stiffness in 0.05_f64..2.0, most in 0.5_f64..10.0, depth in 0.0_f64..40.0) {
+        let config = FixtureConfig { stiffness: (stiffness * NEWTON) as u32, most: force(most) };
+        let mut fixtures = VirtualFixtures::new(&config, Length::millimetres(5), 200);
+        fixtures.set(1, true, Some((Length::millimetres(3), Rate(0)))).unwrap();
         let steps = 4000;
         let mut put = 0.0;
         let mut at = 0.0;
         for k in 0..=2 * steps {
             let part = 1.0 - (f64::from(k) / f64::from(steps) - 1.0).abs();
             let next = 3.0 + depth * part;
-            let [x, push, z] = walls.push(&[0, (next * MM) as i32, 0]);
+            let [x, push, z] = fixtures.push(&[0, (next * MM) as i32, 0]);
             prop_assert!(x.0 == 0 && z.0 == 0 && push.0 <= 0);
             let want = (stiffness * depth * part).min(most);
             prop_assert!((f64::from(-push.0) / NEWTON - want).abs() < 2e-3, "{} {want}", push.0);
             put -= f64::from(push.0) / NEWTON * (next - if k == 0 { 3.0 } else { at });
             at = next;
-            let stored = walls.stored() as f64 / NEWTON / MM;
+            let stored = fixtures.stored() as f64 / NEWTON / MM;
             prop_assert!((put - stored).abs() < 0.01 * most * (depth + 1.0), "{put} {stored}");
         }
     }
@@ -198,7 +198,7 @@ proptest! {
             rotation(axis, sequence.between(0.0, most))
         };
         let (first, then) = (random(&mut sequence, 3.0), random(&mut sequence, 0.6));
-        let frame = |m: M, tip: [f64; 3]| Frame {
+        let frame = |m: M, tip: [f64; 3]| HandleFrame {
             tip: tip.map(|x| (x * MM) as i32),
             axes: transposed(m).map(|column| column.map(|x| libm::round(x * f64::from(1 << 30)) as i32)),
             engaged: true,
@@ -235,9 +235,9 @@ proptest! {
     fn any_master_sample_is_accepted(tip: [i32; 3], rate: [i32; 3], axes: [[i16; 3]; 2], age: u32, scale in 410_u16..8192, rest: i32) {
         let master = MasterPose { tip, rate, axes, engaged: true };
         let mut lead = MasterMapping::new(scale);
-        lead.follow(&Frame::of(&master, age, 5000), 0b11111, |_| Coordinate(rest));
+        lead.follow(&HandleFrame::of(&master, age, 5000), 0b11111, |_| Coordinate(rest));
         let other = MasterPose { tip: tip.map(|x| !x), ..master };
-        lead.follow(&Frame::of(&other, age, 5000), 0b11111, |_| Coordinate(rest));
+        lead.follow(&HandleFrame::of(&other, age, 5000), 0b11111, |_| Coordinate(rest));
     }
 
     /// No force, displacement or rate overflows the observer; its energy stays within its limits.
@@ -260,8 +260,8 @@ proptest! {
 fn force_limits_of_the_experiments() {
     let mut law = FeedbackLaw::new(&settings([40, 10, 20], [3.2, 3.2, 1.2], 0.0), 200);
     let mut render = |x: f64, y: f64, z: f64| {
-        law.reflect(&[force(x), force(y), force(z)], &[Rate(0); 3])
-            .map(|felt| (f64::from(felt.0) / NEWTON * 1e3).round() / 1e3)
+        law.feedback(&[force(x), force(y), force(z)], &[Rate(0); 3])
+            .map(|feedback| (f64::from(feedback.0) / NEWTON * 1e3).round() / 1e3)
     };
     assert_eq!(render(10.0, -7.0, 7.0), [3.2, -0.7, 1.2]);
     assert_eq!(render(7.9, 0.0, 5.9), [3.16, 0.0, 1.18]);
@@ -269,8 +269,8 @@ fn force_limits_of_the_experiments() {
     // The damping term of E10: 12 mm/s are 1.2 N.
     let mut law = FeedbackLaw::new(&settings([40; 3], [3.2; 3], 0.1), 200);
     let rates = [Rate((-12.0 * MM) as i32), Rate(0), Rate(0)];
-    let [felt, ..] = law.reflect(&[force(2.5), force(0.0), force(0.0)], &rates);
-    assert!((f64::from(felt.0) / NEWTON - 2.2).abs() < 1e-3);
+    let [feedback, ..] = law.feedback(&[force(2.5), force(0.0), force(0.0)], &rates);
+    assert!((f64::from(feedback.0) / NEWTON - 2.2).abs() < 1e-3);
 }
 
 /// Free motion, or motion against a force, is never damped; motion driven by the arm is.

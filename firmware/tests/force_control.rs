@@ -2,7 +2,7 @@
 //! leaving a stiff contact, changes at run time, spindle speeds.
 
 use haptimill_checks::reference;
-use haptimill_firmware::force::sensor::{Channel, ForceProblem, ForceSample, Sensor};
+use haptimill_firmware::force::sensor::{Channel, ForceProblem, ForceSample, ForceSensor};
 use haptimill_firmware::force::{
     EnableCondition, ForceConfig, ForceControl, ForceParameter, LoopSettings,
 };
@@ -35,7 +35,7 @@ fn config(sign: f64, loops: &LoopSettings) -> ForceConfig {
     };
     let force = reference::force();
     ForceConfig {
-        sensor: Sensor {
+        sensor: ForceSensor {
             channels: [channel(), channel(), channel()],
             ..force.sensor
         },
@@ -484,8 +484,8 @@ proptest! {
                 if k % 7 == 3 {
                     control.roll_back();
                 }
-                for yielding in control.yielding() {
-                    prop_assert!(yielding.displacement.0.abs() <= 10 << 40);
+                for compliance in control.compliance() {
+                    prop_assert!(compliance.displacement.0.abs() <= 10 << 40);
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! Force sensor conditioning: scale and sign, tare, and every fault check.
 
 use haptimill_firmware::force::sensor::{
-    Channel, Conditioner, ForceProblem, ForceSample, Sensor, TareRefusal,
+    Channel, Conditioner, ForceProblem, ForceSample, ForceSensor, TareRefusal,
 };
 use haptimill_math::Angle;
 use haptimill_math::force::Force;
@@ -12,12 +12,12 @@ const NEWTON: f64 = 65_536.0;
 /// 10 N/V, 20 V over 14 bits.
 const PER_CODE: f64 = 200.0 / 16_384.0;
 
-fn sensor() -> Sensor {
+fn sensor() -> ForceSensor {
     let channel = |sign: f64| Channel {
         per_code: (sign * PER_CODE * f64::exp2(32.0)) as i32,
         saturation: 7782,
     };
-    Sensor {
+    ForceSensor {
         channels: [channel(-1.0), channel(-1.0), channel(1.0)],
         silent_samples: 3,
         stuck_samples: 500,
@@ -36,7 +36,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn new(sensor: &Sensor) -> Self {
+    fn new(sensor: &ForceSensor) -> Self {
         assert!(sensor.is_sound());
         Self {
             conditioner: Conditioner::new(sensor),
@@ -175,11 +175,11 @@ fn short_dropout_is_tolerated_long_one_reported() {
         overload: false,
     };
     let forces = *bench.conditioner.forces();
-    let told: Vec<_> = (0..5)
+    let reported: Vec<_> = (0..5)
         .map(|_| bench.conditioner.take(&stale, false))
         .collect();
     assert_eq!(
-        told,
+        reported,
         [
             None,
             None,
@@ -197,9 +197,9 @@ fn saturation_and_amplifier_alarm_are_reported() {
     let mut bench = Bench::new(&sensor());
     assert_eq!(bench.codes([0, 8191, 0], false), None);
     assert_eq!(bench.codes([0, 100, 0], false), None);
-    let told: Vec<_> = (0..3).map(|_| bench.codes([0, 7782, 0], false)).collect();
+    let reported: Vec<_> = (0..3).map(|_| bench.codes([0, 7782, 0], false)).collect();
     assert_eq!(
-        told,
+        reported,
         [None, None, Some(ForceProblem::Overload { component: 1 })]
     );
     let sample = ForceSample {
@@ -228,7 +228,7 @@ fn stuck_channel_is_reported_noise_is_not() {
     }
     // 0.61^n = 1e-6: n = 28; 40 is beyond by far.
     assert!((10..40).contains(&longest), "{longest}");
-    let told = (0..501)
+    let reported = (0..501)
         .filter_map(|k| {
             bench.codes(
                 [
@@ -240,7 +240,7 @@ fn stuck_channel_is_reported_noise_is_not() {
             )
         })
         .last();
-    assert_eq!(told, Some(ForceProblem::Stuck { component: 2 }));
+    assert_eq!(reported, Some(ForceProblem::Stuck { component: 2 }));
 }
 
 #[test]
@@ -249,11 +249,11 @@ fn drift_is_reported_only_without_contact() {
     bench.tare([0.0; 3]);
     // 2 N a minute of one channel: 0.3 N after 9 s.
     let drift = |sample: f64| 2.0 / 60.0 * 200e-6 * sample / PER_CODE;
-    let mut told = None;
+    let mut reported = None;
     for k in 0..100_000 {
         let seen = bench.quiet([0.0, drift(f64::from(k)), 0.0], true);
         if seen.is_some() {
-            told = Some((k, seen));
+            reported = Some((k, seen));
             break;
         }
     }
@@ -263,9 +263,9 @@ fn drift_is_reported_only_without_contact() {
             component: 1,
             force,
         }),
-    )) = told
+    )) = reported
     else {
-        panic!("{told:?}")
+        panic!("{reported:?}")
     };
     assert!((45_000..50_000).contains(&when), "{when}");
     assert!(force.unsigned_abs() > sensor().drift.magnitude());

@@ -5,7 +5,7 @@ mod reference;
 
 use haptimill_firmware::config::digest::{Constants, Digest};
 use haptimill_firmware::config::{Config, JointAxis};
-use haptimill_firmware::force::sensor::Sensor;
+use haptimill_firmware::force::sensor::ForceSensor;
 use haptimill_firmware::force::{EnableCondition, ForceConfig, ForceControl, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
 use haptimill_firmware::joint::{JointCommand, JointDrive};
@@ -22,7 +22,7 @@ fn forced() -> Config {
     let force = reference::force();
     Config {
         force: Some(ForceConfig {
-            sensor: Sensor {
+            sensor: ForceSensor {
                 weight: Force::millinewtons(29_420),
                 ..force.sensor
             },

@@ -13,7 +13,7 @@ const PITCH: i32 = 10 << 20;
 /// Counts that a pulse may be off.
 const SLACK: u16 = 4;
 
-fn watch() -> IndexMonitor {
+fn monitor() -> IndexMonitor {
     IndexMonitor::new(PITCH, PER_COUNT, SLACK)
 }
 
@@ -41,9 +41,9 @@ proptest! {
         backwards in any::<bool>(),
     ) {
         let per_count = if backwards { -PER_COUNT } else { PER_COUNT };
-        let mut watch = IndexMonitor::new(PITCH, per_count, SLACK.max(width as u16 - 1));
+        let mut monitor = IndexMonitor::new(PITCH, per_count, SLACK.max(width as u16 - 1));
         for raw in pulses(first, width, &turns) {
-            prop_assert_eq!(watch.pulse(raw), None);
+            prop_assert_eq!(monitor.pulse(raw), None);
         }
     }
 
@@ -58,10 +58,10 @@ proptest! {
     ) {
         let lost = if gained { lost } else { -lost };
         let at = 2 + at.index(turns.len() - 3);
-        let mut watch = watch();
+        let mut monitor = monitor();
         let said: Vec<Option<i32>> = pulses(first, 1, &turns)
             .enumerate()
-            .map(|(number, raw)| watch.pulse(if number < at { raw } else { raw.wrapping_add(lost) }))
+            .map(|(number, raw)| monitor.pulse(if number < at { raw } else { raw.wrapping_add(lost) }))
             .collect();
         prop_assert_eq!(said.iter().position(Option::is_some), Some(at + 1));
         prop_assert_eq!(said[at + 1], Some(lost));
@@ -70,20 +70,20 @@ proptest! {
     /// A stray pulse is no fault, wherever it comes.
     #[test]
     fn stray_index_pulse_is_no_fault(first in any::<i32>(), stray in any::<i32>(), at in 0..20_usize) {
-        let mut watch = watch();
+        let mut monitor = monitor();
         for (number, raw) in pulses(first, 1, &[1; 20]).enumerate() {
             if number == at {
-                prop_assert_eq!(watch.pulse(stray), None);
+                prop_assert_eq!(monitor.pulse(stray), None);
             }
-            prop_assert_eq!(watch.pulse(raw), None, "after {} at {}", stray, at);
+            prop_assert_eq!(monitor.pulse(raw), None, "after {} at {}", stray, at);
         }
     }
 
     /// Counts lost one by one add up.
     #[test]
     fn small_losses_accumulate(each in 1..=4_i32) {
-        let mut watch = watch();
-        let said = (0..20).position(|turn| watch.pulse(turn * (8000 - each)).is_some());
+        let mut monitor = monitor();
+        let said = (0..20).position(|turn| monitor.pulse(turn * (8000 - each)).is_some());
         let soon = usize::from(SLACK) / each as usize + 3;
         prop_assert!(said.is_some_and(|turn| turn <= soon), "{:?} {}", said, soon);
     }
@@ -91,20 +91,20 @@ proptest! {
     /// During homing a single pulse reports a loss, and a correct pulse becomes the reference.
     #[test]
     fn homing_accepts_each_index_pulse(first in any::<i32>(), off in -3990..=3990_i32) {
-        let mut watch = watch();
+        let mut monitor = monitor();
         for raw in pulses(first, 1, &[1, 1]) {
-            prop_assert_eq!(watch.pulse(raw), None);
+            prop_assert_eq!(monitor.pulse(raw), None);
         }
-        prop_assert!(watch.is_armed());
-        watch.search(true);
+        prop_assert!(monitor.is_armed());
+        monitor.search(true);
         let raw = first.wrapping_add(24_000 + off);
         let lost = off.unsigned_abs() > u32::from(SLACK);
-        prop_assert_eq!(watch.pulse(raw), lost.then_some(off));
-        watch.search(false);
+        prop_assert_eq!(monitor.pulse(raw), lost.then_some(off));
+        monitor.search(false);
         if !lost {
             // What was off then does not count any more.
             let more = raw.wrapping_add(8000 + off.signum() * i32::from(SLACK));
-            prop_assert_eq!([watch.pulse(more), watch.pulse(more)], [None, None]);
+            prop_assert_eq!([monitor.pulse(more), monitor.pulse(more)], [None, None]);
         }
     }
 
@@ -116,30 +116,30 @@ proptest! {
         slack in any::<u16>(),
         raws in prop::collection::vec(any::<i32>(), 0..20),
     ) {
-        let mut watch = IndexMonitor::new(pitch, per_count, slack);
+        let mut monitor = IndexMonitor::new(pitch, per_count, slack);
         for raw in &raws {
-            let _ = watch.pulse(*raw);
+            let _ = monitor.pulse(*raw);
         }
         // 8000.25 counts a turn; and one that nobody wants compared.
         let quarter = IndexMonitor::new(PITCH, (i64::from(PITCH) << 26) / 32_001, SLACK);
-        for mut watch in [quarter, IndexMonitor::new(PITCH, PER_COUNT, 0)] {
+        for mut monitor in [quarter, IndexMonitor::new(PITCH, PER_COUNT, 0)] {
             for raw in &raws {
-                prop_assert_eq!(watch.pulse(*raw), None);
+                prop_assert_eq!(monitor.pulse(*raw), None);
             }
-            prop_assert!(!watch.is_armed());
+            prop_assert!(!monitor.is_armed());
         }
     }
 }
 
 #[test]
 fn index_monitor_restarts_after_a_report() {
-    let mut watch = watch();
-    let said = [0, 8000, 16_100, 24_100].map(|raw| watch.pulse(raw));
+    let mut monitor = monitor();
+    let said = [0, 8000, 16_100, 24_100].map(|raw| monitor.pulse(raw));
     assert_eq!(said, [None, None, None, Some(100)]);
-    watch.clear();
-    assert!(!watch.is_armed());
+    monitor.clear();
+    assert!(!monitor.is_armed());
     assert_eq!(
-        [32_100, 40_100, 48_100].map(|raw| watch.pulse(raw)),
+        [32_100, 40_100, 48_100].map(|raw| monitor.pulse(raw)),
         [None; 3]
     );
 }

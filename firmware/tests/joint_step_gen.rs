@@ -131,8 +131,8 @@ proptest! {
                 last_lag = planned.lag;
             }
         }
-        // Standing still, whatever is owed comes out, at the ceiling if need be, and the count is
-        // exact.
+        // Standing still, all pending steps are emitted, at the ceiling if need be, and the count
+        // is exact.
         for _ in 0..2 + (f64::from(last_lag).abs() / (ceiling - 2.0 - setup_us / pulse_us).max(1.0)) as u32 * 2 {
             let planned = planner.plan(Coordinate(start.wrapping_add(travel as i32)), Rate(0));
             checker.take(&planned, &timing);

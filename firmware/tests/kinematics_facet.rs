@@ -4,7 +4,7 @@
 use core::f64::consts::{FRAC_1_SQRT_2, PI};
 use haptimill_checks::kinematics::facet::{Lengths, SHORT};
 use haptimill_checks::kinematics::subject::{MM, RADIAN, Sequence};
-use haptimill_kinematics::facet::chain::{Chain, ChainJoints, Frame, OutOfReach, unwrap};
+use haptimill_kinematics::facet::chain::{Chain, ChainJoints, ChainPose, OutOfReach, unwrap};
 use haptimill_kinematics::facet::{Facet, FacetGeometry};
 use haptimill_kinematics::{Kinematics, Machine, Pose};
 use haptimill_math::{Angle, Coordinate, Length};
@@ -82,7 +82,7 @@ fn the_table_of_positions() {
     }
 }
 
-fn matrix(frame: &Frame) -> [[f64; 3]; 3] {
+fn matrix(frame: &ChainPose) -> [[f64; 3]; 3] {
     frame
         .rotation
         .map(|row| row.map(|entry| f64::from(entry) / f64::from(1 << 30)))
@@ -180,7 +180,7 @@ fn both_directions_agree_with_the_table_of_links() {
                 worst_mm = worst_mm.max((f64::from(at.0) * MM - truth[3]).abs());
             }
             // The frame of the links, rounded: what a host sends.
-            let sent = Frame {
+            let sent = ChainPose {
                 rotation: core::array::from_fn(|i| {
                     core::array::from_fn(|j| (truth[i][j] * f64::from(1 << 30)).round() as i32)
                 }),

@@ -43,13 +43,13 @@ fn slide() -> (JointAxis, JointSample) {
 
 /// First fault of a monitor that gets the same sample for some periods.
 fn look(
-    watch: &mut JointMonitor,
+    monitor: &mut JointMonitor,
     axis: &JointAxis,
     seen: &JointSample,
     periods: usize,
 ) -> Option<Fault> {
     let encoder = axis.encoder.as_ref().expect("an encoder");
-    (0..periods).find_map(|_| watch.check(2, axis, encoder, LIMIT, seen))
+    (0..periods).find_map(|_| monitor.check(2, axis, encoder, LIMIT, seen))
 }
 
 #[test]
@@ -75,8 +75,8 @@ fn following_error_limit_grows_with_the_commanded_rate() {
                 ..seen
             };
             let fault = look(&mut JointMonitor::default(), &axis, &seen, 1);
-            let told = matches!(fault, Some(Fault::FollowingError { axis: 2, error: told, limit }) if told == error && (limit - most).abs() <= 1);
-            assert_eq!(told, faulty, "{speed} {error} {fault:?}");
+            let reported = matches!(fault, Some(Fault::FollowingError { axis: 2, error: reported, limit }) if reported == error && (limit - most).abs() <= 1);
+            assert_eq!(reported, faulty, "{speed} {error} {fault:?}");
             assert_eq!(fault.is_some(), faulty);
         }
     }
@@ -121,7 +121,7 @@ fn rotary_following_error_takes_the_short_way() {
     );
     assert!(look(&mut JointMonitor::default(), &axis, &across(0.25), 10).is_some());
     // Turning on through the end of the range is motion like any other.
-    let mut watch = JointMonitor::default();
+    let mut monitor = JointMonitor::default();
     for step in 0..200 {
         let place = Coordinate((i32::MAX - 50 * 100_000).wrapping_add(step * 100_000));
         let seen = JointSample {
@@ -129,7 +129,7 @@ fn rotary_following_error_takes_the_short_way() {
             measured: place,
             ..seen
         };
-        assert_eq!(look(&mut watch, &axis, &seen, 1), None, "{step}");
+        assert_eq!(look(&mut monitor, &axis, &seen, 1), None, "{step}");
     }
 }
 
@@ -195,12 +195,12 @@ fn runaway_is_detected_a_driven_joint_is_not() {
 fn stuck_encoder_is_detected_a_static_load_is_not() {
     let (axis, seen) = slide();
     // 300 N against a load, at rest: for ever.
-    let mut watch = JointMonitor::default();
+    let mut monitor = JointMonitor::default();
     let loaded = JointSample {
         effort: newtons(300.0),
         ..seen
     };
-    assert_eq!(look(&mut watch, &axis, &loaded, 20_000), None);
+    assert_eq!(look(&mut monitor, &axis, &loaded, 20_000), None);
     // The same while it creeps with a count now and then.
     for period in 0..20_000 {
         let place = seen.commanded.0 + period * mm(2e-4);
@@ -211,7 +211,7 @@ fn stuck_encoder_is_detected_a_static_load_is_not() {
             commanded_rate: Rate(mm(1.0)),
             ..loaded
         };
-        assert_eq!(look(&mut watch, &axis, &seen, 1), None, "{period}");
+        assert_eq!(look(&mut monitor, &axis, &seen, 1), None, "{period}");
     }
     // From there on the encoder is dead, and the loop pushes as 40 kg and 40,000 1/s^2 say: 1.6 N a
     // micrometre.
@@ -225,7 +225,7 @@ fn stuck_encoder_is_detected_a_static_load_is_not() {
             effort: newtons(300.0 + off * 1600.0),
             ..seen
         };
-        look(&mut watch, &axis, &seen, 1).map(|fault| (fault, off))
+        look(&mut monitor, &axis, &seen, 1).map(|fault| (fault, off))
     });
     let Some((Fault::EncoderStuck { axis: 2 }, off)) = fault else {
         panic!("{fault:?}")
@@ -299,7 +299,7 @@ proptest! {
         axis.law.coulomb = Effort(numbers[3]);
         axis.law.inertia = inertia;
         encoder(&mut axis).per_count = per_count;
-        let mut watch = JointMonitor::default();
+        let mut monitor = JointMonitor::default();
         for sight in sights {
             let seen = JointSample {
                 commanded: Coordinate(sight[0]),
@@ -315,7 +315,7 @@ proptest! {
                 placed: true,
             };
             let encoder = axis.encoder.clone().expect("an encoder");
-            let _ = watch.check(0, &axis, &encoder, LIMIT, &seen);
+            let _ = monitor.check(0, &axis, &encoder, LIMIT, &seen);
             let _ = JointMonitor::steps(0, &axis, &seen);
         }
     }
@@ -478,11 +478,11 @@ fn event_queue_keeps_the_newest() {
     for axis in 0..40 {
         safety.push_event(Event::JogLimited { axis });
     }
-    let told: Vec<_> = core::iter::from_fn(|| safety.next_event()).collect();
+    let reported: Vec<_> = core::iter::from_fn(|| safety.next_event()).collect();
     let newest: Vec<_> = (40 - EVENTS as u8..40)
         .map(|axis| Event::JogLimited { axis })
         .collect();
-    assert_eq!(told, newest);
+    assert_eq!(reported, newest);
 }
 
 /// A run in x at constant speed with segments of these durations, from standstill to standstill.

@@ -42,15 +42,15 @@ proptest! {
         let most = f64::from(acceleration) * 2e-4 * f64::from(MM);
         for (target, periods) in targets {
             for _ in 0..periods {
-                let (low, high) = tracker.sweep(target.map(Coordinate), &limits);
+                let (low, high) = tracker.envelope(target.map(Coordinate), &limits);
                 tracker.advance(target.map(Coordinate), &limits);
                 let mut commanded = PoseCommand::default();
                 tracker.write_to(0, &limits, &mut commanded);
                 let change = f64::from(commanded.rates[0].0) - f64::from(before.rates[0].0);
                 prop_assert!(change.abs() <= most + 2.0, "{change} {most}");
                 prop_assert!(commanded.rates[0].0.abs() <= rate * MM + 1);
-                let told = f64::from(commanded.accelerations[0].0) * 256.0 * 2e-4;
-                prop_assert!((told - change).abs() <= 2.0 + most * 1e-3, "{told} {change}");
+                let reported = f64::from(commanded.accelerations[0].0) * 256.0 * 2e-4;
+                prop_assert!((reported - change).abs() <= 2.0 + most * 1e-3, "{reported} {change}");
                 // The place is the integral of the rate, to the last bits.
                 let way = f64::from(commanded.pose.0[0].0) - f64::from(before.pose.0[0].0);
                 let mean = (f64::from(commanded.rates[0].0) + f64::from(before.rates[0].0)) / 2.0 * 2e-4;
@@ -87,7 +87,7 @@ proptest! {
         for _ in 0..periods {
             tracker.advance(Some(Coordinate(target)), &limits);
         }
-        let (low, high) = tracker.sweep(None, &limits);
+        let (low, high) = tracker.envelope(None, &limits);
         let rest = tracker.standstill_position(&limits);
         for _ in 0..2_000_000 {
             tracker.advance(None, &limits);

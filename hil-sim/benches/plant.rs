@@ -55,13 +55,13 @@ fn plant(criterion: &mut Criterion) {
         ..RigOptions::default()
     };
     let mut rig = Rig::new(&config(), &options, Shaken(0)).expect("a rig");
-    let mut heard = Vec::new();
+    let mut received = Vec::new();
     criterion.bench_function("rig: one period, one byte each way", |bencher| {
         bencher.iter(|| {
             rig.host_write(&[0x55]);
             rig.step();
-            heard.clear();
-            rig.host_read(&mut heard);
+            received.clear();
+            rig.host_read(&mut received);
             black_box(rig.truth());
         });
     });

@@ -6,10 +6,8 @@
 
 use crate::check::Check;
 use crate::process::ToolPose;
+use haptimill_firmware::named_io::config::CHANNELS;
 use serde::{Deserialize, Serialize};
-
-/// Channels of a digital word.
-const CHANNELS: u8 = 32;
 
 /// A digital input of the simulated machine: one section `[[plant.input]]`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -68,7 +68,7 @@ pub struct Period {
 
 /// A complete block of periods.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Block {
+pub struct LogBlock {
     /// Number of periods.
     pub count: u32,
     /// Encoded periods.
@@ -79,9 +79,9 @@ pub struct Block {
 #[derive(Debug)]
 pub struct IoLog {
     expected: Expected,
-    block: Block,
+    block: LogBlock,
     /// Complete blocks that have not been taken.
-    kept: Vec<Block>,
+    kept: Vec<LogBlock>,
     kept_bytes: usize,
     full: bool,
 }
@@ -98,7 +98,7 @@ impl IoLog {
     pub fn new() -> Self {
         Self {
             expected: Expected::new(),
-            block: Block::default(),
+            block: LogBlock::default(),
             kept: Vec::new(),
             kept_bytes: 0,
             full: false,
@@ -121,7 +121,7 @@ impl IoLog {
     }
 
     /// Takes the blocks completed since the last call.
-    pub fn take(&mut self) -> std::vec::Drain<'_, Block> {
+    pub fn take(&mut self) -> std::vec::Drain<'_, LogBlock> {
         self.kept_bytes = 0;
         self.kept.drain(..)
     }
@@ -132,7 +132,7 @@ impl IoLog {
             return;
         }
         let room = self.block.bytes.len();
-        let next = Block {
+        let next = LogBlock {
             count: 0,
             bytes: Vec::with_capacity(room + room / 8),
         };

@@ -202,15 +202,15 @@ fn amplifier_codes_give_the_force_of_the_table_at_the_handle() {
     for _ in 0..20 {
         arm.advance(&outputs, true);
     }
-    let reflected = arm.truth().reflected;
-    for (ours, expected) in reflected.iter().zip([3.2, 0.0, 1.2, 0.0, 0.0, 0.0]) {
+    let feedback = arm.truth().feedback;
+    for (ours, expected) in feedback.iter().zip([3.2, 0.0, 1.2, 0.0, 0.0, 0.0]) {
         // 1 % of the force; moments in N mm, at about a tenth of a mm of travel.
         let bound = if expected == 0.0 {
             0.1
         } else {
             0.01 * expected
         };
-        assert!((ours - expected).abs() < bound, "{reflected:?}");
+        assert!((ours - expected).abs() < bound, "{feedback:?}");
     }
 }
 

@@ -87,7 +87,7 @@ fn a_moving_wall_slows_the_hand_as_stated() {
     });
     let reached = course
         .iter()
-        .position(|truth| truth.reflected[0] > 5.4)
+        .position(|truth| truth.feedback[0] > 5.4)
         .expect("reached");
     let speed = (at(&course, 3.0).tip[0] - at(&course, 5.0).tip[0]) / 2.0;
     let first = -at(&course, 1.0).tip[0];
@@ -202,12 +202,7 @@ fn force_feedback_of_a_cut_slows_the_hand_without_oscillation() {
     assert!((4.0..6.0).contains(&(there as f64 * PERIOD)));
 }
 
-fn traced(
-    part: &ReferencePart,
-    turns: f64,
-    press_n: f64,
-    reflected: f64,
-) -> Vec<HapticGroundTruth> {
+fn traced(part: &ReferencePart, turns: f64, press_n: f64, feedback: f64) -> Vec<HapticGroundTruth> {
     let mut arm = led(None);
     arm.clamp_part(Some(part.clone())).expect("fine");
     if !part.hole {
@@ -231,7 +226,7 @@ fn traced(
         // on: a law that switches with the sign of the speed would chatter.
         let [x, y, ..] = truth.twist;
         let speed = (x * x + y * y).sqrt().max(3.0);
-        [-reflected * x / speed, -reflected * y / speed, 0.0]
+        [-feedback * x / speed, -feedback * y / speed, 0.0]
     })
 }
 
@@ -396,16 +391,16 @@ fn motors_without_power_or_enable_give_no_force() {
     let mut arm = led(None);
     let mut outputs = codes(&arm, [5.0, 0.0, 0.0]);
     arm.advance(&outputs, false);
-    assert_eq!(arm.truth().reflected, [0.0; 6]);
+    assert_eq!(arm.truth().feedback, [0.0; 6]);
     assert!(!arm.inputs().drives_ready);
     outputs.enabled = false;
     arm.advance(&outputs, true);
-    assert_eq!(arm.truth().reflected, [0.0; 6]);
+    assert_eq!(arm.truth().feedback, [0.0; 6]);
     assert!(arm.inputs().drives_ready);
     outputs.enabled = true;
     arm.set_tripped(true);
     arm.advance(&outputs, true);
-    assert_eq!(arm.truth().reflected, [0.0; 6]);
+    assert_eq!(arm.truth().feedback, [0.0; 6]);
     assert!(!arm.inputs().drives_ready);
 }
 

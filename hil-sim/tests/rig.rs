@@ -157,19 +157,19 @@ fn fingerprint(options: RigOptions, seed: u64) -> u64 {
         .joints;
     let mut rig = Rig::new(&config, &options, Loops::new(&config, &starts, swing)).expect("a rig");
     let mut hasher = DefaultHasher::new();
-    let mut heard = Vec::new();
+    let mut received = Vec::new();
     for period in 0..4000_u32 {
         if period % 7 == 0 {
             rig.host_write(&period.to_le_bytes());
         }
         rig.step().hash(&mut hasher);
-        rig.host_read(&mut heard);
+        rig.host_read(&mut received);
         format!("{:?}{:?}", rig.inputs(), rig.outputs()).hash(&mut hasher);
         for value in rig.truth().joints.iter().chain(&rig.truth().pose) {
             value.to_bits().hash(&mut hasher);
         }
     }
-    heard.hash(&mut hasher);
+    received.hash(&mut hasher);
     hasher.finish()
 }
 
@@ -241,10 +241,10 @@ fn bytes_beyond_the_receive_ring_are_lost() {
         ]
     );
     assert_eq!(rig.control().echo, sent[..200]);
-    let mut heard = Vec::new();
-    rig.host_read(&mut heard);
+    let mut received = Vec::new();
+    rig.host_read(&mut received);
     assert!(
-        heard
+        received
             .iter()
             .copied()
             .eq(sent[..200].iter().map(|byte| byte + 1))
@@ -362,18 +362,18 @@ fn a_jammed_slide_stops_and_continues_after_the_fault() {
 fn an_interrupted_line_is_silent_in_one_direction() {
     let mut rig = rig(faults(&["link-cut direction=to-host at=0s for=1ms"]), still);
     rig.host_write(b"one");
-    let mut heard = Vec::new();
+    let mut received = Vec::new();
     for _ in 0..10 {
         rig.step();
-        rig.host_read(&mut heard);
+        rig.host_read(&mut received);
     }
     assert_eq!(rig.control().echo, b"one");
-    assert!(heard.is_empty());
+    assert!(received.is_empty());
     rig.host_write(b"two");
     rig.step();
     rig.step();
-    rig.host_read(&mut heard);
-    assert_eq!(heard, b"uxp");
+    rig.host_read(&mut received);
+    assert_eq!(received, b"uxp");
 }
 
 #[test]

@@ -129,9 +129,9 @@ pub struct Link<E: Endpoint, const SEND: usize, const RECEIVE: usize> {
     acknowledge_count: u8,
     /// Repetitions left of the last acknowledgement while nothing else is sent.
     repeats: u8,
-    /// Time at which a frame was last begun, and time at which the peer was last heard.
+    /// Time at which a frame was last begun, and time at which the last frame of the peer came.
     spoke_us: u64,
-    heard_us: u64,
+    received_us: u64,
     /// Time at which the line will have carried everything given to it, in nanoseconds.
     line_free_ns: u64,
     counters: Counters,
@@ -158,7 +158,7 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
             acknowledge_count: 0,
             repeats: 0,
             spoke_us: 0,
-            heard_us: 0,
+            received_us: 0,
             line_free_ns: 0,
             counters: Counters::default(),
         }
@@ -187,7 +187,7 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
 
     /// Time since the last valid frame of the peer, microseconds.
     pub fn peer_silent_us(&self, now_us: u64) -> u64 {
-        now_us.saturating_sub(self.heard_us)
+        now_us.saturating_sub(self.received_us)
     }
 
     /// Counters since the creation of the link.
@@ -217,8 +217,8 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
             counters,
             ..
         } = self;
-        let mut greeted = false;
-        let mut heard = false;
+        let mut is_hello = false;
+        let mut received = false;
         let mut line = bytes;
         let mut work = if bytes.is_empty() {
             ReceiveEffort::Nothing
@@ -232,7 +232,7 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
             counters.frames_heard = counters.frames_heard.saturating_add(1);
             match frame.header {
                 Header::Hello | Header::Welcome => {
-                    greeted |= end.greeted(frame.header, frame.payload);
+                    is_hello |= end.begins_session(frame.header, frame.payload);
                     continue;
                 }
                 _ if !self.open => continue,
@@ -259,12 +259,12 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
                 }
                 Header::KeepAlive => {}
             }
-            heard = true;
+            received = true;
         }
-        if heard {
-            self.heard_us = now_us;
+        if received {
+            self.received_us = now_us;
         }
-        if greeted && let Some(session) = self.end.accepted() {
+        if is_hello && let Some(session) = self.end.accepted() {
             self.begin(now_us, session);
         }
         if core::mem::take(&mut self.inbox.moved) {
@@ -460,7 +460,7 @@ impl<E: Endpoint, const SEND: usize, const RECEIVE: usize> Link<E, SEND, RECEIVE
         self.acknowledge_since = None;
         self.acknowledge_count = 0;
         self.repeats = 0;
-        self.heard_us = now_us;
+        self.received_us = now_us;
         self.spoke_us = now_us;
         self.quiet_until_us = 0;
         // An outgoing frame is sent to its end; the peer ignores it.

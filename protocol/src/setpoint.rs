@@ -173,7 +173,7 @@ const RATIO_BOUND: i64 = 16 << 16;
 
 /// State of one axis.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Axis {
+struct CodedAxis {
     /// Coordinate of the last setpoint.
     pose: i32,
     /// Its rate, wire units.
@@ -257,14 +257,14 @@ pub struct SetpointCoder {
     /// Periods of the last setpoint, and its duration.
     last: (u16, Span),
     /// State of each axis.
-    state: [Axis; MAX_AXES],
+    state: [CodedAxis; MAX_AXES],
 }
 
 impl SetpointCoder {
     /// Creates a coder for the start of a job, at standstill in `pose` (axis units). `period_us` is
     /// the control period in microseconds.
     pub fn new(period_us: u16, pose: &AxisValues) -> Self {
-        let mut state = [Axis::default(); MAX_AXES];
+        let mut state = [CodedAxis::default(); MAX_AXES];
         for (axis, &pose) in state.iter_mut().zip(pose) {
             axis.pose = pose;
         }
@@ -410,7 +410,7 @@ impl SetpointCoder {
     }
 }
 
-impl Axis {
+impl CodedAxis {
     /// Returns the predicted coordinate after a duration, and the change of rate.
     fn predict(&self, span: Span, ratio: i64) -> (i32, i64) {
         // |gain| <= 2^40 and ratio <= 2^20.

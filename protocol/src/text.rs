@@ -1,14 +1,14 @@
 //! Refusals, faults and events as sentences, with the remedy where there is one.
 //!
 //! `Display` of these types names axes by number, from 1, and omits amounts, because it does not
-//! know the axis units. [`Axes::describe`] knows the machine: it adds axis names, and amounts in
-//! millimetres or degrees.
+//! know the axis units. [`AxesText::describe`] knows the machine: it adds axis names, and amounts
+//! in millimetres or degrees.
 //!
 //! ```
 //! use haptimill_protocol::message::Fault;
-//! use haptimill_protocol::text::{Axes, Axis, AxisKind};
-//! let joint = [Axis { name: "joint 1", kind: AxisKind::Linear }];
-//! let axes = Axes { joints: &joint, ..Axes::default() };
+//! use haptimill_protocol::text::{AxesText, AxisText, AxisKind};
+//! let joint = [AxisText { name: "joint 1", kind: AxisKind::Linear }];
+//! let axes = AxesText { joints: &joint, ..AxesText::default() };
 //! let fault = Fault::SoftLimit { axis: 4 };
 //! assert_eq!(
 //!     fault.to_string(),
@@ -74,21 +74,21 @@ impl AxisKind {
 
 /// Name and kind of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Axis<'a> {
+pub struct AxisText<'a> {
     /// Name.
     pub name: &'a str,
     /// Linear or rotary.
     pub kind: AxisKind,
 }
 
-/// Axes, inputs and outputs of a machine. The lists may be short or empty; a missing entry is named
-/// by its number.
+/// Axes, inputs and outputs of a machine. The lists may be short or empty; a missing entry is
+/// named by its number.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Axes<'a> {
+pub struct AxesText<'a> {
     /// Pose coordinates.
-    pub pose: &'a [Axis<'a>],
+    pub pose: &'a [AxisText<'a>],
     /// Joints.
-    pub joints: &'a [Axis<'a>],
+    pub joints: &'a [AxisText<'a>],
     /// Sentences of the pose errors of the geometry, by their codes.
     pub pose_errors: &'a [&'a str],
     /// Names of the digital inputs.
@@ -99,14 +99,14 @@ pub struct Axes<'a> {
     pub analog_outputs: &'a [&'a str],
 }
 
-impl<'a> Axes<'a> {
+impl<'a> AxesText<'a> {
     /// Returns the sentence of `Display` with names and amounts.
     pub fn describe<T: Describe>(&'a self, what: &'a T) -> Described<'a, T> {
         Described { axes: self, what }
     }
 }
 
-impl Axes<'_> {
+impl AxesText<'_> {
     const fn input(&self, index: u8) -> NamedChannel<'_> {
         NamedChannel(self.inputs, "input", index)
     }
@@ -132,10 +132,10 @@ impl Display for NamedChannel<'_> {
     }
 }
 
-/// A sentence with the names of a machine's axes, from [`Axes::describe`].
+/// A sentence with the names of a machine's axes, from [`AxesText::describe`].
 #[derive(Debug, Clone, Copy)]
 pub struct Described<'a, T> {
-    axes: &'a Axes<'a>,
+    axes: &'a AxesText<'a>,
     what: &'a T,
 }
 
@@ -152,7 +152,7 @@ pub trait Describe {
     /// # Errors
     ///
     /// Those of the formatter.
-    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result;
+    fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result;
 }
 
 /// A value in engineering units: millimetres or degrees, three decimals, exactly rounded.
@@ -181,7 +181,7 @@ impl Display for Amount {
 }
 
 /// Displays an axis by its name, or by its number from 1.
-struct Named<'a>(&'a [Axis<'a>], u8);
+struct Named<'a>(&'a [AxisText<'a>], u8);
 
 impl Display for Named<'_> {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
@@ -193,7 +193,7 @@ impl Display for Named<'_> {
 }
 
 /// Returns the amount if the kind of the axis is known.
-fn amount(axes: &[Axis<'_>], axis: u8, value: i32) -> Option<Amount> {
+fn amount(axes: &[AxisText<'_>], axis: u8, value: i32) -> Option<Amount> {
     let kind = axes.get(usize::from(axis))?.kind;
     Some(Amount { value, kind })
 }
@@ -203,7 +203,7 @@ macro_rules! display {
     ($($name:ident),*) => {$(
         impl Display for $name {
             fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-                self.describe(&Axes::default(), f)
+                self.describe(&AxesText::default(), f)
             }
         }
     )*};
@@ -246,13 +246,13 @@ mod tests {
 
     #[test]
     fn names_are_used_where_they_are_known() {
-        let slide = [Axis {
+        let slide = [AxisText {
             name: "joint 1",
             kind: AxisKind::Linear,
         }];
-        let axes = Axes {
+        let axes = AxesText {
             joints: &slide,
-            ..Axes::default()
+            ..AxesText::default()
         };
         let error = PoseError::OutOfStroke {
             axis: 0,

@@ -152,15 +152,15 @@ fn link_ends() {
         };
         let mut buffer = [0; 512];
         host.send(&request).expect("open");
-        let mut heard = None;
+        let mut received = None;
         // The first frame may be joined to earlier bytes; then it is sent again.
         for _ in 0..200 {
             now_us += 1000;
             let count = host.transmit(now_us, &mut buffer);
             controller.receive(now_us, &buffer[..count]);
-            heard = heard.or(controller.poll_message());
+            received = received.or(controller.poll_message());
         }
-        assert_eq!(heard, Some(request));
+        assert_eq!(received, Some(request));
     });
 }
 

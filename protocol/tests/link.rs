@@ -46,7 +46,7 @@ fn report(number: u32) -> Report {
 }
 
 /// Result of a transfer.
-struct Outcome {
+struct LinkResult {
     state: LinkState,
     /// One of the endpoints ended the session.
     ended: bool,
@@ -67,7 +67,7 @@ fn transfer(
     requests: u32,
     reports: u32,
     limit_us: u64,
-) -> Outcome {
+) -> LinkResult {
     let timing = Timing {
         line_rate: rate as u32,
         ..Timing::default()
@@ -92,9 +92,9 @@ fn transfer(
             panic!("refused: {why:?}");
         }
         // The controller takes one message per control period.
-        if let Some(heard) = controller.poll_message() {
+        if let Some(received) = controller.poll_message() {
             assert_eq!(
-                heard,
+                received,
                 request(arrived.0),
                 "request {} at {now_us} us",
                 arrived.0
@@ -107,9 +107,9 @@ fn transfer(
         let count = controller.transmit(now_us, &mut buffer);
         back.send(now_us, &buffer[..count]);
         host.receive(now_us, &back.take(now_us, 64));
-        while let Some(heard) = host.poll_message() {
+        while let Some(received) = host.poll_message() {
             assert_eq!(
-                heard,
+                received,
                 report(arrived.1),
                 "report {} at {now_us} us",
                 arrived.1
@@ -126,7 +126,7 @@ fn transfer(
             break;
         }
     }
-    Outcome {
+    LinkResult {
         state: host.state(now_us),
         ended,
         arrived,

@@ -53,7 +53,7 @@ fn cutting() -> Bench<Timed> {
     let yields = |bench: &Bench<Timed>| {
         let machine = bench.rig.control().controller.machine();
         let force = &machine.expect("configured").force;
-        force.as_ref().expect("has a sensor").yielding()[0]
+        force.as_ref().expect("has a sensor").compliance()[0]
             .displacement
             .0
             != 0

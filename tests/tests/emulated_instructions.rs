@@ -98,7 +98,7 @@ fn a_period_stays_within_its_instructions() {
     let helix = helix();
     let path = |path: PathBuf| path.display().to_string();
     let bare = || vec!["--machine".to_string(), path(WITHOUT_FORCE.clone())];
-    let yielding = || {
+    let compliance = || {
         let block = path(root().join("examples/block.toml"));
         let words = ["--force", "x,z", "--force-setpoint", "5", "--stock", &block];
         words.map(String::from).to_vec()
@@ -138,7 +138,7 @@ fn a_period_stays_within_its_instructions() {
             "E11 circle, cut under force control of x and z",
             "e11-force",
             &circle,
-            yielding(),
+            compliance(),
             [11_320.0, 17_780.0],
         ),
         job(

@@ -51,7 +51,7 @@ const SERVO: f64 = 4.0 * 1600.0;
 /// oscillation within `SPAN`, and the mean.
 struct Held {
     first: f64,
-    swing: f64,
+    oscillation: f64,
     mean: f64,
     level: u8,
 }
@@ -103,10 +103,10 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64, table: f64) -
     let (mut first, mut forces) = (0.0_f64, Vec::with_capacity(looked));
     for period in 0..end {
         bench.step();
-        let felt = bench.rig.truth().force[0];
-        first = first.max(felt);
+        let force = bench.rig.truth().force[0];
+        first = first.max(force);
         if period >= end - looked {
-            forces.push(felt);
+            forces.push(force);
         }
         assert_ne!(
             state(&bench),
@@ -115,7 +115,7 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64, table: f64) -
             bench.events
         );
     }
-    let swing = |part: &[f64]| {
+    let oscillation = |part: &[f64]| {
         let (low, high) = part
             .iter()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
@@ -125,12 +125,12 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64, table: f64) -
     };
     // The intervals overlap by half.
     let span = (SPAN / PERIOD) as usize;
-    let swings = (0..=looked - span)
+    let oscillations = (0..=looked - span)
         .step_by(span / 2)
-        .map(|from| swing(&forces[from..from + span]));
+        .map(|from| oscillation(&forces[from..from + span]));
     Held {
         first,
-        swing: swings.fold(0.0, f64::max),
+        oscillation: oscillations.fold(0.0, f64::max),
         mean: forces.iter().sum::<f64>() / looked as f64,
         level: levels(&bench)[0],
     }
@@ -139,9 +139,10 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64, table: f64) -
 /// The desired motion presses on contacts of up to 1000 N/mm (wall, structure and servo in series),
 /// with and without friction and backlash.
 ///
-/// The force reaches its setpoint. Result and swing depend on the place within an encoder count, so
-/// five places are tried: the first peak is the largest, error and swing are medians. With friction
-/// the tool rests within a count, so the error is at most 0.5 N, or the force of a count.
+/// The force reaches its setpoint. Result and oscillation depend on the place within an encoder
+/// count, so five places are tried: the first peak is the largest, error and oscillation are
+/// medians. With friction the tool rests within a count, so the error is at most 0.5 N, or the
+/// force of a count.
 #[test]
 fn the_force_setpoint_is_held_up_to_1000_n_per_mm() {
     for (wall, structure, speed) in [
@@ -168,31 +169,31 @@ fn the_force_setpoint_is_held_up_to_1000_n_per_mm() {
             let most = |value: fn(&Held) -> f64| held.iter().map(value).fold(0.0, f64::max);
             let held = Held {
                 first: most(|held| held.first),
-                swing: median(|held| held.swing),
+                oscillation: median(|held| held.oscillation),
                 mean: 5.0 + median(|held| (held.mean - 5.0).abs()),
                 level: held[0].level,
             };
             let first = 5.0 + 1.2 * (5.0 * speed + speed * stiffness.sqrt());
-            let swing = f64::max(0.2, 0.0025 * stiffness);
+            let oscillation = f64::max(0.2, 0.0025 * stiffness);
             let off = if ideal {
                 0.25
             } else {
                 f64::max(0.5, COUNT_MM * stiffness)
             };
             println!(
-                "{}, {stiffness:.0} N/mm at {speed} mm/s: first peak {:.2} N (at most {first:.2}), swing {:.3} N (at most {swing:.3}), mean {:.3} N, level {}",
+                "{}, {stiffness:.0} N/mm at {speed} mm/s: first peak {:.2} N (at most {first:.2}), oscillation {:.3} N (at most {oscillation:.3}), mean {:.3} N, level {}",
                 if ideal {
                     "no friction"
                 } else {
                     "friction and backlash"
                 },
                 held.first,
-                held.swing,
+                held.oscillation,
                 held.mean,
                 held.level
             );
             assert!(held.first <= first, "{}", held.first);
-            assert!(held.swing <= swing, "{}", held.swing);
+            assert!(held.oscillation <= oscillation, "{}", held.oscillation);
             assert!((held.mean - 5.0).abs() <= off, "{}", held.mean);
         }
     }

@@ -56,7 +56,7 @@ fn the_displacement_follows_the_admittance_law_and_returns() {
             "K_A {mass}, K_V {damping}: pushed {pushed:.4} N s, expected {expected:.4} N s, peak {most:.2} N, p_c {:.3} mm",
             displacement(&bench)
         );
-        assert!(pushed.abs() > 0.2, "nothing was felt");
+        assert!(pushed.abs() > 0.2, "no force on the tool");
         assert!(
             (pushed - expected).abs() <= 0.01 * pushed.abs(),
             "{pushed} and {expected}"

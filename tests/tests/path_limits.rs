@@ -10,14 +10,14 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 /// Commanded pose, commanded joints and true tool in a period, mm and degrees.
-type Motion = [[f64; 6]; 3];
+type Derivatives = [[f64; 6]; 3];
 
 /// Runs a program from the home pose on the simulated machine.
-fn run(machine: &MachineFile, text: &str) -> Vec<Motion> {
+fn run(machine: &MachineFile, text: &str) -> Vec<Derivatives> {
     let plan = job::plan(machine, text).unwrap_or_else(|refused| panic!("{refused}"));
     let mut session = job::homed(machine, vec![]);
     let folder = tempfile::tempdir().expect("a folder");
-    let motion: Arc<Mutex<Vec<Motion>>> = Arc::default();
+    let motion: Arc<Mutex<Vec<Derivatives>>> = Arc::default();
     let recorded = Arc::clone(&motion);
     let pose_units: Vec<f64> = settings(machine).pose.iter().map(|it| it.units).collect();
     let joint_units: Vec<f64> = machine
@@ -81,7 +81,7 @@ fn program(rotary: &str) -> String {
 
 /// Checks rates, accelerations and jerks of what was commanded. Returns the largest share of each
 /// kind of limit.
-fn check_limits(name: &str, machine: &MachineFile, motion: &[Motion]) -> [f64; 3] {
+fn check_limits(name: &str, machine: &MachineFile, motion: &[Derivatives]) -> [f64; 3] {
     let settings = settings(machine);
     let period = f64::from(settings.period_us) * 1e-6;
     let mut used = [0.0f64; 3];

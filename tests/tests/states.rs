@@ -70,7 +70,9 @@ fn jobs_keep_their_boundary_conditions() {
     bench.ask(Command::Hold).expect("holds");
     bench.steps(2000);
     let held = commanded(&bench);
-    bench.ask(Command::Override { percent: 50 }).expect("heard");
+    bench
+        .ask(Command::Override { percent: 50 })
+        .expect("an answer");
     bench.steps(100);
     assert_eq!(commanded(&bench), held);
     bench.ask(Command::Resume).expect("goes on");

@@ -59,7 +59,7 @@ fn frames() {
         let mut bytes = FrameBytes::new();
         frame::encode(header, payload, 77, &mut bytes).expect("fits");
         let bad = decoder.bad_frames();
-        let mut heard = 0;
+        let mut received = 0;
         for &byte in &bytes {
             if let Some(frame) = decoder.push(byte) {
                 assert_eq!(
@@ -67,10 +67,10 @@ fn frames() {
                     (header, &*payload),
                     "{length}"
                 );
-                heard += 1;
+                received += 1;
             }
         }
-        assert_eq!((heard, decoder.bad_frames()), (1, bad), "{length}");
+        assert_eq!((received, decoder.bad_frames()), (1, bad), "{length}");
         // A frame with one wrong bit is never accepted.
         for _ in 0..8 {
             let place = sequence.below(bytes.len() as u64) as usize;

@@ -144,21 +144,21 @@ fn overrun() {
         .for_each(|&byte| receiver.push(byte));
     assert_eq!((waiting.received_count(), waiting.peak()), (403, 255));
     let mut inputs = Inputs::default();
-    let mut heard = 0;
+    let mut received = 0;
     for period in 0..4 {
         waiting.take(&mut inputs);
         for &byte in &inputs.received {
-            assert_eq!(byte, flood(heard));
-            heard += 1;
+            assert_eq!(byte, flood(received));
+            received += 1;
         }
         assert!(inputs.received.len() <= RECEIVE_BYTES);
         assert_eq!(inputs.out_of_band_stop, period == 0);
         assert_eq!(
             (usize::from(inputs.waiting), inputs.lost_bytes),
-            (255 - heard, 148)
+            (255 - received, 148)
         );
     }
-    assert_eq!(heard, 255);
+    assert_eq!(received, 255);
     receiver.push(9);
     waiting.take(&mut inputs);
     assert_eq!(inputs.received.as_slice(), [9]);

@@ -4,11 +4,11 @@ use haptimill_firmware::config::{
     AxisKind, Config, Drive, EncoderAxis, Home, Homing, JointAxis, PoseAxis, ServoConfig,
     ServoForm, Stopping, Supervision,
 };
-use haptimill_firmware::force::sensor::{Channel, Sensor};
+use haptimill_firmware::force::sensor::{Channel, ForceSensor};
 use haptimill_firmware::force::{EnableCondition, ForceConfig, LoopSettings};
 use haptimill_firmware::haptics::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
+use haptimill_firmware::haptics::fixture::FixtureConfig;
 use haptimill_firmware::haptics::passivity::PassivityConfig;
-use haptimill_firmware::haptics::walls::WallConfig;
 use haptimill_kinematics::Model;
 use haptimill_kinematics::h4::H4Geometry;
 use haptimill_kinematics::haptic_arm::HapticGeometry;
@@ -195,7 +195,7 @@ pub fn force() -> ForceConfig {
         enable_condition: EnableCondition::AgainstMotion,
     };
     ForceConfig {
-        sensor: Sensor {
+        sensor: ForceSensor {
             channels: [channel(), channel(), channel()],
             silent_samples: 3,
             stuck_samples: 500,
@@ -231,7 +231,7 @@ pub fn haptic() -> HapticConfig {
         full_scale: Effort(newton(full)),
         limit: Effort(newton(limit)),
     };
-    let reflect = |percent, most| ForceFeedbackAxis {
+    let feedback = |percent, most| ForceFeedbackAxis {
         percent,
         limit: newton(most),
     };
@@ -257,11 +257,11 @@ pub fn haptic() -> HapticConfig {
         ball: length(5.0),
         step: Force(newton(0.05)),
         feedback: ForceFeedback {
-            axes: [reflect(40, 3.2), reflect(10, 3.2), reflect(20, 1.2)],
+            axes: [feedback(40, 3.2), feedback(10, 3.2), feedback(20, 1.2)],
             damping: 0,
             damping_below: newton(2.0),
         },
-        wall: WallConfig {
+        fixture: FixtureConfig {
             stiffness: newton(0.35) as u32,
             most: Force(newton(5.5)),
         },

@@ -38,7 +38,7 @@ pub(crate) fn per_turn(lever: i64) -> i64 {
 
 /// Speed of a lever that turns at a rate, and of a speed the acceleration.
 #[inline(always)]
-pub(crate) fn swing(lever: i64, rate: Rate) -> i64 {
+pub(crate) fn tangential_rate(lever: i64, rate: Rate) -> i64 {
     scale(per_turn(lever), rate.0, 32)
 }
 
@@ -49,14 +49,14 @@ impl Moving {
     pub(crate) fn turned(self, angle: (i32, i32), rate: Rate, push: Acceleration) -> Self {
         let at = turned(self.at, angle);
         let along = turned(self.rate, angle);
-        let [ahead, aside] = at.map(|lever| swing(lever, rate));
+        let [ahead, aside] = at.map(|lever| tangential_rate(lever, rate));
         let speed = [
             total(along[0], aside.wrapping_neg()),
             total(along[1], ahead),
         ];
         // Speeds are below 2^36, accelerations in 2^-20 mm/s^2 below 2^45.
-        let [ahead, aside] =
-            [total(speed[0], along[0]), total(speed[1], along[1])].map(|speed| swing(speed, rate));
+        let [ahead, aside] = [total(speed[0], along[0]), total(speed[1], along[1])]
+            .map(|speed| tangential_rate(speed, rate));
         let [spin, spin_aside] = at.map(|lever| scale(per_turn(lever), push.0, 24));
         let along = turned(self.push, angle);
         Self {

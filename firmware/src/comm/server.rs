@@ -181,8 +181,8 @@ impl Server {
     /// Answers a `Hello`. `busy`: the machine is active, so another host may not take over.
     #[inline(never)]
     pub fn welcome(&mut self, identity: &Identity<'_>, busy: bool) {
-        let greeted = self.link.welcome(self.now_us, identity, busy);
-        if greeted == HelloOutcome::Begun {
+        let outcome = self.link.welcome(self.now_us, identity, busy);
+        if outcome == HelloOutcome::Begun {
             self.reset();
             self.session_begun = true;
         }

@@ -46,14 +46,14 @@ pub(super) fn set_feedback(core: &mut Core, settings: &ForceFeedback) -> Done {
     Ok(())
 }
 
-pub(super) fn set_wall(
+pub(super) fn set_fixture(
     core: &mut Core,
     axis: u8,
     upper: bool,
-    wall: Option<VirtualFixture>,
+    fixture: Option<VirtualFixture>,
 ) -> Done {
     let arm = haptic_arm(core)?;
-    let wall = match wall {
+    let fixture = match fixture {
         None => None,
         Some(VirtualFixture { at, rate }) => {
             let rate = rate.checked_mul(1 << RATE_SHIFT).ok_or(Refusal::Range)?;
@@ -63,7 +63,7 @@ pub(super) fn set_wall(
     if usize::from(axis) >= COMPONENTS {
         return Err(Refusal::Range);
     }
-    arm.set_wall(usize::from(axis), upper, wall)
+    arm.set_fixture(usize::from(axis), upper, fixture)
         .map_err(|_| Refusal::FixturesTooNear)
 }
 

@@ -10,7 +10,7 @@
 //! changes in several words are missed once in 2^32.
 //!
 //! Callers must add only values that stay constant after activation, and no position, sum or queue.
-//! A type with both kinds lists all its fields in `constants!`, so a new field does not compile
+//! A type with both kinds lists all its fields in `impl_digest!`, so a new field does not compile
 //! until it has a kind.
 
 use core::hash::{Hash, Hasher};
@@ -88,9 +88,9 @@ pub trait Constants {
 }
 
 /// Implements [`Constants`] for a structure. The three lists are the constant fields, the fields
-/// that implement [`Constants`] themselves (`of`), and the fields that change (`but`).
-macro_rules! constants {
-    ($type:ty { $($constant:ident),* } of { $($part:ident),* } but { $($changing:ident),* }) => {
+/// that implement [`Constants`] themselves, and the fields that change.
+macro_rules! impl_digest {
+    ($type:ty { fields { $($constant:ident),* }, nested { $($part:ident),* }, skip { $($changing:ident),* } }) => {
         impl crate::config::digest::Constants for $type {
             fn digest(&self, digest: &mut crate::config::digest::Digest) {
                 let Self { $($constant,)* $($part,)* $($changing: _,)* } = self;
@@ -100,7 +100,7 @@ macro_rules! constants {
         }
     };
 }
-pub(crate) use constants;
+pub(crate) use impl_digest;
 
 #[cfg(test)]
 mod tests {

@@ -44,7 +44,7 @@
 
 use super::zero_order_hold::{FINENESS, Part, RATE_BITS, ZeroOrderHold, sound};
 use super::{EnableCondition, ForceParameter, ForceRefusal, LoopSettings};
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use crate::joint::rate_filter::frequency;
 use haptimill_math::force::{Displacement, Force, VirtualDamping};
 use haptimill_math::scale::{multiply_shift, saturate};
@@ -78,7 +78,7 @@ pub const LARGEST_LIMIT: Length = Length::millimetres(64);
 
 /// Compliant displacement of one axis in a control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Yielding {
+pub struct Compliance {
     /// p_c.
     pub displacement: Displacement,
     /// p_c'.
@@ -326,7 +326,7 @@ pub struct AdmittanceAxis {
     resting: bool,
 }
 
-constants!(AdmittanceAxis { law } of {} but { upward, away, rate, before, shown, limit, resting });
+impl_digest!(AdmittanceAxis { fields { law }, nested {}, skip { upward, away, rate, before, shown, limit, resting } });
 
 impl AdmittanceAxis {
     /// Creates an axis with displacement 0.
@@ -388,25 +388,25 @@ impl AdmittanceAxis {
 
     /// Restores the displacement from before this control period, at rate 0, because the reference
     /// was refused.
-    pub const fn roll_back(&mut self) -> Yielding {
-        self.stand_at(self.before)
+    pub const fn roll_back(&mut self) -> Compliance {
+        self.stop_at(self.before)
     }
 
     /// Clamps the displacement to `most`, at rate 0.
-    pub fn clamp_displacement(&mut self, most: Displacement) -> Yielding {
+    pub fn clamp_displacement(&mut self, most: Displacement) -> Compliance {
         let outward = if self.upward {
             most.0
         } else {
             most.0.saturating_neg()
         };
-        self.stand_at(outward.clamp(0, self.away))
+        self.stop_at(outward.clamp(0, self.away))
     }
 
-    const fn stand_at(&mut self, away: i64) -> Yielding {
+    const fn stop_at(&mut self, away: i64) -> Compliance {
         self.away = away;
         self.rate = 0;
         self.shown = Rate::ZERO;
-        Yielding {
+        Compliance {
             displacement: self.displacement(),
             rate: Rate::ZERO,
             acceleration: Acceleration::ZERO,
@@ -417,7 +417,7 @@ impl AdmittanceAxis {
     /// Advances one control period. Not inlined: three copies in the caller's loop would be no
     /// faster, because registers run out.
     #[inline(never)]
-    pub fn advance(&mut self, push: &DrivingForce) -> Yielding {
+    pub fn advance(&mut self, push: &DrivingForce) -> Compliance {
         let force = if push.active { push.force.held().0 } else { 0 };
         if self.away == 0 && self.rate <= 0 {
             self.rate = 0;
@@ -428,11 +428,11 @@ impl AdmittanceAxis {
         let (drive, level) = self.rest(push, drive, level);
         self.before = self.away;
         if self.away == 0 && self.rate == 0 && drive <= 0 && self.shown.0 == 0 {
-            return Yielding::default();
+            return Compliance::default();
         }
         let law = &self.law;
         let Some(pole) = law.poles.get(level) else {
-            return self.yielding(false);
+            return self.compliance(false);
         };
         let (step, rate) = pole.step(drive, self.rate);
         let mut most = law.rate_limit;
@@ -475,7 +475,7 @@ impl AdmittanceAxis {
         }
         self.away = away.max(0);
         self.rate = rate;
-        self.yielding(limited)
+        self.compliance(limited)
     }
 
     /// A creeping reference moves nothing. Returns the driving force and the level with which the
@@ -541,7 +541,7 @@ impl AdmittanceAxis {
     }
 
     #[inline]
-    fn yielding(&mut self, limited: bool) -> Yielding {
+    fn compliance(&mut self, limited: bool) -> Compliance {
         let rate = saturate(self.law.to_rate.of(self.rate));
         let rate = if self.upward {
             rate
@@ -553,7 +553,7 @@ impl AdmittanceAxis {
         let change = i64::from(rate).wrapping_sub(i64::from(self.shown.0));
         let acceleration = multiply_shift(saturate(change), self.law.frequency as i32, 24);
         self.shown = Rate(rate);
-        Yielding {
+        Compliance {
             displacement: self.displacement(),
             rate: Rate(rate),
             acceleration: Acceleration(saturate(acceleration)),

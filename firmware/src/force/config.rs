@@ -1,6 +1,6 @@
 //! Force control in the configuration of a machine.
 
-use super::sensor::{COMPONENTS, Sensor};
+use super::sensor::{COMPONENTS, ForceSensor};
 use super::window_peak::Window;
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Length, Rate};
@@ -63,7 +63,7 @@ impl From<&LoopSettings> for ForceLoop {
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ForceConfig {
     /// The sensor.
-    pub sensor: Sensor,
+    pub sensor: ForceSensor,
     /// Force control settings of x, y, z.
     pub axes: [LoopSettings; COMPONENTS],
     /// Axes under force control after a start: bit 0 for x.

@@ -25,8 +25,8 @@ pub mod stability;
 pub mod window_peak;
 pub mod zero_order_hold;
 
-use crate::config::digest::{Constants, Digest, constants};
-use admittance::{AdmittanceAxis, AdmittanceLaw, DrivingForce, LEVELS, Yielding};
+use crate::config::digest::{Constants, Digest, impl_digest};
+use admittance::{AdmittanceAxis, AdmittanceLaw, Compliance, DrivingForce, LEVELS};
 pub use config::{ForceConfig, LoopSettings};
 use haptimill_math::force::Displacement;
 use haptimill_math::{Angle, Coordinate, Rate};
@@ -47,7 +47,7 @@ struct Preparing {
 
 /// State of one axis.
 #[derive(Debug, Clone)]
-struct Axis {
+struct AdmittanceChannel {
     peaks: SlidingMinMax,
     extremes: Extremes,
     compliance: AdmittanceAxis,
@@ -57,7 +57,7 @@ struct Axis {
     until_look: u16,
 }
 
-constants!(Axis {} of { compliance } but { peaks, extremes, stability_monitor, preparing, until_look });
+impl_digest!(AdmittanceChannel { fields {}, nested { compliance }, skip { peaks, extremes, stability_monitor, preparing, until_look } });
 
 /// Force control of a machine.
 #[derive(Debug, Clone)]
@@ -69,7 +69,7 @@ pub struct ForceControl {
     delay_us: u32,
     creep: Rate,
     conditioner: Conditioner,
-    axes: [Axis; COMPONENTS],
+    axes: [AdmittanceChannel; COMPONENTS],
     mask: u8,
     rpm: i16,
     /// Control periods since the spindle was switched off.
@@ -83,14 +83,13 @@ pub struct ForceControl {
     /// A law was adopted in this control period.
     adopted: bool,
     condition: Option<ForceProblem>,
-    yielding: [Yielding; COMPONENTS],
+    compliance: [Compliance; COMPONENTS],
     /// The *comply* stage is inactive: no axis is under force control, all displacements are 0, and
     /// no law is in preparation.
     is_inactive: bool,
 }
 
-constants!(ForceControl { slowest_rpm, toothless_update, period_us, delay_us, creep } of { conditioner }
-    but { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, yielding, is_inactive });
+impl_digest!(ForceControl { fields { slowest_rpm, toothless_update, period_us, delay_us, creep }, nested { conditioner }, skip { axes, mask, rpm, stopped, held, suspended, known, adopted, condition, compliance, is_inactive } });
 
 /// Values computed from a configuration before it is activated.
 #[derive(Debug, Clone)]
@@ -162,7 +161,7 @@ impl ForceControl {
             conditioner: Conditioner::new(&config.sensor),
             axes: laws.map(|law| {
                 until_look += 1;
-                Axis {
+                AdmittanceChannel {
                     peaks: SlidingMinMax::new(window),
                     extremes: Extremes::default(),
                     compliance: AdmittanceAxis::new(law),
@@ -184,7 +183,7 @@ impl ForceControl {
             known: false,
             adopted: false,
             condition: None,
-            yielding: [Yielding::default(); COMPONENTS],
+            compliance: [Compliance::default(); COMPONENTS],
             is_inactive: false,
         }
     }
@@ -330,14 +329,14 @@ impl ForceControl {
     }
 
     /// Runs one control period of the *comply* stage with the rates of the desired motion.
-    pub fn advance(&mut self, desired_rates: &[Rate; COMPONENTS]) -> &[Yielding; COMPONENTS] {
+    pub fn advance(&mut self, desired_rates: &[Rate; COMPONENTS]) -> &[Compliance; COMPONENTS] {
         self.prepare();
         let tared = self.conditioner.tared();
         for (component, axis) in self.axes.iter_mut().enumerate() {
             let active = tared && !self.suspended && self.mask & (1 << component) != 0;
             if !active && axis.compliance.is_at_rest() {
                 // No driving force, and no displacement to return from.
-                self.yielding[component] = Yielding::default();
+                self.compliance[component] = Compliance::default();
                 continue;
             }
             let push = DrivingForce {
@@ -348,13 +347,13 @@ impl ForceControl {
                 level: axis.stability_monitor.level(),
                 touching: axis.stability_monitor.touching(),
             };
-            self.yielding[component] = axis.compliance.advance(&push);
+            self.compliance[component] = axis.compliance.advance(&push);
         }
         self.is_inactive = self.mask == 0
             && !self.adopted
             && (self.axes.iter())
                 .all(|axis| axis.preparing.is_none() && axis.compliance.is_at_rest());
-        &self.yielding
+        &self.compliance
     }
 
     /// Whether no axis is under force control, all displacements are 0, and no settings wait.
@@ -386,17 +385,17 @@ impl ForceControl {
     /// Rolls back the displacements of this control period after the reference p_d + p_c was
     /// refused. Callers must try again with these displacements; if the reference is refused again,
     /// p_d itself is not reachable.
-    pub fn roll_back(&mut self) -> &[Yielding; COMPONENTS] {
-        for (axis, yielding) in self.axes.iter_mut().zip(&mut self.yielding) {
-            *yielding = axis.compliance.roll_back();
+    pub fn roll_back(&mut self) -> &[Compliance; COMPONENTS] {
+        for (axis, compliance) in self.axes.iter_mut().zip(&mut self.compliance) {
+            *compliance = axis.compliance.roll_back();
         }
-        &self.yielding
+        &self.compliance
     }
 
     /// Clamps the displacement of one axis to `most`.
     pub fn clamp_displacement(&mut self, component: usize, most: Displacement) {
         if let Some(axis) = self.axes.get_mut(component) {
-            self.yielding[component] = axis.compliance.clamp_displacement(most);
+            self.compliance[component] = axis.compliance.clamp_displacement(most);
         }
     }
 
@@ -420,9 +419,9 @@ impl ForceControl {
     /// Whether any compliant displacement changes.
     #[must_use]
     pub fn moves(&self) -> bool {
-        self.yielding
+        self.compliance
             .iter()
-            .any(|yielding| yielding.rate != Rate::ZERO)
+            .any(|compliance| compliance.rate != Rate::ZERO)
     }
 
     /// Forgets the contact, so that the sensor must confirm its sign again.
@@ -500,7 +499,7 @@ impl ForceControl {
             axis.compliance.reset();
             axis.stability_monitor.reset(true);
         }
-        self.yielding = [Yielding::default(); COMPONENTS];
+        self.compliance = [Compliance::default(); COMPONENTS];
     }
 
     /// Begins a tare; the peaks continue meanwhile. Callers must ensure that the tool touches
@@ -526,8 +525,8 @@ impl ForceControl {
 
     /// Compliant displacement of each axis, with its rates, in this control period.
     #[must_use]
-    pub const fn yielding(&self) -> &[Yielding; COMPONENTS] {
-        &self.yielding
+    pub const fn compliance(&self) -> &[Compliance; COMPONENTS] {
+        &self.compliance
     }
 
     /// Compliant displacements p_c.

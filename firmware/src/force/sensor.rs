@@ -40,7 +40,7 @@
 //! Codes are clamped to 14 bits and scales are limited to 0.5 N per code, so a force is below 2^15
 //! codes * 0.5 N: no input overflows.
 
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use haptimill_math::force::Force;
 use haptimill_math::scale::{multiply_shift, saturate};
 use haptimill_math::trig::{ONE, sin_cos};
@@ -71,7 +71,7 @@ pub struct Channel {
 
 /// Sensor settings and the limits of its checks.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Sensor {
+pub struct ForceSensor {
     /// x, y, z in workpiece coordinates.
     pub channels: [Channel; COMPONENTS],
     /// Largest accepted number of control periods without a new sample.
@@ -90,7 +90,7 @@ pub struct Sensor {
     pub weight: Force,
 }
 
-impl Sensor {
+impl ForceSensor {
     /// Whether the settings are consistent.
     #[must_use]
     pub fn is_sound(&self) -> bool {
@@ -152,7 +152,7 @@ pub const fn is_force(problem: &ForceProblem) -> bool {
 /// Conversion and checks of the sensor's samples.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Conditioner {
-    sensor: Sensor,
+    sensor: ForceSensor,
     memories: [Memory; COMPONENTS],
     forces: [Force; COMPONENTS],
     /// Share of the weight now, minus its share at the tare.
@@ -167,12 +167,12 @@ pub struct Conditioner {
     last_tare: Option<Result<(), TareRefusal>>,
 }
 
-constants!(Conditioner { sensor } of {} but { memories, forces, weight, rotation, tared_at, tared, conversions, silent, tare, last_tare });
+impl_digest!(Conditioner { fields { sensor }, nested {}, skip { memories, forces, weight, rotation, tared_at, tared, conversions, silent, tare, last_tare } });
 
 impl Conditioner {
     /// Creates the conditioner of a sound sensor, without a tare.
     #[must_use]
-    pub fn new(sensor: &Sensor) -> Self {
+    pub fn new(sensor: &ForceSensor) -> Self {
         Self {
             sensor: sensor.clone(),
             memories: [Memory::default(); COMPONENTS],
@@ -190,7 +190,7 @@ impl Conditioner {
 
     /// The sensor.
     #[must_use]
-    pub const fn sensor(&self) -> &Sensor {
+    pub const fn sensor(&self) -> &ForceSensor {
         &self.sensor
     }
 

@@ -1,8 +1,8 @@
 //! Configuration of a haptic arm, and of a tool that a master leads.
 
 use super::ForceFeedback;
+use super::fixture::FixtureConfig;
 use super::passivity::PassivityConfig;
-use super::walls::WallConfig;
 use crate::io::LEGS;
 use haptimill_kinematics::haptic_arm::{HapticGeometry, SLIDE_MAX};
 use haptimill_math::force::Force;
@@ -54,7 +54,7 @@ pub struct HapticConfig {
     /// Force feedback law after a start.
     pub feedback: ForceFeedback,
     /// Virtual fixtures.
-    pub wall: WallConfig,
+    pub fixture: FixtureConfig,
     /// Passivity observer and controller.
     pub passivity: PassivityConfig,
 }
@@ -118,7 +118,7 @@ impl HapticConfig {
             && (0..=50 << 20).contains(&self.ball.0)
             && (1..=3277).contains(&self.step.0)
             && super::feedback_law::is_sound(&self.feedback)
-            && self.wall.is_sound()
+            && self.fixture.is_sound()
             && self.passivity.is_sound()
     }
 }

@@ -24,7 +24,7 @@ const RAMP_US: i64 = 1_000_000;
 pub const MOST: Force = Force(10 << 16);
 
 /// Largest velocity-proportional damping: 1 N for each mm/s, in 2^-16 N s/mm.
-pub const BOOST_MOST: u16 = u16::MAX;
+pub const DAMPING_MOST: u16 = u16::MAX;
 
 /// Force range over which the damping term fades out: 0.5 N, a power of two in its unit.
 const FADE_SHIFT: u32 = 15;
@@ -129,7 +129,7 @@ impl FeedbackLaw {
 
     /// Computes the force feedback of a control period from the force on the tool and the rates of
     /// the master.
-    pub fn reflect(
+    pub fn feedback(
         &mut self,
         forces: &[Force; COMPONENTS],
         rates: &[Rate; COMPONENTS],
@@ -181,10 +181,12 @@ impl FeedbackLaw {
     /// force of the fixture. Damping has priority: against a force at its limit it has twice the
     /// limit available, and along it the limit itself opposes the motion.
     #[must_use]
-    pub fn together(&self, axis: usize, reflected: Force, damping: Force, wall: Force) -> Force {
+    pub fn combine(&self, axis: usize, feedback: Force, damping: Force, fixture: Force) -> Force {
         let most = i64::from(self.most(axis).0);
-        let wall = i64::from(wall.0);
-        let all = i64::from(reflected.0) + i64::from(damping.0) + wall;
-        Force(saturate(all.clamp(wall.min(0) - most, wall.max(0) + most)))
+        let fixture = i64::from(fixture.0);
+        let all = i64::from(feedback.0) + i64::from(damping.0) + fixture;
+        Force(saturate(
+            all.clamp(fixture.min(0) - most, fixture.max(0) + most),
+        ))
     }
 }

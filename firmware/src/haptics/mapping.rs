@@ -35,7 +35,7 @@ pub const SCALE_ONE: u16 = 1 << 12;
 
 /// Handle in a control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Frame {
+pub struct HandleFrame {
     /// Tip, 2^-20 mm.
     pub tip: Vector,
     /// n, o and a, Q30.
@@ -44,7 +44,7 @@ pub struct Frame {
     pub engaged: bool,
 }
 
-impl Frame {
+impl HandleFrame {
     /// The frame of a remote master from a sample that is `age` control periods old, with
     /// `per_second` control periods per second. The motion is extrapolated for at most 0.02 s.
     #[must_use]
@@ -107,7 +107,7 @@ impl MasterMapping {
     }
 
     /// Sets the position scale and latches the present targets.
-    pub fn set_scale(&mut self, scale: u16, frame: Option<&Frame>) {
+    pub fn set_scale(&mut self, scale: u16, frame: Option<&HandleFrame>) {
         self.scale = i64::from(scale);
         for axis in 0..THETA {
             if let (Some(target), Some(frame)) = (self.targets[axis], frame) {
@@ -135,7 +135,7 @@ impl MasterMapping {
     /// if nothing leads it.
     pub fn follow(
         &mut self,
-        frame: &Frame,
+        frame: &HandleFrame,
         led: u8,
         standstill_position: impl Fn(usize) -> Coordinate,
     ) {
@@ -177,7 +177,7 @@ impl MasterMapping {
     /// Latches the tool axis: (sin theta, cos theta sin alpha, cos theta cos alpha) in handle
     /// coordinates.
     #[cold]
-    fn hold(&mut self, frame: &Frame, theta: Coordinate, alpha: Coordinate) {
+    fn hold(&mut self, frame: &HandleFrame, theta: Coordinate, alpha: Coordinate) {
         let ((s, c), (sa, ca)) = (sin_cos(theta.angle()), sin_cos(alpha.angle()));
         let axis = [
             s,
@@ -190,7 +190,7 @@ impl MasterMapping {
     }
 
     /// Theta and alpha from (3.27), (3.28).
-    fn angles(&self, frame: &Frame) -> [Coordinate; 2] {
+    fn angles(&self, frame: &HandleFrame) -> [Coordinate; 2] {
         let row = |k: usize| {
             let parts = [frame.axes[0][k], frame.axes[1][k], frame.axes[2][k]];
             round_shift(dot(parts, self.latched_axis), 30) as i32
@@ -243,8 +243,9 @@ impl RemoteMaster {
 
     /// Extrapolated frame of the master; `None` without a sample.
     #[must_use]
-    pub fn frame(&self, per_second: u32) -> Option<Frame> {
-        self.age.map(|age| Frame::of(&self.master, age, per_second))
+    pub fn frame(&self, per_second: u32) -> Option<HandleFrame> {
+        self.age
+            .map(|age| HandleFrame::of(&self.master, age, per_second))
     }
 
     /// Rates of the master, 2^-20 mm/s.

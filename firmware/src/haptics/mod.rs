@@ -6,7 +6,7 @@
 //! ([`Haptic::render`]) computes six motor currents from the force on the tool:
 //! - the force feedback law ([`feedback_law`]);
 //! - the low-pass filter during an energy deficit ([`feedback_filter`]);
-//! - the virtual fixtures ([`walls`]);
+//! - the virtual fixtures ([`fixture`]);
 //! - the damping of the passivity controllers ([`passivity`], [`oscillation`]);
 //! - the limit of each axis, and the largest force step per control period;
 //! - the statics of the arm, with a common clamp of all currents that keeps the direction of the
@@ -34,16 +34,17 @@
 pub mod config;
 pub mod feedback_filter;
 pub mod feedback_law;
+pub mod fixture;
 pub mod mapping;
 pub mod oscillation;
 pub mod passivity;
-pub mod walls;
 
-use crate::config::digest::{Constants, Digest, constants};
+use crate::config::digest::{Constants, Digest, impl_digest};
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
 use config::HapticConfig;
 use feedback_filter::FeedbackFilter;
 use feedback_law::FeedbackLaw;
+use fixture::{TooSmall, VirtualFixtures};
 use haptimill_kinematics::haptic_arm::statics::Wrench;
 use haptimill_kinematics::haptic_arm::{ArmError, ArmPose, HapticArm, LegReading};
 use haptimill_math::force::Force;
@@ -52,27 +53,22 @@ use haptimill_math::{Angle, Length, Rate};
 pub use haptimill_protocol::haptic::{
     COMPONENTS, ForceFeedback, MasterPose, MasterProblem, MasterTelemetry,
 };
-use mapping::Frame;
+use mapping::HandleFrame;
 use motors::Motors;
-use oscillation::{OperatorPower, OscillationDampers};
+use oscillation::{FORGET_US, OperatorPower, OscillationDampers};
 use passivity::{Passivity, WHOLE, works};
-use walls::{TooSmall, Walls};
 
 mod motors;
 
 /// Blend time of the force feedback when the master starts or stops leading, microseconds.
 const BLEND_US: u32 = 100_000;
 
-/// Time constant of the leak of an energy deficit (63 %), microseconds: as long as an operator
-/// needs to notice an oscillating contact.
-const FORGET_US: u32 = 10_000_000;
-
 /// Largest age of the last remote force, microseconds.
 const FEEL_US: u32 = 100_000;
 
 /// Encoder of a leg.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
-struct Sensor {
+struct LegSensor {
     per_count: i64,
     /// Counts beyond this are out of range.
     most: u32,
@@ -104,9 +100,9 @@ pub struct HapticSnapshot {
     /// Force of the arm on the operator, 2^-16 N.
     pub force: [i32; COMPONENTS],
     /// Output of the force feedback law alone, 2^-16 N.
-    pub reflected: [i32; COMPONENTS],
+    pub feedback: [i32; COMPONENTS],
     /// Force of the virtual fixtures, 2^-16 N.
-    pub wall: [i32; COMPONENTS],
+    pub fixture: [i32; COMPONENTS],
     /// Directions of the x and z axes of the handle, 32767 for 1; zeros where its pose is invalid.
     pub axes: [[i16; COMPONENTS]; 2],
 }
@@ -115,7 +111,7 @@ pub struct HapticSnapshot {
 #[derive(Debug, Clone)]
 pub struct Haptic {
     arm: HapticArm,
-    sensors: [[Sensor; 3]; LEGS],
+    sensors: [[LegSensor; 3]; LEGS],
     motors: Motors,
     illegal_most: u16,
     /// Filter coefficient of the rates per control period, 2^-32.
@@ -125,11 +121,11 @@ pub struct Haptic {
     blend_step: i32,
     feel_periods: u32,
     law: FeedbackLaw,
-    walls: Walls,
+    fixtures: VirtualFixtures,
     passivity: Passivity,
     dampers: OscillationDampers,
     shares: FeedbackFilter,
-    supply: OperatorPower,
+    operator_power: OperatorPower,
     /// Counts at the presets.
     zero: [[i32; 3]; LEGS],
     illegal: [[u16; 3]; LEGS],
@@ -144,8 +140,8 @@ pub struct Haptic {
     blend: i32,
     remote: RemoteMaster,
     force: [Force; COMPONENTS],
-    reflected: [Force; COMPONENTS],
-    wall: [Force; COMPONENTS],
+    feedback: [Force; COMPONENTS],
+    fixture: [Force; COMPONENTS],
     enabled: bool,
     problem: Option<MasterProblem>,
     /// The problem is latched until a reset.
@@ -154,9 +150,9 @@ pub struct Haptic {
     fresh: bool,
 }
 
-constants!(Haptic { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods } of {} but {
-    law, walls, passivity, dampers, shares, supply, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, remote, force, reflected, wall, enabled, problem, latched, fresh
-});
+impl_digest!(Haptic { fields { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods }, nested {}, skip {
+    law, fixtures, passivity, dampers, shares, operator_power, zero, illegal, pose, tip, moved, rates, engaged, ready, blend, remote, force, feedback, fixture, enabled, problem, latched, fresh
+} });
 
 impl Haptic {
     /// Creates the arm of a sound configuration. The handle must be at its home.
@@ -168,7 +164,7 @@ impl Haptic {
         let sensors = config.sensors.map(|leg| {
             core::array::from_fn(|index| {
                 let (low, high) = config.ranges[index];
-                Sensor {
+                LegSensor {
                     per_count: leg[index].per_count,
                     most: ((1 << 57) / leg[index].per_count.unsigned_abs().max(1)).min(1 << 30)
                         as u32,
@@ -191,11 +187,11 @@ impl Haptic {
             blend_step: ((period << 16) / BLEND_US).max(1) as i32,
             feel_periods: FEEL_US / period,
             law: FeedbackLaw::new(&config.feedback, period_us),
-            walls: Walls::new(&config.wall, config.ball, period_us),
+            fixtures: VirtualFixtures::new(&config.fixture, config.ball, period_us),
             passivity: Passivity::new(&config.passivity, period_us, FORGET_US),
             dampers: OscillationDampers::new(&config.passivity, period_us),
             shares: FeedbackFilter::new(period_us),
-            supply: OperatorPower::new(period_us),
+            operator_power: OperatorPower::new(period_us),
             zero: inputs.legs.map(|leg| leg.counts),
             illegal: inputs.legs.map(|leg| leg.illegal),
             pose: None,
@@ -207,8 +203,8 @@ impl Haptic {
             blend: 0,
             remote: RemoteMaster::default(),
             force: [Force::ZERO; COMPONENTS],
-            reflected: [Force::ZERO; COMPONENTS],
-            wall: [Force::ZERO; COMPONENTS],
+            feedback: [Force::ZERO; COMPONENTS],
+            fixture: [Force::ZERO; COMPONENTS],
             enabled: false,
             problem: None,
             latched: false,
@@ -349,9 +345,9 @@ impl Haptic {
 
     /// Frame of the handle; `None` if it is invalid.
     #[must_use]
-    pub fn frame(&self) -> Option<Frame> {
+    pub fn frame(&self) -> Option<HandleFrame> {
         let pose = self.pose.as_ref().filter(|_| self.problem.is_none())?;
-        Some(Frame {
+        Some(HandleFrame {
             tip: pose.tip,
             axes: pose.axes,
             engaged: self.engaged,
@@ -407,15 +403,15 @@ impl Haptic {
         let towards = if leading { 1 << 16 } else { 0 };
         self.blend += (towards - self.blend).clamp(-self.blend_step, self.blend_step);
         let rates = self.rates.map(|rate| Rate(saturate(rate >> 8)));
-        self.wall = self.walls.push(&pose.tip);
-        let stored = self.walls.stored();
+        self.fixture = self.fixtures.push(&pose.tip);
+        let stored = self.fixtures.stored();
         let works = works(&self.force, &self.moved);
         self.passivity.observe_work(&works, stored);
-        self.dampers.watch(&self.force, &self.moved, stored);
-        let (all, swinging) = (self.passivity.deficit_of(), self.dampers.deficit_of());
-        let idle = self.supply.observe_work(&works);
+        self.dampers.update(&self.force, &self.moved, stored);
+        let (all, oscillating) = (self.passivity.deficit_of(), self.dampers.deficit_of());
+        let idle = self.operator_power.observe_work(&works);
         let deficit_of =
-            idle.map(|idle| all.max(((i64::from(swinging) * i64::from(idle)) >> 16) as i32));
+            idle.map(|idle| all.max(((i64::from(oscillating) * i64::from(idle)) >> 16) as i32));
         // Axes that the operator does not drive get half the damping, applied to the full velocity.
         let damped = deficit_of.map(|deficit_of| deficit_of.min(WHOLE) / 2);
         let dampers = self.dampers.damp(&rates, &idle, &damped);
@@ -425,14 +421,14 @@ impl Haptic {
             .shares
             .smooth(&shares, &deficit_of)
             .map(|share| Force(saturate((i64::from(share.0) * i64::from(self.blend)) >> 16)));
-        self.reflected = self.law.damped(&shares, &rates);
+        self.feedback = self.law.damped(&shares, &rates);
         let mut force = self.force;
         for (axis, force) in force.iter_mut().enumerate() {
             let damping = self.passivity.damp_by(damped[axis], rates[axis]);
             let damping = Force(damping.0.saturating_add(dampers[axis].0));
-            let commanded = self
-                .law
-                .together(axis, self.reflected[axis], damping, self.wall[axis]);
+            let commanded =
+                self.law
+                    .combine(axis, self.feedback[axis], damping, self.fixture[axis]);
             let change = commanded.0.saturating_sub(force.0);
             force.0 += change.clamp(-self.step, self.step);
         }
@@ -459,12 +455,12 @@ impl Haptic {
         self.enabled = false;
         self.blend = 0;
         self.force = [Force::ZERO; COMPONENTS];
-        self.reflected = self.force;
-        self.wall = self.force;
+        self.feedback = self.force;
+        self.fixture = self.force;
         self.passivity.reset();
         self.dampers.reset();
         self.shares.reset();
-        self.supply.reset();
+        self.operator_power.reset();
     }
 
     /// Sets the force feedback law.
@@ -477,15 +473,15 @@ impl Haptic {
     /// # Errors
     ///
     /// Returns [`TooSmall`] if the ball does not fit; nothing changes.
-    pub fn set_wall(
+    pub fn set_fixture(
         &mut self,
         axis: usize,
         upper: bool,
-        wall: Option<(Option<Length>, Rate)>,
+        fixture: Option<(Option<Length>, Rate)>,
     ) -> Result<(), TooSmall> {
         let here = Length(self.tip.get(axis).copied().unwrap_or(0));
-        let wall = wall.map(|(at, rate)| (at.unwrap_or(here), rate));
-        self.walls.set(axis, upper, wall)
+        let fixture = fixture.map(|(at, rate)| (at.unwrap_or(here), rate));
+        self.fixtures.set(axis, upper, fixture)
     }
 
     /// Force of the arm on the operator.
@@ -507,8 +503,8 @@ impl Haptic {
         HapticSnapshot {
             tip: self.tip,
             force: raw(&self.force),
-            reflected: raw(&self.reflected),
-            wall: raw(&self.wall),
+            feedback: raw(&self.feedback),
+            fixture: raw(&self.fixture),
             axes: self.axes(),
         }
     }
@@ -535,8 +531,8 @@ impl Haptic {
                 engaged: self.engaged && self.problem.is_none() && self.pose.is_some(),
             },
             force: short(&self.force),
-            feedback: short(&self.reflected),
-            fixture: short(&self.wall),
+            feedback: short(&self.feedback),
+            fixture: short(&self.fixture),
             energy: (self.passivity.energy().min(self.dampers.energy()) >> 28).clamp(-32768, 32767)
                 as i16,
             enabled: self.enabled,

@@ -31,9 +31,9 @@ use haptimill_protocol::haptic::COMPONENTS;
 /// periods.
 const SLOW_US: u32 = 100_000;
 
-/// Time constant of the leak of the oscillation's deficit (63 %), microseconds. A hand that has
-/// stopped oscillating returns no energy.
-const FORGET_US: u32 = 10_000_000;
+/// Time constant of the leak of an energy deficit (63 %), microseconds: as long as an operator
+/// needs to notice an oscillating contact. A hand that has stopped oscillating returns no energy.
+pub(super) const FORGET_US: u32 = 10_000_000;
 
 /// Shortest averaging time of the operator power, microseconds; rounded up to a power of two of
 /// control periods.
@@ -64,7 +64,7 @@ impl OscillationDamper {
 /// Passivity observer and controller of the oscillation.
 #[derive(Debug, Clone)]
 pub struct OscillationDampers {
-    watch: Passivity,
+    observer: Passivity,
     shift: u32,
     force: [OscillationDamper; COMPONENTS],
     moved: [OscillationDamper; COMPONENTS],
@@ -77,7 +77,7 @@ impl OscillationDampers {
     pub fn new(config: &PassivityConfig, period_us: u16) -> Self {
         let periods = SLOW_US / u32::from(period_us.max(1));
         Self {
-            watch: Passivity::new(config, period_us, FORGET_US),
+            observer: Passivity::new(config, period_us, FORGET_US),
             shift: periods.next_power_of_two().trailing_zeros(),
             force: Default::default(),
             moved: Default::default(),
@@ -87,7 +87,7 @@ impl OscillationDampers {
 
     /// Resets all states.
     pub fn reset(&mut self) {
-        self.watch.reset();
+        self.observer.reset();
         self.force = Default::default();
         self.moved = self.force;
         self.rates = self.force;
@@ -95,11 +95,11 @@ impl OscillationDampers {
 
     /// Updates the observer in every control period: `force` acted while the tip moved by `moved`
     /// (2^-20 mm), and the virtual fixtures store `stored`.
-    pub fn watch(&mut self, force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS], stored: i64) {
+    pub fn update(&mut self, force: &[Force; COMPONENTS], moved: &[i32; COMPONENTS], stored: i64) {
         let shift = self.shift;
         let force = core::array::from_fn(|axis| Force(self.force[axis].of(force[axis].0, shift)));
         let moved = core::array::from_fn(|axis| self.moved[axis].of(moved[axis], shift));
-        self.watch.observe(&force, &moved, stored);
+        self.observer.observe(&force, &moved, stored);
     }
 
     /// Damping force against the oscillating part of the master's motion, on axes that the operator
@@ -112,28 +112,28 @@ impl OscillationDampers {
         idle: &[i32; COMPONENTS],
         damped: &[i32; COMPONENTS],
     ) -> [Force; COMPONENTS] {
-        let part = self.watch.deficit_of().min(WHOLE);
+        let part = self.observer.deficit_of().min(WHOLE);
         core::array::from_fn(|axis| {
             // A master that has stopped is not damped, although its slow part decays later: the
             // damped rate is at most the actual one.
             let most = rates[axis].0.saturating_abs();
-            let swing = self.rates[axis].of(rates[axis].0, self.shift);
-            let rate = Rate(swing.clamp(-most, most));
+            let oscillation = self.rates[axis].of(rates[axis].0, self.shift);
+            let rate = Rate(oscillation.clamp(-most, most));
             let led = ((i64::from(part) * i64::from(WHOLE - idle[axis])) >> 16) as i32;
-            self.watch.damp_by(led - damped[axis], rate)
+            self.observer.damp_by(led - damped[axis], rate)
         })
     }
 
     /// Energy surplus of the oscillation, or below 0 the deficit, as [`Passivity::energy`].
     #[must_use]
     pub const fn energy(&self) -> i64 {
-        self.watch.energy()
+        self.observer.energy()
     }
 
     /// Energy deficit of the oscillation, as [`Passivity::deficit_of`].
     #[must_use]
     pub fn deficit_of(&self) -> i32 {
-        self.watch.deficit_of()
+        self.observer.deficit_of()
     }
 }
 
@@ -170,7 +170,7 @@ impl OperatorPower {
 
     /// Updates the estimate in every control period: `force` acted while the tip moved by `moved`.
     /// Returns for each axis the fraction to which the operator does not drive it, 2^-16.
-    pub fn watch(
+    pub fn update(
         &mut self,
         force: &[Force; COMPONENTS],
         moved: &[i32; COMPONENTS],
@@ -178,7 +178,7 @@ impl OperatorPower {
         self.observe_work(&works(force, moved))
     }
 
-    /// As [`OperatorPower::watch`], with the work along each axis.
+    /// As [`OperatorPower::update`], with the work along each axis.
     pub(super) fn observe_work(&mut self, works: &[i64; COMPONENTS]) -> [i32; COMPONENTS] {
         core::array::from_fn(|axis| {
             // A work is at most 2^46, and so is their mean.
@@ -209,24 +209,24 @@ mod tests {
     /// A steady motion against a steady force is not damped; an added oscillation with a late force
     /// is.
     #[test]
-    fn only_what_swings_is_damped() {
+    fn only_an_oscillation_is_damped() {
         let damped = |amplitude: f64, late: f64| {
             let mut dampers = OscillationDampers::new(&CONFIG, 200);
-            let mut supply = OperatorPower::new(200);
+            let mut operator_power = OperatorPower::new(200);
             let mut most = 0;
             for period in 0..15_000_u32 {
                 let time = f64::from(period) * 200e-6;
                 // 6 mm/s against 3 N, and an oscillation of 8 Hz.
-                let swing = |time: f64| amplitude * (50.0 * time).sin();
-                let rate = -6.0 + swing(time);
+                let oscillation = |time: f64| amplitude * (50.0 * time).sin();
+                let rate = -6.0 + oscillation(time);
                 let force = [
-                    Force(of(3.0 - 0.1 * swing(time - late), 65_536.0)),
+                    Force(of(3.0 - 0.1 * oscillation(time - late), 65_536.0)),
                     Force(0),
                     Force(0),
                 ];
                 let moved = [of(rate * 200e-6, 1_048_576.0), 0, 0];
-                dampers.watch(&force, &moved, 0);
-                let idle = supply.watch(&force, &moved);
+                dampers.update(&force, &moved, 0);
+                let idle = operator_power.update(&force, &moved);
                 let rates = [Rate(of(rate, 1_048_576.0)), Rate(0), Rate(0)];
                 let got = dampers.damp(&rates, &idle, &[0; COMPONENTS]);
                 if period > 10_000 {
@@ -249,13 +249,13 @@ mod tests {
     /// An oscillation with the full deficit gets the full damping on axes that the operator drives,
     /// none on others, and a proportional one between.
     #[test]
-    fn a_whole_debt_is_damped_wholly() {
+    fn a_full_deficit_is_fully_damped() {
         let mut dampers = OscillationDampers::new(&CONFIG, 200);
         for period in 0..20_000_u32 {
             // 8 Hz, 5 N along 10 mm/s.
-            let swing = (f64::from(period) * 0.01).sin();
-            let force = [Force(of(5.0 * swing, 65_536.0)), Force(0), Force(0)];
-            dampers.watch(&force, &[of(0.002 * swing, 1_048_576.0), 0, 0], 0);
+            let oscillation = (f64::from(period) * 0.01).sin();
+            let force = [Force(of(5.0 * oscillation, 65_536.0)), Force(0), Force(0)];
+            dampers.update(&force, &[of(0.002 * oscillation, 1_048_576.0), 0, 0], 0);
         }
         assert!(dampers.deficit_of() > 2 * WHOLE);
         // A step of the rate differs from its high-passed value by 1/512. 0.3 N s/mm; motion that
@@ -274,7 +274,7 @@ mod tests {
     #[test]
     fn a_hand_that_is_driven_does_not_lead() {
         for (amplitude, late) in [(0.0, 0.0), (0.5, 0.3), (2.0, 1.2), (4.0, 0.1)] {
-            let mut supply = OperatorPower::new(200);
+            let mut operator_power = OperatorPower::new(200);
             // 5 Hz; a force of 3 N, and one of 1.5 N that is ahead of the motion by `late` of a
             // quarter turn: it drives the hand.
             for period in 0..25_000_u32 {
@@ -282,7 +282,8 @@ mod tests {
                 let rate = amplitude * 31.4 * turn.cos();
                 let force = 3.0 + 1.5 * (turn + late).sin();
                 let moved = [of(rate * 200e-6, 1_048_576.0), 0, 0];
-                let idle = supply.watch(&[Force(of(force, 65_536.0)), Force(0), Force(0)], &moved);
+                let idle = operator_power
+                    .update(&[Force(of(force, 65_536.0)), Force(0), Force(0)], &moved);
                 if period > 10_000 {
                     assert!(idle[0] > WHOLE / 2, "{amplitude} {late} {idle:?}");
                 }

@@ -31,7 +31,7 @@
 //! limit-cycle across it.
 
 use super::encoder::{difference, sum};
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use crate::config::{AxisKind, BACKLASH_NODES, JointAxis};
 use crate::joint::rate_filter::approach;
 use haptimill_math::reciprocal::{Factor, Scale, saturate};
@@ -73,9 +73,9 @@ pub struct Backlash {
     anchor: Coordinate,
 }
 
-constants!(Backlash {
+impl_digest!(Backlash { fields {
     kind, half, table, hysteresis, approach, rate, fraction, rounding
-} of {} but { goal, first, second, settled, slide, anchor });
+}, nested {}, skip { goal, first, second, settled, slide, anchor } });
 
 /// Direction of a motion.
 enum Direction {

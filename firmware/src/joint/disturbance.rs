@@ -16,7 +16,7 @@
 //! is between the negative configured Coulomb friction and half the drive's limit. No input can
 //! overflow.
 
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use crate::joint::rate_filter::approach;
 use haptimill_math::reciprocal::mul_shift;
 use haptimill_math::{Coordinate, Rate};
@@ -62,8 +62,7 @@ pub struct Disturbance {
     since: u32,
 }
 
-constants!(Disturbance { ki_period, drain, dead_band, side_change_periods, limit, least_friction, most_friction } of {}
-    but { integral, friction, band, side, since });
+impl_digest!(Disturbance { fields { ki_period, drain, dead_band, side_change_periods, limit, least_friction, most_friction }, nested {}, skip { integral, friction, band, side, since } });
 
 impl Disturbance {
     /// A disturbance with K_I times the period (1/s^2, Q20), the time constant of the adaptation

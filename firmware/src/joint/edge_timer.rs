@@ -13,7 +13,7 @@
 //!
 //! Limit: more than 2^30 counts in a period give a wrong rate.
 
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use haptimill_math::Rate;
 use haptimill_math::reciprocal::{Factor, Reciprocal, high, saturate};
 use haptimill_math::scale::shift_right;
@@ -45,9 +45,9 @@ pub struct EdgeTimer {
     age_ns: u32,
 }
 
-constants!(EdgeTimer { half_mantissa, half_exponent, reversed } of {} but {
+impl_digest!(EdgeTimer { fields { half_mantissa, half_exponent, reversed }, nested {}, skip {
     edge_time_ns, edge, edge_known, travel, interval_ns, age_ns
-});
+} });
 
 impl EdgeTimer {
     /// Timer of an encoder with `per_count` axis units per count, times 2^24; negative if it counts

@@ -9,7 +9,7 @@
 
 use super::edge_timer::EdgeTimer;
 use crate::config::AxisKind;
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use crate::io::AxisInputs;
 use haptimill_math::reciprocal::saturate;
 use haptimill_math::{Coordinate, Rate};
@@ -38,11 +38,11 @@ pub struct Encoder {
     edges: EdgeTimer,
 }
 
-constants!(Encoder {
+impl_digest!(Encoder { fields {
     kind, per_count, whole, part, most
-} of { edges } but {
+}, nested { edges }, skip {
     fresh, raw, travelled, reference, illegal_raw, illegal, index_pulses
-});
+} });
 
 /// Reading of an encoder at the start of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

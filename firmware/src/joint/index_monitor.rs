@@ -22,7 +22,7 @@
 //! Callers must latch the count at the pulse itself, and the index must be on the same shaft as the
 //! encoder. Otherwise the offset is not an encoder fault.
 
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 
 /// Index monitor of one encoder.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,7 +40,7 @@ pub struct IndexMonitor {
     searching: bool,
 }
 
-constants!(IndexMonitor { turn, slack } of {} but { due, doubt, searching });
+impl_digest!(IndexMonitor { fields { turn, slack }, nested {}, skip { due, doubt, searching } });
 
 impl IndexMonitor {
     /// A monitor for pulses `pitch` axis units apart, with `per_count` axis units per count, times

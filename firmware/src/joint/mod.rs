@@ -35,7 +35,7 @@ pub mod step_gen;
 mod step_supervision;
 pub mod torque;
 
-use crate::config::digest::{Constants, Digest, constants};
+use crate::config::digest::{Constants, Digest, impl_digest};
 use crate::config::{AxisKind, Drive, JointAxis, Supervision};
 use crate::io::{AxisInputs, DriveCommand};
 use crate::joint::monitor::{JointMonitor, JointSample};
@@ -189,7 +189,7 @@ fn count(per_count: i64) -> Coordinate {
     Coordinate(size.min(i32::MAX as u64) as i32)
 }
 
-constants!(JointDrive { kind, reach, open_loop } of { encoder, indexes, backlash, output } but { monitor, commanded, measurement, servo_output, measured_once, enabled, placed });
+impl_digest!(JointDrive { fields { kind, reach, open_loop }, nested { encoder, indexes, backlash, output }, skip { monitor, commanded, measurement, servo_output, measured_once, enabled, placed } });
 
 impl Constants for Output {
     fn digest(&self, digest: &mut Digest) {

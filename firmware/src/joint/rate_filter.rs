@@ -3,7 +3,7 @@
 //! Signals are `i32`, times are microseconds. States are convex combinations of past inputs, so no
 //! input can overflow them.
 
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use haptimill_math::reciprocal::mul_shift;
 use haptimill_math::scale::total;
 
@@ -86,7 +86,7 @@ pub struct RateFilter {
     state: i64,
 }
 
-constants!(RateFilter { approach, frequency } of {} but { state });
+impl_digest!(RateFilter { fields { approach, frequency }, nested {}, skip { state } });
 
 impl RateFilter {
     /// A filter with the time constant `time_us` (0: none), called once per period of `period_us`

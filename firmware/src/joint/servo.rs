@@ -28,7 +28,7 @@
 use super::disturbance::{Disturbance, DisturbanceLimits, FRACTION as INTEGRAL_FRACTION};
 use super::friction::Friction;
 use super::rate_filter::{CHANGE_FRACTION, RateFilter};
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use crate::config::{ServoConfig, ServoForm};
 use haptimill_math::reciprocal::{Factor, Scale, mul_shift, saturate};
 use haptimill_math::scale::shift_right;
@@ -63,9 +63,9 @@ pub struct ServoLaw {
     plain: bool,
 }
 
-constants!(ServoLaw {
+impl_digest!(ServoLaw { fields {
     form, proportional, derivative, coarse, acceleration, viscous, friction, inertia, limit, fraction, rounding, lift, plain
-} of { error_rate, disturbance } but {});
+}, nested { error_rate, disturbance }, skip {} });
 
 impl ServoLaw {
     /// A loop with a period of `period_us` (50 to 1000), an effort within +-`limit`, and an encoder

@@ -23,7 +23,7 @@
 
 use super::encoder::difference;
 use crate::config::AxisKind;
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use crate::io::StepSegment;
 use haptimill_math::reciprocal::Reciprocal;
 use haptimill_math::{Coordinate, Rate};
@@ -97,9 +97,9 @@ pub struct StepPlanner {
     hold_left: u32,
 }
 
-constants!(StepPlanner {
+impl_digest!(StepPlanner { fields {
     kind, timing, steps_per_unit, steps_per_rate
-} of {} but { last, travel, position, rate, emitted, folded, origin, level, ready, hold_left });
+}, nested {}, skip { last, travel, position, rate, emitted, folded, origin, level, ready, hold_left } });
 
 impl StepPlanner {
     /// A generator with `per_step` axis units per step, times 2^24. A negative value means that a

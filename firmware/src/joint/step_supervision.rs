@@ -3,7 +3,7 @@
 
 use super::encoder::{difference, sum};
 use crate::config::AxisKind;
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use haptimill_math::Coordinate;
 use haptimill_math::reciprocal::saturate;
 
@@ -20,7 +20,7 @@ pub(super) struct StepSupervision {
     lock: Option<Lock>,
 }
 
-constants!(StepSupervision { per_step, lost } of {} but { last_steps, steps, start, lock });
+impl_digest!(StepSupervision { fields { per_step, lost }, nested {}, skip { last_steps, steps, start, lock } });
 
 /// Rotor that moves to a detent after its drive was switched on.
 #[derive(Debug, Clone, PartialEq, Eq)]

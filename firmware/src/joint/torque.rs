@@ -14,7 +14,7 @@
 //! where the mass attenuates it. The carry is dropped when the code is clamped, so nothing winds
 //! up.
 
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use haptimill_math::Effort;
 use haptimill_math::reciprocal::{Factor, Scale};
 
@@ -30,7 +30,7 @@ pub struct TorqueOutput {
     carry: i32,
 }
 
-constants!(TorqueOutput { scale } of {} but { carry });
+impl_digest!(TorqueOutput { fields { scale }, nested {}, skip { carry } });
 
 impl TorqueOutput {
     /// Output with the effort `full_scale` at code 8192. A negative `full_scale` means that the

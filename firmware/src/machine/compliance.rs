@@ -27,7 +27,7 @@ use haptimill_math::{Acceleration, Coordinate, Length, Rate};
 use haptimill_protocol::message::{ConfigField, ConfigProblem};
 
 /// Hold-off before a compliance-limit event of a component is reported again, microseconds.
-const TOLD_FOR_US: u32 = 500_000;
+const LIMITED_HOLD_OFF_US: u32 = 500_000;
 
 impl Machine {
     /// Designs force control for a configuration before the configuration is taken.
@@ -102,30 +102,30 @@ impl Machine {
         };
         // A force above its limit is still valid: the tool complies with it while the machine
         // decelerates.
-        let unbelieved = force
+        let invalid = force
             .condition()
             .is_some_and(|problem| !matches!(problem, ForceProblem::Limit { .. }));
-        force.hold(stopped || (unbelieved && force.mask() != 0));
+        force.hold(stopped || (invalid && force.mask() != 0));
         let commanded = self.motion.commanded();
         let [x, y, z, ..] = commanded.rates;
-        let yielding = *force.advance(&[x, y, z]);
+        let compliance = *force.advance(&[x, y, z]);
         self.reference = *commanded;
         let mut limited = 0;
-        for (component, yielding) in yielding.iter().enumerate() {
-            if yielding.limited {
+        for (component, compliance) in compliance.iter().enumerate() {
+            if compliance.limited {
                 limited |= 1 << component;
             }
-            if yielding.displacement == Displacement::default() && yielding.rate == Rate::ZERO {
+            if compliance.displacement == Displacement::default() && compliance.rate == Rate::ZERO {
                 continue;
             }
             let desired = self.reference.pose.0[component];
-            let reference = self.displace(component, yielding.displacement);
+            let reference = self.displace(component, compliance.displacement);
             let rate = &mut self.reference.rates[component];
-            *rate = rate.saturating_add(yielding.rate);
+            *rate = rate.saturating_add(compliance.rate);
             let acceleration = &mut self.reference.accelerations[component];
-            *acceleration = acceleration.saturating_add(yielding.acceleration);
+            *acceleration = acceleration.saturating_add(compliance.acceleration);
             if let Some(end) = self.soft_limit_passed(component, desired, reference) {
-                self.stand(component, desired, end);
+                self.stop_at_soft_limit(component, desired, end);
                 limited |= 1 << component;
             }
         }
@@ -175,7 +175,7 @@ impl Machine {
     }
 
     /// Stops the reference of one component at a soft limit.
-    fn stand(&mut self, component: usize, desired: Coordinate, end: Coordinate) {
+    fn stop_at_soft_limit(&mut self, component: usize, desired: Coordinate, end: Coordinate) {
         // The result is a p_c of smaller magnitude, so it fits.
         let left = Length(end.0.saturating_sub(desired.0));
         if let Some(force) = &mut self.force {
@@ -191,7 +191,7 @@ impl Machine {
     pub(super) fn update_excursion(&mut self) {
         if let Some(force) = &self.force {
             let excursion = force
-                .yielding()
+                .compliance()
                 .map(|of| (of.displacement.length().0, of.rate));
             self.motion.jog.displace(&excursion);
         }
@@ -215,14 +215,14 @@ impl Machine {
         let Some(force) = self.force.as_mut().filter(|force| force.displaced()) else {
             return placed;
         };
-        let yielding = *force.roll_back();
+        let compliance = *force.roll_back();
         let mut limited = 0;
-        for (component, yielding) in yielding.iter().enumerate() {
+        for (component, compliance) in compliance.iter().enumerate() {
             let commanded = self.motion.commanded();
             self.reference.rates[component] = commanded.rates[component];
             self.reference.accelerations[component] = commanded.accelerations[component];
-            self.displace(component, yielding.displacement);
-            if yielding.displacement != Displacement::default() {
+            self.displace(component, compliance.displacement);
+            if compliance.displacement != Displacement::default() {
                 limited |= 1 << component;
             }
         }
@@ -248,7 +248,7 @@ impl Machine {
     }
 
     fn report_limited(&mut self, limited: u8) {
-        let periods = TOLD_FOR_US / u32::from(self.config.period_us.max(1));
+        let periods = LIMITED_HOLD_OFF_US / u32::from(self.config.period_us.max(1));
         for (component, left) in self.limited.iter_mut().enumerate() {
             if limited & (1 << component) == 0 {
                 *left = left.saturating_sub(1);

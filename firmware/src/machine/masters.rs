@@ -9,7 +9,7 @@ use super::configure::HAPTICS_PART;
 use crate::config::HAPTICS;
 use crate::config::digest::Digest;
 use crate::haptics::config::Encoder;
-use crate::haptics::mapping::{Frame, MasterMapping, RemoteMaster};
+use crate::haptics::mapping::{HandleFrame, MasterMapping, RemoteMaster};
 use crate::haptics::{Haptic, MasterProblem, Zero};
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
 use haptimill_protocol::haptic::MasterPose;
@@ -113,7 +113,7 @@ impl Machine {
     /// Pose of the master that can lead: the haptic arm if there is one, otherwise the remote
     /// master.
     #[must_use]
-    pub fn master(&self) -> Option<Frame> {
+    pub fn master(&self) -> Option<HandleFrame> {
         match self.masters.arm() {
             Some(arm) => arm.frame(),
             None if !HAPTICS => None,

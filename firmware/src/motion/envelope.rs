@@ -193,8 +193,8 @@ pub type Excursion = [(i32, Rate); 3];
 /// Control periods between two attempts at a wider box after a failed one.
 const RETRY_PERIODS: u8 = 64;
 
-/// What is known of the reach around the machine: a box that is reachable, with room. A sweep in it
-/// needs no look of its own.
+/// The last box that was checked and found reachable, with margins. A stopping envelope within it
+/// needs no check.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ReachableBox {
     known: Option<(StoppingEnvelope, u32)>,
@@ -207,27 +207,27 @@ impl ReachableBox {
     /// move from now on, one bit each. Callers must call it once per control period.
     pub fn load_bound(
         &mut self,
-        sweep: &StoppingEnvelope,
+        envelope: &StoppingEnvelope,
         (margins, may): (&[i32; MAX_AXES], u8),
         axes: usize,
         machine: &impl Kinematics,
     ) -> Option<u32> {
         if let Some((known, load)) = &self.known
-            && sweep.is_within(known, axes)
+            && envelope.is_within(known, axes)
         {
             return Some(*load);
         }
         self.retry_in = self.retry_in.saturating_sub(1);
         if self.retry_in == 0 {
-            let wide = sweep.with_margins(margins, may);
+            let wide = envelope.with_margins(margins, may);
             let load = wide.load(&[wide.rates], machine).map(|loads| loads[0]);
-            // What is near its maximum is looked at as it is, and not with room.
+            // Near the maximum load the envelope is checked without margins.
             if let Some(load) = load.filter(|load| *load <= SLOWED_LOAD) {
                 self.known = Some((wide, load));
                 return Some(load);
             }
             self.retry_in = RETRY_PERIODS;
         }
-        Some(sweep.load(&[sweep.rates], machine)?[0])
+        Some(envelope.load(&[envelope.rates], machine)?[0])
     }
 }

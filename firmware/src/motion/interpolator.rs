@@ -22,7 +22,7 @@ use super::PoseCommand;
 use super::cubic::{Cubic, SegmentDuration};
 use super::ramp::{Ramp, RampLimits};
 use super::segment;
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use crate::config::{Config, Stopping};
 use core::ops::Range;
 use haptimill_kinematics::Pose;
@@ -142,12 +142,12 @@ pub struct Interpolator {
     late: Option<Late>,
 }
 
-constants!(Interpolator {
+impl_digest!(Interpolator { fields {
     axes, circular, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods, pace_periods
-} of {} but {
+}, nested {}, skip {
     queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, overrides, pace, accepted_pace, accepted, reached, total, started, paused,
     underrunning, late, duration, passed, retract_left
-});
+} });
 
 /// Bounds of the path rate for a configuration's [`Stopping`]; `None` if the times are
 /// inconsistent.

@@ -10,7 +10,7 @@
 use super::PoseCommand;
 use super::envelope::{Excursion, FULL_LOAD, MOST_LOAD, StoppingEnvelope};
 use super::ramp::{Ramp, RampLimits};
-use crate::config::digest::{Constants, Digest, constants};
+use crate::config::digest::{Constants, Digest, impl_digest};
 use crate::config::{Config, JERK_SHIFT};
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::{Acceleration, Coordinate, Rate};
@@ -20,7 +20,7 @@ use haptimill_protocol::message::MAX_AXES;
 const FRACTION: u32 = 20;
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Axis {
+struct JogAxis {
     /// Position, 2^-20 axis units.
     position: i64,
     /// Rate, 2^-20 axis units per control period.
@@ -33,11 +33,11 @@ struct Axis {
     high: i64,
 }
 
-constants!(Axis { limits, rate_limit, low, high } of {} but { position, rate, target });
+impl_digest!(JogAxis { fields { limits, rate_limit, low, high }, nested {}, skip { position, rate, target } });
 
 /// Motion of a coordinate in one period, and its bounds from there to standstill.
 #[derive(Debug, Clone, Copy, Default)]
-struct Step {
+struct JogStep {
     target: i64,
     /// Rate after the period.
     rate: Ramp,
@@ -50,7 +50,7 @@ struct Step {
     peak: i64,
 }
 
-impl Axis {
+impl JogAxis {
     /// Whether the coordinate wraps around.
     #[inline]
     const fn wraps(&self) -> bool {
@@ -70,7 +70,7 @@ impl Axis {
 }
 
 /// Steps of all coordinates; `None` for a coordinate whose stopping distance is not known.
-type Steps = [Option<Step>; MAX_AXES];
+type Steps = [Option<JogStep>; MAX_AXES];
 
 /// Motion of all pose coordinates at commanded rates.
 #[derive(Debug, Default)]
@@ -81,7 +81,7 @@ pub struct Jog {
     period_us: u16,
     /// A whole number; the configuration ensures it.
     periods_per_second: i64,
-    axis: [Axis; MAX_AXES],
+    axis: [JogAxis; MAX_AXES],
     /// Load of the requested rates in the last control period. Above [`MOST_LOAD`] it scales the
     /// rates down.
     requested_load: u32,
@@ -240,12 +240,12 @@ impl Jog {
 
     /// One period of a coordinate towards `target`; `None` if its stopping distance is too large to
     /// compute.
-    fn step(axis: &Axis, target: i64) -> Option<Step> {
+    fn step(axis: &JogAxis, target: i64) -> Option<JogStep> {
         let limits = axis.limits.as_ref()?;
         let mut rate = axis.rate;
         let position = axis.position.checked_add(rate.advance(target, limits))?;
         let (low, high, peak) = rate.stopping_bounds(limits)?;
-        Some(Step {
+        Some(JogStep {
             target,
             rate,
             position,
@@ -357,7 +357,7 @@ impl Jog {
     }
 
     /// Whether a coordinate must decelerate now to stop before its soft limit.
-    fn is_blocked(axis: &Axis, step: Option<&Step>) -> bool {
+    fn is_blocked(axis: &JogAxis, step: Option<&JogStep>) -> bool {
         let Some(step) = step else {
             return true;
         };
@@ -413,10 +413,10 @@ impl Jog {
         self.envelope(&steps)
     }
 
-    /// Whether a coordinate of `sweep` stays within its soft limits.
+    /// Whether a coordinate of `envelope` stays within its soft limits.
     #[must_use]
-    pub fn allows(&self, axis: usize, sweep: &StoppingEnvelope) -> bool {
-        let (low, high) = (sweep.low.0[axis].0, sweep.high.0[axis].0);
+    pub fn allows(&self, axis: usize, envelope: &StoppingEnvelope) -> bool {
+        let (low, high) = (envelope.low.0[axis].0, envelope.high.0[axis].0);
         let axis = &self.axis[axis];
         i64::from(low) << FRACTION >= axis.low && i64::from(high) << FRACTION <= axis.high
     }
@@ -428,7 +428,7 @@ pub(super) fn slower(rate: i64, load: u32) -> i64 {
     (rate >> 8) * AIM / i64::from(load.max(1)) * (1 << 8)
 }
 
-/// Axis units per second to 2^-20 axis units per control period, for |rate| <= 2^32.
+/// JogAxis units per second to 2^-20 axis units per control period, for |rate| <= 2^32.
 pub(super) fn per_period(rate: i64, period_us: u16) -> i64 {
     // 2^20 / 10^6 = 2^14 / 15625.
     (rate * i64::from(period_us) * (1 << 14)) / 15_625

@@ -22,7 +22,7 @@ pub mod tracker;
 
 use crate::config::Config;
 use crate::config::HAPTICS;
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use envelope::{MOST_LOAD, ReachableBox, StoppingEnvelope};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Acceleration, Coordinate, Rate};
@@ -95,9 +95,9 @@ pub struct Motion {
     reach: ReachableBox,
 }
 
-constants!(Motion { axes, bounds, margins } of { program, jog } but {
+impl_digest!(Motion { fields { axes, bounds, margins }, nested { program, jog }, skip {
     commanded, sources, offsets, trackers, program_rates, targets, tracking_blocked, limit_reported, limited, stopping, blended, load, reach
-});
+} });
 
 /// Gain of the trackers of a machine without a master, 1/s: these trackers only decelerate.
 const GAIN: u16 = 100;
@@ -430,54 +430,55 @@ impl Motion {
         master_may_lead: bool,
         machine: &impl Kinematics,
     ) -> Option<u32> {
-        let program = self.program.sweep();
+        let program = self.program.envelope();
         let jog = self.jog.stopping(jog_continues)?;
-        let mut sweep =
+        let mut envelope =
             StoppingEnvelope::at(&self.commanded.pose).with_wrapping(self.jog.wrapping());
         let mut allowed = true;
         for axis in 0..self.axes {
             let (tracker, bounds) = (&self.trackers[axis], &self.bounds[axis]);
             match self.sources[axis] {
                 Source::Program => {
-                    sweep.take(axis, &program, self.offsets[axis]);
+                    envelope.take(axis, &program, self.offsets[axis]);
                     if HAPTICS && !tracker.is_at_standstill() {
-                        let (low, high) = tracker.sweep(None, bounds);
+                        let (low, high) = tracker.envelope(None, bounds);
                         let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
-                        sweep.reach(axis, of(program.low.0[axis], low));
-                        sweep.reach(axis, of(program.high.0[axis], high));
+                        envelope.reach(axis, of(program.low.0[axis], low));
+                        envelope.reach(axis, of(program.high.0[axis], high));
                         let own = i64::from(program.rates[axis].0);
-                        sweep.extend_rate(axis, own + tracker.peak(None, self.load, bounds));
+                        envelope.extend_rate(axis, own + tracker.peak(None, self.load, bounds));
                     }
-                    allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &sweep);
+                    allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &envelope);
                 }
-                Source::Jog => sweep.take(axis, &jog, 0),
+                Source::Jog => envelope.take(axis, &jog, 0),
                 Source::Master if HAPTICS => {
                     let target = self.targets[axis].filter(|_| master_may_lead);
-                    let (low, high) = tracker.sweep(target, bounds);
+                    let (low, high) = tracker.envelope(target, bounds);
                     // A tracker at standstill keeps its position exactly.
                     if target.is_some() || !tracker.is_at_standstill() {
-                        sweep.reach(axis, low);
-                        sweep.reach(axis, high);
-                        sweep.extend_rate(axis, tracker.peak(target, self.load, bounds));
+                        envelope.reach(axis, low);
+                        envelope.reach(axis, high);
+                        envelope.extend_rate(axis, tracker.peak(target, self.load, bounds));
                     }
                 }
                 Source::Hold if HAPTICS && !tracker.is_at_standstill() => {
-                    let (low, high) = tracker.sweep(None, bounds);
-                    sweep.reach(axis, low);
-                    sweep.reach(axis, high);
-                    sweep.extend_rate(axis, tracker.peak(None, self.load, bounds));
+                    let (low, high) = tracker.envelope(None, bounds);
+                    envelope.reach(axis, low);
+                    envelope.reach(axis, high);
+                    envelope.extend_rate(axis, tracker.peak(None, self.load, bounds));
                 }
                 Source::Hold | Source::Master => {}
             }
         }
-        sweep.displace(self.jog.excursion());
+        envelope.displace(self.jog.excursion());
         // A machine without a master checks the corners directly: it needs boxes only for jogs, and
         // has little flash.
         let load = if HAPTICS {
             let margins = (&self.margins, self.master_mask());
-            self.reach.load_bound(&sweep, margins, self.axes, machine)
+            self.reach
+                .load_bound(&envelope, margins, self.axes, machine)
         } else {
-            Some(sweep.load(&[sweep.rates], machine)?[0])
+            Some(envelope.load(&[envelope.rates], machine)?[0])
         };
         load.filter(|_| allowed)
     }

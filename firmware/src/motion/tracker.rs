@@ -23,7 +23,7 @@ use super::PoseCommand;
 use super::envelope::SLOWED_LOAD;
 use super::jog::{per_period, slope, slower};
 use crate::config::PoseAxis;
-use crate::config::digest::constants;
+use crate::config::digest::impl_digest;
 use haptimill_math::root::Root;
 use haptimill_math::scale::{multiply_high, saturate};
 use haptimill_math::{Acceleration, Coordinate, Rate};
@@ -67,7 +67,7 @@ pub struct Tracker {
     filtered_target: i64,
 }
 
-constants!(TrackerLimits { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, wraps, periods_per_second } of {} but {});
+impl_digest!(TrackerLimits { fields { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, wraps, periods_per_second }, nested {}, skip {} });
 
 impl TrackerLimits {
     /// Creates bounds for a gain k of 1 to 1000 1/s; `None` if they are inconsistent.
@@ -187,7 +187,7 @@ impl Tracker {
     /// Bounds of the position, axis units, if it continues towards a target for one period (or
     /// decelerates now without one) and decelerates then.
     #[must_use]
-    pub fn sweep(&self, target: Option<Coordinate>, limits: &TrackerLimits) -> (i64, i64) {
+    pub fn envelope(&self, target: Option<Coordinate>, limits: &TrackerLimits) -> (i64, i64) {
         let mut next = *self;
         if target.is_some() {
             next.advance(target, limits);

@@ -171,8 +171,8 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
     words.put_vector(&force.displacement);
     words.put_vector(&haptic.tip);
     words.put_vector(&haptic.force);
-    words.put_vector(&haptic.reflected);
-    words.put_vector(&haptic.wall);
+    words.put_vector(&haptic.feedback);
+    words.put_vector(&haptic.fixture);
     let [x, z] = haptic.axes;
     let pair = |low: i16, high: i16| u32::from(low as u16) | u32::from(high as u16) << 16;
     words.put_all([pair(x[0], x[1]), pair(x[2], z[0]), pair(z[1], z[2])]);
@@ -265,8 +265,8 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
         haptic: HapticSnapshot {
             tip: words.take_row(),
             force: words.take_row(),
-            reflected: words.take_row(),
-            wall: words.take_row(),
+            feedback: words.take_row(),
+            fixture: words.take_row(),
             axes: take_directions(words),
         },
         io: take_io(words),

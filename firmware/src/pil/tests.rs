@@ -52,7 +52,7 @@ prop_compose! {
         (setpoint, path_rate, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
         [high, low, displacement]: [[i32; 3]; 3],
-        [tip, felt, reflected, wall]: [[i32; 3]; 4], directions: [[i16; 3]; 2],
+        [tip, force, feedback, fixture]: [[i32; 3]; 4], directions: [[i16; 3]; 2],
         (inputs, outputs, analog_inputs, analog_outputs) in any::<(u16, u16, [i16; 4], [i16; 4])>(),
     ) -> Snapshot {
         let [commanded, joints_commanded, joints, following_error, drive] = rows;
@@ -60,7 +60,7 @@ prop_compose! {
             state, homed, position_kept, fault, compensated, more, queued, setpoint, path_rate, spindle_rpm, program_time,
             commanded, joints_commanded, joints, following_error, drive,
             force: ForceSnapshot { high, low, displacement },
-            haptic: HapticSnapshot { tip, force: felt, reflected, wall, axes: directions },
+            haptic: HapticSnapshot { tip, force, feedback, fixture, axes: directions },
             io: IoSnapshot { inputs, outputs, analog_inputs, analog_outputs },
         }
     }

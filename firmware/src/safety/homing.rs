@@ -27,7 +27,7 @@ const SLOWEST: u8 = 4;
 
 /// Step of the homing.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-enum Phase {
+enum HomingPhase {
     /// To start, in the period after the command.
     #[default]
     Aim,
@@ -39,7 +39,7 @@ enum Phase {
 
 /// Result of a period of homing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Outcome {
+pub enum HomingProgress {
     /// Not yet.
     Searching,
     /// Every joint has its index: the corrections to add to the coordinates of the joints.
@@ -59,7 +59,7 @@ pub struct Searched<'a> {
 /// A homing in progress.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Homing {
-    phase: Phase,
+    phase: HomingPhase,
     /// Coordinate that moves in the present search.
     coordinate: Option<usize>,
     /// Direction of the search.
@@ -95,7 +95,7 @@ impl Homing {
             .max()
             .unwrap_or(0);
         self.steer(machine, joint, pose, jog);
-        self.phase = Phase::Search;
+        self.phase = HomingPhase::Search;
     }
 
     /// Sets the rates of this period; they depend on the pose.
@@ -149,12 +149,12 @@ impl Homing {
         pose: &Pose,
         jog: &mut Jog,
         limited: bool,
-    ) -> Outcome {
+    ) -> HomingProgress {
         let joints = 0..machine.config.joints.len().min(MAX_AXES);
         let missing = { joints }.find(|joint| self.corrections[*joint].is_none());
         match (self.phase, missing) {
-            (Phase::Aim, Some(joint)) => self.start_search(machine, joint, pose, jog),
-            (Phase::Search, Some(joint))
+            (HomingPhase::Aim, Some(joint)) => self.start_search(machine, joint, pose, jog),
+            (HomingPhase::Search, Some(joint))
                 if self.coordinate == Some(machine.kinematics.search_coordinate(joint)) =>
             {
                 self.left = self.left.saturating_sub(1);
@@ -167,30 +167,30 @@ impl Homing {
                     self.reversed = !self.reversed;
                     self.downwards = !self.downwards;
                     jog.release();
-                    self.phase = Phase::Rest;
-                    return Outcome::Searching;
+                    self.phase = HomingPhase::Rest;
+                    return HomingProgress::Searching;
                 } else if self.left == 0 {
                     HomingProblem::NoIndex
                 } else {
                     self.steer(machine, joint, pose, jog);
-                    return Outcome::Searching;
+                    return HomingProgress::Searching;
                 };
-                return Outcome::Failed(Fault::Homing {
+                return HomingProgress::Failed(Fault::Homing {
                     axis: joint as u8,
                     problem,
                 });
             }
-            (Phase::Aim | Phase::Search, _) => {
+            (HomingPhase::Aim | HomingPhase::Search, _) => {
                 jog.release();
-                self.phase = Phase::Rest;
+                self.phase = HomingPhase::Rest;
             }
-            (Phase::Rest, Some(_)) if jog.is_at_standstill() => self.phase = Phase::Aim,
-            (Phase::Rest, None) if jog.is_at_standstill() => {
-                return Outcome::Found(self.corrections.map(Option::unwrap_or_default));
+            (HomingPhase::Rest, Some(_)) if jog.is_at_standstill() => self.phase = HomingPhase::Aim,
+            (HomingPhase::Rest, None) if jog.is_at_standstill() => {
+                return HomingProgress::Found(self.corrections.map(Option::unwrap_or_default));
             }
-            (Phase::Rest, _) => {}
+            (HomingPhase::Rest, _) => {}
         }
-        Outcome::Searching
+        HomingProgress::Searching
     }
 }
 

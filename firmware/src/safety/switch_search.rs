@@ -23,7 +23,7 @@ const FRACTION: i64 = 2_000_000;
 
 /// What the joint does.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-enum Phase {
+enum SearchPhase {
     /// At rest, until the level of the switch is steady.
     #[default]
     Start,
@@ -46,7 +46,7 @@ enum Phase {
 /// Search of one joint.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct SwitchSearch {
-    phase: Phase,
+    phase: SearchPhase,
     /// The joint only moves off the switch on which it stands.
     leaves: bool,
     /// The joint comes to rest before the phase begins.
@@ -105,7 +105,7 @@ impl SwitchSearch {
 
     /// Moves on from where the joint has come to rest off the switch, by the back-off.
     pub const fn move_on(&mut self) {
-        self.phase = Phase::Clear;
+        self.phase = SearchPhase::Clear;
         self.begun = self.moved;
     }
 
@@ -130,11 +130,11 @@ impl SwitchSearch {
     /// Whether the reference is found and the joint at rest.
     #[must_use]
     pub const fn is_done(&self) -> bool {
-        matches!(self.phase, Phase::Done) && !self.halting
+        matches!(self.phase, SearchPhase::Done) && !self.halting
     }
 
     /// Whether the joint is at rest before a phase, or was and has begun it.
-    fn awaits(&self, phase: Phase) -> bool {
+    fn awaits(&self, phase: SearchPhase) -> bool {
         self.phase == phase && (self.at_rest || !self.halting)
     }
 
@@ -155,7 +155,7 @@ impl SwitchSearch {
     /// # Errors
     /// The problem that ends the homing of all joints.
     pub fn advance(&mut self, inputs: &SearchInputs<'_>) -> Result<(), HomingProblem> {
-        self.watch(inputs);
+        self.supervise(inputs);
         let config = inputs.config;
         if self.halting {
             let rest = self.halt(config, inputs.period_us);
@@ -177,40 +177,40 @@ impl SwitchSearch {
         let release = i64::from(config.release.0);
         let gone = (self.moved - self.begun).abs();
         let requested = match self.phase {
-            Phase::Start => {
+            SearchPhase::Start => {
                 self.waited += 1;
                 if self.waited > 2 * steady(inputs.period_us) {
                     // The motors of a gantry move off together if one of them is on its switch.
                     let pressed = self.level || inputs.partner.is_some_and(|it| it.level);
                     self.phase = match pressed {
-                        true => Phase::Off,
-                        false if self.leaves => Phase::Clear,
-                        false => Phase::Seek,
+                        true => SearchPhase::Off,
+                        false if self.leaves => SearchPhase::Clear,
+                        false => SearchPhase::Seek,
                     };
                 }
                 0
             }
-            Phase::Seek if self.level => {
+            SearchPhase::Seek if self.level => {
                 self.first = Some(self.edge);
-                self.halt_before(Phase::Off)
+                self.halt_before(SearchPhase::Off)
             }
-            Phase::Seek if gone > i64::from(config.travel.0) => {
+            SearchPhase::Seek if gone > i64::from(config.travel.0) => {
                 return Err(HomingProblem::NoSwitch);
             }
-            Phase::Seek => towards * rate,
-            Phase::Off if !self.level => {
+            SearchPhase::Seek => towards * rate,
+            SearchPhase::Off if !self.level => {
                 self.begun = self.moved;
-                self.phase = Phase::Clear;
+                self.phase = SearchPhase::Clear;
                 -towards * rate
             }
-            Phase::Off if gone > release => return Err(HomingProblem::SwitchStuck),
-            Phase::Off => -towards * rate,
-            Phase::Clear if gone >= back_off => self.halt_before(match self.leaves {
-                true => Phase::Done,
-                false => Phase::Touch,
+            SearchPhase::Off if gone > release => return Err(HomingProblem::SwitchStuck),
+            SearchPhase::Off => -towards * rate,
+            SearchPhase::Clear if gone >= back_off => self.halt_before(match self.leaves {
+                true => SearchPhase::Done,
+                false => SearchPhase::Touch,
             }),
-            Phase::Clear => -towards * rate,
-            Phase::Touch if self.level => {
+            SearchPhase::Clear => -towards * rate,
+            SearchPhase::Touch if self.level => {
                 self.touched = self.edge;
                 // The touches differ by less than the bounce, unless steps were lost or the switch
                 // is loose.
@@ -221,25 +221,27 @@ impl SwitchSearch {
                     return Err(HomingProblem::SwitchUnsteady);
                 }
                 self.halt_before(match inputs.index_travel {
-                    Some(_) => Phase::Index,
-                    None => Phase::Retreat,
+                    Some(_) => SearchPhase::Index,
+                    None => SearchPhase::Retreat,
                 })
             }
-            Phase::Touch if gone > 2 * back_off + release => return Err(HomingProblem::NoSwitch),
-            Phase::Touch => towards * slow,
-            Phase::Index if inputs.index.is_some() => {
+            SearchPhase::Touch if gone > 2 * back_off + release => {
+                return Err(HomingProblem::NoSwitch);
+            }
+            SearchPhase::Touch => towards * slow,
+            SearchPhase::Index if inputs.index.is_some() => {
                 self.index = inputs.index;
                 self.begun = self.moved;
-                self.phase = Phase::Retreat;
+                self.phase = SearchPhase::Retreat;
                 -towards * slow
             }
-            Phase::Index if inputs.index_travel.is_some_and(|most| gone > most) => {
+            SearchPhase::Index if inputs.index_travel.is_some_and(|most| gone > most) => {
                 return Err(HomingProblem::NoIndex);
             }
-            Phase::Index => -towards * slow,
-            Phase::Retreat if gone >= back_off => self.halt_before(Phase::Done),
-            Phase::Retreat => -towards * rate,
-            Phase::Done => 0,
+            SearchPhase::Index => -towards * slow,
+            SearchPhase::Retreat if gone >= back_off => self.halt_before(SearchPhase::Done),
+            SearchPhase::Retreat => -towards * rate,
+            SearchPhase::Done => 0,
         };
         self.drive(requested, config, inputs.period_us);
         Ok(())
@@ -249,21 +251,21 @@ impl SwitchSearch {
     fn begin_at_rest(&self) -> Result<(), HomingProblem> {
         match self.phase {
             // The switch was released and came again within the back-off.
-            Phase::Touch if self.level => Err(HomingProblem::SwitchUnsteady),
-            Phase::Done if self.level => Err(HomingProblem::SwitchStuck),
+            SearchPhase::Touch if self.level => Err(HomingProblem::SwitchUnsteady),
+            SearchPhase::Done if self.level => Err(HomingProblem::SwitchStuck),
             _ => Ok(()),
         }
     }
 
     /// Comes to rest, then begins a phase.
-    const fn halt_before(&mut self, phase: Phase) -> i64 {
+    const fn halt_before(&mut self, phase: SearchPhase) -> i64 {
         self.phase = phase;
         self.halting = true;
         0
     }
 
     /// Follows the level of the switch.
-    fn watch(&mut self, inputs: &SearchInputs<'_>) {
+    fn supervise(&mut self, inputs: &SearchInputs<'_>) {
         if inputs.active == self.level {
             self.differs = 0;
             return;

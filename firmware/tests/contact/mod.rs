@@ -65,10 +65,10 @@ impl Contact {
 }
 
 #[derive(Debug, Clone, Copy)]
-pub struct Outcome {
+pub struct ContactResult {
     pub first_peak: f64,
     pub largest: f64,
-    pub swing: f64,
+    pub oscillation: f64,
     pub mean: f64,
     /// Mean of the peak of a revolution, which is what the loop holds.
     pub mean_peak: f64,
@@ -112,7 +112,7 @@ impl Noise {
     }
 }
 
-pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Outcome {
+pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> ContactResult {
     let law = AdmittanceLaw::new(
         &settings(contact.mass, contact.damping),
         PERIOD_US,
@@ -130,7 +130,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
     let mut filtered = start;
     let mut reference = start;
     let mut reference_rate = 0.0;
-    let (mut forces, mut felt) = (Vec::new(), Vec::new());
+    let (mut forces, mut peak_forces) = (Vec::new(), Vec::new());
     let mut rising = true;
     let (mut first_peak, mut largest) = (0.0f64, 0.0f64);
     let periods = (contact.time / STEP) as usize;
@@ -181,7 +181,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
             .clamp(-8192.0, 8191.0);
         let measurement = Force((code * 0.0122 * NEWTON) as i32);
         let peak = peaks.push(measurement).peak();
-        felt.push(f64::from(peak.0) / NEWTON);
+        peak_forces.push(f64::from(peak.0) / NEWTON);
         guard.note(Coordinate((measured * MM) as i32));
         // Desired motion.
         let end = -contact.depth;
@@ -217,11 +217,15 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Ou
     let high = part.iter().copied().fold(f64::MIN, f64::max);
     let low = part.iter().copied().fold(f64::MAX, f64::min);
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    let (swing, mean, mean_peak) = (high - low, mean(part), mean(&felt[periods * 7 / 10..]));
-    Outcome {
+    let (oscillation, mean, mean_peak) = (
+        high - low,
+        mean(part),
+        mean(&peak_forces[periods * 7 / 10..]),
+    );
+    ContactResult {
         first_peak,
         largest,
-        swing,
+        oscillation,
         mean,
         mean_peak,
         level,

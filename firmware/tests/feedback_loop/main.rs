@@ -17,12 +17,12 @@ mod arm;
 mod bench;
 mod rig;
 
-use rig::{Case, Outcome, run};
+use rig::{Case, CaseResult, run};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// All cases, on as many threads as there are processors.
-fn sweep(cases: &[Case]) -> Vec<Outcome> {
+fn sweep(cases: &[Case]) -> Vec<CaseResult> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let next = AtomicUsize::new(0);
     let outcomes = Mutex::new(vec![None; cases.len()]);
@@ -60,7 +60,7 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f6
         }
     }
     println!(
-        "line ms  contact  hand N/mm  swing of the hand, mm: 3-15 s, then  of the force, N  largest N on the tool  felt N  felt / law"
+        "line ms  contact  hand N/mm  oscillation of the hand, mm: 3-15 s, then  of the force, N  largest N on the tool  hand N  hand / law"
     );
     let outcomes = sweep(&cases);
     for (case, out) in cases.iter().zip(&outcomes) {
@@ -71,10 +71,10 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f6
             case.grip,
             out.early,
             out.late,
-            out.force_swing,
+            out.force_oscillation,
             out.peak,
-            out.felt,
-            out.felt / out.law
+            out.force,
+            out.force / out.law
         );
     }
     for (case, out) in cases.iter().zip(&outcomes) {
@@ -89,7 +89,7 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f6
             out.late < if case.grip < 0.2 { 2.5 } else { 1.4 },
             "the oscillation is too large: {place}"
         );
-        let ratio = out.felt / out.law;
+        let ratio = out.force / out.law;
         if case.delay == 0.0 {
             assert!((0.95..=1.05).contains(&ratio), "{ratio:.3}: {place}");
         } else {

@@ -3,14 +3,14 @@
 //! With a line there are two controllers, one with the arm and one with the mill; a word each way
 //! every 10 ms, so late as the line makes it. Without, one has both.
 //!
-//! The hand is a mass of 0.8 kg on spring and damper that follow an intention: 4 mm into the
+//! The hand is a mass of 0.8 kg on spring and damper that follow an intended path: 4 mm into the
 //! contact at 10 mm/s, and there it stays. There is no friction in hand, arm and mill, which is the
 //! worst case.
 
 use crate::bench::{Bench, HOME};
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
-use haptimill_firmware::force::sensor::{Channel, Sensor};
+use haptimill_firmware::force::sensor::{Channel, ForceSensor};
 use haptimill_firmware::force::{EnableCondition, ForceConfig, LoopSettings};
 use haptimill_math::Rate;
 use haptimill_math::force::Force;
@@ -57,18 +57,19 @@ const DEPTH: f64 = 4.0;
 const PACE: f64 = 10.0;
 
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Outcome {
-    /// Largest swing of the hand from peak to peak within 1.5 s, from 3 s on, and from 15 s on; mm.
+pub struct CaseResult {
+    /// Largest oscillation of the hand from peak to peak within 1.5 s, from 3 s on, and from 15 s
+    /// on; mm.
     pub early: f64,
     pub late: f64,
     /// That of the force at the hand from 15 s on, N.
-    pub force_swing: f64,
+    pub force_oscillation: f64,
     /// Largest force on the tool, N.
     pub peak: f64,
     /// Means from 15 s on: force at the hand, and what the law makes of the force on the tool; N.
-    pub felt: f64,
+    pub force: f64,
     pub law: f64,
-    /// The most that is ever felt, and by which it changes in a period, N.
+    /// Largest force at the hand, and its largest change in a period, N.
     pub most: f64,
     pub step: f64,
     /// The mill is still running.
@@ -87,7 +88,7 @@ fn sensor(yields: bool) -> ForceConfig {
         ..force.axes[0].clone()
     };
     ForceConfig {
-        sensor: Sensor {
+        sensor: ForceSensor {
             channels: [channel(), channel(), channel()],
             // No spindle turns here, and a force at rest is not that of an empty sensor.
             drift: Force::millinewtons(20_000),
@@ -114,8 +115,8 @@ fn feedback() -> ForceFeedback {
     }
 }
 
-/// The largest swing within any second and a half.
-fn swing(values: &[f64]) -> f64 {
+/// The largest oscillation within any second and a half.
+fn oscillation(values: &[f64]) -> f64 {
     values
         .chunks((1.5 / T) as usize)
         .map(|chunk| {
@@ -127,21 +128,21 @@ fn swing(values: &[f64]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-pub fn run(case: &Case) -> Outcome {
+pub fn run(case: &Case) -> CaseResult {
     let haptic = || {
         let mut haptic = reference::haptic();
         haptic.feedback = feedback();
         haptic
     };
-    let afar = case.delay > 0.0;
+    let remote = case.delay > 0.0;
     let config = Config {
         follow: Some(reference::follow()),
-        haptic: (!afar).then(haptic),
+        haptic: (!remote).then(haptic),
         force: Some(sensor(case.yields)),
         ..reference::h4_with_steps()
     };
     let mut mill = Bench::ready(config);
-    let mut master = afar.then(|| {
+    let mut master = remote.then(|| {
         let mut master = Bench::ready(Config {
             haptic: Some(haptic()),
             ..reference::master()
@@ -169,18 +170,17 @@ pub fn run(case: &Case) -> Outcome {
     let begin = (0.3 / T) as usize;
     let (total, late) = ((case.time / T) as usize, (LATE / T) as usize);
     let (mut places, mut forces) = (Vec::with_capacity(total), Vec::with_capacity(total));
-    let mut outcome = Outcome::default();
+    let mut outcome = CaseResult::default();
     let way = 10.0 + DEPTH;
     for period in 0..total {
         let time = (period as f64 - begin as f64) * T;
         let going = time >= 0.0 && time < way / PACE;
-        let intention = (10.0 - PACE * time.max(0.0)).max(-DEPTH);
-        let felt = master.as_ref().unwrap_or(&mill).felt()[0];
+        let intended = (10.0 - PACE * time.max(0.0)).max(-DEPTH);
+        let hand_force = master.as_ref().unwrap_or(&mill).force()[0];
         for _ in 0..4 {
-            motor += (felt - motor) * (T / 4.0 / AMPLIFIER);
+            motor += (hand_force - motor) * (T / 4.0 / AMPLIFIER);
             let pace = if going { -PACE / 1000.0 } else { 0.0 };
-            let force =
-                stiffness * (intention - x) / 1000.0 + damping * (pace - v / 1000.0) + motor;
+            let force = stiffness * (intended - x) / 1000.0 + damping * (pace - v / 1000.0) + motor;
             v += force / MASS * 1000.0 * T / 4.0;
             x += v * T / 4.0;
         }
@@ -218,18 +218,18 @@ pub fn run(case: &Case) -> Outcome {
         mill.step();
         places.push(x);
         let before = forces.last().copied().unwrap_or_default();
-        outcome.step = outcome.step.max(f64::abs(felt - before));
-        outcome.most = outcome.most.max(felt.abs());
+        outcome.step = outcome.step.max(f64::abs(hand_force - before));
+        outcome.most = outcome.most.max(hand_force.abs());
         outcome.peak = outcome.peak.max(force);
-        forces.push(felt);
+        forces.push(hand_force);
         if period >= late {
-            outcome.felt += felt / (total - late) as f64;
+            outcome.force += hand_force / (total - late) as f64;
             outcome.law += (0.4 * peak).min(3.2) / (total - late) as f64;
         }
     }
-    outcome.early = swing(&places[(3.0 / T) as usize..late]);
-    outcome.late = swing(&places[late..]);
-    outcome.force_swing = swing(&forces[late..]);
+    outcome.early = oscillation(&places[(3.0 / T) as usize..late]);
+    outcome.late = oscillation(&places[late..]);
+    outcome.force_oscillation = oscillation(&forces[late..]);
     outcome.runs = mill.state() == State::Run;
     outcome
 }

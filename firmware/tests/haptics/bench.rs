@@ -192,7 +192,7 @@ impl Bench {
 
     /// The force at the hand, N.
     #[track_caller]
-    pub fn felt(&self) -> [f64; 3] {
+    pub fn force(&self) -> [f64; 3] {
         self.arm()
             .force()
             .map(|force| f64::from(force.0) / 65_536.0)

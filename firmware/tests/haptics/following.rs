@@ -20,13 +20,13 @@ fn tool_follows_the_master_and_the_clutch() {
     assert_eq!(bench.at(0).0, start[0]);
     // It holds it, where it is now, and moves: the tool follows, z does not.
     bench.inputs.haptic.engaged = true;
-    let mut watch = JumpCheck::at(&bench);
+    let mut jump_check = JumpCheck::at(&bench);
     for way in [[-12.0, 4.0, 3.0], [0.0; 3], [20.0, -9.0, 0.0], [0.0; 3]] {
-        watch.lead(&mut bench, way, 5000);
+        jump_check.lead(&mut bench, way, 5000);
     }
     for _ in 0..10_000 {
         bench.step();
-        watch.check(&bench);
+        jump_check.check(&bench);
     }
     assert!(
         (bench.at(0).0 - start[0] - 8.0).abs() < 0.02,
@@ -43,15 +43,15 @@ fn tool_follows_the_master_and_the_clutch() {
     for _ in 0..5 {
         bench.lead([1.0, 0.0, 0.0], 500);
     }
-    let mut watch = JumpCheck::at(&bench);
+    let mut jump_check = JumpCheck::at(&bench);
     bench.inputs.haptic.engaged = false;
-    watch.lead(&mut bench, [-8.0, 0.0, 0.0], 4000);
+    jump_check.lead(&mut bench, [-8.0, 0.0, 0.0], 4000);
     let rest = bench.at(0);
     assert_eq!(rest.1, 0.0);
     bench.inputs.haptic.engaged = true;
     for _ in 0..1000 {
         bench.step();
-        watch.check(&bench);
+        jump_check.check(&bench);
     }
     assert!((bench.at(0).0 - rest.0).abs() < 0.02);
     // The scale changes while it leads: no jump, and half the way from there on.
@@ -65,7 +65,7 @@ fn tool_follows_the_master_and_the_clutch() {
     );
     let before = bench.at(0).0;
     assert_eq!(bench.ask(Command::PositionScale { scale: 2048 }), Ok(()));
-    watch.lead(&mut bench, [-4.0, 0.0, 0.0], 4000);
+    jump_check.lead(&mut bench, [-4.0, 0.0, 0.0], 4000);
     bench.steps(5000);
     assert!(
         (bench.at(0).0 - before + 2.0).abs() < 0.03,
@@ -171,7 +171,7 @@ fn sources_change_in_motion() {
     bench.start_job();
     bench.inputs.haptic.engaged = true;
     bench.steps(10);
-    let mut watch = JumpCheck::at(&bench);
+    let mut jump_check = JumpCheck::at(&bench);
     let sources = [
         Source::Master,
         Source::Hold,
@@ -195,7 +195,7 @@ fn sources_change_in_motion() {
             phase += 2e-4 * 6.0;
             bench.centre = [12.0 * phase.sin(), 9.0 * (1.3 * phase).cos() - 9.0, 450.0];
             bench.step();
-            watch.check(&bench);
+            jump_check.check(&bench);
         }
     }
     assert_eq!(bench.state(), State::Run);
@@ -217,7 +217,7 @@ fn jog_takes_over_only_at_standstill() {
     bench.inputs.haptic.engaged = true;
     bench.lead([-5.0, 0.0, 0.0], 2500);
     assert_eq!(bench.ask(Command::Hold), Ok(()));
-    let mut watch = JumpCheck::at(&bench);
+    let mut jump_check = JumpCheck::at(&bench);
     assert!(bench.at(0).1 < -5.0, "under way: {}", bench.at(0).1);
     let source = Source::Jog;
     let id = 77;
@@ -225,13 +225,13 @@ fn jog_takes_over_only_at_standstill() {
     bench.link.send(&Request { id, command }).expect("room");
     for _ in 0..1500 {
         bench.step();
-        watch.check(&bench);
+        jump_check.check(&bench);
     }
     assert_eq!((bench.state(), bench.at(0).1), (State::Hold, 0.0));
     assert_eq!(bench.ask(Command::Source { axis: 0, source }), Ok(()));
     for _ in 0..100 {
         bench.step();
-        watch.check(&bench);
+        jump_check.check(&bench);
     }
 }
 
@@ -265,15 +265,15 @@ fn master_is_blocked_at_the_workspace_boundary() {
     bench.inputs.haptic.engaged = true;
     // G_P of 2 and repeated strokes of the clutch, towards soft limit and edge of the workspace.
     assert_eq!(bench.ask(Command::PositionScale { scale: 8192 }), Ok(()));
-    let mut watch = JumpCheck::at(&bench);
+    let mut jump_check = JumpCheck::at(&bench);
     for _ in 0..4 {
         bench.inputs.haptic.engaged = true;
-        watch.lead(&mut bench, [0.0, 35.0, 30.0], 5000);
+        jump_check.lead(&mut bench, [0.0, 35.0, 30.0], 5000);
         bench.steps(3000);
         bench.inputs.haptic.engaged = false;
         bench.steps(200);
         bench.lead([0.0, -35.0, -30.0], 3000);
-        watch = JumpCheck::at(&bench);
+        jump_check = JumpCheck::at(&bench);
     }
     assert_eq!(bench.state(), State::Run, "{:?}", bench.events);
     let machine = bench.controller.machine().expect("configured");
@@ -319,7 +319,7 @@ fn silent_remote_master_holds_the_job() {
             pose: master,
         });
     };
-    let mut watch = JumpCheck::at(&bench);
+    let mut jump_check = JumpCheck::at(&bench);
     // 10 mm/s, a word every 10 ms.
     for k in 0..10_000 {
         if k % 50 == 0 {
@@ -327,7 +327,7 @@ fn silent_remote_master_holds_the_job() {
         }
         x -= 10.0 * 2e-4;
         bench.step();
-        watch.check(&bench);
+        jump_check.check(&bench);
     }
     assert!((bench.at(0).1 + 10.0).abs() < 0.6, "{:?}", bench.at(0));
     assert!(
@@ -338,7 +338,7 @@ fn silent_remote_master_holds_the_job() {
     // Silence.
     for _ in 0..2000 {
         bench.step();
-        watch.check(&bench);
+        jump_check.check(&bench);
     }
     assert_eq!((bench.state(), bench.at(0).1), (State::Hold, 0.0));
     assert!(
@@ -364,7 +364,7 @@ fn silent_remote_master_holds_the_job() {
             say(&mut bench, 2, x, 0.0);
         }
         bench.step();
-        watch.check(&bench);
+        jump_check.check(&bench);
     }
     assert!((bench.at(0).0 - held).abs() < 1e-3);
 }

@@ -1,4 +1,4 @@
-//! Force feedback of a local and a remote tool, and virtual walls.
+//! Force feedback of a local and a remote tool, and virtual fixtures.
 
 use crate::bench::Bench;
 use crate::mill;
@@ -15,7 +15,7 @@ fn master_arm_renders_the_remote_force() {
     assert_eq!(bench.ask(Command::MasterTelemetry { every: 20 }), Ok(()));
     bench.inputs.haptic.engaged = true;
     bench.steps(600);
-    let mut last = bench.felt();
+    let mut last = bench.force();
     let mut steps = 0;
     let mut run = |bench: &mut Bench, force: [f64; 3], periods: usize| {
         for k in 0..periods {
@@ -24,7 +24,7 @@ fn master_arm_renders_the_remote_force() {
                 bench.say(Command::RemoteForce { force });
             }
             bench.step();
-            let now = bench.felt();
+            let now = bench.force();
             for axis in 0..3 {
                 assert!((now[axis] - last[axis]).abs() <= 0.0501, "{now:?} {last:?}");
                 steps += usize::from((now[axis] - last[axis]).abs() > 0.0499);
@@ -66,7 +66,7 @@ fn master_arm_renders_the_remote_force() {
     assert!(steps > 10, "the step was never used");
     // No further force of the tool arrives: the feedback decays by itself.
     bench.steps(1500);
-    assert!(bench.felt()[0].abs() < 0.01);
+    assert!(bench.force()[0].abs() < 0.01);
     let master = bench.master_report.expect("telemetry of the master");
     assert!(master.pose.engaged && master.enabled && master.problem.is_none());
     assert!(
@@ -77,10 +77,10 @@ fn master_arm_renders_the_remote_force() {
 }
 
 #[test]
-fn virtual_walls_push_back_and_move() {
+fn virtual_fixtures_push_back_and_move() {
     let mut bench = Bench::ready(reference::master());
     let at = |x: f64| Some((x * 1_048_576.0) as i32);
-    let wall = |x: f64, rate: f64| {
+    let fixture = |x: f64, rate: f64| {
         Some(VirtualFixture {
             at: at(x),
             rate: (rate * 4096.0) as i32,
@@ -90,7 +90,7 @@ fn virtual_walls_push_back_and_move() {
         bench.ask(Command::VirtualFixture {
             axis: 0,
             upper: false,
-            fixture: wall(-10.0, 0.0)
+            fixture: fixture(-10.0, 0.0)
         }),
         Ok(())
     );
@@ -98,7 +98,7 @@ fn virtual_walls_push_back_and_move() {
         bench.ask(Command::VirtualFixture {
             axis: 0,
             upper: true,
-            fixture: wall(-6.0, 0.0)
+            fixture: fixture(-6.0, 0.0)
         }),
         Err(Refusal::FixturesTooNear)
     );
@@ -111,23 +111,27 @@ fn virtual_walls_push_back_and_move() {
         Err(Refusal::Range)
     );
     bench.lead([-9.0, 0.0, 0.0], 5000);
-    assert_eq!(bench.felt()[0], 0.0);
+    assert_eq!(bench.force()[0], 0.0);
     bench.lead([-6.0, 0.0, 0.0], 5000);
     // At rest: the oscillation damper takes some tenths of a second to find no oscillation.
     bench.steps(4000);
     assert!(
-        (bench.felt()[0] - 5.0 * 0.35).abs() < 0.02,
+        (bench.force()[0] - 5.0 * 0.35).abs() < 0.02,
         "{}",
-        bench.felt()[0]
+        bench.force()[0]
     );
     bench.lead([-20.0, 0.0, 0.0], 9000);
     bench.steps(4000);
-    assert!((bench.felt()[0] - 5.5).abs() < 0.01, "{}", bench.felt()[0]);
+    assert!(
+        (bench.force()[0] - 5.5).abs() < 0.01,
+        "{}",
+        bench.force()[0]
+    );
     bench.lead([35.0, 0.0, 0.0], 9000);
-    // Thrown back by the wall, the hand may be damped while it moves.
-    assert!(bench.felt()[0].abs() < 0.5);
+    // Thrown back by the fixture, the hand may be damped while it moves.
+    assert!(bench.force()[0].abs() < 0.5);
     bench.steps(500);
-    assert_eq!(bench.felt()[0], 0.0);
+    assert_eq!(bench.force()[0], 0.0);
     // E6: from the handle, 4 mm/s in -X.
     let moving = VirtualFixture {
         at: None,
@@ -142,16 +146,20 @@ fn virtual_walls_push_back_and_move() {
         Ok(())
     );
     bench.lead([-20.0, 0.0, 0.0], 5000);
-    // 20 mm in a second, the wall 4 mm behind: 16 mm ahead of it, 5.5 N at the most.
-    assert!((bench.felt()[0] - 5.5).abs() < 0.15, "{}", bench.felt()[0]);
+    // 20 mm in a second, the fixture 4 mm behind: 16 mm ahead of it, 5.5 N at the most.
+    assert!(
+        (bench.force()[0] - 5.5).abs() < 0.15,
+        "{}",
+        bench.force()[0]
+    );
     bench.lead([-1.0, 0.0, 0.0], 5000);
     // It comes after: 13 mm, and 0.4 mm less a tenth of a second later, when a hand at rest is not
     // damped any more.
     bench.steps(500);
     assert!(
-        (bench.felt()[0] - 12.6 * 0.35).abs() < 0.02,
+        (bench.force()[0] - 12.6 * 0.35).abs() < 0.02,
         "{}",
-        bench.felt()[0]
+        bench.force()[0]
     );
 }
 
@@ -173,16 +181,24 @@ fn force_is_rendered_in_its_sample_period() {
     bench.codes = Some([410, 0, 0]);
     bench.step();
     assert_ne!(bench.outputs.haptic.currents, before);
-    assert!((bench.felt()[0] - 0.05).abs() < 0.02, "{}", bench.felt()[0]);
+    assert!(
+        (bench.force()[0] - 0.05).abs() < 0.02,
+        "{}",
+        bench.force()[0]
+    );
     bench.steps(200);
-    assert!((bench.felt()[0] - 2.0).abs() < 0.05, "{}", bench.felt()[0]);
+    assert!(
+        (bench.force()[0] - 2.0).abs() < 0.05,
+        "{}",
+        bench.force()[0]
+    );
     // Lifted, the handle is free; nothing jumps.
     bench.inputs.haptic.engaged = false;
-    let mut last = bench.felt()[0];
+    let mut last = bench.force()[0];
     for _ in 0..1000 {
         bench.step();
-        assert!((bench.felt()[0] - last).abs() <= 0.0501);
-        last = bench.felt()[0];
+        assert!((bench.force()[0] - last).abs() <= 0.0501);
+        last = bench.force()[0];
     }
     assert!(last.abs() < 0.01);
 }

@@ -39,7 +39,7 @@ use crate::vector::{Vector, minus, plus, times};
 use dynamics::{Acting, Body, Dynamics, Friction, product};
 use geometry::{Leg, Matrix, OutOfReach, Twist, turned};
 use haptimill_firmware::io::{HapticInputs, HapticOutputs, LEGS};
-use motion::Motion;
+use motion::HandleMotion;
 use motor::Motors;
 use sensors::Sensors;
 
@@ -71,7 +71,7 @@ pub struct HapticGroundTruth {
     /// Motor efforts: N along each slide, N mm about it.
     pub motors: [[f64; 2]; LEGS],
     /// Effect of the motors at the handle: force, N, and moment about the platform's centre, N mm.
-    pub reflected: Twist,
+    pub feedback: Twist,
     /// Force of the operator on the handle, N; 0 without an operator.
     pub operator: Vector,
     /// Fraction of its intended speed that the operator keeps; 1 without an operator.
@@ -107,7 +107,7 @@ pub struct HapticArm {
     motors: Motors,
     sensors: Sensors,
     around: Surroundings,
-    motion: Motion,
+    motion: HandleMotion,
     legs: [Leg; LEGS],
     /// Sines of theta4 at the hinges' stops.
     hinge_sines: [f64; 2],
@@ -146,7 +146,7 @@ impl HapticArm {
         }
         let geometry = Geometry::new(&config.geometry);
         let home = geometry.home();
-        let motion = Motion::at(&HandlePose {
+        let motion = HandleMotion::at(&HandlePose {
             centre: plus(home.centre, config.start_mm),
             ..home
         });
@@ -315,7 +315,7 @@ impl HapticArm {
     pub fn put(&mut self, pose: &HandlePose) -> Result<(), OutOfReach> {
         self.legs = self.geometry.legs(pose)?;
         self.idle = 0;
-        self.motion = Motion::at(pose);
+        self.motion = HandleMotion::at(pose);
         let now = readings(&self.geometry, &self.legs);
         self.sensors.follow(&now, self.time_ns);
         self.update_ground_truth();
@@ -416,7 +416,7 @@ impl HapticArm {
     }
 
     /// Keeps the handle at its last pose, because no leg holds it at the new one.
-    fn jam(&mut self, before: Motion) {
+    fn jam(&mut self, before: HandleMotion) {
         self.motion = before;
         self.motion.twist = [0.0; 6];
         self.truth.jammed += 1;
@@ -514,9 +514,9 @@ impl HapticArm {
         let place = minus(plus(from_home, lever), tip);
         let velocity = motion.of_point(lever);
         let forces = self.motors.force();
-        let mut reflected = [0.0; 6];
+        let mut feedback = [0.0; 6];
         for (force, row) in forces.iter().zip(Dynamics::rows(&self.legs)) {
-            for (sum, part) in reflected.iter_mut().zip(row) {
+            for (sum, part) in feedback.iter_mut().zip(row) {
                 *sum += force * part;
             }
         }
@@ -534,7 +534,7 @@ impl HapticArm {
             tip_velocity: velocity,
             joints: readings(&self.geometry, &self.legs),
             motors: core::array::from_fn(|leg| [forces[2 * leg], forces[2 * leg + 1]]),
-            reflected,
+            feedback,
             operator: operator.map_or([0.0; 3], Operator::force),
             pace: operator.map_or(1.0, Operator::pace),
             done: operator.is_none_or(|operator| operator.desired().done),

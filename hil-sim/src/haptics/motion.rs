@@ -8,7 +8,7 @@ use crate::vector::{Vector, cross, dot, plus, times};
 
 /// Pose and twist of the handle.
 #[derive(Debug, Clone)]
-pub struct Motion {
+pub struct HandleMotion {
     /// Centre of the platform, mm.
     pub centre: Vector,
     /// Unit quaternion: w, x, y, z.
@@ -17,7 +17,7 @@ pub struct Motion {
     pub twist: Twist,
 }
 
-impl Motion {
+impl HandleMotion {
     /// Standstill at a pose.
     pub fn at(pose: &HandlePose) -> Self {
         Self {

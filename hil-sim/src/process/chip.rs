@@ -11,13 +11,13 @@ pub(super) const NO_CHIP: f64 = 1e-9;
 
 /// Axes of the tool in the frame of the table: x and y across the tool, z along it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Frame {
+pub(super) struct ToolFrame {
     pub(super) x: Vector,
     pub(super) y: Vector,
     pub(super) z: Vector,
 }
 
-impl Frame {
+impl ToolFrame {
     /// Frame of a tool with this axis. Its x lies above the table's x; for an upright tool it is
     /// the frame of the table.
     pub(super) fn of(axis: Vector) -> Self {
@@ -45,7 +45,7 @@ impl Frame {
 /// State of tool and workpiece in a step, as the edges use it.
 pub(super) struct View<'a> {
     pub(super) workpiece: &'a Workpiece,
-    pub(super) frame: Frame,
+    pub(super) frame: ToolFrame,
     pub(super) centre: Vector,
     /// Travel of the ball since earlier passes, in the frame of the tool.
     pub(super) passes: [Vector; PASSES],

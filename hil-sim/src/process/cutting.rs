@@ -47,7 +47,7 @@
 //! [`Cutting::place`] to put a tool into the material.
 
 use crate::check::PlantError;
-use crate::process::chip::{Edge, Frame, NO_CHIP, View, rotated};
+use crate::process::chip::{Edge, NO_CHIP, ToolFrame, View, rotated};
 use crate::process::config::{CutterConfig, CuttingConfig};
 use crate::process::cutter::{Cutter, Node};
 use crate::process::removal::MaterialRemoval;
@@ -206,7 +206,7 @@ impl Cutting {
         if to[2] - self.config.radius_mm >= self.workpiece.highest() {
             return Cut::default();
         }
-        let view = self.view(Frame::of(pose.axis));
+        let view = self.view(ToolFrame::of(pose.axis));
         let (mut force, engaged, volume) = self.edges(&view);
         let pressed = match self.body(&view) {
             Some(push) => {
@@ -225,7 +225,7 @@ impl Cutting {
         }
     }
 
-    fn view(&self, frame: Frame) -> View<'_> {
+    fn view(&self, frame: ToolFrame) -> View<'_> {
         let radius = self.config.radius_mm;
         let thickest = radius / 4.0;
         let mut passes = [Vector::default(); PASSES];

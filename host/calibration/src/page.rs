@@ -2,7 +2,7 @@
 
 use crate::comparison::squareness;
 use crate::cut::MPE_P;
-use crate::scenario::{Outcome, State, Volume, WORN, omission_table};
+use crate::scenario::{ScenarioResult, State, Volume, WORN, omission_table};
 use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{card, escape, put};
 use haptimill_viewer::{Layer, Map, Scale, Scene, Shape, Values};
@@ -23,7 +23,7 @@ td.n,th.n{text-align:right;white-space:nowrap}.bad{color:#b04a00}pre{background:
 
 /// The whole page.
 #[must_use]
-pub fn page(outcome: &Outcome) -> String {
+pub fn page(outcome: &ScenarioResult) -> String {
     let mut body = String::from(
         "<h1>Volumetric errors of a vertical mill</h1><p class=\"sub\">21 geometric \
          errors in the simulated machine, measured by a simulated laser through the controller's \
@@ -72,7 +72,7 @@ pub fn page(outcome: &Outcome) -> String {
     )
 }
 
-fn volumes(body: &mut String, outcome: &Outcome) {
+fn volumes(body: &mut String, outcome: &ScenarioResult) {
     body.push_str(
         "<h2>Volumetric error of the tool at standstill</h2><table><tr><th>state</th>\
          <th class=\"n\">largest, um</th><th class=\"n\">rms, um</th>\

@@ -8,6 +8,7 @@ use crate::comparison::{
 };
 use crate::cut::{Cmm, MPE_P, PROGRAM, mpe_e, surface};
 use crate::drive::{Machine, SLOW};
+use crate::statistics::SINGULAR;
 use haptimill_client::Error;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::compensation::{CHAIN, MOST_NODES};
@@ -93,9 +94,6 @@ impl Volume {
     }
 }
 
-/// Smallest singular value of the equations of a motion that counts.
-const SINGULAR: f64 = 1e-9;
-
 /// Effect of three translations, mm, and three rotations, 0.01 rad, on a point.
 fn motion(point: Vector) -> Matrix3x6<f64> {
     let mut effect = Matrix3x6::identity();
@@ -172,7 +170,7 @@ pub struct State {
 
 /// Result of the scenario.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outcome {
+pub struct ScenarioResult {
     /// Without compensation, with exact tables, with measured ones.
     pub states: Vec<State>,
     /// Errors ten times as large, in the states of [`WORN`]; empty without the worn machine.
@@ -335,7 +333,7 @@ pub fn run(
     extent: &Extent,
     interrupted: &Arc<AtomicBool>,
     progress: &mut dyn FnMut(&str),
-) -> Result<Outcome, Error> {
+) -> Result<ScenarioResult, Error> {
     let mut machine = ready(file, interrupted)?;
     let before = measure_state("no compensation", &mut machine, extent, progress)?;
     progress("calibration");
@@ -357,7 +355,7 @@ pub fn run(
         let runs = Cmm::default().probe(&before.surface);
         [0, 3].map(|side| side_table(&runs, side))
     });
-    Ok(Outcome {
+    Ok(ScenarioResult {
         comparison: table_5_1(&calibration.errors, &sides),
         sides,
         states: vec![before, exact, measured],
@@ -389,7 +387,7 @@ fn measure_worn(
 
 /// The numbers of the scenario as text.
 #[must_use]
-pub fn table(outcome: &Outcome) -> String {
+pub fn table(outcome: &ScenarioResult) -> String {
     let mut text = String::from("volumetric error at standstill, um        largest      rms\n");
     // Writing to a string does not fail.
     let mut row = |name: &str, sizes: Sizes| {
@@ -460,7 +458,7 @@ pub fn table(outcome: &Outcome) -> String {
     text + &omission_table(outcome)
 }
 
-impl Outcome {
+impl ScenarioResult {
     /// Straightness of the sides by the measured errors, with a kind of them left out in turn.
     #[must_use]
     pub fn omissions(&self) -> Vec<Omission> {
@@ -470,7 +468,7 @@ impl Outcome {
 
 /// Omission of errors as text.
 #[must_use]
-pub fn omission_table(outcome: &Outcome) -> String {
+pub fn omission_table(outcome: &ScenarioResult) -> String {
     let mut text = format!(
         "{:<48} {:>8} {:>8}\n",
         "straightness by the measured errors, um", "X", "Y"
@@ -485,7 +483,7 @@ pub fn omission_table(outcome: &Outcome) -> String {
 
 /// The numbers of the scenario as JSON, um and urad.
 #[must_use]
-pub fn summary(outcome: &Outcome) -> String {
+pub fn summary(outcome: &ScenarioResult) -> String {
     let sizes = |volume: &Volume| {
         let (sizes, rest) = (volume.sizes(), volume.without_motion().sizes());
         serde_json::json!({

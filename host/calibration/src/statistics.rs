@@ -3,8 +3,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// Smallest singular value of a fit that counts; its points are scaled to one.
-const SINGULAR: f64 = 1e-9;
+/// Smallest singular value of equations that counts; their coefficients are scaled to one.
+pub(crate) const SINGULAR: f64 = 1e-9;
 
 /// Pearson's correlation coefficient of two series; 0 where one of them is constant.
 #[must_use]

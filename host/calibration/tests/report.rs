@@ -5,14 +5,14 @@ use haptimill_calibration::comparison::{SideTable, side_table, table_5_1};
 use haptimill_calibration::cut::Cmm;
 use haptimill_calibration::laser::LaserOptions;
 use haptimill_calibration::page::page;
-use haptimill_calibration::scenario::{Outcome, State, Volume, summary, table};
+use haptimill_calibration::scenario::{ScenarioResult, State, Volume, summary, table};
 use haptimill_volumetric::Vector;
 use haptimill_volumetric::errors::ErrorSet;
 use haptimill_volumetric::file::{self, Limits};
 use haptimill_volumetric::part::{Row, STRAIGHTNESS, probe_points};
 
 /// An outcome with three sides: 2.42, 1.41 and 12 um of straightness.
-fn outcome() -> Outcome {
+fn outcome() -> ScenarioResult {
     let surface = probe_points().map(|point| point.surface);
     let rows = [("X", 2.42e-3), ("Y", 1.41e-3), ("Z", 12e-3)].map(|(name, value)| {
         let row = Row {
@@ -32,7 +32,7 @@ fn outcome() -> Outcome {
         circles: Vec::new(),
     };
     let runs = Cmm::default().probe(&surface);
-    Outcome {
+    ScenarioResult {
         states: vec![state],
         worn: Vec::new(),
         sides: [0, 3].map(|side| side_table(&runs, side)),

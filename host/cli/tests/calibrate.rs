@@ -924,8 +924,8 @@ fn readings_of_a_ball_bar_make_an_error_file() {
     faded(100);
     run(&["compensation", "off"]).expect_code(0);
     faded(0);
-    let told = run(&["compensation", "on"]).expect_code(0).out;
-    assert!(told.contains("compensation fades in"), "{told}");
+    let reported = run(&["compensation", "on"]).expect_code(0).out;
+    assert!(reported.contains("compensation fades in"), "{reported}");
     faded(100);
     let shown = run(&["status"]).expect_code(0).out;
     assert!(shown.contains("compensation  100 %"), "{shown}");

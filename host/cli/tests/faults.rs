@@ -269,10 +269,13 @@ fn fault_before_the_job_prevents_motion() {
 fn emergency_stop_during_homing_ends_with_the_fault_code() {
     let folder = TestFolder::new();
     let ran = run(&folder, "out", &["emergency-stop at=1s"], &[]).expect_code(6);
-    let told = ran.json();
-    let what = told["error"].as_str().unwrap();
-    assert!(what.contains("the emergency stop is latched"), "{told:#}");
-    assert_eq!(told["exit_code"], 6);
+    let reported = ran.json();
+    let what = reported["error"].as_str().unwrap();
+    assert!(
+        what.contains("the emergency stop is latched"),
+        "{reported:#}"
+    );
+    assert_eq!(reported["exit_code"], 6);
     let ran = run(&folder, "out", &["emergency-stop at=4s"], &[]).expect_code(6);
     assert!(
         ran.err.contains("the emergency stop is latched"),
@@ -281,9 +284,9 @@ fn emergency_stop_during_homing_ends_with_the_fault_code() {
     );
     // The summary names the injected faults.
     let summary = folder.summary("out");
-    let told = [&summary["injected"][0], &summary["final_state"]];
+    let reported = [&summary["injected"][0], &summary["final_state"]];
     assert_eq!(
-        told,
+        reported,
         ["emergency-stop at=4s", "EmergencyStop"],
         "{summary:#}"
     );
@@ -296,15 +299,15 @@ fn emergency_stop_during_homing_ends_with_the_fault_code() {
     ] {
         assert!(page.contains(part), "{part}");
     }
-    let out = folder.path("told");
-    let program = folder.file("told.ngc", "G21 G90 G1 X5 F100\nM30\n");
+    let out = folder.path("reported");
+    let program = folder.file("reported.ngc", "G21 G90 G1 X5 F100\nM30\n");
     let stop = ["--fault", "emergency-stop at=4s"];
-    let told = haptimill(&[&["run", &program, "--out", &out], &stop[..]].concat());
-    let told = told.expect_code(6);
+    let reported = haptimill(&[&["run", &program, "--out", &out], &stop[..]].concat());
+    let reported = reported.expect_code(6);
     assert!(
-        told.out.contains("\nEmergency stop, position kept\n"),
+        reported.out.contains("\nEmergency stop, position kept\n"),
         "{}",
-        told.out
+        reported.out
     );
-    assert!(!page.contains("EmergencyStop") && !told.out.contains("EmergencyStop"));
+    assert!(!page.contains("EmergencyStop") && !reported.out.contains("EmergencyStop"));
 }

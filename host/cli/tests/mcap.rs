@@ -50,7 +50,7 @@ mod built {
         }
         assert!(seen > 1000 && held > 500 && held < seen, "{held} of {seen}");
         let summary = Summary::read(&bytes).unwrap().unwrap();
-        for topic in ["/master/force", "/master/reflected", "/master/wall"] {
+        for topic in ["/master/force", "/master/feedback", "/master/fixture"] {
             assert!(
                 summary
                     .channels

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 #[test]
 fn enable_reports_what_prevents_it() {
-    for (spoilt, named) in [
+    for (fault, named) in [
         (
             "switch-stuck axis=l2 switch=limit-low active=yes",
             "l2 is on its limit switch",
@@ -16,9 +16,9 @@ fn enable_reports_what_prevents_it() {
         ("drive-tripped axis=l4", "the drive of l4 is not ready"),
         ("emergency-stop", "remove the cause, then reset"),
     ] {
-        let served = SimServer::on_tcp(&["--fault", spoilt]);
+        let served = SimServer::on_tcp(&["--fault", fault]);
         let refused = served.run(&["enable"]).expect_code(8);
-        assert!(refused.err.contains(named), "{spoilt}: {}", refused.err);
+        assert!(refused.err.contains(named), "{fault}: {}", refused.err);
     }
     let served = SimServer::on_tcp(&["--fault", "emergency-stop"]);
     let refused = served.run(&["reset"]).expect_code(8);
@@ -157,8 +157,8 @@ fn force_command_transcript() {
         let ran = served.run(command);
         text.push_str(&format!("$ haptimill {}\n", command.join(" ")));
         if command[0] == "force" {
-            let told = ran.out.lines();
-            for line in told.filter(|line| !line.starts_with("force, ")) {
+            let reported = ran.out.lines();
+            for line in reported.filter(|line| !line.starts_with("force, ")) {
                 text.push_str(&format!("{line}\n"));
             }
             text.push_str(&ran.err);

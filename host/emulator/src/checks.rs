@@ -10,7 +10,7 @@ use haptimill_firmware::io::{DriveCommand, Outputs};
 use haptimill_firmware::profiler::{STAGES, Stage};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
-use haptimill_pulses::{Axis, Capture, Clock, Planned, Report, Rules, Signal, check};
+use haptimill_pulses::{AxisSignals, Capture, Clock, Planned, Report, Rules, Signal, check};
 use std::fmt;
 
 /// Times of lines are rounded down to 1 fs, and so are the commanded ones.
@@ -182,10 +182,10 @@ impl Checks {
                 _ => planned(periods, joint),
             })
             .collect();
-        let axes: Vec<Axis<'_>> = commanded
+        let axes: Vec<AxisSignals<'_>> = commanded
             .iter()
             .enumerate()
-            .map(|(joint, planned)| Axis {
+            .map(|(joint, planned)| AxisSignals {
                 name: names[joint],
                 step: &board.lines.step[joint],
                 direction: &board.lines.direction[joint],

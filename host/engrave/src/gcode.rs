@@ -1,7 +1,7 @@
 //! Tool paths as part programs (RS274/NGC).
 
 use crate::geometry::{Point, Segment};
-use crate::toolpath::{Cut, Step, Toolpath};
+use crate::toolpath::{Cut, PathStep, Toolpath};
 use std::fmt::Write as _;
 
 /// Numbers of the program.
@@ -174,11 +174,11 @@ impl Writer {
         let mut at = cut.start;
         for step in &cut.steps {
             match step {
-                Step::Along(segment, z) => {
+                PathStep::Along(segment, z) => {
                     self.along(segment, *z);
                     at = segment.to;
                 }
-                Step::Vertical(z) => self.line("G1", at, *z, Some(plunge)),
+                PathStep::Vertical(z) => self.line("G1", at, *z, Some(plunge)),
             }
         }
         self.line("G0", at, lift, None);

@@ -5,7 +5,7 @@ use crate::geometry::{Point, distance};
 use crate::job::{Job, Options};
 use crate::plate::Plate;
 pub use crate::times::Speeds;
-use crate::toolpath::{Cut, Step};
+use crate::toolpath::{Cut, PathStep};
 use haptimill_viewer::{Layer, Scene, Shape, page};
 use std::fmt::Write as _;
 
@@ -64,8 +64,8 @@ pub fn points_of(cut: &Cut, chord: f64) -> Vec<[f64; 3]> {
     for step in &cut.steps {
         let [x, y, z] = points[points.len() - 1];
         match step {
-            Step::Vertical(to) => points.push([x, y, *to]),
-            Step::Along(segment, to) => {
+            PathStep::Vertical(to) => points.push([x, y, *to]),
+            PathStep::Along(segment, to) => {
                 let count = segment
                     .arc()
                     .map_or(1, |arc| crate::geometry::chords(&arc, chord));

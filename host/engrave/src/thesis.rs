@@ -10,7 +10,7 @@ use crate::job::{Options, Ordering, plan};
 use crate::order::edges::{Condition, Ends, analyse, order};
 use crate::order::rows::{Line, Totals, contours, totals, zigzag};
 use crate::read::{ReadOptions, read};
-use crate::toolpath::Step;
+use crate::toolpath::PathStep;
 use serde::Serialize;
 
 /// Where every job begins and ends.
@@ -325,7 +325,7 @@ fn deviation(drawing: &Drawing, ordering: Ordering) -> Option<f64> {
     let mut cuts = Vec::new();
     for cut in &job.toolpath.cuts {
         for step in &cut.steps {
-            if let Step::Along(segment, _) = step {
+            if let PathStep::Along(segment, _) = step {
                 cuts.push(Path::from_segments(&[*segment], 0));
             }
         }

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 /// A step of a cut.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Step {
+pub enum PathStep {
     /// Along a segment; Z changes evenly to its end value, mm.
     Along(Segment, f64),
     /// Straight up or down to this Z, mm.
@@ -20,7 +20,7 @@ pub struct Cut {
     /// Z to which it plunges, mm.
     pub z: f64,
     /// Steps.
-    pub steps: Vec<Step>,
+    pub steps: Vec<PathStep>,
     /// Entity of the drawing.
     pub entity: usize,
 }
@@ -30,8 +30,8 @@ impl Cut {
     #[must_use]
     pub fn end(&self) -> Point {
         let ends = self.steps.iter().rev().find_map(|step| match step {
-            Step::Along(segment, _) => Some(segment.to),
-            Step::Vertical(_) => None,
+            PathStep::Along(segment, _) => Some(segment.to),
+            PathStep::Vertical(_) => None,
         });
         ends.unwrap_or(self.start)
     }
@@ -40,8 +40,8 @@ impl Cut {
     #[must_use]
     pub fn length(&self) -> f64 {
         let lengths = self.steps.iter().map(|step| match step {
-            Step::Along(segment, _) => segment.length(),
-            Step::Vertical(_) => 0.0,
+            PathStep::Along(segment, _) => segment.length(),
+            PathStep::Vertical(_) => 0.0,
         });
         lengths.sum()
     }
@@ -89,8 +89,8 @@ impl Toolpath {
             lengths.plunge_mm += z.abs();
             for step in &cut.steps {
                 match step {
-                    Step::Along(_, to) => z = *to,
-                    Step::Vertical(to) => {
+                    PathStep::Along(_, to) => z = *to,
+                    PathStep::Vertical(to) => {
                         lengths.plunge_mm += (to - z).abs();
                         z = *to;
                     }
@@ -160,14 +160,14 @@ pub fn cut_path(path: &Path, depths: &Depths) -> Cut {
         match depths.slope {
             Some(slope) if path.closed => path = ramp_around(&path, above, z, slope, &mut steps),
             Some(slope) => ramp_to_and_fro(&path, above, z, slope, &mut steps),
-            None if above < 0.0 => steps.push(Step::Vertical(z)),
+            None if above < 0.0 => steps.push(PathStep::Vertical(z)),
             None => {}
         }
         match &depths.tabs {
             Some((tabs, tool)) if path.closed => {
                 around_tabs(&path, z, depths, tabs, *tool, &mut steps)
             }
-            _ => steps.extend(path.segments().map(|segment| Step::Along(segment, z))),
+            _ => steps.extend(path.segments().map(|segment| PathStep::Along(segment, z))),
         }
         if !path.closed {
             path = path.reversed();
@@ -183,7 +183,7 @@ pub fn cut_path(path: &Path, depths: &Depths) -> Cut {
 }
 
 /// Descends along a closed path and returns the path from the point where the depth is reached.
-fn ramp_around(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<Step>) -> Path {
+fn ramp_around(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<PathStep>) -> Path {
     let mut left = (from - to) / slope;
     let mut z = from;
     for index in (0..path.segment_count()).cycle() {
@@ -192,26 +192,26 @@ fn ramp_around(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<Step
         if length >= left - 1e-9 {
             let part = (left / length).min(1.0);
             if part >= 1.0 - 1e-9 {
-                steps.push(Step::Along(segment, to));
+                steps.push(PathStep::Along(segment, to));
                 return path.rotated((index + 1) % path.segment_count(), 0.0);
             }
             let (ramp, _) = segment.split(part);
-            steps.push(Step::Along(ramp, to));
+            steps.push(PathStep::Along(ramp, to));
             return path.rotated(index, part);
         }
         left -= length;
         z -= length * slope;
-        steps.push(Step::Along(segment, z));
+        steps.push(PathStep::Along(segment, z));
     }
     path.clone()
 }
 
 /// Descends along an open path and back, as often as needed, to its start.
-fn ramp_to_and_fro(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<Step>) {
+fn ramp_to_and_fro(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<PathStep>) {
     let needed = (from - to) / slope;
     let length = path.length();
     if length <= 0.0 {
-        steps.push(Step::Vertical(to));
+        steps.push(PathStep::Vertical(to));
         return;
     }
     let trips = (needed / (2.0 * length)).ceil().max(1.0);
@@ -235,11 +235,11 @@ fn ramp_to_and_fro(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<
         let back: Vec<Segment> = out.iter().rev().map(Segment::reversed).collect();
         for segment in out.iter().chain(&back) {
             z = (z - segment.length() * slope).max(to);
-            steps.push(Step::Along(*segment, z));
+            steps.push(PathStep::Along(*segment, z));
         }
     }
     if z > to {
-        steps.push(Step::Vertical(to));
+        steps.push(PathStep::Vertical(to));
     }
 }
 
@@ -250,7 +250,7 @@ fn around_tabs(
     depths: &Depths,
     tabs: &Tabs,
     tool: f64,
-    steps: &mut Vec<Step>,
+    steps: &mut Vec<PathStep>,
 ) {
     let floor = depths.levels.last().copied().unwrap_or(z);
     let top = floor + tabs.height_mm;
@@ -258,7 +258,7 @@ fn around_tabs(
     let half = (tabs.width_mm + tool) / 2.0;
     let fits = tabs.length(tool) < total;
     if z >= top || !fits || tabs.count == 0 {
-        steps.extend(path.segments().map(|segment| Step::Along(segment, z)));
+        steps.extend(path.segments().map(|segment| PathStep::Along(segment, z)));
         return;
     }
     // The first tab is half a distance of tabs behind the start.
@@ -275,16 +275,16 @@ fn around_tabs(
                 break;
             }
             let (before, after) = rest.split(((bound - passed) / length).clamp(0.0, 1.0));
-            steps.push(Step::Along(before, present));
+            steps.push(PathStep::Along(before, present));
             present = if present == z { top } else { z };
-            steps.push(Step::Vertical(present));
+            steps.push(PathStep::Vertical(present));
             length -= bound - passed;
             passed = bound;
             rest = after;
             next.next();
         }
         passed += length;
-        steps.push(Step::Along(rest, present));
+        steps.push(PathStep::Along(rest, present));
     }
 }
 
@@ -364,7 +364,7 @@ mod tests {
         assert!((cut.length() - 90.0).abs() < 1e-9, "{}", cut.length());
         let (mut z, mut at) = (cut.z, cut.start);
         for step in &cut.steps {
-            let Step::Along(segment, to) = step else {
+            let PathStep::Along(segment, to) = step else {
                 panic!("{step:?}")
             };
             assert!(distance(at, segment.from) < 1e-9);
@@ -411,7 +411,7 @@ mod tests {
             .steps
             .iter()
             .filter_map(|step| match step {
-                Step::Along(segment, z) if (*z + 0.6).abs() < 1e-9 => Some(segment.length()),
+                PathStep::Along(segment, z) if (*z + 0.6).abs() < 1e-9 => Some(segment.length()),
                 _ => None,
             })
             .sum();

@@ -6,7 +6,7 @@ use haptimill_engrave::geometry::Segment;
 use haptimill_engrave::job::{Job, Operation, Options, Side, plan};
 use haptimill_engrave::preview::{Speeds, html, plan as picture};
 use haptimill_engrave::read::{ReadOptions, read};
-use haptimill_engrave::toolpath::{Cut, Step, Tabs, Toolpath};
+use haptimill_engrave::toolpath::{Cut, PathStep, Tabs, Toolpath};
 use proptest::prelude::*;
 use std::f64::consts::TAU;
 
@@ -165,7 +165,9 @@ fn length_of_cuts(text: &str) -> f64 {
 /// The program of cuts along segments.
 fn written(segments: &[Segment]) -> String {
     let start = segments[0].from;
-    let steps = segments.iter().map(|segment| Step::Along(*segment, -0.1));
+    let steps = segments
+        .iter()
+        .map(|segment| PathStep::Along(*segment, -0.1));
     let cut = Cut {
         start,
         z: -0.1,

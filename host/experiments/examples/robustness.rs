@@ -31,7 +31,7 @@ const SCALED: [(&str, &[&str]); 4] = [
 const REST_S: f64 = 120.0;
 
 /// Errors of a run, mm.
-struct Outcome {
+struct ProgramResult {
     rms: f64,
     largest: f64,
     at_rest: f64,
@@ -61,7 +61,7 @@ fn scaled(machine: &MachineFile, keys: &[&str], factor: f64) -> Result<MachineFi
     Ok(MachineFile::parse(&machine.file, &text)?)
 }
 
-fn run(machine: &MachineFile, program: &Path, recording: &Path) -> Result<Outcome> {
+fn run(machine: &MachineFile, program: &Path, recording: &Path) -> Result<ProgramResult> {
     let model = Model::new(machine);
     let home = find_home_pose(machine, &model)?;
     let text = std::fs::read(program)?;
@@ -107,7 +107,7 @@ fn run(machine: &MachineFile, program: &Path, recording: &Path) -> Result<Outcom
         }
     }
     let spans = low.iter().zip(high).map(|(low, high)| high - low);
-    Ok(Outcome {
+    Ok(ProgramResult {
         rms: statistics.tool_error.rms(),
         largest: statistics.tool_error.max,
         at_rest: spans.fold(0.0, f64::max),

@@ -10,7 +10,7 @@ mod tests;
 
 pub use load::all;
 
-use super::expected::{Band, Source};
+use super::expected::{Band, ExpectedSource};
 use super::inputs::input;
 use haptimill_hil_sim::operator::Trajectory;
 use serde::{Deserialize, Serialize};
@@ -319,7 +319,7 @@ pub struct BandDefinition {
     #[serde(default)]
     pub unit: String,
     /// Origin.
-    pub source: Source,
+    pub source: ExpectedSource,
 }
 
 impl BandDefinition {

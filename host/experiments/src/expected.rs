@@ -7,7 +7,7 @@ use std::fmt;
 /// Origin of a band.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Source {
+pub enum ExpectedSource {
     /// The thesis states the bound or the range itself.
     Stated,
     /// Derived from the numbers of the thesis (docs/control.md 4.2).
@@ -16,7 +16,7 @@ pub enum Source {
     Own,
 }
 
-impl fmt::Display for Source {
+impl fmt::Display for ExpectedSource {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::Stated => "stated",
@@ -34,7 +34,7 @@ pub struct Band {
     /// Upper end, or none.
     pub high: Option<f64>,
     /// Origin.
-    pub source: Source,
+    pub source: ExpectedSource,
 }
 
 impl Band {

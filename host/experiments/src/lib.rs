@@ -30,7 +30,7 @@ mod table;
 mod teleoperation;
 
 pub use definition::{ExpectedResult, Experiment, Pass, all};
-pub use expected::{Band, Comparison, Source};
+pub use expected::{Band, Comparison, ExpectedSource};
 pub use obstacle::{NO_FORCE_CONTROL, NO_HAPTIC_ARM};
 pub use page::{index, page};
 pub use result::{ExperimentResult, PassResult};

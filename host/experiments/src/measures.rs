@@ -105,11 +105,9 @@ const QUANTITIES: &[Quantity] = &[
         let [x, y, _] = sample.master;
         (((x + CIRCLE_MM).powi(2) + y.powi(2)).sqrt() - CIRCLE_MM).abs()
     }),
-    teleoperated("feedback_force", true, |sample, axis| {
-        sample.reflected[axis]
-    }),
+    teleoperated("feedback_force", true, |sample, axis| sample.feedback[axis]),
     teleoperated("feedback_force_xy", false, |sample, _| {
-        sample.reflected[0].hypot(sample.reflected[1])
+        sample.feedback[0].hypot(sample.feedback[1])
     }),
 ];
 

@@ -1,7 +1,7 @@
 //! Results of experiments and passes; `summary.json` has these fields.
 
 use super::definition::{Experiment, ForceControl};
-use super::expected::{Comparison, Source, rounded};
+use super::expected::{Comparison, ExpectedSource, rounded};
 use super::measures;
 use super::run::PassData;
 use super::sampled_trace::ForceSource;
@@ -109,7 +109,7 @@ impl ExperimentResult {
 
     /// Results of a source: those inside their bands, and all.
     #[must_use]
-    pub fn count_of(&self, source: Source) -> (usize, usize) {
+    pub fn count_of(&self, source: ExpectedSource) -> (usize, usize) {
         let of_source = |result: &&Comparison| result.band.source == source;
         let results = || self.comparisons.iter().filter(of_source);
         (

@@ -24,7 +24,7 @@ use haptimill_math::Length;
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_planner::Plan;
 use haptimill_protocol::message::AxisValues;
-use haptimill_report::{Outcome, Summary};
+use haptimill_report::{JobOutcome, Summary};
 use haptimill_trace::{Header, Recorder, Recording};
 use std::path::Path;
 use std::sync::Arc;
@@ -211,7 +211,7 @@ fn run_job<C: Controlled>(
     if recorded.disk_full {
         return Err(output(&"the disk is nearly full; free some space"));
     }
-    let outcome = Outcome {
+    let outcome = JobOutcome {
         setpoints: u64::from(end.setpoints),
         underruns: end.underruns.len() as u64,
         faults: Vec::new(),

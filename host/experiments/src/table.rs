@@ -1,7 +1,7 @@
 //! Table for the terminal.
 
 use super::ExperimentResult;
-use super::expected::{Band, Comparison, Source};
+use super::expected::{Band, Comparison, ExpectedSource};
 use std::fmt::Write as _;
 
 /// Formats a value for the tables.
@@ -113,8 +113,8 @@ pub(super) fn counts(results: &[ExperimentResult]) -> String {
         })
     };
     for (title, fitted) in [("fitted", true), ("held out of the fit", false)] {
-        let [stated, derived] =
-            [Source::Stated, Source::Derived].map(|source| of(&|r| r.fitted == fitted, source));
+        let [stated, derived] = [ExpectedSource::Stated, ExpectedSource::Derived]
+            .map(|source| of(&|r| r.fitted == fitted, source));
         if stated.1 + derived.1 > 0 {
             let _ = writeln!(
                 text,
@@ -123,8 +123,12 @@ pub(super) fn counts(results: &[ExperimentResult]) -> String {
             );
         }
     }
-    let [stated, derived, own] =
-        [Source::Stated, Source::Derived, Source::Own].map(|source| of(&|_| true, source));
+    let [stated, derived, own] = [
+        ExpectedSource::Stated,
+        ExpectedSource::Derived,
+        ExpectedSource::Own,
+    ]
+    .map(|source| of(&|_| true, source));
     let _ = write!(
         text,
         "inside: {} of {} stated, {} of {} derived, {} of {} own",

@@ -2,8 +2,7 @@
 
 use core::fmt;
 
-/// Largest number of listed problems; the others are counted.
-pub const LISTED_PROBLEMS: usize = 50;
+pub use haptimill_gcode::LISTED_PROBLEMS;
 
 /// A problem of a design.
 #[derive(Debug, Clone, PartialEq, Eq)]

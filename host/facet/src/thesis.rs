@@ -11,7 +11,7 @@ use crate::run::{Cutting, RunOptions, cut};
 use core::f64::consts::PI;
 use haptimill_client::{Error, ErrorKind};
 use haptimill_kinematics::facet::FacetGeometry;
-use haptimill_kinematics::facet::chain::{Chain, ChainJoints, Frame};
+use haptimill_kinematics::facet::chain::{Chain, ChainJoints, ChainPose};
 use haptimill_machine_file::MachineFile;
 use haptimill_math::{Angle, Coordinate, Length};
 use serde::Serialize;
@@ -72,7 +72,7 @@ fn joints(d1_mm: f64, theta2: f64, theta3: f64) -> ChainJoints {
     }
 }
 
-fn numbers(frame: &Frame) -> ([[f64; 3]; 3], [f64; 3]) {
+fn numbers(frame: &ChainPose) -> ([[f64; 3]; 3], [f64; 3]) {
     let rotation = frame
         .rotation
         .map(|row| row.map(|entry| f64::from(entry) / f64::from(1 << 30)));
@@ -89,7 +89,7 @@ fn determinant(m: &[[f64; 3]; 3]) -> f64 {
 }
 
 /// Joints of a frame by (4.9), (4.12) and (4.13) as printed: d1 in mm, angles in radians.
-fn printed_inverse(frame: &Frame, [_, l3, l4]: [f64; 3]) -> [f64; 3] {
+fn printed_inverse(frame: &ChainPose, [_, l3, l4]: [f64; 3]) -> [f64; 3] {
     let (r, p) = numbers(frame);
     let theta2 = (r[0][2] / r[2][2]).atan();
     let theta3 = (r[1][0] / r[1][1]).atan();
@@ -106,7 +106,7 @@ fn is_found(found: [f64; 3], at: [f64; 3]) -> bool {
     (found[0] - at[0]).abs() < 1e-3 && turn(1) < 1e-5 && turn(2) < 1e-5
 }
 
-fn our_inverse(chain: &Chain, frame: &Frame) -> Option<[f64; 3]> {
+fn our_inverse(chain: &Chain, frame: &ChainPose) -> Option<[f64; 3]> {
     let found = chain.inverse(frame).ok()?;
     let radians = |angle: Angle| f64::from(angle.0) / 4_294_967_296.0 * 2.0 * PI;
     Some([

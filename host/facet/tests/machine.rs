@@ -50,9 +50,9 @@ fn joints(pose: &[f64], theta2_zero: f64) -> [f64; 5] {
 
 /// Measured poses and joints while a job moves.
 #[derive(Default)]
-struct Motion(Vec<Telemetry>);
+struct RecordedMotion(Vec<Telemetry>);
 
-impl JobObserver for Motion {
+impl JobObserver for RecordedMotion {
     fn progress(&mut self, telemetry: &Telemetry) {
         self.0.push(telemetry.clone());
     }
@@ -68,7 +68,11 @@ impl JobObserver for Motion {
 
 /// Homes the simulated machine and runs a program from the home pose. Returns the home pose, the
 /// true pose at home and at the end, and the telemetry of the motion.
-fn run(machine: &MachineFile, seed: u64, text: &str) -> (Coordinates, [Vec<f64>; 2], Motion) {
+fn run(
+    machine: &MachineFile,
+    seed: u64,
+    text: &str,
+) -> (Coordinates, [Vec<f64>; 2], RecordedMotion) {
     let model = Model::new(machine);
     let home = session::find_home_pose(machine, &model).expect("a home pose");
     let start = model.to_engineering_units(&home);
@@ -90,7 +94,7 @@ fn run(machine: &MachineFile, seed: u64, text: &str) -> (Coordinates, [Vec<f64>;
             .to_vec()
     };
     let at_home = truth(&mut session);
-    let mut motion = Motion::default();
+    let mut motion = RecordedMotion::default();
     let end = session
         .run_job(2, home, plan.setpoints, &mut motion)
         .expect("a run");

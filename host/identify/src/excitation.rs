@@ -48,7 +48,7 @@ pub struct Burst {
 
 /// Setpoints of a motion, and what of it is measured.
 #[derive(Debug, Default)]
-pub struct Motion {
+pub struct Stimulus {
     /// The setpoints.
     pub setpoints: Vec<Setpoint>,
     /// The measured times.
@@ -71,7 +71,7 @@ pub struct Builder<'a> {
     geometry: &'a Geometry<'a>,
     line: &'a Line,
     period: f64,
-    motion: Motion,
+    motion: Stimulus,
     /// Periods, and the place on the line.
     now: u64,
     place: f64,
@@ -85,7 +85,7 @@ impl<'a> Builder<'a> {
             geometry,
             line,
             period,
-            motion: Motion::default(),
+            motion: Stimulus::default(),
             now: 0,
             place,
         }
@@ -252,7 +252,7 @@ impl<'a> Builder<'a> {
 
     /// The motion, and the place where it ends.
     #[must_use]
-    pub fn finish(self) -> (Motion, f64) {
+    pub fn finish(self) -> (Stimulus, f64) {
         (self.motion, self.place)
     }
 }

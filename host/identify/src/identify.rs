@@ -1,6 +1,6 @@
 //! The measurement of all torque joints of a machine, over the protocol.
 
-use crate::excitation::{Builder, Burst, Motion, PER_CYCLE, SHORTEST, burst_time, ramp_time};
+use crate::excitation::{Builder, Burst, PER_CYCLE, SHORTEST, Stimulus, burst_time, ramp_time};
 use crate::line::{Geometry, Line};
 use crate::measure::{Friction, Sample, count_of, friction, response, samples, steady};
 use crate::two_mass::{Fit, Point, TwoMass};
@@ -247,7 +247,7 @@ impl<'a, L: session::Line> Identification<'a, L> {
         self.session.go_home(self.machine, &home)
     }
 
-    fn run(&mut self, motion: Motion) -> Result<(Motion, Vec<Sample>), Error> {
+    fn run(&mut self, motion: Stimulus) -> Result<(Stimulus, Vec<Sample>), Error> {
         let start = self.session.status()?.commanded;
         self.session.take_telemetry();
         self.job += 1;
@@ -354,7 +354,7 @@ impl<'a, L: session::Line> Identification<'a, L> {
 
     fn friction(
         &self,
-        motion: &Motion,
+        motion: &Stimulus,
         samples: &[Sample],
         joint: usize,
         line: &Line,
@@ -394,7 +394,7 @@ impl<'a, L: session::Line> Identification<'a, L> {
         frictions: &[Friction],
         frequencies: &[f64],
         seconds: f64,
-    ) -> Result<(Motion, Vec<Sample>), Error> {
+    ) -> Result<(Stimulus, Vec<Sample>), Error> {
         let geometry = Geometry::new(self.machine);
         // A line has room for one sine at least.
         let carrier = slowed(line.rate * CARRIER, |rate| {
@@ -439,7 +439,7 @@ impl<'a, L: session::Line> Identification<'a, L> {
         &self,
         line: &Line,
         frictions: &[Friction],
-        runs: &[(Motion, Vec<Sample>)],
+        runs: &[(Stimulus, Vec<Sample>)],
     ) -> Result<Vec<Identified>, Error> {
         let joints = line.joints.iter().zip(frictions);
         joints

@@ -4,7 +4,7 @@
 use super::document::Section;
 use super::scale::{PER_EFFORT, PER_MM, to_i32, to_u16, to_u32};
 use haptimill_firmware::force::admittance::AdmittanceLaw;
-use haptimill_firmware::force::sensor::{COMPONENTS, Channel, Sensor};
+use haptimill_firmware::force::sensor::{COMPONENTS, Channel, ForceSensor};
 use haptimill_firmware::force::{
     Design, EnableCondition, ForceConfig, ForceParameter, LoopSettings,
 };
@@ -32,7 +32,7 @@ fn force(newtons: f64) -> Force {
 }
 
 /// Axis of the force: its sensor channel and its loop.
-struct Axis<'d, 'i> {
+struct AxisSections<'d, 'i> {
     section: Section<'d, 'i>,
     channel: Channel,
     settings: LoopSettings,
@@ -61,7 +61,7 @@ pub fn read_force(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
         (sensor.volts, sensor.saturation)
     });
     let sensor_is_valid = sensor.as_ref().is_some_and(|sensor| sensor.is_valid);
-    let axes: Vec<Axis<'_, '_>> = sections
+    let axes: Vec<AxisSections<'_, '_>> = sections
         .into_iter()
         .enumerate()
         .map(|(place, section)| read_axis(section, place, volts, saturation))
@@ -71,7 +71,7 @@ pub fn read_force(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
     let channels = [0, 1, 2]
         .map(|index| place(index).map_or_else(placeholder_channel, |axis| axis.channel.clone()));
     let config = ForceConfig {
-        sensor: Sensor {
+        sensor: ForceSensor {
             channels,
             ..sensor.map_or_else(placeholder_sensor, |section| section.sensor)
         },
@@ -93,7 +93,12 @@ pub fn read_force(section: &Section<'_, '_>, period_us: f64) -> ForceConfig {
 }
 
 /// Reports the parameters that the controller refuses, with their bounds and keys.
-fn check(section: &Section<'_, '_>, axes: &[Axis<'_, '_>], config: &ForceConfig, period_us: u16) {
+fn check(
+    section: &Section<'_, '_>,
+    axes: &[AxisSections<'_, '_>],
+    config: &ForceConfig,
+    period_us: u16,
+) {
     let mut is_valid = true;
     for (index, axis) in axes.iter().enumerate() {
         is_valid &= axis.is_valid;
@@ -133,7 +138,7 @@ const fn key(parameter: ForceParameter) -> &'static str {
 /// Values of `[force.sensor]`.
 struct SensorSection {
     /// The sensor without its channels.
-    sensor: Sensor,
+    sensor: ForceSensor,
     /// Range of the converter, V.
     volts: f64,
     /// Usable fraction of the range.
@@ -172,7 +177,7 @@ fn read_sensor(section: &Section<'_, '_>, period_us: f64) -> SensorSection {
     .all(|value| !value.is_nan())
         && (16.0..=32_768.0).contains(&samples);
     section.finish();
-    let sensor = Sensor {
+    let sensor = ForceSensor {
         silent_samples: to_u16(periods(silent).max(1.0)),
         stuck_samples: to_u16(periods(stuck)),
         drift: force(drift),
@@ -196,7 +201,7 @@ fn read_axis<'d, 'i>(
     place: usize,
     volts: f64,
     saturation: f64,
-) -> Axis<'d, 'i> {
+) -> AxisSections<'d, 'i> {
     let name = section.text("name", "name the axis");
     let expected = AXES.get(place).map_or("", |(name, _)| name);
     if let Some(name) = name
@@ -223,7 +228,7 @@ fn read_axis<'d, 'i>(
     let numbers = [
         newtons, sign, desired, mass, damping, limit, rate, volts, saturation,
     ];
-    Axis {
+    AxisSections {
         is_valid: is_scaled
             && enable_condition.is_some()
             && numbers.iter().all(|value| !value.is_nan()),
@@ -252,8 +257,8 @@ const fn placeholder_channel() -> Channel {
 }
 
 /// As [`placeholder_channel`].
-const fn placeholder_sensor() -> Sensor {
-    Sensor {
+const fn placeholder_sensor() -> ForceSensor {
+    ForceSensor {
         channels: [
             placeholder_channel(),
             placeholder_channel(),

@@ -4,8 +4,8 @@
 use super::document::Section;
 use super::scale::{PER_COUNT, PER_DEG, PER_EFFORT, PER_MM, to_i32, to_i64, to_u16, to_u32};
 use haptimill_firmware::haptics::config::{Amplifier, Encoder, FollowConfig, HapticConfig};
+use haptimill_firmware::haptics::fixture::FixtureConfig;
 use haptimill_firmware::haptics::passivity::PassivityConfig;
-use haptimill_firmware::haptics::walls::WallConfig;
 use haptimill_firmware::io::LEGS;
 use haptimill_kinematics::haptic_arm::HapticGeometry;
 use haptimill_machine_keys::Key;
@@ -66,7 +66,7 @@ pub fn read_haptic(section: &Section<'_, '_>) -> HapticConfig {
         ball: length(ball),
         step: force(step),
         feedback: feedback.unwrap_or_default(),
-        wall: fixture.unwrap_or(WallConfig {
+        fixture: fixture.unwrap_or(FixtureConfig {
             stiffness: 0,
             most: Force::ZERO,
         }),
@@ -225,11 +225,11 @@ fn read_feedback(section: Section<'_, '_>) -> ForceFeedback {
     }
 }
 
-fn read_fixture(section: Section<'_, '_>) -> WallConfig {
+fn read_fixture(section: Section<'_, '_>) -> FixtureConfig {
     let stiffness = section.value(keys::fixture::stiffness_n_per_mm);
     let most = section.value(keys::fixture::limit_n);
     section.finish();
-    WallConfig {
+    FixtureConfig {
         stiffness: to_u32(stiffness * PER_EFFORT),
         most: force(most),
     }

@@ -16,7 +16,7 @@ use haptimill_planner::{
     AnalogueOutput, JointLimits, MachineModel, Outputs, PoseLimits, PoseProblem, Settings,
 };
 use haptimill_protocol::message::{AxisValues, MAX_AXES, PoseError, Telemetry};
-use haptimill_protocol::text::{Axes, Axis};
+use haptimill_protocol::text::{AxesText, AxisText};
 
 /// Kinematics of a machine file, with axis names.
 #[derive(Debug, Clone)]
@@ -185,10 +185,10 @@ impl Model {
     }
 
     /// Calls `use_axes` with names and kinds of the axes, for messages.
-    pub fn with_axes<T>(&self, use_axes: impl FnOnce(&Axes<'_>) -> T) -> T {
-        fn list(axes: &[(String, config::AxisKind)]) -> Vec<Axis<'_>> {
+    pub fn with_axes<T>(&self, use_axes: impl FnOnce(&AxesText<'_>) -> T) -> T {
+        fn list(axes: &[(String, config::AxisKind)]) -> Vec<AxisText<'_>> {
             axes.iter()
-                .map(|(name, kind)| Axis { name, kind: *kind })
+                .map(|(name, kind)| AxisText { name, kind: *kind })
                 .collect()
         }
         let (pose, joints) = (list(&self.pose), list(&self.joints));
@@ -198,7 +198,7 @@ impl Model {
         let analog_outputs: Vec<&str> = analog.map(|it| it.name.as_str()).collect();
         let errors = self.machine.descriptor().errors.iter();
         let pose_errors: Vec<&str> = errors.map(|error| error.sentence).collect();
-        use_axes(&Axes {
+        use_axes(&AxesText {
             pose_errors: &pose_errors,
             pose: &pose,
             joints: &joints,

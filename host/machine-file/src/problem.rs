@@ -36,8 +36,7 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Largest number of listed problems of a file; the others are counted.
-pub const LISTED_PROBLEMS: usize = 50;
+pub use haptimill_gcode::LISTED_PROBLEMS;
 
 /// Problems of a machine file: the first `LISTED_PROBLEMS` in the order of the lines, at least
 /// one, and the number of the others.

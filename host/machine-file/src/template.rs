@@ -3,12 +3,9 @@
 
 use crate::keys::keys_of;
 use haptimill_kinematics::descriptor::AxisKind;
-use haptimill_machine_keys::page::summary;
+use haptimill_machine_keys::page::{COLUMNS, summary};
 use haptimill_machine_keys::{Default, Key};
 use std::collections::{HashMap, HashSet};
-
-/// Longest line.
-const COLUMNS: usize = 100;
 
 /// Writes a comment above each key of a machine file where the key first occurs, and the optional
 /// keys that the file does not have as comments at the end of their section. The values stay.

@@ -6,7 +6,7 @@ use haptimill_protocol::text::AxisKind;
 /// First and last part of the line before a table of a page; the path of the section is between.
 const BEGIN: (&str, &str) = ("<!-- keys: ", " -->");
 /// Longest line of a paragraph.
-const COLUMNS: usize = 100;
+pub const COLUMNS: usize = 100;
 /// Line after a table.
 const END: &str = "<!-- end of keys -->";
 

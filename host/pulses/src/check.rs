@@ -11,7 +11,7 @@ const LISTED: usize = 50;
 
 /// Lines of a joint's drive, and what was commanded.
 #[derive(Debug, Clone, Copy)]
-pub struct Axis<'a> {
+pub struct AxisSignals<'a> {
     /// Name of the joint.
     pub name: &'a str,
     /// Step line; a step is a rising edge.
@@ -188,7 +188,7 @@ impl Report {
 #[must_use]
 pub fn check(
     capture: &Capture,
-    axes: &[Axis<'_>],
+    axes: &[AxisSignals<'_>],
     enable: Option<&Signal>,
     rules: &Rules,
 ) -> Report {
@@ -232,7 +232,12 @@ pub fn check(
 }
 
 /// Compares the lines with the data sheet.
-fn measure(report: &mut AxisReport, axis: &Axis<'_>, enable: Option<&Signal>, rules: &Rules) {
+fn measure(
+    report: &mut AxisReport,
+    axis: &AxisSignals<'_>,
+    enable: Option<&Signal>,
+    rules: &Rules,
+) {
     let least = |smallest: &mut Option<i64>, value: i64| {
         *smallest = Some(smallest.map_or(value, |before| before.min(value)));
     };
@@ -278,7 +283,7 @@ fn measure(report: &mut AxisReport, axis: &Axis<'_>, enable: Option<&Signal>, ru
 /// Compares the edges of a step line with the commanded pulses that lie within the capture.
 fn compare(
     report: &mut AxisReport,
-    axis: &Axis<'_>,
+    axis: &AxisSignals<'_>,
     commanded: &[Pulse],
     offset: i64,
     capture: &Capture,

@@ -19,7 +19,7 @@ mod expected;
 mod picture;
 
 pub use capture::{Capture, CaptureError, Signal};
-pub use check::{Axis, AxisReport, Fault, FaultKind, Report, Rules, check};
+pub use check::{AxisReport, AxisSignals, Fault, FaultKind, Report, Rules, check};
 pub use expected::{Clock, Planned, Pulse, pulses};
 pub use picture::picture;
 

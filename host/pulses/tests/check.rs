@@ -3,7 +3,8 @@
 
 use haptimill_firmware::io::StepSegment;
 use haptimill_pulses::{
-    Axis, Capture, Clock, FaultKind, NANOSECOND, Planned, Report, Rules, Signal, check, picture,
+    AxisSignals, Capture, Clock, FaultKind, NANOSECOND, Planned, Report, Rules, Signal, check,
+    picture,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -72,7 +73,7 @@ fn capture(step: &Signal, direction: &Signal) -> Capture {
 
 fn run(step: &Signal, direction: &Signal, planned: &[Planned]) -> Report {
     let capture = capture(step, direction);
-    let axis = Axis {
+    let axis = AxisSignals {
         name: "x",
         step,
         direction,
@@ -209,7 +210,7 @@ fn each_rule_of_the_data_sheet_is_checked() {
     };
     let broken = |step: &Signal, direction: &Signal| {
         let capture = capture(step, direction);
-        let axis = Axis {
+        let axis = AxisSignals {
             name: "x",
             step,
             direction,
@@ -250,7 +251,7 @@ fn pulses_of_disabled_drives_are_found() {
         initial: true,
         changes: vec![step.changes[190]],
     };
-    let axis = Axis {
+    let axis = AxisSignals {
         name: "x",
         step: &step,
         direction: &direction,

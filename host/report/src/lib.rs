@@ -42,7 +42,7 @@ pub const REPORT_FILE: &str = "report.html";
 
 /// Outcome of a job that the recording does not contain.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Outcome {
+pub struct JobOutcome {
     /// Setpoints of the job that were reached.
     pub setpoints: u64,
     /// Number of underruns.
@@ -158,7 +158,7 @@ impl Summary {
     pub fn of(
         recording: &Recording,
         recorded: &Recorded,
-        outcome: &Outcome,
+        outcome: &JobOutcome,
     ) -> Result<(Self, Statistics), RecordingError> {
         let mut statistics = Statistics::new(recording);
         for record in recording.iter()? {
@@ -174,7 +174,7 @@ impl Summary {
         recording: &Recording,
         statistics: &Statistics,
         recorded: &Recorded,
-        outcome: &Outcome,
+        outcome: &JobOutcome,
     ) -> Self {
         let header = recording.header();
         let (begin, end) = statistics.job.unwrap_or((0.0, 0.0));
@@ -372,7 +372,7 @@ pub fn duration(seconds: f64) -> String {
 pub fn write_all(
     dir: &Path,
     recorded: &Recorded,
-    outcome: &Outcome,
+    outcome: &JobOutcome,
     trace_every: u32,
     statistics: Option<Statistics>,
 ) -> Result<Summary, RecordingError> {

@@ -1,7 +1,7 @@
 //! Force, compliance, spindle and cut of a job.
 
 use super::chart::Backdrop;
-use super::{Outcome, Statistics};
+use super::{JobOutcome, Statistics};
 use serde::Serialize;
 
 /// What was cut from the stock of a simulated machine.
@@ -46,7 +46,7 @@ pub struct Process {
 }
 
 impl Process {
-    pub(super) fn of(statistics: &Statistics, outcome: &Outcome) -> Self {
+    pub(super) fn of(statistics: &Statistics, outcome: &JobOutcome) -> Self {
         let (begin, _) = statistics.job.unwrap_or_default();
         let force = Some(&statistics.force).filter(|force| force.max > 0.0);
         Self {

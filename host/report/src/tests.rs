@@ -68,8 +68,8 @@ fn circle(outside: f64, late: f64) -> (TempPath, Recorded) {
     (file, recorded)
 }
 
-fn outcome() -> Outcome {
-    Outcome {
+fn outcome() -> JobOutcome {
+    JobOutcome {
         setpoints: 236,
         underruns: 0,
         faults: Vec::new(),
@@ -235,7 +235,7 @@ fn a_recording_without_a_job_makes_a_report() {
         recorder.finish().unwrap()
     };
     let recording = Recording::open(&file).unwrap();
-    let (summary, statistics) = Summary::of(&recording, &recorded, &Outcome::default()).unwrap();
+    let (summary, statistics) = Summary::of(&recording, &recorded, &JobOutcome::default()).unwrap();
     let json = serde_json::to_string(&summary).unwrap();
     assert!(!json.contains("null"), "{json}");
     write_html(&recording, &summary, &statistics, None, &mut Vec::new()).unwrap();

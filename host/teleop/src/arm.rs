@@ -15,7 +15,7 @@ use haptimill_client::board::Chosen;
 use haptimill_client::client::Options;
 use haptimill_client::port::PortError;
 use haptimill_client::session::{
-    JobLine, JobRecording, Line, Numbers, Phase, Session, SimLine, Startup,
+    JobLine, JobRecording, Line, Numbers, Session, SessionPhase, SimLine, Startup,
 };
 use haptimill_client::{Error, ErrorKind};
 use haptimill_firmware::snapshot::Snapshot;
@@ -174,7 +174,7 @@ impl<L: Line> Arm<L> {
     }
 
     fn is_ready(&self) -> bool {
-        *self.session.phase() == Phase::Ready
+        *self.session.phase() == SessionPhase::Ready
     }
 
     /// Steps the session; false when the port is lost.
@@ -193,7 +193,7 @@ impl<L: Line> Arm<L> {
         if !self.is_ready() {
             self.telemetry = None;
         }
-        Ok(*self.session.phase() != Phase::Disconnected)
+        Ok(*self.session.phase() != SessionPhase::Disconnected)
     }
 
     /// A new report as a master sample.
@@ -248,7 +248,7 @@ impl<L: Line> MasterDevice for Arm<L> {
     }
 
     fn advance(&mut self, now_us: u64) -> Result<Option<MasterSample>, Error> {
-        if *self.session.phase() == Phase::Disconnected {
+        if *self.session.phase() == SessionPhase::Disconnected {
             self.step()?;
             return Ok(None);
         }
@@ -305,7 +305,7 @@ impl<L: Line> MasterDevice for Arm<L> {
     fn force(&self) -> Option<MasterForce> {
         self.telemetry.as_ref().map(|telemetry| MasterForce {
             force: newtons(telemetry.force),
-            reflected: newtons(telemetry.feedback),
+            feedback: newtons(telemetry.feedback),
         })
     }
 

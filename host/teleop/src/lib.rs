@@ -32,7 +32,7 @@ pub mod script;
 
 pub use arm::{Arm, OperatorLine};
 pub use latency::{ForceSample, Latency, LatencyFigures};
-pub use outcome::{Ended, HoldRecord, Outcome, Row};
+pub use outcome::{Ended, HoldRecord, Row, TeleopOutcome};
 pub use run::{Teleop, TeleopOptions};
 pub use script::{CommandInput, OperatorCommand, Script};
 
@@ -57,7 +57,7 @@ pub struct MasterForce {
     /// Force that the motors exert.
     pub force: [f64; COMPONENTS],
     /// Force of the feedback law alone.
-    pub reflected: [f64; COMPONENTS],
+    pub feedback: [f64; COMPONENTS],
 }
 
 /// Whether a master can move the tool.

@@ -36,7 +36,7 @@ impl Row {
     pub const HEAD: &str = "time_s,state,master_x_mm,master_y_mm,master_z_mm,engaged,age_ms,\
         commanded_x_mm,commanded_y_mm,commanded_z_mm,tool_x_mm,tool_y_mm,tool_z_mm,\
         force_x_n,force_y_n,force_z_n,feedback_x_n,feedback_y_n,feedback_z_n,\
-        reflected_x_n,reflected_y_n,reflected_z_n,\
+        feedback_law_x_n,feedback_law_y_n,feedback_law_z_n,\
         master_axis_x_x,master_axis_x_y,master_axis_x_z,\
         master_axis_z_x,master_axis_z_y,master_axis_z_z\n";
 
@@ -57,7 +57,7 @@ impl Row {
             &self.tool,
             &self.tool_force,
             &self.master_force.force,
-            &self.master_force.reflected,
+            &self.master_force.feedback,
             &self.axes[0],
             &self.axes[1],
         ] {
@@ -98,7 +98,7 @@ pub enum Ended {
 
 /// The outcome of a session.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Outcome {
+pub struct TeleopOutcome {
     /// How it ended.
     pub ended: Ended,
     /// Why it did not end as intended, with the remedy; `None` where it did, or where there is

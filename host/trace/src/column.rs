@@ -99,7 +99,7 @@ impl Column {
             "tool" => record.has(tool),
             "force_high" | "force_low" | "displacement" => record.has(flag::FORCE),
             "force_true" => record.has(flag::FORCE) && record.has(flag::TOOL_TRUE),
-            "master" | "master_axes" | "master_force" | "master_reflected" | "master_wall" => {
+            "master" | "master_axes" | "master_force" | "master_feedback" | "master_fixture" => {
                 record.haptic_flags & flag::HAPTIC_KNOWN != 0
             }
             _ => true,
@@ -155,8 +155,8 @@ impl Column {
                 | "force_true"
                 | "master"
                 | "master_force"
-                | "master_reflected"
-                | "master_wall"
+                | "master_feedback"
+                | "master_fixture"
         )
     }
 }
@@ -258,8 +258,8 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         }
         let masters: [(&'static str, Forces); 3] = [
             ("master_force", |record| &record.haptic.force),
-            ("master_reflected", |record| &record.haptic.reflected),
-            ("master_wall", |record| &record.haptic.wall),
+            ("master_feedback", |record| &record.haptic.feedback),
+            ("master_fixture", |record| &record.haptic.fixture),
         ];
         for (group, row) in masters {
             all.extend(component_columns(group, "n", row, NEWTON));

@@ -165,13 +165,13 @@ pub fn first_unequal_field(
         ),
         (
             "force feedback",
-            &one.haptic.reflected,
-            &other.haptic.reflected,
+            &one.haptic.feedback,
+            &other.haptic.feedback,
         ),
         (
             "virtual fixture force",
-            &one.haptic.wall,
-            &other.haptic.wall,
+            &one.haptic.fixture,
+            &other.haptic.fixture,
         ),
     ];
     for (name, first, second) in forces {

@@ -187,8 +187,7 @@ pub mod flag {
     pub const CLUTCH_CLOSED: u32 = 2;
 }
 
-/// Values of all axes, in axis units; 0 for axes that the machine does not have.
-pub type Axes = [i32; MAX_AXES];
+pub use haptimill_firmware::snapshot::Axes;
 
 /// State of the machine in a control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -333,7 +332,7 @@ impl Record {
     /// Encodes the haptic arm; the bytes follow those of [`Record::encode`].
     pub fn encode_haptic(&self) -> [u8; HAPTIC_BYTES] {
         let haptic = &self.haptic;
-        let cells = [haptic.tip, haptic.force, haptic.reflected, haptic.wall];
+        let cells = [haptic.tip, haptic.force, haptic.feedback, haptic.fixture];
         let mut bytes = [0; HAPTIC_BYTES];
         bytes[..4].copy_from_slice(&self.haptic_flags.to_le_bytes());
         let slots = bytes[4..].as_chunks_mut::<4>().0;
@@ -357,8 +356,8 @@ impl Record {
         self.haptic = HapticSnapshot {
             tip: three(0),
             force: three(1),
-            reflected: three(2),
-            wall: three(3),
+            feedback: three(2),
+            fixture: three(3),
             axes: std::array::from_fn(|row| {
                 std::array::from_fn(|axis| {
                     let at = AXES_AT + 6 * row + 2 * axis;

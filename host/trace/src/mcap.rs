@@ -42,8 +42,8 @@ fn topic(group: &str) -> String {
         "force_true" => "/force/true".to_string(),
         "master_axes" => "/master/axes".to_string(),
         "master_force" => "/master/force".to_string(),
-        "master_reflected" => "/master/reflected".to_string(),
-        "master_wall" => "/master/wall".to_string(),
+        "master_feedback" => "/master/feedback".to_string(),
+        "master_fixture" => "/master/fixture".to_string(),
         other => format!("/{other}"),
     }
 }

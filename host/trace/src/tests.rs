@@ -108,8 +108,8 @@ proptest! {
             let header = Header { has_haptic_arm, ..header() };
             let mut recorder = Recorder::create(&file.0, &header).unwrap();
             let mut expected = Vec::new();
-            for (record, ([tip, force, reflected, wall], axes)) in &records {
-                let with = Record { haptic_flags: 3, haptic: HapticSnapshot { tip: *tip, force: *force, reflected: *reflected, wall: *wall, axes: *axes }, ..*record };
+            for (record, ([tip, force, feedback, fixture], axes)) in &records {
+                let with = Record { haptic_flags: 3, haptic: HapticSnapshot { tip: *tip, force: *force, feedback: *feedback, fixture: *fixture, axes: *axes }, ..*record };
                 recorder.record(&with);
                 expected.push(if has_haptic_arm { with } else { *record });
             }
@@ -121,7 +121,7 @@ proptest! {
             let read: Vec<Record> = recording.iter().unwrap().map(|record| record.unwrap()).collect();
             prop_assert_eq!(&read, &expected);
             prop_assert_eq!(recording.last().unwrap(), expected.last().copied());
-            let named = columns(&recording).iter().any(|column| column.name == "z_master_reflected_n");
+            let named = columns(&recording).iter().any(|column| column.name == "z_master_feedback_n");
             prop_assert_eq!(named, has_haptic_arm);
         }
     }

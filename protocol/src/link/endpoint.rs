@@ -24,7 +24,7 @@ pub(super) mod handshake {
     /// Start of a session at an endpoint.
     pub trait Handshake: Default {
         /// Takes a Hello or Welcome. Returns true when it may have opened a session.
-        fn greeted(&mut self, header: Header, payload: &[u8]) -> bool;
+        fn begins_session(&mut self, header: Header, payload: &[u8]) -> bool;
         /// Returns the session that was just opened.
         fn accepted(&mut self) -> Option<u32>;
         /// Returns the header of a Hello or Welcome that is due, and writes its payload.
@@ -42,14 +42,14 @@ pub(super) mod handshake {
 /// The host's endpoint.
 #[derive(Debug, Default)]
 pub struct Host {
-    phase: Phase,
+    phase: HandshakePhase,
     /// The controller's last answer in this session.
     peer: Option<Welcome>,
 }
 
 /// Progress of a host's session.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
-enum Phase {
+enum HandshakePhase {
     #[default]
     Closed,
     /// Sends Hello; the next one at `next_us`.
@@ -69,8 +69,8 @@ impl Endpoint for Host {
 }
 
 impl handshake::Handshake for Host {
-    fn greeted(&mut self, header: Header, payload: &[u8]) -> bool {
-        let Phase::Opening { session, .. } = self.phase else {
+    fn begins_session(&mut self, header: Header, payload: &[u8]) -> bool {
+        let HandshakePhase::Opening { session, .. } = self.phase else {
             return false;
         };
         if header != Header::Welcome {
@@ -83,16 +83,16 @@ impl handshake::Handshake for Host {
             return false;
         }
         let refused = welcome.refused.or(differs(welcome.version, welcome.schema));
-        self.phase = refused.map_or(Phase::Accepted(session), Phase::Refused);
+        self.phase = refused.map_or(HandshakePhase::Accepted(session), HandshakePhase::Refused);
         self.peer = Some(welcome);
         refused.is_none()
     }
 
     fn accepted(&mut self) -> Option<u32> {
-        let Phase::Accepted(session) = self.phase else {
+        let HandshakePhase::Accepted(session) = self.phase else {
             return None;
         };
-        self.phase = Phase::Open;
+        self.phase = HandshakePhase::Open;
         Some(session)
     }
 
@@ -102,14 +102,14 @@ impl handshake::Handshake for Host {
         every_us: u32,
         payload: &mut Payload,
     ) -> Option<Header> {
-        let Phase::Opening { session, next_us } = self.phase else {
+        let HandshakePhase::Opening { session, next_us } = self.phase else {
             return None;
         };
         if now_us < next_us {
             return None;
         }
         let next_us = now_us.saturating_add(u64::from(every_us));
-        self.phase = Phase::Opening { session, next_us };
+        self.phase = HandshakePhase::Opening { session, next_us };
         let hello = Hello {
             version: PROTOCOL_VERSION,
             schema: schema_hash(),
@@ -121,9 +121,11 @@ impl handshake::Handshake for Host {
 
     fn closed(&self) -> LinkState {
         match self.phase {
-            Phase::Closed => LinkState::Closed,
-            Phase::Opening { .. } | Phase::Accepted(_) | Phase::Open => LinkState::Opening,
-            Phase::Refused(why) => LinkState::Refused(why),
+            HandshakePhase::Closed => LinkState::Closed,
+            HandshakePhase::Opening { .. } | HandshakePhase::Accepted(_) | HandshakePhase::Open => {
+                LinkState::Opening
+            }
+            HandshakePhase::Refused(why) => LinkState::Refused(why),
         }
     }
 }
@@ -144,7 +146,7 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Host, SEND, RECEIVE> {
     /// before; 0 is replaced by 1.
     pub fn open(&mut self, session: u32, now_us: u64) {
         self.close();
-        self.end.phase = Phase::Opening {
+        self.end.phase = HandshakePhase::Opening {
             session: session.max(1),
             next_us: now_us,
         };
@@ -173,7 +175,7 @@ impl Endpoint for Controller {
 }
 
 impl handshake::Handshake for Controller {
-    fn greeted(&mut self, header: Header, payload: &[u8]) -> bool {
+    fn begins_session(&mut self, header: Header, payload: &[u8]) -> bool {
         if header == Header::Hello
             && let Ok(hello) = postcard::from_bytes::<Hello>(payload)
             && hello.session != 0
@@ -250,10 +252,10 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
                 break;
             }
         }
-        let greeted = match refused {
+        let outcome = match refused {
             Some(why) => HelloOutcome::Refused(why),
             None if running => {
-                self.heard_us = now_us;
+                self.received_us = now_us;
                 HelloOutcome::Again
             }
             None => {
@@ -280,6 +282,6 @@ impl<const SEND: usize, const RECEIVE: usize> Link<Controller, SEND, RECEIVE> {
             axes: identity.axes,
             queue: identity.queue,
         });
-        greeted
+        outcome
     }
 }

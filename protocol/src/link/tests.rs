@@ -23,7 +23,7 @@ struct Pair {
     controller: ControllerLink,
     now_us: u64,
     busy: bool,
-    greeted: StdVec<HelloOutcome>,
+    outcomes: StdVec<HelloOutcome>,
 }
 
 impl Pair {
@@ -33,7 +33,7 @@ impl Pair {
             controller: ControllerLink::new(Timing::default()),
             now_us: 0,
             busy: false,
-            greeted: StdVec::new(),
+            outcomes: StdVec::new(),
         }
     }
 
@@ -53,7 +53,7 @@ impl Pair {
             self.controller.receive(self.now_us, &buffer[..count]);
             match self.controller.welcome(self.now_us, &IDENTITY, self.busy) {
                 HelloOutcome::Nothing => {}
-                greeted => self.greeted.push(greeted),
+                outcomes => self.outcomes.push(outcomes),
             }
             let count = self.controller.transmit(self.now_us, &mut buffer);
             self.host.receive(self.now_us, &buffer[..count]);
@@ -77,7 +77,7 @@ fn the_welcome_tells_who_is_there() {
         ("H4 arm", 99, 77)
     );
     assert_eq!((peer.period_us, peer.axes, peer.queue), (200, 5, 64));
-    assert_eq!(pair.greeted, [HelloOutcome::Begun]);
+    assert_eq!(pair.outcomes, [HelloOutcome::Begun]);
     assert_eq!((pair.host.session(), pair.controller.session()), (77, 77));
 }
 
@@ -139,7 +139,7 @@ fn a_new_session_forgets_the_old_one_and_an_ended_one_does_not_come_back() {
     pair.run(2000);
     pair.host.open(2, pair.now_us);
     pair.run(2000);
-    assert_eq!(pair.greeted, [HelloOutcome::Begun, HelloOutcome::Begun]);
+    assert_eq!(pair.outcomes, [HelloOutcome::Begun, HelloOutcome::Begun]);
     assert_eq!(pair.controller.poll_message(), None);
     pair.host.send(&ping(9)).unwrap();
     pair.run(2000);
@@ -242,7 +242,7 @@ fn a_full_inbox_holds_messages_back_and_loses_none() {
         offset: 0,
         bytes: [7; crate::message::CONFIG_CHUNK].into_iter().collect(),
     };
-    let (mut sent, mut heard) = (0u8, 0u8);
+    let (mut sent, mut received) = (0u8, 0u8);
     for step in 0..20_000 {
         let request = Request {
             id: sent,
@@ -256,11 +256,11 @@ fn a_full_inbox_holds_messages_back_and_loses_none() {
         if step % 50 == 0
             && let Some(request) = pair.controller.poll_message()
         {
-            assert_eq!(request.id, heard);
-            heard += 1;
+            assert_eq!(request.id, received);
+            received += 1;
         }
     }
-    assert_eq!((sent, heard), (200, 200));
+    assert_eq!((sent, received), (200, 200));
     assert!(pair.controller.counters().no_room > 0);
 }
 
@@ -284,8 +284,8 @@ fn only_newer_latest_values_are_heard() {
     for index in [0, 2, 1, 2] {
         pair.host.receive(pair.now_us, &frames[index]);
     }
-    let heard: StdVec<_> = core::iter::from_fn(|| pair.host.poll_message()).collect();
-    assert_eq!(heard, [telemetry(0), telemetry(2)]);
+    let received: StdVec<_> = core::iter::from_fn(|| pair.host.poll_message()).collect();
+    assert_eq!(received, [telemetry(0), telemetry(2)]);
 }
 
 /// Any number of last-value messages may be lost: their sequence numbers wrap around.
@@ -301,8 +301,8 @@ fn latest_values_are_heard_again_after_an_outage() {
                 pair.host.receive(pair.now_us, &buffer[..count]);
             }
         }
-        let heard: StdVec<_> = core::iter::from_fn(|| pair.host.poll_message()).collect();
-        let again = heard
+        let received: StdVec<_> = core::iter::from_fn(|| pair.host.poll_message()).collect();
+        let again = received
             .iter()
             .filter(|report| **report != telemetry(0))
             .count();

@@ -1,6 +1,6 @@
 //! Sentences of force control.
 
-use super::{Axes, Describe, Named};
+use super::{AxesText, Describe, Named};
 use crate::force::{ForceParameter, ForceProblem, ForceRefusal, TareRefusal};
 use core::fmt::{Display, Formatter, Result};
 
@@ -19,7 +19,7 @@ impl Display for Decimal {
 }
 
 impl Describe for ForceRefusal {
-    fn describe(&self, _: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, _: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         let bound = self.bound;
         // Forces and gains have 16 fraction bits, lengths and rates 20.
         let (gain, length) = (Decimal(bound, 16), Decimal(bound, 20));
@@ -76,7 +76,7 @@ impl Describe for ForceRefusal {
 }
 
 impl Describe for ForceProblem {
-    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         let name = |component| Named(axes.pose, component);
         match *self {
             Self::Silent => f.write_str(
@@ -127,7 +127,7 @@ impl Describe for ForceProblem {
 }
 
 impl Describe for TareRefusal {
-    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         let name = |component| Named(axes.pose, component);
         match *self {
             Self::Silent => f.write_str("samples were missing; check converter and cable"),
@@ -157,18 +157,18 @@ impl Describe for TareRefusal {
 mod tests {
     use crate::force::{ForceParameter, ForceProblem, ForceRefusal};
     use crate::message::{Fault, Refusal};
-    use crate::text::{Axes, Axis, AxisKind};
+    use crate::text::{AxesText, AxisKind, AxisText};
     use std::string::ToString;
 
     #[test]
     fn bounds_and_forces_are_in_their_units() {
-        let x = [Axis {
+        let x = [AxisText {
             name: "x",
             kind: AxisKind::Linear,
         }];
-        let axes = Axes {
+        let axes = AxesText {
             pose: &x,
-            ..Axes::default()
+            ..AxesText::default()
         };
         let refusal = Refusal::Force {
             axis: 0,

@@ -1,6 +1,6 @@
 //! Sentences of the haptic arm.
 
-use super::{Amount, Axes, AxisKind, Describe};
+use super::{Amount, AxesText, AxisKind, Describe};
 use crate::haptic::MasterProblem;
 use core::fmt::{Formatter, Result};
 
@@ -14,7 +14,7 @@ const fn sensor(index: u8) -> &'static str {
 }
 
 impl Describe for MasterProblem {
-    fn describe(&self, _: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, _: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         match *self {
             Self::Encoder { leg, by } => {
                 let by = Amount {

@@ -1,11 +1,11 @@
 //! Sentences of refused poses, commands and configurations.
 
-use super::{Amount, Axes, AxisKind, Describe, Named, amount};
+use super::{Amount, AxesText, AxisKind, Describe, Named, amount};
 use crate::message::{ConfigField, ConfigProblem, Fault, InputProblem, PoseError, Refusal, State};
 use core::fmt::{Formatter, Result};
 
 impl Describe for PoseError {
-    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         match *self {
             Self::Unreachable => f.write_str(
                 "no joint positions give this pose; move the workpiece or shorten the path",
@@ -41,7 +41,7 @@ impl Describe for PoseError {
 }
 
 impl Describe for Refusal {
-    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         match *self {
             Self::State(state) => {
                 write!(f, "not possible while the machine is {state}")?;
@@ -157,7 +157,7 @@ impl Describe for Refusal {
 
 /// Writes that a joint exceeds its maximum rate, with both rates if the machine is known.
 pub(super) fn write_joint_rate(
-    axes: &Axes<'_>,
+    axes: &AxesText<'_>,
     axis: u8,
     rate: i32,
     limit: i32,
@@ -174,7 +174,7 @@ pub(super) fn write_joint_rate(
 }
 
 impl Describe for InputProblem {
-    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         let joint = |axis| Named(axes.joints, axis);
         match *self {
             Self::EmergencyStop => f.write_str("the emergency stop is pressed; release it first"),
@@ -242,7 +242,7 @@ impl ConfigProblem {
 }
 
 impl Describe for ConfigProblem {
-    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         write!(f, "the configuration is invalid: {}", self.field)?;
         if let Some(axis) = self.axis
             && matches!(self.field, ConfigField::Input | ConfigField::Output)

@@ -1,7 +1,7 @@
 //! Sentences of faults and events.
 
 use super::refusal::write_joint_rate;
-use super::{Axes, Describe, Named, amount};
+use super::{AxesText, Describe, Named, amount};
 use crate::message::{Event, Fault, HomingProblem, State};
 use core::fmt::{Formatter, Result};
 
@@ -14,7 +14,7 @@ const PRESET: &str =
     "then reset, set the joints up at their presets by hand and home with --at-preset";
 
 impl Describe for Fault {
-    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         let joint = |axis| Named(axes.joints, axis);
         match *self {
             Self::FollowingError { axis, error, limit } => {
@@ -197,7 +197,7 @@ impl Describe for Fault {
 }
 
 impl Describe for Event {
-    fn describe(&self, axes: &Axes<'_>, f: &mut Formatter<'_>) -> Result {
+    fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         match *self {
             Self::State {
                 from,

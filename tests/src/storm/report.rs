@@ -2,7 +2,7 @@
 
 use super::checks::Violation;
 use super::episode::Episode;
-use super::run::Outcome;
+use super::run::EpisodeResult;
 use std::collections::BTreeMap;
 
 /// Returns the lines that report a failure; `cargo xtask storm --planted` reads the first one.
@@ -33,7 +33,7 @@ pub struct Summary {
 
 impl Summary {
     /// Adds an episode, and prints the first failures of each check.
-    pub fn add(&mut self, episode: &Episode, outcome: Outcome) {
+    pub fn add(&mut self, episode: &Episode, outcome: EpisodeResult) {
         self.episodes += 1;
         self.periods += outcome.periods;
         for (name, count) in outcome.counts {

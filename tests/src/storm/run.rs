@@ -10,7 +10,7 @@ use std::sync::atomic::Ordering;
 
 /// The result of an episode.
 #[derive(Debug, Clone, Default)]
-pub struct Outcome {
+pub struct EpisodeResult {
     /// The check that failed.
     pub violation: Option<Violation>,
     /// Control periods.
@@ -54,7 +54,7 @@ pub fn trace_every(periods: u64) {
 
 /// Runs an episode to its end, or to the first check that fails.
 #[must_use]
-pub fn run(episode: &Episode) -> Outcome {
+pub fn run(episode: &Episode) -> EpisodeResult {
     let mut player = Player::new(episode);
     let played = catch_unwind(AssertUnwindSafe(|| player.play(episode)));
     let violation = match played {
@@ -82,7 +82,7 @@ pub fn run(episode: &Episode) -> Outcome {
     for (name, count) in &player.bench.counts {
         *counts.entry(name).or_default() += count;
     }
-    Outcome {
+    EpisodeResult {
         violation,
         periods: player.bench.period,
         counts,

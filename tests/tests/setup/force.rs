@@ -151,15 +151,15 @@ pub fn peak(bench: &Bench) -> f64 {
 /// p_c in x, mm.
 pub fn displacement(bench: &Bench) -> f64 {
     let control = &bench.rig.control().machine().expect("configured").force;
-    let yielding = control.as_ref().expect("has a sensor").yielding()[0];
-    yielding.displacement.0 as f64 / f64::exp2(40.0)
+    let compliance = control.as_ref().expect("has a sensor").compliance()[0];
+    compliance.displacement.0 as f64 / f64::exp2(40.0)
 }
 
 /// p_c' in x, mm/s.
 pub fn displacement_rate(bench: &Bench) -> f64 {
     let control = &bench.rig.control().machine().expect("configured").force;
-    let yielding = control.as_ref().expect("has a sensor").yielding()[0];
-    f64::from(yielding.rate.0) / MM
+    let compliance = control.as_ref().expect("has a sensor").compliance()[0];
+    f64::from(compliance.rate.0) / MM
 }
 
 /// Damping levels.

@@ -4,3 +4,6 @@
 
 pub mod config_store;
 pub mod step_words;
+
+/// Words of the record of the last control period that a Pico 2 keeps in its RAM.
+pub const PERIOD_RECORD_WORDS: usize = 61;

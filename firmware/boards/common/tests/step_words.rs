@@ -8,7 +8,7 @@ use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::io::StepSegment;
 use haptimill_firmware::joint::step_gen::{PulseTiming, StepPlanner};
 use haptimill_math::{Coordinate, Rate};
-use haptimill_pulses::{Axis, Capture, Clock, Planned, Rules, Signal, check};
+use haptimill_pulses::{AxisSignals, Capture, Clock, Planned, Rules, Signal, check};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -170,7 +170,7 @@ proptest! {
         // The words fill the periods exactly.
         prop_assert_eq!(cycles, (period + 1) * u64::from(PERIOD * CYCLES_PER_TICK));
         let capture = Capture { resolution: 1, start: 0, end: i64::MAX, signals: Vec::new() };
-        let axis = Axis { name: "x", step: &step, direction: &direction, planned: Some(&planned) };
+        let axis = AxisSignals { name: "x", step: &step, direction: &direction, planned: Some(&planned) };
         let ticks = |ticks: u16| CLOCK.femtoseconds(i64::from(ticks)) - 2;
         let rules = Rules {
             clock: CLOCK,

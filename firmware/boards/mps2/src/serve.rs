@@ -39,7 +39,7 @@ pub fn serve() -> Result<(), Gone> {
                 crate::faults::reached(crate::faults::MAIN);
                 tick::with(|period| {
                     serial::say(&period.outputs.transmit);
-                    tick::tell(period, &mut snapshot, &mut answer);
+                    tick::report(period, &mut snapshot, &mut answer);
                 });
                 to_simulator.write(&answer)?;
             }

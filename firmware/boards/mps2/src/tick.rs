@@ -110,7 +110,7 @@ pub fn run() {
 
 /// Writes the frame of the last period; `snapshot` is a buffer for the state of the controller.
 #[inline(always)]
-pub fn tell(period: &Period, snapshot: &mut Snapshot, frame: &mut [u32; FROM_BOARD_WORDS]) {
+pub fn report(period: &Period, snapshot: &mut Snapshot, frame: &mut [u32; FROM_BOARD_WORDS]) {
     let configured = match &period.controller {
         Some(controller) => controller.read(&period.inputs, snapshot),
         None => false,

@@ -23,11 +23,9 @@ use crate::clocks::cycles;
 use crate::ending::last_cause;
 use crate::pins::JOINTS;
 use core::cell::UnsafeCell;
+use haptimill_board_common::PERIOD_RECORD_WORDS as WORDS;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_firmware::profiler::{Profiler, STAGES, Stage};
-
-/// Words of the record.
-const WORDS: usize = 61;
 
 #[repr(C, align(8))]
 struct Record(UnsafeCell<[u32; WORDS]>);

@@ -17,11 +17,11 @@ const fn range(kind: AxisKind) -> f64 {
 }
 
 /// The machine with `AXES` joints.
-pub struct Axes<const AXES: usize> {
+pub struct CartesianAxes<const AXES: usize> {
     machine: Direct<AXES>,
 }
 
-impl<const AXES: usize> Default for Axes<AXES>
+impl<const AXES: usize> Default for CartesianAxes<AXES>
 where
     Direct<AXES>: Machine<Geometry = CartesianGeometry>,
 {
@@ -32,7 +32,7 @@ where
     }
 }
 
-impl<const AXES: usize> Subject for Axes<AXES>
+impl<const AXES: usize> Subject for CartesianAxes<AXES>
 where
     Direct<AXES>: Machine<Geometry = CartesianGeometry>,
 {

@@ -33,9 +33,9 @@ macro_rules! subjects {
         $rows! {
             h4_reference: h4::Arm::new(h4::REFERENCE), 1.0, 4000;
             h4_other: h4::Arm::new(h4::OTHER), 0.2, 1000;
-            cartesian_slides: cartesian::Axes::<3>::default(), 0.1, 1000;
-            four_axis: cartesian::Axes::<4>::default(), 0.1, 500;
-            six_axis: cartesian::Axes::<6>::default(), 0.1, 500;
+            cartesian_slides: cartesian::CartesianAxes::<3>::default(), 0.1, 1000;
+            four_axis: cartesian::CartesianAxes::<4>::default(), 0.1, 500;
+            six_axis: cartesian::CartesianAxes::<6>::default(), 0.1, 500;
             trunnion_apart: trunnion::TrunnionMill::new(trunnion::APART), 0.5, 1000;
             trunnion_meeting: trunnion::TrunnionMill::new(trunnion::MEETING), 0.1, 200;
             facet_long: facet::Faceter::new(facet::LONG), 0.5, 1000;

@@ -175,8 +175,8 @@ impl Machine for Facet {
                 let [across, along] = self.arm(pose.0[ANGLE].angle());
                 let turn = Rate(saturate(rate));
                 rates[ANGLE] = rate;
-                rates[0] = crate::planar::swing(-along, turn);
-                rates[2] = -self.up * crate::planar::swing(across, turn);
+                rates[0] = crate::planar::tangential_rate(-along, turn);
+                rates[2] = -self.up * crate::planar::tangential_rate(across, turn);
             }
             _ => rates[Self::search_coordinate(joint)] = rate,
         }

@@ -22,7 +22,7 @@
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::machine::Machine;
-use crate::planar::{RADIAN, held, swing, turned};
+use crate::planar::{RADIAN, held, tangential_rate, turned};
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };
@@ -188,8 +188,8 @@ impl Machine for PolarMill {
             }
             THETA => {
                 let turn = Rate(saturate(rate));
-                rates[0] = swing(y, turn);
-                rates[1] = -swing(x, turn);
+                rates[0] = tangential_rate(y, turn);
+                rates[1] = -tangential_rate(x, turn);
             }
             _ => rates[Z] = rate,
         }
@@ -221,8 +221,8 @@ impl Kinematics for PolarMill {
         let turn = Rate(saturate(Self::turn(across, placed.r)));
         let push = [0, 1].map(|axis| i64::from(accelerations[axis].0));
         let [push, aside] = turned(push, direction);
-        let spin = round_shift(swing(swing(placed.r, turn), turn), 8);
-        let coriolis = round_shift(2 * swing(along, turn), 8);
+        let spin = round_shift(tangential_rate(tangential_rate(placed.r, turn), turn), 8);
+        let coriolis = round_shift(2 * tangential_rate(along, turn), 8);
         let mut motion = JointMotion {
             joints: Self::joints(pose, &placed),
             ..JointMotion::default()

@@ -27,7 +27,7 @@
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::machine::Machine;
-use crate::planar::RADIAN;
+use crate::planar::{RADIAN, TWO_PI_Q28};
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };
@@ -42,9 +42,6 @@ use serde::{Deserialize, Serialize};
 const AXES: usize = 3;
 /// Index of the slide in a pose and in the joints.
 const Z: usize = 2;
-
-/// 2 pi, Q28.
-const TWO_PI_Q28: i32 = 1_686_629_713;
 
 /// Shortest and longest link, 2^-20 mm: 16 mm and 1000 mm.
 const LINK: core::ops::RangeInclusive<i32> = 16 << 20..=1000 << 20;
@@ -288,7 +285,7 @@ impl Machine for Scara {
     fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
         let mut rates = [0; MAX_AXES];
         let turn = Rate(saturate(rate));
-        let swing = |lever: i64| scale(per_turn(lever), turn.0, 32);
+        let tangential_rate = |lever: i64| scale(per_turn(lever), turn.0, 32);
         let Ok(placed) = self.place(pose) else {
             return rates;
         };
@@ -297,12 +294,12 @@ impl Machine for Scara {
         let upper = [arm_cosine, arm_sine].map(|part| scale(self.upper, part, 30));
         match joint {
             0 => {
-                rates[0] = -swing(upper[1] + fore[1]);
-                rates[1] = swing(upper[0] + fore[0]);
+                rates[0] = -tangential_rate(upper[1] + fore[1]);
+                rates[1] = tangential_rate(upper[0] + fore[0]);
             }
             1 => {
-                rates[0] = -swing(fore[1]);
-                rates[1] = swing(fore[0]);
+                rates[0] = -tangential_rate(fore[1]);
+                rates[1] = tangential_rate(fore[0]);
             }
             _ => rates[Z] = rate,
         }

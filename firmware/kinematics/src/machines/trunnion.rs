@@ -18,7 +18,7 @@
 
 use crate::descriptor::{AxisKind, CoordinateDescriptor, Descriptor, JointDescriptor, Role};
 use crate::machine::Machine;
-use crate::planar::{Moving, Turn, held, per_turn, swing, turned};
+use crate::planar::{Moving, Turn, held, per_turn, tangential_rate, turned};
 use crate::{
     Accelerations, BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
 };
@@ -162,14 +162,14 @@ impl Machine for Trunnion {
             A => {
                 let (sine, cosine) = sin_cos(pose.0[C].angle());
                 let [_, q] = turned([x, y], (sine, cosine));
-                let across = swing(height, turn);
+                let across = tangential_rate(height, turn);
                 rates[0] = scale(across, sine, 30);
                 rates[1] = scale(across, cosine, 30);
-                rates[2] = -swing(total(q, self.apart), turn);
+                rates[2] = -tangential_rate(total(q, self.apart), turn);
             }
             C => {
-                rates[0] = swing(y, turn);
-                rates[1] = -swing(x, turn);
+                rates[0] = tangential_rate(y, turn);
+                rates[1] = -tangential_rate(x, turn);
             }
             _ => {
                 let alone = |slide: usize| if joint == slide { rate } else { 0 };

@@ -14,11 +14,11 @@ impl Interpolator {
     /// those in the queue as a whole. The cost is proportional to the number of setpoints within
     /// the stopping distance.
     #[must_use]
-    pub fn sweep(&self) -> StoppingEnvelope {
+    pub fn envelope(&self) -> StoppingEnvelope {
         let commanded = self.commanded().pose;
-        let mut sweep = StoppingEnvelope::at(&commanded).with_wrapping(self.wrapping);
+        let mut envelope = StoppingEnvelope::at(&commanded).with_wrapping(self.wrapping);
         let Some(braking) = self.braking.filter(|_| !self.paused) else {
-            return sweep;
+            return envelope;
         };
         let mut rate = if self.started {
             self.path_rate
@@ -45,7 +45,7 @@ impl Interpolator {
                 let [begin, end] =
                     [self.time, time].map(|time| segment.polynomials[axis].sample(half(time)));
                 self.extend_by_hull(
-                    &mut sweep,
+                    &mut envelope,
                     axis,
                     [begin.position.0, end.position.0],
                     [begin.rate.0, end.rate.0].map(i64::from),
@@ -66,7 +66,7 @@ impl Interpolator {
                     continue;
                 }
                 self.extend_by_hull(
-                    &mut sweep,
+                    &mut envelope,
                     axis,
                     [from.pose[axis], knot.pose[axis]],
                     [from.rates[axis], knot.rates[axis]].map(|rate| i64::from(rate) << RATE_SHIFT),
@@ -76,7 +76,7 @@ impl Interpolator {
             ahead = ahead.saturating_sub(u64::from(knot.periods) << 32);
             from = *knot;
         }
-        sweep
+        envelope
     }
 
     /// Adds the control points of one axis between two positions. The rates are in axis units per
@@ -84,21 +84,21 @@ impl Interpolator {
     /// in it. The rates of the box are those at its ends.
     fn extend_by_hull(
         &self,
-        sweep: &mut StoppingEnvelope,
+        envelope: &mut StoppingEnvelope,
         axis: usize,
         [from, to]: [i32; 2],
         rates: [i64; 2],
         (third, pace): (i64, i64),
     ) {
         for rate in rates {
-            sweep.extend_rate(axis, (rate * pace) >> 16);
+            envelope.extend_rate(axis, (rate * pace) >> 16);
         }
         let distance = self.distance(axis, from, to);
         let [first, second] = rates.map(|rate| (rate * third) >> 22);
         let points = [first, distance - second, distance];
         let low = points.iter().fold(0, |low, point| low.min(*point));
         let high = points.iter().fold(0, |high, point| high.max(*point));
-        sweep.reach_from(axis, from, low, high);
+        envelope.reach_from(axis, from, low, high);
     }
 }
 

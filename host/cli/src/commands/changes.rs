@@ -81,7 +81,7 @@ impl ChangeArgs {
         options: &Options,
         run_up_s: f64,
     ) -> Result<Option<String>, CliError> {
-        let frame = Frame::of(options);
+        let frame = BoxView::of(options);
         let approach = match self.from_line {
             Some(line) => Some(frame.begin_at(program, line, run_up_s, self.dry)?),
             None => None,
@@ -97,13 +97,13 @@ impl ChangeArgs {
 }
 
 /// The coordinates of a machine.
-struct Frame {
+struct BoxView {
     kinds: Vec<AxisKind>,
     letters: Vec<char>,
     z: Option<usize>,
 }
 
-impl Frame {
+impl BoxView {
     fn of(options: &Options) -> Self {
         let letters: Vec<char> = options.axes.iter().map(|axis| axis.letter).collect();
         Self {

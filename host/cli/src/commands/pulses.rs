@@ -9,7 +9,7 @@ use haptimill_firmware::config::Drive;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_machine_file::input;
 use haptimill_pulses::{
-    Axis, AxisReport, Capture, Clock, FaultKind, NANOSECOND, Planned, Report, Rules, SECOND,
+    AxisReport, AxisSignals, Capture, Clock, FaultKind, NANOSECOND, Planned, Report, Rules, SECOND,
     Signal, check, picture, pulses,
 };
 use haptimill_trace::Recording;
@@ -171,7 +171,7 @@ pub fn run(args: &PulsesArgs) -> Result<(), CliError> {
     let lines = find_lines(args, &capture, joints)?;
     let axes: Vec<_> = lines
         .iter()
-        .map(|(joint, step, direction)| Axis {
+        .map(|(joint, step, direction)| AxisSignals {
             name: &joint.name,
             step,
             direction,
@@ -380,7 +380,7 @@ fn enable_line<'a>(
 fn draw(
     args: &PulsesArgs,
     path: &Path,
-    axes: &[Axis<'_>],
+    axes: &[AxisSignals<'_>],
     enable: Option<&Signal>,
     report: &Report,
     rules: &Rules,

@@ -248,7 +248,7 @@ fn stop_out_of_band(args: &StopArgs, why: &CliError) -> Result<(), CliError> {
     if args.json {
         print_line!(
             "{:#}",
-            serde_json::json!({ "sent": "stop", "heard": false, "why": why.message })
+            serde_json::json!({ "sent": "stop", "answered": false, "why": why.message })
         );
     } else {
         print_line!(

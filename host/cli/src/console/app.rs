@@ -18,7 +18,7 @@ use crate::commands::exit::{CliError, Exit};
 use crate::commands::requests::{Request, Requests, describe_overrides};
 use haptimill_client::board::Chosen;
 use haptimill_client::client::{Options, Ticket};
-use haptimill_client::session::{Line, Phase, Session, Startup, fresh_number};
+use haptimill_client::session::{Line, Session, SessionPhase, Startup, fresh_number};
 use haptimill_firmware::config::Drive;
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
@@ -239,17 +239,19 @@ impl App {
     }
 
     pub(super) fn is_ready(&self) -> bool {
-        *self.session.phase() == Phase::Ready
+        *self.session.phase() == SessionPhase::Ready
     }
 
     /// State of the link.
     pub(super) fn link_state(&self) -> LinkState {
         match self.session.phase() {
-            Phase::Ready => LinkState::Ready,
-            Phase::Starting(_) => LinkState::Configuring,
+            SessionPhase::Ready => LinkState::Ready,
+            SessionPhase::Starting(_) => LinkState::Configuring,
             _ if self.connected_once => LinkState::Lost(self.session.reason().to_string()),
-            Phase::Disconnected => LinkState::Opening,
-            Phase::Closed | Phase::Identifying | Phase::Connecting => LinkState::Handshake,
+            SessionPhase::Disconnected => LinkState::Opening,
+            SessionPhase::Closed | SessionPhase::Identifying | SessionPhase::Connecting => {
+                LinkState::Handshake
+            }
         }
     }
 
@@ -292,7 +294,7 @@ impl App {
         // Key input is sent with this exchange, not with the next one.
         self.session.flush();
         self.session.exchange()?;
-        if *self.session.phase() == Phase::Disconnected {
+        if *self.session.phase() == SessionPhase::Disconnected {
             if !self.connected_once && !self.session.reason().is_empty() {
                 return Err(CliError::new(Exit::Port, self.session.reason()));
             }

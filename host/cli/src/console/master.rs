@@ -191,8 +191,8 @@ impl Master {
         let arm = config.haptic.as_ref().map(|haptic| Arm {
             feedback: Setting::new(haptic.feedback),
             faces: [[Face::Unknown; 2]; COMPONENTS],
-            stiffness: f64::from(haptic.wall.stiffness) / PER_EFFORT,
-            max_push: f64::from(haptic.wall.most.0) / PER_EFFORT,
+            stiffness: f64::from(haptic.fixture.stiffness) / PER_EFFORT,
+            max_push: f64::from(haptic.fixture.most.0) / PER_EFFORT,
             last_period: None,
             received_at: Instant::now(),
             stale_reports: 0,

@@ -149,7 +149,7 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
 fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     let folder = TestFolder::new();
     let machine_file = folder.machine_with(HAPTIC_ARM);
-    let operator = folder.file("person.toml", oscillating_operator());
+    let operator = folder.file("operator.toml", oscillating_operator());
     let program = folder.file("wait.ngc", "G21 G90 F600\nG4 P60\nM30\n");
     let served = SimServer::on_tcp(&["--machine", &machine_file, "--operator", &operator]);
     let arguments = ["--machine", &machine_file, "--port", &served.port, &program];

@@ -125,8 +125,8 @@ fn a_served_machine_gets_a_stock_after_homing() {
     assert!(number(&summary, "force_max_n") > 1.0, "{summary:#}");
     assert_eq!(summary["tool_is_true"], false);
     assert_eq!(summary["spindle_rpm"], 5000);
-    let told = "\npeak force per revolution (measured): ";
-    assert!(ran.out.contains(told), "{}", ran.out);
+    let reported = "\npeak force per revolution (measured): ";
+    assert!(ran.out.contains(reported), "{}", ran.out);
     let page = folder.read("out/report.html");
     for part in [
         "Peak force per revolution (measured), rms / largest",
@@ -153,22 +153,22 @@ fn a_missing_example_or_machine_file_is_told_how_to_write_it() {
         &[missing, "--check"],
         &[missing, "--stream"],
     ] {
-        let told = run(more, 3);
+        let reported = run(more, 3);
         assert!(
-            told.contains("nothere.ngc") && told.contains(examples),
-            "{told}"
+            reported.contains("nothere.ngc") && reported.contains(examples),
+            "{reported}"
         );
     }
     let part = folder.file("part.ngc", "G21 G90 G1 X1 F100\nM30\n");
-    let told = run(&[&part, "--stock", "examples/nothere.toml"], 3);
-    assert!(told.contains(examples), "{told}");
-    let told = run(&[&part, "--machine", "machines/nothere.toml"], 3);
-    assert!(told.contains(machines), "{told}");
+    let reported = run(&[&part, "--stock", "examples/nothere.toml"], 3);
+    assert!(reported.contains(examples), "{reported}");
+    let reported = run(&[&part, "--machine", "machines/nothere.toml"], 3);
+    assert!(reported.contains(machines), "{reported}");
     // Elsewhere the path is wrong.
-    let told = run(&[&folder.path("examples/nothere.ngc")], 3);
+    let reported = run(&[&folder.path("examples/nothere.ngc")], 3);
     assert!(
-        told.contains("check the path") && !told.contains("writes"),
-        "{told}"
+        reported.contains("check the path") && !reported.contains("writes"),
+        "{reported}"
     );
 }
 

@@ -530,8 +530,8 @@ fn a_long_recording_is_announced_with_its_size() {
         haptimill(&[&["run", program, "--out", &out], more].concat()).expect_code(0)
     };
     let announced = |text: &str, unit: &str| -> f64 {
-        let told = text.lines().find(|line| line.starts_with("the recording"));
-        let mut words = told.expect(text).split(' ');
+        let reported = text.lines().find(|line| line.starts_with("the recording"));
+        let mut words = reported.expect(text).split(' ');
         let index = words.clone().position(|word| word == unit).expect(unit);
         words.nth(index - 1).unwrap().parse().unwrap()
     };
@@ -539,10 +539,10 @@ fn a_long_recording_is_announced_with_its_size() {
         let file = std::fs::metadata(folder.path("out/recording.hmr")).unwrap();
         file.len() as f64 / 1e6
     };
-    let told = announced(&run(&program, &[]).out, "MB");
+    let reported = announced(&run(&program, &[]).out, "MB");
     assert!(
-        told > 100.0 && (told / size() - 1.0).abs() < 0.2,
-        "{told} of {} MB",
+        reported > 100.0 && (reported / size() - 1.0).abs() < 0.2,
+        "{reported} of {} MB",
         size()
     );
     // The length of a stream is not known. A short recording is not announced.

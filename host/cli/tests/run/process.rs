@@ -106,14 +106,14 @@ fn a_tool_that_yields_has_no_error() {
         "run",
         "examples/e5-incline-2.ngc",
         "--out",
-        &folder.path("told"),
+        &folder.path("reported"),
     ];
-    let told = haptimill(&[&run[..], &given].concat()).expect_code(0).out;
+    let reported = haptimill(&[&run[..], &given].concat()).expect_code(0).out;
     assert!(
-        told.contains("\ntool error against the compliant path: 0.0"),
-        "{told}"
+        reported.contains("\ntool error against the compliant path: 0.0"),
+        "{reported}"
     );
-    assert!(told.contains("\nspindle: "), "{told}");
+    assert!(reported.contains("\nspindle: "), "{reported}");
 }
 
 /// Without a stock and a force nothing about them is said.

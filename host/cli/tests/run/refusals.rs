@@ -194,15 +194,19 @@ fn mistakes_are_reported_as_json() {
         (&["run", &bad, "--machine", &wrong, "--json"], 3, &[(2, 8)]),
     ] {
         let ran = haptimill(arguments).expect_code(code);
-        let told = ran.json();
-        assert_eq!(told["exit_code"], code, "{told:#}");
-        assert_eq!(told["error"].as_str(), Some(ran.err.trim_end()), "{told:#}");
-        let problems = told["problems"].as_array().unwrap();
+        let reported = ran.json();
+        assert_eq!(reported["exit_code"], code, "{reported:#}");
+        assert_eq!(
+            reported["error"].as_str(),
+            Some(ran.err.trim_end()),
+            "{reported:#}"
+        );
+        let problems = reported["problems"].as_array().unwrap();
         for (line, column) in places {
             let found = problems
                 .iter()
                 .find(|problem| problem["line"] == *line && problem["column"] == *column)
-                .unwrap_or_else(|| panic!("nothing at {line}:{column} in {told:#}"));
+                .unwrap_or_else(|| panic!("nothing at {line}:{column} in {reported:#}"));
             // The JSON message equals the text message.
             let words = format!(
                 "{}:{line}:{column}: {}",

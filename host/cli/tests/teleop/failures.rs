@@ -82,7 +82,7 @@ what = \"resume\"
 #[test]
 fn interrupted_cut_resumes_without_a_force_step() {
     let folder = TestFolder::new();
-    let person = std::fs::read_to_string(scene::root().join("examples/teleop.toml")).unwrap();
+    let script = std::fs::read_to_string(scene::root().join("examples/teleop.toml")).unwrap();
     let commands = "
 [[command]]
 at_s = 5.0
@@ -100,7 +100,7 @@ what = \"resume\"
     let said = run_script(
         &folder,
         "out",
-        &format!("{person}{commands}"),
+        &format!("{script}{commands}"),
         &[
             "--stock",
             "examples/block.toml",
@@ -243,8 +243,8 @@ fn excessive_master_delay_is_refused_or_reported() {
     let slow = ["--master-fault", "link-delay ms=60 at=0s"];
     let said = run_script(&folder, "out", AWAY, &slow);
     let notes = said["session"]["notes"].as_array().unwrap();
-    let told = |note: &&Value| note.as_str().unwrap().contains("were too late");
-    let note = notes.iter().find(told).unwrap().as_str().unwrap();
+    let reported = |note: &&Value| note.as_str().unwrap().contains("were too late");
+    let note = notes.iter().find(reported).unwrap().as_str().unwrap();
     assert!(
         note.contains("the tool was not moved") && note.contains("--stale"),
         "{note}"

@@ -43,7 +43,7 @@ fn wait_for_tool(folder: &TestFolder, x: f64) {
 #[test]
 fn two_boards_over_ports_with_commands_on_standard_input() {
     let folder = TestFolder::new();
-    let script = folder.file("person.toml", SLOWLY_AWAY);
+    let script = folder.file("operator.toml", SLOWLY_AWAY);
     let machine = SimServer::on_tcp(&[]);
     let arm = SimServer::on(
         "pty",
@@ -373,7 +373,7 @@ fn lost_arm_with_open_clutch_is_reported() {
 #[test]
 fn reconnected_arm_continues_after_resume() {
     let folder = TestFolder::new();
-    let script = folder.file("person.toml", AWAY);
+    let script = folder.file("operator.toml", AWAY);
     let machine = SimServer::on_tcp(&[]);
     let more = [
         "--machine",

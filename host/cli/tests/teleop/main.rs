@@ -142,9 +142,9 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     assert_eq!(session["position_kept"], true);
     // The tool cut, and the force was fed back within the limits of the law; the oscillation damper
     // adds to it.
-    let felt = session["largest_feedback_n"][2].as_f64().unwrap();
+    let feedback = session["largest_feedback_n"][2].as_f64().unwrap();
     let force = session["largest_force_n"][2].as_f64().unwrap();
-    assert!(force > 2.0 && felt > 0.4, "{force} N, {felt} N");
+    assert!(force > 2.0 && feedback > 0.4, "{force} N, {feedback} N");
     let latency = &session["latency"];
     assert!(number(latency, "count") > 100.0);
     assert!(
@@ -155,7 +155,7 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     // The arm's recording has the reported values of the master.
     let trace = folder.path("one/master.hmr");
     let columns =
-        "time_s,?_master_mm,master_engaged,?_master_force_n,?_master_reflected_n,?_master_wall_n";
+        "time_s,?_master_mm,master_engaged,?_master_force_n,?_master_feedback_n,?_master_fixture_n";
     let ran = haptimill(&[
         "trace",
         "csv",
@@ -190,7 +190,7 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     );
     assert_eq!(most(13), 0.0);
     let info = haptimill(&["trace", "info", &trace]).expect_code(0);
-    assert!(info.out.contains("x_master_reflected_n"), "{}", info.out);
+    assert!(info.out.contains("x_master_feedback_n"), "{}", info.out);
     // The axes of the handle are unit vectors at right angles, in the recording and in the table.
     let columns = "?_master_axis_x,?_master_axis_z";
     let ran = haptimill(&[
@@ -427,13 +427,13 @@ fn the_growth_of_the_recording_is_announced() {
     let folder = TestFolder::new();
     let script = folder.file("script.toml", format!("end_s = 3.0\n{AWAY}"));
     let (master, out) = (format!("script:{script}"), folder.path("out"));
-    let told = haptimill(&["teleop", "--master", &master, "--out", &out]).expect_code(0);
-    let growth = told
+    let reported = haptimill(&["teleop", "--master", &master, "--out", &out]).expect_code(0);
+    let growth = reported
         .out
         .lines()
         .find_map(|line| line.strip_prefix("the recording grows by about "));
     let growth = growth.and_then(|rest| rest.strip_suffix(" MB/s"));
-    let growth: f64 = growth.expect(&told.out).parse().unwrap();
+    let growth: f64 = growth.expect(&reported.out).parse().unwrap();
     let size = std::fs::metadata(folder.path("out/recording.hmr")).unwrap();
     let seconds = number(&folder.summary("out")["session"], "duration_s");
     let mb_s = size.len() as f64 / 1e6 / seconds;

@@ -100,7 +100,7 @@ impl fmt::Debug for Setpoints {
 pub(super) struct Stream {
     job: u32,
     start: Ticket,
-    phase: Phase,
+    phase: StreamPhase,
     /// The start was acknowledged.
     started: bool,
     /// Setpoints in a batch: at most the size of the controller's queue.
@@ -120,7 +120,7 @@ pub(super) struct Stream {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Phase {
+enum StreamPhase {
     /// The start is requested.
     Starting,
     /// Setpoints are sent.
@@ -151,7 +151,7 @@ impl Stream {
         Self {
             job,
             start,
-            phase: Phase::Starting,
+            phase: StreamPhase::Starting,
             started: false,
             batch: SETPOINT_BATCH.min(usize::from(welcome.queue)).max(1),
             setpoints,
@@ -173,13 +173,13 @@ impl Stream {
             sent: self.sent,
             credit: self.credit,
             reached: self.reached,
-            complete: self.phase == Phase::Ending,
+            complete: self.phase == StreamPhase::Ending,
         }
     }
 
     /// Sends nothing more.
     pub(super) fn abandon(&mut self) {
-        self.phase = Phase::Abandoned;
+        self.phase = StreamPhase::Abandoned;
     }
 
     /// The end of an abandoned job whose start was never sent.
@@ -209,8 +209,8 @@ impl Stream {
             Ok(()) => {
                 if ticket == self.start {
                     self.started = true;
-                    if self.phase == Phase::Starting {
-                        self.phase = Phase::Streaming;
+                    if self.phase == StreamPhase::Starting {
+                        self.phase = StreamPhase::Streaming;
                     }
                 }
                 None
@@ -229,7 +229,7 @@ impl Stream {
 
     /// A message without acknowledgement was refused: a batch, if one was sent.
     pub(super) fn refused(&mut self, refusal: Refusal) -> Option<JobEnding> {
-        let streaming = self.sent > 0 && self.phase != Phase::Abandoned;
+        let streaming = self.sent > 0 && self.phase != StreamPhase::Abandoned;
         streaming.then_some(JobEnding::Refused {
             job: self.job,
             error: RequestError::Refused(refusal),
@@ -250,7 +250,7 @@ impl Stream {
 
     pub(super) fn telemetry(&mut self, telemetry: &Telemetry) {
         // Before the start is acknowledged, a report may belong to the previous job.
-        if matches!(self.phase, Phase::Streaming | Phase::Ending) {
+        if matches!(self.phase, StreamPhase::Streaming | StreamPhase::Ending) {
             self.credit = self.credit.max(telemetry.credit);
             self.reached = telemetry.setpoint;
             let begun = telemetry.state == State::Run && telemetry.program_periods > 0;
@@ -266,13 +266,16 @@ impl Stream {
         link: &mut HostLink,
         requests: &mut Requests,
     ) -> Result<(), JobEnding> {
-        while self.phase == Phase::Streaming && requests.is_idle() && link.under_way() < BATCHES {
+        while self.phase == StreamPhase::Streaming
+            && requests.is_idle()
+            && link.under_way() < BATCHES
+        {
             let Some(batch) = self.next_batch()? else {
                 return Ok(());
             };
             if batch.items.is_empty() {
                 self.end = Some(requests.ask(Command::JobEnd { count: self.sent }));
-                self.phase = Phase::Ending;
+                self.phase = StreamPhase::Ending;
                 return Ok(());
             }
             let count = batch.items.len() as u32;

@@ -333,7 +333,7 @@ fn an_urgent_stop_before_the_start_is_sent_withdraws_the_job() {
             error: RequestError::Withdrawn
         })
     );
-    assert!(world.responder.reached.is_empty() && world.responder.stops_heard > 0);
+    assert!(world.responder.reached.is_empty() && world.responder.stops_received > 0);
 }
 
 #[test]

@@ -30,7 +30,7 @@ const EVERY: Duration = Duration::from_millis(10);
 const TOKEN_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Bytes kept for an observer that does not read; of more, whole lines are left out.
-const MOST_UNREAD: usize = 1 << 16;
+pub const MOST_UNREAD: usize = 1 << 16;
 
 /// Bytes that are read of an observer at most.
 const MOST_RECEIVED: usize = 4096;

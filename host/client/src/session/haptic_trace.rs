@@ -28,7 +28,7 @@ pub struct HapticTraceSample {
     /// Opposite extreme of that force in that revolution.
     pub low: [f64; 3],
     /// Force of the motors at the handle.
-    pub reflected: [f64; 3],
+    pub feedback: [f64; 3],
     /// Force of the operator on the handle.
     pub push: [f64; 3],
     /// Force of the reference part on the ball.
@@ -57,7 +57,7 @@ impl HapticTrace {
             "tool_mm",
             "displacement_mm",
             "high_n",
-            "reflected_n",
+            "feedback_n",
             "master_n",
             "part_n",
         ];
@@ -78,7 +78,7 @@ impl HapticTrace {
                 s.tool,
                 s.displacement,
                 s.high,
-                s.reflected,
+                s.feedback,
                 s.push,
                 s.contact,
             ];
@@ -141,7 +141,7 @@ impl HapticTraceRecorder {
         let from = |position: [f64; 3], origin: [f64; 3]| -> [f64; 3] {
             std::array::from_fn(|axis| position[axis] - origin[axis])
         };
-        let [fx, fy, fz, ..] = truth.reflected;
+        let [fx, fy, fz, ..] = truth.feedback;
         self.trace.samples.push(HapticTraceSample {
             time: (now - start) as f64 * 1e-9,
             master: from(truth.tip, origins[0]),
@@ -151,7 +151,7 @@ impl HapticTraceRecorder {
             displacement: three(&snapshot.force.displacement).map(|raw: f64| raw / MM),
             high: three(&snapshot.force.high).map(|raw: f64| raw / NEWTON),
             low: three(&snapshot.force.low).map(|raw: f64| raw / NEWTON),
-            reflected: [fx, fy, fz],
+            feedback: [fx, fy, fz],
             push: truth.operator,
             contact: truth.contact,
             pace: truth.pace,

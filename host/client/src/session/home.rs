@@ -41,7 +41,7 @@ pub fn find_home_pose(machine: &MachineFile, model: &Model) -> Result<AxisValues
 }
 
 /// The host's number of the job that moves to the home pose.
-const HOME_JOB: u32 = 1;
+pub const HOME_JOB: u32 = 1;
 
 /// Plans a straight move between two poses in axis units, at a feed, mm/min or deg/min, or rapid.
 ///

@@ -35,13 +35,13 @@ mod startup;
 
 pub use force::{ForceLoopChanges, find_force_config};
 pub use haptic_trace::{HapticTrace, HapticTraceSample};
-pub use home::{check_has_tool, find_home_pose, plan_straight_move};
+pub use home::{HOME_JOB, check_has_tool, find_home_pose, plan_straight_move};
 pub use job::{BytesSent, EMERGENCY_STOP, JobEnd, JobObserver, JobRun, JobStatus, NoObserver};
 pub use line::{JobLine, Line, PortLine};
 pub use procedure::{Acknowledgement, Homing, Procedure, StatusQuery};
 pub use run_time::{RunTime, TimeTable};
 pub use sim::{JobRecording, SimLine, clamp, commissioned, rig, rig_around};
-pub use startup::{Numbers, Phase, Startup};
+pub use startup::{Numbers, SessionPhase, Startup};
 
 use crate::client::{Client, ClientState, JobEnding, Notification, Options, RequestError, Ticket};
 use crate::{Error, ErrorKind};
@@ -97,7 +97,7 @@ pub struct Session<L> {
     startup: Option<Startup>,
     /// Numbers of the next sessions, if a lost one is opened again.
     numbers: Option<Numbers>,
-    phase: Phase,
+    phase: SessionPhase,
     /// Why the session is not ready.
     reason: String,
     /// The controller has the configuration of the startup.
@@ -139,7 +139,7 @@ impl<L: Line> Session<L> {
             events: Vec::new(),
             startup: None,
             numbers: None,
-            phase: Phase::Closed,
+            phase: SessionPhase::Closed,
             reason: String::new(),
             is_configured: false,
             is_emergency_pending: false,
@@ -251,7 +251,7 @@ impl<L: Line> Session<L> {
     /// # Errors
     /// The port failed and cannot be opened again.
     pub fn exchange(&mut self) -> Result<(), Error> {
-        if self.phase == Phase::Disconnected {
+        if self.phase == SessionPhase::Disconnected {
             self.open_port();
             return Ok(());
         }
@@ -274,7 +274,7 @@ impl<L: Line> Session<L> {
     /// Encodes what was requested since the last exchange, so that the next exchange sends it. A
     /// session without this call sends it one exchange later.
     pub fn flush(&mut self) {
-        if self.phase != Phase::Disconnected {
+        if self.phase != SessionPhase::Disconnected {
             self.client.advance(self.now_us, &[], &mut self.transmit);
         }
     }

@@ -370,8 +370,8 @@ impl JobRecording {
             record.haptic = HapticSnapshot {
                 tip: master.pose.tip,
                 force: newtons(master.force),
-                reflected: newtons(master.feedback),
-                wall: newtons(master.fixture),
+                feedback: newtons(master.feedback),
+                fixture: newtons(master.fixture),
                 axes: master.pose.axes,
             };
             record.haptic_flags = flag::HAPTIC_KNOWN;

@@ -22,7 +22,7 @@ use haptimill_protocol::message::{Command, Refusal, Welcome};
 
 /// Progress of a session.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Phase {
+pub enum SessionPhase {
     /// No session is open.
     Closed,
     /// The controller is asked for its configuration; nothing is sent to it.
@@ -154,7 +154,7 @@ impl<L: Line> Session<L> {
     /// begins when it is open. Needs [`Session::with_reconnection`].
     #[must_use]
     pub fn with_closed_line(mut self) -> Self {
-        self.phase = Phase::Disconnected;
+        self.phase = SessionPhase::Disconnected;
         self
     }
 
@@ -164,7 +164,7 @@ impl<L: Line> Session<L> {
     }
 
     /// Progress of the session.
-    pub const fn phase(&self) -> &Phase {
+    pub const fn phase(&self) -> &SessionPhase {
         &self.phase
     }
 
@@ -175,7 +175,7 @@ impl<L: Line> Session<L> {
 
     /// Begins to open a session. `number` must never have been used with this controller before.
     pub fn begin(&mut self, number: u32) {
-        self.phase = Phase::Connecting;
+        self.phase = SessionPhase::Connecting;
         self.is_configured = false;
         self.client.connect(number, self.now_us);
     }
@@ -186,7 +186,7 @@ impl<L: Line> Session<L> {
     /// No controller answers, it refuses, or the user stopped it.
     pub fn connect(&mut self, number: u32) -> Result<(), Error> {
         self.begin(number);
-        while self.phase != Phase::Ready {
+        while self.phase != SessionPhase::Ready {
             self.step()?;
             if self.is_interrupted() {
                 return Err(Error::new(
@@ -226,7 +226,7 @@ impl<L: Line> Session<L> {
     /// As [`Session::poll`].
     pub fn restart(&mut self) -> Result<(), Error> {
         match self.client.controller().cloned() {
-            Some(welcome) if self.phase == Phase::Ready => self.start(&welcome),
+            Some(welcome) if self.phase == SessionPhase::Ready => self.start(&welcome),
             _ => Ok(()),
         }
     }
@@ -238,7 +238,7 @@ impl<L: Line> Session<L> {
     pub fn identify(&mut self, timeout_us: u64) -> Result<(), Error> {
         self.step()?;
         self.begin_next();
-        self.phase = Phase::Identifying;
+        self.phase = SessionPhase::Identifying;
         let begun_us = self.now_us;
         while !self
             .startup
@@ -246,7 +246,7 @@ impl<L: Line> Session<L> {
             .is_none_or(|startup| startup.has_agreed)
         {
             self.step()?;
-            if self.phase == Phase::Disconnected || self.now_us - begun_us > timeout_us {
+            if self.phase == SessionPhase::Disconnected || self.now_us - begun_us > timeout_us {
                 let what = format!(
                     "{}: the controller does not answer: {}",
                     self.line.name(),
@@ -255,7 +255,7 @@ impl<L: Line> Session<L> {
                 return Err(Error::new(ErrorKind::Port, what));
             }
         }
-        self.phase = Phase::Closed;
+        self.phase = SessionPhase::Closed;
         self.reason.clear();
         Ok(())
     }
@@ -279,7 +279,7 @@ impl<L: Line> Session<L> {
             return Err(error.into());
         }
         self.reason = error.to_string();
-        self.phase = Phase::Disconnected;
+        self.phase = SessionPhase::Disconnected;
         self.is_configured = false;
         self.client.close();
         Ok(())
@@ -287,20 +287,20 @@ impl<L: Line> Session<L> {
 
     /// The session with the controller ended. False if that was known before.
     pub(super) fn lose_session(&mut self, error: &ClientError) -> bool {
-        if *error == ClientError::Closed && self.phase != Phase::Disconnected {
+        if *error == ClientError::Closed && self.phase != SessionPhase::Disconnected {
             // The session was replaced by a new one.
             return false;
         }
-        if self.phase == Phase::Disconnected {
+        if self.phase == SessionPhase::Disconnected {
             return true;
         }
         let text = format!("{}: {error}", self.line.name());
         if self.numbers.is_none() {
-            self.phase = Phase::Closed;
+            self.phase = SessionPhase::Closed;
             self.lost = Some(text);
             return true;
         }
-        let is_identifying = self.phase == Phase::Identifying;
+        let is_identifying = self.phase == SessionPhase::Identifying;
         self.reason = if is_identifying {
             error.to_string()
         } else {
@@ -311,13 +311,13 @@ impl<L: Line> Session<L> {
             ClientError::Silent { .. } | ClientError::Stalled { .. }
         );
         if !is_identifying && !is_answering && self.line.close() {
-            self.phase = Phase::Disconnected;
+            self.phase = SessionPhase::Disconnected;
             self.is_configured = false;
             return true;
         }
         self.begin_next();
         if is_identifying {
-            self.phase = Phase::Identifying;
+            self.phase = SessionPhase::Identifying;
         }
         true
     }
@@ -329,19 +329,19 @@ impl<L: Line> Session<L> {
         }
         let name = self.line.name();
         let Some(startup) = &mut self.startup else {
-            self.phase = Phase::Ready;
+            self.phase = SessionPhase::Ready;
             return Ok(());
         };
         let message = startup.agree(&name, welcome)?;
         self.notices.extend(message);
-        if self.phase == Phase::Identifying {
+        if self.phase == SessionPhase::Identifying {
             return Ok(());
         }
         let mut tickets = vec![self.client.configure(&startup.config, false)];
         for command in &startup.commands {
             tickets.push(self.client.request(command.clone()));
         }
-        self.phase = Phase::Starting(tickets);
+        self.phase = SessionPhase::Starting(tickets);
         Ok(())
     }
 
@@ -351,7 +351,7 @@ impl<L: Line> Session<L> {
         ticket: Ticket,
         result: &Result<(), RequestError>,
     ) -> Result<bool, Error> {
-        let (Phase::Starting(tickets), Some(startup)) = (&self.phase, &self.startup) else {
+        let (SessionPhase::Starting(tickets), Some(startup)) = (&self.phase, &self.startup) else {
             return Ok(false);
         };
         let Some(index) = tickets.iter().position(|pending| *pending == ticket) else {
@@ -387,7 +387,7 @@ impl<L: Line> Session<L> {
             _ => {}
         }
         if is_last {
-            self.phase = Phase::Ready;
+            self.phase = SessionPhase::Ready;
         }
         Ok(true)
     }

@@ -91,7 +91,7 @@ fn session(fault: &Rc<Cell<Fault>>, reconnects: bool) -> Session<FaultyLine> {
 /// Steps until the session is ready, and returns the time that took, microseconds.
 fn wait_ready(session: &mut Session<FaultyLine>) -> u64 {
     let since = session.now_us();
-    while *session.phase() != Phase::Ready {
+    while *session.phase() != SessionPhase::Ready {
         session.step().unwrap();
         assert!(
             session.now_us() < since + 5_000_000,
@@ -115,7 +115,7 @@ fn a_silent_controller_is_connected_again_and_gets_its_startup_again() {
     wait_ready(&mut session);
     assert!(is_enabled(&mut session));
     fault.set(Fault::Silent);
-    while *session.phase() == Phase::Ready {
+    while *session.phase() == SessionPhase::Ready {
         session.step().unwrap();
         assert!(session.now_us() < 10_000_000);
     }
@@ -139,7 +139,7 @@ fn a_silent_controller_is_connected_again_and_gets_its_startup_again() {
 fn lose_port(session: &mut Session<FaultyLine>, fault: &Rc<Cell<Fault>>) {
     fault.set(Fault::PortLost);
     session.step().unwrap();
-    assert_eq!(*session.phase(), Phase::Disconnected);
+    assert_eq!(*session.phase(), SessionPhase::Disconnected);
     assert!(
         session.reason().contains("unplugged"),
         "{}",
@@ -147,7 +147,7 @@ fn lose_port(session: &mut Session<FaultyLine>, fault: &Rc<Cell<Fault>>) {
     );
     // An attempt that fails is no error.
     session.step().unwrap();
-    assert_eq!(*session.phase(), Phase::Disconnected);
+    assert_eq!(*session.phase(), SessionPhase::Disconnected);
     assert!(session.reason().contains("still unplugged"));
     session.line_mut().first.clear();
 }
@@ -176,7 +176,7 @@ fn a_port_without_an_answer_is_closed_and_opened_again() {
     let fault = Rc::new(Cell::new(Fault::Silent));
     let mut session = session(&fault, true);
     session.begin_next();
-    while *session.phase() != Phase::Disconnected {
+    while *session.phase() != SessionPhase::Disconnected {
         session.step().unwrap();
         assert!(session.now_us() < 5_000_000);
     }

@@ -3,7 +3,7 @@
 use super::Job;
 use crate::drawing::{Drawing, Problem};
 use crate::geometry::Point;
-use crate::toolpath::Step;
+use crate::toolpath::PathStep;
 
 /// Low and high corner, mm.
 type Corners = [Point; 2];
@@ -21,7 +21,7 @@ pub fn check_area(
     let reaches = job.toolpath.cuts.iter().map(|cut| {
         let mut bounds = [cut.start, cut.start];
         for step in &cut.steps {
-            if let Step::Along(segment, _) = step {
+            if let PathStep::Along(segment, _) = step {
                 let [l, h] = segment.bounds();
                 for axis in 0..2 {
                     bounds[0][axis] = bounds[0][axis].min(l[axis]);

@@ -13,7 +13,7 @@ use crate::order::edges::Condition;
 use crate::order::{Effort, order_paths};
 use crate::shape::clear::{ClearOptions, clear};
 use crate::shape::{Clearing, Region, Strand};
-use crate::toolpath::{Cut, Depths, Lengths, Step, Toolpath, cut_path, levels};
+use crate::toolpath::{Cut, Depths, Lengths, PathStep, Toolpath, cut_path, levels};
 use outline::{outline, with_leads};
 use serde::Serialize;
 
@@ -226,7 +226,7 @@ fn cut_strand(strand: &Strand, above: f64, z: f64, slope: Option<f64>) -> Cut {
             cut.z += above;
             for step in &mut cut.steps {
                 match step {
-                    Step::Along(_, depth) | Step::Vertical(depth) => *depth += above,
+                    PathStep::Along(_, depth) | PathStep::Vertical(depth) => *depth += above,
                 }
             }
             cut
@@ -266,7 +266,7 @@ fn drill(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
         // Between two passes the tool comes up to the surface and clears the chips.
         let mut steps = Vec::new();
         for &z in &depths[1..] {
-            steps.extend([Step::Vertical(0.0), Step::Vertical(z)]);
+            steps.extend([PathStep::Vertical(0.0), PathStep::Vertical(z)]);
         }
         Cut {
             start: hole.start().unwrap_or_default(),

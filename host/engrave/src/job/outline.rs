@@ -7,7 +7,7 @@ use crate::geometry::{Path, Point, Segment, distance};
 use crate::order::edges::{self, Condition, Ends};
 use crate::order::{Effort, order_passes, order_paths};
 use crate::shape::Region;
-use crate::toolpath::{Cut, Depths, Step, Toolpath, cut_path, leads};
+use crate::toolpath::{Cut, Depths, PathStep, Toolpath, cut_path, leads};
 
 /// Largest number of entities for which the greedy conditions are shown beside the order of the
 /// file where this one is asked for.
@@ -162,16 +162,16 @@ pub(super) fn with_leads(
         return cut_path(path, depths);
     };
     let cut = cut_path(&path, depths);
-    let mut steps = vec![Step::Along(leads.into, cut.z)];
+    let mut steps = vec![PathStep::Along(leads.into, cut.z)];
     steps.extend(cut.steps);
     let floor = depths.levels.last().copied().unwrap_or(cut.z);
     let end = steps.iter().rev().find_map(|step| match step {
-        Step::Along(segment, _) => Some(segment.to),
-        Step::Vertical(_) => None,
+        PathStep::Along(segment, _) => Some(segment.to),
+        PathStep::Vertical(_) => None,
     });
     // After a ramp the contour ends where the ramp did.
     if end.is_some_and(|end| distance(end, leads.out.from) < 1e-6) {
-        steps.push(Step::Along(leads.out, floor));
+        steps.push(PathStep::Along(leads.out, floor));
     }
     Cut {
         start: leads.into.from,

@@ -38,7 +38,7 @@ struct Item<'a> {
 }
 
 #[derive(Default)]
-struct Block<'a> {
+struct DrawingBlock<'a> {
     base: Point,
     items: Vec<Item<'a>>,
 }
@@ -52,7 +52,7 @@ struct Reader<'a, 'o> {
     /// Objects that clip a block reference, and their dictionaries: handle and owner.
     clips: Vec<String>,
     owners: HashMap<String, String>,
-    blocks: HashMap<String, Block<'a>>,
+    blocks: HashMap<String, DrawingBlock<'a>>,
     unit: Option<i64>,
     metric: Option<i64>,
     drawing: Drawing,
@@ -150,7 +150,7 @@ impl<'a> Reader<'a, '_> {
         if name == "HEADER" {
             return self.header(begin);
         }
-        let mut block: Option<(String, Block<'a>)> = None;
+        let mut block: Option<(String, DrawingBlock<'a>)> = None;
         while let Some(pair) = self.pairs.next()? {
             if pair.code != 0 {
                 if name == "ENTITIES" || name == "BLOCKS" {
@@ -182,7 +182,7 @@ impl<'a> Reader<'a, '_> {
                     let base = [number(10), number(20)];
                     block = Some((
                         name.to_uppercase(),
-                        Block {
+                        DrawingBlock {
                             base,
                             items: Vec::new(),
                         },

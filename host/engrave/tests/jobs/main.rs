@@ -17,7 +17,7 @@ use haptimill_engrave::preview::{area, cut};
 use haptimill_engrave::read::{ReadOptions, read};
 use haptimill_engrave::shape::Clearing;
 use haptimill_engrave::thesis::{FIGURE_4_10, TOOL, closed, outlines};
-use haptimill_engrave::toolpath::{Cut, Step, Tabs};
+use haptimill_engrave::toolpath::{Cut, PathStep, Tabs};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -183,7 +183,7 @@ fn contours_are_passed_on_either_side_with_leads_ramps_tabs_and_depths() {
             let (job, _) = check(&drawing, &options);
             assert_eq!(job.toolpath.cuts.len(), 4);
             // A lead is an arc of a quarter turn.
-            let Step::Along(first, _) = job.toolpath.cuts[0].steps[0] else {
+            let PathStep::Along(first, _) = job.toolpath.cuts[0].steps[0] else {
                 panic!()
             };
             assert!((first.bulge.abs() - std::f64::consts::FRAC_PI_8.tan()).abs() < 1e-12);
@@ -221,7 +221,7 @@ fn contours_are_passed_on_either_side_with_leads_ramps_tabs_and_depths() {
         .cuts
         .iter()
         .flat_map(|cut| &cut.steps)
-        .filter(|step| matches!(step, Step::Vertical(z) if (z + 2.5).abs() < 1e-9))
+        .filter(|step| matches!(step, PathStep::Vertical(z) if (z + 2.5).abs() < 1e-9))
         .count();
     assert_eq!(lifts, 2 * 4);
 }
@@ -259,8 +259,8 @@ fn the_direction_is_that_of_the_cut() {
                     .steps
                     .iter()
                     .filter_map(|step| match step {
-                        Step::Along(segment, _) => Some(*segment),
-                        Step::Vertical(_) => None,
+                        PathStep::Along(segment, _) => Some(*segment),
+                        PathStep::Vertical(_) => None,
                     })
                     .collect();
                 area(&Path::from_segments(&segments, 0)) > 0.0
@@ -362,7 +362,7 @@ fn the_pockets_of_the_thesis_are_cleared_by_its_rules() {
         // Rows, but not contours, nor links along a row.
         let level = |cut: &Cut| {
             let lines = cut.steps.iter().filter(|step| {
-                matches!(step, Step::Along(one, _) if one.bulge == 0.0
+                matches!(step, PathStep::Along(one, _) if one.bulge == 0.0
                     && one.length() > TOOL
                     && off_paths(&drawing, one.point(0.5)) > TOOL / 2.0 + 1e-6
                     && one.from[1] == one.to[1]
@@ -416,7 +416,9 @@ fn contours_are_a_radius_away_from_the_drawing() {
             let (mut least, mut on_contour) = (f64::INFINITY, 0.0);
             for cut in &job.toolpath.cuts {
                 for step in &cut.steps {
-                    let Step::Along(one, _) = step else { continue };
+                    let PathStep::Along(one, _) = step else {
+                        continue;
+                    };
                     let off = |k: i32| off_paths(&drawing, one.point(f64::from(k) / 16.0));
                     let offs: Vec<f64> = (0..=16).map(off).collect();
                     least = offs.iter().copied().fold(least, f64::min);

@@ -106,7 +106,7 @@ impl Context<'_> {
             let found = self.teleoperation().between(from, to).iter();
             let is_inside = |sample: &&HapticTraceSample| {
                 let range = window.feedback_n;
-                range.is_none_or(|[low, high]| (low..high).contains(&sample.reflected[0]))
+                range.is_none_or(|[low, high]| (low..high).contains(&sample.feedback[0]))
             };
             let found: Vec<HapticTraceSample> = found.filter(is_inside).copied().collect();
             samples.extend_from_slice(if self.measurement.settled {

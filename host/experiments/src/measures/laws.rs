@@ -70,7 +70,7 @@ pub(super) fn feedback_ratio(context: &Context) -> f64 {
     let mut samples = context.teleoperated_samples();
     samples.retain(counts);
     let sum = |value: &dyn Fn(&HapticTraceSample) -> f64| samples.iter().map(value).sum::<f64>();
-    100.0 * sum(&|s| s.reflected[axis]) / sum(&|s| s.high[axis])
+    100.0 * sum(&|s| s.feedback[axis]) / sum(&|s| s.high[axis])
 }
 
 /// Fraction of the samples of E11 with a clear motion along an axis in which the peak force is

@@ -213,7 +213,7 @@ pub(super) fn teleoperation(page: &mut String, pass: &Pass, data: &PassData) {
     let feedback = (0..3).filter(|axis| feedback[*axis].percent > 0 || has_fixture && *axis == 0);
     let along =
         |axis: usize, points| line(format!("along {}", AXES[axis]), COLOURS[axis], 1.4, points);
-    let lines = feedback.map(|axis| along(axis, of_master(samples, |s| s.reflected[axis])));
+    let lines = feedback.map(|axis| along(axis, of_master(samples, |s| s.feedback[axis])));
     card(
         page,
         "Force of the haptic arm's motors on the handle",

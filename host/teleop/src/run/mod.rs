@@ -5,7 +5,7 @@ mod events;
 mod master;
 
 use super::latency::ForceValue;
-use super::outcome::{Ended, Outcome, Row};
+use super::outcome::{Ended, Row, TeleopOutcome};
 use super::script::{CommandInput, OperatorCommand, scale};
 use super::{Latency, MasterDevice, MasterSample, MasterStatus};
 use haptimill_client::client::Ticket;
@@ -59,7 +59,7 @@ pub struct Teleop<'a, L: JobLine> {
     session: &'a mut Session<L>,
     master: &'a mut dyn MasterDevice,
     options: &'a TeleopOptions,
-    outcome: Outcome,
+    outcome: TeleopOutcome,
     latency: Latency,
     /// The measured force of the machine's controller is read from the simulator.
     has_machine_snapshot: bool,
@@ -109,7 +109,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             latency,
             has_machine_snapshot: false,
             has_arm_snapshot: false,
-            outcome: Outcome::default(),
+            outcome: TeleopOutcome::default(),
             start_us: 0,
             next_event,
             newest_period: None,
@@ -141,8 +141,8 @@ impl<'a, L: JobLine> Teleop<'a, L> {
     ///
     /// # Errors
     /// The controller refuses a command, a port of the machine failed, or the master is of another
-    /// kind. A fault of the machine is no error, see [`Outcome`].
-    pub fn run(mut self, report: &mut Report<'_>) -> Result<Outcome, Error> {
+    /// kind. A fault of the machine is no error, see [`TeleopOutcome`].
+    pub fn run(mut self, report: &mut Report<'_>) -> Result<TeleopOutcome, Error> {
         self.wait_for_master(report)?;
         self.start()?;
         let mut commands = self.options.commands.iter().peekable();
@@ -337,7 +337,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         Ok(())
     }
 
-    fn finish(mut self) -> Result<Outcome, Error> {
+    fn finish(mut self) -> Result<TeleopOutcome, Error> {
         self.outcome.duration_s = self.time_s();
         let since = self.session.now_us();
         let status = loop {

@@ -135,13 +135,13 @@ fn changed_bytes_of_the_line_give_a_difference() {
 
     // A configuration that never came through: the drives stay off.
     let mut periods = standstill_periods().to_vec();
-    let heard = periods
+    let received = periods
         .iter()
         .position(|period| period.inputs.received.len() == 64)
         .unwrap();
-    periods[heard].inputs.received[20] ^= 4;
+    periods[received].inputs.received[20] ^= 4;
     let difference = replay(&record(&file.0, &periods)).unwrap().unwrap_err();
-    assert!(difference.period >= heard as u64, "{difference}");
+    assert!(difference.period >= received as u64, "{difference}");
 }
 
 #[test]

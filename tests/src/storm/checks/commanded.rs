@@ -8,7 +8,7 @@ use haptimill_firmware::machine::Machine;
 use haptimill_protocol::message::State;
 
 /// What the checks of this file compare in a period.
-struct Motion<'a> {
+struct CommandedMotion<'a> {
     bench: &'a StormBench,
     machine: &'a Machine,
     state: State,
@@ -42,7 +42,7 @@ impl Checks {
         }
         let state = controller.safety().state();
         let before = self.previous.clone();
-        let motion = Motion {
+        let motion = CommandedMotion {
             bench,
             machine,
             state,
@@ -89,7 +89,7 @@ impl Checks {
     }
 
     /// Checks that the commanded joints close the rods of the simulator's geometry.
-    fn check_kinematics(&mut self, motion: &Motion) -> CheckResult {
+    fn check_kinematics(&mut self, motion: &CommandedMotion) -> CheckResult {
         // A joint that moves off its limit switch moves alone.
         let leaves = motion.machine.leaves_switch() || self.previous.leaves_switch;
         if self.foreign_configuration || leaves {
@@ -116,7 +116,7 @@ impl Checks {
 
     fn check_joint_rate(
         &mut self,
-        motion: &Motion,
+        motion: &CommandedMotion,
         joint: usize,
         limits: &JointAxis,
     ) -> CheckResult {
@@ -142,7 +142,7 @@ impl Checks {
     }
 
     /// Checks that the commanded rate of a joint is the derivative of its commanded position.
-    fn check_joint_derivative(&mut self, motion: &Motion, joint: usize) -> CheckResult {
+    fn check_joint_derivative(&mut self, motion: &CommandedMotion, joint: usize) -> CheckResult {
         let active = is_active(motion.state) && is_active(motion.before.state);
         if !active || self.foreign_configuration {
             return Ok(());
@@ -169,7 +169,7 @@ impl Checks {
     }
 }
 
-impl Motion<'_> {
+impl CommandedMotion<'_> {
     fn joint_step(&self, joint: usize) -> f64 {
         let place = self.machine.target().joints.0[joint].0;
         f64::from(place.wrapping_sub(self.before.joints[joint] as i64 as i32))

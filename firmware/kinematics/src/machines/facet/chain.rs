@@ -45,7 +45,7 @@ pub struct ChainJoints {
 
 /// A frame in the base: a rotation, by its rows in Q30, and a position.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Frame {
+pub struct ChainPose {
     /// Rotation matrix, Q30.
     pub rotation: [[i32; 3]; 3],
     /// Position, 2^-20 mm.
@@ -114,11 +114,11 @@ impl Chain {
     ///
     /// # Errors
     /// [`OutOfReach::Range`].
-    pub fn forward(&self, joints: &ChainJoints) -> Result<Frame, OutOfReach> {
+    pub fn forward(&self, joints: &ChainJoints) -> Result<ChainPose, OutOfReach> {
         let (s2, c2) = sin_cos(joints.theta2);
         let (s3, c3) = sin_cos(joints.theta3);
         let [across, along] = self.arm((s2, c2));
-        Ok(Frame {
+        Ok(ChainPose {
             rotation: [
                 [times(c2, c3), -times(c2, s3), s2],
                 [s3, c3, 0],
@@ -136,7 +136,7 @@ impl Chain {
     ///
     /// # Errors
     /// The part of the frame that the chain cannot take.
-    pub fn inverse(&self, frame: &Frame) -> Result<ChainJoints, OutOfReach> {
+    pub fn inverse(&self, frame: &ChainPose) -> Result<ChainJoints, OutOfReach> {
         let [[_, _, r13], [r21, r22, _], [_, _, r33]] = frame.rotation;
         let theta2 = atan2(r13, r33);
         let along = self.arm(sin_cos(theta2))[1];

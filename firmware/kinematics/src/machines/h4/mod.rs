@@ -31,12 +31,12 @@
 //! Strokes and soft limits are not known here. Callers that need the strokes must use
 //! [`crate::BoundedKinematics`].
 
+mod box_bounds;
 mod errors;
 mod forward;
 mod machine;
 mod motion;
 mod statics;
-mod sweep_box;
 
 pub use errors::{TILT, near_reach_limit};
 

@@ -21,6 +21,7 @@
 //! above the capability of a drive.
 
 use super::{ALPHA, AXES, H4, Pair, Placed, THETA};
+use crate::planar::TWO_PI_Q28;
 use crate::{Accelerations, Jacobian, JointMotion, Rates};
 use haptimill_math::root::Reciprocal;
 use haptimill_math::scale::{
@@ -28,9 +29,6 @@ use haptimill_math::scale::{
 };
 use haptimill_math::trig::QUARTER_PI_Q31;
 use haptimill_math::{Acceleration, Rate};
-
-/// 2 pi in Q28.
-const TWO_PI_Q28: i32 = QUARTER_PI_Q31;
 
 /// U / S and V / S of a pair, Q27, and 1 / S.
 pub(super) struct Slope {

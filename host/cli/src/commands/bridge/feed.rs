@@ -34,13 +34,13 @@ struct Made {
 }
 
 /// The end of the queue at the session.
-pub(super) struct Source(Arc<Mutex<Made>>);
+pub(super) struct GrowingProgram(Arc<Mutex<Made>>);
 
 fn lock(made: &Mutex<Made>) -> MutexGuard<'_, Made> {
     made.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl SetpointSource for Source {
+impl SetpointSource for GrowingProgram {
     fn next_setpoint(&mut self) -> Poll<Option<Setpoint>> {
         let mut made = lock(&self.0);
         if let Some((setpoint, line)) = made.setpoints.pop_front() {
@@ -86,8 +86,8 @@ impl Feed {
     }
 
     /// The source of the job.
-    pub(super) fn source(&self) -> Source {
-        Source(Arc::clone(&self.made))
+    pub(super) fn source(&self) -> GrowingProgram {
+        GrowingProgram(Arc::clone(&self.made))
     }
 
     /// Whether setpoints are made.

@@ -9,7 +9,7 @@ use crate::commands::CliError;
 use crate::commands::requests::{Request, Requests, describe_overrides};
 use haptimill_client::client::{JobEnding, Setpoints};
 use haptimill_client::session::{
-    Homing, JobEnd, JobRun, JobStatus, Line, Procedure as _, Session, find_home_pose,
+    HOME_JOB, Homing, JobEnd, JobRun, JobStatus, Line, Procedure as _, Session, find_home_pose,
     plan_straight_move,
 };
 use haptimill_gcode::{Coordinates, Dialog, Offsets, Options, Problem};
@@ -20,8 +20,7 @@ use haptimill_machine_file::work_data::WorkData;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
 use std::path::PathBuf;
 
-/// The host's numbers of the jobs.
-const HOME_JOB: u32 = 1;
+/// Smallest number of a job that is not the move to the home pose.
 const FIRST_JOB: u32 = 10;
 
 /// Lines that are handled between two exchanges with the controller, at most.

@@ -13,7 +13,7 @@ use crate::commands::interrupt;
 use crate::commands::requests::Requests;
 use clap::{Args, Subcommand};
 use haptimill_client::client::Options;
-use haptimill_client::port::{PortSpec, PtyServer, Transport};
+use haptimill_client::port::{MOST_UNREAD, PortSpec, PtyServer, Transport};
 use haptimill_client::session::{self, Line, PortLine, Session, check_has_tool, find_home_pose};
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
@@ -110,9 +110,6 @@ pub fn run(command: BridgeCommand) -> Result<(), CliError> {
         }
     }
 }
-
-/// Bytes that are kept for a sender that does not read, at most.
-const MOST_UNREAD: usize = 1 << 16;
 
 /// A session, the machine on it, and the stock of a simulated one.
 type Opened = (Session<Box<dyn Line>>, MachineFile, Option<CuttingConfig>);

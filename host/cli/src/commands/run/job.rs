@@ -18,7 +18,7 @@ use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
-use haptimill_report::{Outcome, Statistics, Summary};
+use haptimill_report::{JobOutcome, Statistics, Summary};
 use haptimill_trace::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
 use serde::Serialize;
 use std::fs::File;
@@ -250,7 +250,7 @@ impl Job<'_> {
             .describe(self.machine.config.period_us);
         let is_whole = !stream_end.as_ref().is_some_and(StreamEnd::has_error);
         let outcome = match &end {
-            Ok(end) => Outcome {
+            Ok(end) => JobOutcome {
                 setpoints: u64::from(end.setpoints),
                 underruns: end.underruns.len() as u64,
                 faults: describe_faults(session, end)
@@ -270,7 +270,7 @@ impl Job<'_> {
                 recorded_part,
             },
             // The session is lost, so only the last telemetry is known.
-            Err(error) => Outcome {
+            Err(error) => JobOutcome {
                 setpoints: session
                     .client_mut()
                     .telemetry()
@@ -278,7 +278,7 @@ impl Job<'_> {
                 faults: vec![error.message.clone()],
                 injected,
                 recorded_part,
-                ..Outcome::default()
+                ..JobOutcome::default()
             },
         };
         let every = self.args.trace_every;

@@ -2,11 +2,11 @@
 
 use super::TeleopArgs;
 use haptimill_report::Cut;
-use haptimill_teleop::{Outcome, Row};
+use haptimill_teleop::{Row, TeleopOutcome};
 use std::io::{IsTerminal, Write};
 
 /// Describes the outcome of a session, with its greatest spindle speed in rev/min and its cut.
-pub(super) fn describe(outcome: &Outcome, spindle_rpm: u16, cut: Option<&Cut>) -> String {
+pub(super) fn describe(outcome: &TeleopOutcome, spindle_rpm: u16, cut: Option<&Cut>) -> String {
     let three =
         |values: &[f64; 3]| format!("x {:.2} y {:.2} z {:.2}", values[0], values[1], values[2]);
     let mut text = format!(

@@ -6,7 +6,7 @@ use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{self, card, escape, put};
 use haptimill_report::series::Columns;
 use haptimill_report::{Cut, count, cut_surface, duration};
-use haptimill_teleop::Outcome;
+use haptimill_teleop::TeleopOutcome;
 use haptimill_trace::{Column, Recording, RecordingError, columns};
 use std::error::Error;
 use std::path::Path;
@@ -95,7 +95,7 @@ fn line(label: &str, index: usize, series: &Columns) -> Line {
 pub(super) fn page(
     dir: &Path,
     machine: &str,
-    outcome: &Outcome,
+    outcome: &TeleopOutcome,
     joints: &JointErrors,
     cut: Option<&Cut>,
 ) -> Result<String, Box<dyn Error>> {
@@ -127,7 +127,7 @@ pub(super) fn page(
     Ok(page)
 }
 
-fn tiles(page: &mut String, outcome: &Outcome, spindle_rpm: u16, cut: Option<&Cut>) {
+fn tiles(page: &mut String, outcome: &TeleopOutcome, spindle_rpm: u16, cut: Option<&Cut>) {
     let size = |force: &[f64; 3]| force.iter().fold(0.0_f64, |most, part| most.max(*part));
     let latency = outcome.latency.as_ref();
     let tiles = [
@@ -181,7 +181,7 @@ fn tiles(page: &mut String, outcome: &Outcome, spindle_rpm: u16, cut: Option<&Cu
 }
 
 /// How it ended, faults, holds, refused commands, notes.
-fn lists(page: &mut String, outcome: &Outcome) {
+fn lists(page: &mut String, outcome: &TeleopOutcome) {
     let kept = if outcome.position_kept {
         "position kept"
     } else {
@@ -220,7 +220,7 @@ fn lists(page: &mut String, outcome: &Outcome) {
 #[allow(clippy::type_complexity, reason = "two results of one pass")]
 fn table_lines(
     dir: &Path,
-    outcome: &Outcome,
+    outcome: &TeleopOutcome,
 ) -> Result<(Vec<Vec<Line>>, Vec<(f64, f64)>), Box<dyn Error>> {
     let mut reader = csv::Reader::from_path(dir.join(TABLE_FILE))?;
     let names = reader.headers()?.clone();

@@ -24,7 +24,7 @@ use haptimill_hil_sim::remote::RemoteController;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Command;
 use haptimill_report::Cut;
-use haptimill_teleop::{Ended, MasterDevice, Outcome, Row, Teleop, TeleopOptions};
+use haptimill_teleop::{Ended, MasterDevice, Row, Teleop, TeleopOptions, TeleopOutcome};
 use haptimill_trace::{Header, Recorded, Recorder, Recording, RecordingError, write_csv};
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -34,7 +34,7 @@ pub(super) const TABLE_FILE: &str = "teleop.csv";
 
 /// What a session leaves.
 pub(super) struct SessionEnd {
-    pub(super) outcome: Outcome,
+    pub(super) outcome: TeleopOutcome,
     /// The recording of the machine.
     pub(super) recorded: Recorded,
     /// What was cut from a simulated stock.

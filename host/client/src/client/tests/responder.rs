@@ -33,7 +33,7 @@ pub(super) struct Responder {
     /// Record of its actions.
     pub(super) reached: Vec<Setpoint>,
     pub(super) jogs: Vec<(u64, u16)>,
-    pub(super) stops_heard: u32,
+    pub(super) stops_received: u32,
     pub(super) activated: u32,
 }
 
@@ -65,7 +65,7 @@ impl Responder {
             dead: false,
             reached: Vec::new(),
             jogs: Vec::new(),
-            stops_heard: 0,
+            stops_received: 0,
             activated: 0,
         }
     }
@@ -77,7 +77,7 @@ impl Responder {
             return 0;
         }
         if self.stop_detector.push_all(bytes) {
-            self.stops_heard += 1;
+            self.stops_received += 1;
             self.jog_left = 0;
             if self.state == State::Run {
                 self.go(State::Hold);

@@ -4,8 +4,7 @@
 use haptimill_firmware::io::{DriveCommand, Inputs, StepSegment};
 use haptimill_firmware::profiler::STAGES;
 
-/// Words of the record.
-pub const WORDS: usize = 61;
+pub use haptimill_board_common::PERIOD_RECORD_WORDS as WORDS;
 /// Joints of the board.
 pub const JOINTS: usize = 5;
 

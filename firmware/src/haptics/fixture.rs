@@ -4,11 +4,12 @@
 //! A face pushes in proportion to the penetration of the tip, up to a limit. Units: lengths 2^-20
 //! mm, forces 2^-16 N.
 //!
-//! A stationary face is a spring: it returns only energy that was put in. [`Walls::stored`] reports
-//! its present energy, so that the passivity observer lets it return. A face that moves against the
-//! operator does work of its own, which does not count as stored.
+//! A stationary face is a spring: it returns only energy that was put in.
+//! [`VirtualFixtures::stored`] reports its present energy, so that the passivity observer lets it
+//! return. A face that moves against the operator does work of its own, which does not count as
+//! stored.
 //!
-//! A box must not be smaller than the ball at the tip; [`Walls::set`] refuses it.
+//! A box must not be smaller than the ball at the tip; [`VirtualFixtures::set`] refuses it.
 
 use haptimill_math::force::Force;
 use haptimill_math::scale::{product, saturate, total};
@@ -18,14 +19,14 @@ use serde::{Deserialize, Serialize};
 
 /// Stiffness and force limit of the virtual fixtures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct WallConfig {
+pub struct FixtureConfig {
     /// Stiffness, 2^-16 N/mm: 0.05 to 2 N/mm. (0.35: result of E6 in docs/control.md 3.5.)
     pub stiffness: u32,
     /// Largest force of a face: 0.5 to 10 N.
     pub most: Force,
 }
 
-impl WallConfig {
+impl FixtureConfig {
     /// Whether both values are in range.
     #[must_use]
     pub fn is_sound(&self) -> bool {
@@ -49,7 +50,7 @@ struct Face {
 
 /// Faces of the virtual fixtures.
 #[derive(Debug, Clone)]
-pub struct Walls {
+pub struct VirtualFixtures {
     stiffness: i64,
     most: i64,
     /// Penetration at which the force of a face reaches its limit, 2^-20 mm.
@@ -62,10 +63,10 @@ pub struct Walls {
     stored: i64,
 }
 
-impl Walls {
+impl VirtualFixtures {
     /// Creates fixtures without faces. `ball` is the diameter of the ball at the tip.
     #[must_use]
-    pub fn new(config: &WallConfig, ball: Length, period_us: u16) -> Self {
+    pub fn new(config: &FixtureConfig, ball: Length, period_us: u16) -> Self {
         let stiffness = i64::from(config.stiffness.max(1));
         Self {
             stiffness,
