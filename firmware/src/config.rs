@@ -6,7 +6,6 @@
 //! CRC-32.
 
 mod check;
-pub mod digest;
 pub mod volumetric;
 
 use crate::force::ForceConfig;

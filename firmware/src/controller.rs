@@ -6,7 +6,7 @@
 //! | --- | --- | --- |
 //! | receive | at most one request or setpoint | `comm/server.rs` |
 //! | measure | encoder counts to joint positions, force samples to tool force | `machine.rs` |
-//! | supervise | every fault check, most serious first | `faults.rs` |
+//! | supervise | every fault check, most serious first; reactions to named inputs | `faults.rs`, `reactions.rs` |
 //! | command | one request; a refused one changes nothing | `commands.rs` |
 //! | interpolate | the commanded pose of this period | `modes.rs` |
 //! | comply | compliant displacement of force control | `machine/compliance.rs` |
@@ -14,7 +14,7 @@
 //! | servo | position loops and step generation | `machine.rs` |
 //! | render | force feedback to the haptic arm | `machine/masters.rs` |
 //! | report | replies, events, telemetry | `comm/server.rs` |
-//! | interlock | safe outputs unless the state allows motion | here |
+//! | interlock | safe outputs unless the state allows motion; named outputs | here, `reactions.rs` |
 
 use crate::comm::server::{Incoming, Server};
 use crate::comm::telemetry;
@@ -27,7 +27,7 @@ use crate::motion::interpolator::QUEUE;
 use crate::profiler::{Profiler, Stage};
 use crate::safety::Safety;
 use crate::volumetric::Fade;
-use crate::{commands, modes, named_io};
+use crate::{commands, modes, reactions};
 use haptimill_protocol::link::Identity;
 use haptimill_protocol::message::{Event, Fault, Refusal, State};
 
@@ -64,7 +64,7 @@ impl Controller {
         profiler.mark(Stage::Measure);
 
         faults::check(core, server, inputs);
-        named_io::react(core, server);
+        reactions::react(core, server);
         profiler.mark(Stage::Supervise);
 
         core.track_out_of_band_stop(inputs.out_of_band_stop);
@@ -102,7 +102,7 @@ impl Controller {
         if !self.core.safety.drives_on() {
             outputs.make_safe();
         }
-        named_io::write_outputs(&mut self.core, outputs);
+        reactions::write_outputs(&mut self.core, outputs);
         profiler.mark(Stage::Interlock);
     }
 

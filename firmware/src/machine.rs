@@ -11,10 +11,11 @@ mod gantry;
 mod joint_rates;
 mod leaving;
 pub mod masters;
+mod named_io;
 mod switches;
 
 use crate::config::Config;
-use crate::config::digest::Digest;
+use crate::digest::Digest;
 use crate::force::ForceControl;
 use crate::force::sensor::COMPONENTS;
 use crate::io::{DriveCommand, Inputs};

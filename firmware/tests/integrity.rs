@@ -3,8 +3,8 @@
 
 mod reference;
 
-use haptimill_firmware::config::digest::{Constants, Digest};
 use haptimill_firmware::config::{Config, JointAxis};
+use haptimill_firmware::digest::{Constants, Digest};
 use haptimill_firmware::force::sensor::ForceSensor;
 use haptimill_firmware::force::{EnableCondition, ForceConfig, ForceControl, LoopSettings};
 use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};

@@ -2,8 +2,8 @@
 
 use haptimill_firmware::config::{ServoConfig, ServoForm};
 use haptimill_firmware::joint::friction::Friction;
-use haptimill_firmware::joint::rate_filter::{RATE_FRACTION, RateFilter, approach};
 use haptimill_firmware::joint::servo::ServoLaw;
+use haptimill_firmware::rate_filter::{RATE_FRACTION, RateFilter, approach};
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

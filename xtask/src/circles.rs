@@ -4,6 +4,10 @@
 //! larger circle may not: none of its files can be read alone. An import is a path to an item of
 //! another file. A re-export hands a name on and is no import, and neither is a path of a module
 //! into its own folder, which is a part of it. Tests and the contents of macro calls do not count.
+//!
+//! A module with its folder is also checked as a whole: modules beside each other, each with all
+//! files of its folder, may form pairs and no larger circle. A file deep in one folder that imports
+//! from a module above it is found in this way.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -90,17 +94,32 @@ pub fn lint(root: &Path) -> Result<(), String> {
 
 /// Returns the circles of more than two files of the crate with this first file.
 fn circles(start: &Path) -> Result<Vec<Vec<PathBuf>>, String> {
+    let mut found = all_circles(start)?;
+    found.retain(|files| files.len() > MOST_FILES);
+    Ok(found.into_iter().collect())
+}
+
+/// Returns the number of files of the largest circle of a crate; 1 where there is none.
+///
+/// # Errors
+///
+/// Returns the file that cannot be read.
+pub fn largest(start: &Path) -> Result<usize, String> {
+    let circles = all_circles(start)?;
+    Ok(circles.iter().map(Vec::len).max().unwrap_or(1))
+}
+
+/// Returns the files that import each other, and the modules that do so with their folders. A file
+/// or module in no circle is one by itself.
+fn all_circles(start: &Path) -> Result<BTreeSet<Vec<PathBuf>>, String> {
     let mut krate = Crate::default();
     krate.read(start, start.parent().unwrap_or(start), Vec::new())?;
-    let edges = krate.edges();
-    Ok(components(&edges)
-        .into_iter()
-        .filter(|files| files.len() > MOST_FILES)
+    let edges = [krate.edges(), krate.contracted_edges()];
+    let circles = edges.iter().flat_map(|edges| components(edges));
+    Ok(circles
         .map(|files| {
-            files
-                .into_iter()
-                .map(|file| krate.files[file].clone())
-                .collect()
+            let paths = files.into_iter().map(|file| krate.files[file].clone());
+            paths.collect()
         })
         .collect())
 }
@@ -176,6 +195,30 @@ impl Crate {
                     && !self.roots[file].starts_with(names)
                 {
                     edges[module.file].insert(file);
+                }
+            }
+        }
+        edges
+    }
+
+    /// Returns the pairs of sibling modules of which the first, or a file in its folder, imports
+    /// the second or a file in its folder.
+    fn contracted_edges(&self) -> Vec<BTreeSet<usize>> {
+        let mut edges = vec![BTreeSet::new(); self.files.len()];
+        for (importer, imports) in self.edges().iter().enumerate() {
+            for &imported in imports {
+                let (from, to) = (&self.roots[importer], &self.roots[imported]);
+                let common = from.iter().zip(to).take_while(|(a, b)| a == b).count();
+                // A file and the module above it are no siblings.
+                if from.len() == common || to.len() == common {
+                    continue;
+                }
+                let sibling = |names: &Names| {
+                    let above = &names[..=common];
+                    self.roots.iter().position(|root| root == above)
+                };
+                if let (Some(from), Some(to)) = (sibling(from), sibling(to)) {
+                    edges[from].insert(to);
                 }
             }
         }
@@ -405,6 +448,19 @@ mod tests {
             ),
         ];
         assert_eq!(found(&files), [["a.rs", "b.rs", "c.rs"]]);
+    }
+
+    /// The files `d/deep.rs`, `a.rs` and `b.rs` alone are in no circle: `b.rs` imports `d/mod.rs`.
+    #[test]
+    fn a_circle_through_a_folder_is_found() {
+        let files = [
+            ("lib.rs", "mod a; mod b; mod d;"),
+            ("a.rs", "pub struct A(crate::b::B);"),
+            ("b.rs", "pub struct B(crate::d::D);"),
+            ("d/mod.rs", "mod deep; pub use deep::react; pub struct D;"),
+            ("d/deep.rs", "pub fn react(_: &crate::a::A) {}"),
+        ];
+        assert_eq!(found(&files), [["a.rs", "b.rs", "d/mod.rs"]]);
     }
 
     #[test]

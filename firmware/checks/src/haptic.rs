@@ -3,7 +3,7 @@
 
 use crate::Check;
 use crate::kinematics::subject::Sequence;
-use haptimill_firmware::config::digest::Digest;
+use haptimill_firmware::digest::Digest;
 use haptimill_kinematics::haptic_arm::statics::{Efforts, Wrench};
 use haptimill_kinematics::haptic_arm::{ArmPose, HapticArm, HapticGeometry, LegReading};
 use haptimill_math::{Angle, Length};

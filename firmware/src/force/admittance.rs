@@ -44,8 +44,8 @@
 
 use super::zero_order_hold::{FINENESS, Part, RATE_BITS, ZeroOrderHold, sound};
 use super::{EnableCondition, ForceParameter, ForceRefusal, LoopSettings};
-use crate::config::digest::impl_digest;
-use crate::joint::rate_filter::frequency;
+use crate::digest::impl_digest;
+use crate::rate_filter::frequency;
 use haptimill_math::force::{Displacement, Force, VirtualDamping};
 use haptimill_math::scale::{multiply_shift, saturate};
 use haptimill_math::{Acceleration, Length, Rate};

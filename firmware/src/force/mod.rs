@@ -25,7 +25,7 @@ pub mod stability;
 pub mod window_peak;
 pub mod zero_order_hold;
 
-use crate::config::digest::{Constants, Digest, impl_digest};
+use crate::digest::{Constants, Digest, impl_digest};
 use admittance::{AdmittanceAxis, AdmittanceLaw, Compliance, DrivingForce, LEVELS};
 pub use config::{ForceConfig, LoopSettings};
 use haptimill_math::force::Displacement;

@@ -40,7 +40,7 @@
 //! Codes are clamped to 14 bits and scales are limited to 0.5 N per code, so a force is below 2^15
 //! codes * 0.5 N: no input overflows.
 
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 use haptimill_math::force::Force;
 use haptimill_math::scale::{multiply_shift, saturate};
 use haptimill_math::trig::{ONE, sin_cos};

@@ -39,7 +39,7 @@ pub mod mapping;
 pub mod oscillation;
 pub mod passivity;
 
-use crate::config::digest::{Constants, Digest, impl_digest};
+use crate::digest::{Constants, Digest, impl_digest};
 use crate::io::{HapticInputs, HapticOutputs, LEGS};
 use config::HapticConfig;
 use feedback_filter::FeedbackFilter;

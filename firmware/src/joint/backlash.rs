@@ -31,9 +31,9 @@
 //! limit-cycle across it.
 
 use super::encoder::{difference, sum};
-use crate::config::digest::impl_digest;
 use crate::config::{AxisKind, BACKLASH_NODES, JointAxis};
-use crate::joint::rate_filter::approach;
+use crate::digest::impl_digest;
+use crate::rate_filter::approach;
 use haptimill_math::reciprocal::{Factor, Scale, saturate};
 use haptimill_math::{Coordinate, Rate};
 use heapless::Vec;

@@ -16,8 +16,8 @@
 //! is between the negative configured Coulomb friction and half the drive's limit. No input can
 //! overflow.
 
-use crate::config::digest::impl_digest;
-use crate::joint::rate_filter::approach;
+use crate::digest::impl_digest;
+use crate::rate_filter::approach;
 use haptimill_math::reciprocal::mul_shift;
 use haptimill_math::{Coordinate, Rate};
 

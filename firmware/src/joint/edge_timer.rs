@@ -13,7 +13,7 @@
 //!
 //! Limit: more than 2^30 counts in a period give a wrong rate.
 
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 use haptimill_math::Rate;
 use haptimill_math::reciprocal::{Factor, Reciprocal, high, saturate};
 use haptimill_math::scale::shift_right;

@@ -9,7 +9,7 @@
 
 use super::edge_timer::EdgeTimer;
 use crate::config::AxisKind;
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 use crate::io::AxisInputs;
 use haptimill_math::reciprocal::saturate;
 use haptimill_math::{Coordinate, Rate};

@@ -22,7 +22,7 @@
 //! Callers must latch the count at the pulse itself, and the index must be on the same shaft as the
 //! encoder. Otherwise the offset is not an encoder fault.
 
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 
 /// Index monitor of one encoder.
 #[derive(Debug, Clone, PartialEq, Eq)]

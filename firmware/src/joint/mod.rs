@@ -28,15 +28,14 @@ pub mod index_monitor;
 pub mod monitor;
 pub mod power_on_counts;
 pub mod quadrature;
-pub mod rate_filter;
 mod reversals;
 pub mod servo;
 pub mod step_gen;
 mod step_supervision;
 pub mod torque;
 
-use crate::config::digest::{Constants, Digest, impl_digest};
 use crate::config::{AxisKind, Drive, JointAxis, Supervision};
+use crate::digest::{Constants, Digest, impl_digest};
 use crate::io::{AxisInputs, DriveCommand};
 use crate::joint::monitor::{JointMonitor, JointSample};
 use crate::joint::servo::ServoLaw;

@@ -27,9 +27,9 @@
 
 use super::disturbance::{Disturbance, DisturbanceLimits, FRACTION as INTEGRAL_FRACTION};
 use super::friction::Friction;
-use super::rate_filter::{CHANGE_FRACTION, RateFilter};
-use crate::config::digest::impl_digest;
 use crate::config::{ServoConfig, ServoForm};
+use crate::digest::impl_digest;
+use crate::rate_filter::{CHANGE_FRACTION, RateFilter};
 use haptimill_math::reciprocal::{Factor, Scale, mul_shift, saturate};
 use haptimill_math::scale::shift_right;
 use haptimill_math::{Acceleration, Coordinate, Effort, Rate};

@@ -23,7 +23,7 @@
 
 use super::encoder::difference;
 use crate::config::AxisKind;
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 use crate::io::StepSegment;
 use haptimill_math::reciprocal::Reciprocal;
 use haptimill_math::{Coordinate, Rate};

@@ -3,7 +3,7 @@
 
 use super::encoder::{difference, sum};
 use crate::config::AxisKind;
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 use haptimill_math::Coordinate;
 use haptimill_math::reciprocal::saturate;
 

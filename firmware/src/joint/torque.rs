@@ -14,7 +14,7 @@
 //! where the mass attenuates it. The carry is dropped when the code is clamped, so nothing winds
 //! up.
 
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 use haptimill_math::Effort;
 use haptimill_math::reciprocal::{Factor, Scale};
 

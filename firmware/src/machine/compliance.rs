@@ -17,7 +17,7 @@
 use super::Machine;
 use super::configure::FORCE_PART;
 use crate::config::Config;
-use crate::config::digest::{Constants, Digest};
+use crate::digest::{Constants, Digest};
 use crate::force::sensor::COMPONENTS;
 use crate::force::{Design, ForceControl, ForceProblem};
 use crate::io::Inputs;

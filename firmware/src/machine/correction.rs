@@ -6,8 +6,8 @@
 //! one.
 
 use super::Machine;
-use crate::config::digest::Digest;
 use crate::config::volumetric::ERROR_VALUES;
+use crate::digest::Digest;
 use crate::volumetric::{Compensation, Fade};
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;

@@ -7,7 +7,7 @@
 use super::Machine;
 use super::configure::HAPTICS_PART;
 use crate::config::HAPTICS;
-use crate::config::digest::Digest;
+use crate::digest::Digest;
 use crate::haptics::config::Encoder;
 use crate::haptics::mapping::{HandleFrame, MasterMapping, RemoteMaster};
 use crate::haptics::{Haptic, MasterProblem, Zero};

@@ -10,8 +10,8 @@
 use super::PoseCommand;
 use super::envelope::{Excursion, FULL_LOAD, MOST_LOAD, StoppingEnvelope};
 use super::ramp::{Ramp, RampLimits};
-use crate::config::digest::{Constants, Digest, impl_digest};
 use crate::config::{Config, JERK_SHIFT};
+use crate::digest::{Constants, Digest, impl_digest};
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;

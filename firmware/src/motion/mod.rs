@@ -22,7 +22,7 @@ pub mod tracker;
 
 use crate::config::Config;
 use crate::config::HAPTICS;
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 use envelope::{MOST_LOAD, ReachableBox, StoppingEnvelope};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Acceleration, Coordinate, Rate};

@@ -23,7 +23,7 @@ use super::PoseCommand;
 use super::envelope::SLOWED_LOAD;
 use super::jog::{per_period, slope, slower};
 use crate::config::PoseAxis;
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 use haptimill_math::root::Root;
 use haptimill_math::scale::{multiply_high, saturate};
 use haptimill_math::{Acceleration, Coordinate, Rate};

@@ -10,9 +10,6 @@
 //! configured so.
 
 pub mod config;
-mod reactions;
-
-pub(crate) use reactions::{react, write_outputs};
 
 use crate::io::{ANALOG, Inputs};
 use config::{DIGITAL, IoConfig, OutputFunction};
@@ -79,7 +76,7 @@ pub struct NamedIo {
 }
 
 /// Bit of an index.
-const fn bit(index: usize) -> u16 {
+pub(crate) const fn bit(index: usize) -> u16 {
     1 << (index & (DIGITAL - 1))
 }
 
@@ -363,7 +360,7 @@ impl NamedIo {
     }
 
     /// Updates the outputs that follow the spindle.
-    fn follow_spindle(&mut self, config: &IoConfig, spindle_rpm: i16) {
+    pub(crate) fn follow_spindle(&mut self, config: &IoConfig, spindle_rpm: i16) {
         for (index, output) in config.outputs.iter().enumerate() {
             let on = match output.function {
                 OutputFunction::SpindleOn => spindle_rpm != 0,
@@ -375,7 +372,7 @@ impl NamedIo {
     }
 
     /// The digital word of the board.
-    fn digital_word(&self, config: &IoConfig) -> u32 {
+    pub(crate) fn digital_word(&self, config: &IoConfig) -> u32 {
         let outputs = config.outputs.iter().enumerate();
         outputs.fold(0, |word, (index, output)| {
             let level = (self.outputs & bit(index) != 0) != output.inverted;
@@ -384,7 +381,7 @@ impl NamedIo {
     }
 
     /// The analog codes of the board.
-    fn analog_codes(&self, config: &IoConfig) -> [i16; ANALOG] {
+    pub(crate) fn analog_codes(&self, config: &IoConfig) -> [i16; ANALOG] {
         let mut codes = [0; ANALOG];
         for (output, code) in config.analog_outputs.iter().zip(&self.analog_outputs) {
             if let Some(slot) = codes.get_mut(usize::from(output.channel)) {

@@ -3,7 +3,6 @@
 //! An [`Error`] has a kind for programs and a message for the user. The command line assigns exit
 //! codes.
 
-use crate::port::PortError;
 use haptimill_gcode::Refused;
 use haptimill_machine_file::Problems;
 use serde::Serialize;
@@ -115,11 +114,5 @@ impl From<Problems> for Error {
             problems: problems.0.iter().map(located).collect(),
             ..Self::new(ErrorKind::BadInput, problems)
         }
-    }
-}
-
-impl From<PortError> for Error {
-    fn from(error: PortError) -> Self {
-        Self::new(ErrorKind::Port, error)
     }
 }

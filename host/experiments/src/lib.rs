@@ -16,12 +16,14 @@
 //! the model, not that the model is the machine of the thesis. E3 to E5, E7 and E11 were not
 //! fitted.
 
+mod comparison;
 mod definition;
 mod expected;
 mod inputs;
 mod measures;
 mod obstacle;
 mod page;
+mod pass_data;
 mod result;
 mod run;
 mod sampled_trace;
@@ -29,12 +31,14 @@ mod surface_image;
 mod table;
 mod teleoperation;
 
+pub use comparison::Comparison;
 pub use definition::{ExpectedResult, Experiment, Pass, all};
-pub use expected::{Band, Comparison, ExpectedSource};
+pub use expected::{Band, ExpectedSource};
 pub use obstacle::{NO_FORCE_CONTROL, NO_HAPTIC_ARM};
 pub use page::{index, page};
+pub use pass_data::PassData;
 pub use result::{ExperimentResult, PassResult};
-pub use run::{PassData, Target, run_pass};
+pub use run::{Target, run_pass};
 pub use sampled_trace::{ForceSource, Sample, SampledTrace};
 pub use surface_image::cut_of;
 pub use table::table;

@@ -13,7 +13,7 @@ mod surface;
 mod tests;
 
 use super::definition::{Experiment, Measurement, Pass};
-use super::run::PassData;
+use super::pass_data::PassData;
 use super::sampled_trace::Sample;
 use context::Context;
 use haptimill_client::session::HapticTraceSample;

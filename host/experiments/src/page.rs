@@ -2,7 +2,7 @@
 
 mod charts;
 
-use super::expected::Comparison;
+use super::comparison::Comparison;
 use super::table::{band, counts, value, verdict};
 use super::{Experiment, ExperimentResult, PassData};
 use haptimill_report::markup::{END, escape, head, put};

@@ -1,9 +1,10 @@
 //! Results of experiments and passes; `summary.json` has these fields.
 
+use super::comparison::{Comparison, rounded};
 use super::definition::{Experiment, ForceControl};
-use super::expected::{Comparison, ExpectedSource, rounded};
+use super::expected::ExpectedSource;
 use super::measures;
-use super::run::PassData;
+use super::pass_data::PassData;
 use super::sampled_trace::ForceSource;
 use serde::Serialize;
 

@@ -2,6 +2,7 @@
 
 use super::definition::{Pass, Teleoperation};
 use super::obstacle::NO_FORCE_CONTROL;
+use super::pass_data::PassData;
 use super::sampled_trace::SampledTrace;
 use super::teleoperation;
 use haptimill_client::client::Options;
@@ -9,12 +10,11 @@ use haptimill_client::port::Board;
 #[cfg(unix)]
 use haptimill_client::session::pil;
 use haptimill_client::session::{
-    self, HapticTrace, JobEnd, JobLine, JobRecording, Line as _, NoObserver, Session, SimLine,
+    self, JobEnd, JobLine, JobRecording, Line as _, NoObserver, Session, SimLine,
 };
 use haptimill_client::{Error, ErrorKind};
 
 use haptimill_hil_sim::config::PlantConfig;
-use haptimill_hil_sim::process::Workpiece;
 #[cfg(unix)]
 use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::Control as Controlled;
@@ -24,7 +24,7 @@ use haptimill_math::Length;
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_planner::Plan;
 use haptimill_protocol::message::AxisValues;
-use haptimill_report::{JobOutcome, Summary};
+use haptimill_report::JobOutcome;
 use haptimill_trace::{Header, Recorder, Recording};
 use std::path::Path;
 use std::sync::Arc;
@@ -41,18 +41,6 @@ const TELEOPERATION_EVERY: usize = 5;
 /// for the gains of the thesis (6 mm). With K_A 0.25, K_V 0.5 at 4 mm/s the displacement is 13 mm;
 /// at the limit the tool would press with 10 N, and the run would not show the effect of the gains.
 const COMPLIANCE_LIMIT_MM: i32 = 20;
-
-/// Data of a completed pass.
-pub struct PassData {
-    /// Sampled trace.
-    pub trace: SampledTrace,
-    /// Stock with its cut surface.
-    pub stock: Workpiece,
-    /// Summary of the job.
-    pub summary: Summary,
-    /// Record of master and tool of a teleoperated pass.
-    pub teleoperation: Option<HapticTrace>,
-}
 
 /// The machine with the force control of a pass; none when the machine has no force control.
 fn with_force_control(machine: &MachineFile, pass: &Pass) -> Option<MachineFile> {

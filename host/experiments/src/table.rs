@@ -1,7 +1,8 @@
 //! Table for the terminal.
 
 use super::ExperimentResult;
-use super::expected::{Band, Comparison, ExpectedSource};
+use super::comparison::Comparison;
+use super::expected::{Band, ExpectedSource};
 use std::fmt::Write as _;
 
 /// Formats a value for the tables.

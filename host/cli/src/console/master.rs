@@ -12,8 +12,6 @@
 //! The position of a fixture face is not exact: [`Face::Approximate`] was set while the master
 //! moved. A face that another host set is unknown until the tip touches it.
 
-mod input;
-
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM};
 use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterTelemetry};
@@ -27,14 +25,14 @@ pub(super) const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
 pub(super) const PER_REPORTED: f64 = 256.0;
 
 /// Raw value of the position scale 1.
-const PER_SCALE: f64 = 4096.0;
+pub(super) const PER_SCALE: f64 = 4096.0;
 
 /// Fixture forces below this, or this close to the largest fixture force, do not give the position
 /// of the face, N.
 const MIN_PUSH_N: f64 = 0.02;
 
 /// Tolerance of face positions, mm: fixture forces are reported in steps.
-const FACE_TOLERANCE_MM: f64 = 0.03;
+pub(super) const FACE_TOLERANCE_MM: f64 = 0.03;
 
 /// A setting that the controller does not report.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,7 +40,7 @@ pub(super) struct Setting<T> {
     /// Value in the machine file.
     file: T,
     /// Value requested last.
-    requested: T,
+    pub(super) requested: T,
     /// Active value.
     pub(super) active: T,
     /// No other host can have changed it.
@@ -65,12 +63,12 @@ impl<T: Copy + PartialEq> Setting<T> {
         self.requested = self.file;
     }
 
-    fn acknowledge(&mut self, value: T) {
+    pub(super) fn acknowledge(&mut self, value: T) {
         self.active = value;
         self.is_known = true;
     }
 
-    fn reject(&mut self, value: T) {
+    pub(super) fn reject(&mut self, value: T) {
         if self.requested == value {
             self.requested = self.active;
         }
@@ -103,7 +101,7 @@ pub(super) struct Arm {
     last_period: Option<u64>,
     received_at: Instant,
     /// Number of next reports that may still describe the previous fixture.
-    stale_reports: u8,
+    pub(super) stale_reports: u8,
 }
 
 /// Known settings of the master.
@@ -156,7 +154,7 @@ impl FieldPosition {
 
 impl Arm {
     /// Evaluates a report if it is new.
-    fn update(&mut self, report: &MasterTelemetry) {
+    pub(super) fn update(&mut self, report: &MasterTelemetry) {
         if self.last_period.replace(report.period) == Some(report.period) {
             return;
         }
@@ -228,13 +226,13 @@ impl Master {
     }
 
     /// The field selected first.
-    const fn first_position(&self) -> FieldPosition {
+    pub(super) const fn first_position(&self) -> FieldPosition {
         let row = if self.arm.is_some() { 0 } else { SCALE };
         FieldPosition { row, column: 0 }
     }
 
     /// The neighbouring field in the direction of an arrow key.
-    fn neighbour(&self, at: FieldPosition, key: KeyCode) -> FieldPosition {
+    pub(super) fn neighbour(&self, at: FieldPosition, key: KeyCode) -> FieldPosition {
         let last = if self.scale.is_some() { SCALE } else { ALL };
         let FieldPosition { row, column } = at;
         match key {

@@ -28,9 +28,11 @@ mod jobs;
 pub mod jogging;
 pub mod keys;
 mod master;
+mod master_input;
 mod recording;
 mod terminal;
 mod view;
+mod view_build;
 mod view_model;
 pub mod web;
 

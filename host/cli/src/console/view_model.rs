@@ -1,8 +1,6 @@
 //! View model: all displayed values. The application state builds it, another thread draws it, so
 //! neither waits for the other.
 
-mod build;
-
 use super::jogging::Mode;
 use super::master::{Face, FieldPosition};
 use haptimill_firmware::config::AxisKind;

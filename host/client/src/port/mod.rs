@@ -225,6 +225,12 @@ pub fn stop_past_lock(spec: &PortSpec) -> Result<(), PortError> {
     }
 }
 
+impl From<PortError> for crate::Error {
+    fn from(error: PortError) -> Self {
+        Self::new(crate::ErrorKind::Port, error)
+    }
+}
+
 /// Why a port cannot be used.
 #[derive(Debug)]
 pub enum PortError {

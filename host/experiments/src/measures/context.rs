@@ -3,7 +3,7 @@
 use super::quantity;
 use super::statistics::Point;
 use crate::definition::{Event, Experiment, Measurement, Pass, Window, WorkAxis};
-use crate::run::PassData;
+use crate::pass_data::PassData;
 use crate::sampled_trace::Sample;
 use haptimill_client::session::{HapticTrace, HapticTraceSample};
 

@@ -1,7 +1,7 @@
 //! Charts of the passes.
 
 use crate::definition::{Experiment, Pass};
-use crate::run::PassData;
+use crate::pass_data::PassData;
 use crate::sampled_trace::{ForceSource, Sample};
 use crate::surface_image;
 use haptimill_client::session::HapticTraceSample;

@@ -3,7 +3,7 @@
 //! Signals are `i32`, times are microseconds. States are convex combinations of past inputs, so no
 //! input can overflow them.
 
-use crate::config::digest::impl_digest;
+use crate::digest::impl_digest;
 use haptimill_math::reciprocal::mul_shift;
 use haptimill_math::scale::total;
 

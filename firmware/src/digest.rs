@@ -91,11 +91,11 @@ pub trait Constants {
 /// that implement [`Constants`] themselves, and the fields that change.
 macro_rules! impl_digest {
     ($type:ty { fields { $($constant:ident),* }, nested { $($part:ident),* }, skip { $($changing:ident),* } }) => {
-        impl crate::config::digest::Constants for $type {
-            fn digest(&self, digest: &mut crate::config::digest::Digest) {
+        impl crate::digest::Constants for $type {
+            fn digest(&self, digest: &mut crate::digest::Digest) {
                 let Self { $($constant,)* $($part,)* $($changing: _,)* } = self;
                 $(digest.add($constant);)*
-                $(crate::config::digest::Constants::digest($part, digest);)*
+                $(crate::digest::Constants::digest($part, digest);)*
             }
         }
     };

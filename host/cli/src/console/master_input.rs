@@ -1,9 +1,9 @@
 //! Key input of the master panel, and handling of the answers.
 
-use super::{FACE_TOLERANCE_MM, Face, Field, FieldPosition, NAMES, PER_SCALE};
-use crate::console::app::{App, OnAck};
-use crate::console::keys::Key;
-use crate::console::view_model::{Overlay, Severity};
+use super::app::{App, OnAck};
+use super::keys::Key;
+use super::master::{FACE_TOLERANCE_MM, Face, Field, FieldPosition, NAMES, PER_SCALE};
+use super::view_model::{Overlay, Severity};
 use haptimill_firmware::haptics::feedback_law::MOST;
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, to_i32};
 use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, ForceFeedbackAxis, VirtualFixture};
@@ -38,7 +38,7 @@ fn axis_name(axis: Option<usize>) -> &'static str {
 
 impl App {
     /// Opens the master panel, or reports why there is none.
-    pub(in crate::console) fn open_master_overlay(&mut self) -> Option<Overlay> {
+    pub(super) fn open_master_overlay(&mut self) -> Option<Overlay> {
         match &self.master {
             Some(master) => Some(Overlay::Master {
                 position: master.first_position(),
@@ -54,7 +54,7 @@ impl App {
     }
 
     /// Evaluates the newest report of the arm.
-    pub(in crate::console) fn update_arm(&mut self) {
+    pub(super) fn update_arm(&mut self) {
         if let Some(report) = self.session.client().master()
             && let Some(arm) = self.master.as_mut().and_then(|master| master.arm.as_mut())
         {
@@ -63,12 +63,7 @@ impl App {
     }
 
     /// Handles a key while the panel is open.
-    pub(in crate::console) fn master_key(
-        &mut self,
-        position: FieldPosition,
-        mut typed: String,
-        key: Key,
-    ) {
+    pub(super) fn master_key(&mut self, position: FieldPosition, mut typed: String, key: Key) {
         let Some(master) = &self.master else { return };
         let field = position.field();
         let is_fixture = matches!(field, Field::Fixture { .. });
@@ -332,7 +327,7 @@ impl App {
     }
 
     /// Handles the acknowledgement of a setting.
-    pub(in crate::console) fn acknowledge_master(&mut self, on_ack: &OnAck) {
+    pub(super) fn acknowledge_master(&mut self, on_ack: &OnAck) {
         let tip = self.session.client().master().map(|report| report.pose);
         let Some(master) = &mut self.master else {
             return;
@@ -382,7 +377,7 @@ impl App {
     }
 
     /// Handles the refusal of a setting. Returns the name of a refused face.
-    pub(in crate::console) fn reject_master(&mut self, on_ack: &OnAck) -> Option<String> {
+    pub(super) fn reject_master(&mut self, on_ack: &OnAck) -> Option<String> {
         let master = self.master.as_mut()?;
         match on_ack {
             OnAck::ForceFeedback(settings) => {

@@ -1,8 +1,8 @@
 //! Construction of the view model and of the operator prompt.
 
-use crate::console::app::{App, FORCE_SCALES};
-use crate::console::master::to_ratio;
-use crate::console::view_model::{
+use super::app::{App, FORCE_SCALES};
+use super::master::to_ratio;
+use super::view_model::{
     ArmView, Counters, JogView, LinkState, MasterView, ProgramView, Severity, ViewModel,
 };
 use haptimill_protocol::message::{Fault, State};
@@ -112,7 +112,7 @@ impl App {
     }
 
     /// The present view model.
-    pub(in crate::console) fn view_model(&self) -> ViewModel {
+    pub(super) fn view_model(&self) -> ViewModel {
         let now_us = self.now_us();
         let counters = self.session.client().link().counters();
         let is_running = self.jobs.is_running_program();
