@@ -87,7 +87,7 @@ fn package(root: &Path, name: &Path) -> String {
 }
 
 /// Returns the number, from 1, and the length of every long line that has a comment.
-fn long_comments(text: &str) -> Vec<(usize, usize)> {
+pub(crate) fn long_comments(text: &str) -> Vec<(usize, usize)> {
     let comments = lines_with_comments(text);
     text.lines()
         .enumerate()

@@ -3,6 +3,7 @@
 mod board;
 mod circles;
 mod clients;
+mod commits;
 mod emulator;
 mod gcode;
 mod lint;
@@ -11,6 +12,7 @@ mod planted;
 mod provide;
 mod release;
 mod storm;
+mod structure;
 mod uf2;
 
 use board::Board;
@@ -170,7 +172,10 @@ fn main() -> ExitCode {
         ["test", "--native-only"] => test_natively(),
         ["lint"] => lint(&root())
             .and(names::lint(&root()))
-            .and(circles::lint(&root())),
+            .and(circles::lint(&root()))
+            .and(commits::lint(&root())),
+        ["structure"] => structure::structure(&root()),
+        ["structure", folder] => structure::structure(Path::new(folder)),
         ["board", name] => board(name, None),
         ["board", name, "--uart"] => board(name, Some("uart")),
         ["board", name, "--uf2"] => uf2(name),
