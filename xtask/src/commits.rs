@@ -7,7 +7,7 @@ use std::process::Command;
 const LONGEST: usize = 65;
 
 /// The last commit whose subjects were written before this check.
-const BEFORE: &str = "33199042";
+const BEFORE: &str = "c0bdeb45";
 
 /// Checks the subjects of all commits since [`BEFORE`] in the repository at `root`. A copy without
 /// this commit (a shallow clone, an archive) is not checked.
