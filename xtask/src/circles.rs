@@ -455,6 +455,7 @@ mod tests {
     fn a_circle_through_a_folder_is_found() {
         let files = [
             ("lib.rs", "mod a; mod b; mod d;"),
+            ("e.rs", ""),
             ("a.rs", "pub struct A(crate::b::B);"),
             ("b.rs", "pub struct B(crate::d::D);"),
             ("d/mod.rs", "mod deep; pub use deep::react; pub struct D;"),
