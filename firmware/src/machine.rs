@@ -66,8 +66,6 @@ pub struct Machine {
     pub homing: Homing,
     /// Search for the home switches.
     switches: Switches,
-    /// No switch needs [`Machine::hardware_fault`] now.
-    plain_switches: bool,
     /// Second motors of gantries.
     gantries: Gantries,
     /// Force sensor and force control, on a machine that has them.
@@ -212,13 +210,6 @@ impl Machine {
         self.counter_fault
     }
 
-    /// Whether the levels of the limit switches need no interpretation.
-    #[must_use]
-    #[inline]
-    pub const fn has_only_plain_switches(&self) -> bool {
-        self.plain_switches
-    }
-
     /// Clears the fault of a counter after it was reported.
     pub const fn acknowledge_counter_fault(&mut self) {
         self.counter_fault = None;
@@ -319,17 +310,28 @@ impl Machine {
         if self.is_compliant() {
             return self.solve_reference();
         }
-        let mut commanded = self.motion.commanded();
+        self.solve_once(false)
+    }
+
+    /// Solves the commanded pose, or the reference of a compliant tool, with the errors of the
+    /// machine compensated.
+    #[inline]
+    fn solve_once(&mut self, compliant: bool) -> Result<(), PoseError> {
+        let mut pose = if compliant {
+            &self.reference
+        } else {
+            self.motion.commanded()
+        };
         if let (Some(compensation), Some(tables)) =
             (&mut self.compensation, &self.config.volumetric)
             && compensation.is_active()
         {
-            commanded = compensation.correct(tables, commanded);
+            pose = compensation.correct(tables, pose);
         }
         self.kinematics.solve(
-            &commanded.pose,
-            &commanded.rates,
-            &commanded.accelerations,
+            &pose.pose,
+            &pose.rates,
+            &pose.accelerations,
             &mut self.target,
         )
     }
@@ -373,14 +375,6 @@ impl Machine {
     #[inline]
     pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
         self.update_excursion();
-        match self.motion.advance_program(mode) {
-            Some(progress) => (progress, None),
-            None => self.advance_with_sources(mode),
-        }
-    }
-
-    #[inline(never)]
-    fn advance_with_sources(&mut self, mode: Mode) -> (Progress, Option<u8>) {
         self.motion.advance(mode, &self.kinematics)
     }
 
