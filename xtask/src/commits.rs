@@ -7,7 +7,7 @@ use std::process::Command;
 const LONGEST: usize = 65;
 
 /// The last commit whose subjects were written before this check.
-const BEFORE: &str = "c0bdeb45";
+const BEFORE: &str = "bdb60946";
 
 /// Checks the subjects of all commits since [`BEFORE`] in the repository at `root`. A copy without
 /// this commit (a shallow clone, an archive) is not checked.
