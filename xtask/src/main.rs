@@ -5,6 +5,7 @@ mod circles;
 mod clients;
 mod commits;
 mod emulator;
+mod figures;
 mod gcode;
 mod lint;
 mod names;
@@ -27,10 +28,14 @@ use storm::{short_storm, storm};
 const HELP: &str = "\
 Developer tasks of the project.
 
-  cargo xtask test                 run all checks: format, line lengths, names of machines, lints, tests, documentation, boards, emulated runs
+  cargo xtask test                 run all checks: format, line lengths, names of machines, lints,
+                                   tests, documentation, boards, emulated runs
   cargo xtask test --native-only   the same without boards and emulated runs; lists what it skipped
   cargo xtask keys                 rewrite the tables of docs/machine-files.md from the table of keys
-  cargo xtask lint                 list lines longer than 100 columns, general code that names a machine, and import circles
+  cargo xtask lint                 list lines over 100 columns, general code that names a machine,
+                                   import circles, commit subjects and figures that do not agree
+  cargo xtask structure            count lines, import circles, long comments and glossary terms
+  cargo xtask structure FOLDER     the same for the sources below FOLDER
   cargo xtask board NAME           build the image of a board (mps2, pico2), print its size, check it against the budget
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
   cargo xtask board NAME --uart    as `board NAME`, with a UART as the line to the host (pico2)
@@ -38,7 +43,8 @@ Developer tasks of the project.
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: haptics, faults, checks, logging)
   cargo xtask images               build the images that one can flash, named after the commit, with checksums, in target/images
   cargo xtask instructions         count the instructions of control periods and rewrite docs/instructions.md
-  cargo xtask emulator             repair the emulator of the RP2350 (host/emulator), test the repairs, and run the image of the Pico 2 with a simulated mill
+  cargo xtask emulator             repair the emulator of the RP2350 (host/emulator), test the repairs,
+                                   and run the image of the Pico 2 with a simulated mill
   cargo xtask emulator --build     build the emulator and the image, for `haptimill run --port emu:pico2`
   cargo xtask emulator --long      as `emulator`, with homing, a part program, and five joints at 1,000,000 steps/s
   cargo xtask machines             run every machine file in the simulator and rewrite docs/machines.md
@@ -47,8 +53,11 @@ Developer tasks of the project.
   cargo xtask storm --planted      plant bugs into a copy of the sources and show that the storm finds each
   cargo xtask bench                run all benchmarks (criterion); results in target/criterion
   cargo xtask gcode FILE ...       compare the motion of part programs with LinuxCNC's rs274 (docs/gcode.md)
-  cargo xtask senders              let grbl-streamer and cncjs operate a simulated mill through `haptimill bridge grbl` (needs a network, node and python3)
-  cargo xtask browser              operate the page of `haptimill serve` in Chromium; pictures in target/clients (needs a network, node and chromium)
+  cargo xtask gcode --throughput   compare the time of `run --check` with that of rs274
+  cargo xtask senders              let grbl-streamer and cncjs operate a simulated mill through
+                                   `haptimill bridge grbl` (needs a network, node and python3)
+  cargo xtask browser              operate the page of `haptimill serve` in Chromium; pictures in
+                                   target/clients (needs a network, node and chromium)
   cargo xtask help                 print this text
 ";
 
@@ -173,7 +182,8 @@ fn main() -> ExitCode {
         ["lint"] => lint(&root())
             .and(names::lint(&root()))
             .and(circles::lint(&root()))
-            .and(commits::lint(&root())),
+            .and(commits::lint(&root()))
+            .and(figures::lint(&root())),
         ["structure"] => structure::structure(&root()),
         ["structure", folder] => structure::structure(Path::new(folder)),
         ["board", name] => board(name, None),

@@ -16,8 +16,9 @@
 //! - **Limit.** Towards the largest displacement the tool moves at most 1/64 of the remaining
 //!   displacement per control period. A limit that is lowered too far to be reached in this way
 //!   first allows the distance in which the rate ends, and then follows the returning tool.
-//! - **Landing.** The return moves at most 1/64 of the remaining displacement per control period.
-//!   Without this the rate would fall from f_d / K_V to 0 in one period (10 mm/s for K_V = 0.5).
+//! - **End of the return.** The return moves at most 1/64 of the remaining displacement per control
+//!   period. Without this the rate would fall from f_d / K_V to 0 in one period (10 mm/s for K_V =
+//!   0.5).
 //! - **Contact-stability monitor.** On a stiff contact a damper acts between the tool and the
 //!   *workpiece*, D (p_c' + p_d'), see [`super::stability`]. A damper between the tool and the
 //!   desired position would raise the force while the desired position still advances. Without

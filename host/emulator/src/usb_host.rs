@@ -174,7 +174,7 @@ impl UsbHost {
         self.is_read = is_read;
     }
 
-    /// Pulls the cable, or lets the host sleep: the device hears nothing any more.
+    /// Pulls the cable, or lets the host sleep: the device receives nothing.
     pub fn leave(&mut self, now: u64) {
         self.state = State::Away;
         self.to_device.clear();

@@ -18,7 +18,7 @@ pub const PER_CYCLE: f64 = 8.0;
 /// Shortest segment, seconds: the controller takes a setpoint in several control periods.
 pub const SHORTEST: f64 = 1.2e-3;
 
-/// Time in which a sine swells and dies away, seconds.
+/// Time in which a sine ramps up and down, seconds.
 pub const TAPER: f64 = 0.15;
 
 /// Time after the start of a constant rate that is not measured, seconds.

@@ -79,7 +79,7 @@ const LONGEST_LINE: usize = 1 << 16;
 /// Receives a program and runs it.
 ///
 /// # Errors
-/// See [`Exit`]: the line fails or falls silent, or as `haptimill run`.
+/// See [`Exit`]: the line fails or pauses too long, or as `haptimill run`.
 pub fn run(args: DncArgs) -> Result<(), CliError> {
     // A mistake of the command line must not end the command behind a long reception, when FILE
     // is replaced.

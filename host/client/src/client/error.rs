@@ -35,7 +35,7 @@ pub enum ClientError {
     Refused {
         /// Why.
         why: HelloRefusal,
-        /// The protocol version it speaks.
+        /// Protocol version of the controller.
         version: u16,
     },
     /// The controller sends nothing any more.

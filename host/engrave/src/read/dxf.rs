@@ -1,7 +1,7 @@
 //! Reader of ASCII DXF: group codes, sections, layers, blocks.
 //!
-//! The general DXF library of the ecosystem swallows entity kinds that it does not know and states
-//! no lines, so an engraving could miss a part of the drawing without a word. This reader keeps the
+//! The general DXF library of the ecosystem skips unknown entity kinds and reports no line numbers,
+//! so an engraving could miss a part of the drawing without a word. This reader keeps the
 //! line, handle and layer of every entity and reports each kind that it leaves out.
 
 use super::dxf_codepage::decode;
