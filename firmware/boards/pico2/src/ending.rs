@@ -6,6 +6,7 @@ use crate::pins;
 use crate::registers::{PIO, PSM, WATCHDOG, read, set, write};
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering};
+use haptimill_board_common::reset_cause::{Cause, ENDED, RUNNING};
 
 /// Time without a completed control period after which the chip is reset, us. The period in which a
 /// configuration is activated takes 3 ms.
@@ -15,35 +16,15 @@ const WATCHDOG_US: u32 = 20_000;
 const MARK: usize = 0xC;
 const CAUSE: usize = 0x10;
 const PLACE: usize = 0x14;
-/// Mark of a cause: "HMil".
-const MARKED: u32 = 0x6C69_4D48;
-
-/// Why the chip was reset.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Cause {
-    /// Power, or the reset pin.
-    Power = 1,
-    /// No control period was completed in time.
-    Watchdog = 2,
-    /// A panic; its line is in the third register.
-    Panic = 3,
-    /// A processor fault, or an interrupt without a handler; its address is in the third register.
-    Fault = 4,
-}
 
 /// The cause that [`take_cause`] found.
 static LAST: AtomicU8 = AtomicU8::new(0);
 
 /// Finds the cause of the last reset.
 pub fn take_cause() -> Cause {
-    let marked = read(WATCHDOG, MARK) == MARKED;
+    let by_watchdog = read(WATCHDOG, 0x8) & 0b11 != 0;
+    let cause = Cause::of(read(WATCHDOG, MARK), read(WATCHDOG, CAUSE), by_watchdog);
     write(WATCHDOG, MARK, 0);
-    let cause = match (marked, read(WATCHDOG, CAUSE)) {
-        (true, 3) => Cause::Panic,
-        (true, 4) => Cause::Fault,
-        _ if read(WATCHDOG, 0x8) & 0b11 != 0 => Cause::Watchdog,
-        _ => Cause::Power,
-    };
     LAST.store(cause as u8, Ordering::Relaxed);
     cause
 }
@@ -58,6 +39,7 @@ pub fn start_watchdog() {
     // Everything is reset but the two oscillators.
     write(PSM, 0x8, 0x01FF_FFFF & !(1 << 2 | 1 << 3));
     feed_watchdog();
+    write(WATCHDOG, MARK, RUNNING);
     set(WATCHDOG, 0x0, 1 << 30);
 }
 
@@ -75,7 +57,7 @@ fn end(cause: Cause, place: u32) -> ! {
     pins::make_safe();
     write(WATCHDOG, CAUSE, cause as u32);
     write(WATCHDOG, PLACE, place);
-    write(WATCHDOG, MARK, MARKED);
+    write(WATCHDOG, MARK, ENDED);
     write(PSM, 0x8, 0x01FF_FFFF & !(1 << 2 | 1 << 3));
     loop {
         set(WATCHDOG, 0x0, 1 << 31);
