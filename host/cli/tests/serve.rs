@@ -242,7 +242,7 @@ fn second_host_is_refused_and_its_stop_is_obeyed() {
     let folder = TestFolder::new();
     let served = SimServer::on_tcp(&[]);
     let run = start_job(&served, &folder, &long_program(&folder));
-    let second = served.run(&["status", "--json"]).expect_code(5);
+    let second = served.run(&["disable", "--json"]).expect_code(5);
     assert!(
         second.err.contains("another host is connected")
             && second.err.contains("haptimill watch")
@@ -288,7 +288,7 @@ fn second_host_on_a_pseudo_terminal_is_refused_and_its_stop_is_obeyed() {
     let folder = TestFolder::new();
     let served = SimServer::on("pty", &[]);
     let run = start_job(&served, &folder, &long_program(&folder));
-    let second = served.run(&["status"]).expect_code(5);
+    let second = served.run(&["disable"]).expect_code(5);
     assert!(
         second.err.contains("another program uses it") && second.err.contains("fuser /dev/"),
         "{}",

@@ -268,6 +268,9 @@ impl Block {
         scan.at += 1;
         scan.skip_blanks();
         if !scan.has_value() {
+            if let Some(refused) = refuse_odd_character(scan.bytes, scan.at) {
+                return Err(Box::new(refused));
+            }
             let what = format!("the letter {} has no number", char::from(letter));
             let remedy = "write a number after the letter, or put a remark in ( )";
             return Err(Box::new(Mistake::new(start, what, remedy)));
@@ -392,18 +395,70 @@ fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
             "a number without a letter".into(),
             "write the letter of the word in front of the number",
         ),
-        b',' => (
-            "a comma is not supported".into(),
-            "write decimals with a point: X10.5",
-        ),
+        b',' => {
+            let word = decimal_word(line, at).unwrap_or_else(|| "X10.5".into());
+            return Mistake::new(
+                at,
+                "a comma is not supported",
+                format!("write decimals with a point: {word}"),
+            );
+        }
         0x20..=0x7E => (
             format!("'{}' is not supported", char::from(byte)),
             "remove it, or put it in a comment ( )",
         ),
-        _ => (
-            format!("byte 0x{byte:02X} is not part of a word"),
-            "part programs are plain ASCII text outside comments",
-        ),
+        _ => {
+            return refuse_odd_character(line, at).unwrap_or_else(|| {
+                let what = format!("byte 0x{byte:02X} is not part of a word");
+                Mistake::new(at, what, ASCII_ONLY)
+            });
+        }
     };
     Mistake::new(at, what, remedy)
+}
+
+const ASCII_ONLY: &str = "part programs are plain ASCII text outside comments";
+
+/// The word around a comma, with a point instead: `X1,5` is X1.5.
+fn decimal_word(line: &[u8], comma: usize) -> Option<String> {
+    let is_digit = |byte: &&u8| byte.is_ascii_digit();
+    let before = line[..comma].iter().rev().take_while(is_digit).count();
+    let after = line[comma + 1..].iter().take_while(is_digit).count();
+    let from = comma - before;
+    let signed = from - usize::from(matches!(line[..from].last(), Some(b'-' | b'+')));
+    let letter = line[..signed]
+        .last()
+        .filter(|byte| byte.is_ascii_alphabetic());
+    let whole = text_of(&line[signed - usize::from(letter.is_some())..comma]);
+    let part = text_of(&line[comma + 1..comma + 1 + after]);
+    (before > 0 && after > 0).then(|| format!("{whole}.{part}"))
+}
+
+/// Returns the mistake of a character that no word has; none if the character is plain.
+fn refuse_odd_character(line: &[u8], at: usize) -> Option<Mistake> {
+    let byte = *line.get(at)?;
+    if (0x20..=0x7E).contains(&byte) || byte == b'\t' {
+        return None;
+    }
+    // A character has at most four bytes.
+    let part = &line[at..line.len().min(at + 4)];
+    let text = match std::str::from_utf8(part) {
+        Ok(text) => text,
+        Err(error) => std::str::from_utf8(&part[..error.valid_up_to()]).unwrap_or_default(),
+    };
+    let number = text.chars().next().map(u32::from);
+    let what = match number {
+        None => format!("byte 0x{byte:02X} is not part of a word"),
+        Some(number) if number < 0x80 => format!("byte 0x{number:02X} is not part of a word"),
+        Some(number) => format!("the character U+{number:04X} is not part of a word"),
+    };
+    let remedy = match number {
+        // Hyphens, dashes and the sign for minus.
+        Some(0x2010..=0x2015 | 0x2212 | 0xFE63 | 0xFF0D) => "write - in its place",
+        // Spaces that are no blanks, and a mark of the byte order.
+        Some(0xA0 | 0x2000..=0x200B | 0x202F | 0x3000 | 0xFEFF) => "write a blank in its place",
+        Some(number) if number < 0x20 || number == 0x7F => "remove it",
+        _ => ASCII_ONLY,
+    };
+    Some(Mistake::new(at, what, remedy))
 }

@@ -1,6 +1,6 @@
 //! Canonical motion: the steps that an interpreter yields.
 
-use super::path::Path;
+use super::path::{Coordinates, Path};
 use super::problem::Place;
 
 /// Feed of a move.
@@ -20,6 +20,8 @@ pub struct Move {
     pub place: Place,
     /// Path, in machine coordinates.
     pub path: Path,
+    /// End in the coordinates of the program, in the machine's order.
+    pub programmed: Coordinates,
     /// Feed.
     pub feed: Feed,
     /// Whether the overrides have no effect (tapping, M49, M50 P0).

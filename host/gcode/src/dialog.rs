@@ -5,20 +5,24 @@ use super::problem::{Notice, Problem};
 use super::state::{FeedMode, G28, G30, G92, G92_ACTIVE, State, Turn};
 use super::tool_table::{Offsets, PerLetter, SYSTEM_NAMES, SYSTEMS, ToolTable};
 use super::{Coordinates, Interpreter, Options};
-use std::cell::RefCell;
 use std::io::{self, Read, Seek, SeekFrom};
-use std::rc::Rc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Locks the text.
+fn text_of(text: &Mutex<Vec<u8>>) -> MutexGuard<'_, Vec<u8>> {
+    text.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// The lines so far: loops and subroutines go back to them.
 #[derive(Clone, Default)]
 struct Lines {
-    text: Rc<RefCell<Vec<u8>>>,
+    text: Arc<Mutex<Vec<u8>>>,
     at: u64,
 }
 
 impl Read for Lines {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let text = self.text.borrow();
+        let text = text_of(&self.text);
         let from = usize::try_from(self.at).map_or(text.len(), |at| at.min(text.len()));
         let count = buffer.len().min(text.len() - from);
         buffer[..count].copy_from_slice(&text[from..from + count]);
@@ -44,7 +48,7 @@ impl Seek for Lines {
 /// line. A line with a problem changes nothing.
 pub struct Dialog {
     interpreter: Interpreter<'static>,
-    text: Rc<RefCell<Vec<u8>>>,
+    text: Arc<Mutex<Vec<u8>>>,
     /// State and position before the line, and the number of notices.
     before: (State, PerLetter, usize),
     /// Notices before the last line.
@@ -55,7 +59,7 @@ impl Dialog {
     /// Begins with the modes of a program.
     pub fn new(options: &Options) -> Self {
         let lines = Lines::default();
-        let text = Rc::clone(&lines.text);
+        let text = Arc::clone(&lines.text);
         let interpreter = Interpreter::new(lines, options);
         let executor = &interpreter.executor;
         let before = (executor.state.clone(), *executor.out.at(), 0);
@@ -88,7 +92,7 @@ impl Dialog {
                 byte
             }
         });
-        let mut text = self.text.borrow_mut();
+        let mut text = text_of(&self.text);
         text.extend(plain);
         text.push(b'\n');
         // A program that ended may be followed by further lines.
@@ -99,7 +103,7 @@ impl Dialog {
     /// Whether a line, or the rest of a subroutine, was not run yet.
     fn is_behind(&self) -> bool {
         let read = self.interpreter.sources[0].mark().offset;
-        self.interpreter.current != 0 || read < self.text.borrow().len() as u64
+        self.interpreter.current != 0 || read < text_of(&self.text).len() as u64
     }
 
     /// Returns the next step of the line, or `None` at its end.
@@ -125,7 +129,7 @@ impl Dialog {
     /// Takes back what the last line set, because the machine does not run it. Called files,
     /// conditions and loops that are open end, too.
     pub fn undo(&mut self) {
-        let end = self.text.borrow().len() as u64;
+        let end = text_of(&self.text).len() as u64;
         let interpreter = &mut self.interpreter;
         interpreter.current = 0;
         interpreter.flow.frames.clear();

@@ -141,7 +141,9 @@ impl Executor {
         self.set_system(block)?;
         self.set_path_control(block)?;
         self.set_distances(block);
+        self.out.frame = self.state.frame();
         self.run_once(block, here)?;
+        self.out.frame = self.state.frame();
         self.run_motion(block, here)?;
         self.stop(block, here)
     }

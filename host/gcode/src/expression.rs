@@ -188,6 +188,10 @@ impl<'a> Scan<'a> {
             let at = self.at;
             return match self.peek() {
                 None => self.mistake(open, "the bracket [ is not closed", "close it with ]"),
+                Some(b'E' | b'e') if self.bytes[..at].last().is_some_and(u8::is_ascii_digit) => {
+                    let what = "exponents are not supported";
+                    self.mistake(at, what, "write all digits of the number")
+                }
                 Some(_) => self.mistake(
                     at,
                     "an operator is missing in an expression",

@@ -288,6 +288,8 @@ pub(crate) struct Flow {
     pub skip: Option<Skip>,
     pub subroutines: HashMap<String, Subroutine>,
     pub jumps: u64,
+    /// A loop or recursion has no end.
+    pub is_endless: bool,
 }
 
 impl Flow {
@@ -301,6 +303,7 @@ impl Flow {
     pub(crate) fn jump(&mut self, at: usize) -> Read<()> {
         self.jumps += 1;
         if self.jumps > MOST_JUMPS {
+            self.is_endless = true;
             return Err(Box::new(Mistake::new(
                 at,
                 format!("the program goes back to earlier lines more than {MOST_JUMPS} times"),

@@ -6,7 +6,7 @@ use super::executor::{Executor, Here, Next};
 use super::expression::{Read, text_of};
 use super::flow::{Flow, OWord, OpenKind, Position, find_o_word};
 use super::output::Output;
-use super::problem::{Doubt, Mistake, Notice, Place, Problem, place_of};
+use super::problem::{Cause, Doubt, Mistake, Notice, Place, Problem, place_of};
 use super::source::{Fetched, LONGEST_LINE, Mark, ProgramBytes, Source};
 use super::state::State;
 use super::tool_table::{PerLetter, ToolTable, WorkOffset};
@@ -202,8 +202,13 @@ impl<'a> Interpreter<'a> {
             Ok(()) => Ok(()),
             Err(mistake) => {
                 let place = self.place(mistake.at);
+                // Behind a loop or recursion without end nothing is known.
+                self.finished |= self.flow.is_endless;
                 let follows = self.doubt.explains(&mistake);
                 self.doubt.note(&self.line, &mistake);
+                if self.block.o_word.is_some() {
+                    self.doubt.add(Cause::Order);
+                }
                 if follows {
                     return Ok(());
                 }
@@ -223,7 +228,7 @@ impl<'a> Interpreter<'a> {
             if word.label != skip.label || !skip.until.ends_at(word.keyword) {
                 return Ok(());
             }
-            return self.end_skip(&word);
+            return self.end_skip(&word).inspect_err(|_| self.keep_order(&word));
         }
         self.executor.state.line = self.sources[self.current].line;
         let read = self.block.read(&self.line, &self.executor.state);
@@ -260,7 +265,9 @@ impl<'a> Interpreter<'a> {
         self.any_block = true;
         if let Some(at) = self.block.o_word {
             let word = OWord::read(&self.line, at, &self.executor.state)?;
-            return self.run_o_word(&word, is_first, false);
+            return self
+                .run_o_word(&word, is_first, false)
+                .inspect_err(|_| self.keep_order(&word));
         }
         self.run_block()
     }
@@ -385,14 +392,14 @@ impl<'a> Interpreter<'a> {
         self.flow.open.clear();
         match open {
             None => Ok(()),
-            Some((label, end, place)) => Err(Box::new(Mistake::new(
-                0,
-                format!(
+            Some((label, end, place)) => {
+                let what = format!(
                     "the file ends without the {end} of O{label} in line {}",
                     place.line
-                ),
-                "write it",
-            ))),
+                );
+                let mistake = Mistake::new(0, what, "write it");
+                Err(Box::new(mistake.because(Cause::Order)))
+            }
         }
     }
 

@@ -107,7 +107,8 @@ pub struct Options {
     pub coolant: bool,
     /// Whether the machine has inputs and outputs for M62 to M68.
     pub outputs: bool,
-    /// Whether the tool tilts: a tool length along Z would then be wrong.
+    /// Whether the tool tilts, or the table tilts against it: the length of a tool is then no
+    /// offset along Z of the workpiece.
     pub tool_tilts: bool,
     /// The tool in the spindle at the start; 0 is none, or unknown.
     pub tool: u32,

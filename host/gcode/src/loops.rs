@@ -3,8 +3,13 @@
 use super::Interpreter;
 use super::expression::Read;
 use super::flow::{Keyword, OWord, Open, OpenKind, Position, Skip, Subroutine, Until};
-use super::problem::Mistake;
+use super::problem::{Cause, Mistake};
 use super::source::Mark;
+
+/// A mistake in the order of blocks.
+fn out_of_order(at: usize, what: String, remedy: &str) -> Box<Mistake> {
+    Box::new(Mistake::new(at, what, remedy).because(Cause::Order))
+}
 
 impl Interpreter<'_> {
     pub(super) fn run_o_word(&mut self, word: &OWord, is_first: bool, from_skip: bool) -> Read<()> {
@@ -24,11 +29,11 @@ impl Interpreter<'_> {
                     None => false,
                 };
                 if !in_call {
-                    return Err(Box::new(Mistake::new(
+                    return Err(out_of_order(
                         word.at,
                         format!("O{} is not called here", word.label),
                         "give endsub and return the label of their sub",
-                    )));
+                    ));
                 }
                 let globals = &mut self.executor.state.globals;
                 globals.insert("_value".into(), values.first().copied().unwrap_or(0.0));
@@ -155,14 +160,14 @@ impl Interpreter<'_> {
             .iter()
             .rposition(|open| open.label == word.label && open.kind != OpenKind::If);
         let Some(index) = found.map(|index| index + first) else {
-            return Err(Box::new(Mistake::new(
+            return Err(out_of_order(
                 word.at,
                 format!(
                     "O{} is not the label of a loop around this line",
                     word.label
                 ),
                 "write the label of the loop",
-            )));
+            ));
         };
         self.flow.open.truncate(index + 1);
         let Some(open) = self.flow.open.pop() else {
@@ -180,6 +185,24 @@ impl Interpreter<'_> {
             _ => return self.next_round(open, word.at),
         }
         Ok(())
+    }
+
+    /// Goes on behind an O word with a mistake: what it begins or ends has begun or ended, so that
+    /// its other end is no mistake.
+    pub(super) fn keep_order(&mut self, word: &OWord) {
+        let start = self.mark().mark;
+        match word.keyword {
+            Keyword::If | Keyword::ElseIf => self.open(word, OpenKind::If, start),
+            Keyword::Repeat => self.open(word, OpenKind::Repeat(1), start),
+            Keyword::While => {
+                let innermost = self.flow.innermost();
+                let is_end = |open: &Open| open.kind == OpenKind::Do && open.label == word.label;
+                if innermost.is_some_and(is_end) {
+                    self.flow.open.pop();
+                }
+            }
+            _ => {}
+        }
     }
 
     /// Goes on at the O word that ends a skip.
@@ -227,11 +250,11 @@ impl Interpreter<'_> {
     pub(super) fn matching(&self, word: &OWord, is_kind: impl Fn(OpenKind) -> bool) -> Read<Open> {
         match self.flow.innermost() {
             Some(open) if open.label == word.label && is_kind(open.kind) => Ok(open.clone()),
-            _ => Err(Box::new(Mistake::new(
+            _ => Err(out_of_order(
                 word.at,
                 format!("O{} ends nothing that is open", word.label),
                 "give it the label of its beginning, and close inner loops first",
-            ))),
+            )),
         }
     }
 

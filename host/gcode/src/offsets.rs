@@ -70,6 +70,13 @@ impl Executor {
                 }
             }
         };
+        if diameter == 0.0 {
+            let what = format!(
+                "{}: the diameter of the tool is 0, so the path is not moved sideways",
+                word(here.line, code)
+            );
+            self.notice(here, code.at, "diameter", what)?;
+        }
         let is_left = code.tenths < 420;
         // A negative diameter is compensation on the other side.
         let side = if is_left { 1.0 } else { -1.0 } * if diameter < 0.0 { -1.0 } else { 1.0 };
@@ -142,11 +149,13 @@ impl Executor {
                 return mistake(
                     code.at,
                     format!(
-                        "{}: the tool of this machine tilts, so that its length is part of the \
-                         machine's geometry",
+                        "{}: tool and workpiece of this machine turn against each other, so that \
+                         the length of the tool is no offset along Z; it is part of the machine's \
+                         geometry",
                         word(here.line, code)
                     ),
-                    "write the length of the tool into the machine file, and 0 into the table",
+                    "write the length of the tool into the machine file (tl), and 0 into the \
+                     table; a program for tools of several lengths is divided at its tool changes",
                 );
             }
         }

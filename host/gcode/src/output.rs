@@ -5,6 +5,7 @@ use super::canonical::{Feed, Move, Step};
 use super::compensation::Compensation;
 use super::path::{Arc, AxisKind, Coordinates, Path};
 use super::problem::Place;
+use super::state::Frame;
 use super::tool_table::PerLetter;
 use std::collections::VecDeque;
 
@@ -40,6 +41,8 @@ pub(crate) struct Output {
     kinds: Vec<AxisKind>,
     /// Position after the last move of the queue.
     at: PerLetter,
+    /// Offsets and rotation of the program in the machine.
+    pub frame: Frame,
     pub steps: VecDeque<Step>,
     pub compensation: Compensation,
 }
@@ -50,6 +53,7 @@ impl Output {
             letters,
             kinds,
             at,
+            frame: Frame::default(),
             steps: VecDeque::new(),
             compensation: Compensation::default(),
         }
@@ -116,6 +120,7 @@ impl Output {
         Some(Move {
             place: leg.place,
             path,
+            programmed: self.coordinates(&self.frame.in_program(&leg.to)),
             feed,
             fixed: leg.fixed && leg.pace != Pace::Rapid,
             exact_stop: leg.exact_stop,

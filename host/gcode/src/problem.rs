@@ -147,16 +147,18 @@ pub(crate) enum Cause {
     Position,
     Spindle,
     Parameter,
+    /// Loops, conditions and subroutines that are open.
+    Order,
 }
 
 /// States that are in doubt after a mistake: what follows from them is not reported.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Doubt {
-    causes: [bool; 5],
+    causes: [bool; 6],
 }
 
 impl Doubt {
-    fn add(&mut self, cause: Cause) {
+    pub(crate) fn add(&mut self, cause: Cause) {
         self.causes[cause as usize] = true;
     }
 

@@ -12,9 +12,9 @@ pub const LONGEST_LINE: usize = 65_536;
 const CHUNK: usize = 65_536;
 
 /// A stream of bytes that can go back.
-pub trait ProgramBytes: Read + Seek {}
+pub trait ProgramBytes: Read + Seek + Send {}
 
-impl<T: Read + Seek> ProgramBytes for T {}
+impl<T: Read + Seek + Send> ProgramBytes for T {}
 
 /// Position between two lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

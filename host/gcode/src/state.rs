@@ -226,6 +226,33 @@ impl Rotation {
     }
 }
 
+/// Place of the program in the machine.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Frame {
+    shift: PerLetter,
+    rotation: Rotation,
+}
+
+impl Default for Frame {
+    fn default() -> Self {
+        Self {
+            shift: PerLetter::default(),
+            rotation: Rotation::of(0.0),
+        }
+    }
+}
+
+impl Frame {
+    /// Returns a position of the machine in program coordinates: mm, degrees.
+    pub(crate) fn in_program(&self, at: &PerLetter) -> PerLetter {
+        let mut value: PerLetter = std::array::from_fn(|axis| at[axis] - self.shift[axis]);
+        if !self.rotation.is_none() {
+            [value[0], value[1]] = self.rotation.turn_back([value[0], value[1]]);
+        }
+        value
+    }
+}
+
 /// Whether an index of the offsets is a linear axis.
 pub(crate) const fn is_linear(axis: usize) -> bool {
     !matches!(axis, 3..=5)
@@ -359,13 +386,17 @@ impl State {
         if self.modes.inch { INCH_MM } else { 1.0 }
     }
 
+    /// Returns the place of the program in the machine.
+    pub(crate) fn frame(&self) -> Frame {
+        Frame {
+            shift: self.shift,
+            rotation: self.rotation,
+        }
+    }
+
     /// Returns a position of the machine in program coordinates: mm, degrees.
     pub(crate) fn in_program(&self, at: &PerLetter) -> PerLetter {
-        let mut value: PerLetter = std::array::from_fn(|axis| at[axis] - self.shift[axis]);
-        if !self.rotation.is_none() {
-            [value[0], value[1]] = self.rotation.turn_back([value[0], value[1]]);
-        }
-        value
+        self.frame().in_program(at)
     }
 
     /// Returns a position in program coordinates in those of the machine.

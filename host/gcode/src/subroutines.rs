@@ -22,6 +22,7 @@ impl Interpreter<'_> {
         repeats: u32,
     ) -> Read<()> {
         if self.flow.frames.len() >= DEEPEST_CALL {
+            self.flow.is_endless = true;
             return Err(Box::new(Mistake::new(
                 at,
                 format!("calls are nested deeper than {DEEPEST_CALL}"),

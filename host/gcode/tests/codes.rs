@@ -228,3 +228,45 @@ fn a_local_offset_is_the_offset_of_g92() {
         ["rapid 11 -1 0", "rapid 1 1 0"]
     );
 }
+
+/// G10 L10 and L11: the offset of the tool becomes such that the present position has the written
+/// coordinate, in the system in force or in G59.3.
+#[test]
+fn tool_offsets_from_the_position() {
+    let mut options = options();
+    options.tools.insert(1, haptimill_gcode::Tool::default());
+    options.start[2] = 30.0;
+    let before = "G10 L2 P1 Z5\nG10 L2 P9 Z7\nG54\n";
+    let height = |text: &str| {
+        let steps = steps_with(&format!("{before}{text}G43 H1\nG0 Z0\n"), &options);
+        steps.last().cloned().unwrap_or_default()
+    };
+    // 30 is 5 of G54, 10 as written, and 15 of the tool.
+    assert_eq!(height("G10 L10 P1 Z10\n"), "rapid 0 0 20");
+    // 30 is 7 of G59.3, 10 as written, and 13 of the tool; the origin of G54 is 5.
+    assert_eq!(height("G10 L11 P1 Z10\n"), "rapid 0 0 18");
+    // G92 shifts the system in force, and not that of G59.3.
+    assert_eq!(height("G92 Z20\nG10 L10 P1 Z10\n"), "rapid 0 0 20");
+    let shifted = height("G92 Z20\nG10 L11 P1 Z10\n");
+    assert_eq!(shifted, "rapid 0 0 23");
+}
+
+/// Boring: G86 retracts with the spindle off, G88 pauses for the operator before.
+#[test]
+fn boring_stops_the_spindle_at_the_bottom() {
+    let bore = |code: &str| {
+        let text = format!("S100 M3 G0 Z5\n{code} X1 Z-1 R2 P0.5 F100\nG80\n");
+        let steps = steps(&text);
+        steps[steps.len().saturating_sub(7)..].to_vec()
+    };
+    let down = ["rapid 1 0 2", "feed 100 1 0 -1", "dwell 0.5", "spindle 0"];
+    // G99 is in force: back to R.
+    let up = ["rapid 1 0 2", "spindle 100"];
+    assert_eq!(bore("G86")[1..], [&down[..], &up[..]].concat());
+    assert_eq!(bore("G88"), [&down[..], &["pause"], &up[..]].concat());
+    let still = refusal("G0 Z5\nG86 X1 Z-1 R2 P0.5 F100\n");
+    assert!(
+        still.starts_with("t.ngc:2:") && still.contains("G86"),
+        "{still}"
+    );
+}

@@ -259,7 +259,128 @@ fn tool_lengths_come_from_the_table() {
     assert!(missing.contains("tool 2 is not in the tool table"));
     options.tool_tilts = true;
     let tilts = read("t.ngc", b"G43 H1", &options).unwrap_err().to_string();
-    assert!(tilts.contains("tilts"), "{tilts}");
+    assert!(tilts.contains("turn against each other"), "{tilts}");
+}
+
+/// One mistake in the order of blocks is one error: its other end, and what the file then lacks,
+/// follow from it.
+#[test]
+fn a_mistake_of_an_o_word_is_one_error() {
+    for (text, at, what) in [
+        (
+            "O1 repeat [1e9]\n#1=1\nO1 endrepeat\nM30\n",
+            "1:13",
+            "exponents are not supported",
+        ),
+        (
+            "O1 while [1/0]\n#1=1\nO1 endwhile\nM30\n",
+            "1:12",
+            "division by zero",
+        ),
+        (
+            "O1 if [1/0]\n#1=1\nO1 else\n#1=2\nO1 endif\nM30\n",
+            "1:9",
+            "division by zero",
+        ),
+        (
+            "O1 if [0]\nO1 elseif [1/0]\nO1 endif\nM30\n",
+            "2:13",
+            "division by zero",
+        ),
+        (
+            "O1 do\n#1=1\nO1 while [1/0]\nM30\n",
+            "3:12",
+            "division by zero",
+        ),
+        (
+            "O1 whle [1]\n#1=1\nO1 endwhile\nM30\n",
+            "1:4",
+            "whle is no keyword",
+        ),
+        (
+            "O1 if [1]\n#1=1\nO2 endif\nM30\n",
+            "3:1",
+            "O2 ends nothing that is open",
+        ),
+        (
+            "O1 do\n#1=1\nO1 while [1]\nM30\n",
+            "3:1",
+            "more than 1000000 times",
+        ),
+        (
+            "O1 sub\nO1 call\nO1 call\nO1 endsub\nO1 call\nM30\n",
+            "2:1",
+            "deeper than 50",
+        ),
+    ] {
+        let refused = refusal(text);
+        assert!(
+            refused.starts_with(&format!("t.ngc:{at}: ")),
+            "{text}\n{refused}"
+        );
+        assert!(refused.contains(what), "{text}\n{refused}");
+        assert_eq!(refused.lines().count(), 1, "{text}\n{refused}");
+    }
+    // Mistakes of other blocks are reported beside it.
+    let two = refusal("O1 repeat [1e9]\nG1 X1 F0\nO1 endrepeat\nG0 Y[1/0]\nM30\n");
+    assert_eq!(two.lines().count(), 3, "{two}");
+}
+
+#[test]
+fn characters_that_no_word_has_are_named_with_their_remedy() {
+    for (text, at, what, remedy) in [
+        ("G0 X1,5\n", "1:6", "a comma", "with a point: X1.5"),
+        ("G0 X-12,25 Y3\n", "1:8", "a comma", "with a point: X-12.25"),
+        ("G0 X1, Y2\n", "1:6", "a comma", "with a point: X10.5"),
+        ("G0 X\u{2212}1\n", "1:5", "U+2212", "write - in its place"),
+        (
+            "G0 X1 \u{2013} Y2\n",
+            "1:7",
+            "U+2013",
+            "write - in its place",
+        ),
+        ("G0 X\u{a0}1\n", "1:5", "U+00A0", "write a blank"),
+        ("G0 X\u{0}1\n", "1:5", "byte 0x00", "remove it"),
+        ("G0 \u{e4} X1\n", "1:4", "U+00E4", "plain ASCII"),
+    ] {
+        let refused = refusal(text);
+        assert!(
+            refused.starts_with(&format!("t.ngc:{at}: ")),
+            "{text}\n{refused}"
+        );
+        assert!(
+            refused.contains(what) && refused.contains(remedy),
+            "{text}\n{refused}"
+        );
+        assert_eq!(refused.lines().count(), 1, "{refused}");
+    }
+    let bytes = read("t.ngc", b"G0 X\xff1\n", &options())
+        .unwrap_err()
+        .to_string();
+    assert!(bytes.starts_with("t.ngc:1:5: byte 0xFF"), "{bytes}");
+}
+
+/// The end of a move in the coordinates of its program: with origin, rotation, G92 and tool length.
+#[test]
+fn a_move_has_its_end_as_programmed() {
+    let text = "G10 L2 P1 X100 Y-50 Z7 R30\nG54\nG43.1 Z12\nG0 X1 Y2 Z3\nG92 X0\nG1 X4 F100\n";
+    for (step, [x, y, z]) in moves(text).iter().zip([[1., 2., 3.], [4., 2., 3.]]) {
+        for (found, expected) in step.programmed.iter().zip([x, y, z]) {
+            assert!((found - expected).abs() < 1e-9, "{:?}", step.programmed);
+        }
+    }
+}
+
+#[test]
+fn compensation_with_a_diameter_of_zero_is_said() {
+    let text = b"F100\nG0 X-5\nG41.1 D0\nG1 X0\nY10\nG40\nG0 X-5\n";
+    let program = read("t.ngc", text, &options()).expect("a program");
+    let notice = &program.notices[0];
+    assert_eq!((notice.place.line, notice.place.column), (3, 1));
+    assert!(
+        notice.what.contains("G41.1: the diameter of the tool is 0"),
+        "{notice:?}"
+    );
 }
 
 #[test]

@@ -89,9 +89,34 @@ pub(super) fn check_pose(
     settings: &Settings,
     model: &impl MachineModel,
 ) -> Result<[f64; 6], Refusal> {
-    check_soft_limits(pose, settings)?;
+    check_soft_limits(pose, None, settings)?;
     let joints = model.joints(pose);
     joints.map_err(|problem| out_of_reach(&problem, pose, settings))
+}
+
+/// Checks the end of a move as [`check_pose`]: what its block has in words.
+fn check_end(step: &Move, settings: &Settings, model: &impl MachineModel) -> Result<(), Refusal> {
+    check_soft_limits(&step.path.to, Some(&step.programmed), settings)?;
+    check_pose(&step.path.to, settings, model).map(|_| ())
+}
+
+/// Whether the problem of a move is that of its start, which an earlier move has: the same
+/// coordinate is outside its limits, or the machine cannot reach either.
+pub(super) fn fails_as_at_its_start(
+    step: &Move,
+    settings: &Settings,
+    model: &impl MachineModel,
+) -> bool {
+    let outside = |pose: &Coordinates, k: usize| {
+        let axis = &settings.pose[k];
+        !(axis.low..=axis.high).contains(&pose[k])
+    };
+    let [from, to] = [&step.path.from, &step.path.to];
+    let mut axes = 0..settings.pose.len();
+    if axes.clone().any(|k| outside(to, k)) {
+        return axes.all(|k| !outside(to, k) || outside(from, k));
+    }
+    check_pose(from, settings, model).is_err()
 }
 
 /// Checks a pose as [`check_pose`], and returns the joint rates for rates of the pose.
@@ -101,7 +126,7 @@ pub(super) fn check_motion(
     settings: &Settings,
     model: &impl MachineModel,
 ) -> Result<[f64; 6], Refusal> {
-    check_soft_limits(pose, settings)?;
+    check_soft_limits(pose, None, settings)?;
     let rates = model.checked_joint_rates(pose, rates);
     rates.map_err(|problem| out_of_reach(&problem, pose, settings))
 }
@@ -122,9 +147,14 @@ fn out_of_reach(problem: &PoseProblem, pose: &Coordinates, settings: &Settings) 
     )
 }
 
-/// Checks a pose against soft limits and the number range of the protocol.
-fn check_soft_limits(pose: &Coordinates, settings: &Settings) -> Result<(), Refusal> {
-    for (value, axis) in pose.iter().zip(&settings.pose) {
+/// Checks a pose against soft limits and the number range of the protocol. `programmed` is the pose
+/// in the coordinates of the program.
+fn check_soft_limits(
+    pose: &Coordinates,
+    programmed: Option<&Coordinates>,
+    settings: &Settings,
+) -> Result<(), Refusal> {
+    for (k, (value, axis)) in pose.iter().zip(&settings.pose).enumerate() {
         let unit = match axis.kind {
             AxisKind::Linear => "mm",
             AxisKind::Rotary => "deg",
@@ -141,16 +171,26 @@ fn check_soft_limits(pose: &Coordinates, settings: &Settings) -> Result<(), Refu
         };
         let (low, high) = (axis.low.max(-range), axis.high.min(range));
         if !(low..=high).contains(value) {
-            let what = format!(
-                "{}{value:.4} is outside the soft limits of {} ({low} to {high} {unit}) at {}",
-                axis.letter,
-                axis.letter,
-                format_pose(pose, settings)
-            );
-            return Err((
-                what,
-                format!("keep {} within {low} to {high} {unit}", axis.letter),
-            ));
+            let letter = axis.letter;
+            let limits = format!("the soft limits of {letter} ({low} to {high} {unit})");
+            let pose = format_pose(pose, settings);
+            let word = programmed.map(|programmed| programmed[k]);
+            return Err(match word.filter(|word| (word - value).abs() > 5e-5) {
+                None => (
+                    format!("{letter}{value:.4} is outside {limits} at {pose}"),
+                    format!("keep {letter} within {low} to {high} {unit}"),
+                ),
+                Some(word) => (
+                    format!(
+                        "{letter}{word:.4} with the offsets in force is {letter}{value:.4} of the \
+                         machine, outside {limits} at {pose}"
+                    ),
+                    format!(
+                        "change {letter} by {:.4} {unit}, or the work offset or tool length",
+                        value.clamp(low, high) - value
+                    ),
+                ),
+            });
         }
     }
     Ok(())
@@ -275,11 +315,7 @@ fn examine(
         let (pose, tangent) = path.at_with_tangent(s);
         let joints = check_motion(&pose, &tangent, settings, model).map_err(|refusal| {
             // The end of the move is what its block has in words.
-            problem(
-                check_pose(&path.to, settings, model)
-                    .err()
-                    .unwrap_or(refusal),
-            )
+            problem(check_end(step, settings, model).err().unwrap_or(refusal))
         })?;
         limits.sample(s, &tangent, &joints);
         if index == 0 {

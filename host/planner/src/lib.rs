@@ -25,8 +25,8 @@
 //! Setpoints are on whole control periods, phases are not: the trajectory is evaluated at the
 //! period nearest to each change of jerk. Only standstills begin and end on whole periods.
 //!
-//! Look-ahead covers 4096 to 8192 blocks: the planned speed allows a stop at the end of the last
-//! block that was read.
+//! Look-ahead covers 4096 to 8192 blocks, or 32768 moves that are joined to fewer ones: the planned
+//! speed allows a stop at the end of the last block that was read.
 //!
 //! All computations are f64 with the transcendental functions of the crate libm, so a plan has the
 //! same bits on every host.

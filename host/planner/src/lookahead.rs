@@ -11,6 +11,8 @@ use super::profile::largest_within;
 pub(crate) struct Run {
     /// Blocks that are not planned.
     pub blocks: Vec<Block>,
+    /// Moves of the program that are joined to them.
+    pub joined: usize,
     /// Corners before each of them, and a stop after the last one when they are planned.
     pub corners: Vec<Corner>,
     /// Speeds at the corners; the first one is final.
@@ -27,6 +29,7 @@ impl Default for Run {
     fn default() -> Self {
         Self {
             blocks: Vec::new(),
+            joined: 0,
             corners: vec![Corner::stop()],
             speeds: vec![0.0],
             moves: false,
@@ -42,6 +45,7 @@ impl Run {
         if let Some(before) = self.blocks.last() {
             self.corners.push(Corner::between(before, &block, settings));
         }
+        self.joined += block.places.len();
         self.blocks.push(block);
     }
 
@@ -68,7 +72,8 @@ impl Run {
 
     /// Removes the first blocks, which are planned.
     pub(crate) fn discard(&mut self, count: usize) {
-        self.blocks.drain(..count);
+        let places = |block: Block| block.places.len();
+        self.joined -= self.blocks.drain(..count).map(places).sum::<usize>();
         self.corners.drain(..count);
         // The stop after the last block.
         self.corners.truncate(self.blocks.len().max(1));

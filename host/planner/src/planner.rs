@@ -28,6 +28,8 @@ const LONGEST_PLAN_S: f64 = 360_000.0;
 /// Blocks of the look-ahead, when a part of them is planned; the rest is planned again with the
 /// blocks that follow.
 const FULL_WINDOW: usize = 8192;
+/// The same where each of them has many joined moves.
+const MOST_JOINED: usize = 32_768;
 /// The first one, so that a stream starts early.
 const FIRST_WINDOW: usize = 256;
 
@@ -89,6 +91,12 @@ impl<M: MachineModel> Planner<M> {
             window: FIRST_WINDOW,
             ..Self::keeping(start, settings, model, Keep::Setpoints)
         }
+    }
+
+    /// Creates a planner as [`Planner::new`], of a program that was checked: the first setpoints
+    /// wait for the whole look-ahead, so that they are those of [`Plan`](super::Plan).
+    pub fn of_checked(start: Coordinates, settings: Settings, model: M) -> Self {
+        Self::keeping(start, settings, model, Keep::Setpoints)
     }
 
     pub(crate) fn keeping(start: Coordinates, settings: Settings, model: M, keep: Keep) -> Self {
@@ -414,8 +422,13 @@ impl<M: MachineModel> Planner<M> {
 
     fn prepare(&mut self, step: &Move, messages: u32) -> Result<(), Problem> {
         self.prepared.clear();
-        block::prepare(step, &self.settings, &self.model, &mut self.prepared)
-            .inspect_err(|_| self.refused = true)?;
+        let (settings, model) = (&self.settings, &self.model);
+        if let Err(problem) = block::prepare(step, settings, model, &mut self.prepared) {
+            // A position that an earlier block is refused for is in the blocks behind it, too.
+            let follows = self.refused && block::fails_as_at_its_start(step, settings, model);
+            self.refused = true;
+            return if follows { Ok(()) } else { Err(problem) };
+        }
         if self.refused {
             return Ok(());
         }
@@ -430,7 +443,7 @@ impl<M: MachineModel> Planner<M> {
             block.messages = messages;
             self.run.push(block, &self.settings);
         }
-        if self.run.blocks.len() < self.window {
+        if self.run.blocks.len() < self.window && self.run.joined < MOST_JOINED {
             return Ok(());
         }
         let count = self.run.blocks.len() / 2;

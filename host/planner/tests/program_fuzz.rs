@@ -13,7 +13,7 @@ use haptimill_gcode::{LISTED_PROBLEMS, Options, read};
 use haptimill_planner::Plan;
 use std::time::Duration;
 
-const SEEDS: [&[u8]; 8] = [
+const SEEDS: [&[u8]; 13] = [
     include_bytes!("__fuzz__/reader/corpus/lines.ngc"),
     include_bytes!("__fuzz__/reader/corpus/arcs.ngc"),
     include_bytes!("__fuzz__/reader/corpus/five-axis.ngc"),
@@ -22,6 +22,11 @@ const SEEDS: [&[u8]; 8] = [
     include_bytes!("__fuzz__/reader/corpus/wrong.ngc"),
     include_bytes!("__fuzz__/reader/corpus/numbers.ngc"),
     include_bytes!("__fuzz__/reader/corpus/tiny.ngc"),
+    include_bytes!("__fuzz__/reader/corpus/order.ngc"),
+    include_bytes!("__fuzz__/reader/corpus/cycles.ngc"),
+    include_bytes!("__fuzz__/reader/corpus/compensation.ngc"),
+    include_bytes!("__fuzz__/reader/corpus/splines.ngc"),
+    include_bytes!("__fuzz__/reader/corpus/offsets.ngc"),
 ];
 
 /// Reads and plans a program. Returns whether it was planned.
@@ -67,7 +72,7 @@ fn any_bytes_are_parsed_or_refused() {
 #[test]
 fn edited_programs_are_planned_or_refused() {
     // Characters of part programs, so that an edit is more likely to be valid.
-    const ALPHABET: &[u8] = b"GXYZABIJKRFSMNP0123456789.- \n%();";
+    const ALPHABET: &[u8] = b"GXYZABIJKRFSMNPODHLQ0123456789.- \n%();[]#<>@^/+*=";
     bolero::check!(name = "edits")
         .with_max_len(64)
         .with_iterations(20_000)
@@ -95,7 +100,7 @@ fn edited_programs_are_planned_or_refused() {
 fn seeds_reach_the_planner() {
     let planned = SEEDS.iter().filter(|seed| run(seed)).count();
     assert!(
-        planned >= 4,
+        planned >= 9,
         "only {planned} seeds are planned: edits of them would test the lexer alone"
     );
 }

@@ -13,7 +13,8 @@ const MOST_LISTED: usize = 1000;
 /// Length of a name at most, bytes.
 const LONGEST_NAME: usize = 100;
 
-const ENDINGS: [&str; 6] = ["ngc", "nc", "gcode", "tap", "cnc", "txt"];
+/// Endings of the names of part programs, in lower case.
+pub const ENDINGS: [&str; 6] = ["ngc", "nc", "gcode", "tap", "cnc", "txt"];
 
 /// Checks the name of a part program: a file of the folder itself, and no hidden one.
 ///

@@ -79,7 +79,19 @@ impl Writer {
         } else {
             "G1"
         };
-        let words = self.words(to, true);
+        let mut words = self.words(to, true);
+        if !self.incremental && self.random.below(4) == 0 {
+            let turn = self.random.within(-180.0, 180.0);
+            let letter = ['A', 'B', 'C'][self.random.below(3) as usize];
+            let _ = write!(words, " {letter}{turn:.3}");
+        }
+        if code == "G1" && self.random.below(6) == 0 {
+            let rate = self.random.within(0.5, 90.0);
+            self.line(&format!("G93 {code}{words} F{rate:.3}"));
+            let feed = self.random.within(10.0, 900.0);
+            self.line(&format!("G94 F{feed}"));
+            return;
+        }
         self.line(&format!("{code}{words}"));
     }
 
@@ -128,7 +140,14 @@ impl Writer {
 
     fn cycle(&mut self) {
         let normal = self.plane[2];
-        let code = [73, 81, 82, 83, 85, 89][self.random.below(6) as usize];
+        // Outside G17 `rs274` taps at other coordinates.
+        let count = if normal == 2 { 10 } else { 6 };
+        let code = [73, 81, 82, 83, 85, 89, 74, 84, 86, 87][self.random.below(count) as usize];
+        match code {
+            74 => self.line("M4 S500"),
+            84 | 86 | 87 => self.line("M3 S500"),
+            _ => {}
+        }
         let (r, depth) = (self.random.within(1.0, 5.0), self.random.within(-9.0, -1.0));
         let back = if self.random.below(2) == 0 { 98 } else { 99 };
         self.line("G90");
@@ -141,7 +160,8 @@ impl Writer {
         let mut words = format!("G{back} G{code} R{r} {}{depth}", NAMES[normal]);
         words += match code {
             73 | 83 => " Q0.70001",
-            82 | 89 => " P0.1",
+            82 | 86 | 89 => " P0.1",
+            87 => " I0.5 J-0.25 K0.5",
             _ => "",
         };
         let (a, b) = (self.plane[0], self.plane[1]);
@@ -165,7 +185,7 @@ impl Writer {
     /// A change of offsets, and an absolute move.
     fn offset(&mut self) {
         let value = |random: &mut Random| random.within(-15.0, 15.0);
-        let text = match self.random.below(9) {
+        let text = match self.random.below(16) {
             0 => format!(
                 "G10 L2 P2 X{} Y{} Z{}",
                 value(&mut self.random),
@@ -186,6 +206,17 @@ impl Writer {
                 format!("G10 L2 P2 R{}", self.random.within(-60.0, 60.0))
             }
             8 => format!("G10 L20 P1 X{} Y1", value(&mut self.random)),
+            9 => "G28".into(),
+            10 => format!("G91 G28 Z{:.3}", self.random.within(-2.0, 2.0)),
+            11 => "G90 G30".into(),
+            12 => "G28.1".into(),
+            13 => "G30.1".into(),
+            14 => format!(
+                "G52 X{} Y{}",
+                value(&mut self.random),
+                value(&mut self.random)
+            ),
+            15 => "G52 X0 Y0 Z0".into(),
             _ => "G10 L2 P2 R0".into(),
         };
         self.line(&text);
@@ -222,33 +253,54 @@ impl Writer {
     }
 
     fn contour(&mut self) {
-        self.line("G90 G17");
-        self.incremental = false;
+        self.line("G90 G17 G91.1");
+        (self.incremental, self.absolute_centres) = (false, false);
         let side = if self.random.below(2) == 0 { 41 } else { 42 };
         let [x, y] = [
             self.random.within(-20.0, 20.0),
             self.random.within(-20.0, 20.0),
         ];
-        self.line(&format!("G0 X{:.3} Y{:.3}", x - 10.0, y - 10.0));
+        self.line(&format!("G0 X{:.6} Y{:.6}", x - 10.0, y - 10.0));
         let diameter = self.random.within(0.5, 3.0);
-        self.line(&format!("G{side}.1 D{diameter:.3}"));
-        self.line(&format!("G1 X{x:.3} Y{y:.3}"));
+        self.line(&format!("G{side}.1 D{diameter:.6}"));
+        self.line(&format!("G1 X{x:.6} Y{y:.6}"));
         let (mut at, mut heading) = ([x, y], self.random.within(-0.5, 0.5));
         for _ in 0..4 + self.random.below(6) {
             heading += self.random.within(-1.4, 1.4);
+            if self.random.below(3) == 0 {
+                let (radius, sweep) = (self.random.within(8.0, 15.0), self.random.within(0.6, 1.5));
+                let turn = if self.random.below(2) == 0 { 1.0 } else { -1.0 };
+                let normal = heading + turn * std::f64::consts::FRAC_PI_2;
+                let offset = [radius * normal.cos(), radius * normal.sin()];
+                heading += turn * sweep;
+                let centre = [at[0] + offset[0], at[1] + offset[1]];
+                let normal = heading + turn * std::f64::consts::FRAC_PI_2;
+                at = [
+                    centre[0] - radius * normal.cos(),
+                    centre[1] - radius * normal.sin(),
+                ];
+                let code = if turn > 0.0 { "G3" } else { "G2" };
+                self.line(&format!(
+                    "{code} X{:.6} Y{:.6} I{:.6} J{:.6}",
+                    at[0], at[1], offset[0], offset[1]
+                ));
+                // The next block is a line without a code.
+                self.line("G1");
+                continue;
+            }
             let length = self.random.within(9.0, 15.0);
             at = [
                 at[0] + length * heading.cos(),
                 at[1] + length * heading.sin(),
             ];
-            self.line(&format!("X{:.3} Y{:.3}", at[0], at[1]));
+            self.line(&format!("X{:.6} Y{:.6}", at[0], at[1]));
         }
         self.line("G40");
-        self.line(&format!("G0 X{:.3} Y{:.3}", at[0] + 20.0, at[1] + 5.0));
+        self.line(&format!("G0 X{:.6} Y{:.6}", at[0] + 20.0, at[1] + 5.0));
         // The rounded numbers are the position.
         self.at = [
-            ((at[0] + 20.0) * 1000.0).round() * 1e-3,
-            ((at[1] + 5.0) * 1000.0).round() * 1e-3,
+            ((at[0] + 20.0) * 1e6).round() * 1e-6,
+            ((at[1] + 5.0) * 1e6).round() * 1e-6,
             self.at[2],
         ];
     }

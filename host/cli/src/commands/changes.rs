@@ -118,6 +118,7 @@ impl BoxView {
         Some(Step::Move(Move {
             place,
             path,
+            programmed: to,
             feed,
             fixed: false,
             exact_stop: true,

@@ -3,6 +3,7 @@
 use haptimill_machine_file::{AnalogName, IoNames};
 use haptimill_protocol::message::IoTelemetry;
 use serde_json::{Value, json};
+use std::fmt::Write as _;
 
 /// Named inputs and outputs with their values; without their names where the machine file is not
 /// known.
@@ -52,15 +53,15 @@ impl IoStatus {
         object(&self.outputs, &self.analog_outputs)
     }
 
-    /// Prints a line of inputs and a line of outputs, where there are any.
-    pub(super) fn print(&self) {
+    /// Writes a line of inputs and a line of outputs, where there are any.
+    pub(super) fn write(&self, text: &mut String) {
         let inputs = line(&self.inputs, &self.analog_inputs, ["active", "inactive"]);
         if !inputs.is_empty() {
-            print_line!("inputs   {inputs}");
+            let _ = writeln!(text, "inputs   {inputs}");
         }
         let outputs = line(&self.outputs, &self.analog_outputs, ["on", "off"]);
         if !outputs.is_empty() {
-            print_line!("outputs  {outputs}");
+            let _ = writeln!(text, "outputs  {outputs}");
         }
     }
 }

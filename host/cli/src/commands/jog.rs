@@ -9,9 +9,9 @@ use haptimill_client::board::Chosen;
 use haptimill_client::session::{EMERGENCY_STOP, NoObserver, check_has_tool, plan_straight_move};
 use haptimill_firmware::config::AxisKind;
 use haptimill_gcode::Coordinates;
-use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::jog_limit::jog_limit;
 use haptimill_machine_file::scale::per_unit;
+use haptimill_machine_file::{AxisLimits, MachineFile};
 use haptimill_protocol::message::{AxisValues, Event, RATE_SHIFT, State};
 use std::str::FromStr;
 
@@ -189,14 +189,37 @@ fn move_by(args: &JogArgs, chosen: &Chosen) -> Result<(), CliError> {
     let distances = distances(&args.by, &machine)?;
     let from = session.status()?.commanded;
     let mut to = session.model().to_engineering_units(&from);
-    for (value, distance) in to.iter_mut().zip(distances) {
+    for ((value, distance), axis) in to.iter_mut().zip(distances).zip(&machine.pose) {
         *value += distance;
+        check_distance(axis, distance, *value)?;
     }
     let to = session.model().to_axis_units(&to);
     let plan = plan_straight_move(&machine, session.model(), &from, &to, Some(args.feed))?;
     let end = session.run_job(MOVE_JOB, from, plan.setpoints, &mut NoObserver)?;
     session.check_completed(&end)?;
     print_status(&mut session, args.json)
+}
+
+/// Refuses a distance that ends outside the soft limits of its axis.
+///
+/// # Errors
+/// [`Exit::Refused`].
+fn check_distance(axis: &AxisLimits, distance: f64, end: f64) -> Result<(), CliError> {
+    let (low, high) = (axis.low, axis.high);
+    if distance == 0.0 || axis.wraps() || (low..=high).contains(&end) {
+        return Ok(());
+    }
+    let unit = match axis.kind {
+        AxisKind::Linear => "mm",
+        AxisKind::Rotary | AxisKind::MultiTurn => "deg",
+    };
+    let most = distance + end.clamp(low, high) - end;
+    let name = &axis.name;
+    let what = format!(
+        "jog --by {name}={distance}: {name} would end at {end:.4} {unit}, outside its soft limits \
+         ({low} to {high} {unit}); write at most {name}={most:.3}"
+    );
+    Err(CliError::new(Exit::Refused, what))
 }
 
 /// Refuses a feed that is not above 0.

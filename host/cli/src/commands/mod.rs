@@ -49,6 +49,7 @@ pub mod scenario;
 pub mod serve;
 pub mod sim;
 pub mod simple;
+pub(crate) mod status;
 pub mod teleop;
 pub mod trace;
 pub mod tune;

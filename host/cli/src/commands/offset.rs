@@ -124,14 +124,14 @@ fn show(machine: &MachineFile, data: &WorkData) {
     let line = |values: &[f64; 9]| {
         let words: Vec<String> = axes
             .iter()
-            .map(|(letter, index)| format!("{letter}={}", values[*index]))
+            .map(|(letter, index)| format!("{letter}={}", rounded(values[*index])))
             .collect();
         words.join(" ")
     };
     for (name, system) in SYSTEM_NAMES.iter().zip(&data.offsets.systems) {
         let rotation = match system.rotation {
             0.0 => String::new(),
-            degrees => format!(" rotation={degrees}"),
+            degrees => format!(" rotation={}", rounded(degrees)),
         };
         print_line!("{name:6}{}{rotation}", line(&system.origin));
     }
@@ -141,9 +141,14 @@ fn show(machine: &MachineFile, data: &WorkData) {
         print_line!(
             "T{number:<5}{} diameter={}",
             line(&tool.offset),
-            tool.diameter
+            rounded(tool.diameter)
         );
     }
+}
+
+/// A value to 0.1 um or 0.0001 degrees, without zeros at its end; the file has all digits.
+fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4 + 0.0
 }
 
 fn set(args: &SetArgs) -> Result<(), CliError> {

@@ -10,8 +10,9 @@ use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::input;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_machine_file::work_data::WorkData;
-use haptimill_planner::{CheckError, Figures, Plan, Settings};
+use haptimill_planner::{CheckError, Figures, Plan, Planner, Settings};
 use haptimill_protocol::message::{Action, AxisValues};
+use haptimill_protocol::setpoint::Setpoint;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::io::IsTerminal;
@@ -33,6 +34,8 @@ pub(crate) struct Planned {
 #[derive(Debug)]
 pub(crate) struct Checked {
     pub(crate) figures: Figures,
+    /// Names of the called files.
+    pub(crate) called: Vec<String>,
     /// Duration at the overrides, seconds.
     pub(crate) duration_s: f64,
     /// Words that change nothing on this machine, and feeds that it lowers, as lines of text.
@@ -51,6 +54,7 @@ impl Planned {
         let checked = Checked {
             duration_s,
             figures: self.plan.figures,
+            called: Vec::new(),
             notices: self.notices,
         };
         (checked, self.approach)
@@ -61,6 +65,7 @@ impl Planned {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Pause {
     pub(crate) line: u32,
+    column: u32,
     /// The called file of the line; `None` for the program itself.
     file: Option<String>,
     /// The tool to fit.
@@ -80,6 +85,7 @@ impl Pause {
         let number = usize::from(place.file);
         Some(Self {
             line: place.line,
+            column: place.column,
             file: number
                 .checked_sub(1)
                 .and_then(|index| called.get(index).cloned()),
@@ -156,17 +162,6 @@ pub(crate) fn source_lines(text: &[u8]) -> Vec<String> {
         .collect()
 }
 
-/// The first comment of a block: in parentheses, or after a semicolon.
-fn comment_of(block: &str) -> Option<String> {
-    let start = block.find(['(', ';'])?;
-    let rest = &block[start + 1..];
-    let comment = match block[start..].strip_prefix('(') {
-        Some(text) => text.split(')').next().unwrap_or_default(),
-        None => rest,
-    };
-    comment_text(comment)
-}
-
 /// The text of a comment for the operator; `None` if it is empty.
 pub(crate) fn comment_text(comment: &str) -> Option<String> {
     let comment = comment.trim();
@@ -221,8 +216,8 @@ impl PartProgram {
         let file = path.display().to_string();
         if std::fs::metadata(path).is_ok_and(|data| data.len() > input::PROGRAM_BYTES) {
             let what = format!(
-                "{file}: it is larger than {} MiB; check it with `haptimill run --check`, and run \
-                 it with --stream: both need no more memory for a longer program",
+                "{file}: it is larger than {} MiB, and this command keeps it in memory; \
+                 `haptimill run` without --from-line, --dry and --single does not",
                 input::PROGRAM_BYTES >> 20
             );
             return Err(CliError::new(Exit::BadInput, what));
@@ -343,29 +338,32 @@ impl PartProgram {
         let plan = Plan::new(&program, &self.settings(machine), model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         Ok(Planned {
-            pauses: self.pauses_of(&plan, &program.steps, &program.called),
+            pauses: self.pauses_of(&plan, &program),
             approach,
             notices: self.all_notices(&program.notices, &program.called, &plan.figures),
             plan,
         })
     }
 
-    /// The pauses of planned steps, with their comments.
-    pub(crate) fn pauses_of(&self, plan: &Plan, steps: &[Step], called: &[String]) -> Pauses {
+    /// The pauses of a planned program, with their comments.
+    pub(crate) fn pauses_of(&self, plan: &Plan, program: &Program) -> Pauses {
         // Each pause of the program has one setpoint, in the same order.
         let setpoints = (0..)
             .zip(&plan.setpoints)
             .filter(|(_, setpoint)| setpoint.action == Action::Pause);
-        let source = source_lines(&self.text);
-        let pauses = steps
-            .iter()
-            .filter(|step| matches!(step, Step::Pause { .. } | Step::ToolChange { .. }));
+        let mut comments = BTreeMap::new();
+        for comment in &program.comments {
+            let Place { file, line, .. } = comment.place;
+            comments.entry((file, line)).or_insert(&comment.text);
+        }
+        let steps = program.steps.iter();
+        let pauses =
+            steps.filter(|step| matches!(step, Step::Pause { .. } | Step::ToolChange { .. }));
         let pauses = pauses.filter_map(|step| {
             let place = step.place();
-            // The text of a called file is not kept.
-            let block = source.get(place.line.saturating_sub(1) as usize);
-            let block = block.filter(|_| place.file == 0);
-            Pause::of(step, called, block.and_then(|block| comment_of(block)))
+            let comment = comments.get(&(place.file, place.line));
+            let comment = comment.and_then(|comment| comment_text(comment));
+            Pause::of(step, &program.called, comment)
         });
         setpoints.map(|(index, _)| index).zip(pauses).collect()
     }
@@ -415,6 +413,7 @@ impl PartProgram {
         })?;
         Ok(Checked {
             duration_s: figures.duration_s,
+            called: interpreter.called().to_vec(),
             notices: self.all_notices(interpreter.notices(), interpreter.called(), &figures),
             figures,
         })
@@ -498,18 +497,57 @@ impl PartProgram {
     /// Enter.
     pub(crate) fn check_pauses(&self, planned: &Planned) -> Result<(), CliError> {
         match planned.pauses.first() {
-            Some(Pause { line, file, .. }) if !std::io::stdin().is_terminal() => {
-                let file = file.as_ref().unwrap_or(&self.file);
-                Err(CliError::new(
-                    Exit::Usage,
-                    format!(
-                        "{file}:{line}: the program pauses here and standard input is no terminal \
-                         to press Enter on; run it in a terminal, or with --skip-pauses"
-                    ),
-                ))
-            }
-            _ => Ok(()),
+            Some(pause) => self.check_pause(&pause),
+            None => Ok(()),
         }
+    }
+
+    /// Refuses the first pause of a program, see [`PartProgram::check_pauses`].
+    pub(crate) fn check_pause(&self, pause: &Pause) -> Result<(), CliError> {
+        if std::io::stdin().is_terminal() {
+            return Ok(());
+        }
+        let file = pause.file.as_ref().unwrap_or(&self.file);
+        let (line, column) = (pause.line, pause.column);
+        let what = format!(
+            "{file}:{line}:{column}: the program pauses here and standard input is no terminal to \
+             press Enter on; run it in a terminal, or with --skip-pauses"
+        );
+        Err(CliError::new(Exit::Usage, what))
+    }
+
+    /// Plans a checked program again, in memory that does not depend on its length, and shows
+    /// `take` each setpoint. Its text was checked from this start.
+    ///
+    /// # Errors
+    /// As [`PartProgram::plan`].
+    pub(crate) fn for_each_setpoint(
+        &self,
+        bytes: impl ProgramBytes,
+        machine: &MachineFile,
+        (model, start): (&Model, &AxisValues),
+        mut take: impl FnMut(&Setpoint),
+    ) -> Result<(), CliError> {
+        let options = self.options(machine, model, start)?;
+        let settings = self.settings(machine);
+        let mut planner = Planner::of_checked(options.start, settings, model);
+        let mut interpreter = Interpreter::new(bytes, &options);
+        let refuse = |kind, problem, called: &[String]| self.refuse(kind, problem, called);
+        while let Some(step) = interpreter.next() {
+            let planned = match step {
+                Ok(step) => planner.step(&step),
+                Err(problem) => {
+                    return Err(refuse(ErrorKind::BadInput, problem, interpreter.called()));
+                }
+            };
+            planned.map_err(|problem| refuse(ErrorKind::Refused, problem, interpreter.called()))?;
+            planner.made().for_each(|made| take(&made.setpoint));
+        }
+        planner
+            .finish(interpreter.lines())
+            .map_err(|problem| refuse(ErrorKind::Refused, problem, interpreter.called()))?;
+        planner.made().for_each(|made| take(&made.setpoint));
+        Ok(())
     }
 }
 
@@ -518,15 +556,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn comments_of_a_pause_are_found() {
-        let comment = |block: &str| comment_of(block).unwrap_or_default();
-        assert_eq!(comment("M0 (turn the part)"), "turn the part");
-        assert_eq!(comment("M0 (MSG, turn the part) (again)"), "turn the part");
-        assert_eq!(comment("M0 ; turn (by 90)"), "turn (by 90)");
-        assert_eq!(comment("M0 (open"), "open");
-        assert_eq!(comment("M0 ()"), "");
-        assert_eq!(comment("M0"), "");
-        assert_eq!(comment("M0 (äöü)"), "äöü");
+    fn comments_and_lines_are_texts_for_the_operator() {
+        let comment = |text: &str| comment_text(text).unwrap_or_default();
+        assert_eq!(comment("turn the part"), "turn the part");
+        assert_eq!(comment("MSG, turn the part"), "turn the part");
+        assert_eq!(comment(" turn (by 90)"), "turn (by 90)");
+        assert_eq!(comment(" "), "");
+        assert_eq!(comment("äöü"), "äöü");
         assert_eq!(source_lines(b"G1 X1\tY2\r\n\x1b[2J\n"), ["G1 X1 Y2", "[2J"]);
     }
 }

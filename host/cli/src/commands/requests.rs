@@ -16,7 +16,16 @@ pub(crate) enum Request {
     Hold,
     /// End a hold or a pause.
     Resume,
+    /// Report the status, for `haptimill status`.
+    Status,
 }
+
+/// The request for the status.
+#[cfg(unix)]
+pub(crate) const STATUS_REQUEST: &str = r#"{"command":"status"}"#;
+
+/// Why there is no status.
+pub(crate) const NO_REPORT: &str = "the controller has not reported yet";
 
 /// Names and ranges of the overrides, percent.
 const RANGES: [(&str, u8, u8); 3] = [("feed", 0, 200), ("rapid", 0, 100), ("spindle", 10, 200)];
@@ -56,6 +65,7 @@ impl Request {
             }
             Some("hold") => Ok(Self::Hold),
             Some("resume") => Ok(Self::Resume),
+            Some("status") => Ok(Self::Status),
             _ => Err("the request is not known; use the same version of haptimill".into()),
         }
     }

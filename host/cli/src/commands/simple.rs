@@ -3,7 +3,9 @@
 
 use super::args::{BoardArg, ConnectArgs, check_baud};
 use super::board::{agree, file_of};
-use super::io_status::IoStatus;
+#[cfg(unix)]
+use super::requests::STATUS_REQUEST;
+use super::status::StatusReport;
 use super::{CliError, Exit};
 use crate::commands::interrupt;
 use clap::Args;
@@ -12,7 +14,7 @@ use haptimill_client::client::Options;
 use haptimill_client::port::{self, DEFAULT_BAUD};
 use haptimill_client::session::{self, PortLine, Session};
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{AxisValues, Command, FULL_PATH_RATE, Fault, State};
+use haptimill_protocol::message::{Command, Fault, State};
 
 /// Arguments of the simple commands.
 #[derive(Debug, Clone, Args)]
@@ -62,7 +64,13 @@ pub enum SimpleCommand {
 /// See [`Exit`].
 pub fn run(command: SimpleCommand, args: SimpleArgs) -> Result<(), CliError> {
     let chosen = args.machine.load()?;
-    let mut session = open(&args.connect, &chosen.file)?;
+    let mut session = match open(&args.connect, &chosen.file) {
+        // A job of another process has the port: it knows the status.
+        Err(error) if error.exit == Exit::Port && command == SimpleCommand::Status => {
+            return print_status_of_other(&args).ok_or(error);
+        }
+        session => session?,
+    };
     let need = match command {
         SimpleCommand::Enable => Need::Configuration,
         _ => Need::Nothing,
@@ -284,122 +292,20 @@ pub(super) fn print_status(session: &mut Session<PortLine>, json: bool) -> Resul
     let status = session.status()?;
     let machine = session.machine_name();
     let configuration = session.configuration_crc();
-    let model = session.model();
-    let fault = status.fault.map(|fault| session.describe(&fault));
-    let pose = |values: &AxisValues| -> Vec<(String, f64)> {
-        let units = model.unwound_pose(values, &status);
-        model
-            .pose_names()
-            .iter()
-            .zip(units)
-            .take(values.len())
-            .map(|(name, value)| ((*name).to_string(), value))
-            .collect()
-    };
-    let joints = |values: &AxisValues| -> Vec<(String, f64)> {
-        model
-            .joint_names()
-            .iter()
-            .map(ToString::to_string)
-            .zip(model.joints_to_engineering_units(values))
-            .collect()
-    };
-    let io = IoStatus::new(model.io(), status.io.as_ref());
-    let joint_names: Vec<String> = model
-        .joint_names()
-        .iter()
-        .map(ToString::to_string)
-        .collect();
-    let is_open = |joint: usize| status.open_loop >> joint & 1 != 0;
-    let open_loop: Vec<&String> = (joint_names.iter().enumerate())
-        .filter(|(joint, _)| is_open(*joint))
-        .map(|(_, name)| name)
-        .collect();
-    if json {
-        let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
-        let value = serde_json::json!({
-            "machine": machine,
-            "configuration_crc": format!("{configuration:08x}"),
-            "state": format!("{:?}", status.state),
-            "homed": status.homed,
-            "position_kept": status.position_kept,
-            "fault": fault,
-            "period": status.period,
-            "setpoint": status.setpoint,
-            "path_rate": f64::from(status.path_rate) / f64::from(FULL_PATH_RATE),
-            // With the drives off nothing is commanded, as the text says.
-            "commanded": (!status.state.has_drives_off()).then(|| map(pose(&status.commanded))),
-            "referenced": status.homed && status.position_kept,
-            "measured": map(pose(&status.measured)),
-            "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(&status)).collect()),
-            "open_loop": open_loop,
-            "following_error": map(joints(&status.following_error)),
-            "compensation_percent": status.compensation,
-            "bad_frames": status.bad_frames,
-            "lost_bytes": status.lost_bytes,
-            "inputs": io.inputs_json(),
-            "outputs": io.outputs_json(),
-        });
-        print_line!("{value:#}");
-        return Ok(());
-    }
-    let line = |values: Vec<(String, f64)>, units: Vec<&str>| -> String {
-        values
-            .iter()
-            .zip(units)
-            .map(|((name, value), unit)| format!("  {name} {value:.4} {unit}"))
-            .collect()
-    };
-    let yes_no = |flag: bool| if flag { "yes" } else { "no" };
-    let name = if machine.is_empty() {
-        "no configuration".to_string()
-    } else {
-        machine
-    };
-    print_line!(
-        "{name}: {}, homed: {}, position kept: {}",
-        status.state.to_string().trim_start_matches("in "),
-        yes_no(status.homed),
-        yes_no(status.position_kept)
-    );
-    if let Some(fault) = fault {
-        print_line!("fault      {fault}");
-    }
-    if status.lost_bytes > 0 {
-        print_line!(
-            "line       the controller lost {} bytes because its receive buffer was full",
-            status.lost_bytes
-        );
-    }
-    let names_axes = !model.pose_units().is_empty();
-    if !status.measured.is_empty() && !names_axes {
-        print_line!("positions  not shown; `--machine FILE` names the machine file");
-    }
-    if !status.measured.is_empty() && names_axes {
-        if !(status.homed && status.position_kept) {
-            print_line!("positions  not referenced; `haptimill home` finds the reference");
-        }
-        let (pose_units, joint_units) = (model.pose_units(), model.joint_units());
-        let measured = line(pose(&status.measured), pose_units.clone());
-        print_line!("measured {measured}");
-        if status.state.has_drives_off() {
-            print_line!("commanded  nothing: the drives are off");
-        } else {
-            print_line!("commanded{}", line(pose(&status.commanded), pose_units));
-        }
-        if !open_loop.is_empty() {
-            let names: Vec<&str> = open_loop.iter().map(|name| name.as_str()).collect();
-            print_line!(
-                "open loop  {}: counted steps, not measured",
-                names.join(", ")
-            );
-        }
-        let unwound = joint_names.into_iter().zip(model.unwound_joints(&status));
-        print_line!("joints   {}", line(unwound.collect(), joint_units));
-    }
-    if let Some(percent) = status.compensation {
-        print_line!("compensation  {percent} %");
-    }
-    io.print();
+    StatusReport::new(&machine, configuration, session.model(), &status).print(json);
     Ok(())
+}
+
+/// Prints the status that the process reports which has the port; none without such a process.
+#[cfg(unix)]
+fn print_status_of_other(args: &SimpleArgs) -> Option<()> {
+    let answer = port::ask(&args.connect.port, STATUS_REQUEST).ok()?;
+    StatusReport::of_answer(&answer)?.print(args.json);
+    Some(())
+}
+
+/// Other systems have no requests to another process.
+#[cfg(not(unix))]
+fn print_status_of_other(_: &SimpleArgs) -> Option<()> {
+    None
 }

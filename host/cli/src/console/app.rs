@@ -15,7 +15,8 @@ use super::master::Master;
 use super::recording::Recording;
 use super::view_model::{Axis, Confirm, LinkState, Log, Motion, Overlay, Severity, StaticInfo};
 use crate::commands::exit::{CliError, Exit};
-use crate::commands::requests::{Request, Requests, describe_overrides};
+use crate::commands::requests::{NO_REPORT, Request, Requests, describe_overrides};
+use crate::commands::status::StatusReport;
 use haptimill_client::board::Chosen;
 use haptimill_client::client::{Options, Ticket};
 use haptimill_client::session::{Line, Session, SessionPhase, Startup, fresh_number};
@@ -356,6 +357,12 @@ impl App {
                 Ok("the job continues".into())
             }
             Request::Resume => Err("the job is not held, and does not pause".into()),
+            Request::Status => {
+                let telemetry = self.telemetry.as_ref().ok_or(NO_REPORT)?;
+                let name = self.session.machine_name();
+                let crc = self.session.configuration_crc();
+                Ok(StatusReport::new(&name, crc, &self.model, telemetry).answer())
+            }
         }
     }
 

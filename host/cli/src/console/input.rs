@@ -68,6 +68,10 @@ impl App {
                 Overlay::Prompt { text: typed, .. } => {
                     typed.extend(text.chars().take_while(|letter| !letter.is_control()));
                 }
+                Overlay::Programs(picker) => {
+                    let picker = std::mem::take(picker);
+                    self.paste_path(picker, text);
+                }
                 _ => self.notify(Severity::Warning, "pasted text is not taken as key input"),
             },
             Event::FocusLost => {
@@ -125,7 +129,8 @@ impl App {
                 }
             }
             Overlay::Confirm(confirm) => self.confirm_key(confirm, key),
-            Overlay::Prompt { title, text } => self.prompt_key(title, text, key),
+            Overlay::Prompt { title, text } => self.prompt_key(title, &text, key),
+            Overlay::Programs(picker) => self.picker_key(picker, key),
             Overlay::Axes { selected } => self.axes_key(selected, key),
             Overlay::Force { selected } => self.force_key(selected, key),
             Overlay::Master { position, typed } => self.master_key(position, typed, key),
@@ -169,13 +174,7 @@ impl App {
             Action::RapidDown => self.select_override(OverrideKind::Rapid, false),
             Action::SpindleUp => self.select_override(OverrideKind::Spindle, true),
             Action::SpindleDown => self.select_override(OverrideKind::Spindle, false),
-            Action::Program => {
-                let text = self.jobs.typed();
-                self.open(Overlay::Prompt {
-                    title: "Part program",
-                    text,
-                });
-            }
+            Action::Program => self.open_picker(),
             Action::Zero => {
                 let text = "g54 x=0 y=0".to_string();
                 self.open(Overlay::Prompt { title: ZERO, text });
@@ -244,7 +243,7 @@ impl App {
         self.request(Command::Home, OnAck::Nothing);
     }
 
-    fn open(&mut self, overlay: Overlay) {
+    pub(super) fn open(&mut self, overlay: Overlay) {
         let now_us = self.now_us();
         self.jogging.release_all(now_us);
         self.opened_us = now_us;
@@ -432,25 +431,15 @@ impl App {
         }
     }
 
-    fn prompt_key(&mut self, title: &'static str, mut text: String, key: Key) {
-        match key.code {
-            KeyCode::Esc => return,
-            KeyCode::Char('c') if key.control => return,
-            KeyCode::Enter => {
-                if title == ZERO {
-                    self.set_zero(&text);
-                } else if !text.is_empty() {
-                    self.check_program(&text);
-                }
-                return;
-            }
-            KeyCode::Backspace => {
-                text.pop();
-            }
-            KeyCode::Char('u') if key.control => text.clear(),
-            KeyCode::Char(letter) if !key.control => text.push(letter),
-            _ => {}
+    fn prompt_key(&mut self, title: &'static str, text: &str, key: Key) {
+        if is_cancel(key) {
+            return;
         }
+        if key.code == KeyCode::Enter {
+            self.set_zero(text);
+            return;
+        }
+        let text = typed(text, key).unwrap_or_else(|| text.to_string());
         self.overlay = Overlay::Prompt { title, text };
     }
 
@@ -504,6 +493,25 @@ impl App {
             requested.settings = Some(settings);
         }
     }
+}
+
+/// Whether a key closes what is typed into.
+pub(super) fn is_cancel(key: Key) -> bool {
+    key.code == KeyCode::Esc || (key.code == KeyCode::Char('c') && key.control)
+}
+
+/// The text after a key; none for keys that do not change it.
+pub(super) fn typed(text: &str, key: Key) -> Option<String> {
+    let mut text = text.to_string();
+    match key.code {
+        KeyCode::Backspace => {
+            text.pop();
+        }
+        KeyCode::Char('u') if key.control => text.clear(),
+        KeyCode::Char(letter) if !key.control => text.push(letter),
+        _ => return None,
+    }
+    Some(text)
 }
 
 /// The selected row after an arrow key; none for other keys.

@@ -2,6 +2,7 @@
 //! session.
 
 use super::app::App;
+use super::listing::Search;
 use super::view_model::{Confirm, Overlay, Severity};
 use crate::commands::exit::CliError;
 use crate::commands::program::{LanguageArgs, PartProgram, Pause, Pauses, source_lines};
@@ -73,6 +74,8 @@ pub(super) struct Jobs {
     /// The path that was typed last.
     typed: Option<PathBuf>,
     pub(super) checked: Option<Checked>,
+    /// The folder that is read for the choice of a program.
+    pub(super) search: Search,
     checking: Option<(PathBuf, Receiver<Result<Checked, CliError>>)>,
     running: Option<Job>,
     /// Homing was requested here: the move to the home pose follows it.
@@ -181,8 +184,7 @@ impl Jobs {
 impl App {
     /// Checks a program from the exact commanded pose, waiting for its report after a change to
     /// idle.
-    pub(super) fn check_program(&mut self, path: &str) {
-        let path = PathBuf::from(path);
+    pub(super) fn check_program(&mut self, path: PathBuf) {
         self.jobs.typed = Some(path.clone());
         if self.state() == Some(State::Idle) && self.standstill_pose().is_none() {
             self.jobs.pending_check = Some((path, self.now_us() + POSE_TIMEOUT_US));
@@ -322,6 +324,7 @@ impl App {
 
     /// Continues pending work: a finished check, a pending step, the move to the home pose.
     pub(super) fn advance_jobs(&mut self) {
+        self.advance_search();
         if let Some((path, checking)) = self.jobs.checking.take() {
             match checking.try_recv() {
                 Err(TryRecvError::Empty) => self.jobs.checking = Some((path, checking)),

@@ -2,6 +2,7 @@
 //! neither waits for the other.
 
 use super::jogging::Mode;
+use super::listing::Picker;
 use super::master::{Face, FieldPosition};
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::AxisLimits;
@@ -150,6 +151,8 @@ pub(super) enum Overlay {
         title: &'static str,
         text: String,
     },
+    /// Choice of a part program.
+    Programs(Picker),
     /// Errors of a part program.
     Problems {
         lines: Vec<String>,

@@ -173,7 +173,7 @@ impl Web {
             OperatorCommand::Home => app.execute(Action::Home),
             OperatorCommand::MoveOff => app.execute(Action::MoveOff),
             OperatorCommand::Run => match &self.selected {
-                Some(path) => app.check_program(&path.display().to_string()),
+                Some(path) => app.check_program(path.clone()),
                 None => app.notify(Severity::Warning, "run: select a part program first"),
             },
             OperatorCommand::Answer { yes } => {

@@ -177,6 +177,50 @@ fn notices_of_a_program_are_shown_before_it_runs() {
     assert!(terminal.text().contains(last), "{}", terminal.text());
 }
 
+/// A program is picked from a list: folders are opened and left with keys, a typed folder is
+/// opened, and the picked program is the one that is checked.
+#[test]
+fn program_is_picked_from_a_folder() {
+    let folder = TestFolder::new();
+    std::fs::create_dir_all(folder.path("plates/old")).unwrap();
+    folder.file("plates/hole.ngc", "G21 G90 F600\nG1 X1\nM30\n");
+    folder.file("plates/slot.NC", "G21 G90 F600\nG1 X1\nG1 X3\nM30\n");
+    folder.file("plates/drawing.pdf", "");
+    let terminal = homed(&[], Keyboard::Plain);
+    // The current folder is that of the repository.
+    terminal.press_expect(b"p", " examples/");
+    terminal.press(b"\x15");
+    terminal.press(folder.path("").as_bytes());
+    terminal.press_expect(ENTER, " plates/");
+    terminal.press_expect(ENTER, " hole.ngc");
+    let text = terminal.text();
+    assert!(
+        text.contains(" old/") && text.contains(" slot.NC"),
+        "{text}"
+    );
+    assert!(!text.contains("drawing"), "{text}");
+    // Up again, and the folder that was left is selected.
+    terminal.press_expect(b"\x7f", " plates/");
+    terminal.press_expect(ENTER, " slot.NC");
+    terminal.press_expect(DOWN, "Enter checks it, Backspace");
+    terminal.press(DOWN);
+    terminal.press_expect(ENTER, "Run slot.NC: 2 blocks");
+    terminal.press(b"n");
+    // The list begins at the picked program the next time, and Enter checks it again.
+    terminal.press_expect(b"p", "slot.NC_");
+    terminal.press_expect(ENTER, "Run slot.NC: 2 blocks");
+    terminal.press(b"n");
+    terminal.wait_until("closed", |text| !text.contains("Run slot.NC"));
+    terminal.expect_state("IDLE");
+    // A folder that is gone is said, and the way up is left.
+    terminal.press_expect(b"p\x15", "Down selects");
+    terminal.press(folder.path("plates").as_bytes());
+    terminal.press_expect(ENTER, "Enter opens it, Backspace");
+    std::fs::remove_dir(folder.path("plates/old")).unwrap();
+    terminal.press_expect(ENTER, "No such file or directory");
+    terminal.press_expect(b"\x7f", " hole.ngc");
+}
+
 #[test]
 fn program_error_is_reported_with_its_line() {
     let folder = TestFolder::new();

@@ -125,3 +125,80 @@ fn a_program_runs_as_it_comes_and_stops_where_the_line_is_cut() {
         "{status:#}"
     );
 }
+
+/// What a pseudo-terminal shows of flow control: the settings of the line for each way, and that
+/// the command takes no more than the machine needs, so that the line fills and the sender waits.
+#[test]
+fn a_line_with_flow_control_holds_the_sender() {
+    use rustix::fs::{Mode, OFlags};
+    use rustix::termios::{ControlModes, InputModes, tcgetattr};
+    let folder = TestFolder::new();
+    let served = SimServer::on_tcp(&[]);
+    let file = folder.path("came.ngc");
+    for (flow, by_characters, by_wires) in [
+        ("xon", true, false),
+        ("rts", false, true),
+        ("none", false, false),
+    ] {
+        let mut line = PtyServer::open().unwrap();
+        let name = line.name().to_string();
+        let out = folder.path(flow);
+        let arguments = [
+            "dnc",
+            &file,
+            "--stream",
+            "--line",
+            &name,
+            "--flow",
+            flow,
+            "--out",
+            &out,
+            "--port",
+            &served.port,
+        ];
+        let mut dnc = start(&arguments);
+        dnc.wait_for_output("receiving");
+        let flags = OFlags::RDWR | OFlags::NOCTTY;
+        let other = rustix::fs::open(name.as_str(), flags, Mode::empty()).unwrap();
+        let settings = tcgetattr(&other).unwrap();
+        drop(other);
+        let both = InputModes::IXON | InputModes::IXOFF;
+        assert_eq!(settings.input_modes.contains(both), by_characters, "{flow}");
+        assert_eq!(
+            settings.input_modes.intersects(both),
+            by_characters,
+            "{flow}"
+        );
+        assert_eq!(
+            settings.control_modes.contains(ControlModes::CRTSCTS),
+            by_wires,
+            "{flow}"
+        );
+        if flow == "xon" {
+            // 2 MB of moves of 0.5 s each.
+            send(&mut line, b"%\r\nG21 G90 G61 F120\r\n");
+            let mut text = String::new();
+            for block in 0..80_000 {
+                text += &format!("N{block} G1 X{}.5 (a long line)\r\n", block % 2);
+            }
+            let mut rest = text.as_bytes();
+            let mut last = Instant::now();
+            while !rest.is_empty() && last.elapsed() < Duration::from_secs(2) {
+                let count = line.write(rest, Duration::from_millis(50)).unwrap();
+                if count > 0 {
+                    (rest, last) = (&rest[count..], Instant::now());
+                }
+            }
+            let taken = text.len() - rest.len();
+            assert!(
+                taken < text.len() / 2,
+                "{taken} of {} bytes were taken",
+                text.len()
+            );
+            dnc.wait_for_output("running");
+        }
+        dnc.interrupt();
+        drop(line);
+        let _ = dnc.end();
+    }
+}

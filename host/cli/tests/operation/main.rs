@@ -12,3 +12,7 @@ mod run;
 #[path = "../scene/mod.rs"]
 mod scene;
 mod stream;
+#[path = "../terminal/mod.rs"]
+mod terminal;
+#[cfg(target_os = "linux")]
+mod terminal_keys;

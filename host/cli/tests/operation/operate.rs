@@ -76,6 +76,41 @@ fn a_second_process_changes_the_overrides_of_a_job() {
     assert!((4.0..7.0).contains(&took), "{took} s");
 }
 
+/// The process that runs the job reports the status, which needs no session of its own.
+#[test]
+fn a_second_process_reads_the_status_of_a_job() {
+    let scene = Scene::new();
+    let run = scene.run(&[]);
+    let status = scene.ask(&["status", "--json"]).expect_code(0).json();
+    assert_eq!(status["machine"], "h4");
+    assert_eq!(status["state"], "Run", "{status:#}");
+    assert_eq!(status["homed"], true);
+    let text = scene.ask(&["status"]).expect_code(0).out;
+    assert!(text.starts_with("h4: running, homed: yes"), "{text}");
+    assert!(text.contains("\nmeasured   x "), "{text}");
+    // What commands is refused, as before.
+    let refused = scene.ask(&["disable"]).expect_code(5);
+    assert!(
+        refused.err.contains("another host is connected"),
+        "{}",
+        refused.err
+    );
+    scene.ask(&["hold"]).expect_code(0);
+    let held = |_| scene.ask(&["status", "--json"]).json()["state"] == "Hold";
+    assert!((0..200).any(held));
+    run.interrupt();
+    run.end().expect_code(7);
+    // Without the job the controller itself reports; it has the same values.
+    let alone = scene.ask(&["status", "--json"]).expect_code(0).json();
+    let keys = |status: &serde_json::Value| -> Vec<String> {
+        status.as_object().unwrap().keys().cloned().collect()
+    };
+    assert_eq!(keys(&alone), keys(&status));
+    for key in ["machine", "configuration_crc", "homed"] {
+        assert_eq!(alone[key], status[key], "{key}");
+    }
+}
+
 #[test]
 fn a_second_process_holds_resumes_and_stops_a_job() {
     let scene = Scene::new();

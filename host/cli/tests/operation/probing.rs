@@ -214,7 +214,11 @@ fn a_program_with_probe_moves_runs_in_parts() {
     for more in [&[][..], &["--check"]] {
         let file = folder.file("none.ngc", "G38.2 Z15 F120\n");
         let refused = haptimill(&[&["run", &file][..], more].concat()).expect_code(4);
-        assert!(refused.err.contains("none.ngc:1: "), "{}", refused.err);
+        assert!(
+            refused.err.contains("none.ngc:1:7: G38.2: "),
+            "{}",
+            refused.err
+        );
         assert!(refused.err.contains("has no probe"), "{}", refused.err);
     }
 }

@@ -409,28 +409,31 @@ fn optional_stop_pauses_with_its_option() {
     haptimill(&run).expect_code(5);
     let ran = haptimill(&[&run[..], &["--optional-stop"]].concat()).expect_code(2);
     assert!(
-        ran.err.contains("m1.ngc:2: the program pauses"),
+        ran.err.contains("m1.ngc:2:1: the program pauses"),
         "{}",
         ran.err
     );
 }
 
-/// A tool change names the tool; a pause in a called file names that file, and not the comment that
-/// the program has in the same line.
+/// A tool change names the tool; a pause in a called file names that file and its comment, and
+/// not the one that the program has in the same line.
 #[test]
 fn a_pause_names_its_tool_and_its_file() {
     let folder = TestFolder::new();
-    folder.file("turn.ngc", "O<turn> sub\n\nM0\nO<turn> endsub\nM2\n");
+    folder.file(
+        "turn.ngc",
+        "O<turn> sub\n\nM0 (turn it)\nO<turn> endsub\nM2\n",
+    );
     let text = "G21 G90 F600\nT4 M6 (long drill)\nG0 X1 (wrong comment)\nO<turn> call\nM30\n";
     let file = folder.file("part.ngc", text);
     let port = ["--port", "tcp:localhost:1"];
     let refused = haptimill(&[&["run", &file], &port[..]].concat()).expect_code(2);
     assert!(
-        refused.err.contains("part.ngc:2: the program pauses"),
+        refused.err.contains("part.ngc:2:4: the program pauses"),
         "{}",
         refused.err
     );
-    for more in [&[][..], &["--stream"]] {
+    for more in [&[][..], &["--stream"], &["--dry"]] {
         let out = folder.path("out");
         let run = ["run", &file, "--skip-pauses", "--out", &out];
         let ran = haptimill(&[&run[..], more].concat()).expect_code(0);
@@ -441,7 +444,10 @@ fn a_pause_names_its_tool_and_its_file() {
         );
         let in_file = said.lines().find(|line| line.starts_with("line 3 of "));
         let in_file = in_file.unwrap_or_else(|| panic!("{said}"));
-        assert!(in_file.ends_with("turn.ngc: pause skipped"), "{said}");
+        assert!(
+            in_file.ends_with("turn.ngc (turn it): pause skipped"),
+            "{said}"
+        );
     }
 }
 

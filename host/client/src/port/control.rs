@@ -11,8 +11,10 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Longest request or answer, bytes.
+/// Longest request, bytes.
 const LONGEST: usize = 4096;
+/// Longest answer, bytes.
+const LONGEST_ANSWER: u64 = 1 << 16;
 
 /// Connections at most.
 const MOST: usize = 8;
@@ -114,7 +116,7 @@ pub fn ask(port: &PortSpec, request: &str) -> Result<String, PortError> {
         stream.write_all(format!("{request}\n").as_bytes())?;
         let mut line = String::new();
         BufReader::new(stream)
-            .take(LONGEST as u64)
+            .take(LONGEST_ANSWER)
             .read_line(&mut line)?;
         Ok(line.trim_end().to_string())
     };

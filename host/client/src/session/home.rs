@@ -76,8 +76,12 @@ pub fn plan_straight_move(
     };
     let program = haptimill_gcode::read(name, block.as_bytes(), &options)
         .map_err(|refused| Error::new(ErrorKind::Internal, refused))?;
-    Plan::new(&program, &settings(machine), model)
-        .map_err(|refused| Error::new(ErrorKind::Refused, refused))
+    Plan::new(&program, &settings(machine), model).map_err(|refused| {
+        // The text of the move is not that of the operator, so its place says nothing.
+        let problems = refused.problems.iter();
+        let texts = problems.map(|problem| format!("{}; {}", problem.what, problem.remedy));
+        Error::new(ErrorKind::Refused, texts.collect::<Vec<_>>().join("\n"))
+    })
 }
 
 impl<L: Line> Session<L> {

@@ -42,6 +42,9 @@ pub trait JobObserver {
     /// Called every few milliseconds with the newest telemetry.
     fn progress(&mut self, telemetry: &Telemetry);
 
+    /// Called in every step with the newest telemetry.
+    fn reported(&mut self, _: &Telemetry) {}
+
     /// The program pauses (M0) at a setpoint.
     fn paused(&mut self, setpoint: u32);
 
@@ -245,6 +248,9 @@ impl JobRun {
         if session.is_interrupted() && !self.is_stopped {
             self.is_stopped = true;
             session.stop();
+        }
+        if let Some(telemetry) = session.client.telemetry() {
+            observer.reported(telemetry);
         }
         if self.pause == Pause::None && !self.is_stopped && observer.wants_hold() {
             session.client.request(Command::Hold);

@@ -39,7 +39,7 @@ pub use home::{HOME_JOB, check_has_tool, find_home_pose, plan_straight_move};
 pub use job::{BytesSent, EMERGENCY_STOP, JobEnd, JobObserver, JobRun, JobStatus, NoObserver};
 pub use line::{JobLine, Line, PortLine};
 pub use procedure::{Acknowledgement, Homing, Procedure, StatusQuery};
-pub use run_time::{RunTime, TimeTable};
+pub use run_time::{RunTime, TimeProfile, TimeTable};
 pub use sim::{JobRecording, SimLine, clamp, commissioned, rig, rig_around};
 pub use startup::{Numbers, SessionPhase, Startup};
 

@@ -120,6 +120,76 @@ impl TimeTable {
     }
 }
 
+/// Times of a job whose setpoints are not kept, in memory that does not depend on its length.
+#[derive(Debug, Clone, Default)]
+pub struct TimeProfile {
+    /// Program time in control periods at each pace, in parts of the job with equally many
+    /// setpoints; the last part is not full.
+    parts: Vec<Vec<(Pace, u64)>>,
+    /// Setpoints of a part, and of the last one.
+    every: usize,
+    in_last: usize,
+    pace: Pace,
+}
+
+impl TimeProfile {
+    /// Adds the motion to a setpoint.
+    pub fn add(&mut self, setpoint: &Setpoint) {
+        if self.parts.is_empty() || self.in_last == self.every {
+            if self.parts.len() == 2 * ROWS {
+                self.merge_pairs();
+            }
+            self.every = self.every.max(1);
+            self.parts.push(Vec::new());
+            self.in_last = 0;
+        }
+        if let Some(part) = self.parts.last_mut() {
+            add_periods(part, self.pace, u64::from(setpoint.periods));
+        }
+        self.in_last += 1;
+        if let Action::Pace(pace) = setpoint.action {
+            self.pace = pace;
+        }
+    }
+
+    fn merge_pairs(&mut self) {
+        let merged = self.parts.chunks(2).map(|pair| {
+            let mut whole = Vec::new();
+            for (pace, periods) in pair.iter().flatten() {
+                add_periods(&mut whole, *pace, *periods);
+            }
+            whole
+        });
+        self.parts = merged.collect();
+        self.every *= 2;
+    }
+
+    /// The table of the job at the overrides of feed and of rapid moves, percent. The time in which
+    /// the controller changes from one pace to another is left out.
+    #[must_use]
+    pub fn table(&self, machine: &MachineFile, feed: u8, rapid: u8) -> TimeTable {
+        let period_s = f64::from(machine.config.period_us) * 1e-6;
+        let mut rows = vec![(0, 0.0)];
+        let (mut periods, mut seconds) = (0, 0.0);
+        for part in &self.parts {
+            for (pace, count) in part {
+                let factor = f64::from(pace.factor(feed.max(1), rapid.max(1))) / 100.0;
+                periods += count;
+                seconds += *count as f64 * period_s / factor;
+            }
+            rows.push((periods, seconds));
+        }
+        TimeTable { rows }
+    }
+}
+
+fn add_periods(part: &mut Vec<(Pace, u64)>, pace: Pace, periods: u64) {
+    match part.iter_mut().find(|(known, _)| *known == pace) {
+        Some((_, sum)) => *sum += periods,
+        None => part.push((pace, periods)),
+    }
+}
+
 fn target(pace: Pace, [feed, rapid]: [u8; 2]) -> i64 {
     FULL_RATE * i64::from(pace.factor(feed, rapid)) / 100
 }
@@ -141,6 +211,33 @@ mod tests {
             },
         };
         (0..100).map(rest).collect()
+    }
+
+    /// The profile of a long job has as many parts as that of a short one, and the times of the
+    /// table of all setpoints.
+    #[test]
+    fn a_profile_has_the_times_of_the_setpoints() {
+        let machine = MachineFile::built_in().expect("the built-in machine");
+        let short = setpoints();
+        let long: Vec<Setpoint> = short.iter().cycle().take(500_000).cloned().collect();
+        for setpoints in [&short, &long] {
+            let mut profile = TimeProfile::default();
+            setpoints.iter().for_each(|setpoint| profile.add(setpoint));
+            assert!(profile.parts.len() <= 2 * ROWS);
+            for (feed, rapid) in [(100, 100), (50, 100), (100, 25), (200, 50)] {
+                let table = profile.table(&machine, feed, rapid);
+                let exact = TimeTable::new(&machine, setpoints, feed, rapid);
+                let total = exact.total_s();
+                for part in 0..=10 {
+                    let periods = setpoints.len() as u64 * 500 * part / 10;
+                    let error = table.left_s(periods) - exact.left_s(periods);
+                    assert!(
+                        error.abs() < 0.02 * total,
+                        "{feed} {rapid} {part}: {error} of {total}"
+                    );
+                }
+            }
+        }
     }
 
     #[test]

@@ -104,6 +104,39 @@ fn one_line_outside_the_workspace_is_reported() {
     );
 }
 
+/// The blocks behind a wrong word repeat its coordinate, and are no mistakes of their own.
+#[test]
+fn one_wrong_word_is_one_problem() {
+    let behind = "G1 X1\nX2\nG2 X4 I1\nG1 Y5\n";
+    let refused = plan(&format!("F600\nG1 Z900\n{behind}")).unwrap_err();
+    assert!(refused.starts_with("part.ngc:2:4: Z900"), "{refused}");
+    assert_eq!(refused.lines().count(), 1, "{refused}");
+    // Another coordinate, and a mistake behind the way back, are reported.
+    let refused = plan(&format!("F600\nG1 Z900\n{behind}X400\nX0 Z22\nZ901\nX1\n")).unwrap_err();
+    let places: Vec<&str> = refused.lines().map(|line| &line[..11]).collect();
+    assert_eq!(
+        places,
+        ["part.ngc:2:", "part.ngc:7:", "part.ngc:9:"],
+        "{refused}"
+    );
+    // Beyond the reach, within the soft limits.
+    let refused = plan("G0 Y140 A-40 Z140\nG1 Y139 F600\nY138\nG0 Y0 A0 Z22\n").unwrap_err();
+    assert_eq!(refused.lines().count(), 1, "{refused}");
+}
+
+/// A limit is named with the word of the program and the position of the machine.
+#[test]
+fn a_limit_under_an_offset_names_the_word() {
+    let refused = plan("G10 L2 P1 X100\nG54\nG1 X250 F600\n").unwrap_err();
+    let expected = "part.ngc:3:4: X250.0000 with the offsets in force is X350.0000 of the machine, \
+                    outside the soft limits of X (-150 to 150 mm)";
+    assert!(refused.starts_with(expected), "{refused}");
+    assert!(
+        refused.ends_with("change X by -200.0000 mm, or the work offset or tool length"),
+        "{refused}"
+    );
+}
+
 #[test]
 fn program_of_excessive_duration_is_refused() {
     let refused = plan("G1 X30 F0.0001").unwrap_err();

@@ -6,7 +6,8 @@ use super::feed::{Feed, Wishes};
 use super::input::{Input, Line as SenderLine, RealTime};
 use super::report::{self, Status, alarm};
 use crate::commands::CliError;
-use crate::commands::requests::{Request, Requests, describe_overrides};
+use crate::commands::requests::{NO_REPORT, Request, Requests, describe_overrides};
+use crate::commands::status::StatusReport;
 use haptimill_client::client::{JobEnding, Setpoints};
 use haptimill_client::session::{
     HOME_JOB, Homing, JobEnd, JobRun, JobStatus, Line, Procedure as _, Session, find_home_pose,
@@ -308,6 +309,15 @@ impl Bridge {
                 Ok("the job continues".into())
             }
             Request::Resume => Err("the job is not held, and does not pause".into()),
+            Request::Status => {
+                let (name, crc) = (
+                    self.session.machine_name(),
+                    self.session.configuration_crc(),
+                );
+                let model = self.session.model().clone();
+                let telemetry = self.session.client_mut().telemetry().ok_or(NO_REPORT)?;
+                Ok(StatusReport::new(&name, crc, &model, telemetry).answer())
+            }
         }
     }
 

@@ -264,11 +264,6 @@ impl RunArgs {
         matches!((self.feed_override, self.rapid_override), (100, 100))
     }
 
-    /// Whether the program runs as a whole, at the programmed speeds.
-    pub(super) fn is_unchanged(&self) -> bool {
-        self.changes.is_none() && self.is_at_full_speed()
-    }
-
     /// Duration of a plan at the overrides, seconds.
     pub(super) fn duration_s(&self, machine: &MachineFile, plan: &Plan) -> f64 {
         if self.is_at_full_speed() {

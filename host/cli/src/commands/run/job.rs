@@ -6,23 +6,25 @@ use super::operator::Operator;
 use super::progress::ProgressDisplay;
 use super::results::{self, ResultFolder};
 use super::stream::{self, Bytes, StreamEnd, StreamOptions};
-use super::supply::Supply;
+use super::supply::{Supply, Times};
 use crate::commands::force::ForceAxes;
 use crate::commands::operator_input::Input;
-use crate::commands::program::{PartProgram, Planned};
+use crate::commands::program::{Checked, PartProgram, Planned};
 use crate::commands::{CliError, Exit, interrupt};
 use haptimill_client::Error;
 use haptimill_client::client::JobEnding;
 use haptimill_client::session::{EMERGENCY_STOP, JobEnd, JobLine, JobRecording, Line, Session};
 use haptimill_hil_sim::process::CuttingConfig;
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::Model;
+use haptimill_planner::Figures;
 use haptimill_protocol::force::ForceLoop;
 use haptimill_protocol::message::{AxisValues, Command, State, Telemetry};
 use haptimill_report::{JobOutcome, Statistics, Summary};
 use haptimill_trace::{Header, MCAP_RATE, Recorder, Recording, write_mcap};
 use serde::Serialize;
 use std::fs::File;
-use std::io::{BufWriter, IsTerminal as _, Write};
+use std::io::{BufWriter, IsTerminal as _, Seek as _, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Statistics that the recorder adds to.
@@ -35,11 +37,20 @@ const MASTER_TELEMETRY_US: u32 = 20_000;
 pub(super) enum Work {
     /// A program that was checked and planned.
     Planned(Box<Planned>),
+    /// A program that was checked, and is interpreted and planned again while it runs.
+    Checked(Box<CheckedWork>),
     /// A program that is checked while it runs, and whether its blocks may come late.
     Stream(Bytes, bool),
     /// A program that was checked and asks the machine: it runs in parts. With the slowest and the
     /// fastest speed of the spindle, rev/min.
-    Parts(Option<[u16; 2]>),
+    Parts(Bytes, Option<[u16; 2]>),
+}
+
+/// A program that was checked.
+pub(super) struct CheckedWork {
+    pub(super) bytes: Bytes,
+    pub(super) figures: Figures,
+    pub(super) times: Times,
 }
 
 /// A run of a part program.
@@ -69,9 +80,16 @@ impl Job<'_> {
         let start = if status.homed && status.position_kept {
             // A homed machine starts at its present pose, so the program is interpreted and checked
             // again from there: coordinates that the first block leaves out are those of the start.
-            if let Work::Planned(planned) = &mut work {
-                let model = session.model();
-                **planned = self.program.plan(self.machine, model, &status.commanded)?;
+            let model = session.model();
+            match &mut work {
+                Work::Planned(planned) => {
+                    **planned = self.program.plan(self.machine, model, &status.commanded)?;
+                }
+                Work::Checked(checked) => {
+                    let start = (model, &status.commanded);
+                    checked.check_from(self.args, self.program, self.machine, start)?;
+                }
+                Work::Stream(..) | Work::Parts(..) => {}
             }
             status.commanded
         } else {
@@ -97,8 +115,9 @@ impl Job<'_> {
         }
         let speeds = match &work {
             Work::Planned(planned) => planned.plan.figures.spindle_rpm,
+            Work::Checked(checked) => checked.figures.spindle_rpm,
             Work::Stream(..) => self.streamed_speeds(),
-            Work::Parts(speeds) => *speeds,
+            Work::Parts(_, speeds) => *speeds,
         };
         let mut operator = Operator::new(self.args, self.machine, speeds);
         let result = self.stream(session, start, work, &mut operator);
@@ -184,16 +203,30 @@ impl Job<'_> {
             .with_program(&self.program.text);
         let spindle_rpm = match &work {
             Work::Planned(planned) => planned.plan.figures.spindle_rpm.map(|[_, most]| most),
-            Work::Stream(..) | Work::Parts(_) => None,
+            Work::Checked(checked) => checked.figures.spindle_rpm.map(|[_, most]| most),
+            Work::Stream(..) | Work::Parts(..) => None,
         };
         let supply = match work {
             Work::Planned(planned) => Supply::of(*planned, self.args, self.machine),
+            Work::Checked(checked) => {
+                let CheckedWork { bytes, times, .. } = *checked;
+                let options = StreamOptions {
+                    is_checked: true,
+                    ..self.stream_options(session, &start, false)?
+                };
+                let model = session.model().clone();
+                let mut supply = stream::start(self.program, rewound(bytes)?, model, options);
+                supply.shown.times = Some(times);
+                supply
+            }
             Work::Stream(bytes, is_live) => {
                 let options = self.stream_options(session, &start, is_live)?;
                 let model = session.model().clone();
                 stream::start(self.program, bytes, model, options)
             }
-            Work::Parts(_) => return self.run_in_parts(session, &start, operator),
+            Work::Parts(bytes, _) => {
+                return self.run_in_parts(session, rewound(bytes)?, &start, operator);
+            }
         };
         self.folder.clear()?;
         let (recorder, statistics) = self.recorder(&header).map_err(|error| output(&error))?;
@@ -371,6 +404,7 @@ impl Job<'_> {
             options: self.program.options(self.machine, session.model(), start)?,
             settings: self.program.settings(self.machine),
             is_live,
+            is_checked: false,
             waits: self.args.port.is_simulated(),
             refuses_pauses: !self.args.skips_pauses()
                 && (self.args.reads_stdin() || !std::io::stdin().is_terminal()),
@@ -408,6 +442,52 @@ impl Job<'_> {
         }
         session.check_completed(end)
     }
+}
+
+impl CheckedWork {
+    /// Checks the program again, from another start.
+    fn check_from(
+        &mut self,
+        args: &RunArgs,
+        program: &PartProgram,
+        machine: &MachineFile,
+        start: (&Model, &AxisValues),
+    ) -> Result<(), CliError> {
+        self.bytes.rewind().map_err(|error| unreadable(&error))?;
+        let checked = program.check_bytes(&mut self.bytes, machine, start, |_| {})?;
+        self.figures = checked.figures;
+        self.times = times_of(args, program, machine, start, &mut self.bytes, &checked)?;
+        Ok(())
+    }
+}
+
+/// The times of a checked program.
+///
+/// # Errors
+/// Its text cannot be read again.
+pub(super) fn times_of(
+    args: &RunArgs,
+    program: &PartProgram,
+    machine: &MachineFile,
+    start: (&Model, &AxisValues),
+    bytes: &mut Bytes,
+    checked: &Checked,
+) -> Result<Times, CliError> {
+    Times::of(args, machine, checked.duration_s, |take| {
+        bytes.rewind().map_err(|error| unreadable(&error))?;
+        program.for_each_setpoint(bytes, machine, start, take)
+    })
+}
+
+/// The bytes of a program, from their start.
+fn rewound(mut bytes: Bytes) -> Result<Bytes, CliError> {
+    bytes.rewind().map_err(|error| unreadable(&error))?;
+    Ok(bytes)
+}
+
+fn unreadable(error: &std::io::Error) -> CliError {
+    let what = format!("the kept text of the program cannot be read again: {error}");
+    CliError::new(Exit::Output, what)
 }
 
 /// The result of a run on standard output: one document, also where an error ends the run.

@@ -20,15 +20,18 @@ use crate::commands::interrupt;
 use haptimill_client::client::Options;
 use haptimill_client::port::{Observers, PortSpec};
 use haptimill_client::session::{self, PortLine, Session, SimLine};
+use haptimill_gcode::Step;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_machine_file::work_data::WorkData;
+use haptimill_planner::Figures;
 use haptimill_protocol::message::AxisValues;
 use haptimill_report::count;
-use job::{Job, Work};
+use job::{CheckedWork, Job, Work};
 use parts::Questions;
 use results::ResultFolder;
 use std::io::Read;
+use stream::Bytes;
 
 pub use args::RunArgs;
 pub(super) use args::{RecordedPart, faults_help, recorded_part};
@@ -61,14 +64,14 @@ fn run_from(args: RunArgs, input: Option<Box<dyn Read + Send>>) -> Result<(), Cl
     }
     let model = Model::new(&machine);
     let home = session::find_home_pose(&machine, &model)?;
-    // A check without changes reads the file once and keeps nothing of it.
-    let is_read_once = args.check && args.is_unchanged() && args.program.is_file();
-    let program = if args.stream || is_read_once {
+    // Neither a check nor a run of a whole program keeps its steps.
+    let is_whole = args.changes.is_none() && args.program.is_file();
+    let program = if args.stream || is_whole {
         PartProgram::streamed(&args.program, args.language)
     } else {
         PartProgram::load(&args.program, args.language)?.with_changes(args.changes)
     };
-    let program = program.at_spindle_override(args.spindle_override);
+    let mut program = program.at_spindle_override(args.spindle_override);
     if args.check {
         return check(&args, &program, &machine, &model, &home);
     }
@@ -84,6 +87,10 @@ fn run_from(args: RunArgs, input: Option<Box<dyn Read + Send>>) -> Result<(), Cl
             args.print_message(&growth);
         }
         Work::Stream(bytes, is_live)
+    } else if is_whole {
+        let (bytes, text) = stream::keep(&args.program)?;
+        program.text = text;
+        check_whole(&args, &program, &machine, (&model, &home), bytes)?
     } else {
         // The steps are interpreted once. Only a program that asks the machine is interpreted
         // again: to check it, and while it runs, with the answers.
@@ -187,12 +194,18 @@ fn check(
     model: &Model,
     home: &AxisValues,
 ) -> Result<(), CliError> {
-    let (checked, approach) = if args.is_unchanged() && args.program.is_file() {
+    let (checked, approach) = if args.changes.is_none() && args.program.is_file() {
         let mut questions = Questions::default();
-        let (bytes, _) = stream::open(&args.program)?;
+        let (mut bytes, _) = stream::open(&args.program)?;
         let start = (model, home);
-        let checked = program.check_bytes(bytes, machine, start, |step| questions.note(step))?;
-        parts::check_inputs(machine, program, &questions)?;
+        let note = |step: &Step| questions.note(step);
+        let mut checked = program.check_bytes(&mut bytes, machine, start, note)?;
+        parts::check_inputs(machine, program, &questions, &checked.called)?;
+        // A program that asks the machine has no setpoints before it runs.
+        if !args.is_at_full_speed() && !questions.has_any() {
+            let times = job::times_of(args, program, machine, start, &mut bytes, &checked)?;
+            checked.duration_s = times.duration_s;
+        }
         (checked, None)
     } else {
         let planned = program.plan(machine, model, home)?;
@@ -207,6 +220,55 @@ fn check(
     Ok(())
 }
 
+/// Checks a whole program, which runs as it was checked.
+fn check_whole(
+    args: &RunArgs,
+    program: &PartProgram,
+    machine: &MachineFile,
+    start: (&Model, &AxisValues),
+    mut bytes: Bytes,
+) -> Result<Work, CliError> {
+    let mut questions = Questions::default();
+    let note = |step: &Step| questions.note(step);
+    let checked = program.check_bytes(&mut bytes, machine, start, note)?;
+    let called = &checked.called;
+    parts::check_inputs(machine, program, &questions, called)?;
+    for notice in &checked.notices {
+        args.print_message(notice);
+    }
+    questions.check_pauses(args, program, called)?;
+    if questions.has_any() {
+        return Ok(Work::Parts(bytes, checked.figures.spindle_rpm));
+    }
+    let times = job::times_of(args, program, machine, start, &mut bytes, &checked)?;
+    announce(args, program, machine, times.duration_s, &checked.figures)?;
+    Ok(Work::Checked(Box::new(CheckedWork {
+        bytes,
+        figures: checked.figures,
+        times,
+    })))
+}
+
+/// Checks that the recording has space, and announces what is unusual.
+fn announce(
+    args: &RunArgs,
+    program: &PartProgram,
+    machine: &MachineFile,
+    duration_s: f64,
+    figures: &Figures,
+) -> Result<(), CliError> {
+    let bytes = args.recording_bytes(machine, duration_s);
+    results::check_space(&args.out_dir(), bytes)?;
+    if let Some(size) = describe_size(bytes) {
+        args.print_message(&size);
+    }
+    if figures.blocks == 0 {
+        let name = program.file_name();
+        args.print_message(&format!("{name}: no motion; the machine is homed only"));
+    }
+    Ok(())
+}
+
 /// Checks a program that asks the machine.
 fn check_parts(
     args: &RunArgs,
@@ -215,13 +277,14 @@ fn check_parts(
     (model, home): (&Model, &AxisValues),
     questions: &Questions,
 ) -> Result<Work, CliError> {
-    parts::check_inputs(machine, program, questions)?;
-    parts::check_options(args, program, questions)?;
     let checked = program.check(machine, model, home)?;
+    parts::check_inputs(machine, program, questions, &checked.called)?;
+    parts::check_options(args, program, questions, &checked.called)?;
     for notice in &checked.notices {
         args.print_message(notice);
     }
-    Ok(Work::Parts(checked.figures.spindle_rpm))
+    let bytes = Box::new(std::io::Cursor::new(program.text.clone()));
+    Ok(Work::Parts(bytes, checked.figures.spindle_rpm))
 }
 
 /// Checks that a planned program can run: pauses, questions to the operator, space on the disk.
@@ -239,15 +302,7 @@ fn check_planned(
     }
     job::check_can_ask(args, &planned)?;
     let duration_s = args.duration_s(machine, &planned.plan);
-    let bytes = args.recording_bytes(machine, duration_s);
-    results::check_space(&args.out_dir(), bytes)?;
-    if let Some(size) = describe_size(bytes) {
-        args.print_message(&size);
-    }
-    if planned.plan.figures.blocks == 0 {
-        let name = program.file_name();
-        args.print_message(&format!("{name}: no motion; the machine is homed only"));
-    }
+    announce(args, program, machine, duration_s, &planned.plan.figures)?;
     Ok(Work::Planned(Box::new(planned)))
 }
 

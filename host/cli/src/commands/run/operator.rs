@@ -3,8 +3,11 @@
 use super::args::RunArgs;
 use super::keys::{is_enter, is_hold};
 use super::overrides::Overrides;
-use crate::commands::requests::{Request, Requests};
+use crate::commands::requests::{NO_REPORT, Request, Requests};
+use crate::commands::status::StatusReport;
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::Model;
+use haptimill_protocol::message::Telemetry;
 
 /// Commands of the operator, from the first job of a run to the last one.
 pub(super) struct Operator {
@@ -15,6 +18,10 @@ pub(super) struct Operator {
     pub(super) resumes: bool,
     /// The job holds or pauses.
     pub(super) is_held: bool,
+    /// The newest report of the machine.
+    telemetry: Option<Telemetry>,
+    /// Name of the machine, check of its configuration, and its model.
+    machine: (String, u32, Model),
     requests: Requests,
 }
 
@@ -27,11 +34,25 @@ impl Operator {
             holds: false,
             resumes: false,
             is_held: false,
+            telemetry: None,
+            machine: (
+                machine.config.name.to_string(),
+                machine.encoded().map_or(0, |(_, crc)| crc),
+                Model::new(machine),
+            ),
             // A job runs without them.
             requests: Requests::listen(&args.port.port).unwrap_or_else(|error| {
                 eprintln!("{error}");
                 Requests::default()
             }),
+        }
+    }
+
+    /// Notes the newest report of the machine.
+    pub(super) fn note_report(&mut self, telemetry: &Telemetry) {
+        let known = self.telemetry.as_ref().map(|known| known.period);
+        if known != Some(telemetry.period) {
+            self.telemetry = Some(telemetry.clone());
         }
     }
 
@@ -72,6 +93,11 @@ impl Operator {
                 Ok("the job continues".into())
             }
             Request::Resume => Err("the job is not held, and does not pause".into()),
+            Request::Status => {
+                let telemetry = self.telemetry.as_ref().ok_or(NO_REPORT)?;
+                let (name, crc, model) = &self.machine;
+                Ok(StatusReport::new(name, *crc, model, telemetry).answer())
+            }
         }
     }
 }

@@ -8,47 +8,55 @@ use super::args::RunArgs;
 use super::job::Job;
 use super::operator::Operator;
 use super::progress::ProgressDisplay;
+use super::stream::Bytes;
 use super::supply::Supply;
 use crate::commands::probing::{Touch, find_input, probe_along};
-use crate::commands::program::{PartProgram, Planned};
+use crate::commands::program::{PartProgram, Pause, Planned};
 use crate::commands::{CliError, Exit};
 use haptimill_client::session::{JobLine, Session};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_gcode::{
-    Interpreter, Move, Place, ProbeKind, Problem, Program, Refused, Step, WaitFor,
+    Interpreter, Move, Place, ProbeKind, Problem, Program, Refused, Step, WaitFor, file_name,
 };
 use haptimill_machine_file::MachineFile;
 use haptimill_planner::Plan;
 use haptimill_protocol::message::{AxisValues, Telemetry};
 use std::collections::BTreeMap;
-use std::io::{Cursor, IsTerminal};
 
 /// What a program asks the machine.
 #[derive(Debug, Default)]
 pub(super) struct Questions {
-    /// Line of the first probe move.
-    probe: Option<u32>,
-    /// Lines of the first waits for the inputs: their numbers, and whether they are analog.
-    inputs: BTreeMap<(u16, bool), u32>,
-    /// Line of the first pause.
-    pause: Option<u32>,
+    /// The first probe move: its place and word.
+    probe: Option<(Place, &'static str)>,
+    /// Places of the first waits for the inputs: their numbers, and whether they are analog.
+    inputs: BTreeMap<(u16, bool), Place>,
+    /// The first pause.
+    pub(super) pause: Option<Step>,
 }
 
 impl Questions {
     /// Notes what a step asks.
     pub(super) fn note(&mut self, step: &Step) {
-        let line = step.place().line;
+        let place = step.place();
         match step {
-            Step::Probe { .. } => {
-                self.probe.get_or_insert(line);
+            Step::Probe {
+                kind, must_change, ..
+            } => {
+                let word = match (kind, must_change) {
+                    (ProbeKind::Towards, true) => "G38.2",
+                    (ProbeKind::Towards, false) => "G38.3",
+                    (ProbeKind::Away, true) => "G38.4",
+                    (ProbeKind::Away, false) => "G38.5",
+                };
+                self.probe.get_or_insert((place, word));
             }
             Step::Wait {
                 number, analogue, ..
             } => {
-                self.inputs.entry((*number, *analogue)).or_insert(line);
+                self.inputs.entry((*number, *analogue)).or_insert(place);
             }
             Step::Pause { .. } | Step::ToolChange { .. } => {
-                self.pause.get_or_insert(line);
+                self.pause.get_or_insert_with(|| step.clone());
             }
             _ => {}
         }
@@ -63,20 +71,24 @@ impl Questions {
 /// Checks that the machine has the probe and the inputs of a program.
 ///
 /// # Errors
-/// [`Exit::Refused`], with the line of the program.
+/// [`Exit::Refused`], with the place in the program.
 pub(super) fn check_inputs(
     machine: &MachineFile,
     program: &PartProgram,
     questions: &Questions,
+    called: &[String],
 ) -> Result<(), CliError> {
-    let refused = |line: u32, what: &str| {
-        let what = format!("{}:{line}: {what}", program.file_name());
-        CliError::new(Exit::Refused, what)
+    let refused = |place: Place, what: &str| {
+        let Place { file, line, column } = place;
+        let main = program.file_name();
+        let name = file_name(&main, called, file);
+        CliError::new(Exit::Refused, format!("{name}:{line}:{column}: {what}"))
     };
-    if let Some(line) = questions.probe {
-        find_input(machine, None, Touch::Probe).map_err(|error| refused(line, &error.message))?;
+    if let Some((place, word)) = questions.probe {
+        find_input(machine, None, Touch::Probe)
+            .map_err(|error| refused(place, &format!("{word}: {}", error.message)))?;
     }
-    for ((number, analog), line) in &questions.inputs {
+    for ((number, analog), place) in &questions.inputs {
         let (count, kind) = if *analog {
             (machine.io.analog_inputs.len(), "analog_input")
         } else {
@@ -87,7 +99,7 @@ pub(super) fn check_inputs(
                 "M66 waits for input {number}, and the machine has {count}, counted from 0; name \
                  it in a section [[{kind}]] of the machine file"
             );
-            return Err(refused(*line, &what));
+            return Err(refused(*place, &what));
         }
     }
     Ok(())
@@ -101,6 +113,7 @@ pub(super) fn check_options(
     args: &RunArgs,
     program: &PartProgram,
     questions: &Questions,
+    called: &[String],
 ) -> Result<(), CliError> {
     let usage = |what: String| Err(CliError::new(Exit::Usage, what));
     if !args.changes.is_none() {
@@ -110,13 +123,25 @@ pub(super) fn check_options(
             program.file_name()
         ));
     }
-    match questions.pause {
-        Some(line) if !args.skips_pauses() && !std::io::stdin().is_terminal() => usage(format!(
-            "{}:{line}: the program pauses here and standard input is no terminal to press Enter \
-             on; run it in a terminal, or with --skip-pauses",
-            program.file_name()
-        )),
-        _ => Ok(()),
+    questions.check_pauses(args, program, called)
+}
+
+impl Questions {
+    /// Refuses a program with pauses where nobody can end them.
+    ///
+    /// # Errors
+    /// [`Exit::Usage`].
+    pub(super) fn check_pauses(
+        &self,
+        args: &RunArgs,
+        program: &PartProgram,
+        called: &[String],
+    ) -> Result<(), CliError> {
+        let pause = self.pause.as_ref();
+        match pause.and_then(|step| Pause::of(step, called, None)) {
+            Some(pause) if !args.skips_pauses() => program.check_pause(&pause),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -181,13 +206,15 @@ impl Job<'_> {
     pub(super) fn run_in_parts<L: JobLine>(
         &self,
         session: &mut Session<L>,
+        bytes: Bytes,
         start: &AxisValues,
         operator: &mut Operator,
     ) -> Result<(), CliError> {
         self.args
             .print_message("running in parts: the program reads inputs; nothing is recorded");
         let options = self.program.options(self.machine, session.model(), start)?;
-        let mut interpreter = Interpreter::new(Cursor::new(&self.program.text), &options);
+        let mut interpreter = Interpreter::new(bytes, &options);
+        interpreter.keep_comments();
         let mut part = Part {
             run_up_s: self.machine.spindle.run_up_s,
             ..Part::default()
@@ -204,7 +231,7 @@ impl Job<'_> {
                     kind,
                     must_change,
                 } => {
-                    self.run_part(session, part.take(), &interpreter, operator)?;
+                    self.run_part(session, part.take(), &mut interpreter, operator)?;
                     self.probe(session, &mut interpreter, step, kind, must_change)?;
                 }
                 Step::Wait {
@@ -214,7 +241,7 @@ impl Job<'_> {
                     seconds,
                     ..
                 } => {
-                    self.run_part(session, part.take(), &interpreter, operator)?;
+                    self.run_part(session, part.take(), &mut interpreter, operator)?;
                     let value =
                         self.wait(session, usize::from(number), analogue, until, seconds)?;
                     interpreter.report_input(value);
@@ -222,7 +249,7 @@ impl Job<'_> {
                 step => part.push(step),
             }
         }
-        self.run_part(session, part.take(), &interpreter, operator)?;
+        self.run_part(session, part.take(), &mut interpreter, operator)?;
         if self.args.json && !self.args.silent {
             let result = serde_json::json!({ "program": self.program.name, "completed": true });
             print_line!("{result:#}");
@@ -236,7 +263,7 @@ impl Job<'_> {
         &self,
         session: &mut Session<L>,
         steps: Vec<Step>,
-        interpreter: &Interpreter<'_>,
+        interpreter: &mut Interpreter<'_>,
     ) -> Result<(Planned, Telemetry), CliError> {
         let status = session.status()?;
         let from = steps.iter().find_map(|step| match step {
@@ -250,16 +277,14 @@ impl Job<'_> {
             start: from.unwrap_or_else(|| model.to_engineering_units(&status.commanded)),
             steps,
             main_lines: Vec::new(),
-            comments: Vec::new(),
+            comments: interpreter.take_comments(),
             notices: Vec::new(),
             lines: interpreter.lines(),
         };
         let plan = Plan::new(&program, &self.program.settings(self.machine), model)
             .map_err(|refused| Error::refused(ErrorKind::Refused, &refused))?;
         let planned = Planned {
-            pauses: self
-                .program
-                .pauses_of(&plan, &program.steps, &program.called),
+            pauses: self.program.pauses_of(&plan, &program),
             plan,
             approach: None,
             notices: Vec::new(),
@@ -271,7 +296,7 @@ impl Job<'_> {
         &self,
         session: &mut Session<L>,
         steps: Vec<Step>,
-        interpreter: &Interpreter<'_>,
+        interpreter: &mut Interpreter<'_>,
         operator: &mut Operator,
     ) -> Result<(), CliError> {
         if steps.is_empty() {

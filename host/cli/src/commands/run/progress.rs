@@ -99,6 +99,10 @@ impl<'a> ProgressDisplay<'a> {
 }
 
 impl JobObserver for ProgressDisplay<'_> {
+    fn reported(&mut self, telemetry: &Telemetry) {
+        self.operator.note_report(telemetry);
+    }
+
     fn progress(&mut self, telemetry: &Telemetry) {
         let done = f64::from(telemetry.program_periods) * self.period_s;
         self.bar.set_position((done * 1000.0) as u64);

@@ -1,9 +1,9 @@
 //! `haptimill run --stream`: the program is interpreted and planned while the machine runs it.
 //!
 //! One thread interprets, one plans, the session takes the setpoints; bounded queues connect them,
-//! so that the memory does not grow with the program. A program that comes over standard input may
-//! come slower than the machine runs it: the planner then ends the motion at standstill, and goes
-//! on with the next block.
+//! so that the memory does not grow with the program. In the simulator one thread does all of it. A
+//! program that comes over standard input may come slower than the machine runs it: the planner
+//! then ends the motion at standstill, and goes on with the next block.
 
 use super::supply::{Shown, Supply};
 use crate::commands::program::{PartProgram, Pause, Pauses};
@@ -26,8 +26,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::task::Poll;
 use std::time::{Duration, Instant};
 
+/// Longest text of a program that is kept in memory, for its recording.
+const KEPT_BYTES: u64 = 1 << 20;
+
 /// Steps between the interpreter and the planner.
 const STEPS: usize = 256;
+
+/// Comments that are kept for the pause in their block.
+const COMMENTS: usize = 64;
 
 /// Setpoints between the planner and the session.
 const SETPOINTS: usize = 1024;
@@ -60,6 +66,30 @@ pub(super) fn open(path: &Path) -> Result<(Bytes, bool), CliError> {
         return Err(CliError::new(Exit::BadInput, what));
     }
     Ok((Box::new(file), false))
+}
+
+/// The bytes of a program that is checked and then runs: what is checked is what runs, whatever
+/// happens to the file in the meantime. A short text is in memory, and is returned, too; a longer
+/// one is copied to a file without a name.
+///
+/// # Errors
+/// The file cannot be read, or no temporary file can be made.
+pub(super) fn keep(path: &Path) -> Result<(Bytes, Vec<u8>), CliError> {
+    let (mut file, _) = open(path)?;
+    let mut text = Vec::new();
+    let unreadable = |error: io::Error| {
+        let what = format!("{}: {error}", path.display());
+        CliError::new(Exit::BadInput, what)
+    };
+    file.by_ref()
+        .take(KEPT_BYTES + 1)
+        .read_to_end(&mut text)
+        .map_err(unreadable)?;
+    if text.len() as u64 <= KEPT_BYTES {
+        return Ok((Box::new(io::Cursor::new(text.clone())), text));
+    }
+    file.rewind().map_err(unreadable)?;
+    Ok((spool(Box::new(file))?, Vec::new()))
 }
 
 /// The bytes of a program that comes while it runs.
@@ -135,7 +165,8 @@ struct Shared {
     hungry_since: Option<Instant>,
     /// Why the program ended before its end.
     error: Option<CliError>,
-    /// Nothing moved before the end.
+    /// The program has ended, and whether nothing moved before.
+    has_ended: bool,
     is_empty: bool,
     /// Names of the called files.
     called: Vec<String>,
@@ -178,6 +209,8 @@ pub(super) struct StreamOptions {
     pub(super) waits: bool,
     /// Nobody can end a pause.
     pub(super) refuses_pauses: bool,
+    /// The program was checked from its start, and its notices were shown.
+    pub(super) is_checked: bool,
     /// Prints a line for the operator.
     pub(super) print: Box<dyn Fn(&str) + Send>,
     /// Ctrl-C.
@@ -200,39 +233,70 @@ pub(super) fn start(
     model: Model,
     stream: StreamOptions,
 ) -> Supply {
-    let (to_planner, steps) = mpsc::sync_channel(STEPS);
-    let (to_session, setpoints) = mpsc::sync_channel(SETPOINTS);
     let track = SharedTrack::new(u32::from(stream.settings.period_us));
     let pauses = Pauses::default();
     let end = StreamEnd(Arc::default());
     let options = stream.options.clone();
-    let reader = program.without_text();
-    let shared = end.clone();
-    std::thread::spawn(move || interpret(&reader, bytes, &options, &shared, &to_planner));
-    let source = StreamSource {
-        setpoints,
-        end: end.clone(),
-        waits: stream.waits,
-        interrupted: Arc::clone(&stream.interrupted),
+    let new_planner = match stream.is_checked {
+        true => Planner::of_checked,
+        false => Planner::new,
     };
-    let mut planner = Planner::new(stream.options.start, stream.settings.clone(), model);
+    let mut planner = new_planner(stream.options.start, stream.settings.clone(), model);
     planner.follow(&track);
-    let mut planning = Planning {
+    // In the simulator the source interprets and plans itself, so that the recording does not
+    // depend on the pace of threads. Only blocks that may come late are read by one.
+    let is_pulled = stream.waits && !stream.is_live;
+    let interrupted = Arc::clone(&stream.interrupted);
+    let waits = stream.waits;
+    let planning = Planning {
         program: program.without_text(),
         planner,
         stream,
-        to_session,
         pauses: pauses.clone(),
         waiting: VecDeque::new(),
         sent: 0,
         end: end.clone(),
     };
-    std::thread::spawn(move || {
-        // The session has dropped the setpoints: the job was stopped.
-        let _ = planning.run(&steps);
-    });
+    let setpoints = if is_pulled {
+        Setpoints::of(Pulled {
+            reader: Reader::new(program.without_text(), bytes, &options),
+            planning,
+            has_begun: false,
+            ready: VecDeque::new(),
+            interrupted,
+        })
+    } else {
+        let (to_planner, steps) = mpsc::sync_channel(STEPS);
+        let (to_session, setpoints) = mpsc::sync_channel(SETPOINTS);
+        let reader = program.without_text();
+        let shared = end.clone();
+        std::thread::spawn(move || {
+            let mut reader = Reader::new(reader, bytes, &options);
+            loop {
+                let item = reader.next(&shared);
+                let is_last = item.is_last();
+                if to_planner.send(item).is_err() || is_last {
+                    return;
+                }
+            }
+        });
+        std::thread::spawn(move || {
+            let mut thread = PlanningThread {
+                planning,
+                to_session,
+            };
+            // The session has dropped the setpoints: the job was stopped.
+            let _ = thread.run(&steps);
+        });
+        Setpoints::of(StreamSource {
+            setpoints,
+            end: end.clone(),
+            waits,
+            interrupted,
+        })
+    };
     Supply {
-        setpoints: Setpoints::of(source),
+        setpoints,
         shown: Shown {
             track,
             pauses,
@@ -242,50 +306,72 @@ pub(super) fn start(
     }
 }
 
-fn interpret(
-    program: &PartProgram,
-    bytes: Bytes,
-    options: &Options,
-    shared: &StreamEnd,
-    to: &SyncSender<Item>,
-) {
-    let mut interpreter = Interpreter::new(bytes, options);
-    interpreter.keep_comments();
-    let (mut notices, mut called) = (0, 0);
-    loop {
+impl Item {
+    const fn is_last(&self) -> bool {
+        matches!(self, Item::End(_) | Item::Error(_))
+    }
+}
+
+/// Interprets a program.
+struct Reader {
+    program: PartProgram,
+    interpreter: Interpreter<'static>,
+    /// Notices and called files that were passed on.
+    notices: usize,
+    called: usize,
+    /// The last comments, for pauses.
+    comments: VecDeque<Comment>,
+    waiting: VecDeque<Item>,
+}
+
+impl Reader {
+    fn new(program: PartProgram, bytes: Bytes, options: &Options) -> Self {
+        let mut interpreter = Interpreter::new(bytes, options);
+        interpreter.keep_comments();
+        Self {
+            program,
+            interpreter,
+            notices: 0,
+            called: 0,
+            comments: VecDeque::new(),
+            waiting: VecDeque::new(),
+        }
+    }
+
+    fn next(&mut self, shared: &StreamEnd) -> Item {
+        if let Some(item) = self.waiting.pop_front() {
+            return item;
+        }
+        let interpreter = &mut self.interpreter;
         let step = interpreter.next();
-        if interpreter.called().len() > called {
-            called = interpreter.called().len();
+        if interpreter.called().len() > self.called {
+            self.called = interpreter.called().len();
             shared.lock().called = interpreter.called().to_vec();
         }
-        let comments = interpreter.take_comments();
-        let new = &interpreter.notices()[notices..];
-        notices += new.len();
-        for text in program.describe_notices(new, interpreter.called()) {
-            if to.send(Item::Notice(text)).is_err() {
-                return;
-            }
-        }
-        let item = match step {
+        self.comments.extend(interpreter.take_comments());
+        let surplus = self.comments.len().saturating_sub(COMMENTS);
+        self.comments.drain(..surplus);
+        let new = &interpreter.notices()[self.notices..];
+        self.notices += new.len();
+        let notices = self.program.describe_notices(new, interpreter.called());
+        self.waiting.extend(notices.into_iter().map(Item::Notice));
+        self.waiting.push_back(match step {
             Some(Ok(step)) => {
-                let comment = comment_at(&step, &comments);
+                let comment = comment_at(&step, &self.comments);
                 Item::Step(Box::new(step), comment)
             }
             Some(Err(problem)) => {
                 let kind = ErrorKind::BadInput;
-                Item::Error(program.refuse(kind, problem, interpreter.called()))
+                Item::Error(self.program.refuse(kind, problem, interpreter.called()))
             }
             None => Item::End(interpreter.lines()),
-        };
-        let is_last = !matches!(item, Item::Step(..));
-        if to.send(item).is_err() || is_last {
-            return;
-        }
+        });
+        self.next(shared)
     }
 }
 
 /// The comment in the block of a pause.
-fn comment_at(step: &Step, comments: &[Comment]) -> Option<String> {
+fn comment_at(step: &Step, comments: &VecDeque<Comment>) -> Option<String> {
     let place = step.place();
     let is_here = |it: &&Comment| it.place.line == place.line && it.place.file == place.file;
     let comment = comments.iter().find(is_here)?;
@@ -295,58 +381,52 @@ fn comment_at(step: &Step, comments: &[Comment]) -> Option<String> {
 /// The session is gone.
 struct Gone;
 
-/// Plans the steps of a program, in a thread.
+/// Plans the steps of a program.
 struct Planning {
     program: PartProgram,
     planner: Planner<Model>,
     stream: StreamOptions,
-    to_session: SyncSender<Setpoint>,
     pauses: Pauses,
     /// Pauses whose setpoints are not made.
     waiting: VecDeque<Pause>,
-    /// Setpoints that are sent.
+    /// Setpoints that are made.
     sent: u32,
     end: StreamEnd,
 }
 
-impl Planning {
+/// Plans in a thread.
+struct PlanningThread {
+    planning: Planning,
+    to_session: SyncSender<Setpoint>,
+}
+
+impl PlanningThread {
     fn run(&mut self, steps: &Receiver<Item>) -> Result<(), Gone> {
-        if let Err(problem) = self.planner.check_start() {
-            self.fail(problem);
+        if self.planning.begin() {
             return Ok(());
         }
         loop {
             let item = self.next(steps)?;
-            if self.end.lock().error.is_some() {
-                return self.finish(1);
+            if self.planning.end.lock().error.is_some() {
+                self.planning.finish(1);
+                return self.send();
             }
             let Some(item) = item else {
                 continue;
             };
-            let result = match item {
-                Item::Notice(text) => {
-                    (self.stream.print)(&text);
-                    continue;
-                }
-                Item::Step(step, comment) => self.step(&step, comment),
-                Item::End(lines) => return self.finish(lines),
-                Item::Error(error) => {
-                    self.stop(error);
-                    return self.finish(1);
-                }
-            };
-            if let Err(problem) = result {
-                self.fail(problem);
-                return self.finish(1);
-            }
+            let has_ended = self.planning.take(item);
             self.send()?;
+            if has_ended {
+                return Ok(());
+            }
         }
     }
 
     /// Takes the next item. Where blocks may come late, the look-ahead is planned when the machine
     /// waits for it.
     fn next(&mut self, steps: &Receiver<Item>) -> Result<Option<Item>, Gone> {
-        if !self.stream.is_live || self.stream.waits {
+        let stream = &self.planning.stream;
+        if !stream.is_live || stream.waits {
             return steps.recv().map(Some).map_err(|_| Gone);
         }
         let item = match steps.recv_timeout(POLL) {
@@ -354,14 +434,102 @@ impl Planning {
             Err(RecvTimeoutError::Timeout) => None,
             Err(RecvTimeoutError::Disconnected) => return Err(Gone),
         };
-        let hungry_since = self.end.lock().hungry_since;
+        let hungry_since = self.planning.end.lock().hungry_since;
         if hungry_since.is_some_and(|since| since.elapsed() > HUNGER) {
-            if let Err(problem) = self.planner.hurry(item.is_none()) {
-                self.fail(problem);
+            if let Err(problem) = self.planning.planner.hurry(item.is_none()) {
+                self.planning.fail(problem);
             }
             self.send()?;
         }
         Ok(item)
+    }
+
+    /// Sends the setpoints that are made.
+    fn send(&mut self) -> Result<(), Gone> {
+        let to_session = &self.to_session;
+        self.planning
+            .pass_on(|setpoint| to_session.send(setpoint).map_err(|_| Gone))
+    }
+}
+
+/// Interprets and plans when the session asks for a setpoint.
+struct Pulled {
+    reader: Reader,
+    planning: Planning,
+    has_begun: bool,
+    ready: VecDeque<Setpoint>,
+    interrupted: Arc<AtomicBool>,
+}
+
+impl SetpointSource for Pulled {
+    fn next_setpoint(&mut self) -> Poll<Option<Setpoint>> {
+        loop {
+            if let Some(setpoint) = self.ready.pop_front() {
+                return Poll::Ready(Some(setpoint));
+            }
+            if self.planning.has_ended() {
+                return Poll::Ready(None);
+            }
+            if self.interrupted.load(Ordering::Relaxed) {
+                return Poll::Pending;
+            }
+            if std::mem::replace(&mut self.has_begun, true) || !self.planning.begin() {
+                let item = self.reader.next(&self.planning.end);
+                self.planning.take(item);
+            }
+            let ready = &mut self.ready;
+            let passed: Result<(), Gone> = self.planning.pass_on(|setpoint| {
+                ready.push_back(setpoint);
+                Ok(())
+            });
+            if passed.is_err() {
+                return Poll::Ready(None);
+            }
+        }
+    }
+}
+
+impl Planning {
+    /// Checks the start; returns whether the program has ended there.
+    fn begin(&mut self) -> bool {
+        match self.planner.check_start() {
+            Ok(()) => false,
+            Err(problem) => {
+                self.fail(problem);
+                self.end.lock().has_ended = true;
+                true
+            }
+        }
+    }
+
+    fn has_ended(&self) -> bool {
+        self.end.lock().has_ended
+    }
+
+    /// Plans an item; returns whether the program has ended.
+    fn take(&mut self, item: Item) -> bool {
+        let result = match item {
+            Item::Notice(text) => {
+                self.show(&text);
+                return false;
+            }
+            Item::Step(step, comment) => self.step(&step, comment),
+            Item::End(lines) => {
+                self.finish(lines);
+                return true;
+            }
+            Item::Error(error) => {
+                self.stop(error);
+                self.finish(1);
+                return true;
+            }
+        };
+        if let Err(problem) = result {
+            self.fail(problem);
+            self.finish(1);
+            return true;
+        }
+        false
     }
 
     fn step(
@@ -385,6 +553,13 @@ impl Planning {
         self.planner.step(step)
     }
 
+    /// Shows a notice of a program that was not checked.
+    fn show(&self, text: &str) {
+        if !self.stream.is_checked {
+            (self.stream.print)(text);
+        }
+    }
+
     /// Notes an error of the planner.
     fn fail(&mut self, problem: haptimill_gcode::Problem) {
         let refused = Refused {
@@ -402,20 +577,21 @@ impl Planning {
     }
 
     /// Ends the motion at standstill.
-    fn finish(&mut self, line: u32) -> Result<(), Gone> {
+    fn finish(&mut self, line: u32) {
         if let Err(problem) = self.planner.finish(line) {
             self.fail(problem);
         }
         let figures = self.planner.figures();
-        self.end.lock().is_empty = figures.blocks == 0;
+        let mut end = self.end.lock();
+        (end.is_empty, end.has_ended) = (figures.blocks == 0, true);
+        drop(end);
         if let Some(text) = self.program.describe_slowed(&figures) {
-            (self.stream.print)(&text);
+            self.show(&text);
         }
-        self.send()
     }
 
-    /// Sends the setpoints that are made.
-    fn send(&mut self) -> Result<(), Gone> {
+    /// Passes the setpoints on that are made.
+    fn pass_on(&mut self, mut take: impl FnMut(Setpoint) -> Result<(), Gone>) -> Result<(), Gone> {
         for planned in self.planner.made() {
             if planned.setpoint.action == Action::Pause
                 && let Some(pause) = self.waiting.pop_front()
@@ -423,7 +599,7 @@ impl Planning {
                 self.pauses.add(self.sent, pause);
             }
             self.sent += 1;
-            self.to_session.send(planned.setpoint).map_err(|_| Gone)?;
+            take(planned.setpoint)?;
         }
         Ok(())
     }
@@ -472,6 +648,28 @@ impl SetpointSource for StreamSource {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A text that is replaced in place after its check runs as it was checked.
+    #[test]
+    fn what_is_kept_does_not_follow_the_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("part.ngc");
+        for length in [1000, KEPT_BYTES as usize, KEPT_BYTES as usize + 1] {
+            let text: Vec<u8> = (0..length).map(|k| (k % 251) as u8).collect();
+            std::fs::write(&path, &text).expect("written");
+            let (mut bytes, kept) = keep(&path).expect("read");
+            // The check reads it to its end.
+            let mut read = Vec::new();
+            bytes.read_to_end(&mut read).expect("read");
+            assert_eq!(read, text);
+            std::fs::write(&path, "M30").expect("written");
+            bytes.rewind().expect("a start");
+            read.clear();
+            bytes.read_to_end(&mut read).expect("read");
+            assert_eq!(read, text);
+            assert_eq!(kept.is_empty(), length as u64 > KEPT_BYTES);
+        }
+    }
 
     /// What goes back reads the same bytes, over the ends of what was read at once.
     #[test]

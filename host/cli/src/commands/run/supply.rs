@@ -2,9 +2,10 @@
 
 use super::args::RunArgs;
 use super::stream::StreamEnd;
+use crate::commands::CliError;
 use crate::commands::program::{Pauses, Planned};
 use haptimill_client::client::Setpoints;
-use haptimill_client::session::TimeTable;
+use haptimill_client::session::{RunTime, TimeProfile, TimeTable};
 use haptimill_machine_file::MachineFile;
 use haptimill_planner::SharedTrack;
 use haptimill_protocol::setpoint::Setpoint;
@@ -31,15 +32,46 @@ pub(super) struct Times {
     pub(super) programmed_s: f64,
     /// Duration at the overrides of the arguments, seconds.
     pub(super) duration_s: f64,
-    /// The setpoints, for the time that is left; none in the simulator, which has no pace.
-    setpoints: Vec<Setpoint>,
+    /// For the time that is left; none in the simulator, which has no pace.
+    profile: Option<TimeProfile>,
 }
 
 impl Times {
     /// The time that is left at overrides of feed and of rapid moves, percent.
     pub(super) fn left(&self, machine: &MachineFile, [feed, rapid]: [u8; 2]) -> Option<TimeTable> {
-        let is_known = !self.setpoints.is_empty();
-        is_known.then(|| TimeTable::new(machine, &self.setpoints, feed, rapid))
+        let profile = self.profile.as_ref()?;
+        Some(profile.table(machine, feed, rapid))
+    }
+
+    /// Times of a checked program, of which `for_each` gives every setpoint if they are needed.
+    ///
+    /// # Errors
+    /// That of `for_each`.
+    pub(super) fn of(
+        args: &RunArgs,
+        machine: &MachineFile,
+        programmed_s: f64,
+        for_each: impl FnOnce(&mut dyn FnMut(&Setpoint)) -> Result<(), CliError>,
+    ) -> Result<Self, CliError> {
+        let mut times = Self {
+            programmed_s,
+            duration_s: programmed_s,
+            profile: (!args.port.is_simulated()).then(TimeProfile::default),
+        };
+        let mut time = RunTime::new(machine, args.feed_override, args.rapid_override);
+        if times.profile.is_none() && args.is_at_full_speed() {
+            return Ok(times);
+        }
+        for_each(&mut |setpoint| {
+            time.add(setpoint);
+            if let Some(profile) = &mut times.profile {
+                profile.add(setpoint);
+            }
+        })?;
+        if !args.is_at_full_speed() {
+            times.duration_s = time.seconds();
+        }
+        Ok(times)
     }
 }
 
@@ -48,23 +80,17 @@ impl Supply {
         let Planned {
             mut plan, pauses, ..
         } = planned;
-        let duration_s = args.duration_s(machine, &plan);
         let setpoints = std::mem::take(&mut plan.setpoints);
-        let times = Times {
-            programmed_s: plan.figures.duration_s,
-            duration_s,
-            setpoints: if args.port.is_simulated() {
-                Vec::new()
-            } else {
-                setpoints.clone()
-            },
-        };
+        let times = Times::of(args, machine, plan.figures.duration_s, |take| {
+            setpoints.iter().for_each(take);
+            Ok(())
+        });
         Self {
             setpoints: setpoints.into(),
             shown: Shown {
                 pauses,
                 track: plan.into(),
-                times: Some(times),
+                times: times.ok(),
             },
             end: None,
         }

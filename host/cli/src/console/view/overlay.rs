@@ -2,8 +2,8 @@
 
 use super::panels::wrapped;
 use super::{master, style_of};
-use crate::console::input::ZERO;
 use crate::console::keys::BINDINGS;
+use crate::console::listing::{Kind, Picker};
 use crate::console::view_model::{Axis, Confirm, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::PER_EFFORT;
 use haptimill_protocol::force::ForceLoop;
@@ -20,6 +20,9 @@ use std::sync::atomic::Ordering;
 /// Notices in the question before a run: with more of them its last row would not fit on a small
 /// screen.
 const SHOWN_NOTICES: usize = 4;
+
+/// Rows of a folder that are shown at once.
+const PICKER_ROWS: usize = 12;
 
 /// Title, rows, and which of them are visible where not all fit.
 type Content<'a> = (&'a str, Vec<Line<'a>>, Visible);
@@ -93,12 +96,12 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
             ("Confirm", rows.chain([help]).collect())
         }
         Overlay::Prompt { title, text } => {
-            // The end of a long name stays visible.
-            let hidden = text.chars().count().saturating_sub(width.saturating_sub(2));
-            let tail: String = text.chars().skip(hidden).collect();
-            let action = if *title == ZERO { "sets" } else { "checks" };
-            let help = highlighted(format!("Enter {action} it, Esc cancels, Ctrl-U clears"));
-            (*title, vec![Line::raw(format!("{tail}_")), help])
+            let help = highlighted("Enter sets it, Esc cancels, Ctrl-U clears");
+            (*title, vec![typed_row(text, width), help])
+        }
+        Overlay::Programs(picker) => {
+            let (rows, row) = picker_rows(picker, width);
+            return Some(("Part program", rows, Visible::With(row)));
         }
         Overlay::Axes { selected } => (
             "Axis sources: changes from and to jog need standstill",
@@ -129,6 +132,78 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
 /// A row in reverse video.
 fn highlighted<'a>(text: impl Into<Cow<'a, str>>) -> Line<'a> {
     Line::styled(text, Style::new().add_modifier(Modifier::REVERSED))
+}
+
+/// A text that is typed; the end of a long one stays visible.
+fn typed_row(text: &str, width: usize) -> Line<'static> {
+    Line::raw(format!("{}_", end_of(text, width.saturating_sub(2))))
+}
+
+/// The last letters of a text.
+fn end_of(text: &str, width: usize) -> String {
+    let hidden = text.chars().count().saturating_sub(width);
+    text.chars().skip(hidden).collect()
+}
+
+/// The typed path, the folder with the rows around the selected one, and the key help; with the
+/// row that stays visible.
+fn picker_rows(picker: &Picker, width: usize) -> (Vec<Line<'static>>, usize) {
+    let mut rows = vec![typed_row(&picker.text, width)];
+    let mut visible = 0;
+    let selected = picker
+        .listing
+        .as_ref()
+        .and_then(|list| Some((list, list.entries.get(picker.selected?)?)));
+    match &picker.listing {
+        None => rows.push(Line::raw("the folder is read ...")),
+        Some(list) => {
+            let folder = list.folder.display().to_string();
+            rows.push(Line::raw(end_of(&folder, width)));
+            let problem = list.problem.iter().flat_map(|what| wrapped(what, width, 2));
+            rows.extend(problem.map(Line::from));
+            let row = picker.selected.unwrap_or(0);
+            let first = row
+                .saturating_sub(PICKER_ROWS / 2)
+                .min(list.entries.len().saturating_sub(PICKER_ROWS));
+            let shown = list
+                .entries
+                .iter()
+                .enumerate()
+                .skip(first)
+                .take(PICKER_ROWS);
+            for (index, entry) in shown {
+                let text = match entry.kind {
+                    Kind::Medium => format!(
+                        " {} (mounted)",
+                        end_of(&entry.name, width.saturating_sub(12))
+                    ),
+                    Kind::Up | Kind::Folder => {
+                        format!(" {}/", end_of(&entry.name, width.saturating_sub(3)))
+                    }
+                    Kind::Program => format!(" {}", end_of(&entry.name, width.saturating_sub(2))),
+                };
+                if picker.selected == Some(index) {
+                    visible = rows.len();
+                    rows.push(highlighted(text));
+                } else {
+                    rows.push(Line::raw(text));
+                }
+            }
+            if list.more > 0 {
+                let more = count(list.more, "more row");
+                rows.push(Line::raw(format!("{more}: type the path")));
+            }
+        }
+    }
+    let help = match selected {
+        Some((_, entry)) if entry.kind == Kind::Program => {
+            "Enter checks it, Backspace goes up, Esc cancels"
+        }
+        Some(_) => "Enter opens it, Backspace goes up, Esc cancels",
+        None => "Enter checks it, Down selects, Esc cancels, Ctrl-U clears",
+    };
+    rows.push(highlighted(help));
+    (rows, visible)
 }
 
 /// A list with a selected row, and the key help below it.

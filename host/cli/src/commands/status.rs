@@ -1,0 +1,204 @@
+//! Status of a machine, as text and as JSON.
+
+use super::io_status::IoStatus;
+use haptimill_machine_file::model::Model;
+use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, Telemetry};
+use serde_json::Value;
+use std::fmt::Write as _;
+
+/// A status.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct StatusReport {
+    text: String,
+    json: Value,
+}
+
+/// Adds a line.
+macro_rules! line {
+    ($text:ident, $($part:tt)*) => {{
+        // Writing to a text cannot fail.
+        let _ = writeln!($text, $($part)*);
+    }};
+}
+
+impl StatusReport {
+    /// Describes telemetry of a machine with this name (empty without a configuration) and check of
+    /// its configuration.
+    pub(crate) fn new(
+        machine: &str,
+        configuration: u32,
+        model: &Model,
+        status: &Telemetry,
+    ) -> Self {
+        let fault = status
+            .fault
+            .map(|fault| model.with_axes(|axes| axes.describe(&fault).to_string()));
+        let mut text = String::new();
+        let pose = |values: &AxisValues| -> Vec<(String, f64)> {
+            let units = model.unwound_pose(values, status);
+            model
+                .pose_names()
+                .iter()
+                .zip(units)
+                .take(values.len())
+                .map(|(name, value)| ((*name).to_string(), value))
+                .collect()
+        };
+        let joints = |values: &AxisValues| -> Vec<(String, f64)> {
+            model
+                .joint_names()
+                .iter()
+                .map(ToString::to_string)
+                .zip(model.joints_to_engineering_units(values))
+                .collect()
+        };
+        let io = IoStatus::new(model.io(), status.io.as_ref());
+        let joint_names: Vec<String> = model
+            .joint_names()
+            .iter()
+            .map(ToString::to_string)
+            .collect();
+        let is_open = |joint: usize| status.open_loop >> joint & 1 != 0;
+        let open_loop: Vec<&String> = (joint_names.iter().enumerate())
+            .filter(|(joint, _)| is_open(*joint))
+            .map(|(_, name)| name)
+            .collect();
+        let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
+        let value = serde_json::json!({
+            "machine": machine,
+            "configuration_crc": format!("{configuration:08x}"),
+            "state": format!("{:?}", status.state),
+            "homed": status.homed,
+            "position_kept": status.position_kept,
+            "fault": fault,
+            "period": status.period,
+            "setpoint": status.setpoint,
+            "path_rate": f64::from(status.path_rate) / f64::from(FULL_PATH_RATE),
+            // With the drives off nothing is commanded, as the text says.
+            "commanded": (!status.state.has_drives_off()).then(|| map(pose(&status.commanded))),
+            "referenced": status.homed && status.position_kept,
+            "measured": map(pose(&status.measured)),
+            "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(status)).collect()),
+            "open_loop": open_loop,
+            "following_error": map(joints(&status.following_error)),
+            "compensation_percent": status.compensation,
+            "bad_frames": status.bad_frames,
+            "lost_bytes": status.lost_bytes,
+            "inputs": io.inputs_json(),
+            "outputs": io.outputs_json(),
+        });
+        let line = |values: Vec<(String, f64)>, units: Vec<&str>| -> String {
+            values
+                .iter()
+                .zip(units)
+                .map(|((name, value), unit)| format!("  {name} {value:.4} {unit}"))
+                .collect()
+        };
+        let yes_no = |flag: bool| if flag { "yes" } else { "no" };
+        let name = if machine.is_empty() {
+            "no configuration".to_string()
+        } else {
+            machine.to_string()
+        };
+        line!(
+            text,
+            "{name}: {}, homed: {}, position kept: {}",
+            status.state.to_string().trim_start_matches("in "),
+            yes_no(status.homed),
+            yes_no(status.position_kept)
+        );
+        if let Some(fault) = fault {
+            line!(text, "fault      {fault}");
+        }
+        if status.lost_bytes > 0 {
+            line!(
+                text,
+                "line       the controller lost {} bytes because its receive buffer was full",
+                status.lost_bytes
+            );
+        }
+        let names_axes = !model.pose_units().is_empty();
+        if !status.measured.is_empty() && !names_axes {
+            line!(
+                text,
+                "positions  not shown; `--machine FILE` names the machine file"
+            );
+        }
+        if !status.measured.is_empty() && names_axes {
+            if !(status.homed && status.position_kept) {
+                line!(
+                    text,
+                    "positions  not referenced; `haptimill home` finds the reference"
+                );
+            }
+            let (pose_units, joint_units) = (model.pose_units(), model.joint_units());
+            let measured = line(pose(&status.measured), pose_units.clone());
+            line!(text, "measured {measured}");
+            if status.state.has_drives_off() {
+                line!(text, "commanded  nothing: the drives are off");
+            } else {
+                line!(
+                    text,
+                    "commanded{}",
+                    line(pose(&status.commanded), pose_units)
+                );
+            }
+            if !open_loop.is_empty() {
+                let names: Vec<&str> = open_loop.iter().map(|name| name.as_str()).collect();
+                line!(
+                    text,
+                    "open loop  {}: counted steps, not measured",
+                    names.join(", ")
+                );
+            }
+            let unwound = joint_names.into_iter().zip(model.unwound_joints(status));
+            line!(text, "joints   {}", line(unwound.collect(), joint_units));
+        }
+        if let Some(percent) = status.compensation {
+            line!(text, "compensation  {percent} %");
+        }
+        io.write(&mut text);
+        Self { text, json: value }
+    }
+
+    /// Reads the answer of another process.
+    #[cfg(unix)]
+    pub(super) fn of_answer(answer: &str) -> Option<Self> {
+        let mut answer: Value = serde_json::from_str(answer).ok()?;
+        let mut done: Value = serde_json::from_str(answer["done"].take().as_str()?).ok()?;
+        Some(Self {
+            text: done["text"].as_str()?.to_string(),
+            json: done["status"].take(),
+        })
+    }
+
+    /// The answer to another process.
+    pub(crate) fn answer(&self) -> String {
+        serde_json::json!({ "text": self.text, "status": self.json }).to_string()
+    }
+
+    /// Prints it.
+    pub(super) fn print(&self, json: bool) {
+        if json {
+            print_line!("{:#}", self.json);
+        } else {
+            print_line!("{}", self.text.trim_end());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptimill_machine_file::MachineFile;
+
+    #[test]
+    fn an_answer_is_the_same_status() {
+        let machine = MachineFile::built_in().expect("the built-in machine");
+        let telemetry = Telemetry::default();
+        let report = StatusReport::new("h4", 7, &Model::new(&machine), &telemetry);
+        let answer = serde_json::json!({ "done": report.answer() }).to_string();
+        assert_eq!(StatusReport::of_answer(&answer), Some(report));
+        assert_eq!(StatusReport::of_answer("{\"error\": \"no link\"}"), None);
+    }
+}
