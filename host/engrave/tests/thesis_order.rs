@@ -194,7 +194,7 @@ fn the_square_begins_at_its_lowest_row_and_alternates() {
 /// The table of `haptimill scenario run engraver`: what differs from the thesis has a reason.
 #[test]
 fn the_table_of_the_thesis_is_complete() {
-    let rows = rows();
+    let rows = rows().expect("numbers of the thesis");
     for section in ["5.1", "4.2.1", "5.2", "5.3", "5.4"] {
         assert!(rows.iter().any(|row| row.section == section), "{section}");
     }

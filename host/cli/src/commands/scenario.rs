@@ -169,7 +169,8 @@ fn run_engraver(args: &RunArgs) -> Result<(), CliError> {
             eprintln!("{what}");
         }
     };
-    let mut rows = haptimill_engrave::thesis::rows();
+    let mut rows =
+        haptimill_engrave::thesis::rows().map_err(|error| CliError::new(Exit::Internal, error))?;
     rows.extend(super::engrave::thesis::rows(
         &interrupt::flag(),
         &mut progress,
