@@ -334,28 +334,28 @@ impl Executor {
         } else {
             shift
         };
-        let beside = |mut at: PerLetter| {
-            at[first] += shift[0];
-            at[second] += shift[1];
-            at
-        };
-        let at_level = |mut at: PerLetter, level: f64| {
+        // By reference: a closure that changed an array passed by value gave another position with
+        // each call (rustc 1.95, opt-level 2).
+        let mut beside = over;
+        beside[first] += shift[0];
+        beside[second] += shift[1];
+        let at_level = |from: &PerLetter, level: f64| {
+            let mut at = *from;
             at[hole.normal] = level;
             at
         };
-        let over = at_level(over, hole.r);
         self.level(hole, hole.r, Pace::Rapid)?;
-        self.exact_to(hole, beside(over), Pace::Rapid)?;
+        self.exact_to(hole, at_level(&beside, hole.r), Pace::Rapid)?;
         self.turn(hole, Turn::Off);
-        self.exact_to(hole, at_level(beside(over), hole.bottom), Pace::Rapid)?;
-        self.exact_to(hole, at_level(over, hole.bottom), Pace::Rapid)?;
+        self.exact_to(hole, at_level(&beside, hole.bottom), Pace::Rapid)?;
+        self.exact_to(hole, at_level(&over, hole.bottom), Pace::Rapid)?;
         self.turn(hole, turn);
-        self.exact_to(hole, at_level(over, upper), hole.pace)?;
-        self.exact_to(hole, at_level(over, hole.bottom), hole.pace)?;
+        self.exact_to(hole, at_level(&over, upper), hole.pace)?;
+        self.exact_to(hole, at_level(&over, hole.bottom), hole.pace)?;
         self.turn(hole, Turn::Off);
-        self.exact_to(hole, at_level(beside(over), hole.bottom), Pace::Rapid)?;
-        self.exact_to(hole, at_level(beside(over), hole.clear), Pace::Rapid)?;
-        self.exact_to(hole, at_level(over, hole.clear), Pace::Rapid)?;
+        self.exact_to(hole, at_level(&beside, hole.bottom), Pace::Rapid)?;
+        self.exact_to(hole, at_level(&beside, hole.clear), Pace::Rapid)?;
+        self.exact_to(hole, at_level(&over, hole.clear), Pace::Rapid)?;
         self.turn(hole, turn);
         Ok(())
     }

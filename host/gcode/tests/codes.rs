@@ -270,3 +270,27 @@ fn boring_stops_the_spindle_at_the_bottom() {
         "{still}"
     );
 }
+
+/// Back boring: the tool goes in and out beside the axis by I and J, each time by the same.
+#[test]
+fn back_boring_goes_in_beside_the_axis() {
+    let text = "S100 M3 G0 Z8\nG98 G87 X10 Y20 Z-3 R2 I0.5 J-0.25 K0.5 F100\nG80\n";
+    let steps = steps(text);
+    let bore = [
+        "rapid 10 20 8",
+        "rapid 10 20 2",
+        "rapid 10.5 19.75 2",
+        "spindle 0",
+        "rapid 10.5 19.75 -3",
+        "rapid 10 20 -3",
+        "spindle 100",
+        "feed 100 10 20 0.5",
+        "feed 100 10 20 -3",
+        "spindle 0",
+        "rapid 10.5 19.75 -3",
+        "rapid 10.5 19.75 8",
+        "rapid 10 20 8",
+        "spindle 100",
+    ];
+    assert_eq!(steps[steps.len() - bore.len()..], bore, "{steps:#?}");
+}

@@ -79,8 +79,10 @@ impl Writer {
         } else {
             "G1"
         };
+        // Where only rotary axes move, F is in degrees, and the comparison takes it as a length.
+        let is_turned = to != self.at && !self.incremental && self.random.below(4) == 0;
         let mut words = self.words(to, true);
-        if !self.incremental && self.random.below(4) == 0 {
+        if is_turned {
             let turn = self.random.within(-180.0, 180.0);
             let letter = ['A', 'B', 'C'][self.random.below(3) as usize];
             let _ = write!(words, " {letter}{turn:.3}");
