@@ -15,6 +15,7 @@ use crate::comm::telemetry::Stream;
 use crate::config::Config;
 use crate::config::HAPTICS;
 use crate::core::Core;
+use crate::faults::hardware;
 use crate::io::Inputs;
 use crate::machine::Machine;
 use crate::named_io::Probing;
@@ -211,7 +212,7 @@ fn enable(core: &mut Core, inputs: &Inputs) -> Done {
     if inputs.emergency_stop {
         return Err(Refusal::Input(InputProblem::EmergencyStop));
     }
-    match machine.hardware_fault(&inputs.axes, core.safety.homed()) {
+    match hardware(machine, inputs, core.safety.homed()) {
         Some(Fault::LimitSwitch { axis }) => {
             return Err(Refusal::Input(InputProblem::LimitSwitch { axis }));
         }

@@ -3,7 +3,8 @@
 use crate::comm::server::Server;
 use crate::core::Core;
 use crate::force::sensor::is_force;
-use crate::io::Inputs;
+use crate::io::{AxisInputs, Inputs};
+use crate::machine::Machine;
 use crate::safety::{keeps_position, suspected};
 use haptimill_protocol::message::{Event, Fault, State};
 
@@ -180,8 +181,7 @@ fn check_joints(core: &mut Core, inputs: &Inputs, late: bool) {
     let Some(machine) = &mut core.machine else {
         return;
     };
-    if let Some(fault) = machine
-        .hardware_fault(&inputs.axes, core.safety.homed())
+    if let Some(fault) = hardware(machine, inputs, core.safety.homed())
         .or_else(|| machine.supervise(inputs.missed != 0))
         .or_else(|| machine.racked(core.safety.homed()))
     {
@@ -206,6 +206,34 @@ fn check_host(core: &mut Core, server: &Server) {
             silent_ms: (silent_us / 1000).min(u64::from(u32::MAX)) as u32,
         });
     }
+}
+
+/// A limit switch that is active, or a drive that reports a fault.
+#[inline]
+pub(crate) fn hardware(machine: &Machine, inputs: &Inputs, homed: bool) -> Option<Fault> {
+    if !machine.has_only_plain_switches() {
+        return machine.hardware_fault(&inputs.axes, homed);
+    }
+    let axes = inputs.axes.get(..machine.joint_count())?;
+    let healthy = |axis: &AxisInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
+    if axes.iter().fold(true, |all, axis| all & healthy(axis)) {
+        return None;
+    }
+    name_hardware_fault(axes)
+}
+
+#[cold]
+#[inline(never)]
+fn name_hardware_fault(axes: &[AxisInputs]) -> Option<Fault> {
+    for (index, axis) in axes.iter().enumerate() {
+        if axis.limit_low || axis.limit_high {
+            return Some(Fault::LimitSwitch { axis: index as u8 });
+        }
+        if !axis.drive_ready {
+            return Some(Fault::Drive { axis: index as u8 });
+        }
+    }
+    None
 }
 
 /// Consequences of a latched fault or an emergency stop for the job, and of a fault for the

@@ -66,6 +66,8 @@ pub struct Machine {
     pub homing: Homing,
     /// Search for the home switches.
     switches: Switches,
+    /// No switch needs [`Machine::hardware_fault`] now.
+    plain_switches: bool,
     /// Second motors of gantries.
     gantries: Gantries,
     /// Force sensor and force control, on a machine that has them.
@@ -210,6 +212,13 @@ impl Machine {
         self.counter_fault
     }
 
+    /// Whether the levels of the limit switches need no interpretation.
+    #[must_use]
+    #[inline]
+    pub const fn has_only_plain_switches(&self) -> bool {
+        self.plain_switches
+    }
+
     /// Clears the fault of a counter after it was reported.
     pub const fn acknowledge_counter_fault(&mut self) {
         self.counter_fault = None;
@@ -310,28 +319,17 @@ impl Machine {
         if self.is_compliant() {
             return self.solve_reference();
         }
-        self.solve_once(false)
-    }
-
-    /// Solves the commanded pose, or the reference of a compliant tool, with the errors of the
-    /// machine compensated.
-    #[inline]
-    fn solve_once(&mut self, compliant: bool) -> Result<(), PoseError> {
-        let mut pose = if compliant {
-            &self.reference
-        } else {
-            self.motion.commanded()
-        };
+        let mut commanded = self.motion.commanded();
         if let (Some(compensation), Some(tables)) =
             (&mut self.compensation, &self.config.volumetric)
             && compensation.is_active()
         {
-            pose = compensation.correct(tables, pose);
+            commanded = compensation.correct(tables, commanded);
         }
         self.kinematics.solve(
-            &pose.pose,
-            &pose.rates,
-            &pose.accelerations,
+            &commanded.pose,
+            &commanded.rates,
+            &commanded.accelerations,
             &mut self.target,
         )
     }
@@ -375,6 +373,14 @@ impl Machine {
     #[inline]
     pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
         self.update_excursion();
+        match self.motion.advance_program(mode) {
+            Some(progress) => (progress, None),
+            None => self.advance_with_sources(mode),
+        }
+    }
+
+    #[inline(never)]
+    fn advance_with_sources(&mut self, mode: Mode) -> (Progress, Option<u8>) {
         self.motion.advance(mode, &self.kinematics)
     }
 

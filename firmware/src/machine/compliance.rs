@@ -21,7 +21,7 @@ use crate::digest::{Constants, Digest};
 use crate::force::sensor::COMPONENTS;
 use crate::force::{Design, ForceControl, ForceProblem};
 use crate::io::Inputs;
-use haptimill_kinematics::PoseError;
+use haptimill_kinematics::{Accelerations, Kinematics, PoseError};
 use haptimill_math::force::Displacement;
 use haptimill_math::{Acceleration, Coordinate, Length, Rate};
 use haptimill_protocol::message::{ConfigField, ConfigProblem};
@@ -130,23 +130,21 @@ impl Machine {
             }
         }
         self.report_limited(limited);
-        self.digest_adopted_settings();
+        if self.force.as_ref().is_some_and(ForceControl::adopted) {
+            for part in FORCE_PART..super::PARTS {
+                self.digests[part] = self.digest(part);
+            }
+        }
     }
 
     /// One period with the drives off: resets the compliant displacement.
     pub fn release_force(&mut self) {
         if let Some(force) = &mut self.force {
             force.release();
-            self.digest_adopted_settings();
-        }
-    }
-
-    /// Updates the digests of force control where new settings took effect in this period.
-    #[inline]
-    fn digest_adopted_settings(&mut self) {
-        if self.force.as_ref().is_some_and(ForceControl::adopted) {
-            for part in FORCE_PART..super::PARTS {
-                self.digests[part] = self.digest(part);
+            if force.adopted() {
+                for part in FORCE_PART..super::PARTS {
+                    self.digests[part] = self.digest(part);
+                }
             }
         }
     }
@@ -209,7 +207,7 @@ impl Machine {
     /// Stage *solve* with force control.
     #[inline(never)]
     pub(super) fn solve_reference(&mut self) -> Result<(), PoseError> {
-        let placed = self.solve_once(true);
+        let placed = self.solve_once();
         if placed.is_ok() && !self.exceeds_joint_rate() {
             return Ok(());
         }
@@ -229,7 +227,24 @@ impl Machine {
             }
         }
         self.report_limited(limited);
-        self.solve_once(true)
+        self.solve_once()
+    }
+
+    fn solve_once(&mut self) -> Result<(), PoseError> {
+        let mut reference = &self.reference;
+        if let (Some(compensation), Some(tables)) =
+            (&mut self.compensation, &self.config.volumetric)
+            && compensation.is_active()
+        {
+            reference = compensation.correct(tables, reference);
+        }
+        let accelerations: &Accelerations = &reference.accelerations;
+        self.kinematics.solve(
+            &reference.pose,
+            &reference.rates,
+            accelerations,
+            &mut self.target,
+        )
     }
 
     fn report_limited(&mut self, limited: u8) {

@@ -147,6 +147,7 @@ impl Machine {
             motion: Motion::default(),
             homing: Homing::default(),
             switches: Switches::default(),
+            plain_switches: true,
             gantries: Gantries::default(),
             force: None,
             masters: Masters::default(),
@@ -183,6 +184,7 @@ impl Machine {
         let tables = self.config.volumetric.as_ref();
         self.compensation = tables.map(|tables| Compensation::new(tables, period_us));
         self.motion.configure(&self.config);
+        self.plain_switches = self.has_plain_switches();
         for part in 0..PARTS {
             self.digests[part] = self.digest(part);
         }

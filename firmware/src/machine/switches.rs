@@ -74,6 +74,7 @@ impl Machine {
             ignored,
             ..Switches::default()
         };
+        self.plain_switches = false;
         // A joint on its limit switch is beyond its stroke.
         self.joints
             .iter_mut()
@@ -86,6 +87,7 @@ impl Machine {
             self.switches.active = false;
             self.switches.leaving = None;
             self.switches.ignored = [0; MAX_AXES];
+            self.plain_switches = self.has_plain_switches();
             self.set_placed(true);
         }
     }
@@ -223,9 +225,10 @@ impl Machine {
         self.update_measured();
     }
 
-    /// A limit switch that is active, or a drive that reports a fault. A limit switch that serves
-    /// for homing counts once the machine is homed, and one that a joint moves off does not count.
-    #[inline]
+    /// A limit switch that is active, or a drive that reports a fault, on a machine whose switches
+    /// are active at a low level or serve for homing, or while a joint moves off its limit switch.
+    #[cold]
+    #[inline(never)]
     pub fn hardware_fault(&self, inputs: &[AxisInputs; MAX_AXES], homed: bool) -> Option<Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
             let inputs = inputs.get(index)?;
@@ -244,5 +247,13 @@ impl Machine {
             }
         }
         None
+    }
+
+    /// Whether every switch is active at a high level and none of the limits serves for homing.
+    pub(super) fn has_plain_switches(&self) -> bool {
+        self.config.joints.iter().all(|axis| {
+            let input = axis.home.switch().map(|switch| switch.input);
+            axis.active_low == 0 && !input.is_some_and(|input| input != SwitchInput::Home)
+        })
     }
 }

@@ -469,10 +469,18 @@ impl Interpolator {
 
     /// Advances one control period along the path; `halt` decelerates to standstill and keeps the
     /// position on the path.
-    #[inline]
     pub fn advance(&mut self, halt: bool) -> (PoseCommand, Progress) {
+        let mut commanded = PoseCommand::default();
+        let progress = self.advance_to(halt, &mut commanded);
+        (commanded, progress)
+    }
+
+    /// As [`Interpolator::advance`], writing pose, rates and accelerations into `commanded`.
+    #[inline]
+    pub fn advance_to(&mut self, halt: bool, commanded: &mut PoseCommand) -> Progress {
         let progress = self.advance_time(halt);
-        (self.commanded(), progress)
+        self.sample(commanded);
+        progress
     }
 
     #[inline]
@@ -572,19 +580,28 @@ impl Interpolator {
     }
 
     /// Pose, rates and accelerations at the present program time and path rate.
-    #[inline]
     fn commanded(&self) -> PoseCommand {
         let mut commanded = PoseCommand::default();
+        self.sample(&mut commanded);
+        commanded
+    }
+
+    /// As [`Interpolator::commanded`], written in place.
+    #[inline]
+    fn sample(&self, commanded: &mut PoseCommand) {
         let Some(segment) = self.segment() else {
-            commanded.pose = Pose(self.from.pose.map(Coordinate));
-            return commanded;
+            *commanded = PoseCommand {
+                pose: Pose(self.from.pose.map(Coordinate)),
+                ..PoseCommand::default()
+            };
+            return;
         };
         let fraction = segment.duration.fraction((self.time >> 16) as u32);
         let PoseCommand {
             pose,
             rates,
             accelerations,
-        } = &mut commanded;
+        } = &mut *commanded;
         // A compiler that knows the value to be positive multiplies it as an unsigned word, which
         // takes four instructions for one.
         let half = core::hint::black_box(segment::half(fraction));
@@ -598,9 +615,8 @@ impl Interpolator {
             *acceleration = sample.acceleration;
         }
         if self.path_rate != Ramp::at(FULL_RATE) {
-            self.scale_to_path_rate(&mut commanded);
+            self.scale_to_path_rate(commanded);
         }
-        commanded
     }
 
     /// Distance between two positions; the shorter one on an axis of one turn.

@@ -291,52 +291,57 @@ impl Motion {
         self.sources[..self.axes].contains(&Source::Jog)
     }
 
-    /// Advances one control period. The number names a coordinate whose jog was limited.
+    /// Advances one control period in the common cases: standstill, or the program alone. Returns
+    /// `None` in all other cases; they need [`Motion::advance`].
     #[inline]
-    pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
+    pub fn advance_program(&mut self, mode: Mode) -> Option<Progress> {
         match mode {
             Mode::Still => {
                 self.commanded.rates = Rates::default();
                 self.commanded.accelerations = Accelerations::default();
-                (Progress::default(), None)
+                Some(Progress::default())
             }
-            Mode::Jog => {
+            Mode::Program { halt } if !self.blended => {
+                Some(self.program.advance_to(halt, &mut self.commanded))
+            }
+            _ => None,
+        }
+    }
+
+    /// Advances one control period. The number names a coordinate whose jog was limited.
+    pub fn advance(&mut self, mode: Mode, machine: &impl Kinematics) -> (Progress, Option<u8>) {
+        if let Some(progress) = self.advance_program(mode) {
+            return (progress, None);
+        }
+        match mode {
+            Mode::Still | Mode::Jog => {
                 let (commanded, limited) = self.jog.advance(machine);
                 self.commanded = commanded;
                 (Progress::default(), limited)
             }
-            Mode::Program { halt } if !self.blended => {
-                let (commanded, progress) = self.program.advance(halt);
-                self.commanded = commanded;
-                (progress, None)
+            Mode::Program { halt } => {
+                for axis in 0..self.axes {
+                    if self.sources[axis] != Source::Jog {
+                        self.jog.set_coordinate(axis, self.commanded.pose.0[axis]);
+                    }
+                }
+                let (blocked, limited_jog) = self.check_stopping(machine);
+                if limited_jog.is_some() {
+                    self.jog.release();
+                }
+                let (program, mut progress) = self.program.advance(halt || blocked);
+                progress.blocked = blocked;
+                self.program_rates = program.rates;
+                let moving = self.follow(halt);
+                self.stopping = progress.finished;
+                let (jog, limited) = self.jog.advance(machine);
+                for axis in 0..self.axes {
+                    self.merge(axis, &program, &jog, moving & (1 << axis) != 0);
+                }
+                self.update_blended();
+                (progress, limited_jog.or(limited))
             }
-            Mode::Program { halt } => self.advance_blended(halt, machine),
         }
-    }
-
-    /// Advances one control period of a program beside which other sources move coordinates.
-    #[inline(never)]
-    fn advance_blended(&mut self, halt: bool, machine: &impl Kinematics) -> (Progress, Option<u8>) {
-        for axis in 0..self.axes {
-            if self.sources[axis] != Source::Jog {
-                self.jog.set_coordinate(axis, self.commanded.pose.0[axis]);
-            }
-        }
-        let (blocked, limited_jog) = self.check_stopping(machine);
-        if limited_jog.is_some() {
-            self.jog.release();
-        }
-        let (program, mut progress) = self.program.advance(halt || blocked);
-        progress.blocked = blocked;
-        self.program_rates = program.rates;
-        let moving = self.follow(halt);
-        self.stopping = progress.finished;
-        let (jog, limited) = self.jog.advance(machine);
-        for axis in 0..self.axes {
-            self.merge(axis, &program, &jog, moving & (1 << axis) != 0);
-        }
-        self.update_blended();
-        (progress, limited_jog.or(limited))
     }
 
     /// Updates `blended` after a change of a source or an offset.
