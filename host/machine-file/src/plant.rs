@@ -146,7 +146,11 @@ fn check_scales(
                     "ticks_per_us = {} is not the step clock of the controller, {ticks_per_us}",
                     drive.ticks_per_us
                 );
-                report("drive: ticks_per_us", what, "write the same number in both");
+                report(
+                    "drive: steps: ticks_per_us",
+                    what,
+                    "write the same number in both",
+                );
             }
             let steps = f64::from(drive.full_steps) * f64::from(drive.microsteps);
             let remedy = "correct lead, full_steps and microsteps here, or lead (gear_ratio) and \

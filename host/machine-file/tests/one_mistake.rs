@@ -44,6 +44,21 @@ fn an_unknown_model_asks_for_no_key_of_another_model() {
 }
 
 #[test]
+fn a_preset_beyond_a_stop_has_no_range_of_starts() {
+    let (_, plant) = MILL.split_once("[plant]").expect("a plant");
+    assert!(plant.contains("preset = 50.0"));
+    let at = MILL.rfind("preset = 50.0").expect("a preset");
+    let text = format!(
+        "{}preset = 500.0{}",
+        &MILL[..at],
+        &MILL[at + "preset = 50.0".len()..]
+    );
+    let problems = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+    assert_eq!(problems.0.len(), 1, "{problems}");
+    assert_eq!(problems.0[0].key, "plant.joint[3].preset");
+}
+
+#[test]
 fn a_key_is_named_once_among_the_others() {
     let text = MILL.replacen(
         "home = \"switch\"\n",

@@ -63,7 +63,7 @@ fn another_step_clock_is_found() {
     let found = problem(true, "ticks_per_us = 84", "ticks_per_us = 75");
     assert_eq!(
         found,
-        "plant.joint[1].drive.ticks_per_us: ticks_per_us = 75 is not the step clock of the \
+        "plant.joint[1].drive.steps.ticks_per_us: ticks_per_us = 75 is not the step clock of the \
          controller, 84"
     );
 }
