@@ -6,6 +6,7 @@
 
 pub mod carriage_errors;
 pub mod cartesian;
+pub mod corexy;
 pub mod facet;
 pub mod five_bar;
 pub mod four_axis;
@@ -273,6 +274,8 @@ geometries! {
     PolarMill("polar_mill", polar_mill::PolarMill);
     /// Three slides, and three rotary axes beside the tool and the workpiece.
     SixAxis("six_axis", six_axis::SixAxis);
+    /// Two crossed belts that move the tool along x and y, and a vertical slide.
+    Corexy("corexy", corexy::Corexy);
     /// Joints that carry nothing: the pose is the joint positions.
     Joints("joints", cartesian::BareJoints);
 }

@@ -47,6 +47,7 @@ machine_files! {
     "engraver", "engraver.toml";
     "fivebar", "fivebar.toml";
     "polar3", "polar3.toml";
+    "corexy", "corexy.toml";
 }
 
 impl MachineKind {

@@ -11,6 +11,7 @@
 
 pub mod bounds;
 pub mod cartesian;
+pub mod corexy;
 pub mod facet;
 pub mod five_bar;
 pub mod h4;
@@ -48,6 +49,7 @@ macro_rules! subjects {
             five_bar_on_one_axis: five_bar::Arms::new(five_bar::ON_ONE_AXIS), 0.1, 200;
             polar_aside: polar_mill::Table::new(polar_mill::ASIDE), 0.2, 500;
             polar_centred: polar_mill::Table::new(polar_mill::CENTRED), 0.1, 200;
+            corexy_belts: corexy::Belts::default(), 0.1, 500;
         }
     };
 }

@@ -4,6 +4,7 @@
 //! configuration its variant and all functions here their arm.
 
 pub mod cartesian;
+pub mod corexy;
 pub mod facet;
 pub mod five_bar;
 pub mod h4;
@@ -201,4 +202,6 @@ machines! {
     PolarMill(polar_mill::PolarMill);
     /// Three slides and three rotary axes, each joint a pose coordinate.
     SixAxis(cartesian::SixAxis);
+    /// Two crossed belts that move the tool along x and y, and a vertical slide.
+    Corexy(corexy::Corexy);
 }

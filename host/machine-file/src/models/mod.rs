@@ -1,6 +1,7 @@
 //! Models of the section `[kinematics]`, one module each: their keys and their reader.
 
 mod cartesian;
+mod corexy;
 mod facet;
 mod five_bar;
 mod four_axis;
@@ -64,6 +65,7 @@ models! {
     FiveBar(five_bar::File);
     PolarMill(polar_mill::File);
     SixAxis(six_axis::File);
+    Corexy(corexy::File);
 }
 
 /// A model and the reader of its keys.
