@@ -234,6 +234,7 @@ fn lost_steps_without_encoders_are_no_success() {
             "{part}: {lost:?}"
         );
     }
+    assert_eq!(summary["position_kept"], false, "{summary:#}");
     // The true tool is as far away.
     let mm = fault
         .split("x is ")
@@ -255,6 +256,34 @@ fn lost_steps_without_encoders_are_no_success() {
         off.abs() > 0.05 && (tool - off).abs() < 0.02,
         "{off} {tool}"
     );
+    // In the move to the home pose, before the program.
+    let before = run(&["--fault", "joint-jammed axis=x at=20s for=100ms"]).expect_code(6);
+    let before = before.json();
+    assert_eq!(before["position_kept"], false, "{before:#}");
+}
+
+/// A program that asks the machine runs in parts; it is no success either.
+#[test]
+fn lost_steps_of_a_program_in_parts_are_no_success() {
+    let folder = TestFolder::new();
+    let mill = std::fs::read_to_string(scene::root().join("machines/mill3.toml")).unwrap();
+    let (controller, plant) = mill.split_once("[plant]").unwrap();
+    let input = "name = \"ready\"\nchannel = 0\n";
+    let machine = format!(
+        "{controller}[[input]]\n{input}function = \"general\"\nactive = \"high\"\n\
+         filter_ms = 2.0\n\n[plant]{plant}\n[[plant.input]]\n{input}"
+    );
+    let machine = folder.file("own.toml", &machine);
+    let text = format!(
+        "G21 G90 F600\nM66 P0 L0\n{}G1 X0\nM30\n",
+        "G1 X20\nX-20\n".repeat(6)
+    );
+    let program = folder.file("part.ngc", &text);
+    let job = ["run", &program, "--machine", &machine];
+    haptimill(&job).expect_code(0);
+    let fault = ["--fault", "joint-jammed axis=x at=30s for=100ms"];
+    let lost = haptimill(&[&job[..], &fault].concat()).expect_code(6);
+    assert!(lost.err.contains("steps were lost"), "{lost:?}");
 }
 
 #[test]

@@ -139,7 +139,9 @@ fn a_fragment_is_named_as_one() {
         assert_eq!(code, 3);
         assert!(err.contains(&format!("it has [{name}] only")), "{err}");
         let (code, _, err) = folder.run(&["machine", "migrate", "part.toml"]);
-        assert_eq!(code, 3, "{err}");
+        assert_eq!(code, 0, "{err}");
+        let migrated = std::fs::read_to_string(folder.0.join("part.toml")).unwrap();
+        assert!(!migrated.contains("format"), "{migrated}");
     }
 }
 

@@ -293,7 +293,8 @@ impl Job<'_> {
                 injected,
                 completed: is_whole && matches!(end.ending, JobEnding::Done { .. }),
                 final_state: Some(end.status.state),
-                position_kept: end.status.position_kept,
+                // The controller cannot know of lost steps.
+                position_kept: end.status.position_kept && lost_steps.is_none(),
                 bytes_per_setpoint: f64::from(end.sent.message_bytes)
                     / f64::from(end.setpoints.max(1)),
                 line_bytes_per_setpoint: f64::from(end.sent.bytes)

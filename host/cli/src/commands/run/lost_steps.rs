@@ -3,10 +3,11 @@
 
 use haptimill_client::Error;
 use haptimill_client::session::{JobLine, Session};
-use haptimill_firmware::config::Drive;
+use haptimill_firmware::config::{Drive, SwitchInput};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::joint::DriveConfig;
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::scale::per_unit;
 
 /// Joints with step motors and without encoders.
 pub(super) struct StepJoints {
@@ -34,7 +35,7 @@ fn off<L: JobLine>(session: &mut Session<L>, index: usize) -> Result<Option<f64>
 }
 
 impl StepJoints {
-    /// The joints of a homed machine at standstill; none where it is not simulated.
+    /// The joints of a homed machine; none where it is not simulated.
     ///
     /// # Errors
     /// The session is lost.
@@ -52,8 +53,15 @@ impl StepJoints {
             let is_open = joint.encoder.is_none() && matches!(joint.drive, Drive::Steps { .. });
             if let DriveConfig::Steps(motor) = &simulated.drive
                 && is_open
-                && let Some(off) = off(session, index)?
+                && let Some(now) = off(session, index)?
             {
+                // A joint that has just searched its switch is off by the place of the switch. What
+                // it lost since then, also on the way to the home pose, is no part of that.
+                let switch = simulated.home.as_ref().zip(joint.home.switch());
+                let switch = switch.filter(|(_, home)| home.input == SwitchInput::Home);
+                let off = switch.map_or(now, |(switch, home)| {
+                    switch.at - f64::from(home.coordinate.0) / per_unit(joint.kind)
+                });
                 let full_step = simulated.lead / f64::from(motor.full_steps);
                 joints.push(StepJoint {
                     index,

@@ -6,6 +6,7 @@
 
 use super::args::RunArgs;
 use super::job::Job;
+use super::lost_steps::StepJoints;
 use super::operator::Operator;
 use super::progress::ProgressDisplay;
 use super::stream::Bytes;
@@ -212,6 +213,7 @@ impl Job<'_> {
     ) -> Result<(), CliError> {
         self.args
             .print_message("running in parts: the program reads inputs; nothing is recorded");
+        let step_joints = StepJoints::of(session, self.machine)?;
         let options = self.program.options(self.machine, session.model(), start)?;
         let mut interpreter = Interpreter::new(bytes, &options);
         interpreter.keep_comments();
@@ -250,6 +252,9 @@ impl Job<'_> {
             }
         }
         self.run_part(session, part.take(), &mut interpreter, operator)?;
+        if let Some(lost) = step_joints.lost(session, self.machine)? {
+            return Err(CliError::new(Exit::Fault, lost));
+        }
         if self.args.json && !self.args.silent {
             let result = serde_json::json!({ "program": self.program.name, "completed": true });
             print_line!("{result:#}");
