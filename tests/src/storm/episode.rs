@@ -4,7 +4,7 @@ use super::machines::MachineKind;
 use super::rng::Rng;
 use super::script::script;
 use haptimill_hil_sim::fault::FaultKind;
-use haptimill_protocol::message::Command;
+use haptimill_protocol::message::{Command, MAX_AXES};
 
 /// The subject of an episode. It selects the stimuli and the checks that apply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -255,8 +255,11 @@ const fn fault_name(kind: &FaultKind) -> &'static str {
     }
 }
 
-/// Names of the joints of the H-4 machines.
-pub const JOINTS: [&str; 5] = ["l1", "l2", "l3", "l4", "alpha"];
+/// Names of joints by their places: those of the H-4 machines, and one more.
+pub const JOINTS: [&str; MAX_AXES] = ["l1", "l2", "l3", "l4", "alpha", "sixth"];
+
+/// Number of joints of the H-4 machines.
+pub const H4_JOINTS: usize = 5;
 
 /// Returns the index of a joint by its name.
 #[must_use]

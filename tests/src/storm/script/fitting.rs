@@ -2,7 +2,7 @@
 //! and five joints are fitted to the machine, and what only such a machine has is added.
 
 use super::super::command;
-use super::super::episode::{JOINTS, JobPlan, Step, Stimulus, Theme, joint_of};
+use super::super::episode::{H4_JOINTS, JobPlan, Step, Stimulus, Theme, joint_of};
 use super::super::machines::{MachineKind, machine};
 use super::super::rng::Rng;
 use super::{Steps, joint_name, operation, periods};
@@ -184,7 +184,7 @@ pub(super) fn fit(script: &mut [Step], kind: MachineKind, rng: &mut Rng) {
     let config = &machine(kind).config;
     let (axes, joints) = (config.pose.len(), config.joints.len());
     let values = |list: &mut AxisValues| {
-        if list.len() != JOINTS.len() {
+        if list.len() != H4_JOINTS {
             return;
         }
         list.truncate(axes);

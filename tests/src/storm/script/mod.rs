@@ -9,7 +9,7 @@ mod line;
 mod operation;
 mod teleoperation;
 
-use super::episode::{JOINTS, Step, Stimulus, Theme};
+use super::episode::{H4_JOINTS, JOINTS, Step, Stimulus, Theme};
 use super::machines::{MachineKind, machine};
 use super::rng::Rng;
 use haptimill_protocol::message::Command;
@@ -30,10 +30,9 @@ fn periods(rng: &mut Rng) -> u32 {
 fn joint_name(kind: MachineKind, rng: &mut Rng) -> String {
     let count = match kind {
         MachineKind::File(_) => machine(kind).config.joints.len(),
-        _ => JOINTS.len(),
+        _ => H4_JOINTS,
     };
-    // The names stand for places; a sixth joint gets no fault of its own.
-    rng.choose(&JOINTS[..count.min(JOINTS.len())]).to_string()
+    rng.choose(&JOINTS[..count]).to_string()
 }
 
 /// Returns the script of an episode.
