@@ -478,7 +478,8 @@ fn tables_of_every_machine_invert_each_other() {
             .iter()
             .filter(|row| row.last().is_some_and(|status| status == "ok"))
             .collect();
-        let least = 20.min(results.len() / 2);
+        // The strokes of belts and arms leave out the corners of the grid.
+        let least = 20.min(results.len() / 8);
         assert!(reached.len() > least, "{file}: {} poses", reached.len());
         let unit = |kind| match kind {
             AxisKind::Linear => "mm",

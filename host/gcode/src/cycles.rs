@@ -334,8 +334,8 @@ impl Executor {
         } else {
             shift
         };
-        // By reference: a closure that changed an array passed by value gave another position with
-        // each call (rustc 1.95, opt-level 2).
+        // By reference: closures that changed an array passed by value gave another position with
+        // each call in an optimised build (seen with rustc 1.95 by the test of back boring).
         let mut beside = over;
         beside[first] += shift[0];
         beside[second] += shift[1];

@@ -347,15 +347,17 @@ function drawStock() {
   const { columns, rows: count, heights, blank, triangles, border, x, y } = stock;
   const total = heights.length + border.length;
   const [points, values] = [new Float32Array(3 * total), new Float32Array(total)];
-  let deepest = 0.1;
+  let [deepest, lowest] = [0.1, Infinity];
   heights.forEach((height, k) => {
     points[3 * k] = x[0] + (x[1] - x[0]) * (k % columns) / (columns - 1 || 1);
     points[3 * k + 1] = y[0] + (y[1] - y[0]) * Math.floor(k / columns) / (count - 1 || 1);
     points[3 * k + 2] = height;
     values[k] = blank[k] - height;
     deepest = Math.max(deepest, values[k]);
+    lowest = Math.min(lowest, height);
   });
-  stock.floor = Math.min(stock.floor, ...border.map(k => heights[k]));
+  // A cut deeper than the block makes it higher.
+  stock.floor = Math.min(stock.floor, lowest);
   border.forEach((of, k) => {
     const at = 3 * (heights.length + k);
     points.set([points[3 * of], points[3 * of + 1], stock.floor], at);

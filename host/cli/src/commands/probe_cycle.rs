@@ -12,6 +12,7 @@ use haptimill_client::session::{
 };
 use haptimill_firmware::config::AxisKind;
 use haptimill_gcode::{Coordinates, SYSTEM_NAMES};
+use haptimill_kinematics::descriptor::Role;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::work_data::{self, WorkData, offsets_path, system_index, tools_path};
 use std::path::{Path, PathBuf};
@@ -407,6 +408,23 @@ impl Prober<'_> {
         Err(CliError::new(Exit::Usage, what))
     }
 
+    /// Index of the coordinate that moves the tool along x, y or z.
+    fn tool_axis(&self, role: Role) -> Result<usize, CliError> {
+        let descriptor = self.machine.config.model.descriptor();
+        descriptor.coordinate(role).ok_or_else(|| {
+            let what = format!(
+                "{}: no coordinate moves the tool along {}; probe along single axes with `edge`",
+                self.machine.file,
+                match role {
+                    Role::ToolX => "x",
+                    Role::ToolY => "y",
+                    _ => "z",
+                }
+            );
+            CliError::new(Exit::BadInput, what)
+        })
+    }
+
     /// Touches both walls along an axis and moves to the middle.
     fn walls(
         &mut self,
@@ -421,7 +439,7 @@ impl Prober<'_> {
     }
 
     fn bore(&mut self, reach: f64) -> Result<Centre, CliError> {
-        let (x, y) = (self.linear_axis("x")?, self.linear_axis("y")?);
+        let (x, y) = (self.tool_axis(Role::ToolX)?, self.tool_axis(Role::ToolY)?);
         // The first measurement along x may be of a chord; that along y passes the middle.
         self.walls(x, |it, sign| it.touch(x, sign * reach))?;
         let along_y = self.walls(y, |it, sign| it.touch(y, sign * reach))?;
@@ -433,8 +451,8 @@ impl Prober<'_> {
     }
 
     fn boss(&mut self, args: &BossArgs) -> Result<Centre, CliError> {
-        let axes = [self.linear_axis("x")?, self.linear_axis("y")?];
-        let z = self.linear_axis("z")?;
+        let axes = [self.tool_axis(Role::ToolX)?, self.tool_axis(Role::ToolY)?];
+        let z = self.tool_axis(Role::ToolZ)?;
         let mut found = [(0.0, 0.0); 2];
         // The second round measures through the middle of the first one.
         for _ in 0..2 {
@@ -492,7 +510,7 @@ impl Prober<'_> {
             "centre at  x {x:.4} mm  y {y:.4} mm, size  x {across_x:.4} mm  y {across_y:.4} mm"
         );
         self.print(&values, &text);
-        let axes = [self.linear_axis("x")?, self.linear_axis("y")?];
+        let axes = [self.tool_axis(Role::ToolX)?, self.tool_axis(Role::ToolY)?];
         self.set_zero(&[(axes[0], x), (axes[1], y)], zero, file)
     }
 
@@ -530,7 +548,7 @@ impl Prober<'_> {
 
     fn tool(&mut self, args: &ToolArgs, file: Option<PathBuf>) -> Result<(), CliError> {
         let Some(file) = file else { return Ok(()) };
-        let z = self.linear_axis("z")?;
+        let z = self.tool_axis(Role::ToolZ)?;
         let contact = self.touch(z, -args.reach)?;
         let length = contact - args.height;
         let mut data =

@@ -17,7 +17,8 @@ use haptimill_engrave::read::text::Font;
 use haptimill_engrave::read::{ReadOptions, read};
 use haptimill_engrave::times::{Speeds, Times};
 use haptimill_engrave::toolpath::Lengths;
-use haptimill_machine_file::{MachineFile, input};
+use haptimill_kinematics::descriptor::Role;
+use haptimill_machine_file::{AxisLimits, MachineFile, input};
 use std::path::Path;
 use std::time::Instant;
 
@@ -110,11 +111,20 @@ fn load(args: &EngraveArgs) -> Result<Drawing, CliError> {
     Ok(drawing)
 }
 
-/// Area and rapid rate of the machine's first two coordinates.
+/// Limits of the coordinate of the machine with a role.
+fn tool_axis(machine: &MachineFile, role: Role) -> Option<&AxisLimits> {
+    let index = machine.config.model.descriptor().coordinate(role)?;
+    machine.pose.get(index)
+}
+
+/// Area and rapid rate of the coordinates that move the tool along x and y.
 fn area(machine: &MachineFile) -> Result<([Point; 2], f64), CliError> {
-    let axis = |name: &str| machine.pose.iter().find(|axis| axis.name == name);
-    let (Some(x), Some(y)) = (axis("x"), axis("y")) else {
-        let what = format!("{}: the machine has no coordinates x and y", machine.file);
+    let axes = [Role::ToolX, Role::ToolY].map(|role| tool_axis(machine, role));
+    let [Some(x), Some(y)] = axes else {
+        let what = format!(
+            "{}: no coordinates move the tool along x and y",
+            machine.file
+        );
         return Err(CliError::new(Exit::BadInput, what));
     };
     Ok(([[x.low, y.low], [x.high, y.high]], x.rate.min(y.rate)))
@@ -122,7 +132,7 @@ fn area(machine: &MachineFile) -> Result<([Point; 2], f64), CliError> {
 
 /// Refuses a depth or a lift that the travel of z does not have. Z0 is the surface of the plate.
 fn check_height(machine: &MachineFile, args: &EngraveArgs) -> Result<(), CliError> {
-    let Some(z) = machine.pose.iter().find(|axis| axis.name == "z") else {
+    let Some(z) = tool_axis(machine, Role::ToolZ) else {
         return Ok(());
     };
     let levels = [
