@@ -261,7 +261,8 @@ fn the_active_level_is_configured() {
     let wired = low.replace(mechanics, &format!("{mechanics}active_low = [\"home\"]\n"));
     let mut bench = mill(&wired, &[]);
     assert_homed(&mut bench);
-    let mut bench = mill(&low, &[]);
+    // A machine that is wired for the other level.
+    let mut bench = mill_with_plant(&wired, &low, &[]);
     assert_failed(&mut bench, 2, HomingProblem::SwitchStuck);
     // The line of a contact that opens is low when its cable breaks: it is found active.
     let mut bench = mill(&wired, &["switch-missing axis=z switch=home"]);
