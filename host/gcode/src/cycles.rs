@@ -334,8 +334,7 @@ impl Executor {
         } else {
             shift
         };
-        // By reference: closures that changed an array passed by value gave another position with
-        // each call in an optimised build (seen with rustc 1.95 by the test of back boring).
+        // The shift is added once: the tool goes in and comes out at the same place.
         let mut beside = over;
         beside[first] += shift[0];
         beside[second] += shift[1];

@@ -379,7 +379,7 @@ mod tests {
     }
 
     /// A mode far above the points is not invented, and one whose notch is within them is found,
-    /// with responses that are off by 3 %.
+    /// with responses that are off by up to 6 %.
     #[test]
     fn a_mode_beyond_the_points_is_not_found() {
         for (mode_hz, share, is_seen) in [(400.0, 0.5, false), (180.0, 0.5, true)] {
