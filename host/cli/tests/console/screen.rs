@@ -56,6 +56,23 @@ fn screen_adapts_to_the_terminal_size() {
     terminal.wait_until("closed", |text| !text.contains("Keys: arrows scroll"));
 }
 
+/// A window that changes its size sends a signal while keys arrive: none may wait for the next key.
+#[test]
+fn keys_at_the_moment_of_a_resize_take_effect() {
+    let terminal = console(&[], Keyboard::Plain);
+    terminal.expect_state("DISABLED");
+    for round in 0..60 {
+        let columns = if round % 2 == 0 { 100 } else { 80 };
+        // The key first, then the signal: both are there when the console looks.
+        terminal.press(b"?");
+        terminal.resize(columns, 24);
+        terminal.expect_text("Keys: arrows scroll");
+        terminal.resize(columns + 1, 24);
+        terminal.press(b"?");
+        terminal.wait_until("closed", |text| !text.contains("Keys: arrows scroll"));
+    }
+}
+
 #[test]
 fn homing_enables_and_positions_before_it_are_marked() {
     let terminal = console(&[], Keyboard::Plain);
