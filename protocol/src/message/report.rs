@@ -1,0 +1,119 @@
+//! Reports of the controller, and its telemetry.
+
+use super::{ANALOG, AxisValues, Event, Fault, Refusal, State};
+use crate::force::ForceTelemetry;
+use crate::haptic::MasterTelemetry;
+use heapless::Vec;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Messages of the controller.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "few of them exist at a time; there is no allocator for a box"
+)]
+pub enum Report {
+    /// Answer to a request.
+    Answer {
+        /// Number of the request.
+        id: u8,
+        /// Done (or begun), or the refusal.
+        result: Result<(), Refusal>,
+    },
+    /// Report of something that happened.
+    Event {
+        /// Control period of the event.
+        period: u64,
+        /// The event.
+        event: Event,
+    },
+    /// State of the controller.
+    Telemetry(Telemetry),
+    /// State of the master.
+    Master(MasterTelemetry),
+}
+
+/// State of the controller at the end of a control period.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Telemetry {
+    /// The control period.
+    pub period: u64,
+    /// State of the controller.
+    pub state: State,
+    /// All axes have their reference.
+    pub homed: bool,
+    /// The position is known to be right since homing.
+    pub position_kept: bool,
+    /// Setpoints with a number below this can be accepted. The number is absolute, so setpoints
+    /// under way cannot be counted twice.
+    pub credit: u32,
+    /// Setpoint that the motion is heading for.
+    pub setpoint: u32,
+    /// Program time of the job in control periods; it does not advance while the machine waits.
+    pub program_periods: u32,
+    /// Path rate, [`FULL_PATH_RATE`] for the programmed speed.
+    ///
+    /// [`FULL_PATH_RATE`]: super::FULL_PATH_RATE
+    pub path_rate: u16,
+    /// Commanded pose, axis units.
+    pub commanded: AxisValues,
+    /// Measured pose, axis units; empty while the forward kinematics has no certified answer.
+    pub measured: AxisValues,
+    /// Measured joints, axis units.
+    pub joints: AxisValues,
+    /// Turns of each joint since it was configured, beside its angle; empty on a machine without a
+    /// joint that wraps around, which takes one byte.
+    pub turns: AxisValues,
+    /// Following error of each joint, axis units; of an open-loop joint the steps that are still to
+    /// be emitted.
+    pub following_error: AxisValues,
+    /// Open-loop joints, one bit each: their position is the count of emitted steps and not
+    /// measured.
+    pub open_loop: u8,
+    /// Drive command of each joint: DAC code, or steps emitted since enable.
+    pub drive: AxisValues,
+    /// The latched fault.
+    pub fault: Option<Fault>,
+    /// Total of received bytes that were deferred, because a period takes at most 64.
+    pub deferred_bytes: u32,
+    /// Total of frames refused by their check.
+    pub bad_frames: u32,
+    /// Total of received bytes that the board lost because its buffer was full.
+    pub lost_bytes: u32,
+    /// Forces. `None` on a machine without a sensor, which takes one byte.
+    pub force: Option<ForceTelemetry>,
+    /// Named inputs and outputs. `None` on a machine without any, which takes one byte.
+    pub io: Option<IoTelemetry>,
+    /// Volumetric compensation: percent of its fade, 100 where it is in full effect. `None` on a
+    /// machine without error tables, which takes one byte.
+    pub compensation: Option<u8>,
+}
+
+/// Named inputs and outputs, in the order of the configuration.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct IoTelemetry {
+    /// Filtered levels of the digital inputs, one bit per input; 1 is active.
+    pub inputs: u16,
+    /// Values of the digital outputs, one bit per output; 1 is on.
+    pub outputs: u16,
+    /// Codes of the analog inputs.
+    pub analog_inputs: Vec<i16, ANALOG>,
+    /// Codes of the analog outputs.
+    pub analog_outputs: Vec<i16, ANALOG>,
+}
+
+impl Telemetry {
+    /// Position of a rotary axis, counted on over the turns of the joint that moves it; `value` is
+    /// its angle, less than half a turn from the joint's. Without turns it is the angle.
+    pub fn unwound(&self, joint: Option<usize>, value: i32) -> i64 {
+        let place = joint.and_then(|joint| Some((self.turns.get(joint)?, self.joints.get(joint)?)));
+        place.map_or(i64::from(value), |(turns, joint)| {
+            let near = (i64::from(*turns) << 32) + i64::from(*joint);
+            near + i64::from(value.wrapping_sub(*joint))
+        })
+    }
+}
