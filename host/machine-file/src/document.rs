@@ -7,7 +7,7 @@
 
 mod section;
 
-pub use section::{Section, real, whole};
+pub use section::{Allowed, Section, real, whole};
 
 use super::problem::{LISTED_PROBLEMS, Problem, Problems};
 use haptimill_machine_keys::Section as KeySection;

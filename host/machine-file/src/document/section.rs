@@ -3,7 +3,7 @@
 mod numbers;
 mod words;
 
-pub use numbers::{real, whole};
+pub use numbers::{Allowed, real, whole};
 
 use super::Document;
 use crate::likeness::nearest;
