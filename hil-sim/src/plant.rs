@@ -4,7 +4,8 @@
 //! [`Plant::latch`] fills the [`Inputs`] that the controller sees at the start of the next period.
 //! [`Plant::truth`] is the ground truth, which no controller can see: the exact positions of slides
 //! and tool. A machine has a spindle, a cutter and a workpiece when its configuration names them or
-//! when [`Plant::fit`] gives it a [`ProcessConfig`]. The force on the tool loads the joints.
+//! when [`Plant::fit`] gives it a [`ProcessConfig`](crate::process::ProcessConfig). The force on
+//! the tool loads the joints.
 //!
 //! Modelled: each joint as two masses on a screw with stiffness, damping and backlash; Coulomb
 //! friction with sticking; drives with limits; hard stops; the encoder on the motor shaft or on the
@@ -16,6 +17,11 @@
 //! A command of the wrong kind for a drive ([`DriveCommand::Steps`] on a torque drive) leaves the
 //! drive off and is counted.
 
+mod joint;
+mod tool;
+
+pub use joint::{JointCondition, SWITCHES};
+
 use crate::check::PlantError;
 use crate::config::PlantConfig;
 use crate::contact::InputLines;
@@ -24,15 +30,14 @@ use crate::haptics::HapticArm;
 use crate::joint::encoder::{Encoder, EncoderCondition, Track};
 use crate::joint::gantry::Gantry;
 use crate::joint::mechanics::{Bodies, JointArray, Mechanics};
-use crate::joint::stepper::{PulseReport, Stepper};
-use crate::joint::switch::{Switch, SwitchCondition, SwitchPlace};
-use crate::joint::{DriveConfig, EncoderPlace, JointConfig, SwitchSide};
+use crate::joint::stepper::PulseReport;
+use crate::joint::{DriveConfig, EncoderPlace};
 use crate::machines::AnyGeometry;
-use crate::process::{CuttingConfig, ToolPose};
-use crate::process::{Process, ProcessConfig};
+use crate::process::Process;
 use crate::random::Random;
 use haptimill_firmware::io::{DriveCommand, ForceSample, Inputs, Outputs};
 use haptimill_protocol::message::MAX_AXES;
+use joint::{Drive, Joint, step_efforts};
 
 /// Ground truth at the start of a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -46,92 +51,6 @@ pub struct GroundTruth {
     pub pose_valid: bool,
     /// Force on the tool in the workpiece frame, N.
     pub force: [f64; 3],
-}
-
-/// Injected faults of a joint, without its encoder.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct JointCondition {
-    /// Ratio of the drive's effort to the commanded one: 1 healthy, 0 dead, negative reversed.
-    pub drive_gain: f64,
-    /// The drive reports a fault and gives no effort.
-    pub drive_tripped: bool,
-    /// Additional Coulomb friction on the slide, effort; infinity blocks it.
-    pub jam: f64,
-    /// Home switch, lower and upper limit switch.
-    pub switches: [SwitchCondition; SWITCHES],
-}
-
-/// Number of switches of a joint: home, lower limit, upper limit.
-pub const SWITCHES: usize = 3;
-
-impl Default for JointCondition {
-    fn default() -> Self {
-        Self {
-            drive_gain: 1.0,
-            drive_tripped: false,
-            jam: 0.0,
-            switches: [SwitchCondition::default(); SWITCHES],
-        }
-    }
-}
-
-#[derive(Debug, Clone)]
-enum Drive {
-    Torque { per_code: f64, limit: f64 },
-    Steps(Box<Stepper>),
-}
-
-#[derive(Debug, Clone)]
-struct Joint {
-    config: JointConfig,
-    drive: Drive,
-    encoder: Option<Encoder>,
-    switches: [Switch; SWITCHES],
-    condition: JointCondition,
-}
-
-impl Joint {
-    /// Effort of a torque drive for this command.
-    fn torque(&self, command: &DriveCommand, powered: bool) -> f64 {
-        match (&self.drive, command) {
-            (Drive::Torque { per_code, limit }, DriveCommand::Torque(code)) if powered => {
-                (f64::from(*code) * per_code).clamp(-limit, *limit) * self.condition.drive_gain
-            }
-            _ => 0.0,
-        }
-    }
-
-    /// Level of the line of a switch.
-    fn level(&self, switch: usize) -> bool {
-        self.switches[switch].level(&self.condition.switches[switch])
-    }
-}
-
-/// The switches of a joint with its slide at `slide`.
-fn switches(joint: &JointConfig, slide: f64, seed: u64, lane: usize) -> [Switch; SWITCHES] {
-    let limit = |at: Option<f64>, side| {
-        at.map(|at| SwitchPlace {
-            at,
-            side,
-            hysteresis: 0.0,
-            bounce_ms: 0.0,
-        })
-    };
-    let home = joint.home.as_ref().map(|home| SwitchPlace {
-        at: home.at,
-        side: home.active,
-        hysteresis: home.hysteresis,
-        bounce_ms: home.bounce_ms,
-    });
-    let places = [
-        (Kind::Home, home),
-        (Kind::LimitLow, limit(joint.limit_low, SwitchSide::Below)),
-        (Kind::LimitHigh, limit(joint.limit_high, SwitchSide::Above)),
-    ];
-    places.map(|(kind, place)| {
-        let random = Random::new(seed, 64 + 4 * lane as u64 + kind as u64);
-        Switch::new(place, joint.active_low.contains(&kind), slide, random)
-    })
 }
 
 /// The simulated machine.
@@ -183,24 +102,7 @@ impl Plant {
             }
             bodies.slide[lane] = start;
             bodies.motor[lane] = start;
-            joints.push(Joint {
-                drive: match &joint.drive {
-                    DriveConfig::Torque(drive) => Drive::Torque {
-                        per_code: drive.full_scale / 8192.0,
-                        limit: drive.limit,
-                    },
-                    DriveConfig::Steps(drive) => {
-                        Drive::Steps(Box::new(Stepper::new(joint, drive, start, period_us)))
-                    }
-                },
-                encoder: joint.encoder.as_ref().map(|encoder| {
-                    let random = Random::new(config.seed, 16 + lane as u64);
-                    Encoder::new(joint, encoder, start, random)
-                }),
-                switches: switches(joint, start, config.seed, lane),
-                condition: JointCondition::default(),
-                config: joint.clone(),
-            });
+            joints.push(Joint::new(joint, lane, start, config.seed, period_us));
         }
         let geometry = config
             .geometry
@@ -500,15 +402,6 @@ impl Plant {
         self.follow_contacts();
     }
 
-    /// Updates the contacts of probe and tool setter. The tip includes the deflection of the
-    /// structure.
-    fn follow_contacts(&mut self) {
-        if self.inputs.has_touches() && self.truth.pose_valid {
-            let tool = self.tool_pose();
-            self.inputs.follow(&tool);
-        }
-    }
-
     /// Digital inputs, with the contacts of probe and tool setter.
     pub const fn inputs(&self) -> &InputLines {
         &self.inputs
@@ -519,98 +412,6 @@ impl Plant {
         &mut self.inputs
     }
 
-    /// Advances the cutting process by one period. Its force loads the joints in the next period.
-    fn apply_process(&mut self, rpm: f64) {
-        if !self.truth.pose_valid {
-            self.truth.force = [0.0; 3];
-            self.process_load = [0.0; MAX_AXES];
-            return;
-        }
-        let pose = self.tool_pose();
-        let (Some(process), Some(geometry)) = (&mut self.process, &self.geometry) else {
-            return;
-        };
-        let axes = geometry.workpiece_axes(&self.truth.pose);
-        if process.grinding().is_some() {
-            process.set_tool_axes(geometry.tool_axes(&self.truth.pose));
-        }
-        let applied = process.step(&pose, &axes, rpm);
-        let from_tip = process.force_point();
-        let rigid = self.truth.pose;
-        geometry.place_tip(applied.tip, &mut self.truth.pose);
-        self.truth.force = applied.force;
-        self.process_load = [0.0; MAX_AXES];
-        let joints = middles(&self.gantries, &self.bodies.slide);
-        if applied.force != [0.0; 3]
-            && let Some(mut loads) = geometry.tool_loads(&joints, &rigid, applied.force, from_tip)
-        {
-            for gantry in &self.gantries {
-                gantry.divide(&mut loads);
-            }
-            self.process_load = loads;
-        }
-    }
-
-    /// Tool pose from the slides, without the deflection of the structure.
-    fn tool_pose(&self) -> ToolPose {
-        self.geometry.as_ref().map_or_else(
-            || ToolPose::upright([0.0; 3]),
-            |geometry| geometry.tool_pose(&self.truth.pose),
-        )
-    }
-
-    /// Replaces the spindle and the process of the machine.
-    ///
-    /// # Errors
-    /// All problems of the configuration, or the joints move no tool.
-    pub fn fit(&mut self, config: &ProcessConfig) -> Result<(), Vec<PlantError>> {
-        let joints = self.joints.iter().map(|joint| &joint.config);
-        let joints = joints.filter(|joint| joint.gantry_of.is_none());
-        let kinds: Vec<_> = joints.map(|joint| joint.kind).collect();
-        let geometry = self.geometry.as_ref();
-        if !geometry.is_some_and(|geometry| geometry.has_tool(&kinds)) {
-            return Err(vec![PlantError {
-                field: "process".into(),
-                problem: "needs a geometry with a tool that the joints move".into(),
-            }]);
-        }
-        self.update_ground_truth();
-        self.process_load = [0.0; MAX_AXES];
-        self.process = Some(Process::new(
-            config,
-            f64::from(self.period_us) * 1e-6,
-            &self.tool_pose(),
-            Random::new(self.seed, 48),
-        )?);
-        Ok(())
-    }
-
-    /// Clamps a workpiece on the table. The tool keeps its position, in the air or inside the
-    /// material. The function acts like [`Plant::fit`], but keeps spindle and sensor.
-    ///
-    /// # Errors
-    /// As [`Plant::fit`].
-    pub fn clamp(&mut self, config: &CuttingConfig) -> Result<(), Vec<PlantError>> {
-        let pose = self.tool_pose();
-        match &mut self.process {
-            Some(process) => process.clamp(config, &pose),
-            None => self.fit(&ProcessConfig {
-                cutting: Some(config.clone()),
-                ..ProcessConfig::default()
-            }),
-        }
-    }
-
-    /// The process at the tool; `None` on a machine without one.
-    pub const fn process(&self) -> Option<&Process> {
-        self.process.as_ref()
-    }
-
-    /// The process at the tool, with mutable access for fault injection.
-    pub const fn process_mut(&mut self) -> Option<&mut Process> {
-        self.process.as_mut()
-    }
-
     /// The haptic arm; `None` on a machine without one.
     pub const fn haptic(&self) -> Option<&HapticArm> {
         self.haptic.as_ref()
@@ -619,12 +420,6 @@ impl Plant {
     /// The haptic arm, with mutable access for the operator model and for fault injection.
     pub const fn haptic_mut(&mut self) -> Option<&mut HapticArm> {
         self.haptic.as_mut()
-    }
-
-    /// ADC codes of the force sensor at the start of the period; `None` on a machine without a
-    /// sensor.
-    pub fn force_codes(&self) -> Option<[i16; 3]> {
-        Some(self.process.as_ref()?.sensor()?.codes())
     }
 
     fn update_ground_truth(&mut self) {
@@ -646,28 +441,4 @@ fn middles(gantries: &[Gantry], slides: &JointArray) -> JointArray {
         gantry.put_middle(&mut joints);
     }
     joints
-}
-
-/// Computes the efforts of the step motors at the fraction `part` of the period.
-fn step_efforts(
-    joints: &mut [Joint],
-    outputs: &Outputs,
-    powered: bool,
-    part: f64,
-    bodies: &Bodies,
-    drive: &mut JointArray,
-) {
-    for (axis, joint) in joints.iter_mut().enumerate() {
-        if let (Drive::Steps(stepper), DriveCommand::Steps(_)) =
-            (&mut joint.drive, &outputs.axes[axis])
-        {
-            let effort = stepper.effort(part, bodies.motor[axis], bodies.motor_rate[axis]);
-            let alive = powered && !joint.condition.drive_tripped;
-            drive[axis] = if alive {
-                effort * joint.condition.drive_gain
-            } else {
-                0.0
-            };
-        }
-    }
 }

@@ -92,6 +92,8 @@ const WORDS: &[(&str, &str)] = &[
     ("host/machine-keys/src/plant.rs", "theta2"),
     ("hil-sim/src/plant.rs", "slide"),
     ("hil-sim/src/plant.rs", "slides"),
+    ("hil-sim/src/plant/", "slide"),
+    ("hil-sim/src/plant/", "slides"),
 ];
 
 /// Checks all sources below `root`.
