@@ -4,8 +4,11 @@
 //! A piece has two ends; a piece that is a point has them in the same place. The tour is an array
 //! of pieces. Both moves keep the inner lengths of pieces, so only gaps between pieces count.
 
-use super::neighbours::Neighbours;
+mod array;
+
+use super::random::Random;
 use crate::geometry::Point;
+use array::Change;
 use std::collections::VecDeque;
 
 /// Longest segment that or-opt moves, pieces.
@@ -25,19 +28,6 @@ const KICK: usize = 30;
 
 /// Smallest gain that counts, mm.
 const GAIN: f64 = 1e-7;
-
-/// A change of the array, for undoing it.
-#[derive(Debug, Clone, Copy)]
-enum Change {
-    /// `count` places from `first` reversed.
-    Reversed { first: usize, count: usize },
-    /// `count` places from `first` rotated to the left by `by`.
-    Rotated {
-        first: usize,
-        count: usize,
-        by: usize,
-    },
-}
 
 /// A tour with its search.
 pub struct Search<'e> {
@@ -62,51 +52,6 @@ pub struct Search<'e> {
 pub fn gap(a: Point, b: Point) -> f64 {
     let (x, y) = (a[0] - b[0], a[1] - b[1]);
     (x * x + y * y).sqrt()
-}
-
-/// Which ends of other pieces are neighbours of an end.
-#[derive(Debug, Clone, Copy)]
-pub struct Nearness {
-    /// This many nearest ones.
-    pub nearest: usize,
-    /// At least this many nearest ones in each quadrant: the nearest ones of an end in a cluster
-    /// are all in its cluster.
-    pub per_quadrant: usize,
-}
-
-impl Nearness {
-    /// Most neighbours of an end.
-    pub const fn width(self) -> usize {
-        self.nearest + 4 * self.per_quadrant
-    }
-
-    /// The neighbours of every end, nearest first, [`Nearness::width`] for each; `u32::MAX` where
-    /// there are fewer.
-    pub fn of(self, ends: &[Point]) -> Vec<u32> {
-        let (tree, width) = (Neighbours::new(ends), self.width());
-        let mut near = vec![u32::MAX; ends.len() * width];
-        let (mut found, mut more) = (Vec::new(), Vec::new());
-        for &(at, end) in tree.points() {
-            let end = end as usize;
-            let is_other = |other: usize| other / 2 != end / 2;
-            tree.nearest(at, self.nearest, &is_other, &mut found);
-            let quadrant = |other: usize| (ends[other][0] > at[0], ends[other][1] > at[1]);
-            for sides in [(false, false), (false, true), (true, false), (true, true)] {
-                if self.per_quadrant == 0 {
-                    break;
-                }
-                let is_there = |other: usize| is_other(other) && quadrant(other) == sides;
-                tree.nearest(at, self.per_quadrant, &is_there, &mut more);
-                more.retain(|one| !found[..self.nearest.min(found.len())].contains(one));
-                found.append(&mut more);
-            }
-            found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            for (slot, &(_, other)) in near[end * width..].iter_mut().zip(&found) {
-                *slot = other;
-            }
-        }
-        near
-    }
 }
 
 impl<'e> Search<'e> {
@@ -139,53 +84,6 @@ impl<'e> Search<'e> {
             .collect()
     }
 
-    #[inline]
-    fn place_of(&self, piece: u32) -> usize {
-        (self.place[piece as usize] / 2) as usize
-    }
-
-    #[inline]
-    fn is_flipped(&self, piece: u32) -> bool {
-        self.place[piece as usize] % 2 == 1
-    }
-
-    #[inline]
-    fn start(&self, piece: u32) -> Point {
-        self.ends[(2 * piece + self.place[piece as usize] % 2) as usize]
-    }
-
-    #[inline]
-    fn end(&self, piece: u32) -> Point {
-        self.ends[((2 * piece + self.place[piece as usize] % 2) ^ 1) as usize]
-    }
-
-    #[inline]
-    fn at(&self, place: usize) -> u32 {
-        let count = self.order.len();
-        self.order[if place >= count { place - count } else { place }] / 2
-    }
-
-    #[inline]
-    fn next(&self, piece: u32) -> u32 {
-        self.at(self.place_of(piece) + 1)
-    }
-
-    #[inline]
-    fn previous(&self, piece: u32) -> u32 {
-        self.at(self.place_of(piece) + self.order.len() - 1)
-    }
-
-    /// Number of steps forward from one piece to another.
-    #[inline]
-    fn steps(&self, from: u32, to: u32) -> usize {
-        let (from, to) = (self.place_of(from), self.place_of(to));
-        if to >= from {
-            to - from
-        } else {
-            to + self.order.len() - from
-        }
-    }
-
     fn push(&mut self, piece: u32) {
         if !self.queued[piece as usize] {
             self.queued[piece as usize] = true;
@@ -193,102 +91,10 @@ impl<'e> Search<'e> {
         }
     }
 
-    /// Puts a piece by its first end.
-    #[inline]
-    fn put(&mut self, place: usize, end: u32) {
-        self.order[place] = end;
-        self.place[(end / 2) as usize] = 2 * place as u32 + end % 2;
-    }
-
-    fn reverse_places(&mut self, first: usize, count: usize) {
-        let total = self.order.len();
-        let (mut low, mut high) = (first % total, (first + count + total - 1) % total);
-        for _ in 0..count / 2 {
-            let (a, b) = (self.order[low], self.order[high]);
-            self.put(low, b ^ 1);
-            self.put(high, a ^ 1);
-            low = if low + 1 == total { 0 } else { low + 1 };
-            high = if high == 0 { total - 1 } else { high - 1 };
-        }
-        if count % 2 == 1 {
-            self.put(low, self.order[low] ^ 1);
-        }
-        if self.logging {
-            self.changes.push(Change::Reversed { first, count });
-        }
-    }
-
-    /// Reverses the pieces from `from` on to `to`, or all others, which is the same tour.
-    fn reverse(&mut self, from: u32, to: u32) {
-        let total = self.order.len();
-        let first = self.place_of(from);
-        let count = self.steps(from, to) + 1;
-        if 2 * count <= total {
-            self.reverse_places(first, count);
-        } else {
-            self.reverse_places((first + count) % total, total - count);
-        }
-    }
-
-    /// Rotates `count` places from `first` to the left by `by`.
-    fn rotate(&mut self, first: usize, count: usize, by: usize) {
-        let total = self.order.len();
-        let index = |k: usize| (first + k) % total;
-        // The shorter part is kept aside while the longer one shifts.
-        if by <= count - by {
-            let aside: Vec<u32> = (0..by).map(|k| self.order[index(k)]).collect();
-            for k in 0..count - by {
-                self.put(index(k), self.order[index(k + by)]);
-            }
-            for (k, piece) in aside.into_iter().enumerate() {
-                self.put(index(count - by + k), piece);
-            }
-        } else {
-            let aside: Vec<u32> = (by..count).map(|k| self.order[index(k)]).collect();
-            for k in (0..by).rev() {
-                self.put(index(count - by + k), self.order[index(k)]);
-            }
-            for (k, piece) in aside.into_iter().enumerate() {
-                self.put(index(k), piece);
-            }
-        }
-        if self.logging {
-            self.changes.push(Change::Rotated { first, count, by });
-        }
-    }
-
-    fn undo(&mut self) {
-        self.logging = false;
-        while let Some(change) = self.changes.pop() {
-            match change {
-                Change::Reversed { first, count } => self.reverse_places(first, count),
-                Change::Rotated { first, count, by } => self.rotate(first, count, count - by),
-            }
-        }
-    }
-
     /// Whether a segment at one piece may move to another.
     fn is_near(&self, one: u32, other: u32) -> bool {
         let steps = self.steps(one, other);
         steps.min(self.order.len() - steps) <= FARTHEST
-    }
-
-    /// Moves the pieces from `from` on to `to` between `after` and the piece behind it.
-    fn move_between(&mut self, from: u32, to: u32, after: u32, reversed: bool) {
-        let total = self.order.len();
-        let length = self.steps(from, to) + 1;
-        let first = self.place_of(from);
-        if reversed {
-            self.reverse_places(first, length);
-        }
-        // Pieces between the segment and its new place, forwards.
-        let ahead = (self.place_of(after) + total - (first + length - 1)) % total;
-        let behind = total - length - ahead;
-        if ahead <= behind {
-            self.rotate(first, length + ahead, length);
-        } else {
-            self.rotate((first + total - behind) % total, length + behind, behind);
-        }
     }
 
     /// Runs the search until no piece in the queue improves. Returns the gain, mm.
@@ -558,24 +364,10 @@ impl<'e> Search<'e> {
     }
 }
 
-/// Seeded random numbers (SplitMix64).
-pub struct Random(pub u64);
-
-impl Random {
-    /// A number below `limit`.
-    pub fn below(&mut self, limit: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^= z >> 31;
-        ((u128::from(z) * limit as u128) >> 64) as usize
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::order::nearness::Nearness;
     use proptest::prelude::*;
     use proptest::test_runner::RngSeed;
 

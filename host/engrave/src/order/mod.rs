@@ -5,12 +5,17 @@
 //! reversed, closed paths may start anywhere.
 
 pub mod edges;
+mod entry;
 mod exact;
 mod local;
+mod nearness;
 mod neighbours;
+mod pieces;
+mod random;
 pub mod rows;
 mod start;
 mod starts;
 pub mod tour;
 
-pub use tour::{Effort, Placed, Tour, order_passes, order_paths};
+pub use pieces::Placed;
+pub use tour::{Effort, Tour, order_passes, order_paths};
