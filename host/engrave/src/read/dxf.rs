@@ -4,26 +4,25 @@
 //! so an engraving could miss a part of the drawing without a word. This reader keeps the
 //! line, handle and layer of every entity and reports each kind that it leaves out.
 
-use super::dxf_codepage::decode;
-use super::dxf_entity;
-use super::dxf_pairs::{DAMAGED, Pair, Pairs};
-use super::dxf_record::{Insert, Read, Record};
-use super::{ENTITY_LIMIT, ReadOptions};
-use crate::curves::{TOLERANCE, map_path, map_point};
+mod codepage;
+mod entity;
+mod mtext;
+mod pairs;
+mod placing;
+mod record;
+mod tables;
+mod text;
+mod units;
+
+use super::ReadOptions;
 use crate::drawing::{Drawing, Entity, Problem};
 use crate::geometry::Point;
+use codepage::decode;
 use kurbo::Affine;
+use pairs::{DAMAGED, Pair, Pairs};
+use record::{Read, Record};
 use std::collections::{BTreeMap, HashMap, HashSet};
-
-/// Deepest nesting of blocks.
-const DEPTH: usize = 16;
-
-/// A layer of the tables.
-#[derive(Default, Clone)]
-struct Layer {
-    hidden: bool,
-    linetype: Option<String>,
-}
+use tables::Layer;
 
 /// An entity with what it draws.
 struct Item<'a> {
@@ -240,78 +239,6 @@ impl<'a> Reader<'a, '_> {
         ))
     }
 
-    fn layer(&mut self, record: &[Pair]) {
-        let value = |code| record.iter().find(|pair| pair.code == code);
-        let number = |code| value(code).and_then(|pair| pair.word().parse::<i64>().ok());
-        if let Some(name) = value(2) {
-            let hidden = number(62).is_some_and(|colour| colour < 0)
-                || number(70).is_some_and(|flags| flags & 1 != 0);
-            let linetype = value(6).map(|pair| pair.text().trim().to_uppercase());
-            let name = name.text().trim().to_uppercase();
-            self.layers.insert(name, Layer { hidden, linetype });
-        }
-    }
-
-    fn linetype(&mut self, record: &[Pair]) {
-        let value = |code| record.iter().find(|pair| pair.code == code);
-        if let Some(name) = value(2) {
-            // The number of dashes and gaps.
-            let parts = value(73).and_then(|pair| pair.word().parse::<i64>().ok());
-            let name = name.text().trim().to_uppercase();
-            self.linetypes.insert(name, parts.unwrap_or(0) > 0);
-        }
-    }
-
-    /// Notes the owner of a dictionary or of a clip (XCLIP) that is switched on.
-    fn object(&mut self, kind: &str, record: &[Pair]) {
-        let value = |code| record.iter().find(|pair| pair.code == code);
-        let Some(handle) = value(5).map(|pair| pair.word().to_uppercase()) else {
-            return;
-        };
-        // The last of the pointers before the first subclass is the owner.
-        let head = record.iter().take_while(|pair| pair.code != 100);
-        let owner = head.filter(|pair| pair.code == 330).last();
-        if let Some(owner) = owner {
-            let owner = owner.word().to_uppercase();
-            self.owners.insert(handle.clone(), owner);
-        }
-        if kind == "SPATIAL_FILTER" && value(71).is_none_or(|pair| pair.word() != "0") {
-            self.clips.push(handle);
-        }
-    }
-
-    /// Whether a linetype has dashes. One that the tables do not have is no plain line, if it is
-    /// not named as one.
-    fn is_dashed(&self, name: &str) -> bool {
-        !matches!(name, "" | "CONTINUOUS" | "BYLAYER" | "BYBLOCK")
-            && self.linetypes.get(name).copied().unwrap_or(true)
-    }
-
-    /// Refuses clipped block references, which would be cut whole, or notes them.
-    fn check_clips(&mut self) {
-        for clip in std::mem::take(&mut self.clips) {
-            // The clip is in a dictionary of the dictionary of the reference.
-            let mut handle = Some(&clip);
-            for _ in 0..3 {
-                handle = handle.and_then(|handle| self.owners.get(handle));
-            }
-            let reference = match handle {
-                Some(handle) => format!("INSERT handle {handle}"),
-                None => format!("the reference of SPATIAL_FILTER handle {clip}"),
-            };
-            if self.options.ignore_clips {
-                let notice = format!("cut whole, without its clip (XCLIP): {reference}");
-                self.drawing.notices.push(notice);
-                continue;
-            }
-            self.drawing.problems.push(Problem::general(
-                format!("{reference}: its clip (XCLIP) hides a part of it, which would be cut"),
-                "explode and trim the block in the drawing program, or cut it whole with \
-                 --ignore-clips",
-            ));
-        }
-    }
-
     /// Reads one entity; `None` for parts of others that are read with them.
     fn entity(
         &mut self,
@@ -347,9 +274,9 @@ impl<'a> Reader<'a, '_> {
                 line,
                 pairs: &head,
             };
-            dxf_entity::polyline(&head, &vertices)
+            entity::polyline(&head, &vertices)
         } else {
-            dxf_entity::read(&record, self.options, self.tolerance(Affine::IDENTITY))
+            entity::read(&record, self.options, self.tolerance(Affine::IDENTITY))
         };
         Ok(Some(Item {
             entity,
@@ -358,22 +285,6 @@ impl<'a> Reader<'a, '_> {
             read: read.unwrap_or_else(Read::Refused),
             curve: None,
         }))
-    }
-
-    /// Tolerance of curves in the units of an entity that is placed by a map.
-    fn tolerance(&self, map: Affine) -> f64 {
-        let [a, b, c, d, ..] = map.as_coeffs();
-        let size = a.hypot(b).max(c.hypot(d)) * self.millimetres().unwrap_or(1.0);
-        TOLERANCE / size
-    }
-
-    /// Reports a problem of an entity once on each layer.
-    fn report(&mut self, problem: &Problem, entity: &Entity) {
-        if self.reported.insert((problem.line, entity.layer.clone())) {
-            let mut problem = problem.clone();
-            problem.layer = Some(entity.layer.clone());
-            self.drawing.problems.push(problem);
-        }
     }
 
     /// Reads the records of this kind up to SEQEND.
@@ -403,137 +314,6 @@ impl<'a> Reader<'a, '_> {
             self.parts("VERTEX", pairs, &mut Vec::new())?;
         }
         Ok(())
-    }
-
-    /// Adds an entity to the drawing under a map; `outer` is the entity of the block reference.
-    fn place(
-        &mut self,
-        item: &Item<'a>,
-        map: Affine,
-        outer: Option<&Entity>,
-        names: &mut Vec<String>,
-    ) -> Result<(), Problem> {
-        // Blocks within blocks can multiply: the copies are counted, also those of nothing.
-        self.placed += 1;
-        if self.placed > ENTITY_LIMIT {
-            return Err(Problem::general(
-                format!("the drawing has more than {ENTITY_LIMIT} entities"),
-                "split the drawing",
-            ));
-        }
-        let mut entity = item.entity.clone();
-        if let Some(outer) = outer {
-            // An entity of a block on layer 0 is on the layer of its reference.
-            if entity.layer == "0" {
-                entity.layer.clone_from(&outer.layer);
-            }
-            entity.kind = format!("{} (in {})", entity.kind, outer.kind);
-        }
-        let layer = self.layers.get(&entity.layer.to_uppercase());
-        let linetype = item.linetype.as_ref();
-        let linetype = linetype.or(layer.and_then(|layer| layer.linetype.as_ref()));
-        let is_dashed = linetype.is_some_and(|name| self.is_dashed(name));
-        if item.hidden || layer.is_some_and(|layer| layer.hidden) {
-            self.hidden += 1;
-            return Ok(());
-        }
-        let fitted = match (&item.read, &item.curve) {
-            (Read::Shapes(_), Some(pairs)) => {
-                let (kind, line) = (item.entity.kind.as_str(), item.entity.line);
-                let record = Record { kind, line, pairs };
-                dxf_entity::read(&record, self.options, self.tolerance(map)).ok()
-            }
-            _ => None,
-        };
-        match fitted.as_ref().unwrap_or(&item.read) {
-            Read::Refused(problem) => self.report(problem, &entity),
-            Read::LeftOut(reason) => {
-                self.left_out
-                    .entry(reason.clone())
-                    .or_default()
-                    .push(entity);
-            }
-            Read::Shapes(shapes) => {
-                let is_text = matches!(item.entity.kind.as_str(), "TEXT" | "MTEXT" | "ATTRIB");
-                let notes = shapes.notes.iter().map(|note| match is_text {
-                    true => format!("text with {note}"),
-                    false => (*note).into(),
-                });
-                // The outlines of a text have no dashes.
-                let dashed = (is_dashed && !is_text && !shapes.paths.is_empty())
-                    .then(|| "dashed lines are cut whole".to_string());
-                for note in notes.chain(dashed) {
-                    self.changed.entry(note).or_default().push(entity.clone());
-                }
-                let index = self.drawing.add_entity(entity);
-                let tolerance = self.tolerance(Affine::IDENTITY);
-                for path in &shapes.paths {
-                    let mut path = if map == Affine::IDENTITY {
-                        path.clone()
-                    } else {
-                        map_path(map, path, tolerance)
-                    };
-                    path.entity = index;
-                    self.drawing.paths.push(path);
-                }
-                for &at in &shapes.points {
-                    self.drawing.points.push((map_point(map, at), index));
-                }
-            }
-            Read::Insert(insert) => self.insert(insert, &entity, map, names)?,
-        }
-        Ok(())
-    }
-
-    fn insert(
-        &mut self,
-        insert: &Insert,
-        entity: &Entity,
-        map: Affine,
-        names: &mut Vec<String>,
-    ) -> Result<(), Problem> {
-        let name = insert.block.to_uppercase();
-        if names.contains(&name) || names.len() >= DEPTH {
-            self.drawing.problems.push(Problem::of(
-                entity,
-                format!(
-                    "block {} contains itself or is nested too deep",
-                    insert.block
-                ),
-                "explode the block in the drawing program",
-            ));
-            return Ok(());
-        }
-        // The block leaves the table while its entities are placed.
-        let Some(block) = self.blocks.remove(&name) else {
-            self.drawing.problems.push(Problem::of(
-                entity,
-                format!("the file has no block {}", insert.block),
-                "bind external references, or explode the block in the drawing program",
-            ));
-            return Ok(());
-        };
-        names.push(name.clone());
-        let mut outer = entity.clone();
-        outer.kind = entity
-            .kind
-            .replacen("INSERT", &format!("INSERT {}", insert.block), 1);
-        if let Some(handle) = &entity.handle {
-            outer.kind = format!("{} handle {handle}", outer.kind);
-        }
-        let base = Affine::translate((-block.base[0], -block.base[1]));
-        let mut result = Ok(());
-        'copies: for copy in &insert.maps {
-            for item in &block.items {
-                result = self.place(item, map * *copy * base, Some(&outer), names);
-                if result.is_err() {
-                    break 'copies;
-                }
-            }
-        }
-        names.pop();
-        self.blocks.insert(name, block);
-        result
     }
 
     fn finish(mut self) -> Result<Drawing, Problem> {
@@ -573,72 +353,4 @@ impl<'a> Reader<'a, '_> {
         }
         Ok(self.drawing)
     }
-
-    /// Whether the unit is inches by the measurement only.
-    fn english(&self) -> bool {
-        matches!((self.unit, self.metric), (None | Some(0), Some(0)))
-    }
-
-    /// Millimetres per unit, with the factor of the caller.
-    fn millimetres(&self) -> Result<f64, Problem> {
-        let unit = match (self.options.unit_mm, self.unit) {
-            (Some(unit), _) => unit,
-            (None, None | Some(0)) if self.english() => 25.4,
-            (None, None | Some(0)) => 1.0,
-            (None, Some(unit)) => millimetres_of(unit).ok_or_else(|| {
-                Problem::general(
-                    format!("the drawing's unit ($INSUNITS) is {unit}, which is not known"),
-                    "state the unit with --unit mm or --unit inch",
-                )
-            })?,
-        };
-        Ok(unit * self.options.scale.unwrap_or(1.0))
-    }
-
-    /// Tells which unit is taken where the file states none.
-    fn note_unit(&mut self) {
-        if self.options.unit_mm.is_some() || !matches!(self.unit, None | Some(0)) {
-            return;
-        }
-        let notice = if self.english() {
-            "the drawing states no unit, but English measurement: 1 unit is taken as 1 inch; \
-             --unit mm sets millimetres"
-        } else {
-            "the drawing states no unit ($INSUNITS): 1 unit is taken as 1 mm; --unit inch sets \
-             inches"
-        };
-        self.drawing.notices.push(notice.into());
-    }
-}
-
-/// Millimetres per unit of a value of `$INSUNITS`.
-fn millimetres_of(unit: i64) -> Option<f64> {
-    Some(match unit {
-        1 => 25.4,
-        2 => 304.8,
-        3 => 1_609_344.0,
-        4 => 1.0,
-        5 => 10.0,
-        6 => 1000.0,
-        7 => 1e6,
-        8 => 25.4e-6,
-        9 => 25.4e-3,
-        10 => 914.4,
-        11 => 1e-7,
-        12 => 1e-6,
-        13 => 1e-3,
-        14 => 100.0,
-        15 => 1e4,
-        16 => 1e5,
-        17 => 1e12,
-        18 => 1.495_978_707e14,
-        19 => 9.460_730_472_580_8e18,
-        20 => 3.085_677_581_491_367e19,
-        // The foot of the survey of the United States is 1200/3937 m.
-        21 => 1_200_000.0 / 3937.0,
-        22 => 100_000.0 / 3937.0,
-        23 => 3_600_000.0 / 3937.0,
-        24 => 6_336_000_000.0 / 3937.0,
-        _ => return None,
-    })
 }

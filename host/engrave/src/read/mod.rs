@@ -1,18 +1,8 @@
 //! Readers of drawing files.
 
 mod dxf;
-mod dxf_codepage;
-mod dxf_entity;
-mod dxf_mtext;
-mod dxf_pairs;
-mod dxf_record;
-mod dxf_text;
 mod nurbs;
 mod svg;
-mod svg_clip;
-mod svg_shape;
-mod svg_style;
-mod svg_text;
 pub mod text;
 
 use crate::drawing::{Drawing, Problem};

@@ -3,9 +3,13 @@
 //! Every shape is its outline, however it is painted. What is not drawn (definitions,
 //! metadata) is not part of the drawing; everything else that is left out is reported.
 
-use super::svg_shape::{Builder, ellipse, rectangle};
-use super::svg_style::{Paint, Styles};
-use super::svg_text::font_size;
+mod clip;
+mod elements;
+mod page;
+mod shape;
+mod style;
+mod text;
+
 use super::{COORDINATE_LIMIT, ENTITY_LIMIT, ReadOptions};
 use crate::drawing::{Drawing, Entity, Problem};
 use crate::geometry::{Path, Point};
@@ -13,10 +17,8 @@ use kurbo::Affine;
 use roxmltree::{Document, Node, NodeId, ParsingOptions};
 use std::collections::{BTreeMap, HashMap};
 use std::str::FromStr;
-use svgtypes::{Align, AspectRatio, Length, LengthUnit, NumberListParser, Transform, ViewBox};
-
-/// Millimetres per CSS pixel.
-pub const PIXEL_MM: f64 = 25.4 / 96.0;
+use style::{Paint, Styles};
+use svgtypes::Transform;
 
 /// Deepest nesting of elements and references.
 const DEPTH: usize = 64;
@@ -118,72 +120,6 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
 }
 
 impl<'a> Reader<'a, '_> {
-    /// Map of the root's user units to mm with y up.
-    fn page(&mut self, root: Node<'a, 'a>) -> Result<Affine, Problem> {
-        let view: Option<ViewBox> = match root.attribute("viewBox") {
-            None => None,
-            Some(text) => Some(ViewBox::from_str(text).map_err(|error| {
-                Problem::of(&self.entity(root, ""), format!("viewBox: {error}"), REPAIR)
-            })?),
-        };
-        let size = |name: &str| -> Result<Option<f64>, Problem> {
-            let Some(text) = root.attribute(name) else {
-                return Ok(None);
-            };
-            let length = Length::from_str(text).map_err(|error| {
-                Problem::of(&self.entity(root, ""), format!("{name}: {error}"), REPAIR)
-            })?;
-            Ok((length.unit != LengthUnit::Percent).then(|| length.number * unit_mm(length.unit)))
-        };
-        let (width, height) = (size("width")?, size("height")?);
-        let (x, y, w, h) = match (&view, width, height) {
-            (Some(view), ..) => (view.x, view.y, view.w, view.h),
-            (None, Some(width), Some(height)) => (0.0, 0.0, width / PIXEL_MM, height / PIXEL_MM),
-            (None, ..) => {
-                self.drawing.notices.push(
-                    "the drawing states no size of its page: its upper left corner is the origin, \
-                     and y is negative below it"
-                        .into(),
-                );
-                (0.0, 0.0, 100.0, 0.0)
-            }
-        };
-        self.page = [w, h];
-        let physical = |text: &str| text.ends_with(|one: char| one.is_ascii_alphabetic());
-        let stated = root.attribute("width").is_some_and(physical)
-            || root.attribute("height").is_some_and(physical);
-        if let Some(unit) = self.options.unit_mm {
-            return Ok(Affine::new([
-                unit,
-                0.0,
-                0.0,
-                -unit,
-                -x * unit,
-                (y + h) * unit,
-            ]));
-        }
-        if !stated {
-            self.drawing.notices.push(
-                "the drawing states no physical size: 1 unit is taken as 1 CSS pixel, 25.4/96 mm; \
-                 --unit mm sets another"
-                    .into(),
-            );
-        }
-        let (sx, sy) = match (width, height) {
-            (Some(width), Some(height)) => (width / w, height / h),
-            (Some(width), None) => (width / w, width / w),
-            (None, Some(height)) => (height / h, height / h),
-            (None, None) => (PIXEL_MM, PIXEL_MM),
-        };
-        if h == 0.0 {
-            return Ok(Affine::scale_non_uniform(sx, -sy));
-        }
-        let view = ViewBox { x, y, w, h };
-        let size = [w * sx, h * sy];
-        let up = Affine::new([1.0, 0.0, 0.0, -1.0, 0.0, size[1]]);
-        Ok(up * fit_view(view, size, aspect(root)))
-    }
-
     pub fn entity(&self, node: Node, layer: &str) -> Entity {
         let start = node.range().start;
         Entity {
@@ -445,34 +381,6 @@ impl<'a> Reader<'a, '_> {
         self.drawing.paths.append(&mut paths);
     }
 
-    /// Map of a nested `svg` element, or of a symbol by its reference.
-    fn inner_page(&self, node: Node, reference: Option<Node>) -> Affine {
-        let of = |node: Node, name: &str, axis: usize| self.length(node, name, axis).ok().flatten();
-        let place = Affine::translate(self.place(node));
-        let view = node
-            .attribute("viewBox")
-            .and_then(|text| ViewBox::from_str(text).ok());
-        let Some(view) = view else { return place };
-        let size = |name: &str, axis: usize| {
-            let stated = reference.and_then(|one| of(one, name, axis));
-            let size = stated
-                .or_else(|| of(node, name, axis))
-                .unwrap_or(self.page[axis]);
-            if size > 0.0 {
-                size
-            } else {
-                [view.w, view.h][axis]
-            }
-        };
-        place * fit_view(view, [size("width", 0), size("height", 1)], aspect(node))
-    }
-
-    /// Upper left corner of a nested `svg` element.
-    pub fn place(&self, node: Node) -> (f64, f64) {
-        let at = |name: &str, axis: usize| self.length(node, name, axis).ok().flatten();
-        (at("x", 0).unwrap_or(0.0), at("y", 1).unwrap_or(0.0))
-    }
-
     fn reference(
         &mut self,
         node: Node<'a, 'a>,
@@ -505,85 +413,6 @@ impl<'a> Reader<'a, '_> {
         }
         self.element(target, map, layer, depth + 1)
     }
-
-    /// A length in user units.
-    pub fn length(&self, node: Node, name: &str, axis: usize) -> Result<Option<f64>, String> {
-        let Some(text) = node.attribute(name) else {
-            return Ok(None);
-        };
-        let length = Length::from_str(text).map_err(|error| format!("{name}: {error}"))?;
-        if !length.number.is_finite() {
-            return Err(format!("{name} is no finite number"));
-        }
-        Ok(Some(match length.unit {
-            LengthUnit::None | LengthUnit::Px => length.number,
-            LengthUnit::Percent => length.number / 100.0 * self.page[axis],
-            LengthUnit::Em => length.number * font_size(&self.styles, node),
-            LengthUnit::Ex => length.number * font_size(&self.styles, node) / 2.0,
-            unit => length.number * unit_mm(unit) / PIXEL_MM,
-        }))
-    }
-
-    /// Paths of a shape, and the number of its dots; `None` for an element that is not one.
-    pub fn shape(&self, node: Node, map: Affine) -> Result<Option<(Vec<Path>, usize)>, String> {
-        let or = |name: &str, axis, default: f64| -> Result<f64, String> {
-            Ok(self.length(node, name, axis)?.unwrap_or(default))
-        };
-        let mut builder = Builder::new(map);
-        match node.tag_name().name() {
-            "path" => {
-                let data = node.attribute("d").unwrap_or("");
-                builder
-                    .data(data)
-                    .map_err(|error| format!("path data: {error}"))?;
-            }
-            "line" => {
-                builder.move_to([or("x1", 0, 0.0)?, or("y1", 1, 0.0)?]);
-                builder.line_to([or("x2", 0, 0.0)?, or("y2", 1, 0.0)?]);
-                builder.finish(false);
-            }
-            name @ ("polyline" | "polygon") => {
-                let text = node.attribute("points").unwrap_or("");
-                let numbers: Result<Vec<f64>, _> = NumberListParser::from(text).collect();
-                let Some(numbers) = numbers.ok().filter(|all| all.len() % 2 == 0) else {
-                    return Err("its points are not pairs of numbers".into());
-                };
-                let points: Vec<Point> = numbers.chunks_exact(2).map(|at| [at[0], at[1]]).collect();
-                if let Some((&first, rest)) = points.split_first() {
-                    builder.move_to(first);
-                    rest.iter().for_each(|&at| builder.line_to(at));
-                    builder.finish(name == "polygon");
-                }
-            }
-            "rect" => {
-                let at = [or("x", 0, 0.0)?, or("y", 1, 0.0)?];
-                let size = [or("width", 0, 0.0)?, or("height", 1, 0.0)?];
-                if size.iter().any(|&side| side < 0.0) {
-                    return Err("its width or height is negative".into());
-                }
-                let (rx, ry) = (self.length(node, "rx", 0)?, self.length(node, "ry", 1)?);
-                let radii = [rx.or(ry).unwrap_or(0.0), ry.or(rx).unwrap_or(0.0)];
-                rectangle(&mut builder, at, size, radii);
-            }
-            "circle" | "ellipse" => {
-                let centre = [or("cx", 0, 0.0)?, or("cy", 1, 0.0)?];
-                let (rx, ry) = if node.tag_name().name() == "circle" {
-                    let r = or("r", 0, 0.0)?;
-                    (r, r)
-                } else {
-                    // A radius that is not stated is that of the other axis.
-                    let (rx, ry) = (self.length(node, "rx", 0)?, self.length(node, "ry", 1)?);
-                    (rx.or(ry).unwrap_or(0.0), ry.or(rx).unwrap_or(0.0))
-                };
-                if rx < 0.0 || ry < 0.0 {
-                    return Err("its radius is negative".into());
-                }
-                return Ok(Some((vec![ellipse(map, centre, rx, ry)], 0)));
-            }
-            _ => return Ok(None),
-        }
-        Ok(Some((builder.paths, builder.dots)))
-    }
 }
 
 /// Whether an element is a layer of Inkscape.
@@ -600,52 +429,4 @@ fn group_label<'a>(node: Node<'a, '_>) -> Option<&'a str> {
     label
         .map(|one| one.value())
         .or_else(|| node.attribute("id"))
-}
-
-/// How a viewport shows its content.
-fn aspect(node: Node) -> AspectRatio {
-    let stated = node.attribute("preserveAspectRatio");
-    let parsed = stated.and_then(|text| AspectRatio::from_str(text).ok());
-    parsed.unwrap_or_default()
-}
-
-/// Map of the user units of a view box to a viewport of a size, y down.
-fn fit_view(view: ViewBox, size: [f64; 2], aspect: AspectRatio) -> Affine {
-    let scale = [size[0] / view.w, size[1] / view.h];
-    let origin = Affine::translate((-view.x, -view.y));
-    let parts = match aspect.align {
-        Align::None => {
-            return Affine::scale_non_uniform(scale[0], scale[1]) * origin;
-        }
-        Align::XMinYMin => [0.0, 0.0],
-        Align::XMidYMin => [0.5, 0.0],
-        Align::XMaxYMin => [1.0, 0.0],
-        Align::XMinYMid => [0.0, 0.5],
-        Align::XMidYMid => [0.5, 0.5],
-        Align::XMaxYMid => [1.0, 0.5],
-        Align::XMinYMax => [0.0, 1.0],
-        Align::XMidYMax => [0.5, 1.0],
-        Align::XMaxYMax => [1.0, 1.0],
-    };
-    let scale = if aspect.slice {
-        scale[0].max(scale[1])
-    } else {
-        scale[0].min(scale[1])
-    };
-    let rest = [size[0] - view.w * scale, size[1] - view.h * scale];
-    Affine::translate((parts[0] * rest[0], parts[1] * rest[1])) * Affine::scale(scale) * origin
-}
-
-/// Millimetres per absolute unit.
-pub fn unit_mm(unit: LengthUnit) -> f64 {
-    match unit {
-        LengthUnit::In => 25.4,
-        LengthUnit::Cm => 10.0,
-        LengthUnit::Mm => 1.0,
-        LengthUnit::Pt => 25.4 / 72.0,
-        LengthUnit::Pc => 25.4 / 6.0,
-        LengthUnit::Em => 16.0 * PIXEL_MM,
-        LengthUnit::Ex => 8.0 * PIXEL_MM,
-        LengthUnit::None | LengthUnit::Px | LengthUnit::Percent => PIXEL_MM,
-    }
 }

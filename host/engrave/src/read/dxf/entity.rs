@@ -1,13 +1,13 @@
 //! Entities of a DXF drawing as paths.
 
-use super::dxf_pairs::Pair;
-use super::dxf_record::{Insert, Read, Record, Shapes};
-use super::dxf_text;
-use super::nurbs::Nurbs;
-use super::{ENTITY_LIMIT, ReadOptions};
+use super::pairs::Pair;
+use super::record::{Insert, Read, Record, Shapes};
+use super::text;
 use crate::curves::{TOLERANCE, fit_ellipse, map_path};
 use crate::drawing::Problem;
 use crate::geometry::{Path, Point, Segment, Vertex, distance};
+use crate::read::nurbs::Nurbs;
+use crate::read::{ENTITY_LIMIT, ReadOptions};
 use kurbo::Affine;
 use std::f64::consts::TAU;
 
@@ -50,7 +50,7 @@ pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Re
             }));
         }
         "INSERT" => return insert(record).map(Read::Insert),
-        "TEXT" | "MTEXT" | "ATTRIB" => return dxf_text::read(record, options, tolerance),
+        "TEXT" | "MTEXT" | "ATTRIB" => return text::read(record, options, tolerance),
         // The text of a definition shows only where a block is inserted, as ATTRIB.
         "ATTDEF" => return Ok(Read::Shapes(Shapes::default())),
         kind => return Ok(Read::LeftOut(format!("{kind} is not a path"))),

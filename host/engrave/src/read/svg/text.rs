@@ -1,10 +1,11 @@
 //! Text of SVG as outlines of a font.
 
-use super::svg::{PIXEL_MM, Reader, unit_mm};
-use super::svg_style::Styles;
-use super::text::Anchor;
-use super::text_remedy;
+use super::Reader;
+use super::page::{PIXEL_MM, unit_mm};
+use super::style::Styles;
 use crate::curves::TOLERANCE;
+use crate::read::text::Anchor;
+use crate::read::text_remedy;
 use kurbo::Affine;
 use roxmltree::Node;
 use std::str::FromStr;

@@ -1,6 +1,6 @@
 //! Clip paths and masks of SVG elements.
 
-use super::svg::Reader;
+use super::Reader;
 use crate::geometry::{Path, Point};
 use kurbo::{Affine, Rect};
 use roxmltree::Node;

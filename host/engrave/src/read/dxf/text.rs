@@ -1,11 +1,11 @@
 //! TEXT, MTEXT and ATTRIB entities.
 
-use super::ReadOptions;
-use super::dxf_mtext::{self, Line, Notes, Style};
-use super::dxf_record::{Read, Record, Shapes};
-use super::text::{Anchor, Font};
-use super::text_remedy;
+use super::mtext::{self, Line, Notes, Style};
+use super::record::{Read, Record, Shapes};
 use crate::drawing::Problem;
+use crate::read::ReadOptions;
+use crate::read::text::{Anchor, Font};
+use crate::read::text_remedy;
 use kurbo::Affine;
 
 /// Distance of two baselines, in heights of a capital letter.
@@ -23,9 +23,9 @@ pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Re
     };
     let mut notes = Notes::new();
     let mut lines = if multi {
-        dxf_mtext::lines(&raw, style, &mut notes)
+        mtext::lines(&raw, style, &mut notes)
     } else {
-        vec![dxf_mtext::single_line(&raw, style, &mut notes)]
+        vec![mtext::single_line(&raw, style, &mut notes)]
     };
     let letters = |line: &Line| line.iter().map(|one| one.0).collect::<String>();
     let all = lines.iter().map(letters).collect::<Vec<_>>().join(" ");

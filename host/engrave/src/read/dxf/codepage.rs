@@ -1,6 +1,6 @@
 //! Characters of a DXF file: UTF-8 from AutoCAD 2007 on (AC1021), a code page before.
 
-use super::dxf_pairs::Pairs;
+use super::pairs::Pairs;
 use encoding_rs::{Encoding, WINDOWS_1252};
 use std::borrow::Cow;
 

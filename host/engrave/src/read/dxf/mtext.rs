@@ -1,6 +1,6 @@
 //! Text strings of a DXF drawing: special characters and the formatting codes of MTEXT.
 
-use super::dxf_codepage::multi_byte;
+use super::codepage::multi_byte;
 use std::collections::BTreeSet;
 
 /// What is drawn in another way than the drawing asks.

@@ -1,10 +1,10 @@
 //! Records of a DXF drawing, and what a record draws.
 
-use super::COORDINATE_LIMIT;
-use super::dxf_mtext::Notes;
-use super::dxf_pairs::Pair;
+use super::mtext::Notes;
+use super::pairs::Pair;
 use crate::drawing::{Entity, Problem};
 use crate::geometry::{Path, Point};
+use crate::read::COORDINATE_LIMIT;
 use kurbo::Affine;
 
 /// The pairs of an entity.
