@@ -1,0 +1,195 @@
+//! `haptimill facet run`: cuts a gem in the simulator, and writes and prints its errors.
+
+use super::args::{JobArgs, RunArgs};
+use super::{job, planned};
+use crate::commands::run::results::ResultFolder;
+use crate::commands::{CliError, Exit, interrupt, output};
+use haptimill_facet::{Cutting, Gem, Job, RunOptions, coolant, cut, report};
+use haptimill_machine_file::MachineFile;
+use serde_json::json;
+use std::path::PathBuf;
+
+pub(super) fn grind(args: &RunArgs) -> Result<(), CliError> {
+    let (gem, job, machine) = planned(&args.design, &args.job)?;
+    let dir = args.out.clone().unwrap_or_else(|| {
+        let name = args.design.design.file_stem().unwrap_or_default();
+        PathBuf::from(name).with_extension("out")
+    });
+    // Locked to the end of the command.
+    let _folder = ResultFolder::open(&dir)?;
+    let options = RunOptions {
+        seed: args.seed,
+        run_out_mm: args.run_out,
+        bed_n_mm3: args.bed,
+        wear: args.wear,
+        hard_spot: args.hard_spot,
+        interrupted: interrupt::flag(),
+        ..RunOptions::default()
+    };
+    let bar = if args.quiet || args.json {
+        indicatif::ProgressBar::hidden()
+    } else {
+        indicatif::ProgressBar::new(0)
+    };
+    let other = match args.beside {
+        None => None,
+        Some(by) if by == args.job.by => {
+            return Err(CliError::new(
+                Exit::Usage,
+                "--beside is the same as --by; choose another of feed, force and both",
+            ));
+        }
+        Some(by) => {
+            let by = JobArgs {
+                by,
+                ..args.job.clone()
+            };
+            Some(self::job(&gem, &by, &machine)?)
+        }
+    };
+    let jobs: Vec<&Job> = std::iter::once(&job).chain(&other).collect();
+    let mut cuttings = cut_all(&gem, &jobs, &machine, &options, &bar)?.into_iter();
+    bar.finish_and_clear();
+    let Some(cutting) = cuttings.next() else {
+        return Err(CliError::new(Exit::Internal, "no stone was cut"));
+    };
+    let second = cuttings.next();
+    let beside = other.as_ref().zip(second.as_ref());
+    let mut figures = figures(&gem, &cutting);
+    if let Some((_, second)) = beside {
+        figures["beside"] = self::figures(&gem, second);
+    }
+    output::save(
+        &dir.join("report.html"),
+        report(&gem, &job, &cutting, beside),
+    )?;
+    output::save(&dir.join("stone.json"), format!("{figures:#}\n"))?;
+    output::save(
+        &dir.join("job.ngc"),
+        job.program(&gem.design.title, coolant(&machine)),
+    )?;
+    if args.json {
+        print_line!("{figures:#}");
+        return stopped(&cutting, second.as_ref());
+    }
+    let design = args.design.design.display();
+    print_stone(&format!("{design}"), &gem, &cutting);
+    if let Some((_, second)) = beside {
+        print_stone(&format!("{design}, beside"), &gem, second);
+    }
+    print_line!("report      {}", dir.join("report.html").display());
+    stopped(&cutting, second.as_ref())
+}
+
+/// The error of a job that ended before its last facet; its report is written.
+fn stopped(cutting: &Cutting, second: Option<&Cutting>) -> Result<(), CliError> {
+    let errors = [Some(cutting), second];
+    let mut errors = errors
+        .into_iter()
+        .flatten()
+        .filter_map(|it| it.stopped.clone());
+    errors.next().map_or(Ok(()), |error| Err(error.into()))
+}
+
+/// Cuts the jobs of a design at the same time, each on a simulated machine of its own.
+fn cut_all(
+    gem: &Gem,
+    jobs: &[&Job],
+    machine: &MachineFile,
+    options: &RunOptions,
+    bar: &indicatif::ProgressBar,
+) -> Result<Vec<Cutting>, CliError> {
+    let count = jobs.iter().flat_map(|job| &job.passes);
+    let count: usize = count.map(|pass| pass.operations.len()).sum();
+    bar.set_length(count as u64);
+    std::thread::scope(|scope| {
+        let run = |job| {
+            let mut progress = |_, _| bar.inc(1);
+            cut(gem, job, machine, options, &mut progress)
+        };
+        let threads: Vec<_> = jobs
+            .iter()
+            .map(|job| scope.spawn(move || run(job)))
+            .collect();
+        let results = threads.into_iter().map(|thread| match thread.join() {
+            Ok(result) => result.map_err(CliError::from),
+            Err(panic) => std::panic::resume_unwind(panic),
+        });
+        results.collect()
+    })
+}
+
+/// Prints the errors of a stone.
+fn print_stone(name: &str, gem: &Gem, cutting: &Cutting) {
+    let measured = &cutting.measured;
+    let seconds: f64 = cutting.operations.iter().map(|it| it.seconds).sum();
+    print_line!(
+        "{name}: {} facets in {:.1} min of the machine, {:.1} % of the rough",
+        measured.facets.len(),
+        seconds / 60.0,
+        100.0 * measured.yield_part
+    );
+    print_line!(
+        "largest error: angle {:.4} deg, depth {:.4} mm, meet point {:.4} mm",
+        measured.worst_angle_deg(),
+        measured.worst_depth_mm(),
+        measured.worst_meet_mm()
+    );
+    if !measured.missing.is_empty() || measured.strange > 0 {
+        print_line!(
+            "{} facets are missing, {} faces are not facets",
+            measured.missing.len(),
+            measured.strange
+        );
+    }
+    let lost: Vec<usize> = measured.lost_meets().collect();
+    if let Some(first) = lost.first() {
+        let facets = gem.meets[*first].facets.iter();
+        let names: Vec<&str> = facets
+            .map(|facet| gem.design.facets[*facet].name.as_str())
+            .collect();
+        print_line!(
+            "of {} of {} meet points the stone has no vertex, the first one is that of {}",
+            lost.len(),
+            gem.meets.len(),
+            names.join(", ")
+        );
+    }
+}
+
+fn figures(gem: &Gem, cutting: &Cutting) -> serde_json::Value {
+    let measured = &cutting.measured;
+    let name = |facet: usize| gem.design.facets[facet].name.clone();
+    let facets = measured.facets.iter().map(|it| {
+        json!({
+            "name": name(it.facet), "normal_deg": it.error_deg, "angle_deg": it.angle_deg,
+            "azimuth_deg": it.azimuth_deg, "depth_mm": it.depth_mm, "proud_mm": it.proud_mm,
+            "area_mm2": it.area_mm2,
+        })
+    });
+    let meets = measured.meets.iter().map(|it| {
+        let meet = &gem.meets[it.meet];
+        let names: Vec<String> = meet.facets.iter().map(|it| name(*it)).collect();
+        json!({
+            "at_mm": meet.at, "facets": names, "gain": meet.gain, "error_mm": it.error_mm,
+            "found": it.is_found,
+        })
+    });
+    let operations = cutting.operations.iter().map(|it| {
+        let force = &it.force;
+        json!({
+            "pass": it.pass, "facet": name(it.facet), "seconds": it.seconds, "sweeps": it.sweeps,
+            "peak_n": force.peak_n, "mean_n": force.mean_n, "turns": force.turns,
+            "least_turn_n": force.least_turn_n, "most_turn_n": force.most_turn_n,
+        })
+    });
+    json!({
+        "angle_deg": measured.worst_angle_deg(), "depth_mm": measured.worst_depth_mm(),
+        "meet_mm": measured.worst_meet_mm(), "yield": measured.yield_part,
+        "volume_mm3": measured.volume_mm3, "strange": measured.strange,
+        "missing": measured.missing.iter().map(|it| name(*it)).collect::<Vec<_>>(),
+        "stopped": cutting.stopped.as_ref().map(|error| error.message.clone()),
+        "facets": facets.collect::<Vec<_>>(), "meet_points": meets.collect::<Vec<_>>(),
+        "operations": operations.collect::<Vec<_>>(), "wear_mm": cutting.wear,
+    })
+}
