@@ -120,13 +120,15 @@ fn machine(name: &str) -> MachineFile {
 
 #[test]
 fn the_commanded_motion_keeps_its_limits_in_every_period() {
-    for (name, rotary) in [
-        ("h4.toml", "B3 A-4"),
-        ("mill3-servo.toml", ""),
-        ("trunnion5.toml", "A12 C50"),
+    for (name, rotary, tool) in [
+        ("h4.toml", "B3 A-4", ""),
+        ("mill3-servo.toml", "", ""),
+        ("trunnion5.toml", "A12 C50", ""),
+        // A longer tool turns the pose of the machine about the tip.
+        ("trunnion5.toml", "A12 C50", "G43.1 Z40\n"),
     ] {
         let machine = machine(name);
-        let motion = run(&machine, &program(rotary));
+        let motion = run(&machine, &format!("{tool}{}", program(rotary)));
         let used = check_limits(name, &machine, &motion);
         // The bounds are tight: the program uses the limits of the machine.
         assert!(used[1] > 0.9 && used[2] > 0.75, "{name} uses {used:?}");

@@ -20,8 +20,18 @@ pub enum Role {
     ToolTilt,
     /// Rotation of the workpiece about x of the base; it turns the weight of the workpiece.
     WorkpieceRotation,
+    /// Rotation of the workpiece about z of the table that [`Role::WorkpieceRotation`] rotates.
+    TableRotation,
     /// No role in force control, teleoperation or reports of the path.
     None,
+}
+
+impl Role {
+    /// Whether a coordinate may wrap around: force control and masters need bounds of the others.
+    #[must_use]
+    pub const fn may_wrap(self) -> bool {
+        matches!(self, Self::None | Self::TableRotation)
+    }
 }
 
 /// The roles of the tool tip: x, y, z.

@@ -8,7 +8,7 @@ use crate::config::{BACKLASH_SLOPE_SHIFT, HAPTICS};
 use crate::haptics::config::HapticConfig;
 use crate::motion::tracker::TrackerLimits;
 use crate::motion::{interpolator, jog};
-use haptimill_kinematics::descriptor::{CoordinateDescriptor, Role};
+use haptimill_kinematics::descriptor::CoordinateDescriptor;
 use haptimill_kinematics::{Joints, Kinematics};
 use haptimill_protocol::message::{ConfigField, ConfigProblem, MAX_AXES};
 
@@ -183,7 +183,7 @@ impl Config {
         let mut joints = machine.joints.iter().zip(&self.joints);
         let joint = joints.find(|(joint, _)| joint.name == axis.name);
         wraps
-            && axis.role == Role::None
+            && axis.role.may_wrap()
             && self.pose.get(coordinate).is_some_and(PoseAxis::wraps)
             && joint.is_some_and(|(_, joint)| joint.wraps())
     }

@@ -2,6 +2,7 @@
 
 use super::path::{Coordinates, Path};
 use super::problem::Place;
+use super::tool_axis::ToolLength;
 
 /// Feed of a move.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,8 +19,11 @@ pub enum Feed {
 pub struct Move {
     /// Place of its first axis word.
     pub place: Place,
-    /// Path, in machine coordinates.
+    /// Path of the tip, in machine coordinates.
     pub path: Path,
+    /// Tool whose length is no part of `path`; it makes the pose of the machine from that of the
+    /// tip.
+    pub tool: ToolLength,
     /// End in the coordinates of the program, in the machine's order.
     pub programmed: Coordinates,
     /// Feed.

@@ -197,13 +197,14 @@ impl Dialog {
     pub fn in_program(&self, at: &Coordinates) -> Coordinates {
         let executor = &self.interpreter.executor;
         let coordinate = |axis| executor.out.coordinate(axis);
-        let mut machine = executor.state.at;
+        let length = executor.state.length;
+        let mut machine = length.machine_pose(&executor.state.at);
         for (axis, slot) in machine.iter_mut().enumerate() {
             if let Some(value) = coordinate(axis).and_then(|index| at.get(index)) {
                 *slot = *value;
             }
         }
-        let program = executor.state.in_program(&machine);
+        let program = executor.state.in_program(&length.tip_pose(&machine));
         let mut values = Coordinates::default();
         for (axis, value) in program.iter().enumerate() {
             if let Some(slot) = coordinate(axis).and_then(|index| values.get_mut(index)) {

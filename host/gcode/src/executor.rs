@@ -8,6 +8,7 @@ use super::output::{Leg, Output, Pace};
 use super::problem::{Cause, Mistake, Notice, Place, place_of};
 use super::series::{ControlPoint, Cycle};
 use super::state::{FeedMode, Modes, Motion, PathControl, Plane, State, Turn};
+use super::tool_axis::ToolLength;
 use super::tool_table::PerLetter;
 use super::{LONGEST_DWELL_S, Options};
 use std::collections::HashSet;
@@ -141,11 +142,23 @@ impl Executor {
         self.set_system(block)?;
         self.set_path_control(block)?;
         self.set_distances(block);
-        self.out.frame = self.state.frame();
+        self.place_program();
         self.run_once(block, here)?;
-        self.out.frame = self.state.frame();
+        self.place_program();
         self.run_motion(block, here)?;
         self.stop(block, here)
+    }
+
+    /// Applies the offsets and the tool in force to the next moves.
+    fn place_program(&mut self) {
+        self.out.frame = self.state.frame();
+        self.out.tool = match self.state.length.length {
+            0.0 => ToolLength::default(),
+            length => ToolLength {
+                axis: self.options.tool_axis,
+                length,
+            },
+        };
     }
 
     fn show_messages(&mut self, block: &Block, here: &Here) -> Read<()> {
@@ -330,7 +343,7 @@ impl Executor {
         if had_length != (self.state.tool_offset != none) {
             let tool = self.state.tool_of(self.state.tool);
             let offset = tool.map_or(saved.tool_offset, |tool| tool.offset);
-            self.state.tool_offset = if had_length { offset } else { none };
+            self.change_tool_offset(if had_length { offset } else { none });
         }
         self.state.select_system(modes.system);
         if (modes.turn, modes.speed) != (now.turn, now.speed) {

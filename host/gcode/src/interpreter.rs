@@ -134,13 +134,15 @@ impl<'a> Interpreter<'a> {
     /// Sets the position of the machine: mm, degrees, in the machine's order.
     pub fn place_at(&mut self, at: &Coordinates) {
         let executor = &mut self.executor;
-        let mut here = executor.state.at;
+        let length = executor.state.length;
+        let mut here = length.machine_pose(&executor.state.at);
         for (axis, slot) in here.iter_mut().enumerate() {
             let index = executor.out.coordinate(axis);
             if let Some(value) = index.and_then(|index| at.get(index)) {
                 *slot = *value;
             }
         }
+        let here = length.tip_pose(&here);
         executor.state.at = here;
         executor.out.place_at(here);
     }

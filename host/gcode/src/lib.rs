@@ -46,6 +46,7 @@ mod source;
 mod splines;
 mod state;
 mod subroutines;
+mod tool_axis;
 mod tool_table;
 mod words;
 
@@ -59,6 +60,7 @@ pub use path::{Arc, AxisKind, Coordinates, Measure, Path};
 pub use problem::{LISTED_PROBLEMS, Notice, Place, Problem, Problems, Refused, file_name};
 pub use program::{Comment, Program, read};
 pub use source::{LONGEST_LINE, ProgramBytes};
+pub use tool_axis::{ToolAxis, ToolLength};
 pub use tool_table::{Offsets, PerLetter, SYSTEM_NAMES, SYSTEMS, Tool, ToolTable, WorkOffset};
 
 use std::path::PathBuf;
@@ -107,9 +109,9 @@ pub struct Options {
     pub coolant: bool,
     /// Whether the machine has inputs and outputs for M62 to M68.
     pub outputs: bool,
-    /// Whether the tool tilts, or the table tilts against it: the length of a tool is then no
-    /// offset along Z of the workpiece.
-    pub tool_tilts: bool,
+    /// Coordinates that turn the tool in the workpiece: the length of a tool is then no offset
+    /// along Z of the workpiece.
+    pub tool_axis: ToolAxis,
     /// The tool in the spindle at the start; 0 is none, or unknown.
     pub tool: u32,
     /// The tool table.

@@ -45,7 +45,11 @@ impl Executor {
     /// Returns the end point of a block in machine coordinates.
     pub(crate) fn target(&self, block: &Block, in_machine: bool) -> PerLetter {
         let state = &self.state;
-        let mut to = state.at;
+        let mut to = if in_machine {
+            state.length.machine_pose(&state.at)
+        } else {
+            state.at
+        };
         let relative = state.modes.incremental && !in_machine;
         let turned = !state.rotation.is_none() && !in_machine;
         let mut step = [0.0; 2];
@@ -77,6 +81,9 @@ impl Executor {
             let turned = state.rotation.turn(step);
             to[0] += turned[0];
             to[1] += turned[1];
+        }
+        if in_machine {
+            return state.length.tip_pose(&to);
         }
         self.polar_end(block, &mut to);
         to

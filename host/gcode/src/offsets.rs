@@ -6,11 +6,14 @@ use super::compensation::Active;
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
 use super::output::Pace;
-use super::state::{G28, G30, G92};
+use super::state::{G28, G30, G92, Z};
 use super::tool_table::{PerLetter, SYSTEMS, Tool};
 
 /// Largest tool number.
 const LARGEST_TOOL: f64 = 99_999.0;
+
+/// Largest part of a direction across Z that counts as along it.
+const ALONG_Z: f64 = 1e-9;
 
 impl Executor {
     fn tool_number(&self, here: &Here, word: Word) -> Read<u32> {
@@ -145,23 +148,33 @@ impl Executor {
         };
         if offset != self.state.tool_offset {
             self.refuse_while_compensated(code, here)?;
-            if self.options.tool_tilts && offset != PerLetter::default() {
+            let is_length = |axis: usize| axis == Z || offset[axis] == 0.0;
+            if self.options.tool_axis.turns() && !(0..offset.len()).all(is_length) {
                 return mistake(
                     code.at,
                     format!(
-                        "{}: tool and workpiece of this machine turn against each other, so that \
-                         the length of the tool is no offset along Z; it is part of the machine's \
-                         geometry",
+                        "{}: tool and workpiece of this machine turn against each other, so that a \
+                         tool has a length (Z) and no other offset",
                         word(here.line, code)
                     ),
-                    "write the length of the tool into the machine file (tl), and 0 into the \
-                     table; a program for tools of several lengths is divided at its tool changes",
+                    "write the length as z of the tool, and no other offset",
                 );
             }
+            self.change_tool_offset(offset);
         }
-        self.state.tool_offset = offset;
-        self.state.update_shift();
         Ok(())
+    }
+
+    /// Puts a tool offset in force. The machine stays where it is.
+    pub(crate) fn change_tool_offset(&mut self, offset: PerLetter) {
+        let before = self.state.at;
+        self.state.set_tool_offset(offset);
+        // The compensated position is beside the programmed one.
+        let mut at = *self.out.at();
+        for (axis, slot) in at.iter_mut().enumerate() {
+            *slot += self.state.at[axis] - before[axis];
+        }
+        self.out.place_at(at);
     }
 
     /// Runs the codes of one block: G10, G28, G30, G52, G92.
@@ -179,7 +192,7 @@ impl Executor {
             300 => self.go_home(block, here, code, G30),
             281 | 301 => {
                 let first = if code.tenths == 281 { G28 } else { G30 };
-                let at = self.state.at;
+                let at = self.state.length.machine_pose(&self.state.at);
                 self.state.numbered[first..first + 9].copy_from_slice(&at);
                 Ok(())
             }
@@ -236,7 +249,8 @@ impl Executor {
         if has_words {
             self.travel_to(via, Pace::Rapid, place, code.at)?;
         }
-        let mut home = self.state.at;
+        let here = self.state.length.machine_pose(&self.state.at);
+        let mut home = here;
         for (axis, slot) in home.iter_mut().enumerate() {
             if self.out.coordinate(axis).is_some() {
                 *slot = self.state.numbered[first + axis];
@@ -246,7 +260,7 @@ impl Executor {
         if has_words {
             // The written axes are those of the program, also in a turned coordinate system.
             let home = self.state.in_program(&home);
-            let mut point = self.state.in_program(&self.state.at);
+            let mut point = self.state.in_program(&here);
             for (axis, letter) in AXES.iter().enumerate() {
                 if block.word(*letter).is_some() {
                     point[axis] = home[axis];
@@ -254,6 +268,7 @@ impl Executor {
             }
             to = self.state.in_machine(&point);
         }
+        let to = self.state.length.tip_pose(&to);
         self.travel_to(to, Pace::Rapid, place, code.at)
     }
 
@@ -312,8 +327,8 @@ impl Executor {
         // For L20, the position in the system without its own origin.
         let position = {
             let state = &self.state;
-            let mut at: PerLetter =
-                std::array::from_fn(|axis| state.at[axis] - state.tool_offset[axis]);
+            let tool = state.tool_shift();
+            let mut at: PerLetter = std::array::from_fn(|axis| state.at[axis] - tool[axis]);
             let rotation = super::state::Rotation::of(system.rotation);
             let turned = rotation.turn([state.g92[0], state.g92[1]]);
             at[0] -= turned[0];
@@ -360,6 +375,16 @@ impl Executor {
     fn set_tool_data(&mut self, block: &Block, number: u32, kind: f64) -> Read<()> {
         let mut tool = self.state.tool_of(number).unwrap_or_default();
         let state = &self.state;
+        let machine = state.length.machine_pose(&state.at);
+        let [x, y, _] = state.length.axis.direction(&machine);
+        if kind != 1.0 && state.length.axis.turns() && (x.abs() > ALONG_Z || y.abs() > ALONG_Z) {
+            return mistake(
+                block.first.unwrap_or(0),
+                format!("G10 L{kind} with a tool that does not stand along Z of the workpiece"),
+                "turn the rotary coordinates so that the tool is along Z, or write its length with \
+                 L1",
+            );
+        }
         for (axis, letter) in AXES.iter().enumerate() {
             let Some(value) = block.value(*letter) else {
                 continue;
@@ -369,10 +394,10 @@ impl Executor {
                 value
             } else if kind == 10.0 {
                 // The position gets the written coordinate in the system in force.
-                state.at[axis] - (state.shift[axis] - state.tool_offset[axis]) - value
+                machine[axis] - (state.shift[axis] - state.tool_shift()[axis]) - value
             } else {
                 // L11: in the ninth system (G59.3), without G92.
-                state.at[axis] - state.system(SYSTEMS - 1).origin[axis] - value
+                machine[axis] - state.system(SYSTEMS - 1).origin[axis] - value
             };
         }
         if let Some(word) = block.word(b'R') {

@@ -6,6 +6,7 @@ use super::compensation::Compensation;
 use super::path::{Arc, AxisKind, Coordinates, Path};
 use super::problem::Place;
 use super::state::Frame;
+use super::tool_axis::ToolLength;
 use super::tool_table::PerLetter;
 use std::collections::VecDeque;
 
@@ -43,6 +44,8 @@ pub(crate) struct Output {
     at: PerLetter,
     /// Offsets and rotation of the program in the machine.
     pub frame: Frame,
+    /// Tool whose length is no offset, by the coordinates of a pose.
+    pub tool: ToolLength,
     pub steps: VecDeque<Step>,
     pub compensation: Compensation,
 }
@@ -54,6 +57,7 @@ impl Output {
             kinds,
             at,
             frame: Frame::default(),
+            tool: ToolLength::default(),
             steps: VecDeque::new(),
             compensation: Compensation::default(),
         }
@@ -120,6 +124,7 @@ impl Output {
         Some(Move {
             place: leg.place,
             path,
+            tool: self.tool,
             programmed: self.coordinates(&self.frame.in_program(&leg.to)),
             feed,
             fixed: leg.fixed && leg.pace != Pace::Rapid,

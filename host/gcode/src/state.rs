@@ -2,6 +2,7 @@
 
 use super::block::AXES;
 use super::expression::{Parameter, Values};
+use super::tool_axis::ToolLength;
 use super::tool_table::{PerLetter, SYSTEMS, Tool, ToolTable, WorkOffset};
 use super::{INCH_MM, Options};
 use std::collections::HashMap;
@@ -171,7 +172,7 @@ pub(crate) struct Modes {
 #[derive(Clone)]
 pub(crate) struct State {
     pub modes: Modes,
-    /// Programmed position in machine coordinates: mm, degrees.
+    /// Programmed position of the tip in machine coordinates: mm, degrees.
     pub at: PerLetter,
     /// Offset of the system in force.
     pub origin: WorkOffset,
@@ -179,6 +180,8 @@ pub(crate) struct State {
     /// Offset of G92 in force.
     pub g92: PerLetter,
     pub tool_offset: PerLetter,
+    /// Tool whose length is no offset, by letter.
+    pub length: ToolLength,
     /// Number of the tool, and of the selected one.
     pub tool: u32,
     pub selected: u32,
@@ -253,6 +256,18 @@ impl Frame {
     }
 }
 
+/// Index of Z.
+pub(crate) const Z: usize = 2;
+
+/// Returns the index of the letter of a pose coordinate.
+fn letter_of(options: &Options, index: usize) -> usize {
+    let letter = options.axes.get(index).map(|axis| axis.letter);
+    let mut letters = AXES.iter();
+    letters
+        .position(|known| Some(char::from(*known)) == letter)
+        .unwrap_or(0)
+}
+
 /// Whether an index of the offsets is a linear axis.
 pub(crate) const fn is_linear(axis: usize) -> bool {
     !matches!(axis, 3..=5)
@@ -303,6 +318,10 @@ impl State {
                 PerLetter::default()
             },
             tool_offset: PerLetter::default(),
+            length: ToolLength {
+                axis: options.tool_axis.map(|index| letter_of(options, index)),
+                length: 0.0,
+            },
             tool: options.tool,
             selected: 0,
             tools: options.tools.clone(),
@@ -360,16 +379,37 @@ impl State {
 
     /// Computes the sum of the offsets after a change of one.
     pub(crate) fn update_shift(&mut self) {
-        for axis in 0..9 {
-            self.shift[axis] = self.origin.origin[axis] + self.tool_offset[axis] + self.g92[axis];
+        let tool = self.tool_shift();
+        for (axis, tool) in tool.iter().enumerate() {
+            self.shift[axis] = self.origin.origin[axis] + tool + self.g92[axis];
         }
         if !self.rotation.is_none() {
             // G92 is an offset within the turned system.
             let turned = self.rotation.turn([self.g92[0], self.g92[1]]);
             for (axis, turned) in turned.into_iter().enumerate() {
-                self.shift[axis] = self.origin.origin[axis] + self.tool_offset[axis] + turned;
+                self.shift[axis] = self.origin.origin[axis] + tool[axis] + turned;
             }
         }
+    }
+
+    /// Returns the offset of the tool that is part of [`State::shift`].
+    pub(crate) fn tool_shift(&self) -> PerLetter {
+        if self.length.axis.turns() {
+            PerLetter::default()
+        } else {
+            self.tool_offset
+        }
+    }
+
+    /// Puts a tool offset in force. The machine stays where it is.
+    pub(crate) fn set_tool_offset(&mut self, offset: PerLetter) {
+        self.tool_offset = offset;
+        if self.length.axis.turns() {
+            let machine = self.length.machine_pose(&self.at);
+            self.length.length = offset[Z];
+            self.at = self.length.tip_pose(&machine);
+        }
+        self.update_shift();
     }
 
     /// Returns mm per unit of the program for an axis; 1 for a rotary one.
@@ -472,7 +512,7 @@ impl State {
                 .position(|axis| axis.eq_ignore_ascii_case(letter))
         };
         if let Some(axis) = name.strip_prefix("_abs_").and_then(axis) {
-            return Some(self.at[axis] / self.scale(axis));
+            return Some(self.length.machine_pose(&self.at)[axis] / self.scale(axis));
         }
         if let Some(axis) = name.strip_prefix('_').and_then(axis) {
             return Some(self.in_program(&self.at)[axis] / self.scale(axis));

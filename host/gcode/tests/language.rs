@@ -257,9 +257,6 @@ fn tool_lengths_come_from_the_table() {
     assert_eq!(z("G43.1 Z3\nG0 Z1"), Some(4.));
     let missing = read("t.ngc", b"T2 M6", &options).unwrap_err().to_string();
     assert!(missing.contains("tool 2 is not in the tool table"));
-    options.tool_tilts = true;
-    let tilts = read("t.ngc", b"G43 H1", &options).unwrap_err().to_string();
-    assert!(tilts.contains("turn against each other"), "{tilts}");
 }
 
 /// One mistake in the order of blocks is one error: its other end, and what the file then lacks,

@@ -556,7 +556,7 @@ fn check_pose_against_joints(
         // A pose coordinate may be a joint itself, as a table is.
         let joint = joints.iter().find(|(_, joint)| joint.name == limits.name);
         let role = model.and_then(|model| model.descriptor.pose.get(index));
-        if limits.wraps() && role.is_some_and(|axis| axis.role != Role::None) {
+        if limits.wraps() && role.is_some_and(|axis| !axis.role.may_wrap()) {
             let what = "is a direction of the tool or of the workpiece, which has limits";
             section.report("wrap", what, "write soft limits");
             continue;

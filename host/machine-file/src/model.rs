@@ -7,7 +7,7 @@ use crate::scale::per_unit;
 use crate::{IoNames, MachineFile};
 use haptimill_firmware::config;
 use haptimill_firmware::named_io::config::OutputFunction;
-use haptimill_gcode::{AxisKind, Coordinates, Options, ProgramAxis};
+use haptimill_gcode::{AxisKind, Coordinates, Options, ProgramAxis, ToolAxis};
 use haptimill_kinematics::BoundedKinematics;
 use haptimill_kinematics::descriptor::{Descriptor, Role};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
@@ -412,14 +412,22 @@ pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
             || !outputs.analogue.is_empty()
             || !machine.io.inputs.is_empty()
             || !machine.io.analog_inputs.is_empty(),
-        tool_tilts: machine
-            .config
-            .model
-            .descriptor()
-            .pose
-            .iter()
-            .any(|axis| matches!(axis.role, Role::ToolTilt | Role::WorkpieceRotation)),
+        tool_axis: tool_axis(machine.config.model.descriptor()),
         ..Options::default()
+    }
+}
+
+/// Returns the coordinates that turn the tool of a machine in its workpiece.
+#[must_use]
+pub fn tool_axis(machine: &Descriptor) -> ToolAxis {
+    let Some(tip) = machine.tool_tip() else {
+        return ToolAxis::default();
+    };
+    ToolAxis {
+        tip,
+        tilt: machine.coordinate(Role::ToolTilt),
+        rotation: machine.coordinate(Role::WorkpieceRotation),
+        table: machine.coordinate(Role::TableRotation),
     }
 }
 

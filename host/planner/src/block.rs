@@ -3,7 +3,7 @@
 use super::limits::{MachineModel, PoseProblem, Settings};
 use super::profile::Along;
 use super::samples::{JointDerivatives, Samples};
-use haptimill_gcode::{AxisKind, Coordinates, Feed, Move, Path, Place, Problem};
+use haptimill_gcode::{AxisKind, Coordinates, Feed, Move, Path, Place, Problem, ToolLength};
 
 /// Planned share of the acceleration limit; the rest is for rounding to periods and units.
 pub(super) const ACCELERATION_SHARE: f64 = 0.95;
@@ -38,7 +38,9 @@ pub(crate) struct Block {
     pub places: Vec<(f64, Place)>,
     /// Number of messages of the program before it.
     pub messages: u32,
+    /// Path of the tip, and the tool that makes the pose of the machine from it.
     pub path: Path,
+    pub tool: ToolLength,
     pub is_rapid: bool,
     /// Whether the overrides have no effect.
     pub is_fixed: bool,
@@ -61,19 +63,23 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    /// Returns a bound of the fourth time derivative of the motion, for the error of a cubic; 0 on
-    /// a line.
+    /// Returns a bound of the fourth time derivative of the machine's motion, for the error of a
+    /// cubic; 0 on a line without a turning tool.
     pub(crate) fn fourth_derivative(&self, speed: f64, acceleration: f64, jerk: f64) -> f64 {
-        let Some(arc) = &self.path.arc else {
-            return 0.0;
+        // d^4/dt^4 of r e^(i phi), phi' = w v.
+        let turning = |radius: f64, w: f64| {
+            radius
+                * (w.powi(4) * speed.powi(4)
+                    + 6.0 * w.powi(3) * speed * speed * acceleration
+                    + w * w * (3.0 * acceleration * acceleration + 4.0 * speed * jerk))
         };
-        let radius = arc.radius[0].max(arc.radius[1]);
-        let w = (arc.sweep / self.path.length).abs();
-        // d^4/dt^4 of r e^(i phi), phi' = w v, plus a tenth for a changing radius.
-        1.1 * radius
-            * (w.powi(4) * speed.powi(4)
-                + 6.0 * w.powi(3) * speed * speed * acceleration
-                + w * w * (3.0 * acceleration * acceleration + 4.0 * speed * jerk))
+        let along_arc = self.path.arc.as_ref().map_or(0.0, |arc| {
+            // A tenth for a changing radius.
+            let radius = 1.1 * arc.radius[0].max(arc.radius[1]);
+            turning(radius, (arc.sweep / self.path.length).abs())
+        });
+        let tool = self.tool.turn_per_length(&self.path);
+        along_arc + turning(self.tool.length.abs(), tool)
     }
 }
 
@@ -96,8 +102,9 @@ pub(super) fn check_pose(
 
 /// Checks the end of a move as [`check_pose`]: what its block has in words.
 fn check_end(step: &Move, settings: &Settings, model: &impl MachineModel) -> Result<(), Refusal> {
-    check_soft_limits(&step.path.to, Some(&step.programmed), settings)?;
-    check_pose(&step.path.to, settings, model).map(|_| ())
+    let end = step.tool.machine_pose(&step.path.to);
+    check_soft_limits(&end, Some(&step.programmed), settings)?;
+    check_pose(&end, settings, model).map(|_| ())
 }
 
 /// Whether the problem of a move is that of its start, which an earlier move has: the same
@@ -111,7 +118,9 @@ pub(super) fn fails_as_at_its_start(
         let axis = &settings.pose[k];
         !(axis.low..=axis.high).contains(&pose[k])
     };
-    let [from, to] = [&step.path.from, &step.path.to];
+    let ends = [&step.path.from, &step.path.to];
+    let [from, to] = ends.map(|tip| step.tool.machine_pose(tip));
+    let [from, to] = [&from, &to];
     let mut axes = 0..settings.pose.len();
     if axes.clone().any(|k| outside(to, k)) {
         return axes.all(|k| !outside(to, k) || outside(from, k));
@@ -241,7 +250,7 @@ fn divide(
     let is_even = |fastest: f64| block.along.speed >= EVEN_SPEED * fastest;
     if is_even(allowed)
         || block.path.length < 2.0 * SHORTEST_PART
-        || is_even(fastest(&step.path, settings, model).min(allowed))
+        || is_even(fastest(step, settings, model).min(allowed))
     {
         blocks.push(block);
         return Ok(());
@@ -256,39 +265,60 @@ fn divide(
     Ok(())
 }
 
-/// Returns the largest speed that the joints allow at a sample of a path that was examined.
-fn fastest(path: &Path, settings: &Settings, model: &impl MachineModel) -> f64 {
+/// Returns the largest speed that the joints allow at a sample of a move that was examined.
+fn fastest(step: &Move, settings: &Settings, model: &impl MachineModel) -> f64 {
+    let path = &step.path;
     let samples = Samples::of(path, settings);
     let mut fastest = 0.0_f64;
     let mut before = JointDerivatives::default();
+    let mut machine_before = JointDerivatives::default();
+    let turns = step.tool.turn_per_length(path) > 0.0;
     for index in 0..=samples.intervals {
         let s = samples.length(index, path);
         let (pose, tangent) = path.at_with_tangent(s);
-        let joints = model.joint_rates(&pose, &tangent);
-        before.largest = [[0.0; 3]; 6];
-        before.sample(s, &joints, &samples);
-        for (largest, joint) in before.largest.iter_mut().zip(joints) {
-            largest[0] = joint.abs();
+        let (machine, rates) = (
+            step.tool.machine_pose(&pose),
+            step.tool.machine_rates(&pose, &tangent),
+        );
+        let joints = model.joint_rates(&machine, &rates);
+        before.sample_alone(s, &joints, &samples);
+        if turns {
+            machine_before.sample_alone(s, &rates, &samples);
         }
-        fastest = fastest.max(joint_speed(settings, &before.largest));
+        let bounds = bounds(settings, &before, &machine_before);
+        fastest = fastest.max(joint_speed(bounds));
     }
     fastest
 }
 
+/// Returns the limits of the joints with their largest derivatives by length, and those of the
+/// machine's pose, which are 0 if that is the pose of the tip: rate, acceleration, jerk.
+fn bounds<'a>(
+    settings: &'a Settings,
+    joints: &'a JointDerivatives,
+    machine: &'a JointDerivatives,
+) -> impl Iterator<Item = ([f64; 3], [f64; 3])> + 'a {
+    let limits = settings.joints.iter();
+    let of_joints = limits.map(|axis| [axis.rate, axis.acceleration, axis.jerk]);
+    let limits = settings.pose.iter();
+    let of_machine = limits.map(|axis| [axis.rate, axis.acceleration, axis.jerk]);
+    (of_joints.zip(joints.largest)).chain(of_machine.zip(machine.largest))
+}
+
 /// Returns the largest speed that rates, accelerations and jerks of the joints allow.
-fn joint_speed(settings: &Settings, derivatives: &[[f64; 3]; 6]) -> f64 {
+fn joint_speed(bounds: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> f64 {
     let mut speed = f64::INFINITY;
     // Its square, and its cube: roots keep the order.
     let (mut square, mut cube) = (f64::INFINITY, f64::INFINITY);
-    for (axis, [first, second, third]) in settings.joints.iter().zip(derivatives) {
-        if *first > 1e-12 {
-            speed = speed.min(axis.rate / first);
+    for ([rate, acceleration, jerk], [first, second, third]) in bounds {
+        if first > 1e-12 {
+            speed = speed.min(rate / first);
         }
-        if *second > 1e-12 {
-            square = square.min(JOINT_CURVATURE_SHARE * axis.acceleration / second);
+        if second > 1e-12 {
+            square = square.min(JOINT_CURVATURE_SHARE * acceleration / second);
         }
-        if *third > 1e-9 {
-            cube = cube.min(JOINT_SPEED_JERK * axis.jerk / third);
+        if third > 1e-9 {
+            cube = cube.min(JOINT_SPEED_JERK * jerk / third);
         }
     }
     speed.min(square.sqrt()).min(libm::cbrt(cube))
@@ -308,16 +338,23 @@ fn examine(
     let path = &step.path;
     let samples = Samples::of(path, settings);
     let mut limits = Search::new(settings, &samples);
+    // Without a turn the machine moves as the tip.
+    let turns = step.tool.turn_per_length(path) > 0.0;
     let mut tangents = [[0.0; 6]; 2];
     let mut joint_tangents = [[0.0; 6]; 2];
     for index in 0..=samples.intervals {
         let s = samples.length(index, path);
         let (pose, tangent) = path.at_with_tangent(s);
-        let joints = check_motion(&pose, &tangent, settings, model).map_err(|refusal| {
+        let machine = step.tool.machine_pose(&pose);
+        let rates = step.tool.machine_rates(&pose, &tangent);
+        let joints = check_motion(&machine, &rates, settings, model).map_err(|refusal| {
             // The end of the move is what its block has in words.
             problem(check_end(step, settings, model).err().unwrap_or(refusal))
         })?;
         limits.sample(s, &tangent, &joints);
+        if turns {
+            limits.machine.sample(s, &rates, &samples);
+        }
         if index == 0 {
             (tangents[0], joint_tangents[0]) = (tangent, joints);
         }
@@ -334,6 +371,7 @@ fn examine(
         places: Vec::new(),
         messages: 0,
         path: path.clone(),
+        tool: step.tool,
         is_rapid: step.feed == Feed::Rapid,
         is_fixed: step.fixed,
         exact_stop: false,
@@ -365,6 +403,8 @@ struct Search<'a> {
     /// Derivatives of the pose by length at the sample before.
     before: Option<Coordinates>,
     joints: JointDerivatives,
+    /// Pose of the machine, if the length of the tool makes another one of that of the tip.
+    machine: JointDerivatives,
 }
 
 impl<'a> Search<'a> {
@@ -380,6 +420,7 @@ impl<'a> Search<'a> {
             speed: infinite,
             before: None,
             joints: JointDerivatives::default(),
+            machine: JointDerivatives::default(),
         }
     }
 
@@ -402,14 +443,15 @@ impl<'a> Search<'a> {
 
     /// Applies the limits of the joints, after the last sample.
     fn limit_joints(&mut self) {
-        for (axis, [first, ..]) in self.settings.joints.iter().zip(&self.joints.largest) {
-            if *first > 1e-12 {
-                self.acceleration = self
-                    .acceleration
-                    .min(JOINT_RAMP_SHARE * axis.acceleration / first);
+        for ([_, acceleration, _], [first, ..]) in
+            bounds(self.settings, &self.joints, &self.machine)
+        {
+            if first > 1e-12 {
+                let most = JOINT_RAMP_SHARE * acceleration / first;
+                self.acceleration = self.acceleration.min(most);
             }
         }
-        self.joint_speed = joint_speed(self.settings, &self.joints.largest);
+        self.joint_speed = joint_speed(bounds(self.settings, &self.joints, &self.machine));
     }
 
     /// Whether the limits of the machine lower the programmed feed.
@@ -441,13 +483,15 @@ impl<'a> Search<'a> {
                 .min(ARC_ACROSS_JERK * plane_jerk / (3.0 * speed * curvature));
             jerk = jerk.min(ARC_RAMP_JERK * plane_jerk / share);
         }
-        for (axis, [first, second, third]) in self.settings.joints.iter().zip(self.joints.largest) {
+        for ([_, _, most], [first, second, third]) in
+            bounds(self.settings, &self.joints, &self.machine)
+        {
             let across = 3.0 * second * speed;
             if across > 1e-9 {
-                acceleration = acceleration.min(JOINT_ACROSS_JERK * axis.jerk / across);
+                acceleration = acceleration.min(JOINT_ACROSS_JERK * most / across);
             }
             if first > 1e-12 {
-                let rest = JERK_SHARE * axis.jerk - across * acceleration;
+                let rest = JERK_SHARE * most - across * acceleration;
                 let rest = rest - third * speed * speed * speed;
                 jerk = jerk.min(rest / first);
             }

@@ -124,6 +124,7 @@ impl Joining {
         let is_alike = is_short_line(step, kinds)
             && (step.feed, step.fixed) == (first.feed, first.fixed)
             && (step.tolerance, step.joining) == (first.tolerance, first.joining)
+            && step.tool == first.tool
             && step.place.file == first.place.file
             && step.path.from == joined.whole.path.to
             && joined.moves.len() < MOST;

@@ -12,7 +12,7 @@ use super::profile::Phase;
 use super::setpoints::{Emitter, Planned};
 use super::track::{SharedTrack, Track};
 use super::trajectory::{Bump, Knot, Leg, Piece, Trajectory, longest_on};
-use haptimill_gcode::{Coordinates, Measure, Move, Path, Place, Problem, Step};
+use haptimill_gcode::{Coordinates, Measure, Move, Path, Place, Problem, Step, ToolLength};
 use haptimill_protocol::message::Action;
 
 /// Largest change of rate without rounding: the resolution of the setpoints (2^-12 mm/s, 2^-24
@@ -66,8 +66,9 @@ pub struct Planner<M> {
     phases: Vec<Phase>,
     /// Moves that are joined and not planned.
     joining: Joining,
-    /// End of the last step.
+    /// End of the last step: pose of the tip, and its tool.
     at: Coordinates,
+    tool: ToolLength,
     /// Whether a step was refused.
     refused: bool,
     /// Whether the program has ended.
@@ -114,6 +115,7 @@ impl<M: MachineModel> Planner<M> {
             places: Vec::new(),
             messages: 0,
             path: standing,
+            tool: ToolLength::default(),
             is_rapid: true,
             is_fixed: false,
         });
@@ -131,6 +133,7 @@ impl<M: MachineModel> Planner<M> {
             phases: Vec::new(),
             joining: Joining::default(),
             at: start,
+            tool: ToolLength::default(),
             refused: false,
             ended: false,
             ended_rapid: false,
@@ -271,12 +274,13 @@ impl<M: MachineModel> Planner<M> {
         }
         let stopped = self.stop();
         self.emitter.messages = self.messages.count();
+        let at = self.machine_pose();
         if matches!(step, Step::Dwell { .. }) {
-            self.emitter.rest(&self.at, seconds, place, &self.settings);
+            self.emitter.rest(&at, seconds, place, &self.settings);
         }
         for action in [first, second] {
             if action != Action::None {
-                self.emitter.act(&self.at, action, place, &self.settings);
+                self.emitter.act(&at, action, place, &self.settings);
             }
         }
         self.discard();
@@ -297,7 +301,8 @@ impl<M: MachineModel> Planner<M> {
                 column: 1,
                 ..Place::default()
             };
-            self.emitter.rest(&self.at, 0.0, end, &self.settings);
+            self.emitter
+                .rest(&self.machine_pose(), 0.0, end, &self.settings);
         }
         self.discard();
         self.ended = true;
@@ -380,8 +385,19 @@ impl<M: MachineModel> Planner<M> {
         Ok(rpm)
     }
 
-    /// Adds a move, joined with those before where it can be.
+    /// Returns the pose of the machine at the end of the last step.
+    fn machine_pose(&self) -> Coordinates {
+        self.tool.machine_pose(&self.at)
+    }
+
+    /// Adds a move, joined with those before where it can be. Another tool begins at standstill.
     fn add(&mut self, step: &Move) -> Result<(), Problem> {
+        if step.tool != self.tool && !self.refused {
+            let stopped = self.stop();
+            self.tool = step.tool;
+            self.at = step.path.from;
+            stopped?;
+        }
         let messages = self.messages.count();
         let kinds = self.settings.kinds();
         if !self.refused && self.joining.extend(step, &kinds) {
@@ -487,7 +503,8 @@ impl<M: MachineModel> Planner<M> {
                 .inspect_err(|_| self.refused = true);
         }
         if is_end {
-            self.emitter.skip(self.time, &self.at, &self.settings);
+            let at = self.machine_pose();
+            self.emitter.skip(self.time, &at, &self.settings);
         }
         Ok(())
     }
@@ -522,7 +539,7 @@ impl<M: MachineModel> Planner<M> {
         if !self.run.moves {
             let first = &self.run.blocks[0];
             let slows = self.ended_rapid && !first.is_rapid || first.is_fixed;
-            let from = first.path.from;
+            let from = first.tool.machine_pose(&first.path.from);
             self.time = self
                 .emitter
                 .begin(&self.trajectory, slows, &from, &self.settings);
@@ -601,6 +618,7 @@ impl<M: MachineModel> Planner<M> {
             places: block.places.clone(),
             messages: block.messages,
             path: block.path.clone(),
+            tool: block.tool,
             is_rapid: block.is_rapid,
             is_fixed: block.is_fixed,
         });

@@ -76,6 +76,15 @@ pub(super) struct JointDerivatives {
 }
 
 impl JointDerivatives {
+    /// Adds a sample, of which alone `largest` then tells.
+    pub fn sample_alone(&mut self, s: f64, joints: &[f64; 6], samples: &Samples) {
+        self.largest = [[0.0; 3]; 6];
+        self.sample(s, joints, samples);
+        for (largest, joint) in self.largest.iter_mut().zip(joints) {
+            largest[0] = joint.abs();
+        }
+    }
+
     /// Adds a sample.
     pub fn sample(&mut self, s: f64, joints: &[f64; 6], samples: &Samples) {
         let mut seconds = [0.0; 6];

@@ -335,7 +335,7 @@ impl Emitter {
         let place = leg.place_at(s);
         if at_rest {
             // The exact end, without the rounding errors of the phases.
-            (pose, rates) = (leg.path.to, [0.0; 6]);
+            (pose, rates) = (leg.tool.machine_pose(&leg.path.to), [0.0; 6]);
         }
         let checked = check_motion(&pose, &rates, settings, model);
         if let Ok(joint_rates) = &checked {

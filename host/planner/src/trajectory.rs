@@ -2,7 +2,7 @@
 
 use super::block::Block;
 use super::corner::{BEND_SLOPE, BEND_TURN};
-use haptimill_gcode::{Coordinates, Path, Place};
+use haptimill_gcode::{Coordinates, Path, Place, ToolLength};
 
 /// Largest deviation of the cubic between setpoints from the trajectory: mm, degrees.
 pub(crate) const CUBIC_ERROR_MM: f64 = 1e-4;
@@ -115,7 +115,10 @@ pub(crate) struct Leg {
     pub places: Vec<(f64, Place)>,
     /// Number of messages of the program before it.
     pub messages: u32,
+    /// Path of the tip.
     pub path: Path,
+    /// Tool that makes the pose of the machine from that of the tip.
+    pub tool: ToolLength,
     /// Whether it is a rapid move.
     pub is_rapid: bool,
     /// Whether the overrides have no effect.
@@ -226,23 +229,24 @@ impl Trajectory {
         self.pieces.get(cursor.piece)
     }
 
-    /// Returns the programmed pose on the exact paths.
+    /// Returns the programmed pose of the machine on the exact paths.
     pub(crate) fn programmed(&self, cursor: &mut Cursor, time: f64) -> Coordinates {
         let Some(piece) = self.seek(cursor, time) else {
             return [0.0; 6];
         };
         let (s, _) = piece.along((time - piece.time).max(0.0));
-        self.leg(piece.path).path.at(s)
+        let leg = self.leg(piece.path);
+        leg.tool.machine_pose(&leg.path.at(s))
     }
 
-    /// Returns pose and rates of the trajectory, with corners rounded.
+    /// Returns pose and rates of the machine on the trajectory, with corners rounded.
     pub(crate) fn intended(&self, cursor: &mut Cursor, time: f64) -> (Coordinates, Coordinates) {
         let Some(piece) = self.seek(cursor, time) else {
             return ([0.0; 6], [0.0; 6]);
         };
         let (s, speed) = piece.along((time - piece.time).max(0.0));
-        let path = &self.leg(piece.path).path;
-        let (mut pose, tangent) = path.at_with_tangent(s);
+        let leg = self.leg(piece.path);
+        let (mut pose, tangent) = leg.path.at_with_tangent(s);
         let mut rates = tangent.map(|part| part * speed);
         // Roundings do not overlap: only the one that has not ended matters.
         let ended = |bump: &Bump| bump.time + bump.half <= time;
@@ -255,7 +259,10 @@ impl Trajectory {
         if let Some(bump) = self.bumps.get(cursor.bump) {
             bump.add(time, &mut pose, &mut rates);
         }
-        (pose, rates)
+        (
+            leg.tool.machine_pose(&pose),
+            leg.tool.machine_rates(&pose, &rates),
+        )
     }
 }
 

@@ -110,7 +110,7 @@ impl Machine for Trunnion {
                 CoordinateDescriptor::new("y", Linear, 'Y', Role::ToolY),
                 CoordinateDescriptor::new("z", Linear, 'Z', Role::ToolZ),
                 CoordinateDescriptor::new("a", Rotary, 'A', Role::WorkpieceRotation),
-                CoordinateDescriptor::new("c", Rotary, 'C', Role::None),
+                CoordinateDescriptor::new("c", Rotary, 'C', Role::TableRotation),
             ],
             joints: &[
                 JointDescriptor::new("lx", Linear),

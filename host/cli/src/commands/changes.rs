@@ -2,7 +2,7 @@
 
 use crate::commands::{CliError, Exit};
 use haptimill_gcode::{
-    AxisKind, Coordinates, Feed, Move, Options, OutputValue, Path, Place, Program, Step,
+    AxisKind, Coordinates, Feed, Move, Options, OutputValue, Path, Place, Program, Step, ToolLength,
 };
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -118,6 +118,7 @@ impl BoxView {
         Some(Step::Move(Move {
             place,
             path,
+            tool: ToolLength::default(),
             programmed: to,
             feed,
             fixed: false,
@@ -158,9 +159,11 @@ impl BoxView {
         for step in &before {
             match step {
                 Step::Move(step) | Step::Probe { step, .. } => {
-                    at = step.path.to;
+                    let ends = [&step.path.from, &step.path.to];
+                    let [from, to] = ends.map(|tip| step.tool.machine_pose(tip));
+                    at = to;
                     if let Some(z) = self.z {
-                        top = top.max(step.path.from[z]).max(step.path.to[z]);
+                        top = top.max(from[z]).max(to[z]);
                     }
                 }
                 Step::Spindle { rpm: speed, .. } => rpm = *speed,

@@ -94,6 +94,54 @@ fn an_offset_of_a_block_is_kept_beside_the_machine_file() {
     assert_eq!(served.status_of(&machine)["state"], "Disabled");
 }
 
+/// The length of a tool turns with the table: the tip keeps its place in the workpiece. A program
+/// with tools of two lengths runs, also from a line behind the change.
+#[test]
+fn a_tool_length_turns_with_the_table() {
+    let machine = "machines/trunnion5.toml";
+    let folder = TestFolder::new();
+    let own = folder.path("own.toml");
+    std::fs::copy(crate::scene::root().join(machine), &own).unwrap();
+    folder.file("own.tools.toml", "[t1]\nz = 30.0\n\n[t2]\nz = -12.0\n");
+    let served = SimServer::on_tcp(&["--machine", &own]);
+    let on = ["--machine", &own];
+    served.run_ok(&[&["home"], &on[..]].concat());
+    let home = served.status_of(&own);
+    let [y, z] = ["y", "z"].map(|name| commanded(&home, name));
+    let turned = ["mdi", "G43 H1", "G0 A30", "(PRINT,tip #5421 #5422)"];
+    let turned = served.run_ok(&[&turned[..], &on[..]].concat());
+    let tip = format!("tip {y:.2} {:.0}", z - 30.0);
+    assert!(turned.out.contains(&tip), "{tip}: {}", turned.out);
+    let now = served.status_of(&own);
+    let angle = 30.0_f64.to_radians();
+    assert!(
+        near(commanded(&now, "y"), y + 30.0 * angle.sin()),
+        "{now:#}"
+    );
+    let raised = z - 30.0 + 30.0 * angle.cos();
+    assert!(near(commanded(&now, "z"), raised), "{now:#}");
+    let text = "G21 G90\nT1 M6\nG43 H1\nG0 X10 A20\nT2 M6\nG43 H2\nG0 Z5 A10 C30\n\
+                G1 X12 Y3 A-10 F300\nM30\n";
+    let part = folder.file("part.ngc", text);
+    let out = folder.path("out");
+    let run = [
+        "run",
+        &part,
+        "--machine",
+        &own,
+        "--skip-pauses",
+        "--out",
+        &out,
+    ];
+    for more in [&[][..], &["--stream"], &["--from-line", "8"]] {
+        crate::scene::haptimill(&[&run[..], more].concat()).expect_code(0);
+        let summary = folder.summary("out");
+        assert_eq!(summary["completed"], true, "{summary:#}");
+        let error = number(&summary, "tool_error_rms_mm");
+        assert!(error < 0.02, "{summary:#}");
+    }
+}
+
 #[test]
 fn a_probe_block_finds_the_simulated_block() {
     let machine = "machines/mill3-servo.toml";

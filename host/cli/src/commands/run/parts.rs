@@ -272,7 +272,7 @@ impl Job<'_> {
     ) -> Result<(Planned, Telemetry), CliError> {
         let status = session.status()?;
         let from = steps.iter().find_map(|step| match step {
-            Step::Move(step) => Some(step.path.from),
+            Step::Move(step) => Some(step.tool.machine_pose(&step.path.from)),
             _ => None,
         });
         let model = session.model();

@@ -10,8 +10,8 @@ use haptimill_gcode::{SYSTEM_NAMES, WorkOffset};
 use haptimill_hil_sim::haptics::geometry::HapticGeometry;
 use haptimill_hil_sim::machines::{GeometryConfig, Picture};
 use haptimill_hil_sim::plant::GroundTruth;
-use haptimill_hil_sim::process::ToolPose;
 use haptimill_kinematics::descriptor::Role;
+use haptimill_machine_file::model;
 use haptimill_machine_file::scale::{PER_MM, per_unit};
 use haptimill_machine_file::work_data::{WorkData, axis_index};
 use haptimill_machine_file::{AxisLimits, IoNames, MachineFile};
@@ -153,26 +153,16 @@ fn round(links: &mut [Vec<[f64; 3]>]) {
 /// coordinate whose role does not say how it turns the tool.
 pub(super) fn tool_axis(machine: &MachineFile, pose: Option<&AxisValues>) -> Option<[f64; 3]> {
     let pose = pose.filter(|pose| !pose.is_empty())?;
-    let described = machine.config.model.descriptor().pose;
-    let known = |role| matches!(role, Role::ToolTilt | Role::WorkpieceRotation);
-    let mut turning = described.iter().zip(&machine.pose);
-    if turning.any(|(axis, limits)| limits.kind.is_rotary() && !known(axis.role)) {
+    let descriptor = machine.config.model.descriptor();
+    let mut turning = descriptor.pose.iter().zip(&machine.pose);
+    if turning.any(|(axis, limits)| limits.kind.is_rotary() && axis.role == Role::None) {
         return None;
     }
-    let angle = |role| {
-        let index = described.iter().position(|axis| axis.role == role);
-        let value = index
-            .and_then(|index| pose.get(index))
-            .copied()
-            .unwrap_or(0);
-        f64::from(value) / per_unit(AxisKind::Rotary)
-    };
-    let tool = ToolPose::leaning(
-        [0.0; 3],
-        angle(Role::ToolTilt),
-        angle(Role::WorkpieceRotation),
-    );
-    Some(tool.axis)
+    let mut degrees = [0.0; MAX_AXES];
+    for (degrees, value) in degrees.iter_mut().zip(pose) {
+        *degrees = f64::from(*value) / per_unit(AxisKind::Rotary);
+    }
+    Some(model::tool_axis(descriptor).direction(&degrees))
 }
 
 /// Further values that the page plots, by name. `truth` is that of a simulated machine.

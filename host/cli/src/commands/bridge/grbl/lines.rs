@@ -309,7 +309,7 @@ impl Bridge {
             }
         };
         let end = steps.iter().rev().find_map(|step| match step {
-            Step::Move(step) => Some(step.path.to),
+            Step::Move(step) => Some(step.tool.machine_pose(&step.path.to)),
             _ => None,
         });
         self.dialog.undo();
