@@ -263,7 +263,7 @@ function create(root, scene) {
   const none = { low: [0, 0, 0], high: [0, 0, 0] };
   // Boxes of the part, which is what is not aside, and of all layers.
   let part = none, whole = none, showsWhole = true, isMoved = false, end = 0, until = Infinity, marker = null;
-  let drawing = false, again = false, playing = null;
+  let drawing = false, again = false, playing = null, pictures = 0;
 
   function upload(data) {
     data.buffers = [];
@@ -398,6 +398,7 @@ function create(root, scene) {
   }
 
   function paint() {
+    pictures += 1;
     const ratio = window.devicePixelRatio || 1;
     const [w, h] = [stage.clientWidth, stage.clientHeight];
     for (const part of [canvas, overlay]) {
@@ -663,6 +664,8 @@ function create(root, scene) {
   fit();
   return {
     setLayer, setTime, fit, refit, project: place,
+    // Number of pictures drawn so far.
+    drawn: () => pictures,
     removeLayer: name => {
       if (!layers.has(name)) return;
       release(layers.get(name));

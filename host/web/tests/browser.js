@@ -166,12 +166,16 @@ async function run() {
       .map(({ values }) => values['feed, mm/min'] || 0)));
     assert(most > 100 && most < 50 * 60 * Math.sqrt(3),
       `the plot has the feed since the start, at most ${most.toFixed(0)} mm/min`);
+    const drawn = () => page.evaluate(() => window.haptimillView.drawn());
     const [states, used, begun] = [seen.states, processorTime(server.pid), Date.now()];
-    await sleep(3000);
+    const before3d = await drawn();
+    await sleep(5000);
+    const pictures3d = await drawn() - before3d;
     const seconds = (Date.now() - begun) / 1000;
-    console.log(`frames ${((seen.states - states) / seconds).toFixed(1)} per second, server with its `
-      + `simulated machine ${(100 * (processorTime(server.pid) - used) / seconds).toFixed(1)} % of `
-      + 'one core');
+    console.log(`states ${((seen.states - states) / seconds).toFixed(1)} and pictures `
+      + `${(pictures3d / seconds).toFixed(1)} per second, server with its simulated machine `
+      + `${(100 * (processorTime(server.pid) - used) / seconds).toFixed(1)} % of one core`);
+    assert(pictures3d > 0, 'the machine is drawn while it moves');
     await page.screenshot({ path: path.join(pictures, 'web.png') });
     await page.click('#hold');
     await wait('the hold', state => /hold/.test(state.state) && state.feed_mm_min === 0);

@@ -354,6 +354,29 @@ fn a_message_that_is_too_long_or_unknown_closes_its_viewer_only() {
     assert_eq!(served.moves(), []);
 }
 
+/// A viewer whose computer is gone leaves a half-open connection: it loses its control, and a jog
+/// that it began has long ended.
+#[test]
+fn a_viewer_that_is_silent_for_20_s_is_closed() {
+    let served = Served::local();
+    let mut gone = Viewer::open(served.address);
+    gone.take();
+    let silent = Instant::now();
+    let mut other = Viewer::open(served.address);
+    // It answers no ping: its socket is not read.
+    let until = silent + Duration::from_secs(18);
+    while Instant::now() < until {
+        other.next();
+    }
+    assert!(!other.control["commander"].is_null(), "{}", other.control);
+    other.wait("the end of its control", |other| {
+        other.control["commander"].is_null()
+    });
+    served.wait_for_warning("nothing came for 20 s");
+    drop(gone);
+    other.take();
+}
+
 #[test]
 fn one_viewer_commands_and_every_viewer_stops() {
     let served = Served::local();
