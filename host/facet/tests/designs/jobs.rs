@@ -1,0 +1,226 @@
+//! Jobs of designs: approach, reach of the machine, laps, mounts.
+
+use super::{gem, small};
+use haptimill_facet::{Coolant, Gem, Job, JobSettings, Mode, check_machine, coolant, most_force_n};
+use haptimill_hil_sim::polyhedron::Plane;
+use haptimill_hil_sim::vector::{length, minus};
+use haptimill_machine_file::MachineFile;
+
+/// No part of the stone is on the lap before its facet is: at the retracted height whatever the
+/// angle, and at the start of the feed with the angle of the facet.
+#[test]
+fn no_facet_is_touched_by_the_approach_of_another() {
+    for name in ["round-brilliant.asc", "pentagon.asc", "step-cut.toml"] {
+        let gem = gem(name);
+        let job = Job::new(&gem, JobSettings::default()).unwrap();
+        let mut stone = gem.rough_body();
+        let mut count = 0;
+        for operation in job.passes.iter().flat_map(|pass| &pass.operations) {
+            for vertex in stone.vertices() {
+                assert!(length(*vertex) < job.retracted_mm - 1.9);
+            }
+            let heights: Vec<f64> = operation
+                .grind
+                .split_whitespace()
+                .filter_map(|word| word.strip_prefix('Z')?.parse().ok())
+                .collect();
+            let plane = Plane {
+                distance: operation.depth_mm,
+                ..gem.plane(operation.facet)
+            };
+            // Retracted, then straight down to the start of the feed, then never up again.
+            assert!((heights[0] - job.retracted_mm).abs() < 1e-3);
+            assert!(heights[1] > stone.reach(plane.normal) + 0.04);
+            assert!(heights.windows(2).all(|pair| pair[1] <= pair[0]));
+            let last = heights.last().unwrap();
+            assert!((last - operation.depth_mm).abs() < 1e-4);
+            stone.cut(plane, operation.facet);
+            count += 1;
+        }
+        // Every facet on every lap.
+        assert_eq!(count, 3 * gem.design.facets.len());
+        // Eight decimals of a design leave slivers, which depend on the order.
+        assert!((stone.volume() - gem.body.volume()).abs() < 1e-5);
+    }
+}
+
+fn machine(from: &str, to: &str) -> MachineFile {
+    let text = include_str!("../../../../machines/facet.toml");
+    assert!(text.contains(from));
+    let text = text.replacen(from, to, 1);
+    MachineFile::parse("facet.toml", &text).unwrap_or_else(|problems| panic!("{problems}"))
+}
+
+/// A job that the machine cannot make is refused by line and facet, each facet once, before
+/// anything turns.
+#[test]
+fn facets_that_the_machine_cannot_reach_are_refused() {
+    let sized = |width: f64| Gem::new("small.asc", small(), width, None).unwrap();
+    let refused = |gem: &Gem, machine: &MachineFile, mode: Mode| {
+        let mut settings = JobSettings {
+            mode,
+            ..JobSettings::default()
+        };
+        for lap in &mut settings.laps {
+            lap.preston_mm2_n *= 10.0;
+        }
+        let job = Job::new(gem, settings).unwrap();
+        let refused = check_machine(gem, &job, machine);
+        refused.map_or_else(|refused| refused.to_string(), |()| String::new())
+    };
+    let plain = machine("", "");
+    for width in [2.5, 6.0, 15.0] {
+        assert_eq!(refused(&sized(width), &plain, Mode::Feed), "");
+        assert_eq!(refused(&sized(width), &plain, Mode::Force), "");
+    }
+    // Facets of the girdle need an angle of 90 degrees; they are in line 6.
+    let flat = machine(
+        "low_deg = -92.0\nhigh_deg = 92.0",
+        "low_deg = -60.0\nhigh_deg = 60.0",
+    );
+    let found = refused(&sized(2.5), &flat, Mode::Feed);
+    assert_eq!(found.lines().count(), 4, "{found}");
+    for (line, name) in found.lines().zip(["G@0", "G@16", "G@32", "G@48"]) {
+        let expected = format!("small.asc:6: facet {name}: on lap 260: A");
+        assert!(line.starts_with(&expected), "{line}");
+        assert!(line.contains("outside the soft limits"), "{line}");
+    }
+    // Facets nearer to the axis than the least height.
+    let found = refused(&sized(0.38), &plain, Mode::Feed);
+    assert!(
+        found.starts_with("small.asc:6: facet G@0: on lap"),
+        "{found}"
+    );
+    assert_eq!(found.lines().count(), 13, "{found}");
+    // Too large for the lap.
+    let found = refused(&sized(60.0), &plain, Mode::Feed);
+    assert!(found.contains("small.asc:6: facet G@0: reaches"), "{found}");
+    // Too large for the laps.
+    let problem = Job::new(&sized(60.0), JobSettings::default()).unwrap_err();
+    let expected = "small.asc:6: facet G@0 of 2956.8 mm^2 takes more than 20000 strokes on lap 260";
+    assert!(problem.starts_with(expected), "{problem}");
+    // No faceting machine; no sensor, or one that stops at less than the job asks for.
+    let mill = include_str!("../../../../machines/mill3.toml");
+    let mill = MachineFile::parse("mill3.toml", mill).unwrap();
+    let found = refused(&sized(2.5), &mill, Mode::Feed);
+    let expected = "mill3.toml: the machine is of the model \"cartesian\", no faceting machine";
+    assert!(found.starts_with(expected), "{found}");
+    let weak = machine("limit_n = 40.0 ", "limit_n = 7.0 ");
+    assert_eq!(refused(&sized(2.5), &weak, Mode::Feed), "");
+    let found = refused(&sized(2.5), &weak, Mode::Force);
+    let expected = "facet.toml: the force of lap 260 is 4 N, and the machine stops at 7 N; lower";
+    assert!(found.starts_with(expected), "{found}");
+    assert!((most_force_n(&weak) - 2.625).abs() < 1e-9);
+    assert!((most_force_n(&plain) - 15.0).abs() < 1e-9);
+}
+
+/// Before each pause the lap and the coolant stop, and a facet is ground with both. The stone is
+/// turned over once. By force the program says that it needs force control.
+#[test]
+fn the_program_pauses_with_the_lap_at_a_standstill() {
+    let gem = Gem::new("small.asc", small(), 2.5, None).unwrap();
+    let counter_clockwise = |mut settings: JobSettings| {
+        settings.laps[1].rpm = -600.0;
+        settings
+    };
+    for (mode, coolant, on) in [
+        (Mode::Feed, Coolant::None, ""),
+        (Mode::Feed, Coolant::Mist, "M7"),
+        (Mode::Force, Coolant::Flood, "M8"),
+    ] {
+        let settings = counter_clockwise(JobSettings {
+            mode,
+            ..JobSettings::default()
+        });
+        let job = Job::new(&gem, settings).unwrap();
+        let text = job.program("Title (small)", coolant);
+        let (mut lap, mut wet, mut pauses, mut cuts) = (false, false, Vec::new(), 0);
+        for line in text.lines() {
+            match line.split_whitespace().last().unwrap() {
+                "M3" | "M4" => lap = true,
+                "M5" => lap = false,
+                "M7" | "M8" => {
+                    assert!(line == on && lap, "{line}");
+                    wet = true;
+                }
+                "M9" => wet = false,
+                _ if line.starts_with("M0") => {
+                    assert!(!lap && !wet, "{line}");
+                    pauses.push(line);
+                }
+                _ if line.starts_with("G1") => {
+                    assert!(lap && wet == (coolant != Coolant::None), "{line}");
+                    cuts += 1;
+                }
+                _ => {}
+            }
+        }
+        assert!(cuts > 100);
+        assert!(!lap && !wet && text.ends_with("M30\n"));
+        assert_eq!(pauses.len(), job.passes.len());
+        let over = pauses.iter().filter(|pause| pause.contains("transfer"));
+        assert_eq!(over.count(), 1);
+        let says_force = |text: &str| text.contains("force");
+        assert_eq!(says_force(pauses[0]), mode == Mode::Force);
+        assert_eq!(
+            says_force(text.lines().nth(1).unwrap()),
+            mode == Mode::Force
+        );
+        assert!(!says_force(pauses[1]));
+    }
+    assert_eq!(coolant(&machine("", "")), Coolant::None);
+    let output = "[[output]]\nname = \"pump\"\nfunction = \"coolant\"\nchannel = 5\nsafe = \"off\"\n\n[planner]";
+    assert_eq!(coolant(&machine("[planner]", output)), Coolant::Flood);
+}
+
+/// Angle and index of the machine put the normal of a facet on the lap, and stay off the ends of
+/// the spin.
+#[test]
+fn the_mounts_put_each_facet_on_the_lap() {
+    for name in ["round-brilliant.asc", "pentagon.asc", "step-cut.toml"] {
+        let gem = gem(name);
+        let job = Job::new(&gem, JobSettings::default()).unwrap();
+        for pass in &job.passes {
+            for operation in &pass.operations {
+                let normal = gem.plane(operation.facet).normal;
+                let [angle, index] = pass.mount.pose(normal);
+                assert!((-90.0..=90.0).contains(&angle), "{angle}");
+                assert!(index.abs() <= 160.0, "{name}: {index}");
+                // The tip in the lap frame: turned by the spin, then tilted; z of the lap is
+                // against z of the tip where the dop points down.
+                let axes = pass.mount.axes();
+                let v: [f64; 3] =
+                    std::array::from_fn(|i| (0..3).map(|k| axes[k][i] * normal[k]).sum());
+                let (s3, c3) = index.to_radians().sin_cos();
+                let (s2, c2) = angle.to_radians().sin_cos();
+                let spun = [c3 * v[0] - s3 * v[1], s3 * v[0] + c3 * v[1], v[2]];
+                let tilted = [
+                    c2 * spun[0] + s2 * spun[2],
+                    spun[1],
+                    c2 * spun[2] - s2 * spun[0],
+                ];
+                assert!(length(minus(tilted, [0.0, 0.0, 1.0])) < 1e-9, "{tilted:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn laps_that_leave_stock_are_refused() {
+    let gem = gem("pentagon.asc");
+    let mut settings = JobSettings::default();
+    settings.laps.swap(0, 1);
+    assert!(
+        Job::new(&gem, settings.clone())
+            .unwrap_err()
+            .contains("as much stock")
+    );
+    settings.laps.truncate(1);
+    assert!(
+        Job::new(&gem, settings.clone())
+            .unwrap_err()
+            .contains("write stock_mm = 0")
+    );
+    settings.laps.clear();
+    assert!(Job::new(&gem, settings).unwrap_err().contains("no lap"));
+}

@@ -1,0 +1,158 @@
+//! Designs that are refused.
+
+use super::{SMALL, example, problem};
+use haptimill_facet::{Gem, Rough, read};
+
+#[test]
+fn what_cannot_be_cut_is_refused_by_line_and_facet() {
+    let with = |from: &str, to: &str| {
+        assert!(SMALL.contains(from));
+        problem("small.asc", &SMALL.replace(from, to))
+    };
+    for (from, to, expected) in [
+        (
+            "a -45 ",
+            "a -145 ",
+            "small.asc:7: facet P: an angle of -145 deg is impossible",
+        ),
+        (
+            "a -45 ",
+            "a x ",
+            "small.asc:7: \"x\" is no number for the angle of a facet",
+        ),
+        (
+            "48 G to",
+            "65 G to",
+            "small.asc:7: facet P@65: index 65 is off the wheel of 64 teeth",
+        ),
+        (
+            "g 64 0.0",
+            "g 31 0.0",
+            "small.asc:2: an index wheel of 31 teeth",
+        ),
+        ("g 64 0.0\n", "", "small.asc: the index wheel is missing"),
+        (
+            "0.70 0 n C",
+            "5.0 0 n C",
+            "small.asc:8: facet C@0: the plane misses the stone",
+        ),
+        (
+            "0.72 ",
+            "-3.0 ",
+            "small.asc: the facets leave nothing of the stone",
+        ),
+        (
+            "a 0 0.3 0 n T\n",
+            "a 0 0.3 0 n T\na 0 0.2 0 n U\n",
+            "small.asc:9: facet T@0: is wholly cut away by facet U@0",
+        ),
+        (
+            "y 4 y",
+            "y -4 y",
+            "small.asc:3: a symmetry of order -4; write a whole number of 1 to 120",
+        ),
+        ("y 4 y", "y 1e30 y", "small.asc:3: a symmetry of order 1"),
+        ("y 4 y", "y 2.5 y", "small.asc:3: a symmetry of order 2.5"),
+        (
+            "y 4 y",
+            "y 4 maybe",
+            "small.asc:3: \"maybe\" is neither y nor n for the mirror",
+        ),
+        ("y 4 y", "y", "small.asc:3: \"\" is no number for y"),
+        (
+            "y 4 y",
+            "y 4 y y",
+            "small.asc:3: \"y\" is behind the end of line y",
+        ),
+        (
+            "g 64 0.0",
+            "g 64 0.0 junk",
+            "small.asc:2: \"junk\" is behind the end of line g",
+        ),
+        ("g 64 0.0", "g 64 1e300", "small.asc:2: azimuth 0 is at"),
+        (
+            "48 G to",
+            "-65 G to",
+            "small.asc:7: facet P@-65: index -65 is off the wheel of 64 teeth",
+        ),
+        // The indices are those of another wheel.
+        (
+            "g 64 0.0",
+            "g 72 0.0",
+            "small.asc:2: the indices have the symmetry `y 4 y` on a wheel of 64 teeth, and not on \
+             one of 72",
+        ),
+        (
+            "a -45 0.72 0 n P 16 32 48 G to a point\n",
+            "",
+            "small.asc: the facets do not close the stone",
+        ),
+        ("I 1.54", "I 15", "small.asc:4: a refractive index of 15"),
+        ("y 4 y", "q 4 y", "small.asc:3: \"q\" begins no line"),
+        (
+            "a 40 0.70 0 n C 16 32 48",
+            "a 40 0.70",
+            "small.asc:8: a facet has no position of the wheel",
+        ),
+    ] {
+        let problem = with(from, to);
+        assert!(problem.contains(expected), "{from:?} -> {to:?}:\n{problem}");
+    }
+    let list = "# gear = 64\n-45,0,1\ntransfer\n0,0,1\ntransfer\n-44,16,1\n";
+    assert!(problem("a.csv", list).contains("a.csv:6: facet 3@16: is cut from a side"));
+    let list = "# gear = 64\n-45,0,1\n-45,0,1,D\n-45,32,1\ntransfer\n45,16,1\n45,48,1\n";
+    assert!(problem("a.csv", list).contains("a.csv:3: facet D@0: is the plane of facet 1@0"));
+    let list = "gear = 64\n[[facet]]\nname = \"P\"\nangle = -4\nindex = []\ndepth = 1\n";
+    assert!(problem("a.toml", list).contains("a.toml:2: facet P: the list of indices is empty"));
+    let list = "gear = 64\nreference = nan\n[[facet]]\ntransfer = true\nangle = 3\n";
+    assert!(problem("a.toml", list).contains("a.toml:2: azimuth 0 is at NaN"));
+    assert!(problem("a.toml", list).contains("a.toml:3: a transfer has no angle"));
+    assert!(problem("a.gem", "").contains("is no design"));
+    assert!(problem("a.csv", "# gear = 64\n-45,0\n").contains("a.csv:2: the row has 2 cells"));
+    assert!(problem("a.toml", "gear = 64\nangel = 1\n").contains("a.toml:2:"));
+}
+
+#[test]
+fn a_list_needs_its_transfer() {
+    let text = String::from_utf8(example("step-cut.toml")).unwrap();
+    let without = text.replace("[[facet]]\ntransfer = true\n", "");
+    let line = 1 + without[..without.find("name = \"C1a\"").unwrap()]
+        .matches('\n')
+        .count()
+        - 1;
+    let found = problem("step.toml", &without);
+    let expected = format!("step.toml:{line}: facet C1a@0: is on the other side of the girdle");
+    assert!(found.contains(&expected), "{found}");
+    let twice = text.replacen(
+        "transfer = true\n",
+        "transfer = true\n\n[[facet]]\ntransfer = true\n",
+        1,
+    );
+    assert!(read("step.toml", twice.as_bytes()).is_ok());
+    let early = text.replacen(
+        "[[facet]]\nname = \"P1a\"",
+        "[[facet]]\ntransfer = true\n\n[[facet]]\nname = \"P1a\"",
+        1,
+    );
+    assert!(problem("step.toml", &early).contains("is not between two sides"));
+}
+
+#[test]
+fn a_design_larger_than_its_rough_is_refused() {
+    let rough = Rough {
+        diameter_mm: 5.9,
+        height_mm: 9.0,
+    };
+    let name = "round-brilliant.asc";
+    let design = read(name, &example(name)).unwrap();
+    let refused = Gem::new(name, design.clone(), 6.0, Some(rough)).unwrap_err();
+    assert!(
+        refused.to_string().contains("larger than the rough"),
+        "{refused}"
+    );
+    let rough = Rough {
+        diameter_mm: 6.5,
+        height_mm: 9.0,
+    };
+    assert!(Gem::new(name, design, 6.0, Some(rough)).is_ok());
+}
