@@ -2,18 +2,20 @@
 //! marked with the date.
 
 use crate::identify::Identified;
+use crate::lost_steps::StepLimits;
 use crate::servo_loop::Gains;
 use crate::tune::rounded;
 use haptimill_client::{Error, ErrorKind};
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::scale::per_unit;
 use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, Item, Table, Value};
 
 /// A changed value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Change {
-    /// Joint and key, as `x: inertia_kg`.
+    /// Joint and key, as `x: inertia_kg`, `x: switch.rate_mm_s`, `pose x: rate_mm_s`.
     pub key: String,
     /// Value before; `None` where the file had none.
     pub before: Option<f64>,
@@ -30,6 +32,64 @@ const fn law_keys(kind: AxisKind) -> [&'static str; 3] {
     }
 }
 
+/// Keys of the rate and the acceleration of a joint.
+const fn limit_keys(kind: AxisKind) -> [&'static str; 2] {
+    if kind.is_rotary() {
+        ["rate_deg_s", "acceleration_deg_s2"]
+    } else {
+        ["rate_mm_s", "acceleration_mm_s2"]
+    }
+}
+
+/// New values of a section of a joint or a pose coordinate.
+struct Section<'a> {
+    /// `joint` or `pose`.
+    list: &'static str,
+    /// Name of the joint or coordinate.
+    axis: &'a str,
+    /// `law` or `switch`; `None` for the joint or coordinate itself.
+    name: Option<&'static str>,
+    values: Vec<(&'static str, f64)>,
+}
+
+/// The limits of a step motor. The rate of homing, and the limits of the coordinate that is the
+/// joint, may not be above those of the joint.
+fn limits<'a>(machine: &MachineFile, found: &'a StepLimits) -> Vec<Section<'a>> {
+    let axis = found.name.as_str();
+    let section = |list, name, values| Section {
+        list,
+        axis,
+        name,
+        values,
+    };
+    let keys = limit_keys(found.kind);
+    let values = keys.into_iter().zip(found.proposed());
+    let values: Vec<(&str, f64)> = values
+        .filter_map(|(key, value)| Some((key, rounded(value?))))
+        .collect();
+    let lower = |limit: [f64; 2]| -> Vec<(&'static str, f64)> {
+        let limits = keys.into_iter().zip(limit);
+        let lower = limits.filter_map(|(key, limit)| {
+            let own = values.iter().find(|(own, _)| *own == key);
+            own.filter(|(_, value)| *value < limit).copied()
+        });
+        lower.collect()
+    };
+    let switch = machine.config.joints[found.joint].home.switch();
+    let homing = switch.map_or(0.0, |it| f64::from(it.rate.0) / per_unit(found.kind));
+    let homing = lower([homing, 0.0]);
+    let pose = machine.pose.iter().find(|it| it.name == axis);
+    let pose = pose.map_or_else(Vec::new, |it| lower([it.rate, it.acceleration]));
+    [
+        section("joint", None, values),
+        section("joint", Some("switch"), homing),
+        section("pose", None, pose),
+    ]
+    .into_iter()
+    .filter(|it| !it.values.is_empty())
+    .collect()
+}
+
 /// The text of a machine file with the identified values, and what changed.
 ///
 /// # Errors
@@ -37,9 +97,10 @@ const fn law_keys(kind: AxisKind) -> [&'static str; 3] {
 pub fn with_identified(
     machine: &MachineFile,
     joints: &[Identified],
+    steps: &[StepLimits],
     date: &str,
 ) -> Result<(String, Vec<Change>), Error> {
-    let values = joints.iter().map(|joint| {
+    let laws = joints.iter().map(|joint| {
         let keys = law_keys(joint.kind);
         let viscous = if joint.friction.viscous < 1e-9 {
             0.0
@@ -47,10 +108,16 @@ pub fn with_identified(
             joint.friction.viscous
         };
         let values = [joint.plant.inertia, viscous, joint.coulomb()];
-        let list = keys.into_iter().zip(values.map(rounded)).collect();
-        (joint.name.as_str(), list)
+        Section {
+            list: "joint",
+            axis: joint.name.as_str(),
+            name: Some("law"),
+            values: keys.into_iter().zip(values.map(rounded)).collect(),
+        }
     });
-    edit(machine, values.collect(), &format!("identified {date}"))
+    let limits = steps.iter().flat_map(|it| limits(machine, it));
+    let sections: Vec<Section<'_>> = laws.chain(limits).collect();
+    edit(machine, &sections, &format!("identified {date}"))
 }
 
 /// The text of a machine file with gains, and what changed.
@@ -63,20 +130,29 @@ pub fn with_gains(
     date: &str,
 ) -> Result<(String, Vec<Change>), Error> {
     let values = gains.iter().map(|(name, gains)| {
-        let list = vec![
+        let values = vec![
             ("kp", gains.kp),
             ("kd", gains.kd),
             ("ki", gains.ki),
             ("rate_filter_ms", rounded(gains.rate_filter * 1e3)),
         ];
-        (name.as_str(), list)
+        Section {
+            list: "joint",
+            axis: name.as_str(),
+            name: Some("law"),
+            values,
+        }
     });
-    edit(machine, values.collect(), &format!("tuned {date}"))
+    edit(
+        machine,
+        &values.collect::<Vec<_>>(),
+        &format!("tuned {date}"),
+    )
 }
 
 fn edit(
     machine: &MachineFile,
-    values: Vec<(&str, Vec<(&'static str, f64)>)>,
+    sections: &[Section<'_>],
     mark: &str,
 ) -> Result<(String, Vec<Change>), Error> {
     let internal =
@@ -86,20 +162,33 @@ fn edit(
         .parse()
         .map_err(|error: toml_edit::TomlError| internal(error.to_string()))?;
     let mut changes = Vec::new();
-    let tables = document
-        .get_mut("joint")
-        .and_then(Item::as_array_of_tables_mut);
-    for table in tables.into_iter().flat_map(|tables| tables.iter_mut()) {
-        let name = table.get("name").and_then(Item::as_str);
-        let found = values.iter().find(|(joint, _)| Some(*joint) == name);
-        let Some((name, list)) = found else { continue };
-        let law = table.get_mut("law").and_then(Item::as_table_mut);
-        let law = law.ok_or_else(|| internal(format!("joint {name} has no [joint.law]")))?;
-        for (key, after) in list {
-            let before = set(law, key, *after, mark);
+    for section in sections {
+        let Section { list, axis, .. } = *section;
+        let tables = document
+            .get_mut(list)
+            .and_then(Item::as_array_of_tables_mut);
+        let named = |table: &&mut Table| table.get("name").and_then(Item::as_str) == Some(axis);
+        let table = tables.and_then(|tables| tables.iter_mut().find(named));
+        let table = table.ok_or_else(|| internal(format!("has no [[{list}]] {axis}")))?;
+        let (table, mut place) = match section.name {
+            Some(name) => {
+                let inner = table.get_mut(name).and_then(Item::as_table_mut);
+                let missing = || internal(format!("{list} {axis} has no [{list}.{name}]"));
+                (inner.ok_or_else(missing)?, format!("{axis}: {name}."))
+            }
+            None => (table, format!("{axis}: ")),
+        };
+        // The keys of a law are unique.
+        if section.name == Some("law") {
+            place = format!("{axis}: ");
+        } else if list == "pose" {
+            place = format!("pose {axis}: ");
+        }
+        for (key, after) in &section.values {
+            let before = set(table, key, *after, mark);
             if before != Some(*after) {
                 changes.push(Change {
-                    key: format!("{name}: {key}"),
+                    key: format!("{place}{key}"),
                     before,
                     after: *after,
                 });
@@ -179,6 +268,7 @@ pub fn replace(path: &Path, before: &str, after: &str, date: &str) -> Result<Pat
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lost_steps::Bounds;
     use crate::servo_loop::Gains;
 
     #[test]
@@ -222,6 +312,57 @@ mod tests {
         );
         let wild = Gains { kp: 1e7, ..gains };
         assert!(with_gains(&machine, &[("l2".to_string(), wild)], "x").is_err());
+        Ok(())
+    }
+
+    /// A joint that loses steps above 41 mm/s and 500 mm/s^2.
+    fn weak_joint() -> StepLimits {
+        let mut joint = StepLimits {
+            joint: 0,
+            name: "x".to_string(),
+            kind: AxisKind::Linear,
+            bounds: Bounds {
+                rate: [2.0, 70.0],
+                acceleration: [300.0, 1400.0],
+            },
+            threshold: 10.0,
+            rates: Vec::new(),
+            accelerations: Vec::new(),
+            proposal: None,
+        };
+        while let Some(motion) = joint.next() {
+            let is_lost = motion.rate > 41.0 || motion.acceleration > 500.0;
+            joint.record(motion, if is_lost { 64.0 } else { 0.0 });
+        }
+        joint
+    }
+
+    #[test]
+    fn limits_of_a_joint_also_bound_its_coordinate_and_its_homing()
+    -> Result<(), Box<dyn std::error::Error>> {
+        let text = include_str!("../../../machines/mill3.toml");
+        let text = text.replacen("rate_mm_s = 20.0 ", "rate_mm_s = 30.0 ", 1);
+        let machine = MachineFile::parse("mill3.toml", &text)?;
+        let (text, changes) = with_identified(&machine, &[], &[weak_joint()], "2026-11-27")?;
+        let keys: Vec<&str> = changes.iter().map(|it| it.key.as_str()).collect();
+        let expected = [
+            "x: rate_mm_s",
+            "x: acceleration_mm_s2",
+            "x: switch.rate_mm_s",
+            "pose x: rate_mm_s",
+        ];
+        assert_eq!(keys, expected);
+        let edited = MachineFile::parse("edited", &text)?;
+        // 70 % of what the search found, within 3 % and 5 % below the true limits.
+        let [rate, acceleration] = [edited.joints[0].rate, edited.joints[0].acceleration];
+        assert!((0.97 * 28.7..=28.75).contains(&rate), "{rate}");
+        assert!((0.95 * 350.0..=350.5).contains(&acceleration));
+        assert_eq!(edited.pose[0].rate.to_bits(), rate.to_bits());
+        // The coordinate keeps an acceleration that is low enough.
+        assert_eq!(edited.pose[0].acceleration, 300.0);
+        assert_eq!(edited.joints[1..], machine.joints[1..]);
+        let mark = "# rate to the switch; identified 2026-11-27\n";
+        assert_eq!(text.matches(mark).count(), 1, "{text}");
         Ok(())
     }
 }

@@ -66,6 +66,37 @@ pub(crate) fn burst_time(line: &Line, rate: f64, seconds: f64) -> f64 {
     seconds + 2.0 * TAPER + ramp_time(line, rate) + SETTLE
 }
 
+/// Change of the rate from and to standstill.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ramp {
+    /// Largest acceleration, mm/s^2 or deg/s^2.
+    pub acceleration: f64,
+    /// Time in which the acceleration builds up, and dies away, seconds.
+    pub build_up: f64,
+}
+
+impl Ramp {
+    /// Time of the build-up to a rate; a low rate is reached before it ends.
+    fn build_up_at(&self, rate: f64) -> f64 {
+        self.build_up.min(rate / self.acceleration)
+    }
+
+    /// The largest rate up to `rate` that a way has room for.
+    #[must_use]
+    pub fn slowed(&self, mut rate: f64, way: f64) -> f64 {
+        while self.way(rate, 0.01) > way && rate > 1e-3 {
+            rate *= 0.9;
+        }
+        rate
+    }
+
+    /// Way to a rate and back to standstill, with `cruise` seconds at the rate.
+    #[must_use]
+    pub fn way(&self, rate: f64, cruise: f64) -> f64 {
+        rate * (rate / self.acceleration + self.build_up_at(rate) + cruise)
+    }
+}
+
 /// Builds a motion along a line.
 pub struct Builder<'a> {
     geometry: &'a Geometry<'a>,
@@ -174,6 +205,66 @@ impl<'a> Builder<'a> {
         let rest = place - self.place;
         let duration = 0.05;
         self.add(duration, duration, |_| (rest, 0.0))
+    }
+
+    /// Moves to a place at a rate. The acceleration builds up linearly to `ramp.acceleration`,
+    /// stays there, and dies away. Durations are whole periods, so rate and acceleration are a
+    /// little lower than given on a short way.
+    ///
+    /// # Errors
+    /// The way is too short for the rate, or the machine cannot reach the place.
+    pub fn stroke(&mut self, place: f64, rate: f64, ramp: &Ramp) -> Result<(), Error> {
+        let way = place - self.place;
+        let up = (ramp.build_up_at(rate) / self.period).round().max(2.0);
+        let hold = (rate / ramp.acceleration / self.period - up)
+            .round()
+            .max(0.0);
+        let ramps = 2.0 * up + hold;
+        let cruise = (way.abs() / rate / self.period - ramps).ceil();
+        if cruise < 0.0 {
+            let what = format!(
+                "a way of {:.1} mm or degrees is too short for {rate:.1} per second; lengthen \
+                 --travel",
+                way.abs()
+            );
+            return Err(Error::new(ErrorKind::Refused, what));
+        }
+        let [up_s, hold_s, cruise_s] = [up, hold, cruise].map(|it| it * self.period);
+        let rate = way / (ramps + cruise) / self.period;
+        let slope = rate / (up_s + hold_s) / up_s;
+        let (first, last) = (slope * up_s * up_s / 2.0, rate - slope * up_s * up_s / 2.0);
+        let build = |rate: f64, slope: f64| {
+            move |t: f64| {
+                (
+                    rate * t + slope * t * t * t / 6.0,
+                    rate + slope * t * t / 2.0,
+                )
+            }
+        };
+        let even = |rate: f64, slope: f64| {
+            move |t: f64| (rate * t + slope * t * t / 2.0, rate + slope * t)
+        };
+        let fade = |rate: f64, slope: f64| {
+            move |t: f64| {
+                let way = (up_s / 2.0 - t / 6.0) * slope * t * t;
+                (rate * t + way, rate + slope * t * (up_s - t / 2.0))
+            }
+        };
+        self.piece(up_s, build(0.0, slope))?;
+        self.piece(hold_s, even(first, slope * up_s))?;
+        self.piece(up_s, fade(last, slope))?;
+        self.piece(cruise_s, even(rate, 0.0))?;
+        self.piece(up_s, build(rate, -slope))?;
+        self.piece(hold_s, even(last, -slope * up_s))?;
+        self.piece(up_s, fade(first, -slope))
+    }
+
+    /// As [`Builder::add`], nothing in no time.
+    fn piece(&mut self, duration: f64, at: impl Fn(f64) -> (f64, f64)) -> Result<(), Error> {
+        if duration < self.period / 2.0 {
+            return Ok(());
+        }
+        self.add(duration, SPAN, at)
     }
 
     /// Moves to and fro between the ends of the line at `rate`, with the sines on top, each for

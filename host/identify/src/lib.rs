@@ -9,6 +9,7 @@
 //! - [`measure`]: friction, and the response at a frequency, by least squares.
 //! - [`two_mass`]: the model of a joint, and its fit to the response.
 //! - [`identify`]: the sequence on a machine.
+//! - [`lost_steps`], [`switch_test`]: limits of step motors without encoder, by home switches.
 //! - [`servo_loop`], [`tune`]: margins of gains, and the proposal.
 //! - [`record`], [`edit`], [`page`]: the results as a file, in the machine file, as a page.
 
@@ -18,9 +19,11 @@ pub mod excitation;
 pub mod identify;
 pub mod least_squares;
 pub mod line;
+pub mod lost_steps;
 pub mod measure;
 pub mod page;
 pub mod record;
 pub mod servo_loop;
+pub mod switch_test;
 pub mod tune;
 pub mod two_mass;

@@ -172,6 +172,15 @@ impl<'a> Geometry<'a> {
         })
     }
 
+    /// The line on which a joint moves alone, `longest` mm or degrees long at most; `None` where it
+    /// is shorter than 5 mm or degrees.
+    #[must_use]
+    pub fn alone(&self, joint: usize, longest: f64) -> Option<Line> {
+        let mut direction = [0.0; JOINTS];
+        direction[joint] = 1.0;
+        self.line(joint, direction, longest)
+    }
+
     /// The best line of a joint: of the lines that move it alone, or move it with one pose
     /// coordinate, the longest one.
     ///
@@ -179,9 +188,7 @@ impl<'a> Geometry<'a> {
     /// No line is long enough.
     pub fn line_of(&self, joint: usize, longest: f64) -> Result<Line, Error> {
         let home = self.home();
-        let mut alone = [0.0; JOINTS];
-        alone[joint] = 1.0;
-        let mut best = self.line(joint, alone, longest);
+        let mut best = self.alone(joint, longest);
         for coordinate in 0..self.machine.pose.len() {
             let Some(direction) = self.along_coordinate(&home, coordinate, joint) else {
                 continue;

@@ -3,7 +3,9 @@
 use crate::complex::Complex;
 use crate::edit::Change;
 use crate::identify::Identified;
+use crate::lost_steps::{StepLimits, Trial};
 use crate::servo_loop::Gains;
+use crate::switch_test::Skipped;
 use crate::tune::Joint;
 use crate::two_mass::TwoMass;
 use haptimill_firmware::config::AxisKind;
@@ -148,6 +150,28 @@ fn friction(joint: &Identified) -> Chart {
     )
 }
 
+/// Rates and accelerations with and without loss.
+fn lost_steps(joint: &StepLimits) -> Chart {
+    let trials = joint.rates.iter().chain(&joint.accelerations);
+    let trials: Vec<&Trial> = trials.chain(&joint.proposal).collect();
+    let size = joint.bounds.rate[1] / 200.0;
+    let points = |is_lost: bool| -> Vec<(f64, f64)> {
+        let chosen = trials.iter().filter(|it| it.is_lost == is_lost);
+        chosen
+            .map(|it| (it.motion.rate, it.motion.acceleration))
+            .collect()
+    };
+    let [rate, acceleration] = joint.units();
+    chart(
+        &format!("rate, {rate}"),
+        format!("acceleration, {acceleration}"),
+        vec![
+            marks("no loss", 0, &points(false), size),
+            marks("steps lost", 1, &points(true), size),
+        ],
+    )
+}
+
 /// Rows of what changed.
 fn table(page: &mut String, changes: &[Change]) {
     page.push_str(
@@ -202,6 +226,8 @@ pub fn identification(
     machine: &str,
     date: &str,
     joints: &[Identified],
+    steps: &[StepLimits],
+    skipped: &[Skipped],
     changes: &[Change],
 ) -> String {
     let title = format!("Identification of {machine}");
@@ -234,6 +260,27 @@ pub fn identification(
             &friction(joint).svg(),
         );
         page.push_str("</div>");
+    }
+    for joint in steps {
+        put(
+            &mut page,
+            format_args!(
+                "<h2>Joint {}</h2><p>{}</p><div class=\"pair\">",
+                escape(&joint.name),
+                escape(&joint.summary())
+            ),
+        );
+        let caption = "Tests for lost steps";
+        card(&mut page, caption, &lost_steps(joint).svg());
+        page.push_str("</div>");
+    }
+    if !skipped.is_empty() {
+        page.push_str("<h2>Not measured</h2><ul>");
+        for joint in skipped {
+            let (name, reason) = (escape(&joint.name), escape(&joint.reason));
+            put(&mut page, format_args!("<li>{name}: {reason}</li>"));
+        }
+        page.push_str("</ul>");
     }
     page.push_str(END);
     page

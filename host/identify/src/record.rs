@@ -2,7 +2,10 @@
 
 use crate::complex::complex;
 use crate::identify::{Identified, acceleration_unit};
+use crate::lost_steps::{Highest, StepLimits, Trial};
 use crate::measure::{Friction, Steady};
+use crate::switch_test::Skipped;
+use crate::tune::rounded;
 use crate::two_mass::{Point, TwoMass};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_machine_file::MachineFile;
@@ -36,9 +39,65 @@ fn row(numbers: impl IntoIterator<Item = f64>) -> Array {
     numbers.into_iter().collect()
 }
 
-/// Encodes the joints.
+/// A test for lost steps: rate, acceleration, steps.
+fn trial(trial: &Trial) -> Array {
+    row([trial.motion.rate, trial.motion.acceleration, trial.steps])
+}
+
+/// The largest value without loss, and the lowest one above it with loss.
+fn highest(table: &mut Table, key: &str, highest: Option<Highest>) {
+    let (kept, lost) = match highest {
+        Some(Highest::NoLossUpTo(kept)) => (Some(kept), None),
+        Some(Highest::Between(kept, lost)) => (Some(kept), Some(lost)),
+        Some(Highest::AllLost(lost)) => (None, Some(lost)),
+        None => (None, None),
+    };
+    for (end, number) in [("without_loss", kept), ("with_loss", lost)] {
+        if let Some(number) = number {
+            table[&format!("{key}_{end}")] = value(number);
+        }
+    }
+}
+
+/// The limits of step motors as tables.
+fn step_tables(joints: &[StepLimits]) -> ArrayOfTables {
+    let mut list = ArrayOfTables::new();
+    for joint in joints {
+        let mut table = Table::new();
+        table["name"] = value(&joint.name);
+        table["threshold_steps"] = value(joint.threshold);
+        highest(&mut table, "rate", joint.rate());
+        highest(&mut table, "acceleration", joint.acceleration());
+        if let Some(rate) = joint.working_rate() {
+            table["acceleration_at_rate"] = value(rate);
+        }
+        let bands: Array = joint.resonances().into_iter().map(row).collect();
+        table["resonances"] = value(bands);
+        for (key, proposed) in ["proposed_rate", "proposed_acceleration"]
+            .into_iter()
+            .zip(joint.proposed())
+        {
+            if let Some(proposed) = proposed {
+                table[key] = value(rounded(proposed));
+            }
+        }
+        let trials = joint.rates.iter().chain(&joint.accelerations);
+        let trials: Array = trials.chain(&joint.proposal).map(trial).collect();
+        table["trials"] = value(trials);
+        list.push(table);
+    }
+    list
+}
+
+/// Encodes the joints, and those that were not measured.
 #[must_use]
-pub fn write(machine: &str, date: &str, joints: &[Identified]) -> String {
+pub fn write(
+    machine: &str,
+    date: &str,
+    joints: &[Identified],
+    steps: &[StepLimits],
+    skipped: &[Skipped],
+) -> String {
     let mut document = DocumentMut::new();
     document["machine"] = value(machine);
     document["date"] = value(date);
@@ -67,10 +126,20 @@ pub fn write(machine: &str, date: &str, joints: &[Identified]) -> String {
         list.push(table);
     }
     document["joint"] = Item::ArrayOfTables(list);
+    document["step_joint"] = Item::ArrayOfTables(step_tables(steps));
+    let mut list = ArrayOfTables::new();
+    for joint in skipped {
+        let mut table = Table::new();
+        table["name"] = value(&joint.name);
+        table["reason"] = value(&joint.reason);
+        list.push(table);
+    }
+    document["not_measured"] = Item::ArrayOfTables(list);
     format!(
         "# Written by haptimill identify. Units: kg, N, mm or kg m^2, N m, deg; s.\n\
          # steady: rate, effort. response: Hz, real and imaginary part of motion for effort, \
-         deviation.\n{document}"
+         deviation.\n# trials: rate, acceleration, steps by which the switch tripped at another \
+         count.\n{document}"
     )
 }
 
@@ -94,7 +163,9 @@ pub fn read(file: &str, text: &str, machine: &MachineFile) -> Result<Vec<Identif
         return Err(refuse(what));
     }
     let list = document.get("joint").and_then(Item::as_array_of_tables);
-    let list = list.ok_or_else(|| refuse("has no [[joint]]".to_string()))?;
+    let list = list.ok_or_else(|| {
+        refuse("has no [[joint]]: no joint has gains that can be tuned".to_string())
+    })?;
     list.iter()
         .enumerate()
         .map(|(index, table)| {

@@ -93,9 +93,9 @@ fn check(machine: &MachineFile) -> Result<()> {
 /// The results survive their files: the machine file then has the true values, and gains that the
 /// record proposes keep their margins in it.
 fn written(machine: &MachineFile, plant: &PlantConfig, found: &[Identified]) -> Result<()> {
-    let text = record::write(&machine.config.name, "2026-11-23", found);
+    let text = record::write(&machine.config.name, "2026-11-23", found, &[], &[]);
     let found = record::read("identified.toml", &text, machine)?;
-    let (text, changes) = edit::with_identified(machine, &found, "2026-11-23")?;
+    let (text, changes) = edit::with_identified(machine, &found, &[], "2026-11-23")?;
     assert!(changes.len() >= found.len());
     let mut gains = Vec::new();
     let edited = MachineFile::parse("edited", &text)?;

@@ -13,29 +13,40 @@ use haptimill_client::session::{self, Line, Session, SimLine};
 use haptimill_identify::edit;
 use haptimill_identify::identify::{Identification, Identified, Options, lines, torque_joints};
 use haptimill_identify::line::{Geometry, Line as Travel};
+use haptimill_identify::lost_steps::{Highest, StepLimits};
+use haptimill_identify::switch_test::{
+    BEYOND, Skipped, StepJoint, StepOptions, SwitchTest, step_joints,
+};
+use haptimill_identify::tune::rounded;
 use haptimill_identify::{page, record};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::Command;
+use serde_json::{Value, json};
 use std::io::{BufRead as _, IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 
 const LONG: &str = "\
-Measure the joints of a machine with torque drives: inertia, Coulomb friction in both directions, \
-viscous friction, resonance.
+Measure the joints of a machine.
 
-The machine homes, then moves along the printed ranges: at constant rates in both directions, and \
-with sines on top of a slow constant rate. Nothing may be in these ranges, and the spindle is at rest. \
-Effort and motion come from the telemetry of the controller. The command asks before anything \
-moves. Ctrl-C stops.
+Joints with torque drives: inertia, Coulomb friction in both directions, viscous friction, resonance. \
+The joint moves at constant rates in both directions, and with sines on top of a slow constant rate. \
+Effort and motion come from the telemetry of the controller.
+
+Joints with step drives, a home switch and no encoder: the largest rate and acceleration without lost \
+steps, and rates at which a resonance loses them. Each test moves the joint, and homes: lost steps \
+shift the count at which the switch trips. 70 % of the limits are proposed.
+
+The machine homes, then moves along the printed ranges. Nothing may be in these ranges, and the spindle \
+is at rest. The command asks before anything moves. Ctrl-C stops.
 
 It writes OUT/identified.toml, the page OUT/identify.html, and the values into the machine file; the \
 file before is kept beside it. Comments in the file stay.";
 
 /// Arguments of `haptimill identify`.
 #[derive(Debug, Clone, Args)]
-#[command(about = "Measure inertia, friction and resonance of the joints, and write them into the \
-                   machine file", long_about = LONG)]
+#[command(about = "Measure inertia, friction and resonance of the joints, and limits of step motors, \
+                   and write them into the machine file", long_about = LONG)]
 pub struct IdentifyArgs {
     #[command(flatten)]
     #[allow(missing_docs)]
@@ -52,9 +63,19 @@ pub struct IdentifyArgs {
     /// Highest frequency of the sines, Hz
     #[arg(long, value_name = "HZ", default_value_t = 200.0, value_parser = highest)]
     pub highest: f64,
+    /// Largest rate and acceleration in the test for lost steps, as a multiple of those of the
+    /// machine file [default: 1.43, so that 70 % of it are those of the machine file]
+    #[arg(long, value_name = "FACTOR", value_parser = beyond)]
+    pub beyond: Option<f64>,
+    /// Measure this joint only; more than once for several joints
+    #[arg(long = "joint", value_name = "NAME")]
+    pub joints: Vec<String>,
     /// Folder of the results [default: the name of the machine with .identify]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Print the results as JSON; the progress goes to standard error
+    #[arg(long, requires = "yes")]
+    pub json: bool,
     /// Do not ask before the machine moves
     #[arg(long)]
     pub yes: bool,
@@ -79,6 +100,36 @@ fn part(text: &str) -> Result<f64, String> {
 
 fn highest(text: &str) -> Result<f64, String> {
     number(text, 40.0, 500.0)
+}
+
+fn beyond(text: &str) -> Result<f64, String> {
+    number(text, 0.1, 20.0)
+}
+
+/// Prints what happens; with --json on standard error.
+fn say(args: &IdentifyArgs, what: &str) {
+    if args.json {
+        eprintln!("{what}");
+    } else {
+        print_line!("{what}");
+    }
+}
+
+/// What is measured.
+struct Tasks {
+    /// Lines of the torque joints.
+    lines: Vec<Travel>,
+    /// Step joints.
+    steps: Vec<StepJoint>,
+    /// The other joints.
+    skipped: Vec<Skipped>,
+}
+
+/// What was measured.
+#[derive(Default)]
+struct Found {
+    joints: Vec<Identified>,
+    steps: Vec<StepLimits>,
 }
 
 /// Folder of the results of a machine.
@@ -110,16 +161,16 @@ pub fn run(args: IdentifyArgs) -> Result<(), CliError> {
         }
         PortSpec::Simulator => {
             let machine = chosen.file;
-            let ranges = plan(&args, &machine)?;
+            let tasks = plan(&args, &machine)?;
             let _folder = open_results(&args, &machine)?;
-            confirm(&args, &machine, &ranges)?;
+            confirm(&args, &machine, &tasks)?;
             let rig = session::rig(&machine, None, args.port.baud, Vec::new())?;
             let line = SimLine::new(rig).unrecorded();
             let options = ClientOptions::default();
             let mut session = Session::new(line, &machine, options, interrupt::flag());
             session.connect(1)?;
             session.configure(&machine)?;
-            measure(&args, &machine, &mut session, &ranges)
+            measure(&args, &machine, &mut session, &tasks)
         }
         PortSpec::Serial(_) | PortSpec::Tcp(_) => {
             let connect = ConnectArgs {
@@ -129,10 +180,10 @@ pub fn run(args: IdentifyArgs) -> Result<(), CliError> {
             };
             let mut session = open(&connect, &chosen.file)?;
             let machine = file_of(&chosen, &mut session)?;
-            let ranges = plan(&args, &machine)?;
+            let tasks = plan(&args, &machine)?;
             let _folder = open_results(&args, &machine)?;
-            confirm(&args, &machine, &ranges)?;
-            measure(&args, &machine, &mut session, &ranges)
+            confirm(&args, &machine, &tasks)?;
+            measure(&args, &machine, &mut session, &tasks)
         }
     }
 }
@@ -151,9 +202,54 @@ fn options(args: &IdentifyArgs) -> Options {
     }
 }
 
-fn plan(args: &IdentifyArgs, machine: &MachineFile) -> Result<Vec<Travel>, CliError> {
+fn plan(args: &IdentifyArgs, machine: &MachineFile) -> Result<Tasks, CliError> {
     session::check_has_tool(machine)?;
-    Ok(lines(machine, &options(args))?)
+    let unknown = |name: &&String| !machine.joints.iter().any(|axis| axis.name == **name);
+    if let Some(name) = args.joints.iter().find(unknown) {
+        let names: Vec<&str> = machine.joints.iter().map(|it| it.name.as_str()).collect();
+        let what = format!("--joint {name}: the joints are {}", names.join(", "));
+        return Err(CliError::new(Exit::Usage, what));
+    }
+    let is_chosen = |name: &str| args.joints.is_empty() || args.joints.iter().any(|it| it == name);
+    let options_of_steps = StepOptions {
+        travel: args.travel,
+        beyond: args.beyond.unwrap_or(BEYOND),
+    };
+    let (mut steps, mut skipped) = step_joints(machine, &options_of_steps);
+    skipped.retain(|it| is_chosen(&it.name));
+    steps.retain(|it| is_chosen(&machine.joints[it.joint].name));
+    for axis in machine.joints.iter().filter(|it| !is_chosen(&it.name)) {
+        skipped.push(Skipped {
+            name: axis.name.clone(),
+            reason: "--joint names others".to_string(),
+        });
+    }
+    let mut torque = Vec::new();
+    if !torque_joints(machine).is_empty() {
+        torque = lines(machine, &options(args))?;
+        torque.retain(|line: &Travel| {
+            let mut joints = line.joints.iter();
+            joints.any(|joint| is_chosen(&machine.joints[*joint].name))
+        });
+    }
+    if torque.is_empty() && steps.is_empty() {
+        let reasons: Vec<String> = skipped
+            .iter()
+            .map(|it| format!("joint {}: {}", it.name, it.reason))
+            .collect();
+        let what = format!(
+            "{}: no joint has a torque drive and an encoder, or a step drive, a home switch and no \
+             encoder; nothing can be identified\n{}",
+            machine.file,
+            reasons.join("\n")
+        );
+        return Err(CliError::new(Exit::BadInput, what));
+    }
+    Ok(Tasks {
+        lines: torque,
+        steps,
+        skipped,
+    })
 }
 
 /// Opens the folder of the results, and checks that the machine file can be replaced. The
@@ -166,25 +262,27 @@ fn open_results(args: &IdentifyArgs, machine: &MachineFile) -> Result<ResultFold
     Ok(folder)
 }
 
+/// Ranges of the pose coordinates on a line.
+fn moved(machine: &MachineFile, line: &Travel) -> String {
+    let units = Model::new(machine).pose_units();
+    let ranges = Geometry::new(machine).ranges(line);
+    let moved = ranges.into_iter().zip(&machine.pose).zip(units);
+    let moved: Vec<String> = moved
+        .filter(|(((low, high), _), _)| high - low > 0.01)
+        .map(|(((low, high), axis), unit)| format!("{} {low:.1} to {high:.1} {unit}", axis.name))
+        .collect();
+    moved.join(", ")
+}
+
 /// Prints what will move, and asks.
-fn confirm(args: &IdentifyArgs, machine: &MachineFile, ranges: &[Travel]) -> Result<(), CliError> {
-    let geometry = Geometry::new(machine);
-    let model = Model::new(machine);
-    print_line!("the machine homes, and then moves, one line after the other, in these ranges:");
-    for line in ranges {
+fn confirm(args: &IdentifyArgs, machine: &MachineFile, tasks: &Tasks) -> Result<(), CliError> {
+    let say = |what: String| say(args, &what);
+    say("the machine homes, and then moves, one line after the other, in these ranges:".into());
+    for line in &tasks.lines {
         let names: Vec<&str> = line
             .joints
             .iter()
             .map(|joint| machine.joints[*joint].name.as_str())
-            .collect();
-        let units = model.pose_units();
-        let moved = geometry.ranges(line).into_iter().zip(&machine.pose);
-        let moved: Vec<String> = moved
-            .zip(units)
-            .filter(|(((low, high), _), _)| high - low > 0.01)
-            .map(|(((low, high), axis), unit)| {
-                format!("{} {low:.1} to {high:.1} {unit}", axis.name)
-            })
             .collect();
         let is_rotary = |joint: &usize| machine.joints[*joint].kind.is_rotary();
         let unit = if line.joints.iter().any(is_rotary) {
@@ -192,22 +290,38 @@ fn confirm(args: &IdentifyArgs, machine: &MachineFile, ranges: &[Travel]) -> Res
         } else {
             "mm/s"
         };
-        print_line!(
+        say(format!(
             "  joint {}: {}, at up to {:.1} {unit}",
             names.join(", "),
-            moved.join(", "),
+            moved(machine, line),
             line.rate * args.rate
+        ));
+    }
+    for step in &tasks.steps {
+        let axis = &machine.joints[step.joint];
+        let unit = if axis.kind.is_rotary() { "deg" } else { "mm" };
+        let [[low, high], [gentle, most]] = [step.bounds.rate, step.bounds.acceleration];
+        let lower = step.lower.map(|why| format!(" ({why})"));
+        say(format!(
+            "  joint {}: {}, at {low:.1} to {high:.1} {unit}/s and {gentle:.0} to {most:.0} \
+             {unit}/s^2 until it loses steps{}",
+            axis.name,
+            moved(machine, &step.reach()),
+            lower.unwrap_or_default()
+        ));
+    }
+    if !tasks.steps.is_empty() {
+        say(
+            "the test for lost steps homes up to 60 times; a motor that stalls leaves the joint \
+             anywhere in its range"
+                .to_string(),
         );
     }
-    let measured = torque_joints(machine);
-    let others = machine.joints.iter().enumerate();
-    let others = others.filter(|(joint, _)| !measured.contains(joint));
-    let others: Vec<&str> = others.map(|(_, joint)| joint.name.as_str()).collect();
-    if !others.is_empty() {
-        print_line!(
-            "not measured, because they have no torque drive with an encoder: {}",
-            others.join(", ")
-        );
+    for joint in &tasks.skipped {
+        say(format!(
+            "not measured: joint {}: {}",
+            joint.name, joint.reason
+        ));
     }
     if args.yes {
         return Ok(());
@@ -227,18 +341,59 @@ fn confirm(args: &IdentifyArgs, machine: &MachineFile, ranges: &[Travel]) -> Res
     Err(CliError::new(Exit::Stopped, "not confirmed; nothing moved"))
 }
 
+/// Tests the step joints. The controller has higher limits meanwhile.
+fn test_steps<L: Line>(
+    args: &IdentifyArgs,
+    machine: &MachineFile,
+    session: &mut Session<L>,
+    joints: &[StepJoint],
+) -> Result<Vec<StepLimits>, CliError> {
+    let raised = SwitchTest::<L>::raised(machine, joints);
+    if raised == *machine {
+        let mut test = SwitchTest::new(session, machine, joints);
+        return Ok(test.measure(&mut |what| say(args, what))?);
+    }
+    // Drives off: a controller takes no configuration otherwise.
+    session.ask(Command::Disable)?;
+    session.configure(&raised)?;
+    let found = session.enable().and_then(|()| {
+        SwitchTest::new(session, machine, joints).measure(&mut |what| say(args, what))
+    });
+    // Also after an error. A fault has switched the drives off, and then this is refused.
+    let disabled = session.ask(Command::Disable);
+    let restored = session.configure(machine);
+    let found = found?;
+    disabled?;
+    restored.map_err(|error| {
+        let what = format!(
+            "{error}; the controller still has the limits of the test: any command with --machine \
+             and --replace-machine gives it those of the machine file"
+        );
+        CliError::new(error.kind.into(), what)
+    })?;
+    session.enable()?;
+    Ok(found)
+}
+
 fn move_and_measure<L: Line>(
     args: &IdentifyArgs,
     machine: &MachineFile,
     session: &mut Session<L>,
-    ranges: &[Travel],
-) -> Result<Vec<Identified>, CliError> {
-    let mut found = Vec::new();
-    let mut identification = Identification::new(session, machine, options(args))?;
-    identification.home()?;
-    for line in ranges {
-        found.extend(identification.measure(line, &mut |what| print_line!("{what}"))?);
+    tasks: &Tasks,
+) -> Result<Found, CliError> {
+    let mut found = Found::default();
+    if !tasks.steps.is_empty() {
+        found.steps = test_steps(args, machine, session, &tasks.steps)?;
     }
+    if !tasks.lines.is_empty() {
+        let mut identification = Identification::new(session, machine, options(args))?;
+        identification.home()?;
+        for line in &tasks.lines {
+            let joints = identification.measure(line, &mut |what| say(args, what))?;
+            found.joints.extend(joints);
+        }
+    }
+    found.joints.sort_by_key(|it| it.joint);
     Ok(found)
 }
 
@@ -246,34 +401,94 @@ fn measure<L: Line>(
     args: &IdentifyArgs,
     machine: &MachineFile,
     session: &mut Session<L>,
-    ranges: &[Travel],
+    tasks: &Tasks,
 ) -> Result<(), CliError> {
     session.enable()?;
-    let found = move_and_measure(args, machine, session, ranges);
+    let found = move_and_measure(args, machine, session, tasks);
     // Also after an error: nobody works at the machine now. A fault has switched the drives off.
     let disabled = session.ask(Command::Disable);
-    let mut found = found?;
+    let Found { joints, steps } = found?;
     disabled?;
-    found.sort_by_key(|it| it.joint);
-    for joint in &found {
-        print_line!("{}", page::summary(joint));
+    for joint in &joints {
+        say(args, &page::summary(joint));
+    }
+    for joint in &steps {
+        say(args, &joint.summary());
     }
     let date = record::today();
     let folder = folder(args.out.as_ref(), machine);
     let name = machine.config.name.as_str();
-    let (text, changes) = edit::with_identified(machine, &found, &date)?;
+    // The measurement first: the machine file may refuse the new values.
     let data = folder.join("identified.toml");
-    save(&data, &record::write(name, &date, &found))?;
+    let record = record::write(name, &date, &joints, &steps, &tasks.skipped);
+    save(&data, &record)?;
+    let (text, changes) = edit::with_identified(machine, &joints, &steps, &date)?;
     let html = folder.join("identify.html");
-    save(&html, &page::identification(name, &date, &found, &changes))?;
-    print_line!("data        {}", data.display());
-    print_line!("page        {}", html.display());
-    write(
-        args.machine.machine.as_deref().filter(|_| !args.no_write),
-        machine,
-        (&text, changes.len()),
-        &date,
-    )
+    let shown = page::identification(name, &date, &joints, &steps, &tasks.skipped, &changes);
+    save(&html, &shown)?;
+    let path = args.machine.machine.as_deref().filter(|_| !args.no_write);
+    if !args.json {
+        print_line!("data        {}", data.display());
+        print_line!("page        {}", html.display());
+        return write(path, machine, (&text, changes.len()), &date);
+    }
+    let path = path.filter(|_| !changes.is_empty());
+    let backup = path
+        .map(|path| edit::replace(path, &machine.text, &text, &date))
+        .transpose()?;
+    let changes = changes
+        .iter()
+        .map(|it| json!({ "key": it.key, "before": it.before, "after": it.after }));
+    let value = json!({
+        "machine": name,
+        "date": date,
+        "joints": joints.iter().map(joint_json).collect::<Vec<_>>(),
+        "step_joints": steps.iter().map(step_json).collect::<Vec<_>>(),
+        "not_measured": tasks.skipped.iter()
+            .map(|it| json!({ "name": it.name, "reason": it.reason })).collect::<Vec<_>>(),
+        "changes": changes.collect::<Vec<_>>(),
+        "data": data,
+        "page": html,
+        "written": path,
+        "before": backup,
+    });
+    print_line!("{value:#}");
+    Ok(())
+}
+
+/// A torque joint as JSON; units are those of `identified.toml`.
+fn joint_json(joint: &Identified) -> Value {
+    let [forward, backward] = joint.friction.coulomb;
+    json!({
+        "name": joint.name,
+        "inertia": joint.plant.inertia,
+        "coulomb_forward": forward,
+        "coulomb_backward": backward,
+        "viscous": joint.friction.viscous,
+        "mode_hz": joint.resonance.is_ok().then_some(joint.plant.mode_hz),
+        "no_resonance_below_hz": joint.resonance.err(),
+        "fit_error": joint.error,
+    })
+}
+
+/// A step joint as JSON; mm or degrees, seconds.
+fn step_json(joint: &StepLimits) -> Value {
+    let limit = |highest: Option<Highest>| match highest {
+        Some(Highest::NoLossUpTo(kept)) => json!({ "no_loss_up_to": kept }),
+        Some(Highest::Between(kept, lost)) => json!({ "without_loss": kept, "with_loss": lost }),
+        Some(Highest::AllLost(lost)) => json!({ "with_loss": lost }),
+        None => Value::Null,
+    };
+    let [rate, acceleration] = joint.proposed().map(|it| it.map(rounded));
+    json!({
+        "name": joint.name,
+        "rate": limit(joint.rate()),
+        "acceleration": limit(joint.acceleration()),
+        "acceleration_at_rate": joint.working_rate(),
+        "resonances": joint.resonances(),
+        "proposed_rate": rate,
+        "proposed_acceleration": acceleration,
+    })
 }
 
 /// Writes the new text of a machine file, and prints where.
@@ -283,7 +498,7 @@ pub(super) fn write(
     (text, changes): (&str, usize),
     date: &str,
 ) -> Result<(), CliError> {
-    let Some(path) = path else {
+    let Some(path) = path.filter(|_| changes > 0) else {
         print_line!("the machine file is not changed");
         return Ok(());
     };

@@ -278,6 +278,7 @@ impl Command {
             Self::Scenario(scenario::ScenarioCommand::Run(args)) => args.json,
             Self::Trace(args) => args.command.is_json(),
             Self::Replay(args) => args.json,
+            Self::Identify(args) => args.json,
             Self::Scenario(_)
             | Self::Console(_)
             | Self::Sim(_)
@@ -285,7 +286,6 @@ impl Command {
             | Self::Preview(_)
             | Self::Offset(_)
             | Self::Calibrate(_)
-            | Self::Identify(_)
             | Self::Tune(_)
             | Self::Serve(_) => false,
             #[cfg(unix)]
