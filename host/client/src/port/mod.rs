@@ -15,7 +15,7 @@ mod token;
 #[cfg(unix)]
 pub use control::{Control, ask};
 pub use observers::{MOST_UNREAD, Observers};
-pub use serial::{Flow, SerialTransport, list, list_of};
+pub use serial::{Flow, SerialTransport, board_of, list, list_of};
 #[cfg(unix)]
 pub use serve::PtyServer;
 pub use serve::TcpServer;

@@ -162,8 +162,7 @@ fn describe(kind: &SerialPortType) -> String {
             let parts: Vec<&str> = parts.into_iter().flatten().map(String::as_str).collect();
             let text = format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, parts.join(" "));
             let text = text.trim();
-            let board = BOARDS.iter().find(|board| is_board(kind, board));
-            match (board, known(usb.vid, usb.pid)) {
+            match (board_of_kind(kind), known(usb.vid, usb.pid)) {
                 (Some(board), _) => format!("controller on a {} ({text})", board.title),
                 (None, Some(name)) => format!("{name} ({text})"),
                 (None, None) => text.to_string(),
@@ -220,6 +219,22 @@ pub fn list_of(board: &Board) -> Result<Vec<String>, PortError> {
         .collect();
     ports.sort();
     Ok(ports)
+}
+
+/// The board whose USB a serial port is, also by a link to its path. `None` for other ports, and
+/// where the system does not list its ports.
+#[must_use]
+pub fn board_of(path: &str) -> Option<&'static Board> {
+    let real = |path: &str| std::fs::canonicalize(path).unwrap_or_else(|_| path.into());
+    let port = real(path);
+    let found = available().ok()?.into_iter();
+    let kinds = found.filter(|known| real(&known.port_name) == port);
+    let mut boards = kinds.filter_map(|known| board_of_kind(&known.port_type));
+    boards.next()
+}
+
+fn board_of_kind(kind: &SerialPortType) -> Option<&'static Board> {
+    BOARDS.iter().find(|board| is_board(kind, board))
 }
 
 #[cfg(test)]

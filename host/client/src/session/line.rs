@@ -5,6 +5,7 @@ use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
 use super::JobRecording;
+use crate::flash::Board;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::snapshot::Snapshot;
 use haptimill_hil_sim::plant::GroundTruth;
@@ -26,6 +27,11 @@ pub trait Line {
 
     /// Its name in messages.
     fn name(&self) -> String;
+
+    /// The board at its other end, if the port names it. A serial converter does not.
+    fn board(&self) -> Option<&'static Board> {
+        None
+    }
 
     /// Closes the port after a failure, so that [`Line::open`] can open it again. False for a line
     /// without a port that can be opened.
@@ -91,6 +97,10 @@ pub trait Line {
 }
 
 impl<L: Line + ?Sized> Line for Box<L> {
+    fn board(&self) -> Option<&'static Board> {
+        (**self).board()
+    }
+
     fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
         (**self).exchange(transmit, received)
     }
@@ -292,6 +302,13 @@ impl Line for PortLine {
         match &self.port {
             PortState::Open(port) => port.name().to_string(),
             _ => self.spec.to_string(),
+        }
+    }
+
+    fn board(&self) -> Option<&'static Board> {
+        match &self.spec {
+            PortSpec::Serial(path) => port::board_of(path),
+            _ => None,
         }
     }
 

@@ -398,6 +398,9 @@ impl<L: Line> Session<L> {
     }
 
     fn send_configuration(&mut self, machine: &MachineFile, at_preset: bool) -> Result<(), Error> {
+        if let Some(board) = self.line.board() {
+            board.check_drives(machine)?;
+        }
         let (bytes, crc) = machine
             .encoded()
             .map_err(|error| Error::new(ErrorKind::Internal, error))?;

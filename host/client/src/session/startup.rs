@@ -43,6 +43,7 @@ pub struct Startup {
     machine: String,
     is_master: bool,
     config: Vec<u8>,
+    file: MachineFile,
     /// How the configuration of a board behind a port is chosen.
     board: Option<Chosen>,
     /// The board had this configuration or accepted it: after a loss of power it is sent again.
@@ -67,6 +68,7 @@ impl Startup {
             machine: machine.config.name.to_string(),
             is_master: machine.is_master(),
             config: encode(machine)?,
+            file: machine.clone(),
             board,
             has_agreed: false,
             commands,
@@ -336,6 +338,9 @@ impl<L: Line> Session<L> {
         self.notices.extend(message);
         if self.phase == SessionPhase::Identifying {
             return Ok(());
+        }
+        if let Some(board) = self.line.board() {
+            board.check_drives(&startup.file)?;
         }
         let mut tickets = vec![self.client.configure(&startup.config, false)];
         for command in &startup.commands {

@@ -1,6 +1,7 @@
 //! Sessions that are opened again after their link or their port is lost.
 
 use super::*;
+use crate::flash::Board;
 use crate::port::PortError;
 use haptimill_protocol::message::{Command, State};
 use std::cell::Cell;
@@ -265,4 +266,49 @@ fn a_starved_job_with_short_segments_resumes() {
         session.step().unwrap();
     }
     panic!("the job does not resume: {:?}", session.client().job());
+}
+
+/// A line whose port names its board.
+struct BoardLine(SimLine);
+
+impl Line for BoardLine {
+    fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
+        self.0.exchange(transmit, received)
+    }
+
+    fn name(&self) -> String {
+        "/dev/ttyACM0".to_string()
+    }
+
+    fn board(&self) -> Option<&'static Board> {
+        Board::named("pico2")
+    }
+}
+
+/// A machine file for another board is refused before it is sent, by commands and by the console.
+#[test]
+fn a_machine_that_the_board_cannot_drive_is_not_configured() {
+    let machine = MachineFile::built_in().unwrap();
+    let line = || BoardLine(SimLine::new(rig(&machine, None, None, Vec::new()).unwrap()));
+    let mut session = Session::new(line(), &machine, Options::default(), Arc::default());
+    session.connect(1).unwrap();
+    let refused = session.configure(&machine).unwrap_err();
+    assert_eq!(refused.kind, ErrorKind::BadInput);
+    assert!(refused.message.contains("no torque drives"), "{refused}");
+    assert_eq!(session.machine_name(), "");
+    let startup = Startup::new(&machine, None, Vec::new()).unwrap();
+    let mut session =
+        Session::new(line(), &machine, Options::default(), Arc::default()).with_startup(startup);
+    let refused = session.connect(1).unwrap_err();
+    assert!(refused.message.contains("no torque drives"), "{refused}");
+    assert_eq!(session.machine_name(), "");
+    // A mill that the board can drive.
+    let mill = include_str!("../../../../machines/mill3.toml");
+    let mill = mill.replace("ticks_per_us = 84", "ticks_per_us = 75");
+    let mill = MachineFile::parse("mill3.toml", &mill).unwrap();
+    let line = BoardLine(SimLine::new(rig(&mill, None, None, Vec::new()).unwrap()));
+    let mut session = Session::new(line, &mill, Options::default(), Arc::default());
+    session.connect(1).unwrap();
+    session.configure(&mill).unwrap();
+    assert_eq!(session.machine_name(), "mill3");
 }
