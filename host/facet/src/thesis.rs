@@ -14,7 +14,7 @@ use haptimill_kinematics::facet::FacetGeometry;
 use haptimill_kinematics::facet::chain::{Chain, ChainJoints, ChainPose};
 use haptimill_machine_file::MachineFile;
 use haptimill_math::{Angle, Coordinate, Length};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// A statement beside what is found here.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -41,11 +41,49 @@ a 40 0.70 0 n C 16 32 48\na 0 0.3 0 n T\n";
 /// Width of that stone, mm.
 pub const SMALL_MM: f64 = 2.5;
 
-/// Link lengths of section 4.2: as printed, mm, and all three in dm.
-const LENGTHS: [(&str, [f64; 3]); 2] = [
-    ("as printed, mm", [280.0, 0.24, 1.66]),
-    ("in dm", [280.0, 24.0, 166.0]),
-];
+/// Numbers of the thesis: `data/thesis.toml`, which also has the source of each.
+#[derive(Deserialize)]
+struct Stated {
+    lengths: [Lengths; 2],
+    positions: Positions,
+}
+
+/// Lengths of the arm in one reading of their unit.
+#[derive(Deserialize)]
+struct Lengths {
+    name: String,
+    l2_l3_l4_mm: [f64; 3],
+}
+
+/// Rows of the table of positions.
+#[derive(Deserialize)]
+struct Positions {
+    row_4: Position,
+    row_7: Position,
+}
+
+#[derive(Deserialize)]
+struct Position {
+    /// d1 in mm, theta2 and theta3 in degrees.
+    joints: [f64; 3],
+}
+
+impl Position {
+    /// d1 in mm, theta2 and theta3 in radians.
+    fn radians(&self) -> [f64; 3] {
+        let [d1, theta2, theta3] = self.joints;
+        [d1, theta2.to_radians(), theta3.to_radians()]
+    }
+}
+
+impl Stated {
+    fn read() -> Result<Self, Error> {
+        toml::from_str(include_str!("../data/thesis.toml")).map_err(|error| {
+            let what = format!("host/facet/data/thesis.toml: {error}");
+            Error::new(ErrorKind::Internal, what)
+        })
+    }
+}
 
 /// Steps of a turn in the grid of poses: an odd number, so that no pose is at a quarter turn.
 const GRID: i32 = 101;
@@ -123,13 +161,16 @@ fn lost(what: &str) -> Error {
 /// Rows of the kinematics.
 ///
 /// # Errors
-/// A frame of the chain cannot be computed; none is known.
+/// A frame of the chain cannot be computed, or the built-in numbers of the thesis are wrong;
+/// neither is known.
 pub fn kinematics() -> Result<Vec<Row>, Error> {
     let mut rows = Vec::new();
-    let [(_, printed), _] = LENGTHS;
+    let stated = Stated::read()?;
+    let printed = stated.lengths[0].l2_l3_l4_mm;
     let frame = |chain: &Chain, at: &ChainJoints| chain.forward(at).map_err(|_| lost("frame"));
 
-    let at = joints(50.0, PI / 4.0, PI / 3.0);
+    let [d1, theta2, theta3] = stated.positions.row_4.radians();
+    let at = joints(d1, theta2, theta3);
     let right = numbers(&frame(&chain(printed), &at)?).0;
     let mut wrong = right;
     wrong[1] = wrong[1].map(|entry| -entry);
@@ -142,7 +183,8 @@ pub fn kinematics() -> Result<Vec<Row>, Error> {
         reason: "the signs of r21 and r22 are printed wrong: the product of (4.1) to (4.4) has \
                  sin theta3 and cos theta3",
     });
-    for (name, lengths) in LENGTHS {
+    for read in &stated.lengths {
+        let (name, lengths) = (&read.name, read.l2_l3_l4_mm);
         let chain = chain(lengths);
         let (mut all, mut theirs, mut ours) = (0_u32, 0_u32, 0_u32);
         let angle = |k: i32| PI * (2.0 * f64::from(k) / f64::from(GRID) - 1.0);
@@ -164,7 +206,7 @@ pub fn kinematics() -> Result<Vec<Row>, Error> {
                      are those of two arguments",
         });
     }
-    let at = [25.0, 135.0_f64.to_radians(), 150.0_f64.to_radians()];
+    let at = stated.positions.row_7.radians();
     let frame_7 = frame(&chain(printed), &joints(at[0], at[1], at[2]))?;
     let theirs = printed_inverse(&frame_7, printed);
     let ours = our_inverse(&chain(printed), &frame_7).ok_or_else(|| lost("joints"))?;
@@ -180,7 +222,8 @@ pub fn kinematics() -> Result<Vec<Row>, Error> {
         agrees: is_found(theirs, ours),
         reason: "as above",
     });
-    for (name, lengths) in LENGTHS {
+    for read in &stated.lengths {
+        let (name, lengths) = (&read.name, read.l2_l3_l4_mm);
         let chain = chain(lengths);
         let mut readings = [Reading { x: 0.0, z: None }; 3];
         for (k, reading) in readings.iter_mut().enumerate() {
@@ -275,23 +318,39 @@ pub fn rows(
 mod tests {
     use super::*;
 
-    /// A quarter of the joint space is right by the printed inverse, all of it here; the printed
-    /// value of row 7 of the table of positions is 22.312994 mm.
+    #[derive(Deserialize)]
+    struct Results {
+        results: Vec<PrintedResult>,
+    }
+
+    /// A result of the printed equations, and of the corrected ones.
+    #[derive(Deserialize)]
+    struct PrintedResult {
+        section: String,
+        printed: String,
+        corrected: String,
+    }
+
+    /// A quarter of the joint space is right by the printed inverse, all of it here.
     #[test]
     fn printed_equations_are_right_in_one_quadrant() {
         let rows = kinematics().unwrap();
         let found = |section: &str| -> Vec<&Row> {
             rows.iter().filter(|row| row.section == section).collect()
         };
-        assert_eq!(found("4.5")[0].stated, "-1.000000");
-        assert_eq!(found("4.5")[0].ours, "+1.000000");
-        for row in found("4.9-13") {
-            // 50 of 101 angles are within a quarter turn.
-            assert_eq!(row.stated, "24.5 %");
-            assert_eq!(row.ours, "100.0 %");
+        let text = include_str!("../tests/data/thesis_results.toml");
+        let Results { results } = toml::from_str(text).unwrap();
+        assert_eq!(results.len(), 3);
+        for result in results {
+            let rows = found(&result.section);
+            assert!(!rows.is_empty(), "{}", result.section);
+            for row in rows {
+                assert_eq!(
+                    (&row.stated, &row.ours),
+                    (&result.printed, &result.corrected)
+                );
+            }
         }
-        assert_eq!(found("4.13")[0].stated, "22.3130 mm, -45.000, -30.000 deg");
-        assert_eq!(found("4.13")[0].ours, "25.0000 mm, 135.000, 150.000 deg");
         for row in found("4.2") {
             assert!(row.agrees, "{row:?}");
         }
