@@ -1,0 +1,113 @@
+//! Entities that draw nothing or not what they ask for, each by name.
+
+use super::draw;
+use crate::common::{dxf, sections};
+
+/// Only the section ENTITIES is drawn; look-alikes elsewhere are not.
+#[test]
+fn other_sections_draw_nothing() {
+    let line = "0 LINE\n8 0\n10 1\n20 2\n11 3\n21 4";
+    let alone = draw(&dxf(line));
+    let others = draw(&sections(&[
+        ("HEADER", "9 $INSUNITS\n70 4"),
+        (
+            "TABLES",
+            "0 TABLE\n2 LAYER\n0 LAYER\n2 0\n70 0\n62 7\n0 ENDTAB",
+        ),
+        (
+            "BLOCKS",
+            &format!("0 BLOCK\n2 B\n10 0\n20 0\n{line}\n0 ENDBLK"),
+        ),
+        ("ENTITIES", line),
+        ("OBJECTS", "0 DICTIONARY\n5 C"),
+    ]));
+    assert_eq!(alone.paths, others.paths);
+}
+
+/// Whatever is not cut is named with its line, handle and layer.
+#[test]
+fn what_is_left_out_is_reported() {
+    let text = sections(&[
+        (
+            "TABLES",
+            "0 TABLE\n2 LAYER\n0 LAYER\n2 Off\n70 0\n62 -7\n0 ENDTAB",
+        ),
+        (
+            "ENTITIES",
+            "0 LINE\n8 Off\n10 0\n20 0\n11 1\n21 1
+            0 HATCH\n5 2A\n8 Fill\n10 0\n20 0
+            0 DIMENSION\n5 2B\n8 Notes
+            0 LINE\n8 0\n67 1\n10 0\n20 0\n11 1\n21 1
+            0 LINE\n5 2C\n8 0\n10 3\n20 3\n11 3\n21 3
+            0 LINE\n8 0\n10 0\n20 0\n30 5\n11 1\n21 1\n31 5",
+        ),
+    ]);
+    let drawing = draw(&text);
+    assert_eq!(drawing.paths.len(), 1);
+    let notices = drawing.notices.join("\n");
+    for part in [
+        "HATCH handle 2A on layer Fill",
+        "DIMENSION handle 2B on layer Notes",
+        "off or frozen",
+        "paper space",
+        "no length: line",
+        "handle 2C",
+        "Z other than 0",
+    ] {
+        assert!(notices.contains(part), "{part} in {notices}");
+    }
+}
+
+/// Dashes, by the linetype of an entity or of its layer, and widths are not cut: the drawing is
+/// read, and they are named.
+#[test]
+fn dashes_and_widths_are_named() {
+    let text = sections(&[
+        (
+            "TABLES",
+            "0 TABLE\n2 LTYPE\n0 LTYPE\n2 Plain\n73 0\n0 LTYPE\n2 Dashes\n73 2\n0 ENDTAB
+            0 TABLE\n2 LAYER\n0 LAYER\n2 Axes\n70 0\n62 7\n6 Dashes\n0 ENDTAB",
+        ),
+        (
+            "ENTITIES",
+            "0 LINE\n5 10\n8 Axes\n10 0\n20 0\n11 1\n21 1
+            0 LINE\n5 11\n8 0\n6 DASHES\n10 0\n20 0\n11 1\n21 2
+            0 LINE\n5 12\n8 Axes\n6 Plain\n10 0\n20 0\n11 1\n21 3
+            0 LINE\n5 13\n8 0\n10 0\n20 0\n11 1\n21 4
+            0 LINE\n5 14\n8 Axes\n6 CONTINUOUS\n10 0\n20 0\n11 1\n21 5
+            0 LWPOLYLINE\n5 15\n8 0\n90 2\n70 0\n43 2.5\n10 0\n20 0\n10 4\n20 0
+            0 LWPOLYLINE\n5 16\n8 0\n90 2\n70 0\n43 0\n10 0\n20 0\n10 5\n20 0
+            0 POLYLINE\n5 17\n8 0\n66 1\n40 1\n41 1
+            0 VERTEX\n8 0\n10 0\n20 0
+            0 VERTEX\n8 0\n10 6\n20 0
+            0 SEQEND\n8 0",
+        ),
+    ]);
+    let drawing = draw(&text);
+    assert_eq!(drawing.paths.len(), 8);
+    let handles = |what: &str| -> Vec<String> {
+        let notice = drawing.notices.iter().find(|one| one.starts_with(what));
+        let notice = notice.unwrap_or_else(|| panic!("{what}: {:?}", drawing.notices));
+        let all = notice.split("handle ").skip(1);
+        all.map(|rest| rest.chars().take(2).collect()).collect()
+    };
+    assert_eq!(handles("dashed lines are cut whole"), ["10", "11"]);
+    assert_eq!(
+        handles("wide polylines are cut along their middle"),
+        ["15", "17"]
+    );
+}
+
+#[test]
+fn zero_length_polylines_are_left_out_by_name() {
+    let drawing = draw(&dxf(
+        "0 LWPOLYLINE\n5 3F\n8 Cut\n90 3\n70 1\n10 4\n20 4\n10 4\n20 4\n10 4\n20 4",
+    ));
+    assert!(drawing.paths.is_empty());
+    assert!(
+        drawing
+            .notices
+            .iter()
+            .any(|notice| notice.contains("handle 3F on layer Cut"))
+    );
+}
