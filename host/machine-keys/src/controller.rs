@@ -53,7 +53,7 @@ pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may
         .rotary("high_deg", super::ANGLES).many_turns(super::TURNS)
         .beyond(super::LONGER);
     wrap = flag().is("the coordinate turns without limits and has no soft limits")
-        .only("rotary coordinates without a role").or_text("false")
+        .only("rotary coordinates without a role, and those of a table").or_text("false")
         .bounded("the joint of the same name wraps too");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
         .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES)
