@@ -163,3 +163,50 @@ fn joints_that_are_not_measured_are_named() {
             .contains(&format!("not measured: joint l2: {encoder}"))
     );
 }
+
+/// The gauge of the simulated machine sees the slide of the plant: play of 0.010 mm, and the
+/// wind-up of 0.0158 mm by its friction in both directions.
+#[test]
+fn lost_motion_is_written_as_backlash() {
+    let folder = TestFolder::new();
+    let out = folder.path("out");
+    let text = machine_text("h4.toml").replace("backlash_mm = 0.0258", "backlash_mm = 0.010");
+    let file = folder.file("mine.toml", &text);
+    let identify = [
+        "identify",
+        "--lost-motion",
+        "--machine",
+        &file,
+        "--yes",
+        "--joint",
+        "l2",
+        "--out",
+        &out,
+    ];
+    let shown = haptimill(&[&identify[..], &["--json"]].concat()).expect_code(0);
+    let shown = shown.json();
+    let found = shown["lost_motions"][0]["lost_motion"].as_f64().unwrap();
+    assert!((found - 0.0258).abs() < 0.001_29, "{shown}");
+    let written = std::fs::read_to_string(&file).unwrap();
+    assert_eq!(written.matches("# identified 20").count(), 1, "{written}");
+    assert_eq!(written.matches("backlash_mm = 0.010").count(), 3);
+
+    // Readings of a gauge by hand: 0.02 mm beyond the backlash of the file.
+    let readings = ["--reading", "-0.01", "--reading", "0.01"].repeat(5);
+    let one = [&identify[..], &readings[..2]].concat();
+    let ran = haptimill(&one).expect_code(2);
+    assert!(ran.err.contains("1 readings, and 10 are needed"), "{ran:?}");
+    let file = folder.file("mine.toml", &text);
+    let ran = haptimill(&[&identify[..], &readings].concat()).expect_code(0);
+    let line = ran
+        .out
+        .lines()
+        .find(|line| line.starts_with("l2: lost motion "));
+    let value = line.and_then(|line| line.split(' ').nth(3)?.parse::<f64>().ok());
+    // The motor may rest one count of 1.25 um off.
+    assert!(
+        value.is_some_and(|value| (value - 0.03).abs() < 0.001_3),
+        "{ran:?}"
+    );
+    assert_ne!(std::fs::read_to_string(&file).unwrap(), text);
+}

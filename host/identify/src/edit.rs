@@ -2,6 +2,7 @@
 //! marked with the date.
 
 use crate::identify::Identified;
+use crate::lost_motion::LostMotion;
 use crate::lost_steps::StepLimits;
 use crate::servo_loop::Gains;
 use crate::tune::rounded;
@@ -117,6 +118,32 @@ pub fn with_identified(
     });
     let limits = steps.iter().flat_map(|it| limits(machine, it));
     let sections: Vec<Section<'_>> = laws.chain(limits).collect();
+    edit(machine, &sections, &format!("identified {date}"))
+}
+
+/// The text of a machine file with lost motions as backlash, and what changed.
+///
+/// # Errors
+/// The new text is not a valid machine file.
+pub fn with_lost_motion(
+    machine: &MachineFile,
+    joints: &[LostMotion],
+    date: &str,
+) -> Result<(String, Vec<Change>), Error> {
+    let sections = joints.iter().map(|joint| {
+        let key = if joint.kind.is_rotary() {
+            "backlash_deg"
+        } else {
+            "backlash_mm"
+        };
+        Section {
+            list: "joint",
+            axis: joint.name.as_str(),
+            name: None,
+            values: vec![(key, rounded(joint.value()))],
+        }
+    });
+    let sections: Vec<Section<'_>> = sections.collect();
     edit(machine, &sections, &format!("identified {date}"))
 }
 

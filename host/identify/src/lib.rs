@@ -10,6 +10,7 @@
 //! - [`two_mass`]: the model of a joint, and its fit to the response.
 //! - [`identify`]: the sequence on a machine.
 //! - [`lost_steps`], [`switch_test`]: limits of step motors without encoder, by home switches.
+//! - [`lost_motion`]: lost motion of a joint, by a gauge.
 //! - [`servo_loop`], [`tune`]: margins of gains, and the proposal.
 //! - [`record`], [`edit`], [`page`]: the results as a file, in the machine file, as a page.
 
@@ -19,6 +20,7 @@ pub mod excitation;
 pub mod identify;
 pub mod least_squares;
 pub mod line;
+pub mod lost_motion;
 pub mod lost_steps;
 pub mod measure;
 pub mod page;

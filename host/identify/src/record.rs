@@ -2,6 +2,7 @@
 
 use crate::complex::complex;
 use crate::identify::{Identified, acceleration_unit};
+use crate::lost_motion::LostMotion;
 use crate::lost_steps::{Highest, StepLimits, Trial};
 use crate::measure::{Friction, Steady};
 use crate::switch_test::Skipped;
@@ -140,6 +141,28 @@ pub fn write(
          # steady: rate, effort. response: Hz, real and imaginary part of motion for effort, \
          deviation.\n# trials: rate, acceleration, steps by which the switch tripped at another \
          count.\n{document}"
+    )
+}
+
+/// Encodes lost motions.
+#[must_use]
+pub fn write_lost_motion(machine: &str, date: &str, joints: &[LostMotion]) -> String {
+    let mut document = DocumentMut::new();
+    document["machine"] = value(machine);
+    document["date"] = value(date);
+    let mut list = ArrayOfTables::new();
+    for joint in joints {
+        let mut table = Table::new();
+        table["name"] = value(&joint.name);
+        table["lost_motion"] = value(joint.value());
+        table["before"] = value(joint.before);
+        table["rests"] = value(row(joint.rests.iter().copied()));
+        list.push(table);
+    }
+    document["joint"] = Item::ArrayOfTables(list);
+    format!(
+        "# Written by haptimill identify --lost-motion. Units: mm or deg.\n\
+         # rests: what the gauge saw beyond the backlash before, each time.\n{document}"
     )
 }
 

@@ -4,13 +4,13 @@ use super::args::{BoardArg, ConnectArgs, PortArgs};
 use super::board::file_of;
 use super::run::results::ResultFolder;
 use super::simple::open;
-use super::{CliError, Exit, output};
+use super::{CliError, Exit, lost_motion, output};
 use crate::commands::interrupt;
 use clap::Args;
 use haptimill_client::client::Options as ClientOptions;
 use haptimill_client::port::PortSpec;
 use haptimill_client::session::{self, Line, Session, SimLine};
-use haptimill_identify::edit;
+use haptimill_identify::edit::{self, Change};
 use haptimill_identify::identify::{Identification, Identified, Options, lines, torque_joints};
 use haptimill_identify::line::{Geometry, Line as Travel};
 use haptimill_identify::lost_steps::{Highest, StepLimits};
@@ -36,6 +36,9 @@ Effort and motion come from the telemetry of the controller.
 Joints with step drives, a home switch and no encoder: the largest rate and acceleration without lost \
 steps, and rates at which a resonance loses them. Each test moves the joint, and homes: lost steps \
 shift the count at which the switch trips. 70 % of the limits are proposed.
+
+With --lost-motion each joint comes to the same place from below and from above, five times, and a \
+dial gauge is read: on the simulated machine by itself, on others by you.
 
 The machine homes, then moves along the printed ranges. Nothing may be in these ranges, and the spindle \
 is at rest. The command asks before anything moves. Ctrl-C stops.
@@ -70,6 +73,19 @@ pub struct IdentifyArgs {
     /// Measure this joint only; more than once for several joints
     #[arg(long = "joint", value_name = "NAME")]
     pub joints: Vec<String>,
+    /// Measure only the lost motion of the joints, with a dial gauge, and write it as backlash. The
+    /// simulated machine has a gauge; on others the command asks for readings
+    #[arg(long)]
+    pub lost_motion: bool,
+    /// Reading of the gauge, mm or degrees, in place of a question; give all, in the order of the
+    /// motions
+    #[arg(
+        long = "reading",
+        value_name = "MM",
+        requires = "lost_motion",
+        allow_negative_numbers = true
+    )]
+    pub readings: Vec<f64>,
     /// Folder of the results [default: the name of the machine with .identify]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -107,7 +123,7 @@ fn beyond(text: &str) -> Result<f64, String> {
 }
 
 /// Prints what happens; with --json on standard error.
-fn say(args: &IdentifyArgs, what: &str) {
+pub(super) fn say(args: &IdentifyArgs, what: &str) {
     if args.json {
         eprintln!("{what}");
     } else {
@@ -121,6 +137,8 @@ struct Tasks {
     lines: Vec<Travel>,
     /// Step joints.
     steps: Vec<StepJoint>,
+    /// Joints whose lost motion is measured, in place of the others.
+    gauged: Vec<usize>,
     /// The other joints.
     skipped: Vec<Skipped>,
 }
@@ -211,6 +229,15 @@ fn plan(args: &IdentifyArgs, machine: &MachineFile) -> Result<Tasks, CliError> {
         return Err(CliError::new(Exit::Usage, what));
     }
     let is_chosen = |name: &str| args.joints.is_empty() || args.joints.iter().any(|it| it == name);
+    if args.lost_motion {
+        let (gauged, skipped) = lost_motion::plan(args, machine, &is_chosen)?;
+        return Ok(Tasks {
+            lines: Vec::new(),
+            steps: Vec::new(),
+            gauged,
+            skipped,
+        });
+    }
     let options_of_steps = StepOptions {
         travel: args.travel,
         beyond: args.beyond.unwrap_or(BEYOND),
@@ -248,6 +275,7 @@ fn plan(args: &IdentifyArgs, machine: &MachineFile) -> Result<Tasks, CliError> {
     Ok(Tasks {
         lines: torque,
         steps,
+        gauged: Vec::new(),
         skipped,
     })
 }
@@ -308,6 +336,14 @@ fn confirm(args: &IdentifyArgs, machine: &MachineFile, tasks: &Tasks) -> Result<
             axis.name,
             moved(machine, &step.reach()),
             lower.unwrap_or_default()
+        ));
+    }
+    for joint in &tasks.gauged {
+        let line = haptimill_identify::lost_motion::line_of(machine, *joint)?;
+        say(format!(
+            "  joint {}: {}, by a dial gauge",
+            machine.joints[*joint].name,
+            moved(machine, &line)
         ));
     }
     if !tasks.steps.is_empty() {
@@ -403,6 +439,9 @@ fn measure<L: Line>(
     session: &mut Session<L>,
     tasks: &Tasks,
 ) -> Result<(), CliError> {
+    if !tasks.gauged.is_empty() {
+        return lost_motion::measure(args, machine, session, &tasks.gauged, &tasks.skipped);
+    }
     session.enable()?;
     let found = move_and_measure(args, machine, session, tasks);
     // Also after an error: nobody works at the machine now. A fault has switched the drives off.
@@ -426,32 +465,46 @@ fn measure<L: Line>(
     let html = folder.join("identify.html");
     let shown = page::identification(name, &date, &joints, &steps, &tasks.skipped, &changes);
     save(&html, &shown)?;
-    let path = args.machine.machine.as_deref().filter(|_| !args.no_write);
     if !args.json {
         print_line!("data        {}", data.display());
         print_line!("page        {}", html.display());
-        return write(path, machine, (&text, changes.len()), &date);
     }
-    let path = path.filter(|_| !changes.is_empty());
-    let backup = path
-        .map(|path| edit::replace(path, &machine.text, &text, &date))
-        .transpose()?;
-    let changes = changes
-        .iter()
-        .map(|it| json!({ "key": it.key, "before": it.before, "after": it.after }));
+    let skipped = tasks.skipped.iter();
+    let skipped = skipped.map(|it| json!({ "name": it.name, "reason": it.reason }));
     let value = json!({
         "machine": name,
         "date": date,
         "joints": joints.iter().map(joint_json).collect::<Vec<_>>(),
         "step_joints": steps.iter().map(step_json).collect::<Vec<_>>(),
-        "not_measured": tasks.skipped.iter()
-            .map(|it| json!({ "name": it.name, "reason": it.reason })).collect::<Vec<_>>(),
-        "changes": changes.collect::<Vec<_>>(),
+        "not_measured": skipped.collect::<Vec<_>>(),
         "data": data,
         "page": html,
-        "written": path,
-        "before": backup,
     });
+    finish(args, machine, value, (&text, &changes), &date)
+}
+
+/// Writes the machine file, and prints what changed: as JSON in `value`, or as text.
+pub(super) fn finish(
+    args: &IdentifyArgs,
+    machine: &MachineFile,
+    mut value: Value,
+    (text, changes): (&str, &[Change]),
+    date: &str,
+) -> Result<(), CliError> {
+    let path = args.machine.machine.as_deref().filter(|_| !args.no_write);
+    if !args.json {
+        return write(path, machine, (text, changes.len()), date);
+    }
+    let path = path.filter(|_| !changes.is_empty());
+    let backup = path
+        .map(|path| edit::replace(path, &machine.text, text, date))
+        .transpose()?;
+    let changes = changes
+        .iter()
+        .map(|it| json!({ "key": it.key, "before": it.before, "after": it.after }));
+    value["changes"] = changes.collect();
+    value["written"] = json!(path);
+    value["before"] = json!(backup);
     print_line!("{value:#}");
     Ok(())
 }

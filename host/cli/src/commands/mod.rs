@@ -28,6 +28,7 @@ pub(crate) mod interrupt;
 mod io_status;
 pub mod jog;
 pub mod kin;
+mod lost_motion;
 pub mod machine;
 pub mod mdi;
 pub mod named_io;
