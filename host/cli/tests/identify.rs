@@ -147,6 +147,12 @@ fn joints_that_are_not_measured_are_named() {
     }
     let ran = run("router3.toml", &["--joint", "y2"]).expect_code(3);
     assert!(ran.err.contains("y2: it is a motor of a gantry"), "{ran:?}");
+    let ran = run("router3.toml", &["--joint", "y2", "--lost-motion"]).expect_code(3);
+    let line = "joint y2: it is the second motor of a gantry; measure the first one\n";
+    assert!(
+        ran.err.contains(line) && !ran.err.contains("y2: joint"),
+        "{ran:?}"
+    );
     let ran = run("mill3.toml", &["--joint", "w"]).expect_code(2);
     assert!(
         ran.err.contains("--joint w: the joints are x, y, z"),

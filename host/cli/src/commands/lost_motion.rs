@@ -30,14 +30,21 @@ pub(super) fn plan(
         }
         match lost_motion::line_of(machine, index) {
             Ok(_) => joints.push(index),
-            Err(error) => skipped.push(Skipped {
-                name: axis.name.clone(),
-                reason: error.message,
-            }),
+            Err(error) => {
+                let named = format!("joint {}: ", axis.name);
+                let reason = error.message.strip_prefix(&named);
+                skipped.push(Skipped {
+                    name: axis.name.clone(),
+                    reason: reason.unwrap_or(&error.message).to_string(),
+                });
+            }
         }
     }
     if joints.is_empty() {
-        let reasons: Vec<&str> = skipped.iter().map(|it| it.reason.as_str()).collect();
+        let reasons = skipped.iter();
+        let reasons: Vec<String> = reasons
+            .map(|it| format!("joint {}: {}", it.name, it.reason))
+            .collect();
         return Err(CliError::new(Exit::BadInput, reasons.join("\n")));
     }
     let (given, needed) = (args.readings.len(), READINGS * joints.len());
