@@ -126,6 +126,7 @@ fn the_commanded_motion_keeps_its_limits_in_every_period() {
         ("trunnion5.toml", "A12 C50", ""),
         // A longer tool turns the pose of the machine about the tip.
         ("trunnion5.toml", "A12 C50", "G43.1 Z40\n"),
+        ("h4.toml", "B3 A-4", "G43.1 Z50\n"),
     ] {
         let machine = machine(name);
         let motion = run(&machine, &format!("{tool}{}", program(rotary)));
@@ -145,6 +146,28 @@ fn the_commanded_motion_keeps_its_limits_in_every_period() {
                 axis.letter
             );
         }
+    }
+}
+
+/// Blended corners of short lines that turn a longer tool: the machine turns about the tip there.
+#[test]
+fn blended_corners_with_a_longer_tool_keep_the_limits() {
+    for (length, tolerance) in [(50, 0.05), (80, 0.2)] {
+        let mut text = format!("G21 G90 G64 P{tolerance}\nG43.1 Z{length}\nG0 X0 Y0 Z5\nF2500\n");
+        for number in 0..60 {
+            let angle = f64::from(number) * 0.12;
+            let at = [
+                20.0 * angle.sin(),
+                15.0 * (1.3 * angle).cos(),
+                20.0 * (0.9 * angle).sin(),
+                20.0 * (0.7 * angle).cos(),
+            ];
+            let [x, y, tilt, rotation] = at;
+            text += &format!("G1 X{x:.4} Y{y:.4} B{tilt:.4} A{rotation:.4}\n");
+        }
+        let machine = machine("h4.toml");
+        let motion = run(&machine, &(text + "M30\n"));
+        check_limits(&format!("h4.toml, Z{length}"), &machine, &motion);
     }
 }
 

@@ -40,6 +40,8 @@ pub(crate) struct Block {
     pub percent: Option<usize>,
     /// Place of the O of a block that begins with one, and of the byte after it.
     pub o_word: Option<usize>,
+    /// Whether it has a number (N).
+    numbered: bool,
     /// Whether the block begins with a slash.
     pub optional: bool,
 }
@@ -74,6 +76,7 @@ impl Block {
         self.first = None;
         self.percent = None;
         self.o_word = None;
+        self.numbered = false;
         self.optional = false;
     }
 
@@ -165,6 +168,7 @@ impl Block {
                         self.first.get_or_insert(start);
                     }
                     self.letter(&mut scan, letter, values)?;
+                    self.numbered |= letter == b'N';
                 }
                 b'@' | b'^' => {
                     self.first.get_or_insert(start);
@@ -328,6 +332,13 @@ impl Block {
                         start,
                         "a block number inside a block",
                         "write N at the start of the line",
+                    )));
+                }
+                if self.numbered {
+                    return Err(Box::new(Mistake::new(
+                        start,
+                        "two block numbers in a block",
+                        "remove one",
                     )));
                 }
                 if value < 0.0 || value.fract() != 0.0 {

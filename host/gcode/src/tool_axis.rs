@@ -131,6 +131,16 @@ impl ToolLength {
         machine
     }
 
+    /// Returns the rates of the tip for a pose of the machine and its rates.
+    #[must_use]
+    pub fn tip_rates<const N: usize>(&self, machine: &[f64; N], rates: &[f64; N]) -> [f64; N] {
+        let shorter = Self {
+            length: -self.length,
+            ..*self
+        };
+        shorter.machine_rates(machine, rates)
+    }
+
     /// Returns the largest angle that the tool turns along a path per unit of its length, radians.
     #[must_use]
     pub fn turn_per_length(&self, path: &Path) -> f64 {
@@ -187,6 +197,9 @@ mod tests {
             assert!((apart.sqrt() - TOOL.length).abs() < 1e-12);
             let back = TOOL.tip_pose(&machine);
             assert!((0..6).all(|k| (back[k] - tip[k]).abs() < 1e-12));
+            let rates = [3.0, -2.0, 1.0, 20.0, -35.0, 50.0];
+            let back = TOOL.tip_rates(&machine, &TOOL.machine_rates(&tip, &rates));
+            assert!((0..6).all(|k| (back[k] - rates[k]).abs() < 1e-12));
         }
         let none = ToolLength::default();
         let tip = [1.0, 2.0, 3.0, 40.0, 50.0, 60.0];

@@ -294,3 +294,92 @@ fn back_boring_goes_in_beside_the_axis() {
     ];
     assert_eq!(steps[steps.len() - bore.len()..], bore, "{steps:#?}");
 }
+
+/// The further work offsets: each has its own origin.
+#[test]
+fn every_work_offset_has_its_origin() {
+    let codes = [
+        "G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3",
+    ];
+    for (index, code) in codes.into_iter().enumerate() {
+        let x = 10 * (index + 1);
+        let text = format!("G10 L2 P{} X{x}\n{code}\nG0 X1", index + 1);
+        assert_eq!(steps(&text), [format!("rapid {} 0 0", x + 1)]);
+        // The others keep theirs.
+        let other = codes[(index + 1) % codes.len()];
+        let text = format!("G10 L2 P{} X{x}\n{other}\nG0 X1", index + 1);
+        assert_eq!(steps(&text), ["rapid 1 0 0"]);
+    }
+}
+
+/// G92.2 takes the offset of G92 off and keeps it, G92.3 puts it on again; G92.1 forgets it.
+#[test]
+fn an_offset_of_g92_is_put_aside_and_back() {
+    let begin = "G0 X10\nG92 X0\n";
+    assert_eq!(steps(&format!("{begin}G0 X1"))[1], "rapid 11 0 0");
+    assert_eq!(steps(&format!("{begin}G92.2\nG0 X1"))[1], "rapid 1 0 0");
+    let back = steps(&format!("{begin}G92.2\nG92.3\nG0 X1"));
+    assert_eq!(back[1], "rapid 11 0 0");
+    let forgotten = steps(&format!("{begin}G92.1\nG92.3\nG0 X1"));
+    assert_eq!(forgotten[1], "rapid 1 0 0");
+}
+
+#[test]
+fn tool_lengths_are_added() {
+    let mut options = options();
+    for (number, z) in [(1, 10.0), (2, 3.0)] {
+        let mut tool = Tool::default();
+        tool.offset[2] = z;
+        options.tools.insert(number, tool);
+    }
+    let text = "G43 H1\nG43.2 H2\nG0 Z1\nG49\nZ2";
+    assert_eq!(steps_with(text, &options), ["rapid 0 0 14", "rapid 0 0 2"]);
+}
+
+/// G38.4 ends where the probe leaves; it is an error if it does not, unlike with G38.5.
+#[test]
+fn probe_moves_name_their_edge() {
+    use haptimill_gcode::ProbeKind::{Away, Towards};
+    for (code, edge, must) in [
+        ("G38.2", Towards, true),
+        ("G38.3", Towards, false),
+        ("G38.4", Away, true),
+        ("G38.5", Away, false),
+    ] {
+        let text = format!("{code} Z-5 F60");
+        let program = read("t.ngc", text.as_bytes(), &options()).expect("a program");
+        let [
+            Step::Probe {
+                kind, must_change, ..
+            },
+        ] = &program.steps[..]
+        else {
+            panic!("{:?}", program.steps);
+        };
+        assert_eq!((*kind, *must_change), (edge, must), "{code}");
+    }
+}
+
+/// G61 and G61.1 stop at the end of each move, G64 blends.
+#[test]
+fn exact_stops_end_each_move() {
+    for (code, stops) in [("G61", true), ("G61.1", true), ("G64", false)] {
+        let text = format!("{code}\nG1 F100 X1\nX2");
+        let program = read("t.ngc", text.as_bytes(), &options()).expect("a program");
+        for step in &program.steps {
+            let Step::Move(step) = step else {
+                panic!("{step:?}")
+            };
+            assert_eq!(step.exact_stop, stops, "{code}");
+        }
+    }
+}
+
+#[test]
+fn a_block_has_one_number() {
+    assert_eq!(steps("N10 G0 X1\n/N20 X2"), ["rapid 1 0 0", "rapid 2 0 0"]);
+    let two = refusal("N10 N20 G0 X1");
+    assert!(two.contains("t.ngc:1:5: two block numbers"), "{two}");
+    // M60 pauses as M0.
+    assert_eq!(steps("M60"), steps("M0"));
+}

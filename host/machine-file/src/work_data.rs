@@ -118,6 +118,9 @@ impl WorkData {
                 .and_then(|text| text.parse::<u32>().ok())
                 .filter(|number| (1..=99_999).contains(number))
                 .ok_or_else(|| refuse(format!("[{name}] is not one of t1 to t99999")))?;
+            if data.tools.contains_key(&number) {
+                return Err(refuse(format!("[{name}] is tool {number} again")));
+            }
             let mut tool = Tool::default();
             tool.diameter = read_values(name, table, &mut tool.offset, "diameter")
                 .map_err(refuse)?

@@ -60,6 +60,8 @@ pub(crate) struct Block {
     /// Derivatives of pose and joints by length, at start and end.
     pub tangents: [Coordinates; 2],
     pub joint_tangents: [[f64; 6]; 2],
+    /// Those of the machine's pose, which differ from those of the tip if the tool turns.
+    pub machine_tangents: [Coordinates; 2],
 }
 
 impl Block {
@@ -342,6 +344,7 @@ fn examine(
     let turns = step.tool.turn_per_length(path) > 0.0;
     let mut tangents = [[0.0; 6]; 2];
     let mut joint_tangents = [[0.0; 6]; 2];
+    let mut machine_tangents = [[0.0; 6]; 2];
     for index in 0..=samples.intervals {
         let s = samples.length(index, path);
         let (pose, tangent) = path.at_with_tangent(s);
@@ -357,8 +360,10 @@ fn examine(
         }
         if index == 0 {
             (tangents[0], joint_tangents[0]) = (tangent, joints);
+            machine_tangents[0] = rates;
         }
         (tangents[1], joint_tangents[1]) = (tangent, joints);
+        machine_tangents[1] = rates;
     }
     if let Feed::PerMinute(feed) = step.feed {
         limits.speed = feed / 60.0;
@@ -383,6 +388,7 @@ fn examine(
         most,
         tangents,
         joint_tangents,
+        machine_tangents,
     };
     Ok((block, allowed))
 }

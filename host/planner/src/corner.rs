@@ -127,6 +127,14 @@ impl Corner {
         if dot < SHARPEST_COSINE * (norm1 * norm2).sqrt() {
             return Corner::stop();
         }
+        let (m1, m2) = (&before.machine_tangents[1], &after.machine_tangents[0]);
+        for ((axis, m1), m2) in settings.pose.iter().zip(m1).zip(m2) {
+            let change = (m2 - m1).abs();
+            if change > SAME_DIRECTION {
+                let jerk = jerk_share * axis.jerk;
+                corner.need(change, acceleration_share * axis.acceleration, jerk);
+            }
+        }
         for (k, axis) in settings.joints.iter().enumerate() {
             let change = (after.joint_tangents[0][k] - before.joint_tangents[1][k]).abs();
             if change > SAME_DIRECTION {

@@ -394,7 +394,9 @@ impl<M: MachineModel> Planner<M> {
     fn add(&mut self, step: &Move) -> Result<(), Problem> {
         if step.tool != self.tool && !self.refused {
             let stopped = self.stop();
+            self.discard();
             self.tool = step.tool;
+            self.emitter.tool = step.tool;
             self.at = step.path.from;
             stopped?;
         }

@@ -4,7 +4,7 @@ use super::block::check_motion;
 use super::limits::{MachineModel, Settings};
 use super::pace::Pacer;
 use super::trajectory::{CUBIC_ERROR_MM, Cursor, Knot, Trajectory};
-use haptimill_gcode::{Coordinates, Place, Problem};
+use haptimill_gcode::{Coordinates, Place, Problem, ToolLength};
 use haptimill_protocol::message::{Action, AxisValues, Pace, RATE_SHIFT};
 use haptimill_protocol::setpoint::Setpoint;
 use std::collections::VecDeque;
@@ -18,6 +18,8 @@ pub struct Planned {
     pub place: Place,
     /// Whether that is a rapid move; true for a standstill.
     pub is_rapid: bool,
+    /// Tool that makes the pose of the tip from that of the setpoint.
+    pub tool: ToolLength,
     /// Number of messages of the program before that motion.
     pub(crate) messages: u32,
 }
@@ -73,6 +75,8 @@ pub(crate) struct Emitter {
     pub count: usize,
     /// Number of messages of the program before the next one.
     pub messages: u32,
+    /// Tool of the run of motion.
+    pub tool: ToolLength,
     /// Largest rate of each joint at the setpoints.
     pub peak_joint_rates: [f64; 6],
 }
@@ -95,6 +99,7 @@ impl Emitter {
             made: Vec::new(),
             count: 0,
             messages: 0,
+            tool: ToolLength::default(),
             peak_joint_rates: [0.0; 6],
         }
     }
@@ -123,6 +128,7 @@ impl Emitter {
             setpoint,
             place,
             is_rapid,
+            tool: self.tool,
             messages: self.messages,
         });
         self.count += 1;

@@ -7,7 +7,7 @@
 mod page;
 mod trace;
 
-use haptimill_gcode::{Coordinates, Place, Step};
+use haptimill_gcode::{Coordinates, Place, Step, ToolLength};
 use haptimill_planner::{Figures, MachineModel, Planned, Settings};
 use haptimill_protocol::message::{AxisValues, RATE_SHIFT};
 use trace::{Point, Trace};
@@ -107,8 +107,9 @@ impl<M: MachineModel> Preview<M> {
         let line = planned.place.line;
         let moves = self.rates != [0.0; 6] || rates != [0.0; 6] || cubic.from != cubic.to;
         if moves {
-            let count = self.points(&cubic);
-            let first = self.point(start_s, &cubic.from, &self.rates, line);
+            let tool = planned.tool;
+            let count = self.points(&cubic, tool);
+            let first = self.point(start_s, (&cubic.from, &self.rates), tool, line);
             let trace = if planned.is_rapid {
                 self.cut.end();
                 &mut self.rapid
@@ -120,7 +121,7 @@ impl<M: MachineModel> Preview<M> {
             for index in 1..=count {
                 let u = f64::from(index) / f64::from(count);
                 let (pose, rates) = cubic.at(u);
-                let point = self.point(start_s + u * duration, &pose, &rates, line);
+                let point = self.point(start_s + u * duration, (&pose, &rates), tool, line);
                 if planned.is_rapid {
                     self.rapid.push(point);
                 } else {
@@ -209,8 +210,11 @@ impl<M: MachineModel> Preview<M> {
     }
 
     /// Points to draw on a segment.
-    fn points(&self, cubic: &Cubic) -> u32 {
-        let direction = |u: f64| self.tip_of(&cubic.at(u).1);
+    fn points(&self, cubic: &Cubic, tool: ToolLength) -> u32 {
+        let direction = |u: f64| {
+            let (pose, rates) = cubic.at(u);
+            self.tip_of(&tool.tip_rates(&pose, &rates))
+        };
         let directions = [0.05, 0.5, 0.95].map(direction);
         let angle = |u: &[f64; 3], v: &[f64; 3]| {
             let dot: f64 = u.iter().zip(v).map(|(a, b)| a * b).sum();
@@ -230,10 +234,16 @@ impl<M: MachineModel> Preview<M> {
             .map(|index| index.map_or(0.0, |index| values[index]))
     }
 
-    fn point(&self, time_s: f64, pose: &Coordinates, rates: &Coordinates, line: u32) -> Point {
+    fn point(
+        &self,
+        time_s: f64,
+        (pose, rates): (&Coordinates, &Coordinates),
+        tool: ToolLength,
+        line: u32,
+    ) -> Point {
         Point {
-            place: self.tip_of(pose),
-            speed: norm(&self.tip_of(rates)),
+            place: self.tip_of(&tool.tip_pose(pose)),
+            speed: norm(&self.tip_of(&tool.tip_rates(pose, rates))),
             time_s,
             line,
         }

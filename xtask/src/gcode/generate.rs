@@ -187,7 +187,7 @@ impl Writer {
     /// A change of offsets, and an absolute move.
     fn offset(&mut self) {
         let value = |random: &mut Random| random.within(-15.0, 15.0);
-        let text = match self.random.below(16) {
+        let text = match self.random.below(22) {
             0 => format!(
                 "G10 L2 P2 X{} Y{} Z{}",
                 value(&mut self.random),
@@ -219,6 +219,18 @@ impl Writer {
                 value(&mut self.random)
             ),
             15 => "G52 X0 Y0 Z0".into(),
+            16 => format!("G43.2 H{}", 1 + self.random.below(20)),
+            17 => "G92.2".into(),
+            18 => "G92.3".into(),
+            19 => format!(
+                "G10 L2 P{} X{} Z{}",
+                3 + self.random.below(7),
+                value(&mut self.random),
+                value(&mut self.random)
+            ),
+            20 => ["G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"]
+                [self.random.below(7) as usize]
+                .into(),
             _ => "G10 L2 P2 R0".into(),
         };
         self.line(&text);

@@ -12,9 +12,9 @@ const BLOCKS: u32 = 200_000;
 /// Rounds: each runs the three commands one after another, and gives a pair of ratios.
 const ROUNDS: usize = 5;
 
-/// Largest ratios of CPU time to `rs274 -g`, of the interpreter and of `--check`, and largest
-/// memory of `--check`, MiB.
-const MOST: [f64; 3] = [0.5, 1.0, 32.0];
+/// Largest ratios of CPU time to `rs274 -g`, of the interpreter and of `--check`, largest memory of
+/// `--check`, MiB, and largest CPU time to the first setpoint of a stream, seconds.
+const MOST: [f64; 4] = [0.5, 1.0, 32.0, 0.1];
 
 /// Names and texts of the programs: a wave of short moves within the built-in machine.
 fn programs() -> Vec<(&'static str, String)> {
@@ -122,7 +122,23 @@ fn median(values: &mut [f64]) -> f64 {
     values[values.len() / 2]
 }
 
-/// Prints the ratios of CPU time to `rs274 -g`, as medians of paired runs, and the peak memory.
+/// CPU seconds to the first setpoint of a stream, from the start of a process.
+fn first_setpoint(command: &str, file: &str) -> Result<f64, String> {
+    let output = Command::new(command)
+        .arg(file)
+        .output()
+        .map_err(|error| format!("{command}: {error}"))?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let seconds = text
+        .trim()
+        .strip_suffix(" CPU s")
+        .and_then(|text| text.rsplit(' ').next())
+        .and_then(|word| word.parse().ok());
+    seconds.ok_or_else(|| format!("{command} {file}: {text}"))
+}
+
+/// Prints the ratios of CPU time to `rs274 -g`, as medians of paired runs, the peak memory, and the
+/// CPU time to the first setpoint.
 ///
 /// # Errors
 ///
@@ -132,6 +148,12 @@ pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
     for target in [
         &["--package", "haptimill-gcode", "--example", "canonical"][..],
         &["--package", "haptimill", "--bin", "haptimill"],
+        &[
+            "--package",
+            "haptimill-machine-file",
+            "--example",
+            "first_setpoint",
+        ],
     ] {
         let status = Command::new(&cargo)
             .current_dir(root())
@@ -147,13 +169,14 @@ pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
     let text = |path: PathBuf| path.to_string_lossy().into_owned();
     let canonical = text(built.join("examples/canonical"));
     let haptimill = text(built.join("haptimill"));
+    let stream = text(built.join("examples/first_setpoint"));
     let tools = text(folder.join("tools.tbl"));
     let parameters = text(folder.join("parameters.var"));
     super::write(Path::new(&tools), &super::tool_table())?;
     println!(
         "{BLOCKS} blocks, release profile, median of {ROUNDS} paired runs; CPU time over rs274 -g"
     );
-    println!("program     rs274 s  interpreter  --check  MiB of --check");
+    println!("program     rs274 s  interpreter  --check  MiB of --check  first setpoint s");
     let mut beyond = Vec::new();
     for (name, program) in programs() {
         let file = text(folder.join(format!("throughput-{}.ngc", name.replace(' ', "-"))));
@@ -177,10 +200,11 @@ pub(super) fn run(rs274: &str, folder: &Path) -> Result<(), String> {
             median(&mut alone),
             median(&mut whole),
             memory as f64 / 1024.0,
+            first_setpoint(&stream, &file)?,
         ];
-        let [alone, whole, memory] = figures;
+        let [alone, whole, memory, first] = figures;
         println!(
-            "{name:<12}{:7.2}{alone:13.2}{whole:9.2}{memory:10.1}",
+            "{name:<12}{:7.2}{alone:13.2}{whole:9.2}{memory:10.1}{first:19.3}",
             median(&mut theirs)
         );
         if figures

@@ -154,16 +154,16 @@ impl BoxView {
             ..Place::default()
         };
         let (mut rpm, mut tool, mut at) = (0, None, program.start);
-        let mut top = self.z.map_or(0.0, |z| program.start[z]);
+        let mut top = f64::NEG_INFINITY;
+        let mut longest = 0.0_f64;
         let (mut coolant, mut outputs) = (None, BTreeMap::new());
         for step in &before {
             match step {
                 Step::Move(step) | Step::Probe { step, .. } => {
-                    let ends = [&step.path.from, &step.path.to];
-                    let [from, to] = ends.map(|tip| step.tool.machine_pose(tip));
-                    at = to;
+                    at = step.tool.machine_pose(&step.path.to);
+                    longest = step.tool.length.max(0.0);
                     if let Some(z) = self.z {
-                        top = top.max(from[z]).max(to[z]);
+                        top = top.max(step.path.from[z]).max(step.path.to[z]);
                     }
                 }
                 Step::Spindle { rpm: speed, .. } => rpm = *speed,
@@ -187,8 +187,16 @@ impl BoxView {
             _ => None,
         });
         let down = feed.unwrap_or(DOWN_FEED).min(DOWN_FEED);
+        let first_move = rest.iter().find_map(|step| match step {
+            Step::Move(step) | Step::Probe { step, .. } => Some(step),
+            _ => None,
+        });
+        // The tip of a longer tool is up to its length below the pose of the machine.
+        longest = first_move.map_or(longest, |step| longest.max(step.tool.length));
+        top += longest;
         let (mut up, mut over) = (program.start, at);
         if let Some(z) = self.z {
+            top = top.max(program.start[z]);
             (up[z], over[z]) = (top, top);
         }
         let steps = &mut program.steps;
@@ -470,6 +478,42 @@ mod tests {
         }
         let spindle = |step: &Step| matches!(step, Step::Spindle { .. });
         assert!(!program.steps.iter().any(spindle));
+    }
+
+    /// The tip of a longer tool passes over what the program passed over, however the tool stands.
+    #[test]
+    fn an_approach_with_a_longer_tool_keeps_its_tip_above() {
+        let mut options = Options::of_letters("XYZA", [-50.0, 0.0, 60.0, 0.0, 0.0, 0.0]);
+        options.tool_axis = haptimill_gcode::ToolAxis {
+            tip: [0, 1, 2],
+            rotation: Some(3),
+            ..Default::default()
+        };
+        let text = "G90 G43.1 Z50\nG0 A60\nG0 Z25\nG0 X40\nG1 Z22 F300\nX50\nM30\n";
+        let program = haptimill_gcode::read("p.ngc", text.as_bytes(), &options);
+        let mut program = program.expect("a program");
+        let change = ChangeArgs {
+            from_line: Some(6),
+            ..ChangeArgs::default()
+        };
+        change
+            .apply(&mut program, &options, 5.0)
+            .expect("an approach");
+        let mut machine = options.start;
+        let mut least = f64::INFINITY;
+        for step in &program.steps {
+            let Step::Move(step) = step else { continue };
+            assert_eq!(step.tool.machine_pose(&step.path.from), machine);
+            machine = step.tool.machine_pose(&step.path.to);
+            if step.tool.length == 0.0 && step.path.from[0] != step.path.to[0] {
+                // Over the part. The tool in the spindle is that of the program.
+                for part in 0..=20 {
+                    let at = step.path.at(step.path.length * f64::from(part) / 20.0);
+                    least = least.min(at[2] - 50.0 * at[3].to_radians().cos());
+                }
+            }
+        }
+        assert!((25.0 - 1e-9..60.0).contains(&least), "{least}");
     }
 
     #[test]

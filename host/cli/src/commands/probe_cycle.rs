@@ -14,10 +14,14 @@ use super::simple::open;
 use super::{CliError, Exit, output};
 use haptimill_client::session::check_has_tool;
 use haptimill_kinematics::descriptor::Role;
+use haptimill_machine_file::model;
 use haptimill_machine_file::work_data::{WorkData, offsets_path, tools_path};
 use origin::{find_system, settable_system};
 use prober::Prober;
 use std::path::PathBuf;
+
+/// Least part of a direction along Z, less than 1 by this, that measures a length to 1e-6 of it.
+const ALONG_Z: f64 = 1e-6;
 
 /// Runs a probing cycle.
 ///
@@ -220,6 +224,13 @@ impl Prober<'_> {
     fn tool(&mut self, args: &ToolArgs, file: Option<PathBuf>) -> Result<(), CliError> {
         let Some(file) = file else { return Ok(()) };
         let z = self.tool_axis(Role::ToolZ)?;
+        let axis = model::tool_axis(self.machine.config.model.descriptor());
+        let direction = axis.direction(&self.here()?);
+        if axis.turns() && direction[2] < 1.0 - ALONG_Z {
+            let what = "probe tool: the tool does not stand along Z of the workpiece, so the setter \
+                        does not measure its length; turn the rotary coordinates to 0";
+            return Err(CliError::new(Exit::Command, what));
+        }
         let contact = self.touch(z, -args.reach)?;
         let length = contact - args.height;
         let mut data =

@@ -123,17 +123,25 @@ fn a_tool_length_turns_with_the_table() {
     let text = "G21 G90\nT1 M6\nG43 H1\nG0 X10 A20\nT2 M6\nG43 H2\nG0 Z5 A10 C30\n\
                 G1 X12 Y3 A-10 F300\nM30\n";
     let part = folder.file("part.ngc", text);
+    // A change of the length without a pause, after more setpoints than the look-ahead holds.
+    let long = "G21 G90 G43.1 Z40\nG0 Z20\nG1 X40 F240\nX-20 A10\nG49\nG0 Z90\nX0\nM30\n";
+    let long = folder.file("long.ngc", long);
     let out = folder.path("out");
-    let run = [
-        "run",
-        &part,
-        "--machine",
-        &own,
-        "--skip-pauses",
-        "--out",
-        &out,
-    ];
-    for more in [&[][..], &["--stream"], &["--from-line", "8"]] {
+    for (program, more) in [
+        (&part, &[][..]),
+        (&part, &["--stream"]),
+        (&part, &["--from-line", "8"]),
+        (&long, &[]),
+    ] {
+        let run = [
+            "run",
+            program,
+            "--machine",
+            &own,
+            "--skip-pauses",
+            "--out",
+            &out,
+        ];
         crate::scene::haptimill(&[&run[..], more].concat()).expect_code(0);
         let summary = folder.summary("out");
         assert_eq!(summary["completed"], true, "{summary:#}");

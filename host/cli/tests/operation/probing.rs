@@ -142,6 +142,40 @@ fn a_tool_is_measured_into_the_tool_table() {
     );
 }
 
+/// On a tilted table the setter does not measure the length of a tool.
+#[test]
+fn a_tool_is_measured_only_along_z() {
+    let folder = TestFolder::new();
+    let text = std::fs::read_to_string(root().join("machines/trunnion5.toml")).unwrap();
+    let (controller, plant) = text.split_once("\n[plant]\n").unwrap();
+    let text = format!(
+        "{controller}\n[[input]]\nname = \"setter\"\nfunction = \"tool_setter\"\nchannel = 1\n\
+         active = \"high\"\nfilter_ms = 0\ncontact = \"fault\"\n\n[plant]\n{plant}\n\
+         [[plant.input]]\nname = \"setter\"\nchannel = 1\n\n[plant.tool_setter]\n\
+         input = \"setter\"\nlow = [-80.0, -60.0, -60.0]\nhigh = [-40.0, -20.0, 20.0]\n\
+         radius = 0.0\n"
+    );
+    // The true tool is 5 mm longer than that of the machine file.
+    let (before, after) = text.rsplit_once("\ntl = 100.0").unwrap();
+    let machine = folder.file("own.toml", format!("{before}\ntl = 105.0{after}"));
+    let served = SimServer::on_tcp(&["--machine", &machine]);
+    let run = |command: &[&str]| served.run(&[command, &["--machine", &machine]].concat());
+    run(&["home"]).expect_code(0);
+    let measure = |height: &str| run(&["probe", "tool", "--tool", "1", "--height", height]);
+    run(&["mdi", "G0 Z60", "G0 X-60 Y-40", "G0 Z40"]).expect_code(0);
+    measure("20").expect_code(0);
+    let kept = WorkData::load(std::path::Path::new(&machine)).unwrap();
+    let length = kept.tools[&1].offset[2];
+    assert!((length - 5.0).abs() < 0.02, "{length}");
+    run(&["mdi", "G0 A30"]).expect_code(0);
+    let refused = measure("20").expect_code(8);
+    assert!(
+        refused.err.contains("does not stand along Z"),
+        "{}",
+        refused.err
+    );
+}
+
 #[test]
 fn cycles_refuse_what_they_cannot_use() {
     let served = SimServer::on_tcp(&[]);
