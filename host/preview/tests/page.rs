@@ -1,8 +1,9 @@
 //! The preview of a program of known geometry.
 
-use haptimill_gcode::{AxisKind, Coordinates, Interpreter, Options, ProgramAxis};
+use haptimill_gcode::{AxisKind, Coordinates, Interpreter, Options, ProgramAxis, ToolAxis};
 use haptimill_planner::{JointLimits, MachineModel, Planner, PoseLimits, PoseProblem, Settings};
 use haptimill_preview::{Joint, Preview};
+use haptimill_viewer::Shape;
 use std::io::Cursor;
 
 /// A mill whose slide y runs against its coordinate.
@@ -107,4 +108,58 @@ fn the_page_is_whole_and_offline() {
         addresses,
         page.matches("http://www.w3.org/2000/svg").count()
     );
+}
+
+/// The path is that of the tip, and so is the feed, also where a longer tool turns.
+#[test]
+fn a_longer_tool_is_drawn_at_its_tip() {
+    let mut settings = settings();
+    settings.pose.push(PoseLimits {
+        letter: 'A',
+        kind: AxisKind::Rotary,
+        ..settings.pose[0].clone()
+    });
+    let axis = |letter, kind| ProgramAxis {
+        letter,
+        kind,
+        wraps: false,
+    };
+    let mut axes = ['X', 'Y', 'Z']
+        .map(|letter| axis(letter, AxisKind::Linear))
+        .to_vec();
+    axes.push(axis('A', AxisKind::Rotary));
+    let options = Options {
+        axes,
+        tool_axis: ToolAxis {
+            tip: [0, 1, 2],
+            rotation: Some(3),
+            ..ToolAxis::default()
+        },
+        ..Options::default()
+    };
+    let text = "G61 G43.1 Z30\nG0 Z10\nG1 X20 A30 F500\nM30\n";
+    let mut planner = Planner::new(options.start, settings.clone(), Mill);
+    let tip = [Some(0), Some(1), Some(2)];
+    let mut preview = Preview::new(options.start, settings, tip, Mill, Vec::new());
+    for step in Interpreter::new(Cursor::new(text.as_bytes()), &options) {
+        planner.step(&step.expect("readable")).expect("possible");
+    }
+    planner.finish(4).expect("possible");
+    planner.made().for_each(|planned| preview.add(&planned));
+    let scene = preview.scene();
+    let cut = scene.layers.iter().find(|layer| layer.name == "at feed");
+    let cut = cut.expect("a layer");
+    let Shape::Lines { points, .. } = &cut.shape else {
+        panic!("{cut:?}");
+    };
+    assert!(points.len() >= 4, "{points:?}");
+    for [_, y, z] in points {
+        assert!(y.abs() < 1e-3 && (z - 10.0).abs() < 1e-3, "{y} {z}");
+    }
+    let feeds = cut.values.as_ref().expect("feeds");
+    let most = feeds
+        .values
+        .iter()
+        .fold(0.0_f32, |most, feed| most.max(*feed));
+    assert!((400.0..500.5).contains(&most), "{most}");
 }
