@@ -4,11 +4,12 @@
 
 const LINE_VERTEX = `#version 300 es
 precision highp float;
-in vec2 corner; in vec3 a; in vec3 b; in vec3 colourA; in vec3 colourB; in vec2 times;
+in vec2 corner; in vec3 a; in vec3 b; in vec3 colourA; in vec3 colourB;
+in float timeA; in float timeB;
 uniform mat4 view; uniform vec2 size; uniform float width; uniform float until;
 out vec3 colour;
 void main() {
-  float part = times.y > until ? (until - times.x) / max(times.y - times.x, 1e-9) : 1.0;
+  float part = timeB > until ? (until - timeA) / max(timeB - timeA, 1e-9) : 1.0;
   vec4 from = view * vec4(a, 1.0);
   vec4 to = view * vec4(mix(a, b, clamp(part, 0.0, 1.0)), 1.0);
   vec2 along = (to.xy - from.xy) * size;
@@ -18,7 +19,7 @@ void main() {
   // Half the width beyond both ends closes the joints of polylines.
   vec2 off = vec2(-along.y, along.x) * corner.y + along * (corner.x * 2.0 - 1.0);
   at.xy += off * width / size;
-  if (times.x > until) at = vec4(2.0, 2.0, 2.0, 1.0);
+  if (timeA > until) at = vec4(2.0, 2.0, 2.0, 1.0);
   colour = mix(colourA, colourB, corner.x);
   gl_Position = at;
 }`;
@@ -26,6 +27,13 @@ const LINE_FRAGMENT = `#version 300 es
 precision highp float;
 in vec3 colour; out vec4 pixel;
 void main() { pixel = vec4(colour, 1.0); }`;
+// Lines of one pixel, without instances: a renderer by software takes as long for an instance as
+// for many vertices.
+const THIN_VERTEX = `#version 300 es
+precision highp float;
+in vec3 a; in vec3 colourA; uniform mat4 view;
+out vec3 colour;
+void main() { colour = colourA; gl_Position = view * vec4(a, 1.0); }`;
 const MESH_VERTEX = `#version 300 es
 precision highp float;
 in vec3 point; in vec3 tint; uniform mat4 view;
@@ -40,8 +48,10 @@ void main() {
   pixel = vec4(colour * light, opacity);
 }`;
 
-// A picture that takes longer than this is slow.
+// A picture that takes longer than this is slow. After so many of them in a row lines are thin, and
+// after as many more the scene has half the resolution.
 const SLOW_PICTURE_MS = 50;
+const SLOW_PICTURES = 3;
 // Colour maps: dark to light, and blue over grey to red.
 const MAPS = {
   sequential: ['#2b1e66', '#27508f', '#1c7f8c', '#2fa86b', '#8fc742', '#f2d024', '#e8590c'],
@@ -108,10 +118,10 @@ function unpacked(layer) {
   };
 }
 
-// Segments as 14 floats: two points, two colours, two times.
+// Segments as 14 floats: point, colour and time of both ends.
 function segments(data) {
   const out = [];
-  const put = (a, b, ca, cb, ta, tb) => out.push(...a, ...b, ...ca, ...cb, ta, tb);
+  const put = (a, b, ca, cb, ta, tb) => out.push(...a, ...ca, ta, ...b, ...cb, tb);
   const point = k => data.points.subarray(3 * k, 3 * k + 3);
   const colour = k => data.colours.subarray(3 * k, 3 * k + 3);
   if (data.layer.kind === 'arrows') {
@@ -150,11 +160,11 @@ function segments(data) {
   for (let s = 0; s < starts.length; s++) {
     const end = s + 1 < starts.length ? starts[s + 1] : data.count;
     for (let k = starts[s]; k + 1 < end; k++) {
-      packed.set(point(k), at); packed.set(point(k + 1), at + 3);
-      packed.set(colour(k), at + 6); packed.set(colour(k + 1), at + 9);
-      packed[at + 12] = data.times.length ? data.times[k] : 0;
-      packed[at + 13] = data.times.length ? data.times[k + 1] : 0;
-      at += 14;
+      for (const end of [k, k + 1]) {
+        packed.set(point(end), at); packed.set(colour(end), at + 3);
+        packed[at + 6] = data.times.length ? data.times[end] : 0;
+        at += 7;
+      }
     }
   }
   return packed;
@@ -251,6 +261,7 @@ function create(root, scene) {
     return null;
   }
   const linePrograms = program(gl, LINE_VERTEX, LINE_FRAGMENT);
+  const thinPrograms = program(gl, THIN_VERTEX, LINE_FRAGMENT);
   const meshPrograms = program(gl, MESH_VERTEX, MESH_FRAGMENT);
   const corners = buffer(gl, new Float32Array([0, -1, 0, 1, 1, -1, 1, 1]));
   const layers = new Map();
@@ -263,7 +274,7 @@ function create(root, scene) {
   const none = { low: [0, 0, 0], high: [0, 0, 0] };
   // Boxes of the part, which is what is not aside, and of all layers.
   let part = none, whole = none, showsWhole = true, isMoved = false, end = 0, until = Infinity, marker = null;
-  let drawing = false, again = false, playing = null, pictures = 0;
+  let drawing = false, again = false, playing = null, pictures = 0, slow = 0;
 
   function upload(data) {
     data.buffers = [];
@@ -288,13 +299,20 @@ function create(root, scene) {
       gl.enableVertexAttribArray(corner);
       gl.vertexAttribPointer(corner, 2, gl.FLOAT, false, 0, 0);
       keep(packed);
-      const parts = [['a', 3, 0], ['b', 3, 3], ['colourA', 3, 6], ['colourB', 3, 9],
-        ['times', 2, 12]];
-      for (const [name, size, offset] of parts) {
+      const begin = [['a', 3, 0], ['colourA', 3, 3], ['timeA', 1, 6]];
+      const ends = [['b', 3, 7], ['colourB', 3, 10], ['timeB', 1, 13]];
+      for (const [name, size, offset] of [...begin, ...ends]) {
         const at = gl.getAttribLocation(linePrograms, name);
         gl.enableVertexAttribArray(at);
         gl.vertexAttribPointer(at, size, gl.FLOAT, false, 56, 4 * offset);
         gl.vertexAttribDivisor(at, 1);
+      }
+      data.thin = gl.createVertexArray();
+      gl.bindVertexArray(data.thin);
+      for (const [name, size, offset] of begin.slice(0, 2)) {
+        const at = gl.getAttribLocation(thinPrograms, name);
+        gl.enableVertexAttribArray(at);
+        gl.vertexAttribPointer(at, size, gl.FLOAT, false, 28, 4 * offset);
       }
     }
     gl.bindVertexArray(null);
@@ -303,6 +321,7 @@ function create(root, scene) {
   // What a layer has in the memory of the graphics card.
   function release(data) {
     gl.deleteVertexArray(data.vao);
+    if (data.thin) gl.deleteVertexArray(data.thin);
     data.buffers.forEach(made => gl.deleteBuffer(made));
   }
 
@@ -399,12 +418,13 @@ function create(root, scene) {
 
   function paint() {
     pictures += 1;
-    const ratio = window.devicePixelRatio || 1;
+    const sharp = window.devicePixelRatio || 1;
+    const ratio = slow < 2 * SLOW_PICTURES ? sharp : 0.5 * sharp;
     const [w, h] = [stage.clientWidth, stage.clientHeight];
-    for (const part of [canvas, overlay]) {
-      if (part.width !== Math.round(w * ratio) || part.height !== Math.round(h * ratio)) {
-        part.width = Math.round(w * ratio);
-        part.height = Math.round(h * ratio);
+    for (const [part, scale] of [[canvas, ratio], [overlay, sharp]]) {
+      if (part.width !== Math.round(w * scale) || part.height !== Math.round(h * scale)) {
+        part.width = Math.round(w * scale);
+        part.height = Math.round(h * scale);
       }
     }
     gl.viewport(0, 0, canvas.width, canvas.height);
@@ -436,6 +456,11 @@ function create(root, scene) {
         gl.disable(gl.BLEND);
         gl.depthMask(true);
         gl.disable(gl.POLYGON_OFFSET_FILL);
+      } else if (slow >= SLOW_PICTURES && !isFinite(until)) {
+        gl.bindVertexArray(data.thin);
+        gl.useProgram(thinPrograms);
+        gl.uniformMatrix4fv(gl.getUniformLocation(thinPrograms, 'view'), false, view);
+        gl.drawArrays(gl.LINES, 0, 2 * data.instances);
       } else {
         gl.useProgram(linePrograms);
         gl.uniformMatrix4fv(gl.getUniformLocation(linePrograms, 'view'), false, view);
@@ -448,7 +473,7 @@ function create(root, scene) {
       }
     }
     gl.bindVertexArray(null);
-    annotate(w, h, ratio, shown);
+    annotate(w, h, sharp, shown);
   }
 
   function annotate(w, h, ratio, shown) {
@@ -531,6 +556,9 @@ function create(root, scene) {
       paint();
       requestAnimationFrame(() => {
         const took = performance.now() - begun;
+        // A step is for good: the picture does not change to and fro.
+        if (took > SLOW_PICTURE_MS) slow = Math.min(slow + 1, 2 * SLOW_PICTURES);
+        else if (slow < 2 * SLOW_PICTURES) slow -= slow % SLOW_PICTURES;
         setTimeout(() => {
           drawing = false;
           if (again) {
