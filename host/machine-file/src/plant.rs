@@ -114,6 +114,18 @@ fn check_scales(
                 report(field, what, remedy);
             }
         };
+        let direction = |field: &str, what: &str, computed: bool, simulated: bool, remedy: &str| {
+            if computed != simulated {
+                let way = |down| if down { "down" } else { "up" };
+                let what = format!(
+                    "{what} is {} in the simulated joint, and {} by the `direction` of [[joint]]",
+                    way(simulated),
+                    way(computed)
+                );
+                report(field, what, remedy);
+            }
+        };
+        let reversed = "change `reversed` here, or `direction` in [[joint]]";
         let [low, high] = [joint.low, joint.high].map(|end| f64::from(end.0) / per_unit);
         for (key, end, stop, beyond) in [
             ("low", low, simulated.low, simulated.low - low),
@@ -131,12 +143,25 @@ fn check_scales(
             let truth = simulated.per_count(encoder);
             let remedy = "correct lead or counts_per_turn, here or in [[joint]]";
             scale("encoder", "count", read.per_count, truth, remedy);
+            let (computed, simulated) = (read.per_count < 0, encoder.reversed);
+            direction("encoder", "a positive count", computed, simulated, reversed);
+        }
+        if let (DriveConfig::Torque(drive), Drive::Torque { full_scale, .. }) =
+            (&simulated.drive, &joint.drive)
+        {
+            let (computed, simulated) = (full_scale.0 < 0, drive.full_scale < 0.0);
+            let remedy = "change the sign of `full_scale` here, or `direction` in [[joint]]";
+            let field = "drive: torque: full_scale";
+            direction(field, "a positive effort", computed, simulated, remedy);
         }
         if let (
             DriveConfig::Steps(drive),
             Drive::Steps {
                 per_step,
                 ticks_per_us,
+                pulse,
+                setup,
+                hold,
                 ..
             },
         ) = (&simulated.drive, &joint.drive)
@@ -156,6 +181,36 @@ fn check_scales(
             let remedy = "correct lead, full_steps and microsteps here, or lead (gear_ratio) and \
                           steps_per_turn in [[joint]]";
             scale("drive", "step", *per_step, simulated.lead / steps, remedy);
+            let (computed, turned) = (*per_step < 0, drive.reversed);
+            direction(
+                "drive: steps",
+                "a positive step",
+                computed,
+                turned,
+                reversed,
+            );
+            for (key, of, ticks, least) in [
+                ("min_high_ns", "pulse_us", *pulse, drive.min_high_ns),
+                ("min_low_ns", "pulse_us", *pulse, drive.min_low_ns),
+                ("setup_ns", "setup_us", *setup, drive.setup_ns),
+                ("hold_ns", "hold_us", *hold, drive.hold_ns),
+            ] {
+                let sent = f64::from(ticks) / f64::from(*ticks_per_us) * 1e3;
+                if sent < least {
+                    let what = format!(
+                        "the simulated drive needs {least} ns, the controller has {sent:.0} ns"
+                    );
+                    let remedy = format!("correct it, or raise {of} in [[joint]]");
+                    report(&format!("drive: steps: {key}"), what, &remedy);
+                }
+            }
+            if drive.pull_out <= simulated.coulomb {
+                let what = format!(
+                    "the simulated motor has {} at most, and the friction is {}: it never moves",
+                    drive.pull_out, simulated.coulomb
+                );
+                report("drive: steps: pull_out", what, "raise it above `coulomb`");
+            }
         }
         check_switches(simulated, joint, &report);
     }

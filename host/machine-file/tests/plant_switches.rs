@@ -67,3 +67,51 @@ fn another_step_clock_is_found() {
          controller, 84"
     );
 }
+
+/// A motor or an encoder that is turned round in one of both parts.
+#[test]
+fn another_direction_is_found() {
+    assert_eq!(
+        problem(false, "direction = 1\n", "direction = -1\n"),
+        "plant.joint[1].drive.steps: a positive step is up in the simulated joint, and down by the \
+         `direction` of [[joint]]"
+    );
+    // A joint has the direction of its encoder first, then that of its drive.
+    let servo = include_str!("../../../machines/mill3-servo.toml");
+    for (section, what) in [
+        ("\n[joint.drive]\n", "a positive effort is up"),
+        ("\n[[joint]]\n", "a positive count is up"),
+    ] {
+        let (before, after) = servo.split_once(section).expect("the section");
+        let turned = after.replacen("direction = 1\n", "direction = -1\n", 1);
+        let text = format!("{before}{section}{turned}");
+        let problems = MachineFile::parse("machine.toml", &text).expect_err("another machine");
+        assert_eq!(problems.0.len(), 1, "{problems}");
+        assert!(problems.0[0].what.contains(what), "{problems}");
+    }
+}
+
+/// Pulses that the simulated drive does not see, and a motor that its friction holds.
+#[test]
+fn a_drive_that_cannot_move_its_joint_is_found() {
+    for (from, to, what) in [
+        (
+            "min_high_ns = 1000.0",
+            "min_high_ns = 4000.0",
+            "min_high_ns: the simulated drive needs 4000 ns, the controller has 2500 ns",
+        ),
+        (
+            "setup_ns = 5000.0",
+            "setup_ns = 50000.0",
+            "setup_ns: the simulated drive needs 50000 ns",
+        ),
+        (
+            "pull_out = 1200.0",
+            "pull_out = 30.0",
+            "pull_out: the simulated motor has 30 at most, and the friction is 40: it never moves",
+        ),
+    ] {
+        let found = problem(true, from, to);
+        assert!(found.contains(what), "{found}");
+    }
+}

@@ -115,17 +115,23 @@ joint_steps "plant.joint.drive.steps" "A step motor with its drive." {
     full_steps = whole(4, 10_000, "steps").is("full steps per turn");
     phases = whole(2, 5, "").is("phases; an electrical turn is two full steps for each").or(2.0);
     microsteps = whole(1, 1024, "").is("steps per full step");
-    pull_out = real(0.0, 1e6, "N").is("largest static effort").rotary("pull_out", real(0.0, 1e6, "N m"));
+    pull_out = real(0.0, 1e6, "N").is("largest static effort").rotary("pull_out", real(0.0, 1e6, "N m"))
+        .bounded("above `coulomb` of the joint");
     damping = real(0.0, 1e6, "N per mm/s").is("damping by the drive").or(0.0)
         .rotary("damping", real(0.0, 1e6, "N m per deg/s"));
-    reversed = flag().is("a positive step moves downwards").or_text("false");
+    reversed = flag().is("a positive step moves downwards").or_text("false")
+        .bounded("as `direction` of the joint of the controller");
     ticks_per_us = whole(1, 1000, "ticks/us").is("step clock of the board")
         .bounded("that of the joint of the controller");
     pulse_ns = real(0.0, 1e6, "ns").is("width of the pulses of the board");
-    min_high_ns = real(0.0, 1e6, "ns").is("shortest pulse that the drive detects");
-    min_low_ns = real(0.0, 1e6, "ns").is("shortest pause between two pulses");
-    setup_ns = real(0.0, 1e6, "ns").is("shortest time from a change of direction to a pulse");
-    hold_ns = real(0.0, 1e6, "ns").is("shortest time from a pulse to a change of direction");
+    min_high_ns = real(0.0, 1e6, "ns").is("shortest pulse that the drive detects")
+        .bounded("at most `pulse_us` of the joint of the controller");
+    min_low_ns = real(0.0, 1e6, "ns").is("shortest pause between two pulses")
+        .bounded("at most `pulse_us` of the joint of the controller");
+    setup_ns = real(0.0, 1e6, "ns").is("shortest time from a change of direction to a pulse")
+        .bounded("at most `setup_us` of the joint of the controller");
+    hold_ns = real(0.0, 1e6, "ns").is("shortest time from a pulse to a change of direction")
+        .bounded("at most `hold_us` of the joint of the controller");
 }
 
 spindle "plant.spindle" "The spindle; optional." {

@@ -75,7 +75,7 @@ impl Display for HomingProblem {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
         f.write_str(match self {
             Self::NoIndex => "no index pulse within the search distance; check the encoder and the preset",
-            Self::NoSwitch => "the home switch did not come within its largest travel; check that it is connected, its active level in the machine file, and that the joint moves",
+            Self::NoSwitch => "the home switch did not come within its largest travel; check that it is connected, its active level in the machine file, and that the joint moves towards it (`direction` of its drive)",
             Self::Stalled => "the joint did not follow; remove what blocks it",
             Self::Implausible => "the reference is too far from the preset; set the joints up at their presets by hand",
             Self::Workspace => "the search would leave the workspace; set the joints up at their presets by hand",
