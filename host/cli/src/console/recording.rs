@@ -3,10 +3,11 @@
 //! A thread writes, so a slow disk delays nothing. The file name is the UTC start time; existing
 //! files are never overwritten.
 
+use crate::commands::status::path_speed;
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, per_unit};
-use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, Telemetry};
+use haptimill_protocol::message::{AxisValues, Telemetry};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -121,7 +122,7 @@ impl Columns {
             u8::from(of.homed),
             u8::from(of.position_kept),
             of.setpoint,
-            f64::from(of.path_rate) / f64::from(FULL_PATH_RATE),
+            path_speed(of),
             f64::from(of.program_periods) * self.period_s
         );
         let joints = &self.joints;

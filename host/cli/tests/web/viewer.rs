@@ -121,6 +121,9 @@ impl Viewer {
         self.take();
         self.wait_for_state("disabled");
         assert_eq!(self.state["referenced"], false);
+        // Nothing is commanded while the drives are off.
+        let commanded = &self.state["columns"]["joint l1 commanded, mm"];
+        assert!(commanded.is_null(), "{commanded}");
         self.command("home");
         self.answer();
         self.wait("home pose", |viewer| {
@@ -139,6 +142,8 @@ impl Viewer {
         };
         near("joint l1 commanded, mm", &self.state["joints"][0]["actual"]);
         near("homed", &json!(1.0));
+        // No program moves.
+        near("path rate, %", &json!(0.0));
         assert!(columns["drive l1, code"].is_number(), "{columns}");
         // Another process has the truth of its machine.
         if self.state["port"] == "simulator" {

@@ -2,10 +2,11 @@
 
 use super::bars::{around_zero, from_left, percent};
 use super::{STALE_MS, master, style_of};
+use crate::commands::status::path_speed;
 use crate::console::jogging::Mode;
 use crate::console::view_model::{Axis, LinkState, LogEntry, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, per_unit};
-use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, Source, State};
+use haptimill_protocol::message::{AxisValues, Source, State};
 use ratatui::Frame;
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Modifier, Style};
@@ -399,11 +400,8 @@ fn program_rows(view: &ViewModel, width: u16) -> Vec<Line<'static>> {
     let rate = view
         .telemetry
         .as_ref()
-        .filter(|telemetry| matches!(telemetry.state, State::Run | State::Hold))
         .filter(|_| view.motion.is_some_and(|motion| motion.is_moving))
-        .map_or(0.0, |telemetry| {
-            f64::from(telemetry.path_rate) / f64::from(FULL_PATH_RATE) * 100.0
-        });
+        .map_or(0.0, |telemetry| path_speed(telemetry) * 100.0);
     let [feed, rapid, spindle] = view.overrides;
     let feed = Line::raw(if (rapid, spindle) == (100, 100) {
         format!(" override {feed} %  path speed {rate:.0} %")

@@ -5,6 +5,7 @@ use super::super::master::{NAMES, PER_REPORTED};
 use super::super::view_model::{Axis, ViewModel};
 use crate::commands::force::newtons;
 use crate::commands::probe_cycle::kept_beside;
+use crate::commands::status::path_speed;
 use haptimill_firmware::config::AxisKind;
 use haptimill_gcode::{SYSTEM_NAMES, WorkOffset};
 use haptimill_hil_sim::haptics::geometry::HapticGeometry;
@@ -16,7 +17,7 @@ use haptimill_machine_file::scale::{PER_MM, per_unit};
 use haptimill_machine_file::work_data::{WorkData, axis_index};
 use haptimill_machine_file::{AxisLimits, IoNames, MachineFile};
 use haptimill_protocol::haptic::{COMPONENTS, MasterPose};
-use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, MAX_AXES};
+use haptimill_protocol::message::{AxisValues, MAX_AXES};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 
@@ -184,10 +185,10 @@ pub(super) fn columns(view: &ViewModel, names: &IoNames, truth: Option<&GroundTr
             json!(error * 1e3),
         );
         let measured = view.unwound(axis, *measured) as f64 / per_unit(axis.kind);
-        columns.insert(
-            format!("joint {name} commanded, {}", unit(axis)),
-            json!(measured + error),
-        );
+        // With the drives off nothing is commanded.
+        let commanded = (!now.state.has_drives_off()).then_some(measured + error);
+        let name = format!("joint {name} commanded, {}", unit(axis));
+        columns.insert(name, json!(commanded));
     }
     if let Some(truth) = truth.filter(|truth| truth.pose_valid) {
         for (axis, value) in view.static_info.pose.iter().zip(truth.pose) {
@@ -214,8 +215,7 @@ pub(super) fn columns(view: &ViewModel, names: &IoNames, truth: Option<&GroundTr
         columns.insert(column.to_string(), json!(u8::from(is_set)));
     }
     columns.insert("state".to_string(), json!(now.state.number()));
-    let rate = f64::from(now.path_rate) / f64::from(FULL_PATH_RATE) * 100.0;
-    columns.insert("path rate, %".to_string(), json!(rate));
+    columns.insert("path rate, %".to_string(), json!(path_speed(now) * 100.0));
     columns.insert(
         "program line".to_string(),
         json!(view.program.as_ref().map(|it| it.line)),
