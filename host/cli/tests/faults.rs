@@ -235,6 +235,7 @@ fn lost_steps_without_encoders_are_no_success() {
         );
     }
     assert_eq!(summary["position_kept"], false, "{summary:#}");
+    assert_eq!(summary["completed"], false, "{summary:#}");
     // The true tool is as far away.
     let mm = fault
         .split("x is ")

@@ -291,7 +291,9 @@ impl Job<'_> {
                     .chain(lost_steps.clone())
                     .collect(),
                 injected,
-                completed: is_whole && matches!(end.ending, JobEnding::Done { .. }),
+                completed: is_whole
+                    && matches!(end.ending, JobEnding::Done { .. })
+                    && lost_steps.is_none(),
                 final_state: Some(end.status.state),
                 // The controller cannot know of lost steps.
                 position_kept: end.status.position_kept && lost_steps.is_none(),
