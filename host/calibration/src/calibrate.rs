@@ -158,8 +158,11 @@ fn truth_of(file: &MachineFile) -> Result<CarriageErrors, Error> {
         _ => None,
     };
     errors.ok_or_else(|| {
-        let what = "the simulated machine has no errors to measure; add `errors` to \
-                    [plant.geometry.cartesian]";
+        let model = file.config.model.descriptor().code;
+        let what = format!(
+            "the simulated machine has no errors to measure; add `errors` to \
+             [plant.geometry.{model}], if the model has this key (docs/machine-files.md)"
+        );
         Error::in_file(&file.file, what)
     })
 }
