@@ -295,7 +295,7 @@ pub fn replace(path: &Path, before: &str, after: &str, date: &str) -> Result<Pat
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lost_steps::Bounds;
+    use crate::lost_steps::untested_joint;
     use crate::servo_loop::Gains;
 
     #[test]
@@ -344,19 +344,7 @@ mod tests {
 
     /// A joint that loses steps above 41 mm/s and 500 mm/s^2.
     fn weak_joint() -> StepLimits {
-        let mut joint = StepLimits {
-            joint: 0,
-            name: "x".to_string(),
-            kind: AxisKind::Linear,
-            bounds: Bounds {
-                rate: [2.0, 70.0],
-                acceleration: [300.0, 1400.0],
-            },
-            threshold: 10.0,
-            rates: Vec::new(),
-            accelerations: Vec::new(),
-            proposal: None,
-        };
+        let mut joint = untested_joint();
         while let Some(motion) = joint.next() {
             let is_lost = motion.rate > 41.0 || motion.acceleration > 500.0;
             joint.record(motion, if is_lost { 64.0 } else { 0.0 });

@@ -296,29 +296,31 @@ impl StepLimits {
     }
 }
 
+/// A joint before its tests, for tests.
+#[cfg(test)]
+pub(crate) fn untested_joint() -> StepLimits {
+    StepLimits {
+        joint: 0,
+        name: "x".to_string(),
+        kind: AxisKind::Linear,
+        bounds: Bounds {
+            rate: [2.0, 70.0],
+            acceleration: [300.0, 1400.0],
+        },
+        threshold: 10.0,
+        rates: Vec::new(),
+        accelerations: Vec::new(),
+        proposal: None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn joint() -> StepLimits {
-        StepLimits {
-            joint: 0,
-            name: "x".to_string(),
-            kind: AxisKind::Linear,
-            bounds: Bounds {
-                rate: [2.0, 70.0],
-                acceleration: [300.0, 1400.0],
-            },
-            threshold: 10.0,
-            rates: Vec::new(),
-            accelerations: Vec::new(),
-            proposal: None,
-        }
-    }
-
     /// Runs the search on a joint that loses 64 steps where `loses` says so.
     fn searched(loses: impl Fn(&Motion) -> bool) -> StepLimits {
-        let mut joint = joint();
+        let mut joint = untested_joint();
         for count in 0.. {
             assert!(count < 60, "{joint:?}");
             let Some(motion) = joint.next() else { break };
