@@ -120,14 +120,12 @@ pub(super) fn fails_as_at_its_start(
         let axis = &settings.pose[k];
         !(axis.low..=axis.high).contains(&pose[k])
     };
-    let ends = [&step.path.from, &step.path.to];
-    let [from, to] = ends.map(|tip| step.tool.machine_pose(tip));
-    let [from, to] = [&from, &to];
+    let [from, to] = [&step.path.from, &step.path.to].map(|tip| step.tool.machine_pose(tip));
     let mut axes = 0..settings.pose.len();
-    if axes.clone().any(|k| outside(to, k)) {
-        return axes.all(|k| !outside(to, k) || outside(from, k));
+    if axes.clone().any(|k| outside(&to, k)) {
+        return axes.all(|k| !outside(&to, k) || outside(&from, k));
     }
-    check_pose(from, settings, model).is_err()
+    check_pose(&from, settings, model).is_err()
 }
 
 /// Checks a pose as [`check_pose`], and returns the joint rates for rates of the pose.

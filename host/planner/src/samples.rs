@@ -76,7 +76,7 @@ pub(super) struct JointDerivatives {
 }
 
 impl JointDerivatives {
-    /// Adds a sample, of which alone `largest` then tells.
+    /// Adds a sample. `largest` has the derivatives at this sample alone then.
     pub fn sample_alone(&mut self, s: f64, joints: &[f64; 6], samples: &Samples) {
         self.largest = [[0.0; 3]; 6];
         self.sample(s, joints, samples);
