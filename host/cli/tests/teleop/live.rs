@@ -1,6 +1,6 @@
 //! Teleoperation in real time: over ports, with a joystick, with keys in a terminal.
 
-use super::scene::{self, SimServer, TestFolder, haptimill, number, start_with};
+use super::scene::{self, Running, SimServer, TestFolder, haptimill, number, start_with};
 use super::{AWAY, MM, expect_within_limits, read_records};
 use std::io::Write;
 use std::path::Path;
@@ -22,7 +22,7 @@ ramp_s = 0.3
 ///
 /// Time does not count, because a busy computer moves the machines slower than real time.
 #[cfg(unix)]
-fn wait_for_tool(folder: &TestFolder, x: f64) {
+fn wait_for_tool(session: &mut Running, folder: &TestFolder, x: f64) {
     let begun = std::time::Instant::now();
     loop {
         let table = std::fs::read_to_string(folder.path("out/teleop.csv")).unwrap_or_default();
@@ -33,6 +33,10 @@ fn wait_for_tool(folder: &TestFolder, x: f64) {
         if tool.is_some_and(|tool| tool < x) {
             return;
         }
+        assert!(
+            session.runs(),
+            "the session ended with the tool at {tool:?}"
+        );
         assert!(begun.elapsed() < scene::LIMIT, "the tool is at {tool:?}");
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
@@ -76,13 +80,13 @@ fn two_boards_over_ports_with_commands_on_standard_input() {
     );
     session.wait_for_output("teleoperation started");
     session.wait_for_output("idle -> running");
-    wait_for_tool(&folder, -1.0);
+    wait_for_tool(&mut session, &folder, -1.0);
     input.write_all(b"hold\n").unwrap();
     session.wait_for_output("running -> on hold");
     input.write_all(b"nonsense\nresume\n").unwrap();
     session.wait_for_output("no command");
     session.wait_for_output("on hold -> running");
-    wait_for_tool(&folder, -10.0);
+    wait_for_tool(&mut session, &folder, -10.0);
     input.write_all(b"end\n").unwrap();
     let ran = session.end().expect_code(0);
     println!("{}", ran.out);
