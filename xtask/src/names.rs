@@ -20,7 +20,8 @@ const ABOUT_MACHINES: &[&str] = &["tests", "benches", "examples"];
 /// Parts of machines whose names no descriptor has.
 const PARTS: &[&str] = &["slide", "slides"];
 
-/// Names of descriptors that are ordinary words of general code.
+/// Names of descriptors that are ordinary words of general code. A code among them counts where it
+/// is the code without doubt: see [`names_model`].
 const ORDINARY: &[&str] = &["cartesian", "facet", "height", "angle", "index"];
 
 /// Files and folders that may name machines, and why.
@@ -212,9 +213,12 @@ fn named(text: &str, names: &Names) -> Vec<(usize, String)> {
         for code in &names.codes {
             let parts: Vec<&str> = code.split('_').collect();
             let is_word = parts.len() == 1 && names.words.contains(code);
-            let is_ordinary = ORDINARY.contains(&code.as_str());
-            if !is_word && !is_ordinary && words.windows(parts.len()).any(|window| window == parts)
-            {
+            let is_named = if ORDINARY.contains(&code.as_str()) {
+                names_model(&line, code)
+            } else {
+                !is_word && words.windows(parts.len()).any(|window| window == parts)
+            };
+            if is_named {
                 found.push((index + 1, code.clone()));
             }
         }
@@ -226,6 +230,24 @@ fn named(text: &str, names: &Names) -> Vec<(usize, String)> {
         );
     }
     found
+}
+
+/// Whether a line has a code of one part as a variant of the lists, a module, a quoted text, or a
+/// section of a machine file.
+fn names_model(line: &str, code: &str) -> bool {
+    let (first, rest) = code.split_at(1);
+    let variant = format!("{}{rest}", first.to_uppercase());
+    let has = |before: &str, name: &str, is_end: fn(char) -> bool| {
+        let whole = format!("{before}{name}");
+        line.match_indices(&whole)
+            .any(|(at, found)| line[at + found.len()..].chars().next().is_none_or(is_end))
+    };
+    let ends_name = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+    has("Model::", &variant, ends_name)
+        || has("Config::", &variant, ends_name)
+        || has("machines::", code, ends_name)
+        || has("geometry.", code, ends_name)
+        || has("\"", code, |c| c == '"' || c == '\\')
 }
 
 fn is_module(line: &str) -> bool {
@@ -330,6 +352,34 @@ mod tests {
             assert_eq!(named(line, &names), [(1, code.to_string())], "{line}");
         }
         for line in ["let h = 4;", "let five = 5;", "/// See machines/h4.toml."] {
+            assert_eq!(named(line, &names), [], "{line}");
+        }
+    }
+
+    /// A code that is also a word of general code is found as a code, not as the word.
+    #[test]
+    fn codes_that_are_ordinary_words_are_found() {
+        let mut names = Names::default();
+        names.add("Descriptor {\n code: \"cartesian\", }; Descriptor {\n code: \"facet\", };");
+        for (line, code) in [
+            ("Some(GeometryConfig::Cartesian(config)) => {", "cartesian"),
+            (
+                "name a machine with the model \\\"cartesian\\\"",
+                "cartesian",
+            ),
+            ("add [plant.geometry.cartesian] with errors", "cartesian"),
+            ("if code == \"facet\" {", "facet"),
+            ("use haptimill_hil_sim::machines::facet::Facet;", "facet"),
+        ] {
+            let found = named(line, &names);
+            assert!(found.contains(&(1, code.to_string())), "{line}: {found:?}");
+        }
+        for line in [
+            "/// Names of the Cartesian components.",
+            "let facet = facets.next();",
+            "pocket on the Cartesian mill",
+            "Command::Facet(command) => facet::run(command),",
+        ] {
             assert_eq!(named(line, &names), [], "{line}");
         }
     }

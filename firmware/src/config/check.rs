@@ -46,11 +46,8 @@ impl Config {
         let counts = self.pose.len() == axes && self.joints.len() >= axes && axes <= MAX_AXES;
         require(counts, ConfigField::AxisCount, None)?;
         self.check_geometry()?;
-        // Telemetry of forces and of turns do not fit into one message.
         let has_axes = self.model.descriptor().has_force_axes();
-        let force = self.force.is_none()
-            || (has_axes && self.wrapping() == 0 && self.wrapping_joints() == 0);
-        require(force, ConfigField::Force, None)?;
+        require(self.force.is_none() || has_axes, ConfigField::Force, None)?;
         self.check_haptics()?;
         self.check_volumetric()?;
         self.io.check()?;

@@ -58,6 +58,11 @@ impl Geometry for Cartesian {
         }
     }
 
+    fn carriage_errors(config: &CartesianConfig) -> Result<Option<(&str, CarriageErrors)>, String> {
+        let errors = CarriageErrors::parse(&config.errors, config.error_model)?;
+        Ok(errors.map(|errors| (config.errors.as_str(), errors)))
+    }
+
     fn new(config: &CartesianConfig, _: &JointArray) -> Result<Self, String> {
         Ok(Self {
             config: config.clone(),

@@ -22,6 +22,7 @@ use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
 use crate::process::ToolPose;
 use crate::vector::{LEVEL, Vector, plus, times};
+use carriage_errors::CarriageErrors;
 use serde::{Deserialize, Serialize};
 
 /// A degree in radians.
@@ -64,6 +65,16 @@ pub trait Geometry: Sized {
     /// # Errors
     /// Reason why the joints hold no pose.
     fn new(config: &Self::Config, joints: &JointArray) -> Result<Self, String>;
+
+    /// Text of the error file of the carriages and the errors that it describes; `None` where the
+    /// section has no such file, or an empty one.
+    ///
+    /// # Errors
+    /// Problem of the error file.
+    fn carriage_errors(config: &Self::Config) -> Result<Option<(&str, CarriageErrors)>, String> {
+        let _ = config;
+        Ok(None)
+    }
 
     /// Writes the pose of the joints, mm and degrees, and returns whether there is one. The joints
     /// have moved little since the last call.
@@ -149,6 +160,17 @@ macro_rules! geometries {
             pub(crate) fn check(&self, kinds: &[JointKind], check: &mut Check) {
                 match self {
                     $(Self::$name(config) => <$machine>::check(config, kinds, check),)*
+                }
+            }
+
+            /// Text of the error file of the carriages and the errors that it describes; `None`
+            /// where the section has no such file, or an empty one.
+            ///
+            /// # Errors
+            /// Problem of the error file.
+            pub fn carriage_errors(&self) -> Result<Option<(&str, CarriageErrors)>, String> {
+                match self {
+                    $(Self::$name(config) => <$machine>::carriage_errors(config),)*
                 }
             }
 

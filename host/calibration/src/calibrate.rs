@@ -33,7 +33,6 @@ use crate::observed::Sample;
 use crate::targets::{Deviations, Positioning, RUNS, evaluate, targets};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_hil_sim::config::PlantConfig;
-use haptimill_hil_sim::machines::GeometryConfig;
 use haptimill_hil_sim::machines::carriage_errors::CarriageErrors;
 use haptimill_machine_file::MachineFile;
 use haptimill_volumetric::errors::{Axis, ErrorSet, Function, Kind};
@@ -123,7 +122,8 @@ pub fn calibrate(
         let what = "a machine that is not homed cannot be measured: home it first; nothing moved";
         return Err(Error::new(ErrorKind::Command, what));
     }
-    let mut truth = truth_of(file)?;
+    let plant = file.plant()?;
+    let mut truth = carriage_errors(file, &plant)?.1;
     let mut axes = Vec::new();
     for axis in Axis::ALL {
         let limits = &file.pose[axis.index()];
@@ -146,17 +146,17 @@ pub fn calibrate(
     })
 }
 
-/// Errors of the carriages of the simulated machine, which the instruments see.
-fn truth_of(file: &MachineFile) -> Result<CarriageErrors, Error> {
-    let plant: PlantConfig = file.plant()?;
+/// Errors of the carriages of the simulated machine, which the instruments see, and the text of
+/// their error file.
+pub(crate) fn carriage_errors<'p>(
+    file: &MachineFile,
+    plant: &'p PlantConfig,
+) -> Result<(&'p str, CarriageErrors), Error> {
     let errors = match &plant.geometry {
-        Some(GeometryConfig::Cartesian(config)) => {
-            CarriageErrors::parse(&config.errors, config.error_model)
-                .ok()
-                .flatten()
-        }
-        _ => None,
+        Some(geometry) => geometry.carriage_errors(),
+        None => Ok(None),
     };
+    let errors = errors.map_err(|problem| Error::in_file(&file.file, problem))?;
     errors.ok_or_else(|| {
         let model = file.config.model.descriptor().code;
         let what = format!(

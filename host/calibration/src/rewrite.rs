@@ -133,7 +133,7 @@ fn check_chain(machine: &MachineFile) -> Result<(), Error> {
     if !descriptor.has_machine_axes() || descriptor.axes() != 3 {
         let what = format!(
             "the joints of the model \"{}\" are not x, y and z, and an error file has errors of \
-             these axes only; name a machine with the model \"cartesian\"",
+             these axes only; name a machine with these joints, such as machines/vmc3.toml",
             descriptor.code
         );
         return Err(Error::in_file(&machine.file, what));

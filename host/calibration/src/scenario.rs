@@ -2,7 +2,7 @@
 //! controller, and what became of the volume, of the test piece and of the circle test.
 
 use crate::ball_bar::{self, CircleResult, CircleTest};
-use crate::calibrate::{Calibration, Plan, calibrate};
+use crate::calibrate::{Calibration, Plan, calibrate, carriage_errors};
 use crate::comparison::{
     Comparison, Omission, SideTable, omissions, side_table, squareness, table_5_1,
 };
@@ -209,17 +209,11 @@ pub fn machine() -> Result<MachineFile, Error> {
 /// # Errors
 /// Problems of the built-in file.
 pub fn truth(machine: &MachineFile) -> Result<(String, ErrorSet), Error> {
-    use haptimill_hil_sim::config::PlantConfig;
-    use haptimill_hil_sim::machines::GeometryConfig;
-    let plant: PlantConfig = machine.plant()?;
-    let Some(GeometryConfig::Cartesian(config)) = &plant.geometry else {
-        let what = "the simulated machine has no errors of carriages; add \
-                    [plant.geometry.cartesian] with `errors`";
-        return Err(Error::in_file(&machine.file, what));
-    };
-    let errors = file::read(&config.errors, &Limits::default())
+    let plant = machine.plant()?;
+    let text = carriage_errors(machine, &plant)?.0;
+    let errors = file::read(text, &Limits::default())
         .map_err(|problem| Error::in_file(&machine.file, problem))?;
-    Ok((config.errors.clone(), errors))
+    Ok((text.to_string(), errors))
 }
 
 /// Travel of the first three coordinates, mm.

@@ -70,14 +70,6 @@ pub(super) fn check_roles(document: &Document<'_>, root: &DeTable<'_>, config: &
             document.report(offset, section, what, "remove the section");
         }
     }
-    let wraps = (config.wrapping() | config.wrapping_joints()) != 0;
-    if config.force.is_some() && machine.has_force_axes() && wraps {
-        let offset = root.get("force").map_or(0, |value| value.span().start);
-        let what = "force control needs a machine without wrapping axes; the \
-                    telemetry of forces and of turns do not fit into one message";
-        let remedy = "remove the section, or give the axis limits in place of `wrap`";
-        document.report(offset, "force", what, remedy);
-    }
 }
 
 /// Applies the controller's own check, which is stricter than the ranges of single keys.

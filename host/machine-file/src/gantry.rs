@@ -15,7 +15,24 @@ pub(super) fn read_joints(
 ) -> Vec<(JointAxis, AxisLimits)> {
     let sections = root.list("joint");
     let count = sections.len();
-    let is_second = |section: &Section<'_, '_>| section.has(joint::gantry_of.name);
+    let has_key = |section: &Section<'_, '_>| section.has(joint::gantry_of.name);
+    let own: Vec<Option<&str>> = sections
+        .iter()
+        .filter(|section| !has_key(section))
+        .map(|section| section.peek_text("name"))
+        .collect();
+    // The only joint with a name of the model is that joint, not a second motor.
+    let is_of_model = |section: &Section<'_, '_>| {
+        let name = section.peek_text("name");
+        places.iter().any(|(place, _)| Some(*place) == name) && !own.contains(&name)
+    };
+    for section in sections.iter().filter(|it| has_key(it) && is_of_model(it)) {
+        let what = "is for second motors, and this is a joint of the model";
+        let remedy = "remove it, or rename the joint";
+        let _ = section.text(joint::gantry_of.name, remedy);
+        section.refuse(joint::gantry_of, what, remedy);
+    }
+    let is_second = |section: &Section<'_, '_>| has_key(section) && !is_of_model(section);
     let first_second = sections.iter().position(is_second).unwrap_or(count);
     for section in sections.iter().skip(first_second) {
         if !is_second(section) {
@@ -41,10 +58,7 @@ pub(super) fn read_joints(
             .iter()
             .position(|(axis, limits)| axis.gantry.is_none() && Some(limits.name.as_str()) == of);
         if let (Some(name), None) = (of, found) {
-            let names: Vec<_> = firsts
-                .iter()
-                .filter_map(|(_, place)| Some(place.as_ref()?.0))
-                .collect();
+            let names: Vec<_> = places.iter().map(|(name, _)| *name).collect();
             let what = format!("\"{name}\" is no joint of the model");
             section.report(
                 "gantry_of",

@@ -641,7 +641,7 @@ fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Ho
         rotary_rate: Rate(0),
     };
     // A joint whose way to find its reference is not known may need the section or not.
-    let is_unknown = root.has_problem(|key| key.ends_with(".home"));
+    let is_unknown = root.has_problem(|key| key.ends_with(".home") || key.ends_with(".switch"));
     if is_unknown && !root.has("homing") {
         return homing;
     }

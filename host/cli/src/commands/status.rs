@@ -79,7 +79,8 @@ impl StatusReport {
             "referenced": status.homed && status.position_kept,
             "measured": map(pose(&status.measured)),
             "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(status)).collect()),
-            "open_loop": open_loop,
+            // Without a machine file the joints have no names.
+            "open_loop": (!joint_names.is_empty()).then_some(&open_loop),
             "following_error": map(joints(&status.following_error)),
             "compensation_percent": status.compensation,
             "bad_frames": status.bad_frames,
