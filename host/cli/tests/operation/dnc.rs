@@ -126,6 +126,66 @@ fn a_program_runs_as_it_comes_and_stops_where_the_line_is_cut() {
     );
 }
 
+/// A sender that keeps to XON and XOFF: it begins with the first XON and is paused while the machine
+/// executes what came. No byte is lost.
+#[test]
+fn a_sender_is_paused_by_xoff_and_resumed_by_xon() {
+    const XON: u8 = 0x11;
+    const XOFF: u8 = 0x13;
+    let folder = TestFolder::new();
+    let served = SimServer::on_tcp(&[]);
+    let (file, out) = (folder.path("came.ngc"), folder.path("out"));
+    let mut line = PtyServer::open().unwrap();
+    let name = line.name().to_string();
+    let mut dnc = start(&[
+        "dnc",
+        &file,
+        "--stream",
+        "--line",
+        &name,
+        "--out",
+        &out,
+        "--port",
+        &served.port,
+    ]);
+    let mut text = String::from("%\r\nG21 G90 G61 F900\r\n");
+    for block in 0..300 {
+        text += &format!(
+            "N{block} G1 X0.{} (a long line of a program)\r\n",
+            block % 3
+        );
+    }
+    text += "M30\r\n%\r\n";
+    let (mut rest, mut may_send, mut pauses) = (text.as_bytes(), false, 0);
+    let mut last = Instant::now();
+    while !rest.is_empty() {
+        assert!(
+            last.elapsed() < Duration::from_secs(60),
+            "the sender is not resumed"
+        );
+        let mut answer = [0; 16];
+        let count = line.read(&mut answer, Duration::from_millis(1)).unwrap();
+        for character in &answer[..count] {
+            match *character {
+                XON => may_send = true,
+                XOFF => (may_send, pauses) = (false, pauses + 1),
+                other => panic!("{other:#x} was sent"),
+            }
+        }
+        if may_send {
+            // As much as a UART keeps: a sender stops some bytes after XOFF.
+            let part = &rest[..rest.len().min(16)];
+            let count = line.write(part, Duration::from_millis(10)).unwrap();
+            rest = &rest[count..];
+            last = Instant::now();
+        }
+    }
+    assert!(pauses > 0, "the sender was never paused");
+    dnc.end().expect_code(0);
+    assert_eq!(folder.summary("out")["completed"], true);
+    assert!(folder.read("came.ngc") == text, "bytes were lost");
+}
+
 /// What a pseudo-terminal shows of flow control: the settings of the line for each way, and that
 /// the command takes no more than the machine needs, so that the line fills and the sender waits.
 #[test]

@@ -1,11 +1,14 @@
 //! `haptimill dnc`: a part program that comes over a serial line.
 
+mod receiver;
+
 use super::run::{self, RunArgs};
 use super::{CliError, Exit, output};
 use crate::commands::interrupt;
 use clap::{Args, ValueEnum};
-use haptimill_client::port::{Flow, SerialTransport, Transport as _};
+use haptimill_client::port::Flow;
 use haptimill_machine_file::input;
+use receiver::Receiver;
 use std::fs::File;
 use std::io::{self, Read, Write as _};
 use std::sync::Arc;
@@ -138,7 +141,7 @@ fn run_as_it_comes(args: RunArgs, mut reception: Reception) -> Result<(), CliErr
 
 /// A serial line and the program that comes over it.
 struct Reception {
-    line: SerialTransport,
+    line: Receiver,
     name: String,
     /// Longest silence in the middle of the program, s.
     silence: f64,
@@ -151,7 +154,7 @@ struct Reception {
 impl Reception {
     fn open(args: &DncArgs) -> Result<Self, CliError> {
         Ok(Self {
-            line: SerialTransport::open_with_flow(&args.line, args.line_baud, args.flow.into())?,
+            line: Receiver::open(&args.line, args.line_baud, args.flow.into())?,
             name: args.line.clone(),
             silence: args.silence,
             silent: Duration::ZERO,
@@ -165,15 +168,14 @@ impl Reception {
         if self.interrupted.load(Ordering::Relaxed) {
             return Err(Cut::Stopped);
         }
-        let mut buffer = [0; 4096];
         let start = Instant::now();
-        let count = match self.line.read(&mut buffer, POLL) {
-            Ok(count) => count,
-            Err(error) => return Err(self.cut(&error.to_string())),
-        };
-        if count > 0 {
+        let part = self
+            .line
+            .read(POLL)
+            .map_err(|error| self.cut(&error.to_string()))?;
+        if !part.is_empty() {
             self.silent = Duration::ZERO;
-            self.program.add(&buffer[..count]);
+            self.program.add(&part);
             return Ok(());
         }
         if self.program.has_begun() {
