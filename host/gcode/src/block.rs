@@ -4,14 +4,37 @@ use super::codes::{Code, Codes, g_group, g_remedy, m_group, m_remedy, tenths};
 use super::expression::{LARGEST_NUMBER, Parameter, Read, Scan, Values, text_of};
 use super::problem::Mistake;
 
+/// How the number of a word is written.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) enum Written {
+    /// Digits without a decimal point.
+    #[default]
+    Whole,
+    /// Digits with a decimal point.
+    Point,
+    /// A parameter or an expression.
+    Value,
+}
+
+impl Written {
+    fn of(number: &[u8]) -> Self {
+        if number.iter().any(|byte| matches!(byte, b'#' | b'[')) {
+            Self::Value
+        } else if number.contains(&b'.') {
+            Self::Point
+        } else {
+            Self::Whole
+        }
+    }
+}
+
 /// A word that is no code: its number and its place in the line.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Word {
     pub value: f64,
     pub at: usize,
     pub end: usize,
-    /// Whether its number is written with a decimal point.
-    pub has_point: bool,
+    pub written: Written,
 }
 
 /// A comment: the place of its mark, and its text between the marks.
@@ -255,7 +278,7 @@ impl Block {
             value,
             at: start,
             end: scan.at,
-            has_point: false,
+            written: Written::Whole,
         };
         *place = Some(word);
         if self.present & axes == 0 {
@@ -374,7 +397,7 @@ impl Block {
                     value,
                     at: start,
                     end,
-                    has_point: scan.bytes[number..end].contains(&b'.'),
+                    written: Written::of(&scan.bytes[number..end]),
                 };
                 Ok(())
             }

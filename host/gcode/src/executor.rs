@@ -3,6 +3,7 @@
 use super::block::{AXIS_LETTERS, Block, Word};
 use super::canonical::Step;
 use super::codes::{Code, Group, word};
+use super::compensation::Active;
 use super::expression::{Read, Scan, text_of};
 use super::output::{Leg, Output, Pace};
 use super::problem::{Cause, Mistake, Notice, Place, place_of};
@@ -53,6 +54,9 @@ impl Here<'_> {
 struct SavedModes {
     modes: Modes,
     tool_offset: PerLetter,
+    /// Cutter compensation: its code, its side and radius.
+    compensation: u16,
+    active: Option<Active>,
     /// M73: the end of the subroutine restores them.
     at_return: bool,
 }
@@ -127,13 +131,14 @@ impl Executor {
             }
         }
         self.check_words(block, here)?;
+        let before = self.state.modes;
         self.set_units_and_feed(block, here)?;
         self.set_spindle(block, here)?;
         self.select_tool(block, here)?;
         self.set_outputs(block, here)?;
         self.change_tool(block, here)?;
         self.turn_spindle(block, here)?;
-        self.save_modes(block, here)?;
+        self.save_modes(block, &before, here)?;
         self.set_coolant(block, here)?;
         self.set_overrides(block, here)?;
         self.dwell(block, here)?;
@@ -300,7 +305,9 @@ impl Executor {
         Ok(())
     }
 
-    fn save_modes(&mut self, block: &Block, here: &Here) -> Read<()> {
+    /// Runs M70 to M73. Plane and unit of the block come behind them, as with LinuxCNC; `before`
+    /// has those of the last block.
+    fn save_modes(&mut self, block: &Block, before: &Modes, here: &Here) -> Read<()> {
         let Some(code) = block.codes.get(Group::State) else {
             return Ok(());
         };
@@ -310,8 +317,14 @@ impl Executor {
         match code.tenths {
             700 | 730 => {
                 *saved = Some(SavedModes {
-                    modes: self.state.modes,
+                    modes: Modes {
+                        plane: before.plane,
+                        inch: before.inch,
+                        ..self.state.modes
+                    },
                     tool_offset: self.state.tool_offset,
+                    compensation: self.state.compensation,
+                    active: self.out.compensation.active,
                     at_return: code.tenths == 730,
                 });
             }
@@ -324,7 +337,14 @@ impl Executor {
                         "save it before with M70, in the same subroutine",
                     );
                 };
+                let Modes { plane, inch, .. } = self.state.modes;
                 self.restore_modes(&saved, here.place(code.at));
+                if block.codes.get(Group::Plane).is_some() {
+                    self.state.modes.plane = plane;
+                }
+                if block.codes.get(Group::Unit).is_some() {
+                    self.state.modes.inch = inch;
+                }
             }
         }
         Ok(())
@@ -338,6 +358,12 @@ impl Executor {
             ..saved.modes
         };
         let modes = self.state.modes;
+        if saved.compensation != self.state.compensation {
+            self.end_compensation();
+            self.state.compensation = saved.compensation;
+            let begun = |active: Active| Active::new(active.side, active.radius, active.plane);
+            self.out.compensation.active = saved.active.map(begun);
+        }
         let none = Default::default();
         let had_length = saved.tool_offset != none;
         if had_length != (self.state.tool_offset != none) {

@@ -65,7 +65,8 @@ impl Interpreter<'_> {
                 Ok(())
             }
             Keyword::Repeat => {
-                let rounds = self.condition(word)?.round();
+                // Halves go to the even number, as with LinuxCNC.
+                let rounds = self.condition(word)?.round_ties_even();
                 if rounds >= 1.0 {
                     let start = self.mark().mark;
                     let rounds = rounds.min(1e15) as u64;

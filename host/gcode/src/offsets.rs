@@ -27,16 +27,21 @@ impl Executor {
         Ok(word.value as u32)
     }
 
+    /// Ends cutter compensation.
+    pub(crate) fn end_compensation(&mut self) {
+        if let Some(active) = self.out.compensation.active.take() {
+            self.out.release();
+            self.arc_is_refused = !active.is_first;
+        }
+        self.state.compensation = 400;
+    }
+
     pub(crate) fn set_compensation(&mut self, block: &Block, here: &Here) -> Read<()> {
         let Some(code) = block.codes.get(Group::Compensation) else {
             return Ok(());
         };
         if code.tenths == 400 {
-            if let Some(active) = self.out.compensation.active.take() {
-                self.out.release();
-                self.arc_is_refused = !active.is_first;
-            }
-            self.state.compensation = 400;
+            self.end_compensation();
             return Ok(());
         }
         if self.out.compensation.active.is_some() {

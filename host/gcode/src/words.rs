@@ -1,6 +1,6 @@
 //! Check that each word of a block belongs to a code or to the motion in force.
 
-use super::block::{AXES, AXIS_LETTERS, Block, Word, letters};
+use super::block::{AXES, AXIS_LETTERS, Block, Word, Written, letters};
 use super::codes::{Group, g_remedy};
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
@@ -129,17 +129,57 @@ impl Executor {
         Ok(())
     }
 
-    /// Numbers without a decimal point count the least increment.
+    /// Letters of a block whose numbers are lengths, or angles of rotary axes.
+    fn length_letters(&self, block: &Block) -> u32 {
+        let codes = &block.codes;
+        let mut lengths = AXIS_LETTERS;
+        match codes.tenths(Group::Once) {
+            // The radius of a tool; R of a coordinate system is an angle.
+            Some(100) if matches!(block.value(b'L'), Some(1.0 | 10.0 | 11.0)) => {
+                lengths |= letters(b"R");
+            }
+            Some(_) => {}
+            None => {
+                lengths |= match self.motion_of(block) {
+                    Motion::Clockwise | Motion::CounterClockwise => letters(b"IJKR"),
+                    Motion::Cubic => letters(b"IJPQ"),
+                    Motion::Quadratic => letters(b"IJ"),
+                    // P is the dwell.
+                    Motion::Cycle(_) => letters(b"RQIJK"),
+                    _ => 0,
+                }
+            }
+        }
+        if codes.tenths(Group::PathControl) == Some(640) {
+            lengths |= letters(b"PQ");
+        }
+        if matches!(codes.tenths(Group::Compensation), Some(411 | 421)) {
+            lengths |= letters(b"D");
+        }
+        // Angle and time of M19, tool of M61, value or time of M66 to M68.
+        if codes.tenths(Group::Spindle) == Some(190) {
+            lengths &= !letters(b"RPQ");
+        }
+        if codes.tenths(Group::ToolChange) == Some(610) || codes.tenths(Group::Output).is_some() {
+            lengths &= !letters(b"PQ");
+        }
+        lengths
+    }
+
+    /// Numbers without a decimal point count the least increment. The value of a parameter or an
+    /// expression is a length, as on controls that have this dialect.
     pub(super) fn scale_increments(&mut self, block: &mut Block, here: &Here) -> Read<()> {
         let inch = match block.codes.tenths(Group::Unit) {
             Some(tenths) => matches!(tenths, 200 | 700),
             None => self.state.modes.inch,
         };
-        let lengths = AXIS_LETTERS | letters(b"IJKRQ");
-        let mut rest = lengths;
+        let mut rest = self.length_letters(block);
         while let Some((letter, word)) = block.first_of(rest) {
             rest &= !letters(&[letter]);
-            if word.has_point {
+            if word.written == Written::Value {
+                continue;
+            }
+            if word.written == Written::Point {
                 return mistake(
                     word.at,
                     format!("{} has a decimal point", here.text(word)),

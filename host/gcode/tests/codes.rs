@@ -221,6 +221,85 @@ fn saved_modes_come_back() {
     );
 }
 
+/// Plane and unit of a block come behind its M70 to M73, as in the order of RS274/NGC.
+#[test]
+fn saved_modes_are_those_before_the_block() {
+    let call = "O1 sub\nM73 G21 G91\nG1 X5 F100\nO1 endsub\nG20\nO1 call\nG90 G0 X2\nM2\n";
+    assert_eq!(steps(call), ["feed 100 5 0 0", "rapid 50.8 0 0"]);
+    let arc = |saving: &str| steps(&format!("F100\n{saving}\nG2 X10 I5\n"));
+    assert_eq!(arc("M70 G18\nM72"), arc(""));
+    let turned = |saving: &str| steps(&format!("F100\n{saving}\nG2 X10 Z0 I5\n"));
+    assert_eq!(turned("M70\nM72 G18"), turned("G18"));
+}
+
+/// M72 and the end of a subroutine with M73 put cutter compensation in force again, or end it.
+#[test]
+fn saved_modes_have_cutter_compensation() {
+    let contour = "G1 X20 Y0\nX40\nY20\nG40 X60\n";
+    let plain = steps(&format!("F100\n{contour}"));
+    let beside = steps(&format!("F100\nG41.1 D2\n{contour}"));
+    assert_ne!(plain, beside);
+    let with = |before: &str| steps(&format!("F100\n{before}{contour}"));
+    assert_eq!(with("G41.1 D2\nM70\nG40\nM72\n"), beside);
+    assert_eq!(with("M70\nG41.1 D2\nM72\n"), plain);
+    assert_eq!(
+        with("O1 sub\nM73\nG40\nO1 endsub\nG41.1 D2\nO1 call\n"),
+        beside
+    );
+}
+
+/// The rounds of a repeat, as counted with `rs274` of LinuxCNC 2.9.
+#[test]
+fn a_repeat_rounds_its_number() {
+    for (number, rounds) in [
+        ("0.5", 0),
+        ("0.9", 1),
+        ("1.5", 2),
+        ("2.5", 2),
+        ("2.999", 3),
+        ("-1", 0),
+    ] {
+        let text = format!("G91\nO1 repeat [{number}]\nG0 X1\nO1 endrepeat\nM2\n");
+        assert_eq!(steps(&text).len(), rounds, "{number}");
+    }
+}
+
+/// Without decimal points only lengths count increments: no angle, time, tool or value.
+#[test]
+fn increments_are_lengths_only() {
+    let mut options = options();
+    options.no_decimal = true;
+    options.tools.insert(3, Tool::default());
+    let dialect = |text: &str| steps_with(text, &options);
+    for (increments, plain) in [
+        (
+            "F100\nG5 X1000 Y1000 I0 J500 P500 Q-500\n",
+            "F100\nG5 X1 Y1 I0 J0.5 P0.5 Q-0.5\n",
+        ),
+        ("G10 L2 P1 R90\nG0 X10000\n", "G10 L2 P1 R90\nG0 X10\n"),
+        (
+            "F100\nG41.1 D4000\nG1 X20000\nX40000 Y5000\n",
+            "F100\nG41.1 D4\nG1 X20\nX40 Y5\n",
+        ),
+        ("M61 Q3\nG0 X1000\n", "M61 Q3\nG0 X1\n"),
+        ("M68 E0 Q2.5\n", "M68 E0 Q2.5\n"),
+        ("G64 P100 Q100\nG0 X1000\n", "G64 P0.1 Q0.1\nG0 X1\n"),
+        (
+            "G0 Z5000\nG82 X1000 Z-1000 R2000 P1 F100\n",
+            "G0 Z5\nG82 X1 Z-1 R2 P1 F100\n",
+        ),
+        ("#1=2.5\nG0 X#1 Y[#1*2] Z-#1\n", "G0 X2.5 Y5 Z-2.5\n"),
+    ] {
+        let mut with_points = options.clone();
+        with_points.no_decimal = false;
+        assert_eq!(
+            dialect(increments),
+            steps_with(plain, &with_points),
+            "{increments}"
+        );
+    }
+}
+
 #[test]
 fn a_local_offset_is_the_offset_of_g92() {
     assert_eq!(
