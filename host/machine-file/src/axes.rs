@@ -202,8 +202,13 @@ pub fn read_joint_axis(
         turn,
         preset,
     };
-    let encoder = encoder::read_encoder(section, &place);
-    let home = homing::read_home(section, &place, rate, acceleration, encoder.is_some());
+    // Without its drive it is not known which keys the joint has.
+    let is_known = section.has("drive");
+    let encoder = is_known
+        .then(|| encoder::read_encoder(section, &place))
+        .flatten();
+    let has_encoder = encoder.is_some() || !is_known;
+    let home = homing::read_home(section, &place, rate, acceleration, has_encoder);
     let active_low = homing::read_active_low(section);
     let ((drive, keeps_position), limit) = match section.section("drive") {
         Some(drive_section) => read_drive(drive_section, &place, rate, encoder.is_some()),
@@ -218,6 +223,7 @@ pub fn read_joint_axis(
             }
             NO_LAW
         }
+        Drive::Torque { .. } if !is_known => NO_LAW,
         Drive::Torque { .. } => match section.section("law") {
             Some(law_section) => read_law(law_section, kind, period, acceleration, limit),
             None => NO_LAW,
@@ -227,7 +233,9 @@ pub fn read_joint_axis(
         of: of as u8,
         racking: coordinate(section.value(joint::racking)),
     });
-    section.finish();
+    if is_known {
+        section.finish();
+    }
     let axis = JointAxis {
         kind,
         low: coordinate(low),

@@ -27,6 +27,9 @@ pub struct Document<'i> {
     more: Cell<usize>,
 }
 
+/// What is wrong with a key that is missing.
+pub const MISSING: &str = "is missing";
+
 /// Largest number of problems that are kept. Each one costs a search for its line.
 const KEPT_PROBLEMS: usize = 1000;
 
@@ -57,13 +60,19 @@ impl<'i> Document<'i> {
             let Some(count) = counts.remove(message) else {
                 continue;
             };
-            let offset = error.span().map_or(0, |span| span.start);
-            let more = count - 1;
-            let remedy = match more {
-                0 => "correct the TOML".to_string(),
-                _ => format!("correct the TOML ({more} more like this below)"),
+            let span = error.span().unwrap_or_default();
+            let more = match count - 1 {
+                0 => String::new(),
+                more => format!(" ({more} more like this below)"),
             };
-            self.report(offset, "", message.trim().replace('\n', ", "), remedy);
+            let (what, remedy) = match self.text.get(span.clone()) {
+                Some(key) if message == "duplicate key" => (
+                    format!("{key} is a duplicate key"),
+                    "remove or rename one, or write the missing header of its section above it",
+                ),
+                _ => (message.trim().replace('\n', ", "), "correct the TOML"),
+            };
+            self.report(span.start, "", what, format!("{remedy}{more}"));
         }
         errors.is_empty().then_some(root)
     }
@@ -72,6 +81,12 @@ impl<'i> Document<'i> {
     pub fn has_problem(&self, is_it: impl Fn(&str) -> bool) -> bool {
         let problems = self.problems.borrow();
         problems.iter().any(|(_, problem)| is_it(&problem.key))
+    }
+
+    /// Drops the problem that a key is missing: another problem is its cause.
+    pub fn forget_missing(&self, key: &str) {
+        let mut problems = self.problems.borrow_mut();
+        problems.retain(|(_, problem)| problem.key != key || problem.what != MISSING);
     }
 
     /// Reports a problem at a byte offset of the text.

@@ -310,7 +310,10 @@ fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> MachineFile {
     let places = model.map_or_else(Vec::new, |model| model.joints());
     let mut joints = gantry::read_joints(&root, &places, period_us / 1e6);
     check_pose_against_joints(&pose, &joints, model);
+    // A joint without its drive may have an encoder or not.
     let encoders = joints.is_empty() || joints.iter().any(|(joint, _)| joint.encoder.is_some());
+    let encoders =
+        (encoders || !root.has_problem(|key| key.ends_with(".drive"))).then_some(encoders);
     let (supervision, margin) = root
         .section("supervision")
         .map(|section| read_supervision(section, singular, encoders))
@@ -562,6 +565,17 @@ fn check_pose_against_joints(
             continue;
         }
         if limits.wraps() != joint.is_some_and(|(_, joint)| joint.wraps()) {
+            // The limits of the other one are not what is missing.
+            let joint = joints
+                .iter()
+                .position(|(_, joint)| joint.name == limits.name);
+            for (list, index) in [("pose", Some(index)), ("joint", joint)] {
+                for key in [controller::pose::low, controller::pose::high] {
+                    let number = index.map_or(0, |index| index + 1);
+                    let key = section.key(key).name;
+                    section.forget_missing(&format!("{list}[{number}].{key}"));
+                }
+            }
             let what =
                 "a coordinate that wraps around is a joint of the same name that does so too";
             section.report(
@@ -606,13 +620,14 @@ fn read_stopping(section: Section<'_, '_>) -> Stopping {
 fn read_supervision(
     section: Section<'_, '_>,
     singular: Option<bool>,
-    encoders: bool,
+    encoders: Option<bool>,
 ) -> (Supervision, f64) {
+    let transitions = controller::supervision::illegal_transitions;
     let result = Supervision {
         heartbeat_ms: to_u16(section.value(controller::supervision::heartbeat_ms)),
         missed_periods: to_u16(section.value(controller::supervision::missed_periods)),
-        illegal_transitions: if encoders {
-            to_u16(section.value(controller::supervision::illegal_transitions))
+        illegal_transitions: if encoders.unwrap_or_else(|| section.has(transitions.name)) {
+            to_u16(section.value(transitions))
         } else {
             0
         },
@@ -641,7 +656,11 @@ fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Ho
         rotary_rate: Rate(0),
     };
     // A joint whose way to find its reference is not known may need the section or not.
-    let is_unknown = root.has_problem(|key| key.ends_with(".home") || key.ends_with(".switch"));
+    let is_unknown = root.has_problem(|key| {
+        [".home", ".switch", ".drive"]
+            .iter()
+            .any(|end| key.ends_with(end))
+    });
     if is_unknown && !root.has("homing") {
         return homing;
     }

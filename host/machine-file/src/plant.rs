@@ -5,7 +5,7 @@ use super::place::unit;
 use super::pose_difference::{ERROR, PoseDifference};
 use super::scale::{PER_COUNT, per_unit};
 use super::{MachineFile, Problems};
-use haptimill_firmware::config::{Drive, JointAxis, SwitchInput};
+use haptimill_firmware::config::{Drive, Home, JointAxis, SwitchInput};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Switch;
 use haptimill_hil_sim::joint::{DriveConfig, JointConfig, SwitchSide};
@@ -85,6 +85,10 @@ const SCALE: f64 = 0.01;
 /// above which it is another switch.
 const SWITCH: f64 = 1.0;
 
+/// Distance of the index pulse of a simulated joint from that of the controller, mm or degrees, above
+/// which homing finds another place.
+const INDEX: f64 = 0.1;
+
 /// Part of a stroke beyond a hard stop of the simulated joint, mm or degrees, above which it is a
 /// mistake: the stop yields.
 const STOP: f64 = 0.01;
@@ -145,6 +149,23 @@ fn check_scales(
             scale("encoder", "count", read.per_count, truth, remedy);
             let (computed, simulated) = (read.per_count < 0, encoder.reversed);
             direction("encoder", "a positive count", computed, simulated, reversed);
+            let pitch = f64::from(read.index_pitch.0) / per_unit;
+            let expected = (f64::from(read.index.0) / per_unit * 1e6).round() / 1e6;
+            let apart = (encoder.index - expected) / pitch;
+            if matches!(joint.home, Home::Index | Home::SwitchAndIndex(_))
+                && (apart - apart.round()).abs() * pitch > INDEX
+            {
+                let what = format!(
+                    "the index pulses are at {} {unit} and whole turns of the motor from it, the \
+                     controller expects one at {expected} {unit}",
+                    encoder.index
+                );
+                report(
+                    "encoder",
+                    what,
+                    "correct it, or the place of the index in [[joint]]",
+                );
+            }
         }
         if let (DriveConfig::Torque(drive), Drive::Torque { full_scale, .. }) =
             (&simulated.drive, &joint.drive)

@@ -3,6 +3,7 @@
 use haptimill_machine_file::MachineFile;
 
 const MILL: &str = include_str!("../../../machines/mill3.toml");
+const TRUNNION: &str = include_str!("../../../machines/trunnion5.toml");
 const ROUTER: &str = include_str!("../../../machines/router3.toml");
 
 /// The problems of a file in which a text is replaced once.
@@ -34,6 +35,42 @@ fn a_missing_home_switch_asks_for_no_search_of_an_index() {
     let end = MILL[start..].find("\n\n").expect("a next section");
     let found = problems(MILL, &MILL[start..start + end], "");
     assert_eq!(found, ["joint[1].switch: is missing"]);
+}
+
+#[test]
+fn a_missing_drive_asks_for_no_key_of_another_drive() {
+    let start = MILL.find("[joint.drive]").expect("a drive");
+    let end = MILL[start..].find("\n\n").expect("a next section");
+    let found = problems(MILL, &MILL[start..start + end], "");
+    assert_eq!(found, ["joint[1].drive: is missing"]);
+}
+
+#[test]
+fn a_misspelt_key_is_not_missing() {
+    let found = problems(MILL, "rate_mm_s = ", "rate_mms = ");
+    assert_eq!(found, ["pose[1].rate_mms: is not a known key"]);
+}
+
+#[test]
+fn a_wrap_on_one_side_asks_for_no_limits() {
+    let what = "a coordinate that wraps around is a joint of the same name that does so too";
+    let at = TRUNNION.rfind("wrap = true").expect("a joint");
+    let (pose, joint) = TRUNNION.split_at(at);
+    let without = |text: &str| text.replacen("wrap = true", "", 1);
+    for text in [without(pose) + joint, pose.to_string() + &without(joint)] {
+        let problems = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+        let found: Vec<_> = problems.0.iter().map(|it| (&*it.key, &*it.what)).collect();
+        assert_eq!(found, [("pose[5].wrap", what)]);
+    }
+}
+
+#[test]
+fn a_missing_header_names_the_duplicate_key() {
+    let text = MILL.replacen("[joint.switch]\n", "", 1);
+    let problems = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+    let (what, remedy) = (&problems.0[0].what, &problems.0[0].remedy);
+    assert!(what.ends_with("is a duplicate key"), "{what}");
+    assert!(remedy.contains("header"), "{remedy}");
 }
 
 #[test]

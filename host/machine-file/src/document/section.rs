@@ -5,7 +5,7 @@ mod words;
 
 pub use numbers::{Allowed, real, whole};
 
-use super::Document;
+use super::{Document, MISSING};
 use crate::likeness::nearest;
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_keys::Key;
@@ -66,6 +66,11 @@ impl<'d, 'i> Section<'d, 'i> {
         key.of(self.kind.get())
     }
 
+    /// As [`Document::forget_missing`].
+    pub fn forget_missing(&self, key: &str) {
+        self.document.forget_missing(key);
+    }
+
     /// Whether a problem of such a key was reported, in this section or in another one.
     pub fn has_problem(&self, is_it: impl Fn(&str) -> bool) -> bool {
         self.document.has_problem(is_it)
@@ -91,7 +96,7 @@ impl<'d, 'i> Section<'d, 'i> {
     ) -> Option<&'d Spanned<DeValue<'i>>> {
         let value = self.get(key);
         if value.is_none() {
-            self.report(key, "is missing", remedy());
+            self.report(key, MISSING, remedy());
         }
         value
     }
@@ -177,7 +182,11 @@ impl<'d, 'i> Section<'d, 'i> {
             };
             let others: Vec<&str> = requested.iter().filter(could_be).copied().collect();
             let remedy = match (nearest(name, &others), known.map(Key::applies)) {
-                (Some(near), _) => format!("did you mean `{near}`?"),
+                (Some(near), _) => {
+                    // A misspelt key is one mistake.
+                    self.document.forget_missing(&self.path_of(near));
+                    format!("did you mean `{near}`?")
+                }
                 (_, Some(applies)) if !applies.is_empty() => {
                     format!("remove it; it applies to {applies}")
                 }

@@ -318,7 +318,6 @@ fn problems_are_listed_in_the_order_of_lines() {
             "period_us",
             "kinematics.r",
             "joint[5].gear_ratio",
-            "supervision.heartbeat_ms",
             "supervision.hartbeat_ms"
         ]
     );

@@ -142,6 +142,14 @@ fn steps_counts_and_switches_of_the_simulated_machine_are_compared() {
             "the switch is at -150 mm, the controller expects it at -140 mm",
         ),
         (
+            servo,
+            "index_mm = -0.9",
+            "index_mm = 0.9",
+            "plant.joint[2].encoder",
+            "the index pulses are at -0.9 mm and whole turns of the motor from it, the controller \
+             expects one at 0.9 mm",
+        ),
+        (
             mill,
             "low = -160.0",
             "low = -154.0",
