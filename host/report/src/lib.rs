@@ -29,6 +29,9 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
+/// Smallest angle error of the tool that the terminal shows, degrees.
+const SHOWN_ANGLE_DEG: f64 = 0.05;
+
 /// Names of the files in the folder of a job.
 pub const RECORDING_FILE: &str = "recording.hmr";
 /// The trace.
@@ -294,6 +297,12 @@ impl Summary {
             self.contour_error_max_mm,
             self.following_error(4),
         );
+        if self.angle_error_max_deg >= SHOWN_ANGLE_DEG {
+            text.push_str(&format!(
+                "angle error of the tool: {:.3} deg largest\n",
+                self.angle_error_max_deg
+            ));
+        }
         if let Some(state) = &self.volumetric_compensation {
             text.push_str(&format!("volumetric compensation: {state}\n"));
         }

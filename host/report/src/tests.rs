@@ -141,6 +141,11 @@ fn a_turn_has_no_length() {
     assert_eq!(summary.tool_error_max_mm, 0.0);
     assert_eq!(summary.contour_error_max_mm, 0.0);
     assert!((summary.angle_error_max_deg - 0.5).abs() < 1e-6);
+    let terminal = summary.terminal();
+    assert!(
+        terminal.contains("angle error of the tool: 0.500 deg largest"),
+        "{terminal}"
+    );
     assert_eq!(summary.following_error_max_mm, 0.0);
     assert!((summary.following_error_max_deg - 0.25).abs() < 1e-6);
     assert_eq!(summary.following_error_max_deg_joint, "alpha");

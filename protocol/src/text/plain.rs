@@ -81,7 +81,7 @@ impl Display for HomingProblem {
             Self::Workspace => "the search would leave the workspace; set the joints up at their presets by hand",
             Self::Stopped => "homing was stopped",
             Self::SwitchStuck => "the home switch stays active where it must be released; check its wiring, its active level in the machine file, and that it is not stuck",
-            Self::SwitchUnsteady => "the home switch came at two different places; check that it is tight and its cable, and that the motor has not lost steps",
+            Self::SwitchUnsteady => "the home switch came at two different places; check that it is tight and its cable, that back_off_mm is longer than its play, and that the motor has not lost steps",
             Self::LimitStuck => "the limit switch did not open while the joint moved off it by a sixteenth of its stroke; check that the joint moves, that the switch is not stuck, its active level, and that the switches of the two ends are not exchanged; then try again or move it off by hand",
         })
     }

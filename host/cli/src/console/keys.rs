@@ -220,7 +220,7 @@ pub const BINDINGS: &[Binding] = &[
         &[plain('h')],
         "h",
         Action::Home,
-        "home: find the index pulses, then move to the home pose (asks first)",
+        "home: find the references, then move to the home pose (asks first)",
     ),
     bind(
         &[plain('b')],

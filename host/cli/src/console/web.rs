@@ -197,11 +197,15 @@ impl Web {
                     Scaled::Rapid => (OverrideKind::Rapid, "rapid", 1..=100),
                     Scaled::Spindle => (OverrideKind::Spindle, "spindle", 10..=200),
                 };
-                if app.is_ready() && range.contains(&percent) {
+                if !range.contains(&percent) {
+                    let (low, high) = (range.start(), range.end());
+                    let what =
+                        format!("{name} override {percent} %: write {low} to {high} percent");
+                    app.notify(Severity::Warning, what);
+                } else if app.is_ready() {
                     app.set_override(kind, percent);
                 } else {
-                    let (low, high) = (range.start(), range.end());
-                    let what = format!("{name} override {percent} %: {low} to {high}, with a link");
+                    let what = format!("{name} override: there is no link to the controller");
                     app.notify(Severity::Warning, what);
                 }
             }

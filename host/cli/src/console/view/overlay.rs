@@ -233,13 +233,11 @@ fn key_rows(view: &ViewModel, width: usize) -> Vec<Line<'static>> {
 
 fn question(confirm: &Confirm, joints: &[Axis]) -> String {
     match confirm {
-        Confirm::Home => {
-            "Home? The machine moves: it searches for the index pulses, then moves to \
-                          the home pose."
-                .to_string()
-        }
+        Confirm::Home => "Home? The machine moves: it searches its references, then moves to the \
+                          home pose."
+            .to_string(),
         Confirm::EnableAndHome => "Home? The drives are switched on, and the machine moves: it \
-                                   searches for the index pulses, then moves to the home pose."
+                                   searches its references, then moves to the home pose."
             .to_string(),
         Confirm::MoveOff(joint) => {
             let name = joints
