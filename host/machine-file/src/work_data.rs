@@ -229,7 +229,15 @@ fn sections(path: &Path, head: &str) -> Result<Table, String> {
     if let Err(error) = path.metadata()
         && error.kind() == ErrorKind::NotFound
     {
-        return Ok(Table::new());
+        let backup = backup_path(path);
+        if !backup.exists() {
+            return Ok(Table::new());
+        }
+        return Err(format!(
+            "{}: is missing beside its backup; restore {}, or remove it as well",
+            path.display(),
+            backup.display()
+        ));
     }
     let bytes = input::read(path, SETTINGS_BYTES).map_err(|error| damaged(path, &error.what))?;
     let text = String::from_utf8(bytes).map_err(|_| damaged(path, "is not UTF-8"))?;
@@ -386,7 +394,16 @@ mod tests {
         data.save_offsets(&machine).expect("written");
         assert_eq!(WorkData::load(&machine).expect("read"), data);
         let backup = machine.with_extension("offsets.toml.bak");
-        assert_eq!(std::fs::read_to_string(backup).expect("backup"), first);
+        assert_eq!(std::fs::read_to_string(&backup).expect("backup"), first);
+        // A file that is gone beside its backup is no file with offsets of zero.
+        std::fs::remove_file(offsets_path(&machine)).expect("removed");
+        let refused = WorkData::load(&machine).expect_err("gone");
+        assert!(refused.contains("mill.offsets.toml.bak"), "{refused}");
+        std::fs::remove_file(backup).expect("removed");
+        assert_eq!(
+            WorkData::load(&machine).expect("empty"),
+            WorkData::default()
+        );
         std::fs::remove_dir_all(machine.parent().expect("a folder")).expect("removed");
     }
 
