@@ -1,6 +1,6 @@
 //! Blocks: the words, codes, assignments and comments of a line.
 
-use super::codes::{Code, Codes, g_group, g_remedy, m_group, m_remedy, tenths};
+use super::codes::{Code, Codes, Group, g_group, g_remedy, m_group, m_remedy, tenths};
 use super::expression::{LARGEST_NUMBER, Parameter, Read, Scan, Values, text_of};
 use super::problem::Mistake;
 
@@ -117,6 +117,21 @@ impl Block {
     pub(crate) fn polar(&self) -> Option<[Option<f64>; 2]> {
         let polar = self.polar.map(|word| word.map(|word| word.value));
         (polar != [None; 2]).then_some(polar)
+    }
+
+    /// Returns the code to which the axis words belong, unless they are an end point.
+    pub(crate) fn axis_code(&self) -> Option<Code> {
+        let once = self.codes.get(Group::Once);
+        let once = once.filter(|code| matches!(code.tenths, 100 | 280 | 300 | 520 | 920));
+        once.or_else(|| {
+            let length = self.codes.get(Group::ToolLength)?;
+            let takes = match length.tenths {
+                431 => true,
+                432 => self.has_any(AXIS_LETTERS),
+                _ => false,
+            };
+            takes.then_some(length)
+        })
     }
 
     /// Multiplies the number of a word.

@@ -1,7 +1,7 @@
 //! Spindle, coolant, tool, inputs and outputs of a block.
 
 use super::LONGEST_DWELL_S;
-use super::block::Block;
+use super::block::{Block, Word};
 use super::canonical::{OutputValue, Step, WaitFor};
 use super::codes::{Group, word};
 use super::executor::{Executor, Here, mistake};
@@ -11,6 +11,39 @@ use super::state::{Turn, WAITED};
 
 /// Largest speed of the spindle, rev/min.
 const FASTEST_SPINDLE: f64 = 32_767.0;
+
+/// Checks the words of M19 as LinuxCNC does, although the spindle only stops.
+fn check_orientation(block: &Block, here: &Here) -> Read<()> {
+    let check = |letter: u8, right: fn(f64) -> bool, what: &str, remedy: &str| match block
+        .word(letter)
+        .filter(|word| !right(word.value))
+    {
+        Some(word) => mistake(
+            word.at,
+            format!("{} is not {what}", here.text(word)),
+            remedy,
+        ),
+        None => Ok(()),
+    };
+    check(
+        b'R',
+        |angle| (0.0..=360.0).contains(&angle),
+        "an angle of the spindle",
+        "write 0 to 360 degrees",
+    )?;
+    check(
+        b'P',
+        |way| [0.0, 1.0, 2.0].contains(&way),
+        "a direction of the spindle",
+        "write 0, 1 or 2",
+    )?;
+    check(
+        b'Q',
+        |seconds| seconds > 0.0,
+        "a time limit",
+        "write seconds above 0",
+    )
+}
 
 impl Executor {
     pub(crate) fn set_spindle(&mut self, block: &Block, here: &Here) -> Read<()> {
@@ -101,6 +134,7 @@ impl Executor {
             self.notice(here, code.at, "spindle", what.into())?;
         }
         if code.tenths == 190 {
+            check_orientation(block, here)?;
             let what = "M19 stops the spindle; this machine does not turn it to an angle";
             self.notice(here, code.at, "M19", what.into())?;
         }
@@ -118,14 +152,13 @@ impl Executor {
         let Some(word) = block.word(b'T') else {
             return Ok(());
         };
-        if word.value.fract() != 0.0 || !(0.0..=99_999.0).contains(&word.value) {
-            return mistake(
-                word.at,
-                format!("{} is not a tool", here.text(word)),
-                "write a whole number from 0 to 99999",
-            );
-        }
-        let number = word.value as u32;
+        self.state.selected = self.tool_of_table(here, word)?;
+        Ok(())
+    }
+
+    /// Returns the number of a tool that can be in the spindle.
+    fn tool_of_table(&self, here: &Here, word: Word) -> Read<u32> {
+        let number = self.tool_number(here, word)?;
         if number != 0 && !self.state.tools.is_empty() && self.state.tool_of(number).is_none() {
             return mistake(
                 word.at,
@@ -133,8 +166,7 @@ impl Executor {
                 "add it to the tool table, or write the number of another tool",
             );
         }
-        self.state.selected = number;
-        Ok(())
+        Ok(number)
     }
 
     pub(crate) fn change_tool(&mut self, block: &Block, here: &Here) -> Read<()> {
@@ -150,14 +182,7 @@ impl Executor {
                     "write Q with the number of the tool",
                 );
             };
-            if word.value.fract() != 0.0 || !(0.0..=99_999.0).contains(&word.value) {
-                return mistake(
-                    word.at,
-                    format!("{} is not a tool", here.text(word)),
-                    "write a whole number from 0 to 99999",
-                );
-            }
-            word.value as u32
+            self.tool_of_table(here, word)?
         } else {
             self.state.selected
         };

@@ -181,17 +181,19 @@ impl Executor {
                 self.begin_motion(motion);
             }
         }
-        if let Some(Code { tenths, .. }) = block.codes.get(Group::Once)
-            && matches!(tenths, 100 | 280 | 300 | 520 | 920)
-        {
-            // The axis words of the block belong to that code.
-            return Ok(());
-        }
+        let has_axis_code = block.axis_code().is_some();
         let machine = block.codes.get(Group::Machine);
-        if let Some(code) = machine {
-            self.check_machine_move(code, here)?;
+        if let Some(machine) = machine {
+            if has_axis_code || (code.is_none() && !block.has_any(AXIS_LETTERS)) {
+                return mistake(
+                    machine.at,
+                    "G53 without a move",
+                    "write G53 G0 or G53 G1 with the machine coordinates, or remove it",
+                );
+            }
+            self.check_machine_move(machine, here)?;
         }
-        if block.codes.tenths(Group::ToolLength) == Some(431) {
+        if has_axis_code {
             return Ok(());
         }
         let motion = self.state.modes.motion;

@@ -1,6 +1,6 @@
 //! Codes that change offsets and reference positions: G10, G28, G30, G40 to G43, G49, G52, G92.
 
-use super::block::{AXES, AXIS_LETTERS, Block, Word};
+use super::block::{AXES, AXIS_LETTERS, Block, Word, letters};
 use super::codes::{Code, Group, word};
 use super::compensation::Active;
 use super::executor::{Executor, Here, mistake};
@@ -16,7 +16,12 @@ const LARGEST_TOOL: f64 = 99_999.0;
 const ALONG_Z: f64 = 1e-9;
 
 impl Executor {
-    fn tool_number(&self, here: &Here, word: Word) -> Read<u32> {
+    /// Returns the number of a tool.
+    ///
+    /// # Errors
+    ///
+    /// The word is no whole number of the range.
+    pub(crate) fn tool_number(&self, here: &Here, word: Word) -> Read<u32> {
         if word.value.fract() != 0.0 || !(0.0..=LARGEST_TOOL).contains(&word.value) {
             return mistake(
                 word.at,
@@ -122,7 +127,22 @@ impl Executor {
                     Some(word) => (self.tool_number(here, word)?, word.at),
                     None => (self.state.tool, code.at),
                 };
+                if let (432, Some(_), Some((_, word))) =
+                    (tenths, block.word(b'H'), block.first_of(AXIS_LETTERS))
+                {
+                    return mistake(
+                        word.at,
+                        format!("{} with G43.2 and H", here.text(word)),
+                        "write G43.2 with H or with axis words, and a move in another block",
+                    );
+                }
                 let tool = match self.state.tool_of(number) {
+                    _ if tenths == 432 && block.has_any(AXIS_LETTERS) => Tool {
+                        offset: std::array::from_fn(|axis| {
+                            block.value(AXES[axis]).unwrap_or(0.0) * self.state.scale(axis)
+                        }),
+                        diameter: 0.0,
+                    },
                     Some(tool) => tool,
                     None if number == 0 => Tool::default(),
                     None if self.state.tools.is_empty() => {
@@ -307,10 +327,30 @@ impl Executor {
                     0 => self.state.modes.system,
                     number => number - 1,
                 };
+                if let Some((_, word)) = block.first_of(letters(b"IJ")) {
+                    return mistake(
+                        word.at,
+                        format!(
+                            "{} in the block of G10 {}",
+                            here.text(word),
+                            here.text(kind)
+                        ),
+                        "a coordinate system has an origin (axis words) and a rotation (R): remove it",
+                    );
+                }
+                self.note_lathe_words(block, here, letters(b"Q"))?;
                 self.set_system_data(block, index, kind.value == 20.0)
             }
             1.0 | 10.0 | 11.0 => {
                 let number = self.tool_number(here, number)?;
+                if !block.has_any(AXIS_LETTERS | letters(b"RIJQ")) {
+                    return mistake(
+                        code.at,
+                        format!("G10 {} without a value", here.text(kind)),
+                        "write axis words with the offset of the tool, or R with its radius",
+                    );
+                }
+                self.note_lathe_words(block, here, letters(b"IJQ"))?;
                 self.set_tool_data(block, number, kind.value)
             }
             _ => mistake(
@@ -319,6 +359,18 @@ impl Executor {
                 "write L1, L2, L10, L11 or L20",
             ),
         }
+    }
+
+    /// Words that describe the tool of a lathe change nothing.
+    fn note_lathe_words(&mut self, block: &Block, here: &Here, words: u32) -> Read<()> {
+        let Some((_, word)) = block.first_of(words) else {
+            return Ok(());
+        };
+        let what = format!(
+            "{} of G10 changes nothing: angles and orientation of a tool belong to lathes",
+            here.text(word)
+        );
+        self.notice(here, word.at, "G10", what)
     }
 
     fn set_system_data(&mut self, block: &Block, index: usize, to_position: bool) -> Read<()> {
@@ -406,6 +458,14 @@ impl Executor {
             };
         }
         if let Some(word) = block.word(b'R') {
+            // The tool table has no diameter below 0.
+            if word.value < 0.0 {
+                return mistake(
+                    word.at,
+                    format!("a radius of {} mm is below 0", word.value * state.unit()),
+                    "write R from 0, and G42 in place of G41 for the other side",
+                );
+            }
             tool.diameter = 2.0 * word.value * state.unit();
         }
         if self.state.tools.len() >= 10_000 {

@@ -247,6 +247,23 @@ fn divide(curve: &dyn Curve, low: f64, high: f64, depth: u32, pieces: &mut Vec<P
     divide(curve, middle, high, depth + 1, pieces);
 }
 
+/// Refuses one word of a control point of G5 without the other.
+fn check_pairs(block: &Block, here: &Here) -> Read<()> {
+    for [a, b] in [*b"IJ", *b"PQ"] {
+        let (word, missing) = match (block.word(a), block.word(b)) {
+            (Some(word), None) => (word, b),
+            (None, Some(word)) => (word, a),
+            _ => continue,
+        };
+        return mistake(
+            word.at,
+            format!("{} without {} in G5", here.text(word), char::from(missing)),
+            "write both words of the control point",
+        );
+    }
+    Ok(())
+}
+
 impl Executor {
     /// Runs a cubic or quadratic spline.
     pub(crate) fn spline(
@@ -272,6 +289,7 @@ impl Executor {
         let end = [to[0], to[1]];
         let first = vector(*b"IJ");
         let points = if is_cubic {
+            check_pairs(block, here)?;
             let Some(last) = vector(*b"PQ") else {
                 return mistake(
                     at,

@@ -1,11 +1,63 @@
 //! Check that each word of a block belongs to a code or to the motion in force.
 
 use super::block::{AXES, AXIS_LETTERS, Block, Word, Written, letters};
-use super::codes::{Group, g_remedy};
+use super::codes::{Code, Group, g_remedy, word as code_text};
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
 use super::problem::{Cause, Mistake};
 use super::state::{Motion, is_linear};
+
+/// Returns the letters of a cycle, without those of every cycle.
+fn cycle_letters(number: u8) -> &'static [u8] {
+    match number {
+        73 | 83 => b"Q",
+        74 | 82 | 84 | 86 | 88 | 89 => b"P",
+        87 => b"IJK",
+        _ => b"",
+    }
+}
+
+/// Refuses a motion word beside a code that uses the axis words.
+fn check_axis_codes(axis_code: Code, motion: Code, here: &Here) -> Read<()> {
+    match (motion.tenths, axis_code.tenths) {
+        // G28 and G30 are rapid moves, and CAM systems write G0 beside them; G80 is no move.
+        (800, _) | (0, 280 | 300) => Ok(()),
+        _ => mistake(
+            motion.at,
+            format!(
+                "{} and {} in one block: both use the axis words",
+                code_text(here.line, motion),
+                code_text(here.line, axis_code)
+            ),
+            "write the move in another block",
+        ),
+    }
+}
+
+/// Refuses a letter that belongs to cycles, but not to this one or not without a hole.
+fn stray_in_cycle(letter: u8, word: Word, number: u8, is_hole: bool, here: &Here) -> Read<()> {
+    let text = here.text(word);
+    let own = letters(b"RL") | letters(cycle_letters(number));
+    if !is_hole && own & letters(&[letter]) != 0 {
+        return mistake(
+            word.at,
+            format!("{text} without a hole"),
+            "write it in the block of a hole, which has an axis word",
+        );
+    }
+    let remedy = match letter {
+        b'P' => {
+            "P is the dwell of G74, G82, G84, G86, G88 and G89: write one of them, or remove it"
+        }
+        b'Q' => "Q is the peck of G73 and G83: write one of them, or remove it",
+        _ => return Ok(()),
+    };
+    mistake(
+        word.at,
+        format!("{text} has no meaning in G{number}"),
+        remedy,
+    )
+}
 
 impl Executor {
     /// Returns the motion that the axis words of a block mean.
@@ -23,23 +75,37 @@ impl Executor {
         let codes = &block.codes;
         let once = codes.tenths(Group::Once);
         let motion = self.motion_of(block);
-        let takes_axes = matches!(once, Some(100 | 280 | 300 | 520 | 920));
+        let axis_code = block.axis_code();
+        if let (Some(axis_code), Some(code)) = (axis_code, codes.get(Group::Motion)) {
+            check_axis_codes(axis_code, code, here)?;
+        }
         let mut known = letters(b"FST");
-        if takes_axes || codes.tenths(Group::ToolLength) == Some(431) || motion != Motion::Off {
+        if axis_code.is_some() || motion != Motion::Off {
             known |= AXIS_LETTERS;
         }
-        known |= match motion {
-            Motion::Clockwise | Motion::CounterClockwise => letters(b"IJKRP"),
-            Motion::Cubic => letters(b"IJPQ"),
-            Motion::Quadratic => letters(b"IJ"),
-            Motion::Nurbs => letters(b"PL"),
-            Motion::Cycle(87) => letters(b"RLPQIJK"),
-            Motion::Cycle(_) => letters(b"RLPQ"),
-            _ => 0,
-        };
+        let end = AXIS_LETTERS
+            | match motion {
+                Motion::Clockwise | Motion::CounterClockwise => letters(b"IJKR"),
+                Motion::Nurbs => letters(b"PL"),
+                _ => 0,
+            };
+        // Without an end the words of the motion would have no effect.
+        let moves =
+            axis_code.is_none() && (codes.get(Group::Motion).is_some() || block.has_any(end));
+        if moves {
+            known |= match motion {
+                Motion::Clockwise | Motion::CounterClockwise => letters(b"IJKRP"),
+                Motion::Cubic => letters(b"IJPQ"),
+                Motion::Quadratic => letters(b"IJ"),
+                Motion::Nurbs => letters(b"PL"),
+                Motion::Cycle(number) => letters(b"RL") | letters(cycle_letters(number)),
+                _ => 0,
+            };
+        }
         known |= match once {
             // An axis word with a dwell has a message of its own.
             Some(40) => letters(b"P") | AXIS_LETTERS,
+            // I, J and Q have messages of their own.
             Some(100) => letters(b"LPRIJQ"),
             _ => 0,
         };
@@ -86,11 +152,12 @@ impl Executor {
                     g_remedy(720),
                 );
             }
+            if let (Motion::Cycle(number), None) = (motion, axis_code) {
+                stray_in_cycle(letter, word, number, moves, here)?;
+            }
             return Err(Box::new(self.stray_word(letter, word, here)));
         }
-        let length = codes.tenths(Group::ToolLength);
-        if block.polar().is_some() && (takes_axes || length == Some(431) || self.options.no_decimal)
-        {
+        if block.polar().is_some() && (axis_code.is_some() || self.options.no_decimal) {
             let what = if self.options.no_decimal {
                 "polar coordinates with --no-decimal"
             } else {

@@ -1,0 +1,215 @@
+//! Refusals: words that no code of their block uses, one error for one mistake, and remedies.
+
+use haptimill_gcode::{AxisKind, Options, ProgramAxis, Step, Tool, read};
+
+fn options() -> Options {
+    let axis = |letter, kind| ProgramAxis {
+        letter,
+        kind,
+        wraps: false,
+    };
+    Options {
+        axes: vec![
+            axis('X', AxisKind::Linear),
+            axis('Y', AxisKind::Linear),
+            axis('Z', AxisKind::Linear),
+            axis('A', AxisKind::Rotary),
+        ],
+        coolant: true,
+        outputs: true,
+        ..Options::default()
+    }
+}
+
+fn with_tools() -> Options {
+    let mut options = options();
+    let mut tool = Tool::default();
+    tool.offset[2] = 10.0;
+    tool.diameter = 6.0;
+    options.tools.insert(1, tool);
+    options
+}
+
+fn refused(text: &[u8], options: &Options) -> String {
+    let shown = String::from_utf8_lossy(text);
+    read("t.ngc", text, options)
+        .err()
+        .unwrap_or_else(|| panic!("accepted: {shown}"))
+        .to_string()
+}
+
+/// Checks that a program has one error, at a place, with a text in problem and remedy.
+fn one_error(text: &str, at: &str, what: &str, remedy: &str) {
+    let found = refused(text.as_bytes(), &with_tools());
+    assert_eq!(found.lines().count(), 1, "{text:?}\n{found}");
+    let (problem, help) = found.split_once("; ").unwrap_or((&found, ""));
+    assert!(
+        problem.starts_with(&format!("t.ngc:{at}: ")),
+        "{text:?}\n{found}"
+    );
+    assert!(problem.contains(what), "{text:?}\n{found}");
+    assert!(help.contains(remedy), "{text:?}\n{found}");
+}
+
+/// Ends of the moves in X, Y, Z, rounded to 0.1 um.
+fn ends(text: &str) -> Vec<[f64; 3]> {
+    let program = read("t.ngc", text.as_bytes(), &with_tools())
+        .unwrap_or_else(|refused| panic!("{text}\n{refused}"));
+    let moves = program.steps.iter().filter_map(|step| match step {
+        Step::Move(step) => Some([0, 1, 2].map(|k| (step.path.to[k] * 1e4).round() / 1e4 + 0.0)),
+        _ => None,
+    });
+    moves.collect()
+}
+
+/// Two codes that both use the axis words: one of them would be lost.
+#[test]
+fn a_motion_word_is_not_lost() {
+    for code in ["G92", "G52", "G10 L2 P1", "G28", "G30", "G43.1", "G43.2"] {
+        let name = code.split(' ').next().unwrap_or_default();
+        one_error(
+            &format!("F100\n{code} G1 X5\n"),
+            &format!("2:{}", code.len() + 2),
+            &format!("G1 and {name} in one block: both use the axis words"),
+            "write the move in another block",
+        );
+    }
+    one_error("G92 G0 X5\n", "1:5", "G0 and G92", "another block");
+    // A rapid move is what G28 and G30 are; G80 is no move.
+    assert_eq!(ends("G0 Z5\nG0 G28 G91 Z0\n")[1..], [[0., 0., 0.]]);
+    assert_eq!(
+        ends("G0 Z5\nG0 G30 G91 Z1\n")[1..],
+        ends("G0 Z5\nG30 G91 Z1\n")[1..]
+    );
+    assert_eq!(ends("G0 Z5\nG80 G28 Z6\n").len(), 3);
+    assert_eq!(ends("F9 G1 G28.1 X5\nG1 G92.2 X6\n").len(), 2);
+    // The words of G43.2 without H are added to the offset.
+    assert_eq!(ends("G43 H1\nG43.2 Z5\nG0 Z1\n"), [[0., 0., 16.]]);
+}
+
+#[test]
+fn each_word_belongs_to_a_code() {
+    for (text, at, what, remedy) in [
+        (
+            "G10 L2 P1 X1 I5",
+            "1:14",
+            "I5 in the block of G10",
+            "remove it",
+        ),
+        (
+            "G10 L20 P1 X1 J5",
+            "1:15",
+            "J5 in the block of G10",
+            "remove it",
+        ),
+        (
+            "G10 L1 P1",
+            "1:1",
+            "G10 L1 without a value",
+            "write axis words",
+        ),
+        ("G10 L1 P1 R-3", "1:11", "a radius of -3 mm", "G42"),
+        (
+            "F9 G81 X1 Z-5 R2 P1",
+            "1:18",
+            "P1 has no meaning in G81",
+            "G82",
+        ),
+        (
+            "F9 G81 X1 Z-5 R2 Q1",
+            "1:18",
+            "Q1 has no meaning in G81",
+            "G83",
+        ),
+        (
+            "F9 G85 X1 Z-5 R2 P1",
+            "1:18",
+            "P1 has no meaning in G85",
+            "G89",
+        ),
+        (
+            "F9 G85 X1 Z-5 R2 Q1",
+            "1:18",
+            "Q1 has no meaning in G85",
+            "G83",
+        ),
+        (
+            "F9 G83 X1 Z-5 R2 Q1 P1",
+            "1:21",
+            "P1 has no meaning in G83",
+            "G82",
+        ),
+        (
+            "F9 G81 X1 Z-5 R2\nR3\nX2",
+            "2:1",
+            "R3 without a hole",
+            "axis word",
+        ),
+        (
+            "F9 G83 X1 Z-5 R2 Q1\nQ2\nX2",
+            "2:1",
+            "Q2 without a hole",
+            "axis word",
+        ),
+        (
+            "F9 G81 X1 Z-5 R2\nL2\nX2",
+            "2:1",
+            "L2 without a hole",
+            "axis word",
+        ),
+        (
+            "F9 G2 X2 I1\nP2\nX4 I1",
+            "2:1",
+            "P2 belongs to no word",
+            "remove it",
+        ),
+        (
+            "G0 Z1\nG43.2 H1 Z5",
+            "2:10",
+            "Z5 with G43.2 and H",
+            "another block",
+        ),
+        ("F9 G5 X1 Y1 I1 P1 Q1", "1:13", "I1 without J", "write both"),
+        ("F9 G5 X1 Y1 I1 J1 P1", "1:19", "P1 without Q", "write both"),
+        ("G0 X1\nG53", "2:1", "G53 without a move", "G53 G0"),
+        ("G53 G28 Z0", "1:1", "G53 without a move", "G53 G0"),
+        ("M19 R500", "1:5", "R500 is not an angle of", "0 to 360"),
+        ("M19 R-5", "1:5", "R-5 is not an angle", "0 to 360"),
+        ("M19 R5 P3", "1:8", "P3 is not a direction", "0, 1 or 2"),
+        ("M19 R5 Q0", "1:8", "Q0 is not a time limit", "above 0"),
+        (
+            "M61 Q500",
+            "1:5",
+            "tool 500 is not in the tool table",
+            "add it",
+        ),
+        ("G2 G28 X5 I1", "1:1", "G2 and G28", "another block"),
+    ] {
+        one_error(text, at, what, remedy);
+    }
+    // Words that mean nothing on a mill are noticed, as rs274 accepts them.
+    for text in ["G10 L2 P1 X1 Q3", "G10 L1 P1 Z1 I3 J3 Q3"] {
+        let program = read("t.ngc", text.as_bytes(), &with_tools()).expect("a notice");
+        assert_eq!(program.notices.len(), 1, "{text}");
+        assert!(program.notices[0].what.contains("G10"), "{text}");
+    }
+    for text in [
+        "G10 L2 P1",
+        "G10 L1 P1 R3",
+        "G43.1",
+        "M19 R360 P1 Q2.5",
+        "G4 P1",
+        "F9 G82 X1 Z-5 R2 P1\nG4 P2\nX2 L2\nX3 R3 P2",
+        "F9 G83 X1 Z-5 R2 Q1 L2\nX4",
+        "S9 M3 F9 G84 X1 Z-5 R2 P1\nX4",
+        "F9 G2 I1 P2\nI1\nJ1 P3",
+        "G0 G53 X1\nG53 X2\nG53 G0",
+        "M61 Q1\nM61 Q0",
+        "F9 G5 X1 Y1 I1 J1 P1 Q1\nX2 P1 Q0",
+        "F9 G5.1 X1 Y1 I1",
+    ] {
+        ends(text);
+    }
+    // Without a table any tool is accepted.
+    read("t.ngc", b"M61 Q500".as_slice(), &options()).expect("no table");
+}
