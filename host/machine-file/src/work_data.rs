@@ -125,6 +125,10 @@ impl WorkData {
             tool.diameter = read_values(name, table, &mut tool.offset, "diameter")
                 .map_err(refuse)?
                 .unwrap_or(0.0);
+            // Compensation would go to the other side of the contour.
+            if tool.diameter < 0.0 {
+                return Err(refuse(format!("[{name}] diameter is below 0")));
+            }
             data.tools.insert(number, tool);
         }
         Ok(data)
@@ -445,6 +449,9 @@ mod tests {
         assert!(machine.with_extension("tools.toml.bak").exists());
         std::fs::write(tools_path(&machine), "[t0]\nz = 52\n").expect("written");
         assert!(WorkData::load(&machine).is_err());
+        std::fs::write(tools_path(&machine), "[t1]\ndiameter = -5\n").expect("written");
+        let error = WorkData::load(&machine).expect_err("below 0");
+        assert!(error.contains("[t1] diameter is below 0"), "{error}");
         std::fs::remove_dir_all(machine.parent().expect("a folder")).expect("removed");
     }
 }
