@@ -135,6 +135,8 @@ impl Dialog {
         interpreter.flow.frames.clear();
         interpreter.flow.open.clear();
         interpreter.flow.skip = None;
+        // What the line left in doubt is taken back, too.
+        interpreter.doubt = Default::default();
         let lines = interpreter.sources[0].line;
         let mark = super::source::Mark {
             offset: end,
