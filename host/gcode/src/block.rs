@@ -2,7 +2,7 @@
 
 use super::codes::{Code, Codes, Group, g_group, g_remedy, m_group, m_remedy, tenths};
 use super::expression::{LARGEST_NUMBER, Parameter, Read, Scan, Values, text_of};
-use super::problem::Mistake;
+use super::problem::{Cause, Mistake};
 
 /// How the number of a word is written.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -238,11 +238,14 @@ impl Block {
                 "a comment is opened inside a comment",
                 "use ( ) without another ( inside, or ; to the end of the line",
             ))),
-            None => Err(Box::new(Mistake::new(
-                at,
-                "the comment is not closed",
-                "close it with ) on the same line, or open it with ;",
-            ))),
+            None => {
+                let found = Mistake::new(
+                    at,
+                    "the comment is not closed",
+                    "close it with ) on the same line, or open it with ;",
+                );
+                Err(Box::new(found.because(Cause::Comment)))
+            }
         }
     }
 

@@ -233,6 +233,7 @@ impl Output {
             return Ok(());
         }
         if distance(here, programmed) <= active.radius {
+            self.enter_anyhow(leg, active, programmed, direction(here, programmed));
             return Err((
                 format!(
                     "the first move with cutter compensation is {:.4} mm long, not longer than \
@@ -256,6 +257,8 @@ impl Output {
                 let half = 0.5 * distance(here, end);
                 let cos = libm::cos(direction(end, here) - towards);
                 if cos <= 1e-4 {
+                    let last = active.direction;
+                    self.enter_anyhow(leg, active, programmed, last);
                     return Err((
                         "no arc leads from here beside the contour".into(),
                         "begin with a larger arc, or with a straight move".into(),
@@ -276,7 +279,38 @@ impl Output {
         Ok(())
     }
 
-    fn follow(&mut self, mut leg: Leg, mut active: Active) -> Result<(), Refusal> {
+    /// Begins a contour with a move that was refused, so that the next ones are judged by
+    /// themselves: it ends beside the contour.
+    fn enter_anyhow(&mut self, leg: Leg, active: Active, programmed: [f64; 2], direction: f64) {
+        let active = Active {
+            is_first: false,
+            programmed,
+            direction,
+            ..active
+        };
+        self.compensation.active = Some(active);
+        self.compensation.held.clear();
+        let mut at = leg.to;
+        set_in_plane(&mut at, active.plane, active.beside(programmed, direction));
+        self.place_at(at);
+    }
+
+    /// Adds a move after the first one. One that is refused ends beside the contour, so that the
+    /// next ones are judged by themselves.
+    fn follow(&mut self, leg: Leg, active: Active) -> Result<(), Refusal> {
+        let refused = leg.clone();
+        self.join(leg, active).inspect_err(|_| {
+            let programmed = in_plane(&refused.to, active.plane);
+            let last = match &refused.arc {
+                Some(arc) => arc.angle + arc.sweep + arc.sweep.signum() * FRAC_PI_2,
+                None if distance(active.programmed, programmed) < 1e-9 => active.direction,
+                None => direction(active.programmed, programmed),
+            };
+            self.enter_anyhow(refused, active, programmed, last);
+        })
+    }
+
+    fn join(&mut self, mut leg: Leg, mut active: Active) -> Result<(), Refusal> {
         let plane = active.plane;
         let programmed = in_plane(&leg.to, plane);
         let corner = active.programmed;

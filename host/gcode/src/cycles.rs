@@ -35,8 +35,8 @@ struct Hole {
 }
 
 impl Executor {
-    /// Runs a cycle at the end point of a block.
-    pub(crate) fn run_cycle(
+    /// Runs the cycle of a block: one of a series of holes whose words stay in force.
+    pub(crate) fn run_series(
         &mut self,
         block: &Block,
         here: &Here,
@@ -44,8 +44,6 @@ impl Executor {
         to: PerLetter,
         at: usize,
     ) -> Read<()> {
-        let plane = self.state.modes.plane;
-        let [first, second, normal] = plane.axes();
         if let Some((_, word)) = block.first_of(letters(b"ABCUVW")) {
             return mistake(
                 word.at,
@@ -53,12 +51,45 @@ impl Executor {
                 "move this axis in a block before the cycle",
             );
         }
-        if !self.state.rotation.is_none() && normal != 2 {
+        let repeats = block.value(b'L').unwrap_or(1.0);
+        if repeats.fract() != 0.0 || !(1.0..=10_000.0).contains(&repeats) {
             return mistake(
+                at,
+                format!("L{repeats} is not a number of repeats"),
+                "write a whole number from 1 to 10000",
+            );
+        }
+        self.run_cycle(block, here, number, to, at, repeats)
+            .map_err(|mut found| {
+                let [first, second, _] = self.state.modes.plane.axes();
+                for axis in [first, second] {
+                    self.state.at[axis] = to[axis];
+                }
+                // The next holes have the same words.
+                found.cause.get_or_insert(Cause::Series);
+                found
+            })
+    }
+
+    /// Runs a cycle at the end point of a block.
+    fn run_cycle(
+        &mut self,
+        block: &Block,
+        here: &Here,
+        number: u8,
+        to: PerLetter,
+        at: usize,
+        repeats: f64,
+    ) -> Read<()> {
+        let plane = self.state.modes.plane;
+        let [first, second, normal] = plane.axes();
+        if !self.state.rotation.is_none() && normal != 2 {
+            let found = Mistake::new(
                 at,
                 "a cycle outside the plane of G17 in a turned coordinate system",
                 "write G17, or a coordinate system without R",
             );
+            return Err(Box::new(found.because(Cause::Plane)));
         }
         if [first, second, normal]
             .iter()
@@ -97,14 +128,6 @@ impl Executor {
             );
             return Err(Box::new(found.because(Cause::Motion)));
         };
-        let repeats = block.value(b'L').unwrap_or(1.0);
-        if repeats.fract() != 0.0 || !(1.0..=10_000.0).contains(&repeats) {
-            return mistake(
-                at,
-                format!("L{repeats} is not a number of repeats"),
-                "write a whole number from 1 to 10000",
-            );
-        }
         let needs_peck = matches!(number, 73 | 83);
         let peck = match self.cycle.peck {
             Some(peck) if needs_peck && peck <= 0.0 => {

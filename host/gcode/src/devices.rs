@@ -6,7 +6,7 @@ use super::canonical::{OutputValue, Step, WaitFor};
 use super::codes::{Group, word};
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
-use super::problem::Place;
+use super::problem::{Cause, Mistake, Place};
 use super::state::{Turn, WAITED};
 
 /// Largest speed of the spindle, rev/min.
@@ -157,16 +157,34 @@ impl Executor {
     }
 
     /// Returns the number of a tool that can be in the spindle.
-    fn tool_of_table(&self, here: &Here, word: Word) -> Read<u32> {
+    fn tool_of_table(&mut self, here: &Here, word: Word) -> Read<u32> {
         let number = self.tool_number(here, word)?;
         if number != 0 && !self.state.tools.is_empty() && self.state.tool_of(number).is_none() {
-            return mistake(
+            return Err(self.missing_tool(
+                number,
                 word.at,
-                format!("tool {number} is not in the tool table"),
+                "",
                 "add it to the tool table, or write the number of another tool",
-            );
+            ));
         }
         Ok(number)
+    }
+
+    /// Returns the mistake of a tool that is not in the table; it is reported once for each tool.
+    pub(crate) fn missing_tool(
+        &mut self,
+        number: u32,
+        at: usize,
+        unknown: &str,
+        remedy: &str,
+    ) -> Box<Mistake> {
+        let what = format!("tool {number} is not in the tool table{unknown}");
+        let found = Mistake::new(at, what, remedy);
+        Box::new(if self.state.missing_tools.insert(number) {
+            found
+        } else {
+            found.because(Cause::Named)
+        })
     }
 
     pub(crate) fn change_tool(&mut self, block: &Block, here: &Here) -> Read<()> {

@@ -2,13 +2,14 @@
 
 use super::block::{AXES, Block};
 use super::canonical::Step;
+use super::codes::Group;
 use super::executor::{Executor, Here, Next};
 use super::expression::{Read, text_of};
 use super::flow::{Flow, OWord, OpenKind, Position, find_o_word};
 use super::output::Output;
 use super::problem::{Cause, Doubt, Mistake, Notice, Place, Problem, place_of};
 use super::source::{Fetched, LONGEST_LINE, Mark, ProgramBytes, Source};
-use super::state::State;
+use super::state::{Motion, State};
 use super::tool_table::{PerLetter, ToolTable, WorkOffset};
 use super::{Comment, Coordinates, Options};
 
@@ -193,6 +194,14 @@ impl<'a> Interpreter<'a> {
         };
         let done = match fetched {
             Fetched::End => self.end_of_file(),
+            Fetched::Utf16 => {
+                self.finished = true;
+                Err(Box::new(Mistake::new(
+                    0,
+                    "the file is UTF-16 text",
+                    "save it as plain text (ASCII or UTF-8)",
+                )))
+            }
             Fetched::TooLong => Err(Box::new(Mistake::new(
                 0,
                 format!("a line of more than {LONGEST_LINE} bytes"),
@@ -201,9 +210,17 @@ impl<'a> Interpreter<'a> {
             Fetched::Line => self.run_line(),
         };
         match done {
-            Ok(()) => Ok(()),
+            Ok(()) => {
+                let block = &self.block;
+                self.doubt
+                    .pass(!block.comments.is_empty(), block.first.is_some());
+                Ok(())
+            }
             Err(mistake) => {
                 let place = self.place(mistake.at);
+                if self.doubt.continues_comment(&self.line) {
+                    return Ok(());
+                }
                 // Behind a loop or recursion without end nothing is known.
                 self.finished |= self.flow.is_endless;
                 let follows = self.doubt.explains(&mistake);
@@ -280,6 +297,11 @@ impl<'a> Interpreter<'a> {
             file: self.current as u16,
             number: self.sources[self.current].line,
         };
+        let motion = self.block.codes.tenths(Group::Motion).and_then(Motion::of);
+        if motion.is_some_and(|motion| motion != self.executor.state.modes.motion) {
+            // Another cycle has words of its own.
+            self.doubt.remove(Cause::Series);
+        }
         let next = self.executor.run(&mut self.block, &here)?;
         self.any_step |= !self.executor.out.steps.is_empty();
         match next {

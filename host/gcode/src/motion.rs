@@ -173,13 +173,14 @@ impl Executor {
             if code.tenths == 53 {
                 return self.finish_nurbs(block, here, code);
             }
-            self.refuse_open_nurbs(code.tenths, code.at)?;
+            let open = self.refuse_open_nurbs(code.tenths, code.at);
             if let Some(motion) = Motion::of(code.tenths) {
                 if let Motion::Cycle(_) = motion {
                     self.refuse_while_compensated(code, here)?;
                 }
                 self.begin_motion(motion);
             }
+            open?;
         }
         let has_axis_code = block.axis_code().is_some();
         let machine = block.codes.get(Group::Machine);
@@ -233,7 +234,7 @@ impl Executor {
                 }
             }
             Motion::Probe(kind) => self.probe(block, kind, to, place, first.at),
-            Motion::Cycle(number) => self.run_cycle(block, here, number, to, first.at),
+            Motion::Cycle(number) => self.run_series(block, here, number, to, first.at),
             Motion::Cubic | Motion::Quadratic => self.spline(block, here, to, first.at),
             Motion::Nurbs | Motion::Off => Ok(()),
         }
@@ -353,11 +354,12 @@ impl Executor {
             );
         }
         if !state.rotation.is_none() && normal != 2 {
-            return mistake(
+            let found = Mistake::new(
                 at,
                 "an arc outside the plane of G17 in a turned coordinate system",
                 "write G17, or a coordinate system without R",
             );
+            return Err(Box::new(found.because(Cause::Plane)));
         }
         let turns = match block.word(b'P') {
             None => 1,

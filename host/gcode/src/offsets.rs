@@ -75,11 +75,12 @@ impl Executor {
                 None if number == 0 => 0.0,
                 None => {
                     let at = block.word(b'D').map_or(code.at, |word| word.at);
-                    return mistake(
+                    return Err(self.missing_tool(
+                        number,
                         at,
-                        format!("tool {number} is not in the tool table: its diameter is unknown"),
+                        ": its diameter is unknown",
                         "add it to the tool table, or write G41.1 or G42.1 with D",
-                    );
+                    ));
                 }
             }
         };
@@ -155,13 +156,12 @@ impl Executor {
                         Tool::default()
                     }
                     None => {
-                        return mistake(
+                        return Err(self.missing_tool(
+                            number,
                             at,
-                            format!(
-                                "tool {number} is not in the tool table: its length is unknown"
-                            ),
+                            ": its length is unknown",
                             "add it to the tool table",
-                        );
+                        ));
                     }
                 };
                 if tenths == 432 {

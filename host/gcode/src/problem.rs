@@ -74,10 +74,12 @@ pub struct Problems {
 }
 
 impl Problems {
-    /// Notes the problem of a result, if there is one. One that a loop repeats is listed once.
+    /// Notes the problem of a result, if there is one. A line has at most one: a loop that repeats
+    /// it finds it again, or one that follows from it.
     pub fn note(&mut self, result: Result<(), Problem>) {
         let Err(problem) = result else { return };
-        let is_known = |it: &Problem| it.place == problem.place && it.what == problem.what;
+        let Place { file, line, .. } = problem.place;
+        let is_known = |it: &Problem| it.place.file == file && it.place.line == line;
         if self.listed.iter().any(is_known) {
             return;
         }
@@ -149,12 +151,32 @@ pub(crate) enum Cause {
     Parameter,
     /// Loops, conditions and subroutines that are open.
     Order,
+    /// Words of a cycle, which stay in force for its next holes.
+    Series,
+    /// The plane in force.
+    Plane,
+    /// A comment that is not closed: its next lines are no blocks.
+    Comment,
+    /// Something that an earlier mistake named, as a tool that does not exist.
+    Named,
 }
 
 /// States that are in doubt after a mistake: what follows from them is not reported.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Doubt {
-    causes: [bool; 6],
+    causes: [bool; Cause::Named as usize + 1],
+    comment: OpenComment,
+}
+
+/// A comment that was not closed on its line.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+enum OpenComment {
+    #[default]
+    None,
+    /// The next lines may be its text.
+    Text,
+    /// A block followed.
+    Blocks,
 }
 
 impl Doubt {
@@ -162,11 +184,41 @@ impl Doubt {
         self.causes[cause as usize] = true;
     }
 
+    pub(crate) fn remove(&mut self, cause: Cause) {
+        self.causes[cause as usize] = false;
+    }
+
+    /// Whether a line with a mistake continues a comment that is not closed: text, or its end.
+    pub(crate) fn continues_comment(&mut self, line: &[u8]) -> bool {
+        if self.comment == OpenComment::None {
+            return false;
+        }
+        match line.iter().find(|byte| matches!(byte, b'(' | b')')) {
+            None => self.comment == OpenComment::Text,
+            Some(mark) => {
+                self.comment = OpenComment::None;
+                *mark == b')'
+            }
+        }
+    }
+
+    /// Notes a line without a mistake.
+    pub(crate) fn pass(&mut self, has_comment: bool, is_block: bool) {
+        if self.comment == OpenComment::None {
+            return;
+        }
+        if has_comment {
+            self.comment = OpenComment::None;
+        } else if is_block {
+            self.comment = OpenComment::Blocks;
+        }
+    }
+
     /// Whether a mistake may follow from an earlier one.
     pub(crate) fn explains(&self, mistake: &Mistake) -> bool {
         mistake
             .cause
-            .is_some_and(|cause| self.causes[cause as usize])
+            .is_some_and(|cause| cause == Cause::Named || self.causes[cause as usize])
     }
 
     /// Notes what a line with a mistake may have left wrong.
@@ -174,6 +226,9 @@ impl Doubt {
         match mistake.cause {
             // The end of a wrong arc is known.
             Some(Cause::Position) => return,
+            // The other words of the block are lost.
+            Some(Cause::Comment) => self.comment = OpenComment::Text,
+            Some(Cause::Named) => {}
             Some(cause) => return self.add(cause),
             None => {}
         }

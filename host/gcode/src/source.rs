@@ -32,6 +32,8 @@ pub(crate) enum Fetched {
     Line,
     /// The line is longer than [`LONGEST_LINE`]; its beginning is in the buffer.
     TooLong,
+    /// The stream begins with text of two bytes per character.
+    Utf16,
     /// No further line.
     End,
 }
@@ -110,8 +112,8 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// Reads the next line into `line`, without its end: LF, CR LF or CR. A byte order mark at the
-    /// start of the stream is skipped.
+    /// Reads the next line into `line`, without its end: LF, CR LF or CR. A UTF-8 byte order mark
+    /// at the start of the stream is skipped.
     pub(crate) fn next(&mut self, line: &mut Vec<u8>) -> io::Result<Fetched> {
         line.clear();
         if self.ended {
@@ -119,8 +121,17 @@ impl<'a> Source<'a> {
         }
         if self.before == 0 && self.at == 0 {
             while self.window.len() < 3 && self.fill()? {}
-            if self.window.starts_with(b"\xEF\xBB\xBF") {
-                self.at = 3;
+            match self.window[..] {
+                [0xEF, 0xBB, 0xBF, ..] => self.at = 3,
+                // With the mark of the byte order, or from characters of ASCII.
+                [0xFF, 0xFE, ..]
+                | [0xFE, 0xFF, ..]
+                | [1..=255, 0, 1..=255, ..]
+                | [0, 1..=255, 0, ..] => {
+                    self.line = self.line.saturating_add(1);
+                    return Ok(Fetched::Utf16);
+                }
+                _ => {}
             }
         }
         let mut too_long = false;

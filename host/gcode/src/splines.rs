@@ -276,6 +276,8 @@ impl Executor {
         let is_cubic = self.state.modes.motion == Motion::Cubic;
         let name = if is_cubic { "G5" } else { "G5.1" };
         self.check_spline(block, here, name, at)?;
+        // The next G5 continues this one, even if it is wrong.
+        let before = self.last_tangent;
         let size = self.state.unit();
         let vector = |letters: [u8; 2]| -> Option<Point> {
             let [a, b] = letters.map(|letter| block.value(letter));
@@ -297,14 +299,15 @@ impl Executor {
                     "write the control point from the end (P, Q)",
                 );
             };
-            let Some(first) = first.or(self.last_tangent.map(|[x, y]| [-x, -y])) else {
+            self.last_tangent = Some(last);
+            let Some(first) = first.or(before.map(|[x, y]| [-x, -y])) else {
+                self.state.at = to;
                 return mistake(
                     at,
                     "the first G5 without I and J",
                     "write the control point from the start (I, J)",
                 );
             };
-            self.last_tangent = Some(last);
             [
                 from,
                 [from[0] + first[0], from[1] + first[1]],
@@ -337,7 +340,8 @@ impl Executor {
 
     fn check_spline(&self, block: &Block, here: &Here, name: &str, at: usize) -> Read<()> {
         if self.state.modes.plane != Plane::Xy {
-            return mistake(at, format!("{name} outside the plane X Y"), "write G17");
+            let found = Mistake::new(at, format!("{name} outside the plane X Y"), "write G17");
+            return Err(Box::new(found.because(Cause::Plane)));
         }
         if self.out.compensation.active.is_some() {
             return mistake(
@@ -488,11 +492,12 @@ impl Executor {
     pub(crate) fn finish_nurbs(&mut self, block: &Block, here: &Here, code: Code) -> Read<()> {
         let points = std::mem::take(&mut self.control_points);
         if self.state.modes.motion != Motion::Nurbs {
-            return mistake(
+            let found = Mistake::new(
                 code.at,
                 "G5.3 without G5.2",
                 "write G5.2 and the control points before",
             );
+            return Err(Box::new(found.because(Cause::Motion)));
         }
         self.state.modes.motion = Motion::Off;
         let order = points.first().map_or(3, |point| point.order);

@@ -5,7 +5,7 @@ use super::expression::{Parameter, Values};
 use super::tool_axis::ToolLength;
 use super::tool_table::{PerLetter, SYSTEMS, Tool, ToolTable, WorkOffset};
 use super::{INCH_MM, Options};
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 /// Number of numbered parameters, 0 included.
 pub(crate) const PARAMETERS: usize = 5603;
@@ -186,6 +186,8 @@ pub(crate) struct State {
     pub tool: u32,
     pub selected: u32,
     pub tools: ToolTable,
+    /// Tools that the program names, and the table lacks.
+    pub missing_tools: BTreeSet<u32>,
     /// Side of cutter compensation, in tenths of its G word; 400 is off.
     pub compensation: u16,
     /// Sum of all offsets, without rotation.
@@ -325,6 +327,7 @@ impl State {
             tool: options.tool,
             selected: 0,
             tools: options.tools.clone(),
+            missing_tools: BTreeSet::new(),
             compensation: 400,
             shift: PerLetter::default(),
             numbered,

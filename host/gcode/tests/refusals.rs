@@ -1,6 +1,6 @@
 //! Refusals: words that no code of their block uses, one error for one mistake, and remedies.
 
-use haptimill_gcode::{AxisKind, Options, ProgramAxis, Step, Tool, read};
+use haptimill_gcode::{AxisKind, Dialog, Options, ProgramAxis, Step, Tool, read};
 
 fn options() -> Options {
     let axis = |letter, kind| ProgramAxis {
@@ -212,4 +212,157 @@ fn each_word_belongs_to_a_code() {
     }
     // Without a table any tool is accepted.
     read("t.ngc", b"M61 Q500".as_slice(), &options()).expect("no table");
+}
+
+/// One mistake is one error: what follows from it is not reported.
+#[test]
+fn a_mistake_of_a_series_is_one_error() {
+    for (text, at, what) in [
+        (
+            "F9 G83 X5 Z-5 R2\nX10\nG83 X15\nX20\n",
+            "1:8",
+            "G83 without Q",
+        ),
+        ("F9 G81 X5 Z5 R2\nX10\nX15\n", "1:8", "below its bottom"),
+        ("F9 G82 X5 Z-5 R2\nX10\n", "1:8", "without P"),
+        ("G93 G81 X5 Z-5 R2 F9\nX10\n", "1:9", "inverse time"),
+        (
+            "G10 L2 P1 R30\nF9 G18 G81 X1 Z5 Y-5 R3\nX2\nX3\n",
+            "2:12",
+            "outside the plane of G17 in a turned",
+        ),
+        (
+            "G10 L2 P1 R30\nF9 G18 G2 X10 I5\nX20 I5\nG1 X25\nG2 X30 I2.5\n",
+            "2:8",
+            "outside the plane of G17 in a turned",
+        ),
+        (
+            // The next corner can be reached.
+            "F9 G0 X-20\nG41.1 D10 G1 X0 Y0\nX20\nX22 Y2\nX22 Y40\nX-40\nG40 X-60 Y90\n",
+            "5:1",
+            "cannot reach this inside corner",
+        ),
+        (
+            // An arc that is too narrow for the cutter, and corners that are not.
+            "F9 G0 X-20\nG41.1 D10 G1 X0 Y0\nX20\nG3 X26 Y6 J6 I0\nG1 Y40\nX-40\nG40 X-60\n",
+            "",
+            "",
+        ),
+        (
+            "F9 G0 X-20\nG41.1 D10 G1 X0 Y0\nX20\nG3 X23 Y3 J3\nG1 Y40\nX-40\nG40 X-60\n",
+            "4:4",
+            "the radius of the arc is not larger",
+        ),
+        (
+            "F9 G41.1 D10 G1 X2\nX4\nX8\nY-30\nG40 X-50\n",
+            "1:17",
+            "not longer than",
+        ),
+        (
+            "F9 G41.1 D10 G2 X2 I1\nG1 X4\nX8\n",
+            "1:17",
+            "not longer than",
+        ),
+        (
+            "F9 G5.2 X1 Y1 P1\nG1 X5\nX6\nG5.3\n",
+            "2:1",
+            "before the end of the NURBS",
+        ),
+        (
+            "F9 G5 X5 Y5 P1 Q1\nX10 Y5 P1 Q1\n",
+            "1:7",
+            "the first G5 without I and J",
+        ),
+        (
+            "F9 G18 G5 X5 Y5 I1 J1 P1 Q1\nX10 Y5 P1 Q1\n",
+            "1:11",
+            "outside the plane X Y",
+        ),
+        (
+            "(a comment\nover three\nlines)\nG0 X1\n",
+            "1:1",
+            "comment is not closed",
+        ),
+        (
+            "(a comment\n\nT1 M6\nits end)\nG0 X1\n",
+            "1:1",
+            "comment is not closed",
+        ),
+        (
+            "T150 M6\nG43 H150\nG41 D150\nG0 Z5\n",
+            "1:1",
+            "tool 150 is not in the tool table",
+        ),
+        (
+            "M61 Q150\nG0 G43 H150 Z5\n",
+            "1:5",
+            "tool 150 is not in the tool table",
+        ),
+        // The same block, in two rounds.
+        (
+            "O1 repeat [5]\nG2 X5 I1\nO1 endrepeat\n",
+            "2:1",
+            "from its centre",
+        ),
+    ] {
+        if what.is_empty() {
+            ends(text);
+        } else {
+            one_error(text, at, what, "");
+        }
+    }
+}
+
+/// What does not follow from a mistake is reported beside it.
+#[test]
+fn other_mistakes_are_reported_beside_it() {
+    for (text, errors) in [
+        // Another cycle begins another series.
+        ("F9 G83 X5 Z-5 R2\nX10\nG81 X1 Z5 R1\nX2\n", 2),
+        // Each tool that is missing.
+        ("T150 M6\nG43 H151\n", 2),
+        // The words beside an unclosed comment, and a comment far from it.
+        ("G0 X1 (open\nG0 X2\nG0 Q4\n(two) ) G0 X1\n", 3),
+        ("(open\nwords\n(closed)\nG77\nG0 X1 )\n", 3),
+        // Two corners that cannot be reached.
+        (
+            "F9 G0 X-20\nG41.1 D10 G1 X0 Y0\nX20\nX22 Y2\nX22 Y40\nX20 Y42\nX-40\nG40 X-60\n",
+            2,
+        ),
+    ] {
+        let found = refused(text.as_bytes(), &with_tools());
+        assert_eq!(found.lines().count(), errors, "{text}\n{found}");
+    }
+}
+
+#[test]
+fn a_file_of_two_bytes_per_character_is_said_once() {
+    let text = "G0 X1\nG1 X2 F10\n(\u{e9})\n";
+    let little: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let big: Vec<u8> = text.encode_utf16().flat_map(u16::to_be_bytes).collect();
+    let marked = |mark: [u8; 2], bytes: &[u8]| [&mark[..], bytes].concat();
+    for bytes in [
+        marked([0xFF, 0xFE], &little),
+        marked([0xFE, 0xFF], &big),
+        little,
+        big,
+    ] {
+        let found = refused(&bytes, &options());
+        assert_eq!(
+            found,
+            "t.ngc:1:1: the file is UTF-16 text; save it as plain text (ASCII or UTF-8)"
+        );
+    }
+}
+
+/// A mistake in a line that was entered by hand does not hide the same mistake in the next one.
+#[test]
+fn each_entered_line_has_its_own_mistakes() {
+    let mut dialog = Dialog::new(&with_tools());
+    for line in ["G1 X5", "G1 X5", "T150 M6", "T150 M6", "X#<a>", "X#<a>"] {
+        dialog.enter(line);
+        assert!(dialog.next_step().is_err(), "{line}");
+    }
+    dialog.enter("G0 X5");
+    assert!(matches!(dialog.next_step(), Ok(Some(Step::Move(_)))));
 }
