@@ -316,6 +316,9 @@ impl Block {
             if let Some(refused) = refuse_odd_character(scan.bytes, scan.at) {
                 return Err(Box::new(refused));
             }
+            if let Some(refused) = refuse_statement(scan.bytes, start) {
+                return Err(Box::new(refused));
+            }
             let what = format!("the letter {} has no number", char::from(letter));
             let remedy = "write a number after the letter, or put a remark in ( )";
             return Err(Box::new(Mistake::new(start, what, remedy)));
@@ -426,6 +429,10 @@ impl Block {
 /// Returns the mistake of a symbol that begins nothing.
 fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
     let byte = line[at];
+    if let (b'*' | b'/' | b'+' | b'-', Some(text)) = (byte, calculation_at(line, at)) {
+        let remedy = format!("write [{}]", text_of(text));
+        return Mistake::new(at, "a calculation outside [ ]", remedy);
+    }
     let (what, remedy) = match byte {
         b'/' => (
             "a slash inside a block".into(),
@@ -437,8 +444,20 @@ fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
         ),
         b'*' => (
             "checksums are not supported".into(),
-            "remove the * and the number after it",
+            "remove the * and the number after it; a product is X[#1*2]",
         ),
+        b':' if line[..at]
+            .iter()
+            .all(|byte| matches!(byte, b' ' | b'\t' | b'%')) =>
+        {
+            let digits = line[at + 1..].iter().take_while(|it| it.is_ascii_digit());
+            let number = text_of(&line[at + 1..at + 1 + digits.count()]);
+            return Mistake::new(
+                at,
+                "':' in front of a program number",
+                format!("write O{number}, or remove the line"),
+            );
+        }
         b')' => (
             "a comment is closed that was not opened".into(),
             "open it with ( on the same line",
@@ -467,6 +486,74 @@ fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
         }
     };
     Mistake::new(at, what, remedy)
+}
+
+/// Returns the calculation with an operator at `at`: the value of an assignment, or of a word with a
+/// parameter or an expression.
+fn calculation_at(line: &[u8], at: usize) -> Option<&[u8]> {
+    let before = &line[..at];
+    let sign = before.iter().rposition(|byte| *byte == b'=');
+    let letter = before.iter().rposition(u8::is_ascii_alphabetic);
+    let calculation = |mark: usize, is_word: bool| {
+        let text = line[mark + 1..].trim_ascii_start();
+        // The number after `X5*` may be a checksum.
+        if is_word && !matches!(text.first(), Some(b'#' | b'[')) {
+            return None;
+        }
+        let text = &text[..calculation_length(text)];
+        let reaches = line.len() - line[mark + 1..].trim_ascii_start().len() + text.len() > at;
+        reaches.then_some(text)
+    };
+    sign.and_then(|sign| calculation(sign, false))
+        .or_else(|| calculation(letter?, true))
+}
+
+/// Returns the length of the calculation at the beginning of a text: up to a comment, or the next
+/// word.
+fn calculation_length(text: &[u8]) -> usize {
+    let (mut depth, mut end, mut needs_value) = (0, 0, true);
+    for (at, byte) in text.iter().enumerate() {
+        match byte {
+            b'(' | b';' => break,
+            b' ' | b'\t' => continue,
+            b'[' | b'<' => depth += 1,
+            b']' | b'>' => depth -= 1,
+            _ if depth > 0 => {}
+            b'+' | b'-' | b'*' | b'/' => {
+                needs_value = true;
+                continue;
+            }
+            // A word or an assignment after a blank.
+            b'#' | b'0'..=b'9' | b'.' if !needs_value && end < at => break,
+            b'#' | b'0'..=b'9' | b'.' => {}
+            // The name of a function.
+            _ if byte.is_ascii_alphabetic()
+                && (needs_value || text[..at].last().is_some_and(u8::is_ascii_alphabetic)) => {}
+            _ => break,
+        }
+        needs_value = false;
+        end = at + 1;
+    }
+    end
+}
+
+/// Returns the mistake of a statement of other dialects that begins at a letter.
+fn refuse_statement(line: &[u8], at: usize) -> Option<Mistake> {
+    let is_letter = |byte: &&u8| byte.is_ascii_alphabetic();
+    let length = line[at..].iter().take_while(is_letter).count();
+    let word = &line[at..at + length];
+    let remedy = match word.to_ascii_uppercase().as_slice() {
+        b"IF" | b"GOTO" | b"THEN" => {
+            "write O1 if [ ], the blocks, and O1 endif, on lines of their own"
+        }
+        b"WHILE" | b"DO" | b"END" => {
+            "write O1 while [ ], the blocks, and O1 endwhile, on lines of their own"
+        }
+        _ => return None,
+    };
+    let what = format!("{} of another dialect", text_of(word));
+    // A program has more of them: they are one mistake.
+    Some(Mistake::new(at, what, remedy).because(Cause::Order))
 }
 
 const ASCII_ONLY: &str = "part programs are plain ASCII text outside comments";

@@ -207,6 +207,7 @@ pub(crate) fn g_remedy(tenths: u16) -> &'static str {
         150 | 160 => "write polar coordinates as @ (distance) and ^ (angle)",
         310 => "write G38.2, which stops at the contact of the probe",
         500 | 510 => "scaling and mirroring are not supported: let the CAM system write the moves",
+        541 => "write G59.1 to G59.3: there are nine coordinate systems",
         650..=670 => "macros are called as O<name> call, or as M98 P",
         680 | 690 => "write G10 L2 P R, which turns a coordinate system",
         _ => "remove it if the part does not need it",

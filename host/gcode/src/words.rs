@@ -7,6 +7,11 @@ use super::expression::Read;
 use super::problem::{Cause, Mistake};
 use super::state::{Motion, is_linear};
 
+/// Whether a number ends just before a place.
+fn follows_digit(line: &[u8], at: usize) -> bool {
+    matches!(line[..at].last(), Some(b'0'..=b'9' | b'.'))
+}
+
 /// Returns the letters of a cycle, without those of every cycle.
 fn cycle_letters(number: u8) -> &'static [u8] {
     match number {
@@ -286,9 +291,13 @@ impl Executor {
                 )
                 .because(Cause::Motion);
             }
-            b'E' => (
+            b'E' if follows_digit(here.line, word.at) => (
                 format!("{text}: exponents are not supported"),
                 "write all digits of the number",
+            ),
+            b'E' => (
+                format!("{text} belongs to no word of its block"),
+                "E belongs to M66 to M68: write one, or remove it",
             ),
             b'P' => (
                 format!("{text} belongs to no word of its block"),

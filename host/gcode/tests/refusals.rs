@@ -366,3 +366,178 @@ fn each_entered_line_has_its_own_mistakes() {
     dialog.enter("G0 X5");
     assert!(matches!(dialog.next_step(), Ok(Some(Step::Move(_)))));
 }
+
+/// Words of other dialects: the remedy leads to the same meaning, not to a program that is accepted
+/// with another one.
+#[test]
+fn a_remedy_keeps_the_meaning() {
+    for (text, at, what, remedy) in [
+        (
+            "#1=3\n#2=#1*2",
+            "2:6",
+            "a calculation outside [ ]",
+            "write [#1*2]",
+        ),
+        (
+            "#1=#1+1",
+            "1:6",
+            "a calculation outside [ ]",
+            "write [#1+1]",
+        ),
+        (
+            "#1 = #1 - 1 (down)",
+            "1:9",
+            "a calculation outside [ ]",
+            "write [#1 - 1]",
+        ),
+        (
+            "#1=#1/2 ; half",
+            "1:6",
+            "a calculation outside [ ]",
+            "write [#1/2]",
+        ),
+        (
+            "#1=2**3",
+            "1:5",
+            "a calculation outside [ ]",
+            "write [2**3]",
+        ),
+        (
+            "#1=4 #2=#1*2 #3=1",
+            "1:11",
+            "a calculation outside [ ]",
+            "write [#1*2]",
+        ),
+        (
+            "#1=1\nG0 X#1+2",
+            "2:7",
+            "a calculation outside [ ]",
+            "write [#1+2]",
+        ),
+        (
+            "#1=1\nG0 X#1*2",
+            "2:7",
+            "a calculation outside [ ]",
+            "write [#1*2]",
+        ),
+        (
+            "G0 X[1+2]*2 Y1",
+            "1:10",
+            "a calculation outside [ ]",
+            "write [[1+2]*2]",
+        ),
+        (
+            "#1=1\n#2=ABS[#1]*2",
+            "2:11",
+            "a calculation outside [ ]",
+            "write [ABS[#1]*2]",
+        ),
+        (
+            "#<a b>=1\n#2=#<a b>*2",
+            "2:10",
+            "a calculation outside [ ]",
+            "write [#<a b>*2]",
+        ),
+        (
+            "#1=5 G0 X5*33",
+            "1:11",
+            "checksums are not supported",
+            "X[#1*2]",
+        ),
+        (
+            "#1=5 G0 X5 /3",
+            "1:12",
+            "a slash inside a block",
+            "divisions in [ ]",
+        ),
+        ("#1=5*", "1:5", "checksums are not supported", "X[#1*2]"),
+        (
+            "N5 G0 X5*33",
+            "1:9",
+            "checksums are not supported",
+            "X[#1*2]",
+        ),
+        (
+            "G0 X5 *33",
+            "1:7",
+            "checksums are not supported",
+            "remove the * and",
+        ),
+        (
+            "G0 X1.2.3",
+            "1:8",
+            "a number without a letter",
+            "write the letter",
+        ),
+        (
+            "G54.1 P1",
+            "1:1",
+            "G54.1 is not supported",
+            "G59.1 to G59.3",
+        ),
+        (
+            "IF [#1 EQ 0] GOTO 10\nN10 G0 X1",
+            "1:1",
+            "IF of another dialect",
+            "O1 if [ ]",
+        ),
+        (
+            "IF[#1EQ0]THEN #2=1",
+            "1:1",
+            "IF of another dialect",
+            "O1 endif",
+        ),
+        (
+            "WHILE [#1 LT 3] DO1\n#1=[#1+1]\nEND1",
+            "1:1",
+            "WHILE of another dialect",
+            "O1 endwhile",
+        ),
+        (
+            "N5 goto 10\nGOTO10",
+            "1:4",
+            "goto of another dialect",
+            "O1 if [ ]",
+        ),
+        (
+            ":0001\nG0 X1",
+            "1:1",
+            "':' in front of a program number",
+            "write O0001",
+        ),
+        ("G0 : X1", "1:4", "':' is not supported", "remove it"),
+        (
+            "E5",
+            "1:1",
+            "E5 belongs to no word of its block",
+            "M66 to M68",
+        ),
+        (
+            "G0 X1 E0.",
+            "1:7",
+            "E0. belongs to no word of its block",
+            "M66 to M68",
+        ),
+        (
+            "G0 X1E0",
+            "1:6",
+            "exponents are not supported",
+            "write all digits",
+        ),
+    ] {
+        one_error(text, at, what, remedy);
+    }
+    // Letters that only begin like a word of another dialect.
+    one_error(
+        "I F1",
+        "1:1",
+        "the letter I has no number",
+        "write a number",
+    );
+    one_error(
+        "Gopher",
+        "1:1",
+        "the letter G has no number",
+        "write a number",
+    );
+}
