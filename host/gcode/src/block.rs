@@ -488,8 +488,8 @@ fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
     Mistake::new(at, what, remedy)
 }
 
-/// Returns the calculation with an operator at `at`: the value of an assignment, or of a word with a
-/// parameter or an expression.
+/// Returns the calculation with an operator at `at`: the value of an assignment, or of a word with
+/// a parameter or an expression.
 fn calculation_at(line: &[u8], at: usize) -> Option<&[u8]> {
     let before = &line[..at];
     let sign = before.iter().rposition(|byte| *byte == b'=');

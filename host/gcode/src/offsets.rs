@@ -335,7 +335,8 @@ impl Executor {
                             here.text(word),
                             here.text(kind)
                         ),
-                        "a coordinate system has an origin (axis words) and a rotation (R): remove it",
+                        "a coordinate system has an origin (axis words) and a rotation (R): \
+                         remove it",
                     );
                 }
                 self.note_lathe_words(block, here, letters(b"Q"))?;
