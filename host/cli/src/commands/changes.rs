@@ -139,12 +139,23 @@ impl BoxView {
     ) -> Result<String, CliError> {
         let main_lines = std::mem::take(&mut program.main_lines);
         let Some(first) = main_lines.iter().position(|at| *at >= line) else {
-            let last = main_lines.iter().max().copied().unwrap_or(0);
-            let what = format!(
-                "{}: nothing is to be done from line {line} on; the last block that does \
-                 something is in line {last}",
-                program.file
-            );
+            let is_behind = |step: &Step| {
+                let place = step.place();
+                place.file == 0 && place.line >= line
+            };
+            let mut steps = program.steps.iter().zip(&main_lines);
+            let what = match steps.find(|(step, _)| is_behind(step)) {
+                Some((_, call)) => format!(
+                    "{}: line {line} is in a subroutine; begin with its call: --from-line {call}",
+                    program.file
+                ),
+                None => format!(
+                    "{}: nothing is to be done from line {line} on; the last block that does \
+                     something is in line {}",
+                    program.file,
+                    main_lines.iter().max().unwrap_or(&0)
+                ),
+            };
             return Err(CliError::new(Exit::BadInput, what));
         };
         let rest = program.steps.split_off(first);
@@ -390,6 +401,30 @@ mod tests {
                 Some(if text.contains("M98") { "M9" } else { "O1" }),
                 "{text}"
             );
+        }
+    }
+
+    /// A line of a subroutine behind its last call: the call is named.
+    #[test]
+    fn a_start_in_a_subroutine_names_its_call() {
+        let text = "G21 G90\nG0 X1\nM98 P7\nM30\nO7\nG0 X2\nX3\nM99\n";
+        let options = Options::of_letters("XYZ", [0.0; 6]);
+        for (line, part) in [
+            (
+                7,
+                "part: line 7 is in a subroutine; begin with its call: --from-line 3",
+            ),
+            (9, "part: nothing is to be done from line 9 on"),
+        ] {
+            let read = haptimill_gcode::read("part", text.as_bytes(), &options);
+            let mut program = read.unwrap_or_else(|refused| panic!("{refused}"));
+            let change = ChangeArgs {
+                from_line: Some(line),
+                ..ChangeArgs::default()
+            };
+            let refused = change.apply(&mut program, &options, 5.0);
+            let refused = refused.expect_err("no block").to_string();
+            assert!(refused.contains(part), "{refused}");
         }
     }
 

@@ -27,6 +27,9 @@ fn blocks_move_the_machine_and_keep_their_modes() {
     assert!(refused.err.contains("feed"), "{}", refused.err);
     let refused = served.run(&["mdi", "G0 X3", "G0 X500"]).expect_code(4);
     assert!(refused.err.contains("mdi:2:"), "{}", refused.err);
+    // Without a terminal nobody can fit a tool.
+    let refused = served.run(&["mdi", "T3 M6"]).expect_code(2);
+    assert!(refused.err.contains("M61 Q"), "{}", refused.err);
     // All blocks are checked before the first one runs.
     let status = served.status();
     assert!(near(commanded(&status, "x"), 2.54), "{status:#}");

@@ -294,7 +294,8 @@ impl Mdi {
             .collect();
         if !what.is_empty() && !input.is_terminal() {
             self.dialog.undo();
-            let what = "mdi: the block pauses and standard input is no terminal to press Enter on";
+            let what = "mdi: the block pauses and standard input is no terminal to press Enter on; \
+                        run the command in a terminal, or name the tool in the spindle with M61 Q";
             return Err(CliError::new(Exit::Usage, what));
         }
         let plan = self.plan(steps, &status)?;
