@@ -339,7 +339,10 @@ impl Executor {
                 };
                 let Modes { plane, inch, .. } = self.state.modes;
                 self.restore_modes(&saved, here.place(code.at));
-                if block.codes.get(Group::Plane).is_some() {
+                if let Some(code) = block.codes.get(Group::Plane) {
+                    if plane != self.state.modes.plane {
+                        self.refuse_while_compensated(code, here)?;
+                    }
                     self.state.modes.plane = plane;
                 }
                 if block.codes.get(Group::Unit).is_some() {
@@ -358,7 +361,10 @@ impl Executor {
             ..saved.modes
         };
         let modes = self.state.modes;
-        if saved.compensation != self.state.compensation {
+        let kind = |active: Option<Active>| active.map(|it| (it.side, it.radius, it.plane));
+        if (saved.compensation, kind(saved.active))
+            != (self.state.compensation, kind(self.out.compensation.active))
+        {
             self.end_compensation();
             self.state.compensation = saved.compensation;
             let begun = |active: Active| Active::new(active.side, active.radius, active.plane);

@@ -218,11 +218,11 @@ impl<'a> Interpreter<'a> {
             }
             Err(mistake) => {
                 let place = self.place(mistake.at);
-                if self.doubt.continues_comment(&self.line) {
-                    return Ok(());
-                }
                 // Behind a loop or recursion without end nothing is known.
                 self.finished |= self.flow.is_endless;
+                if !self.finished && self.doubt.continues_comment(&self.line) {
+                    return Ok(());
+                }
                 let follows = self.doubt.explains(&mistake);
                 self.doubt.note(&self.line, &mistake);
                 if self.block.o_word.is_some() {

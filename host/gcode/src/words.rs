@@ -210,8 +210,8 @@ impl Executor {
             Some(100) if matches!(block.value(b'L'), Some(1.0 | 10.0 | 11.0)) => {
                 lengths |= letters(b"R");
             }
-            Some(_) => {}
-            None => {
+            Some(100) => {}
+            _ => {
                 lengths |= match self.motion_of(block) {
                     Motion::Clockwise | Motion::CounterClockwise => letters(b"IJKR"),
                     Motion::Cubic => letters(b"IJPQ"),
@@ -228,11 +228,15 @@ impl Executor {
         if matches!(codes.tenths(Group::Compensation), Some(411 | 421)) {
             lengths |= letters(b"D");
         }
-        // Angle and time of M19, tool of M61, value or time of M66 to M68.
+        // Angle and time of M19, tool of M61, value or time of M66 to M68, number of M98.
         if codes.tenths(Group::Spindle) == Some(190) {
             lengths &= !letters(b"RPQ");
         }
-        if codes.tenths(Group::ToolChange) == Some(610) || codes.tenths(Group::Output).is_some() {
+        if codes.tenths(Group::ToolChange) == Some(610)
+            || codes.tenths(Group::Output).is_some()
+            || codes.tenths(Group::Subprogram).is_some()
+            || codes.tenths(Group::Override).is_some()
+        {
             lengths &= !letters(b"PQ");
         }
         lengths

@@ -242,6 +242,10 @@ fn saved_modes_have_cutter_compensation() {
     let with = |before: &str| steps(&format!("F100\n{before}{contour}"));
     assert_eq!(with("G41.1 D2\nM70\nG40\nM72\n"), beside);
     assert_eq!(with("M70\nG41.1 D2\nM72\n"), plain);
+    // Side, radius and plane are those of the saved one.
+    assert_eq!(with("G41.1 D2\nM70\nG40\nG41.1 D4\nM72\n"), beside);
+    assert_eq!(with("G41.1 D2\nM70\nG40\nG18\nG41.1 D2\nM72\n"), beside);
+    assert!(refusal("G41.1 D2\nM70\nG40\nM72 G18\n").contains("compensation"));
     assert_eq!(
         with("O1 sub\nM73\nG40\nO1 endsub\nG41.1 D2\nO1 call\n"),
         beside
@@ -287,6 +291,11 @@ fn increments_are_lengths_only() {
         (
             "G0 Z5000\nG82 X1000 Z-1000 R2000 P1 F100\n",
             "G0 Z5\nG82 X1 Z-1 R2 P1 F100\n",
+        ),
+        ("F100\nG4 P1 G2 X10000 I5000\n", "F100\nG4 P1 G2 X10 I5\n"),
+        (
+            "F100\nG5 X1000 Y1000 I0 J500 P0 Q-500\nM50 P1\n",
+            "F100\nG5 X1 Y1 I0 J0.5 P0 Q-0.5\nM50 P1\n",
         ),
         ("#1=2.5\nG0 X#1 Y[#1*2] Z-#1\n", "G0 X2.5 Y5 Z-2.5\n"),
     ] {

@@ -85,9 +85,9 @@ const SCALE: f64 = 0.01;
 /// above which it is another switch.
 const SWITCH: f64 = 1.0;
 
-/// Distance of the index pulse of a simulated joint from that of the controller, mm or degrees, above
-/// which homing finds another place.
-const INDEX: f64 = 0.1;
+/// Distance of the index pulse of a simulated joint from that of the controller, mm or degrees,
+/// above which it is another pulse. What `identify` and `calibrate arm` find is less.
+const INDEX: f64 = 1.0;
 
 /// Part of a stroke beyond a hard stop of the simulated joint, mm or degrees, above which it is a
 /// mistake: the stop yields.

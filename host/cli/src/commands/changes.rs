@@ -145,9 +145,11 @@ impl BoxView {
             };
             let mut steps = program.steps.iter().zip(&main_lines);
             let what = match steps.find(|(step, _)| is_behind(step)) {
-                Some((_, call)) => format!(
-                    "{}: line {line} is in a subroutine; begin with its call: --from-line {call}",
-                    program.file
+                Some((step, call)) => format!(
+                    "{}: the next block that does something is line {}, in a subroutine; begin \
+                     with its call: --from-line {call}",
+                    program.file,
+                    step.place().line
                 ),
                 None => format!(
                     "{}: nothing is to be done from line {line} on; the last block that does \
@@ -411,8 +413,12 @@ mod tests {
         let options = Options::of_letters("XYZ", [0.0; 6]);
         for (line, part) in [
             (
+                4,
+                "line 6, in a subroutine; begin with its call: --from-line 3",
+            ),
+            (
                 7,
-                "part: line 7 is in a subroutine; begin with its call: --from-line 3",
+                "line 7, in a subroutine; begin with its call: --from-line 3",
             ),
             (9, "part: nothing is to be done from line 9 on"),
         ] {

@@ -126,8 +126,8 @@ fn a_program_runs_as_it_comes_and_stops_where_the_line_is_cut() {
     );
 }
 
-/// A sender that keeps to XON and XOFF: it begins with the first XON and is paused while the machine
-/// executes what came. No byte is lost.
+/// A sender that keeps to XON and XOFF: it begins with the first XON and is paused while the
+/// machine executes what came. No byte is lost.
 #[test]
 fn a_sender_is_paused_by_xoff_and_resumed_by_xon() {
     const XON: u8 = 0x11;
@@ -137,7 +137,7 @@ fn a_sender_is_paused_by_xoff_and_resumed_by_xon() {
     let (file, out) = (folder.path("came.ngc"), folder.path("out"));
     let mut line = PtyServer::open().unwrap();
     let name = line.name().to_string();
-    let mut dnc = start(&[
+    let dnc = start(&[
         "dnc",
         &file,
         "--stream",
@@ -176,18 +176,23 @@ fn a_sender_is_paused_by_xoff_and_resumed_by_xon() {
             // As much as a UART keeps: a sender stops some bytes after XOFF.
             let part = &rest[..rest.len().min(16)];
             let count = line.write(part, Duration::from_millis(10)).unwrap();
-            rest = &rest[count..];
-            last = Instant::now();
+            if count > 0 {
+                (rest, last) = (&rest[count..], Instant::now());
+            }
         }
     }
     assert!(pauses > 0, "the sender was never paused");
     dnc.end().expect_code(0);
     assert_eq!(folder.summary("out")["completed"], true);
-    assert!(folder.read("came.ngc") == text, "bytes were lost");
+    // What follows the second % is not kept.
+    let kept = folder.read("came.ngc");
+    assert_eq!(kept.len(), text.trim_end().len() + 1);
+    assert!(text.starts_with(&kept), "bytes were changed");
 }
 
 /// What a pseudo-terminal shows of flow control: the settings of the line for each way, and that
-/// the command takes no more than the machine needs, so that the line fills and the sender waits.
+/// the command takes at most 64 KiB more than the machine needs, so that the line fills also with a
+/// sender that does not know XOFF.
 #[test]
 fn a_line_with_flow_control_holds_the_sender() {
     use rustix::fs::{Mode, OFlags};
@@ -251,7 +256,7 @@ fn a_line_with_flow_control_holds_the_sender() {
             }
             let taken = text.len() - rest.len();
             assert!(
-                taken < text.len() / 2,
+                taken < text.len() / 8,
                 "{taken} of {} bytes were taken",
                 text.len()
             );

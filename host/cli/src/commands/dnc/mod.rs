@@ -105,6 +105,7 @@ pub fn run(args: DncArgs) -> Result<(), CliError> {
             return Err(reception.cut(&why).before_motion());
         }
     };
+    drop(reception.line);
     let file = &args.run.program;
     output::save(file, &program.text)?;
     if !args.run.json && !args.run.quiet {

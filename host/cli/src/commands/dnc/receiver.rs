@@ -1,15 +1,15 @@
 //! The bytes of a serial line, received on a thread of its own.
 //!
-//! A machine takes the blocks of a program when it executes them, a long move may take a minute, and
-//! the buffers of the system hold some kilobytes. The thread reads all the time and tells the sender
-//! when to pause: XOFF above [`PAUSE_ABOVE`] bytes that wait for the machine, XON below
+//! A machine takes the blocks of a program when it executes them, a long move may take a minute,
+//! and the buffers of the system hold some kilobytes. The thread reads all the time and tells the
+//! sender when to pause: XOFF above [`PAUSE_ABOVE`] bytes that wait for the machine, XON below
 //! [`RESUME_BELOW`]. With RTS/CTS it stops reading above, and the driver of the port drops RTS.
 
 use haptimill_client::port::{Flow, PortError, SerialTransport, Transport as _};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{self, RecvTimeoutError, SyncSender};
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
+use std::time::Duration;
 
 /// The character that starts the sender, DC1.
 const XON: u8 = 0x11;
@@ -29,13 +29,11 @@ const MOST: usize = 1 << 16;
 /// Longest wait for bytes.
 const POLL: Duration = Duration::from_millis(20);
 
-/// Parts of the line that may wait.
-const PARTS: usize = MOST;
-
 /// A line that is received.
 pub(super) struct Receiver {
     parts: mpsc::Receiver<Result<Vec<u8>, PortError>>,
     waiting: Arc<AtomicUsize>,
+    is_closed: Arc<AtomicBool>,
 }
 
 impl Receiver {
@@ -46,16 +44,22 @@ impl Receiver {
     pub(super) fn open(path: &str, baud: u32, flow: Flow) -> Result<Self, PortError> {
         let line = SerialTransport::open_with_flow(path, baud, flow)?;
         let waiting = Arc::new(AtomicUsize::new(0));
-        let (sender, parts) = mpsc::sync_channel(PARTS);
+        let is_closed = Arc::new(AtomicBool::new(false));
+        let (sender, parts) = mpsc::channel();
         let thread = Thread {
             line,
-            has_characters: flow == Flow::XonXoff,
-            is_paused: false,
+            flow,
+            is_paused: true,
             waiting: Arc::clone(&waiting),
+            is_closed: Arc::clone(&is_closed),
             parts: sender,
         };
         std::thread::spawn(move || thread.run());
-        Ok(Self { parts, waiting })
+        Ok(Self {
+            parts,
+            waiting,
+            is_closed,
+        })
     }
 
     /// The next bytes; none after `wait`.
@@ -75,64 +79,61 @@ impl Receiver {
     }
 }
 
+impl Drop for Receiver {
+    /// Ends the thread. A sender that is paused stays so: nobody takes its bytes.
+    fn drop(&mut self) {
+        self.is_closed.store(true, Ordering::Relaxed);
+    }
+}
+
 /// The receiving side.
 struct Thread {
     line: SerialTransport,
-    /// The sender is paused by characters.
-    has_characters: bool,
+    flow: Flow,
+    /// The last character of flow control is not XON; before the first one the sender waits.
     is_paused: bool,
     waiting: Arc<AtomicUsize>,
-    parts: SyncSender<Result<Vec<u8>, PortError>>,
+    is_closed: Arc<AtomicBool>,
+    parts: Sender<Result<Vec<u8>, PortError>>,
 }
 
 impl Thread {
-    /// Receives until the line fails or nobody reads it.
+    /// Receives until the line fails or the receiver is dropped.
     fn run(mut self) {
-        let mut result = self.tell(XON);
-        while result.is_ok() {
-            match self.receive() {
-                Ok(part) if part.is_empty() => {}
-                Ok(part) => {
-                    self.waiting.fetch_add(part.len(), Ordering::Relaxed);
-                    if self.parts.send(Ok(part)).is_err() {
-                        return;
-                    }
-                }
-                Err(error) => result = Err(error),
+        while !self.is_closed.load(Ordering::Relaxed) {
+            let part = self.receive();
+            if part.as_ref().is_ok_and(Vec::is_empty) {
+                continue;
             }
-        }
-        if let Err(error) = result {
-            let _ = self.parts.send(Err(error));
+            let is_end = part.is_err();
+            self.waiting
+                .fetch_add(part.as_ref().map_or(0, Vec::len), Ordering::Relaxed);
+            if self.parts.send(part).is_err() || is_end {
+                return;
+            }
         }
     }
 
     fn receive(&mut self) -> Result<Vec<u8>, PortError> {
         let waiting = self.waiting.load(Ordering::Relaxed);
-        if !self.is_paused && waiting > PAUSE_ABOVE {
-            self.is_paused = true;
-            self.tell(XOFF)?;
-        } else if self.is_paused && waiting < RESUME_BELOW {
-            self.is_paused = false;
-            self.tell(XON)?;
+        if self.flow == Flow::XonXoff {
+            // A character that the line does not take is told again in the next round.
+            if !self.is_paused && waiting > PAUSE_ABOVE {
+                self.is_paused = self.line.write(&[XOFF], POLL)? > 0;
+            } else if self.is_paused && waiting < RESUME_BELOW {
+                self.is_paused = self.line.write(&[XON], POLL)? == 0;
+            }
         }
-        let is_full = waiting >= MOST || (self.is_paused && !self.has_characters);
-        if is_full {
+        let most = match self.flow {
+            Flow::RtsCts => PAUSE_ABOVE,
+            Flow::XonXoff | Flow::None => MOST,
+        };
+        if waiting >= most {
             std::thread::sleep(POLL);
             return Ok(Vec::new());
         }
         let mut buffer = [0; 1024];
         let count = self.line.read(&mut buffer, POLL)?;
         Ok(buffer[..count].to_vec())
-    }
-
-    /// Sends a character of flow control; a line that takes no bytes for a second has no sender
-    /// that could read it.
-    fn tell(&mut self, character: u8) -> Result<(), PortError> {
-        let start = Instant::now();
-        while self.has_characters
-            && self.line.write(&[character], POLL)? == 0
-            && start.elapsed() < Duration::from_secs(1)
-        {}
-        Ok(())
     }
 }

@@ -294,8 +294,18 @@ impl Mdi {
             .collect();
         if !what.is_empty() && !input.is_terminal() {
             self.dialog.undo();
-            let what = "mdi: the block pauses and standard input is no terminal to press Enter on; \
-                        run the command in a terminal, or name the tool in the spindle with M61 Q";
+            let changes = steps
+                .iter()
+                .any(|step| matches!(step, Step::ToolChange { .. }));
+            let or = if changes {
+                "name the tool in the spindle with M61 Q"
+            } else {
+                "remove the pause"
+            };
+            let what = format!(
+                "mdi: the block pauses and standard input is no terminal to press Enter on; run \
+                 the command in a terminal, or {or}"
+            );
             return Err(CliError::new(Exit::Usage, what));
         }
         let plan = self.plan(steps, &status)?;
