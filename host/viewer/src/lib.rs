@@ -29,6 +29,7 @@
 //! | `layers` | array of layers, see below |
 //! | `unit` | unit of the coordinates in labels; default `mm` |
 //! | `height` | height of the view, pixels; default 560 |
+//! | `smooth` | edges are smooth; default `true` |
 //! | `view` | azimuth and elevation of the first view, degrees; default -40, 34 |
 //!
 //! | key of a layer | of | value |

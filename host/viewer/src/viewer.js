@@ -254,7 +254,7 @@ function create(root, scene) {
   if (scene.height) stage.style.height = scene.height + 'px';
   const canvas = element(stage, 'canvas');
   const overlay = element(stage, 'canvas');
-  const gl = canvas.getContext('webgl2', { antialias: true, preserveDrawingBuffer: true });
+  const gl = canvas.getContext('webgl2', { antialias: scene.smooth !== false });
   if (!gl) {
     frame.textContent = '';
     element(frame, 'div', 'hv-note', 'This browser has no WebGL 2, which the 3D view needs.');

@@ -470,8 +470,18 @@ window.addEventListener('blur', endJog);
 document.addEventListener('visibilitychange', () => { if (document.hidden) endJog(); });
 window.addEventListener('pagehide', endJog);
 
+// Whether pictures are drawn without a graphics card: smooth edges take most of their time then.
+function drawsBySoftware() {
+  const gl = document.createElement('canvas').getContext('webgl2');
+  if (!gl) return false;
+  const names = gl.getExtension('WEBGL_debug_renderer_info');
+  const renderer = gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
+}
+
 try {
-  view = window.HaptimillViewer.create(at('view'), { layers: [], height: 600 });
+  view = window.HaptimillViewer.create(at('view'),
+    { layers: [], height: 600, smooth: !drawsBySoftware() });
   // For tests of picture and plot.
   window.haptimillView = view;
   window.haptimillPlot = () => trace;
