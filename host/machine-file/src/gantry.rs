@@ -32,7 +32,13 @@ pub(super) fn read_joints(
         let _ = section.text(joint::gantry_of.name, remedy);
         section.refuse(joint::gantry_of, what, remedy);
     }
-    let is_second = |section: &Section<'_, '_>| has_key(section) && !is_of_model(section);
+    // One without the key is told by its racking.
+    let racks = |section: &Section<'_, '_>| {
+        let name = section.peek_text("name");
+        places.iter().all(|(place, _)| Some(*place) != name) && section.has(joint::racking.name)
+    };
+    let is_second =
+        |section: &Section<'_, '_>| (has_key(section) && !is_of_model(section)) || racks(section);
     let first_second = sections.iter().position(is_second).unwrap_or(count);
     for section in sections.iter().skip(first_second) {
         if !is_second(section) {

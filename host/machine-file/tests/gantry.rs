@@ -40,8 +40,8 @@ fn each_problem_has_its_key_and_its_remedy() {
         (
             "gantry_of = \"y\"",
             "",
-            "joint",
-            "has 4 sections, the model has 3",
+            "joint[4].gantry_of",
+            "is missing; name a joint of the model",
         ),
         (
             "gantry_of = \"y\"",

@@ -93,6 +93,14 @@ fn an_unknown_first_motor_is_not_compared_with_the_plant() {
 }
 
 #[test]
+fn a_second_motor_without_its_first_is_told_by_its_racking() {
+    let start = ROUTER.find("gantry_of = ").expect("a second motor");
+    let line = ROUTER[start..].lines().next().expect("a line");
+    let found = problems(ROUTER, line, "");
+    assert_eq!(found, ["joint[4].gantry_of: is missing"]);
+}
+
+#[test]
 fn an_unknown_model_asks_for_no_key_of_another_model() {
     let found = problems(MILL, "model = \"cartesian\"", "model = \"cartesien\"");
     assert_eq!(found, ["kinematics.model: \"cartesien\" is not known"]);
