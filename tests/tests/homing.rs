@@ -2,7 +2,10 @@
 
 mod setup;
 
+use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
+use haptimill_hil_sim::rig::RigOptions;
+use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::{Command, Event, Fault, HomingProblem, State};
 use haptimill_tests::Bench;
 use setup::enable::{enabled_machine, machine_with};
@@ -106,7 +109,15 @@ fn homing_without_an_index_corrects_no_joint() {
 #[test]
 fn a_wrong_index_position_fails_homing() {
     // The encoder of slide 3 was mounted anew: its index is half a turn off the machine file.
-    let mut bench = enabled_machine(machine_with(&[("index = 1133.9 ", "index = 1138.9 ")]));
+    // A file that says so is refused, so only the simulated machine is changed.
+    let mut machine = MachineFile::built_in().expect("sound");
+    machine.text = machine.text.replace("index = 1133.9 ", "index = 1138.9 ");
+    let controller = Controller::new(200);
+    let mut bench = enabled_machine(Bench::of_machine(
+        machine,
+        &RigOptions::default(),
+        controller,
+    ));
     bench.ask(Command::Home).expect("homing");
     bench.steps(20_000);
     let implausible = Fault::Homing {
