@@ -41,6 +41,7 @@ mod output;
 mod path;
 mod problem;
 mod program;
+mod saved_modes;
 mod series;
 mod source;
 mod splines;

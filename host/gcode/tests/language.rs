@@ -1,24 +1,13 @@
 //! The language: codes against the motion that they mean, and mistakes against their messages.
 
-use haptimill_gcode::{AxisKind, Feed, Interpreter, Move, Options, ProgramAxis, Step, Tool, read};
+use haptimill_gcode::{Feed, Interpreter, Move, Options, Step, Tool, read};
 use std::io::Cursor;
 
 fn options() -> Options {
-    let axis = |letter, kind| ProgramAxis {
-        letter,
-        kind,
-        wraps: false,
-    };
     Options {
-        axes: vec![
-            axis('X', AxisKind::Linear),
-            axis('Y', AxisKind::Linear),
-            axis('Z', AxisKind::Linear),
-            axis('A', AxisKind::Rotary),
-        ],
         coolant: true,
         outputs: true,
-        ..Options::default()
+        ..Options::of_letters("XYZA", Default::default())
     }
 }
 

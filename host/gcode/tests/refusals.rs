@@ -1,23 +1,12 @@
 //! Refusals: words that no code of their block uses, one error for one mistake, and remedies.
 
-use haptimill_gcode::{AxisKind, Dialog, Options, ProgramAxis, Step, Tool, read};
+use haptimill_gcode::{Dialog, Options, Step, Tool, read};
 
 fn options() -> Options {
-    let axis = |letter, kind| ProgramAxis {
-        letter,
-        kind,
-        wraps: false,
-    };
     Options {
-        axes: vec![
-            axis('X', AxisKind::Linear),
-            axis('Y', AxisKind::Linear),
-            axis('Z', AxisKind::Linear),
-            axis('A', AxisKind::Rotary),
-        ],
         coolant: true,
         outputs: true,
-        ..Options::default()
+        ..Options::of_letters("XYZA", Default::default())
     }
 }
 

@@ -32,7 +32,7 @@ pub(super) fn read_joints(
         let _ = section.text(joint::gantry_of.name, remedy);
         section.refuse(joint::gantry_of, what, remedy);
     }
-    // One without the key is told by its racking.
+    // Only second motors have a racking, so one without the key is known by it.
     let racks = |section: &Section<'_, '_>| {
         let name = section.peek_text("name");
         places.iter().all(|(place, _)| Some(*place) != name) && section.has(joint::racking.name)

@@ -1,8 +1,8 @@
 //! The bytes of a serial line, received on a thread of its own.
 //!
 //! A machine takes the blocks of a program when it executes them, a long move may take a minute,
-//! and the buffers of the system hold some kilobytes. The thread reads all the time and tells the
-//! sender when to pause: XOFF above [`PAUSE_ABOVE`] bytes that wait for the machine, XON below
+//! and the buffers of the system hold some kilobytes. The thread reads all the time and pauses
+//! the sender: XOFF above [`PAUSE_ABOVE`] bytes that wait for the machine, XON below
 //! [`RESUME_BELOW`]. With RTS/CTS it stops reading above, and the driver of the port drops RTS.
 
 use haptimill_client::port::{Flow, PortError, SerialTransport, Transport as _};
@@ -17,10 +17,10 @@ const XON: u8 = 0x11;
 /// The character that stops the sender, DC3.
 const XOFF: u8 = 0x13;
 
-/// Bytes that wait for the machine when the sender is told to pause.
+/// Bytes that wait for the machine above which XOFF is sent.
 const PAUSE_ABOVE: usize = 4096;
 
-/// Bytes that wait for the machine when the sender is told to go on.
+/// Bytes that wait for the machine below which XON is sent.
 const RESUME_BELOW: usize = 1024;
 
 /// Most bytes that wait: a sender that does not pause fills the buffers of the system next.
@@ -37,7 +37,7 @@ pub(super) struct Receiver {
 }
 
 impl Receiver {
-    /// Opens a line and starts to receive. The sender is told to begin.
+    /// Opens a line and starts to receive. XON starts the sender.
     ///
     /// # Errors
     /// As [`SerialTransport::open_with_flow`].
@@ -117,7 +117,7 @@ impl Thread {
     fn receive(&mut self) -> Result<Vec<u8>, PortError> {
         let waiting = self.waiting.load(Ordering::Relaxed);
         if self.flow == Flow::XonXoff {
-            // A character that the line does not take is told again in the next round.
+            // A character that the line does not take is sent again in the next round.
             if !self.is_paused && waiting > PAUSE_ABOVE {
                 self.is_paused = self.line.write(&[XOFF], POLL)? > 0;
             } else if self.is_paused && waiting < RESUME_BELOW {
