@@ -164,7 +164,7 @@ impl Executor {
                 number,
                 word.at,
                 "",
-                "add it to the tool table, or write the number of another tool",
+                "add it, or write the number of another tool",
             ));
         }
         Ok(number)
@@ -178,7 +178,11 @@ impl Executor {
         unknown: &str,
         remedy: &str,
     ) -> Box<Mistake> {
-        let what = format!("tool {number} is not in the tool table{unknown}");
+        let table = match self.options.tools_file.as_str() {
+            "" => "the tool table",
+            file => file,
+        };
+        let what = format!("tool {number} is not in {table}{unknown}");
         let found = Mistake::new(at, what, remedy);
         Box::new(if self.state.missing_tools.insert(number) {
             found

@@ -160,6 +160,11 @@ impl Dialog {
         self.interpreter.report_probe(at, changed);
     }
 
+    /// Adds the offsets in force, see [`Interpreter::with_offsets`].
+    pub fn with_offsets(&self, problem: Problem) -> Problem {
+        self.interpreter.with_offsets(problem.place, problem)
+    }
+
     /// Returns the words of the last line that change nothing on this machine.
     pub fn notices(&self) -> &[Notice] {
         let notices = &self.interpreter.executor.notices;

@@ -106,6 +106,21 @@ impl<'a> Interpreter<'a> {
         &self.called
     }
 
+    /// Adds the offsets in force to the problem of a planner with the step that was taken last,
+    /// because they may be what is wrong. A problem at another place is returned as it is.
+    pub fn with_offsets(&self, step: Place, mut problem: Problem) -> Problem {
+        let in_machine_coordinates = self.block.codes.get(Group::Machine).is_some();
+        if problem.place == step && !in_machine_coordinates {
+            let Executor { state, out, .. } = &self.executor;
+            if let Some(offsets) = state.offsets_in_force(&out.letters) {
+                problem
+                    .what
+                    .push_str(&format!(" (offsets in force: {offsets})"));
+            }
+        }
+        problem
+    }
+
     /// Returns the number of lines of the program that were read.
     pub fn lines(&self) -> u32 {
         self.sources[0].line

@@ -33,6 +33,7 @@ mod dialog;
 mod executor;
 mod expression;
 mod flow;
+mod frame;
 mod interpreter;
 mod loops;
 mod motion;
@@ -117,6 +118,8 @@ pub struct Options {
     pub tool: u32,
     /// The tool table.
     pub tools: ToolTable,
+    /// Name of the file of the tool table in messages; empty if there is none.
+    pub tools_file: String,
     /// Work offsets and reference positions.
     pub offsets: Offsets,
     /// Folders of called files.

@@ -6,6 +6,7 @@ use super::canonical::{ProbeKind, Step};
 use super::codes::{Code, Group, word};
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
+use super::frame::Frame;
 use super::output::{Leg, Pace};
 use super::problem::{Cause, Mistake, Place};
 use super::state::{FeedMode, Motion, PROBE_DONE, PROBED};
@@ -193,6 +194,7 @@ impl Executor {
                 );
             }
             self.check_machine_move(machine, here)?;
+            self.out.frame = Frame::default();
         }
         if has_axis_code {
             return Ok(());

@@ -79,7 +79,7 @@ impl Executor {
                         number,
                         at,
                         ": its diameter is unknown",
-                        "add it to the tool table, or write G41.1 or G42.1 with D",
+                        "add it, or write G41.1 or G42.1 with D",
                     ));
                 }
             }
@@ -160,7 +160,7 @@ impl Executor {
                             number,
                             at,
                             ": its length is unknown",
-                            "add it to the tool table",
+                            "add it, or write H with the number of another tool",
                         ));
                     }
                 };
@@ -387,7 +387,7 @@ impl Executor {
             let state = &self.state;
             let tool = state.tool_shift();
             let mut at: PerLetter = std::array::from_fn(|axis| state.at[axis] - tool[axis]);
-            let rotation = super::state::Rotation::of(system.rotation);
+            let rotation = super::frame::Rotation::of(system.rotation);
             let turned = rotation.turn([state.g92[0], state.g92[1]]);
             at[0] -= turned[0];
             at[1] -= turned[1];
@@ -397,7 +397,7 @@ impl Executor {
             at
         };
         let mut target = PerLetter::default();
-        let rotation = super::state::Rotation::of(system.rotation);
+        let rotation = super::frame::Rotation::of(system.rotation);
         if to_position && !rotation.is_none() {
             // Coordinates that are not written stay as they are in the old system.
             let old = [

@@ -3,9 +3,9 @@
 
 use super::canonical::{Feed, Move, Step};
 use super::compensation::Compensation;
+use super::frame::Frame;
 use super::path::{Arc, AxisKind, Coordinates, Path};
 use super::problem::Place;
-use super::state::Frame;
 use super::tool_axis::ToolLength;
 use super::tool_table::PerLetter;
 use std::collections::VecDeque;
@@ -38,7 +38,7 @@ pub(crate) struct Leg {
 /// Queue of the steps that are made but not yet taken.
 pub(crate) struct Output {
     /// Index of each pose coordinate's letter.
-    letters: Vec<usize>,
+    pub letters: Vec<usize>,
     kinds: Vec<AxisKind>,
     /// Position after the last move of the queue.
     at: PerLetter,

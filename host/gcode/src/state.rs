@@ -2,6 +2,7 @@
 
 use super::block::AXES;
 use super::expression::{Parameter, Values};
+use super::frame::Rotation;
 use super::tool_axis::ToolLength;
 use super::tool_table::{PerLetter, SYSTEMS, Tool, ToolTable, WorkOffset};
 use super::{INCH_MM, Options};
@@ -15,8 +16,8 @@ pub(crate) const G28: usize = 5161;
 pub(crate) const G30: usize = 5181;
 pub(crate) const G92_ACTIVE: usize = 5210;
 pub(crate) const G92: usize = 5211;
-const SYSTEM: usize = 5220;
-const SYSTEM_1: usize = 5221;
+pub(crate) const SYSTEM: usize = 5220;
+pub(crate) const SYSTEM_1: usize = 5221;
 /// First parameter of the probed position, and that of the probe's success.
 pub(crate) const PROBED: usize = 5061;
 pub(crate) const PROBE_DONE: usize = 5070;
@@ -200,64 +201,6 @@ pub(crate) struct State {
     pub line: u32,
 }
 
-/// Rotation of a work coordinate system about Z.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Rotation {
-    pub sin: f64,
-    pub cos: f64,
-}
-
-impl Rotation {
-    pub(crate) fn of(degrees: f64) -> Self {
-        if degrees == 0.0 {
-            return Rotation { sin: 0.0, cos: 1.0 };
-        }
-        let (sin, cos) = libm::sincos(degrees.to_radians());
-        Self { sin, cos }
-    }
-
-    pub(crate) fn is_none(self) -> bool {
-        self.sin == 0.0 && self.cos == 1.0
-    }
-
-    /// Turns a vector of the program into one of the machine.
-    pub(crate) fn turn(self, [x, y]: [f64; 2]) -> [f64; 2] {
-        [x * self.cos - y * self.sin, x * self.sin + y * self.cos]
-    }
-
-    /// Turns a vector of the machine into one of the program.
-    pub(crate) fn turn_back(self, [x, y]: [f64; 2]) -> [f64; 2] {
-        [x * self.cos + y * self.sin, y * self.cos - x * self.sin]
-    }
-}
-
-/// Place of the program in the machine.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Frame {
-    shift: PerLetter,
-    rotation: Rotation,
-}
-
-impl Default for Frame {
-    fn default() -> Self {
-        Self {
-            shift: PerLetter::default(),
-            rotation: Rotation::of(0.0),
-        }
-    }
-}
-
-impl Frame {
-    /// Returns a position of the machine in program coordinates: mm, degrees.
-    pub(crate) fn in_program(&self, at: &PerLetter) -> PerLetter {
-        let mut value: PerLetter = std::array::from_fn(|axis| at[axis] - self.shift[axis]);
-        if !self.rotation.is_none() {
-            [value[0], value[1]] = self.rotation.turn_back([value[0], value[1]]);
-        }
-        value
-    }
-}
-
 /// Index of Z.
 pub(crate) const Z: usize = 2;
 
@@ -339,82 +282,6 @@ impl State {
         state
     }
 
-    /// Puts a work coordinate system in force.
-    pub(crate) fn select_system(&mut self, index: usize) {
-        self.modes.system = index;
-        let first = SYSTEM_1 + 20 * index;
-        self.origin
-            .origin
-            .copy_from_slice(&self.numbered[first..first + 9]);
-        self.origin.rotation = self.numbered[first + 9];
-        self.rotation = Rotation::of(self.origin.rotation);
-        self.numbered[SYSTEM] = (index + 1) as f64;
-        self.update_shift();
-    }
-
-    /// Returns a work coordinate system.
-    pub(crate) fn system(&self, index: usize) -> WorkOffset {
-        let first = SYSTEM_1 + 20 * index;
-        let mut origin = PerLetter::default();
-        origin.copy_from_slice(&self.numbered[first..first + 9]);
-        WorkOffset {
-            origin,
-            rotation: self.numbered[first + 9],
-        }
-    }
-
-    /// Changes a work coordinate system.
-    pub(crate) fn set_system(&mut self, index: usize, offset: WorkOffset) {
-        let first = SYSTEM_1 + 20 * index;
-        self.numbered[first..first + 9].copy_from_slice(&offset.origin);
-        self.numbered[first + 9] = offset.rotation;
-        if index == self.modes.system {
-            self.select_system(index);
-        }
-    }
-
-    /// Puts an offset of G92 in force, or none.
-    pub(crate) fn set_g92(&mut self, offset: Option<PerLetter>) {
-        self.numbered[G92_ACTIVE] = f64::from(u8::from(offset.is_some()));
-        self.g92 = offset.unwrap_or_default();
-        self.update_shift();
-    }
-
-    /// Computes the sum of the offsets after a change of one.
-    pub(crate) fn update_shift(&mut self) {
-        let tool = self.tool_shift();
-        for (axis, tool) in tool.iter().enumerate() {
-            self.shift[axis] = self.origin.origin[axis] + tool + self.g92[axis];
-        }
-        if !self.rotation.is_none() {
-            // G92 is an offset within the turned system.
-            let turned = self.rotation.turn([self.g92[0], self.g92[1]]);
-            for (axis, turned) in turned.into_iter().enumerate() {
-                self.shift[axis] = self.origin.origin[axis] + tool[axis] + turned;
-            }
-        }
-    }
-
-    /// Returns the offset of the tool that is part of [`State::shift`].
-    pub(crate) fn tool_shift(&self) -> PerLetter {
-        if self.length.axis.turns() {
-            PerLetter::default()
-        } else {
-            self.tool_offset
-        }
-    }
-
-    /// Puts a tool offset in force. The machine stays where it is.
-    pub(crate) fn set_tool_offset(&mut self, offset: PerLetter) {
-        self.tool_offset = offset;
-        if self.length.axis.turns() {
-            let machine = self.length.machine_pose(&self.at);
-            self.length.length = offset[Z];
-            self.at = self.length.tip_pose(&machine);
-        }
-        self.update_shift();
-    }
-
     /// Returns mm per unit of the program for an axis; 1 for a rotary one.
     pub(crate) fn scale(&self, axis: usize) -> f64 {
         if self.modes.inch && is_linear(axis) {
@@ -427,31 +294,6 @@ impl State {
     /// Returns mm per unit of the program.
     pub(crate) fn unit(&self) -> f64 {
         if self.modes.inch { INCH_MM } else { 1.0 }
-    }
-
-    /// Returns the place of the program in the machine.
-    pub(crate) fn frame(&self) -> Frame {
-        Frame {
-            shift: self.shift,
-            rotation: self.rotation,
-        }
-    }
-
-    /// Returns a position of the machine in program coordinates: mm, degrees.
-    pub(crate) fn in_program(&self, at: &PerLetter) -> PerLetter {
-        self.frame().in_program(at)
-    }
-
-    /// Returns a position in program coordinates in those of the machine.
-    pub(crate) fn in_machine(&self, value: &PerLetter) -> PerLetter {
-        let mut at = *value;
-        if !self.rotation.is_none() {
-            [at[0], at[1]] = self.rotation.turn([at[0], at[1]]);
-        }
-        for (at, shift) in at.iter_mut().zip(&self.shift) {
-            *at += shift;
-        }
-        at
     }
 
     /// Returns the tool of a number.

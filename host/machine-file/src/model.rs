@@ -4,6 +4,7 @@
 
 use crate::place::unit;
 use crate::scale::per_unit;
+use crate::work_data::tools_path;
 use crate::{IoNames, MachineFile};
 use haptimill_firmware::config;
 use haptimill_firmware::named_io::config::OutputFunction;
@@ -17,6 +18,7 @@ use haptimill_planner::{
 };
 use haptimill_protocol::message::{AxisValues, MAX_AXES, PoseError, Telemetry};
 use haptimill_protocol::text::{AxesText, AxisText};
+use std::path::Path;
 
 /// Kinematics of a machine file, with axis names.
 #[derive(Debug, Clone)]
@@ -413,6 +415,7 @@ pub fn program_options(machine: &MachineFile, start: Coordinates) -> Options {
             || !machine.io.inputs.is_empty()
             || !machine.io.analog_inputs.is_empty(),
         tool_axis: tool_axis(machine.config.model.descriptor()),
+        tools_file: tools_path(Path::new(&machine.file)).display().to_string(),
         ..Options::default()
     }
 }

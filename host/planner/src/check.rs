@@ -42,11 +42,13 @@ pub fn check(
     let mut planner = Planner::keeping(start, settings.clone(), model, Keep::Nothing);
     let (mut unreadable, mut impossible) = (Problems::default(), Problems::default());
     impossible.note(planner.check_start());
-    for step in interpreter.by_ref() {
+    while let Some(step) = interpreter.next() {
         match step {
             Ok(step) if unreadable.is_empty() => {
                 seen(&step);
-                impossible.note(planner.step(&step));
+                let planned = planner.step(&step);
+                let with_offsets = |problem| interpreter.with_offsets(step.place(), problem);
+                impossible.note(planned.map_err(with_offsets));
             }
             Ok(_) => {}
             Err(problem) => unreadable.note(Err(problem)),

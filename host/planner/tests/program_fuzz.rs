@@ -9,7 +9,7 @@
 #[allow(dead_code)]
 mod h4;
 
-use haptimill_gcode::{LISTED_PROBLEMS, Options, read};
+use haptimill_gcode::{LISTED_PROBLEMS, Options, Tool, ToolAxis, read};
 use haptimill_planner::Plan;
 use std::time::Duration;
 
@@ -29,9 +29,45 @@ const SEEDS: [&[u8]; 13] = [
     include_bytes!("__fuzz__/reader/corpus/offsets.ngc"),
 ];
 
-/// Reads and plans a program. Returns whether it was planned.
+/// Reads and plans a program on each machine. Returns whether one of them planned it.
 fn run(text: &[u8]) -> bool {
-    match read("fuzz.ngc", text, &Options::of_letters("XYZBA", h4::HOME)) {
+    let mut planned = false;
+    for options in options() {
+        planned |= run_with(text, &options);
+    }
+    planned
+}
+
+/// The options of machines that differ: without and with tools, offsets, coolant and outputs.
+fn options() -> [Options; 2] {
+    let plain = Options::of_letters("XYZBA", h4::HOME);
+    let mut full = Options {
+        coolant: true,
+        outputs: true,
+        block_delete: true,
+        no_decimal: true,
+        tool: 2,
+        tool_axis: ToolAxis {
+            tip: [0, 1, 2],
+            tilt: Some(3),
+            ..ToolAxis::default()
+        },
+        ..plain.clone()
+    };
+    for number in 1..=3 {
+        let length = f64::from(number);
+        let offset = [0.0, 0.0, length, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let diameter = 2.0 * length;
+        full.tools.insert(number, Tool { offset, diameter });
+    }
+    full.offsets.systems[0].origin[0] = 1.5;
+    full.offsets.systems[1].rotation = 30.0;
+    [plain, full]
+}
+
+/// Reads and plans a program with these options. Returns whether it was planned.
+fn run_with(text: &[u8], options: &Options) -> bool {
+    match read("fuzz.ngc", text, options) {
         Err(refused) => {
             assert!((1..=LISTED_PROBLEMS).contains(&refused.problems.len()));
             assert!(refused.to_string().starts_with("fuzz.ngc:"));

@@ -1,8 +1,8 @@
 //! Refusals of the planner with their messages; feeds that the machine lowers; dwells and actions.
 
 use crate::h4::{H4, HOME, settings};
-use haptimill_gcode::{Options, read};
-use haptimill_planner::{Outputs, Plan, Settings};
+use haptimill_gcode::{Interpreter, Options, Tool, read};
+use haptimill_planner::{Outputs, Plan, Settings, check};
 use haptimill_protocol::message::Action;
 
 fn plan(text: &str) -> Result<Plan, String> {
@@ -76,6 +76,35 @@ fn the_feed_falls_near_a_singularity_only() {
             .filter(|it| it.rates.iter().all(|&rate| rate == 0));
         assert_eq!(stops.count(), 2, "{mode}");
     }
+}
+
+/// Checks a program with a tool of 12.5 mm in the table.
+fn checked(text: &str) -> String {
+    let mut options = Options::of_letters("XYZBA", HOME);
+    let mut tool = Tool::default();
+    tool.offset[2] = 12.5;
+    options.tools.insert(3, tool);
+    options.tools_file = "mill.tools.toml".to_string();
+    let mut interpreter = Interpreter::new(std::io::Cursor::new(text), &options);
+    let done = check("t", &mut interpreter, HOME, &settings(), &H4, |_| {});
+    done.map_or_else(|refused| refused.to_string(), |_| String::new())
+}
+
+#[test]
+fn a_check_names_the_offsets_in_force_and_the_file_of_the_tools() {
+    let offsets = "G10 L2 P2 X-20 R90\nG55 G43 H3\nG92.1\n";
+    let refused = checked(&format!("{offsets}G1 Y250 F600\n"));
+    assert!(refused.starts_with("t:4:4: "), "{refused}");
+    let expected = "(offsets in force: G55 X-20.000 turned by 90 deg, tool offset Z12.500); ";
+    assert!(refused.contains(expected), "{refused}");
+    // Machine coordinates have no offset.
+    let refused = checked(&format!("{offsets}G53 G0 X250\n"));
+    assert!(refused.contains("soft limits"), "{refused}");
+    assert!(!refused.contains("in force"), "{refused}");
+    assert_eq!(
+        checked("T4 M6\n"),
+        "t:1:1: tool 4 is not in mill.tools.toml; add it, or write the number of another tool"
+    );
 }
 
 #[test]

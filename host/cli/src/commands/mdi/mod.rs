@@ -273,7 +273,11 @@ impl Mdi {
             lines: self.dialog.line(),
         };
         let plan = Plan::new(&program, &settings(&self.machine), self.session.model());
-        plan.map_err(|refused| {
+        plan.map_err(|mut refused| {
+            let problems = std::mem::take(&mut refused.problems).into_iter();
+            refused.problems = problems
+                .map(|problem| self.dialog.with_offsets(problem))
+                .collect();
             self.dialog.undo();
             Error::refused(ErrorKind::Refused, &refused).into()
         })
