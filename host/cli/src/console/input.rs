@@ -25,7 +25,8 @@ const CONFIRM_DELAY_US: u64 = 400_000;
 pub(super) const ZERO: &str = "Work offset: coordinates of the present position";
 
 impl App {
-    /// Makes the present position the place of coordinates, as `g54 x=0 z=2`.
+    /// Makes the present position the place of coordinates, as `g54,x=0,z=2`. Spaces separate, too;
+    /// on the keyboard, Space holds the machine.
     pub(super) fn set_zero(&mut self, text: &str) {
         match self.zero_of(text) {
             Ok(written) => self.notify(Severity::Info, written),
@@ -35,10 +36,11 @@ impl App {
 
     fn zero_of(&self, text: &str) -> Result<String, CliError> {
         let usage = |what: String| CliError::new(Exit::Usage, format!("zero: {what}"));
-        let mut words = text.split_whitespace();
+        let is_separator = |letter: char| letter == ',' || letter.is_whitespace();
+        let mut words = text.split(is_separator).filter(|word| !word.is_empty());
         let system = words
             .next()
-            .ok_or_else(|| usage("write a system and axes, as g54 x=0".to_string()))?;
+            .ok_or_else(|| usage("write a system and axes, as g54,x=0".to_string()))?;
         let homed = self
             .telemetry
             .as_ref()
@@ -53,7 +55,7 @@ impl App {
             origins.push((axis, here[axis] - value.rate));
         }
         if origins.is_empty() {
-            return Err(usage("name the axes, as g54 x=0 y=0".to_string()));
+            return Err(usage("name the axes, as g54,x=0,y=0".to_string()));
         }
         let file = kept_beside(&self.machine)?;
         set_origin(&self.machine, &file, system, &origins)?;
@@ -176,7 +178,9 @@ impl App {
             Action::SpindleDown => self.select_override(OverrideKind::Spindle, false),
             Action::Program => self.open_picker(),
             Action::Zero => {
-                let text = "g54 x=0 y=0".to_string();
+                let axes = self.machine.pose.iter().take(2);
+                let axes: String = axes.map(|axis| format!(",{}=0", axis.name)).collect();
+                let text = format!("g54{axes}");
                 self.open(Overlay::Prompt { title: ZERO, text });
             }
             Action::Axes => self.open(Overlay::Axes { selected: 0 }),

@@ -1,9 +1,41 @@
 //! Part programs, and the four keys that are always active.
 
-use super::scene::{SimServer, TestFolder};
+use super::scene::{SimServer, TestFolder, haptimill, number};
 use super::terminal::Keyboard;
 use super::*;
 use std::time::Duration;
+
+/// Key z writes the work offset of the present position beside the machine file. Space holds the
+/// machine there, too, so commas separate.
+#[test]
+fn zero_of_a_work_offset_is_typed() {
+    let folder = TestFolder::new();
+    let machine = folder.machine_with("");
+    let served = SimServer::on_tcp(&["--machine", &machine]);
+    let arguments = ["--port", &served.port, "--machine", &machine];
+    let terminal = homed(&arguments, Keyboard::Plain);
+    let home = served
+        .run_ok(&["status", "--json", "--machine", &machine])
+        .json();
+    terminal.press_expect(b"z", "Work offset: coordinates of the present position");
+    terminal.expect_text("g54,x=0,y=0_");
+    terminal.press(b"\x15");
+    terminal.press(b"g55,x=0.5,z=-2");
+    terminal.expect_text("g55,x=0.5,z=-2_");
+    terminal.press(ENTER);
+    terminal.expect_text("own.offsets.toml written");
+    let shown = haptimill(&["offset", "show", "--machine", &machine]).expect_code(0);
+    let z = (1e4 * (number(&home["commanded"], "z") + 2.0)).round() / 1e4;
+    let origin = format!("G55   x=-0.5 y=0 z={z} ");
+    assert!(shown.out.contains(&origin), "{origin}: {}", shown.out);
+    // A mistake changes nothing.
+    terminal.press_expect(b"z", "Work offset: coordinates of the present position");
+    terminal.press(b",q=1");
+    terminal.press(ENTER);
+    terminal.expect_text("there is no axis 'q'");
+    let after = haptimill(&["offset", "show", "--machine", &machine]).expect_code(0);
+    assert_eq!(shown.out, after.out);
+}
 
 /// Moves back and forth for half a minute at 10 mm/s, with a pause after the first move.
 const LONG: &str =
