@@ -12,7 +12,7 @@ fn messages_of_a_program_are_shown() {
                 M0 (turn the part)\nX0\n(MSG, all done)\nM30\n";
     let part = folder.file("part.ngc", text);
     let out = folder.path("out");
-    for more in [&[][..], &["--stream"]] {
+    for more in [&[][..], &["--stream"], &["--quiet"]] {
         let run = [&["run", &part, "--skip-pauses", "--out", &out], more].concat();
         let ran = haptimill(&run).expect_code(0);
         let shown: Vec<&str> = ran

@@ -147,7 +147,8 @@ pub struct RunArgs {
     /// "problems": [{"file", "line", "column", "message", "remedy"}]}
     #[arg(long)]
     pub json: bool,
-    /// Print no progress bar
+    /// Print no progress bar and no remarks; messages of the program, pauses and the result are
+    /// printed
     #[arg(long)]
     pub quiet: bool,
     /// Print nothing on standard output, for a command that prints a result of its own.
@@ -316,7 +317,14 @@ impl RunArgs {
         self.out.clone().unwrap_or_else(default)
     }
 
-    /// Prints a message, unless --json or --quiet is given.
+    /// Prints a message of the program to the operator, unless --json is given.
+    pub(super) fn print_program_message(&self, text: &str) {
+        if !self.json {
+            print_line!("{text}");
+        }
+    }
+
+    /// Prints a remark, unless --json or --quiet is given.
     pub(super) fn print_message(&self, text: &str) {
         if !self.json && !self.quiet {
             print_line!("{text}");

@@ -227,7 +227,7 @@ impl Job<'_> {
                 self.program.refuse(kind, problem, interpreter.called())
             })?;
             match step {
-                Step::Message { text, .. } => self.args.print_message(&text),
+                Step::Message { text, .. } => self.args.print_program_message(&text),
                 Step::Probe {
                     step,
                     kind,

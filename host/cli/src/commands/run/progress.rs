@@ -206,7 +206,11 @@ impl ProgressDisplay<'_> {
     /// Shows the messages of the program up to a setpoint.
     fn show_messages(&self, setpoint: u32) {
         while let Some(text) = self.next_message(setpoint) {
-            self.show(&text);
+            if self.bar.is_hidden() {
+                self.args.print_program_message(&text);
+            } else {
+                self.bar.println(text);
+            }
         }
     }
 
