@@ -48,10 +48,11 @@ void main() {
   pixel = vec4(colour * light, opacity);
 }`;
 
-// A picture that takes longer than this is slow. After so many of them in a row lines are thin, and
-// after as many more the scene has half the resolution.
+// A picture that takes longer than this is slow. After so many of them in a row the scene goes one
+// level down: lines are thin from level 1 on, and the resolution falls as listed.
 const SLOW_PICTURE_MS = 50;
 const SLOW_PICTURES = 3;
+const RESOLUTIONS = [1, 1, 0.5, 0.35];
 // Colour maps: dark to light, and blue over grey to red.
 const MAPS = {
   sequential: ['#2b1e66', '#27508f', '#1c7f8c', '#2fa86b', '#8fc742', '#f2d024', '#e8590c'],
@@ -274,7 +275,8 @@ function create(root, scene) {
   const none = { low: [0, 0, 0], high: [0, 0, 0] };
   // Boxes of the part, which is what is not aside, and of all layers.
   let part = none, whole = none, showsWhole = true, isMoved = false, end = 0, until = Infinity, marker = null;
-  let drawing = false, again = false, playing = null, pictures = 0, slow = 0;
+  let drawing = false, again = false, playing = null, pictures = 0;
+  let level = 0, slow = 0;
 
   function upload(data) {
     data.buffers = [];
@@ -419,7 +421,7 @@ function create(root, scene) {
   function paint() {
     pictures += 1;
     const sharp = window.devicePixelRatio || 1;
-    const ratio = slow < 2 * SLOW_PICTURES ? sharp : 0.5 * sharp;
+    const ratio = RESOLUTIONS[level] * sharp;
     const [w, h] = [stage.clientWidth, stage.clientHeight];
     for (const [part, scale] of [[canvas, ratio], [overlay, sharp]]) {
       if (part.width !== Math.round(w * scale) || part.height !== Math.round(h * scale)) {
@@ -456,7 +458,7 @@ function create(root, scene) {
         gl.disable(gl.BLEND);
         gl.depthMask(true);
         gl.disable(gl.POLYGON_OFFSET_FILL);
-      } else if (slow >= SLOW_PICTURES && !isFinite(until)) {
+      } else if (level > 0 && !isFinite(until)) {
         gl.bindVertexArray(data.thin);
         gl.useProgram(thinPrograms);
         gl.uniformMatrix4fv(gl.getUniformLocation(thinPrograms, 'view'), false, view);
@@ -556,9 +558,12 @@ function create(root, scene) {
       paint();
       requestAnimationFrame(() => {
         const took = performance.now() - begun;
-        // A step is for good: the picture does not change to and fro.
-        if (took > SLOW_PICTURE_MS) slow = Math.min(slow + 1, 2 * SLOW_PICTURES);
-        else if (slow < 2 * SLOW_PICTURES) slow -= slow % SLOW_PICTURES;
+        // A level is for good: the picture does not change to and fro.
+        slow = took > SLOW_PICTURE_MS ? slow + 1 : 0;
+        if (slow === SLOW_PICTURES && level < RESOLUTIONS.length - 1) {
+          level += 1;
+          slow = 0;
+        }
         setTimeout(() => {
           drawing = false;
           if (again) {
