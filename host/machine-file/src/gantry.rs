@@ -1,8 +1,8 @@
 //! Joints of a machine file, with the second motors of gantries behind those of the model.
 
 use super::axes::{AxisLimits, read_joint_axis};
+use super::axis_places::place_axes;
 use super::document::Section;
-use super::place_axes;
 use haptimill_firmware::config::{AxisKind, JointAxis, SwitchHome};
 use haptimill_machine_keys::controller::joint;
 use haptimill_protocol::message::MAX_AXES;
