@@ -10,6 +10,7 @@ pub(crate) mod overrides;
 mod parts;
 mod progress;
 pub(super) mod results;
+mod spool;
 mod stream;
 mod supply;
 
@@ -30,8 +31,8 @@ use haptimill_report::count;
 use job::{CheckedWork, Job, Work};
 use parts::Questions;
 use results::ResultFolder;
+use spool::Bytes;
 use std::io::Read;
-use stream::Bytes;
 
 pub use args::RunArgs;
 pub(super) use args::{RecordedPart, faults_help, recorded_part};
@@ -78,8 +79,8 @@ fn run_from(args: RunArgs, input: Option<Box<dyn Read + Send>>) -> Result<(), Cl
     let stock = args.stock.load(&machine)?;
     let work = if args.stream {
         let (bytes, is_live) = match input {
-            Some(input) => (stream::spool(input)?, true),
-            None => stream::open(&args.program)?,
+            Some(input) => (spool::spool(input)?, true),
+            None => spool::open(&args.program)?,
         };
         // The duration is not known.
         let growth = describe_growth(args.recording_bytes(&machine, 3600.0));
@@ -88,7 +89,7 @@ fn run_from(args: RunArgs, input: Option<Box<dyn Read + Send>>) -> Result<(), Cl
         }
         Work::Stream(bytes, is_live)
     } else if is_whole {
-        let (bytes, text) = stream::keep(&args.program)?;
+        let (bytes, text) = spool::keep(&args.program)?;
         program.text = text;
         check_whole(&args, &program, &machine, (&model, &home), bytes)?
     } else {
@@ -196,7 +197,7 @@ fn check(
 ) -> Result<(), CliError> {
     let (checked, approach) = if args.changes.is_none() && args.program.is_file() {
         let mut questions = Questions::default();
-        let (mut bytes, _) = stream::open(&args.program)?;
+        let (mut bytes, _) = spool::open(&args.program)?;
         let start = (model, home);
         let note = |step: &Step| questions.note(step);
         let mut checked = program.check_bytes(&mut bytes, machine, start, note)?;

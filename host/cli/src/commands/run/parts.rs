@@ -9,7 +9,7 @@ use super::job::Job;
 use super::lost_steps::StepJoints;
 use super::operator::Operator;
 use super::progress::ProgressDisplay;
-use super::stream::Bytes;
+use super::spool::Bytes;
 use super::supply::Supply;
 use crate::commands::probing::{Touch, find_input, probe_along};
 use crate::commands::program::{PartProgram, Pause, Planned};
