@@ -4,7 +4,9 @@ mod setup;
 
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;
-use haptimill_protocol::message::{Command, Event, Refusal, Source, State};
+use haptimill_protocol::message::{
+    Command, Event, Refusal, SOFT_LIMIT_TOLERANCE, SetpointBatch, Source, State,
+};
 use haptimill_tests::Bench;
 use setup::{DEGREE, MM, commanded, jog, line, ready, rest, state, step_smoothly};
 
@@ -116,16 +118,22 @@ fn soft_limits_are_checked_with_the_offset_of_a_jog() {
     far.periods = 5000;
     let mut coder = haptimill_protocol::setpoint::SetpointCoder::new(200, &start);
     let items = [coder.encode(&far).expect("codes")].into_iter().collect();
-    let refused = bench.ask(Command::Setpoints(
-        haptimill_protocol::message::SetpointBatch { first: 0, items },
-    ));
-    assert_eq!(
-        refused,
-        Err(Refusal::SoftLimit {
-            setpoint: 0,
-            axis: 1
-        })
-    );
+    let refused = bench.ask(Command::Setpoints(SetpointBatch { first: 0, items }));
+    let beyond = Err(Refusal::SoftLimit {
+        setpoint: 0,
+        axis: 1,
+    });
+    assert_eq!(refused, beyond);
+    // What a path needs that touches the limit is within it, and no unit more. The arms do not
+    // reach so far.
+    let most = bench.machine.config.pose[1].high.0 + SOFT_LIMIT_TOLERANCE - offset;
+    for (place, is_beyond) in [(most + 1, true), (most, false)] {
+        far.pose[1] = place;
+        let mut coder = haptimill_protocol::setpoint::SetpointCoder::new(200, &start);
+        let items = [coder.encode(&far).expect("codes")].into_iter().collect();
+        let answer = bench.ask(Command::Setpoints(SetpointBatch { first: 0, items }));
+        assert_eq!(answer == beyond, is_beyond, "{place}: {answer:?}");
+    }
 }
 
 /// Runs a program in one coordinate while another is jogged outwards.

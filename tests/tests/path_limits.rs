@@ -149,6 +149,35 @@ fn the_commanded_motion_keeps_its_limits_in_every_period() {
     }
 }
 
+/// Paths that touch the soft limits: rounded corners and whole circles, with and without blending.
+#[test]
+fn a_path_along_the_soft_limits_is_run() {
+    let frame = |mode: &str, radius: f64| {
+        let (x, y) = (150.0 - radius, 100.0 - radius);
+        format!(
+            "G21 G90 {mode} F4000\nG0 Z90\nG1 X150 Y-{y}\nG1 Y{y}\nG3 X{x} Y100 I-{radius}\n\
+             G1 X-{x}\nG3 X-150 Y{y} J-{radius}\nG1 Y-{y}\nG3 X-{x} Y-100 I{radius}\n\
+             G1 X{x}\nG3 X150 Y-{y} J{radius}\nG1 Y0\nG3 X150 Y0 I-30 J0\nG2 X150 Y0 I-7 J0\nM30\n"
+        )
+    };
+    for (name, mode, radius) in [
+        ("mill3.toml", "G64", 20.0),
+        ("mill3.toml", "G61", 3.0),
+        ("mill3.toml", "G64 P1", 35.0),
+        ("mill3-servo.toml", "G64", 5.0),
+        ("mill3-servo.toml", "G64 P0.5", 11.0),
+    ] {
+        let machine = machine(name);
+        let motion = run(&machine, &frame(mode, radius));
+        for [pose, ..] in motion {
+            assert!(
+                pose[0].abs() <= 150.001 && pose[1].abs() <= 100.001,
+                "{pose:?}"
+            );
+        }
+    }
+}
+
 /// Blended corners of short lines that turn a longer tool: the machine turns about the tip there.
 #[test]
 fn blended_corners_with_a_longer_tool_keep_the_limits() {

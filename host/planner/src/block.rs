@@ -169,7 +169,8 @@ fn check_soft_limits(
             AxisKind::Rotary => "deg",
         };
         let is_in_range = (value * axis.units).abs() < NUMBER_RANGE * (1.0 - 1e-12);
-        if is_in_range && (axis.low..=axis.high).contains(value) {
+        let tolerance = axis.limit_tolerance();
+        if is_in_range && (axis.low - tolerance..=axis.high + tolerance).contains(value) {
             continue;
         }
         // One that wraps around has no range.
@@ -185,6 +186,11 @@ fn check_soft_limits(
             let pose = format_pose(pose, settings);
             let word = programmed.map(|programmed| programmed[k]);
             return Err(match word.filter(|word| (word - value).abs() > 5e-5) {
+                // The word of the block is its place.
+                None if programmed.is_some() => (
+                    format!("{letter}{value:.4} is outside {limits}"),
+                    format!("keep {letter} within {low} to {high} {unit}"),
+                ),
                 None => (
                     format!("{letter}{value:.4} is outside {limits} at {pose}"),
                     format!("keep {letter} within {low} to {high} {unit}"),
@@ -192,7 +198,7 @@ fn check_soft_limits(
                 Some(word) => (
                     format!(
                         "{letter}{word:.4} with the offsets in force is {letter}{value:.4} of the \
-                         machine, outside {limits} at {pose}"
+                         machine, outside {limits}"
                     ),
                     format!(
                         "change {letter} by {:.4} {unit}, or the work offset or tool length",

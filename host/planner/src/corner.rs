@@ -208,6 +208,16 @@ impl Corner {
             let half = (BEND_TOLERANCE_SHARE * tolerance / value).sqrt();
             self.largest = self.largest.min(2.0 * half);
         }
+        // It is to both sides, so near a soft limit it would pass it.
+        let at = before.tool.machine_pose(&before.path.to);
+        for ((at, step), axis) in at.iter().zip(&self.bend).zip(&settings.pose) {
+            let room = (axis.high - at).min(at - axis.low);
+            let room = room.max(0.5 * axis.limit_tolerance());
+            if BEND_VALUE * step.abs() * (0.5 * self.largest).powi(2) > room {
+                let half = (room / (BEND_VALUE * step.abs())).sqrt();
+                self.largest = self.largest.min(2.0 * half);
+            }
+        }
     }
 
     /// Returns the half-length of the rounding at a speed; it grows with the speed.

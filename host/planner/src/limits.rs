@@ -1,6 +1,7 @@
 //! Limits of pose coordinates and joints, and the caller's model of the geometry.
 
 use haptimill_gcode::{AxisKind, Coordinates};
+use haptimill_protocol::message::SOFT_LIMIT_TOLERANCE;
 use std::fmt;
 
 /// Limits of a pose coordinate: mm, mm/s, mm/s^2, mm/s^3, or the same in degrees.
@@ -125,6 +126,14 @@ impl Settings {
     /// Returns the kinds of the pose coordinates.
     pub fn kinds(&self) -> Vec<AxisKind> {
         self.pose.iter().map(|axis| axis.kind).collect()
+    }
+}
+
+impl PoseLimits {
+    /// How far a pose may be beyond a limit, mm or degrees: half of what the controller allows, so
+    /// that the rounding of setpoints and the cubics between them stay within that.
+    pub(crate) fn limit_tolerance(&self) -> f64 {
+        0.5 * f64::from(SOFT_LIMIT_TOLERANCE) / self.units
     }
 }
 

@@ -468,3 +468,38 @@ fn blocks_are_joined_within_q_only() {
         made.figures.duration_s
     );
 }
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    /// A path that touches its soft limits is accepted, and stays within what the controller
+    /// allows beyond them, between its setpoints, too.
+    #[test]
+    fn a_frame_along_the_soft_limits_stays_within_them(
+        radius in 0.5..12.0f64,
+        feed in 300.0..3600.0f64,
+        mode in prop_oneof![Just("G61"), Just("G64"), Just("G64 P0.05"), Just("G64 P1")],
+    ) {
+        let mut settings = settings();
+        (settings.pose[0].low, settings.pose[0].high) = (-30.0, 30.0);
+        (settings.pose[1].low, settings.pose[1].high) = (-20.0, 20.0);
+        let radius = (radius * 1e3).round() / 1e3;
+        let (x, y) = (30.0 - radius, 20.0 - radius);
+        let text = format!(
+            "{mode} F{feed:.1}\nG0 Z30\nG1 X30 Y-{y:.3}\nG1 Y{y:.3}\nG3 X{x:.3} Y20 I-{radius:.3}\n\
+             G1 X-{x:.3}\nG3 X-30 Y{y:.3} J-{radius:.3}\nG1 Y-{y:.3}\nG3 X-{x:.3} Y-20 I{radius:.3}\n\
+             G1 X{x:.3}\nG3 X30 Y-{y:.3} J{radius:.3}\nG3 X30 Y-{y:.3} I-{radius:.3}\nG1 Z31\n"
+        );
+        let (_, plan) = plan(&text, &settings);
+        let limits = [30.0, 20.0].map(|limit| limit + 0.001);
+        for setpoint in &plan.setpoints {
+            for ((place, axis), limit) in setpoint.pose.iter().zip(&settings.pose).zip(limits) {
+                let place = f64::from(*place) / axis.units;
+                prop_assert!(place.abs() <= limit, "{place}\n{text}");
+            }
+        }
+        for [x, y, _] in spans(&plan).iter().flat_map(places) {
+            prop_assert!(x.abs() <= limits[0] && y.abs() <= limits[1], "{x} {y}\n{text}");
+        }
+    }
+}

@@ -5,7 +5,10 @@ use super::super::units::{PERIOD, joint_unit, kind_unit};
 use super::{CheckResult, Checks, PreviousPeriod, bounds, commanded_pose, gantry_partner};
 use haptimill_firmware::config::{JointAxis, PoseAxis};
 use haptimill_firmware::machine::Machine;
-use haptimill_protocol::message::State;
+use haptimill_protocol::message::{SOFT_LIMIT_TOLERANCE, State};
+
+/// What the controller allows beyond a soft limit, axis units.
+const TOLERANCE: f64 = SOFT_LIMIT_TOLERANCE as f64;
 
 /// What the checks of this file compare in a period.
 struct CommandedMotion<'a> {
@@ -256,9 +259,9 @@ impl CommandedMotion<'_> {
         let state = self.state;
         let allowed = match state {
             // A cubic between two setpoints may leave the limits; the fault brakes then.
-            State::Run | State::Hold => 10.0 * kind_unit(limits.kind),
+            State::Run | State::Hold => 10.0 * kind_unit(limits.kind) + TOLERANCE,
             State::Homing => f64::INFINITY,
-            _ => 2.0,
+            _ => TOLERANCE + 2.0,
         };
         if outside > allowed {
             violated!(
@@ -270,7 +273,7 @@ impl CommandedMotion<'_> {
         }
         if state == State::Run
             && self.before.state == State::Run
-            && outside > 2.0
+            && outside > TOLERANCE + 2.0
             && self.bench.controller().safety().pending().is_none()
         {
             violated!(
