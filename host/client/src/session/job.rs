@@ -1,7 +1,7 @@
 //! A job from its first setpoint to standstill.
 
 use super::{Line, Procedure, Session, StatusQuery};
-use crate::client::{JobEnding, Setpoints, Ticket};
+use crate::client::{JobEnding, RequestError, Setpoints, Ticket};
 use crate::{Error, ErrorKind};
 use haptimill_protocol::message::{AxisValues, Command, Event, Fault, State, Telemetry};
 
@@ -458,6 +458,13 @@ impl<L: Line> Session<L> {
                 format!("the job was stopped from elsewhere after {setpoints} setpoints"),
             )),
             JobEnding::Lost { error, .. } => Err(Error::new(ErrorKind::Port, error)),
+            JobEnding::Refused {
+                error: RequestError::Refused(refusal),
+                ..
+            } => Err(Error::new(
+                ErrorKind::Command,
+                format!("refused: {}", self.describe(refusal)),
+            )),
             other => Err(Error::new(ErrorKind::Command, other)),
         }
     }
