@@ -385,11 +385,11 @@ impl Block {
                         "remove one",
                     )));
                 }
-                if value < 0.0 || value.fract() != 0.0 {
+                if value < 0.0 {
                     return Err(Box::new(Mistake::new(
                         start,
                         format!("{} is not a block number", text()),
-                        "write a whole number from 0, or remove it",
+                        "write a number from 0, or remove it",
                     )));
                 }
                 let _ = values;
@@ -465,6 +465,10 @@ fn refuse_symbol(line: &[u8], at: usize) -> Mistake {
         b'0'..=b'9' | b'.' | b'+' | b'-' => (
             "a number without a letter".into(),
             "write the letter of the word in front of the number",
+        ),
+        b',' if matches!(line.get(at + 1), Some(b'C' | b'R' | b'c' | b'r')) => (
+            "a chamfer or rounding word after a comma is not supported".into(),
+            "write the chamfer or the rounding as a move of its own",
         ),
         b',' => {
             let word = decimal_word(line, at).unwrap_or_else(|| "X10.5".into());

@@ -182,7 +182,10 @@ pub(crate) fn find_o_word(line: &[u8]) -> Option<usize> {
     if let Some(b'N' | b'n') = line.get(at) {
         at += 1;
         blanks(&mut at);
-        while line.get(at).is_some_and(u8::is_ascii_digit) {
+        while line
+            .get(at)
+            .is_some_and(|byte| byte.is_ascii_digit() || *byte == b'.')
+        {
             at += 1;
         }
         blanks(&mut at);

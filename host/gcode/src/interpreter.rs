@@ -413,6 +413,23 @@ impl<'a> Interpreter<'a> {
         self.executor.notice(&here, first, "end", what)
     }
 
+    /// Ends the main program at a subprogram that it called: there is no M30 before it.
+    pub(super) fn end_at_subprogram(&mut self, word: &OWord) -> Read<()> {
+        self.executor.out.release();
+        self.finished = true;
+        let what = format!(
+            "the main program has no end: it ends before its subprogram O{}",
+            word.label
+        );
+        let here = Here {
+            line: &self.line,
+            file: self.current as u16,
+            number: self.sources[self.current].line,
+        };
+        self.executor.notice(&here, word.at, "end", what)?;
+        self.check_open()
+    }
+
     fn check_open(&mut self) -> Read<()> {
         let open = match (&self.flow.skip, self.flow.open.last()) {
             (Some(skip), _) => Some((skip.label.clone(), skip.until.name(), skip.place)),

@@ -265,6 +265,10 @@ impl Interpreter<'_> {
         if is_title && matches!(&rest, Ok(found) if found.is_empty()) {
             return Ok(());
         }
+        let is_called = self.flow.subroutines.contains_key(&word.label);
+        if is_called && self.flow.frames.is_empty() && rest.is_ok_and(|rest| rest.is_empty()) {
+            return self.end_at_subprogram(word);
+        }
         Err(Box::new(Mistake::new(
             word.at,
             format!(

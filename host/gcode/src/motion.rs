@@ -307,8 +307,14 @@ impl Executor {
         self.travel(leg, to, at)
     }
 
-    fn travel(&mut self, leg: Leg, to: PerLetter, at: usize) -> Read<()> {
+    fn travel(&mut self, mut leg: Leg, to: PerLetter, at: usize) -> Read<()> {
         let place = leg.place;
+        if let (Pace::Inverse(rate), Some(path)) = (leg.pace, self.out.path(&self.state.at, &leg))
+            && self.state.compensation != 400
+        {
+            // The feed is that of the programmed path, also around a corner.
+            leg.pace = Pace::PerMinute(rate * path.length, rate * path.length);
+        }
         let done = self.out.travel(leg);
         self.state.at = to;
         if self.state.modes.surface_limit.is_some()

@@ -94,26 +94,24 @@ impl Output {
         }
     }
 
+    /// Returns the path of a leg; `None` if nothing moves.
+    pub(crate) fn path(&self, from: &PerLetter, leg: &Leg) -> Option<Path> {
+        let (from, to) = (self.coordinates(from), self.coordinates(&leg.to));
+        let Some(arc) = leg.arc else {
+            return Path::line(&self.kinds, from, to);
+        };
+        let [first, second] = arc.plane;
+        let plane = [self.coordinate(first)?, self.coordinate(second)?];
+        Path::arc(&self.kinds, from, to, Arc { plane, ..arc })
+    }
+
     /// Goes to the end of a leg; `None` if it is no move.
     pub(crate) fn build(&mut self, leg: &Leg) -> Option<Move> {
-        let (from, to) = (self.coordinates(&self.at), self.coordinates(&leg.to));
+        let path = self.path(&self.at, leg);
         // A leg that ends at its start is no move, but the position becomes exactly the
         // programmed one.
         self.at = leg.to;
-        let arc = match leg.arc {
-            None => None,
-            Some(arc) => Some(Arc {
-                plane: [
-                    self.coordinate(arc.plane[0])?,
-                    self.coordinate(arc.plane[1])?,
-                ],
-                ..arc
-            }),
-        };
-        let path = match arc {
-            None => Path::line(&self.kinds, from, to)?,
-            Some(arc) => Path::arc(&self.kinds, from, to, arc)?,
-        };
+        let path = path?;
         let feed = match leg.pace {
             Pace::Rapid => Feed::Rapid,
             Pace::PerMinute(tip, turn) => {

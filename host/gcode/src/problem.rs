@@ -1,5 +1,6 @@
 //! Problems of a part program, with place and remedy.
 
+use std::collections::BTreeSet;
 use std::fmt;
 
 /// Largest number of listed problems; the others are counted.
@@ -69,22 +70,74 @@ impl std::error::Error for Refused {}
 /// Problems of a program, of which the first are listed.
 #[derive(Debug, Default)]
 pub struct Problems {
-    listed: Vec<Problem>,
+    listed: Vec<Listed>,
     more: usize,
+    /// File and line of each problem, of the first [`MOST_LINES`].
+    lines: BTreeSet<(u16, u32)>,
+}
+
+/// Lines whose problems are counted once, although loops repeat them.
+const MOST_LINES: usize = 10_000;
+
+/// Other lines with the same problem that are named.
+const NAMED_LINES: usize = 3;
+
+/// A problem, and the other lines that have the same.
+#[derive(Debug)]
+struct Listed {
+    problem: Problem,
+    /// The first of them.
+    lines: Vec<u32>,
+    count: usize,
+}
+
+impl Listed {
+    fn into_problem(self) -> Problem {
+        let Listed {
+            mut problem,
+            lines,
+            count,
+        } = self;
+        let named: Vec<String> = lines.iter().map(u32::to_string).collect();
+        let more = match count - named.len() {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        let line = if count == 1 { "line" } else { "lines" };
+        if count > 0 {
+            let others = format!(" (also in {line} {}{more})", named.join(", "));
+            problem.what.push_str(&others);
+        }
+        problem
+    }
 }
 
 impl Problems {
     /// Notes the problem of a result, if there is one. A line has at most one: a loop that repeats
-    /// it finds it again, or one that follows from it.
+    /// it finds it again, or one that follows from it. The same problem in other lines is counted
+    /// with the first one.
     pub fn note(&mut self, result: Result<(), Problem>) {
         let Err(problem) = result else { return };
         let Place { file, line, .. } = problem.place;
-        let is_known = |it: &Problem| it.place.file == file && it.place.line == line;
-        if self.listed.iter().any(is_known) {
+        if self.lines.contains(&(file, line)) {
             return;
         }
-        if self.listed.len() < LISTED_PROBLEMS {
-            self.listed.push(problem);
+        if self.lines.len() < MOST_LINES {
+            self.lines.insert((file, line));
+        }
+        let is_same =
+            |it: &&mut Listed| it.problem.place.file == file && it.problem.what == problem.what;
+        if let Some(same) = self.listed.iter_mut().find(is_same) {
+            same.count += 1;
+            if same.lines.len() < NAMED_LINES {
+                same.lines.push(line);
+            }
+        } else if self.listed.len() < LISTED_PROBLEMS {
+            self.listed.push(Listed {
+                problem,
+                lines: Vec::new(),
+                count: 0,
+            });
         } else {
             self.more += 1;
         }
@@ -100,15 +153,17 @@ impl Problems {
     /// # Errors
     ///
     /// The problems in the order of the file, if there is one.
-    pub fn take(mut self, file: &str, called: &[String]) -> Result<(), Refused> {
+    pub fn take(self, file: &str, called: &[String]) -> Result<(), Refused> {
         if self.listed.is_empty() {
             return Ok(());
         }
-        self.listed.sort_by_key(|problem| problem.place);
+        let listed = self.listed.into_iter();
+        let mut problems: Vec<Problem> = listed.map(Listed::into_problem).collect();
+        problems.sort_by_key(|problem| problem.place);
         Err(Refused {
             file: file.to_owned(),
             called: called.to_vec(),
-            problems: self.listed,
+            problems,
             more: self.more,
         })
     }

@@ -274,7 +274,9 @@ impl State {
             compensation: 400,
             shift: PerLetter::default(),
             numbered,
-            globals: HashMap::new(),
+            globals: ["_value", "_value_returned"]
+                .map(|name| (name.into(), 0.0))
+                .into(),
             locals: vec![HashMap::new()],
             line: 0,
         };

@@ -111,12 +111,20 @@ impl Interpreter<'_> {
             ))
         };
         let mut line = Vec::new();
+        let (mut tape_is_open, mut any_block) = (false, false);
         let source = &mut self.sources[file];
         let back = source.mark();
         source
             .seek(Mark { offset: 0, line: 0 })
             .map_err(unreadable)?;
         while source.next(&mut line).map_err(unreadable)? != Fetched::End {
+            match line.trim_ascii_start().first() {
+                // Behind the mark that ends the program is other text.
+                Some(b'%') if file == 0 && (tape_is_open || any_block) => break,
+                Some(b'%') => tape_is_open = true,
+                None | Some(b'(' | b';') => {}
+                Some(_) => any_block = true,
+            }
             let Some(at) = find_o_word(&line) else {
                 continue;
             };

@@ -350,7 +350,7 @@ fn all_problems_are_reported_in_order() {
         .collect();
     // A missing feed is reported once.
     assert_eq!(places, [(1, 7), (2, 1), (3, 4), (5, 1)]);
-    let many = "Q1\n".repeat(80);
+    let many: String = (0..80).map(|number| format!("Q{number}\n")).collect();
     let refused = read("t.ngc", many.as_bytes(), &options()).unwrap_err();
     assert_eq!(
         (refused.problems.len(), refused.more),

@@ -313,15 +313,21 @@ fn other_mistakes_are_reported_beside_it() {
         // The words beside an unclosed comment, and a comment far from it.
         ("G0 X1 (open\nG0 X2\nG0 Q4\n(two) ) G0 X1\n", 3),
         ("(open\nwords\n(closed)\nG77\nG0 X1 )\n", 3),
-        // Two corners that cannot be reached.
-        (
-            "F9 G0 X-20\nG41.1 D10 G1 X0 Y0\nX20\nX22 Y2\nX22 Y40\nX20 Y42\nX-40\nG40 X-60\n",
-            2,
-        ),
     ] {
         let found = refused(text.as_bytes(), &with_tools());
         assert_eq!(found.lines().count(), errors, "{text}\n{found}");
     }
+}
+
+#[test]
+fn each_corner_that_cannot_be_reached_is_named() {
+    let text = "F9 G0 X-20\nG41.1 D10 G1 X0 Y0\nX20\nX22 Y2\nX22 Y40\nX20 Y42\nX-40\nG40 X-60\n";
+    one_error(
+        text,
+        "5:1",
+        "inside corner without cutting into the contour (also in line 6)",
+        "",
+    );
 }
 
 #[test]
@@ -528,5 +534,58 @@ fn a_remedy_keeps_the_meaning() {
         "1:1",
         "the letter G has no number",
         "write a number",
+    );
+}
+
+/// The same problem in other lines is one error, which names them.
+#[test]
+fn the_same_problem_in_other_lines_is_counted_with_the_first() {
+    let found = refused(b"M105\nG0 X1\nM105\nM105\nM105\nM105\n", &options());
+    let expected = "t.ngc:1:1: M105 is not supported (also in lines 3, 4, 5 and 1 more); ";
+    assert!(found.starts_with(expected), "{found}");
+    assert_eq!(found.lines().count(), 1, "{found}");
+    let found = refused(b"G0 U1\nX2 U2\n", &options());
+    assert_eq!(found.lines().count(), 1, "{found}");
+    let found = refused(b"G3 X10 I5 F100\nG3 X1\nX2\nX3\n", &options());
+    assert!(found.contains("(also in lines 3, 4)"), "{found}");
+    // A loop counts each line once.
+    let mut text = "O1 repeat [40]\n".to_string();
+    for number in 0..60 {
+        text += &format!("G0 X1 Q{number}\n");
+    }
+    let found = refused((text + "O1 endrepeat\n").as_bytes(), &options());
+    assert!(found.ends_with("t.ngc: 10 more problems"), "{found}");
+    one_error("G1 X10 F100 ,C2\n", "1:13", "chamfer", "move of its own");
+}
+
+#[test]
+fn the_main_program_ends_before_a_subprogram_and_the_tape_at_its_mark() {
+    let once = "G21\nM98 P1000\nG0 Y5\nO1000\nG0 X1\nM99\n";
+    assert_eq!(ends(once), [[1., 0., 0.], [1., 5., 0.]]);
+    let program = read("t.ngc", once.as_bytes(), &options()).expect("read");
+    assert!(
+        program.notices[0]
+            .what
+            .contains("before its subprogram O1000")
+    );
+    // Without a call it is no subprogram.
+    one_error(
+        "G0 X1\nO1000\nG0 X2\n",
+        "2:1",
+        "program number O1000",
+        "M30",
+    );
+    let behind = "%\nG21 G0 X1\nM98 P2\n%\nO2\nG0 X5\nM99\n";
+    one_error(behind, "3:1", "O2 does not exist", "write it in this file");
+    let before = "%\nG21 G0 X1\nM98 P2\nM30\nO2\nG0 X5\nM99\n%\n";
+    assert_eq!(ends(before), [[1., 0., 0.], [5., 0., 0.]]);
+}
+
+#[test]
+fn words_that_linuxcnc_accepts() {
+    assert_eq!(ends("N56.78 G21 G0 X1\n"), [[1., 0., 0.]]);
+    assert_eq!(
+        ends("G21 G0 X[#<_value>+#<_value_returned>+1]\n"),
+        [[1., 0., 0.]]
     );
 }
