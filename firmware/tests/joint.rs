@@ -553,12 +553,12 @@ fn a_resonating_rotor_is_no_stuck_channel() {
                 commanded: steps,
                 measured,
                 moved: 2 * up - 1,
-                steps_off: steps.wrapping_sub(measured),
+                step_error: steps.wrapping_sub(measured),
                 period_us: 200,
                 placed: true,
                 ..JointSample::default()
             };
-            monitor.toggles(1, &axis, &encoder, &sample)
+            monitor.check_stuck_channel(1, &axis, &encoder, &sample)
         })
     };
     assert_eq!(fault(0.0), None);

@@ -270,7 +270,7 @@ fn illegal_transitions_and_lost_steps_have_limits() {
             &mut JointMonitor::default(),
             &axis,
             &JointSample {
-                steps_off: Coordinate(mm(by)),
+                step_error: Coordinate(mm(by)),
                 ..seen
             },
             1,
@@ -309,14 +309,14 @@ proptest! {
                 moved: sight[6],
                 effort: Effort(sight[4]),
                 illegal: 0,
-                steps_off: Coordinate(sight[5]),
+                step_error: Coordinate(sight[5]),
                 period_us,
                 missed: false,
                 placed: true,
             };
             let encoder = axis.encoder.clone().expect("an encoder");
             let _ = monitor.check(0, &axis, &encoder, LIMIT, &seen);
-            let _ = JointMonitor::steps(0, &axis, &seen);
+            let _ = JointMonitor::check_steps(0, &axis, &seen);
         }
     }
 }

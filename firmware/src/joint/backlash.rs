@@ -173,7 +173,7 @@ impl Backlash {
     }
 
     /// Sets the slide to the motor coordinate, flank unknown.
-    pub const fn place(&mut self, motor: Coordinate) {
+    pub const fn set_slide(&mut self, motor: Coordinate) {
         self.slide = motor;
     }
 

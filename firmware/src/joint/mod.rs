@@ -179,7 +179,7 @@ impl JointDrive {
         };
         if !self.measured_once {
             self.measured_once = true;
-            self.backlash.place(measured.coordinate);
+            self.backlash.set_slide(measured.coordinate);
             if let Output::Steps { supervision, .. } = &mut self.output {
                 supervision.start(inputs.steps, measured.coordinate);
             }
@@ -419,7 +419,7 @@ impl JointDrive {
     /// Takes over the position and the encoder state of a joint whose counter is at `raw`.
     pub fn take_over(&mut self, raw: i32, before: &EncoderState) {
         self.set_reference(raw, before.motor);
-        self.backlash.place(before.slide);
+        self.backlash.set_slide(before.slide);
         self.measurement.coordinate = self.backlash.carry(before.motor);
         self.encoder.take_over_illegal(before.illegal);
         self.measurement.illegal = before.illegal;
@@ -451,13 +451,13 @@ impl JointDrive {
                 Rate::ZERO
             },
             illegal: measurement.illegal.min(u32::from(u16::MAX)) as u16,
-            steps_off: measurement.slip,
+            step_error: measurement.slip,
             period_us,
             missed,
             placed: self.placed,
         };
         let Some(encoder) = &axis.encoder else {
-            return JointMonitor::steps(joint, axis, &sample);
+            return JointMonitor::check_steps(joint, axis, &sample);
         };
         if measurement.off != 0 {
             return Some(Fault::EncoderSlip {
@@ -486,7 +486,8 @@ impl JointDrive {
             ..JointSample::default()
         };
         let encoder = axis.encoder.as_ref()?;
-        self.monitor.toggles(joint, axis, encoder, &seen)
+        self.monitor
+            .check_stuck_channel(joint, axis, encoder, &seen)
     }
 
     /// Rate of the motor side, from the times between edges.

@@ -13,7 +13,7 @@
 //! | an index pulse is off its grid ([`crate::joint::index_monitor`]) | encoder slip |
 //!
 //! All of these need an encoder. A joint without one is supervised for one thing: the board emits
-//! the steps that were commanded ([`JointMonitor::steps`]).
+//! the steps that were commanded ([`JointMonitor::check_steps`]).
 //!
 //! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
 
@@ -40,7 +40,7 @@ pub struct JointSample {
     /// Illegal transitions since the joint was enabled.
     pub illegal: u16,
     /// Steps emitted minus encoder (step/dir drives).
-    pub steps_off: Coordinate,
+    pub step_error: Coordinate,
     /// Control period, microseconds.
     pub period_us: u16,
     /// Periods were missed just before this one, so `moved` covers several periods.
@@ -56,14 +56,14 @@ pub struct JointMonitor {
     moved: Option<i32>,
     /// Commanded and measured position at the start of the present motion check.
     since: Option<(Coordinate, Coordinate)>,
-    /// Consecutive periods in which the joint ran against its drive.
-    against: u8,
+    /// Consecutive periods in which the joint moved against the effort of its drive.
+    runaway_periods: u8,
     /// State at the last count of the encoder.
     last_count: Option<LastCount>,
     /// Reversals of the count about one position.
     reversals: Reversals,
-    /// Position of the steps when the count came to that position (step drives).
-    steps_then: Coordinate,
+    /// Position of the steps when the count came to the position of its reversals (step drives).
+    reversal_steps: Coordinate,
 }
 
 /// The joint at the last count that cannot be a reversal about one position, or at the start of
@@ -85,9 +85,9 @@ struct LastCount {
     follows: bool,
 }
 
-/// Consecutive periods against the drive that mean a runaway. One wrong rate between two edges ends
-/// sooner.
-const AGAINST_PERIODS: u8 = 4;
+/// Consecutive periods of motion against the effort of the drive that mean a runaway. One wrong
+/// rate between two edges ends sooner.
+const RUNAWAY_PERIODS: u8 = 4;
 
 /// Change of the counts between two periods up to which the jump check is skipped.
 const STEADY: u32 = 8;
@@ -140,22 +140,23 @@ impl JointMonitor {
                 count: sample.illegal,
             });
         }
-        self.jump(axis, config, encoder, sample)
-            .or_else(|| Self::slip(axis, config, sample))
-            .or_else(|| self.runaway(axis, config, encoder, sample))
-            .or_else(|| self.toggles(axis, config, encoder, sample))
-            .or_else(|| self.pushed(axis, config, encoder, sample))
-            .or_else(|| self.motion(axis, config, encoder, sample))
-            .or_else(|| Self::stroke(axis, config, encoder, sample))
-            .or_else(|| Self::error(axis, config, encoder, sample))
+        self.check_jump(axis, config, encoder, sample)
+            .or_else(|| Self::check_lost_steps(axis, config, sample))
+            .or_else(|| self.check_runaway(axis, config, encoder, sample))
+            .or_else(|| self.check_stuck_channel(axis, config, encoder, sample))
+            .or_else(|| self.check_effort(axis, config, encoder, sample))
+            .or_else(|| self.check_motion(axis, config, encoder, sample))
+            .or_else(|| Self::check_stroke(axis, config, encoder, sample))
+            .or_else(|| Self::check_following_error(axis, config, encoder, sample))
     }
 
     /// Checks one period of a joint without an encoder: the emitted steps follow the command. The
     /// pulses of a command are counted two periods later, and missed periods delay them, so the
-    /// limit is the travel of eight periods at the commanded rate, plus eight steps and the play.
+    /// limit is the travel of eight periods at the commanded rate, plus eight steps and the
+    /// backlash.
     #[cold]
     #[inline(never)]
-    pub fn steps(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    pub fn check_steps(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
         let Drive::Steps { per_step, .. } = config.drive else {
             return None;
         };
@@ -176,7 +177,7 @@ impl JointMonitor {
     /// grid of the counter (20 um on a slide of 40 kg and 750 N). The position is unknown after it.
     /// Smaller jumps are found by the index pulses.
     #[inline]
-    fn jump(
+    fn check_jump(
         &mut self,
         axis: u8,
         config: &JointAxis,
@@ -204,7 +205,7 @@ impl JointMonitor {
     #[inline(never)]
     fn impact(config: &JointAxis, encoder: &EncoderAxis, period_us: u16, change: u32) -> bool {
         let Drive::Torque { limit, .. } = config.drive else {
-            // [`JointMonitor::slip`] finds lost steps.
+            // [`JointMonitor::check_lost_steps`] finds lost steps.
             return false;
         };
         // Axis units per second squared (see `ServoLaw` for the 28 bits), below 2^59; a period has
@@ -218,19 +219,19 @@ impl JointMonitor {
     }
 
     /// Lost steps.
-    fn slip(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    fn check_lost_steps(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
         let Drive::Steps { lost, .. } = config.drive else {
             return None;
         };
-        (magnitude(sample.steps_off) > magnitude(lost)).then_some(Fault::StepsLost {
+        (magnitude(sample.step_error) > magnitude(lost)).then_some(Fault::StepsLost {
             axis,
-            by: sample.steps_off.0,
+            by: sample.step_error.0,
         })
     }
 
     /// The measured position against the stroke. The commanded position is always within the stroke
     /// (the solve stage checks it); the measured one may be off by the following error.
-    fn stroke(
+    fn check_stroke(
         axis: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
@@ -256,7 +257,7 @@ impl JointMonitor {
     /// 50/s times the following error limit (15 mm/s for 0.3 mm) plus a quarter of the commanded
     /// rate. An external push stronger than the drive looks the same and is as dangerous to people
     /// nearby.
-    fn runaway(
+    fn check_runaway(
         &mut self,
         axis: u8,
         config: &JointAxis,
@@ -268,19 +269,23 @@ impl JointMonitor {
         };
         if sample.effort.0.unsigned_abs() < most.0.unsigned_abs() / 8 {
             // The usual case.
-            self.against = 0;
+            self.runaway_periods = 0;
             return None;
         }
         let commanded = i64::from(sample.commanded_rate.0);
         let off = i64::from(sample.rate.0) - commanded;
         let effort = i64::from(sample.effort.0);
         let limit = magnitude(encoder.following) * 50 + commanded.abs() / 4;
-        let against = off.abs() > limit && effort.signum() == -off.signum();
-        self.against = if against { self.against + 1 } else { 0 };
-        if self.against < AGAINST_PERIODS {
+        let is_against = off.abs() > limit && effort.signum() == -off.signum();
+        self.runaway_periods = if is_against {
+            self.runaway_periods + 1
+        } else {
+            0
+        };
+        if self.runaway_periods < RUNAWAY_PERIODS {
             return None;
         }
-        self.against = 0;
+        self.runaway_periods = 0;
         // With a faulty encoder the rate is off long before the error is large. If the error came
         // first, the slide is jammed and springs back on its screw.
         let error = difference(config, sample.commanded, sample.measured);
@@ -300,18 +305,18 @@ impl JointMonitor {
 
     /// An encoder with one stuck channel. The edges of the other channel count up and down in turn,
     /// whatever is commanded, and with the drive off as well. The rotor of a step motor resonates
-    /// about the place of its steps, so its reversals count only where the steps have moved on.
+    /// about the position of its steps, so its reversals count only where the steps have moved on.
     #[inline]
-    pub fn toggles(
+    pub fn check_stuck_channel(
         &mut self,
         axis: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
         sample: &JointSample,
     ) -> Option<Fault> {
-        let place = Coordinate(self.reversals.place());
-        let is_away =
-            sample.moved != 0 && distance(config, sample.measured, place) > stuck_distance(encoder);
+        let position = Coordinate(self.reversals.place());
+        let is_away = sample.moved != 0
+            && distance(config, sample.measured, position) > stuck_distance(encoder);
         let (now, period_us) = (sample.measured.0, sample.period_us);
         let is_stuck = self.reversals.update(sample.moved, is_away, now, period_us);
         if matches!(config.drive, Drive::Steps { .. })
@@ -333,11 +338,11 @@ impl JointMonitor {
         sample: &JointSample,
         is_away: bool,
     ) -> bool {
-        let steps = sample.measured.wrapping_add(sample.steps_off);
+        let steps = sample.measured.wrapping_add(sample.step_error);
         if is_away {
-            self.steps_then = steps;
+            self.reversal_steps = steps;
         }
-        let moved = distance(config, steps, self.steps_then);
+        let moved = distance(config, steps, self.reversal_steps);
         moved <= stuck_distance(encoder).saturating_mul(RESONANCE)
     }
 
@@ -359,7 +364,7 @@ impl JointMonitor {
     /// After a reversal a slide may move on against its command by less than a stuck channel
     /// counts, and its friction changes its sign late. So each count against the command that comes
     /// before the first count along it sets the effort anew.
-    fn pushed(
+    fn check_effort(
         &mut self,
         axis: u8,
         config: &JointAxis,
@@ -425,7 +430,7 @@ impl JointMonitor {
     }
 
     /// Commanded motion that was not measured, or was measured with the opposite sign.
-    fn motion(
+    fn check_motion(
         &mut self,
         axis: u8,
         config: &JointAxis,
@@ -448,7 +453,7 @@ impl JointMonitor {
     }
 
     /// The following error against its limit.
-    fn error(
+    fn check_following_error(
         axis: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
