@@ -61,7 +61,7 @@ impl Unit {
     /// Distance from a bound within which rounding may decide whether a pose is refused: 0.1 um, or
     /// 0.25 urad, which is 0.1 um at a lever of 400 mm.
     #[must_use]
-    pub const fn grey(self) -> f64 {
+    pub const fn tolerance(self) -> f64 {
         match self {
             Self::Millimetre => 1e-4,
             Self::Radian => 2.5e-7,
@@ -101,10 +101,10 @@ impl Margin {
         }
     }
 
-    /// The distance as a multiple of [`Unit::grey`].
+    /// The distance as a multiple of [`Unit::tolerance`].
     #[must_use]
     pub fn share(&self) -> f64 {
-        self.distance / self.unit.grey()
+        self.distance / self.unit.tolerance()
     }
 }
 
@@ -112,14 +112,14 @@ impl Margin {
 pub struct Margins(pub Vec<Margin, 12>);
 
 impl Margins {
-    /// Returns the smallest margin, as a multiple of [`Unit::grey`]: below -1 a condition is
+    /// Returns the smallest margin, as a multiple of [`Unit::tolerance`]: below -1 a condition is
     /// violated, above 1 all of them hold.
     pub fn least(&self) -> f64 {
         self.0.iter().map(Margin::share).fold(f64::MAX, f64::min)
     }
 
     /// Returns whether an error is justified: the condition that it names is violated, within
-    /// [`Unit::grey`].
+    /// [`Unit::tolerance`].
     pub fn deserve(&self, error: &PoseError) -> bool {
         self.0
             .iter()

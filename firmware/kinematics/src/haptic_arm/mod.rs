@@ -227,7 +227,7 @@ impl HapticArm {
         };
         let sides = (fits(third, second), fits(first, third), fits(second, first));
         let (Some(opposite), Some(third_back), Some(second_out)) = sides else {
-            return Err(self.blame(&[(third, second), (first, third), (second, first)]));
+            return Err(self.find_faulty_leg(&[(third, second), (first, third), (second, first)]));
         };
         // The first joint plus a third of the vectors to the other two.
         let middle = |axis: usize| {
@@ -257,7 +257,7 @@ impl HapticArm {
     /// Finds the leg whose readings do not fit.
     #[cold]
     #[inline(never)]
-    fn blame(&self, sides: &[(Vector, Vector); LEGS]) -> ArmError {
+    fn find_faulty_leg(&self, sides: &[(Vector, Vector); LEGS]) -> ArmError {
         let off = sides.map(|(to, from)| {
             let length =
                 short(to, from).map_or(u32::MAX, |side| sqrt_rounded(dot(side, side) as u64));

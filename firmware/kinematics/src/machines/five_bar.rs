@@ -134,7 +134,7 @@ impl FiveBar {
     }
 
     /// The joints of both arms at a pose.
-    fn place(&self, pose: &Pose) -> Result<[Joints; 2], PoseError> {
+    fn solve_positions(&self, pose: &Pose) -> Result<[Joints; 2], PoseError> {
         let pose = turned(pose);
         let [left, right] = &self.arms;
         let arms = [left.inverse(&pose)?, right.inverse(&pose)?];
@@ -217,7 +217,7 @@ impl Machine for FiveBar {
     }
 
     fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
-        Some(match self.place(pose) {
+        Some(match self.solve_positions(pose) {
             Ok(arms) => {
                 let mut least = Length(saturate(self.opening(&arms)));
                 for arm in &self.arms {
@@ -264,7 +264,7 @@ impl Kinematics for FiveBar {
     }
 
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
-        Ok(Self::joints(&self.place(pose)?))
+        Ok(Self::joints(&self.solve_positions(pose)?))
     }
 
     fn inverse_motion(
@@ -328,7 +328,7 @@ impl Kinematics for FiveBar {
     }
 
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
-        self.place(pose)?;
+        self.solve_positions(pose)?;
         let pose = turned(pose);
         let mut jacobian = Jacobian([[0; MAX_AXES]; MAX_AXES]);
         for (row, arm) in jacobian.0.iter_mut().zip(&self.arms) {

@@ -102,7 +102,7 @@ struct Rod {
 
 /// The rods at a place of the platform.
 #[derive(Debug, Clone, Copy)]
-struct Placed {
+struct SolvedPose {
     rods: [Rod; AXES],
     /// Weights of the columns.
     weights: [i64; AXES],
@@ -110,7 +110,7 @@ struct Placed {
     plane: i64,
 }
 
-impl Placed {
+impl SolvedPose {
     /// The singularity distance.
     fn least(&self) -> i64 {
         let ups = self.rods.iter().map(|rod| rod.up);
@@ -140,13 +140,13 @@ impl LinearDelta {
     };
 
     /// The rods with the platform at a place, whatever the margin.
-    fn rods_at(&self, at: [i64; 2]) -> Result<Placed, PoseError> {
-        let mut placed = Placed {
+    fn rods_at(&self, at: [i64; 2]) -> Result<SolvedPose, PoseError> {
+        let mut solved = SolvedPose {
             rods: Default::default(),
             weights: self.weights,
             plane: 0,
         };
-        for (index, rod) in placed.rods.iter_mut().enumerate() {
+        for (index, rod) in solved.rods.iter_mut().enumerate() {
             let length = self.rods[index];
             let column = self.columns[index];
             rod.away = [at[0] - column[0], at[1] - column[1]];
@@ -159,32 +159,32 @@ impl LinearDelta {
             }
             rod.up = i64::from(sqrt_rounded(left.unsigned_abs()));
             let [gx, gy] = self.gradients[index];
-            placed.weights[index] += (gx * at[0] + gy * at[1]) >> (GRADIENT - WEIGHT);
+            solved.weights[index] += (gx * at[0] + gy * at[1]) >> (GRADIENT - WEIGHT);
         }
-        let rods = placed.rods.iter().zip(placed.weights);
+        let rods = solved.rods.iter().zip(solved.weights);
         let plane: i64 = rods.map(|(rod, weight)| rod.up * weight).sum();
-        placed.plane = plane >> WEIGHT;
-        Ok(placed)
+        solved.plane = plane >> WEIGHT;
+        Ok(solved)
     }
 
     /// The rods at a pose.
-    fn place(&self, pose: &Pose) -> Result<Placed, PoseError> {
+    fn solve_positions(&self, pose: &Pose) -> Result<SolvedPose, PoseError> {
         let at = [0, 1].map(|axis| i64::from(pose.0[axis].0));
-        let placed = self.rods_at(at)?;
-        let least = placed.least();
+        let solved = self.rods_at(at)?;
+        let least = solved.least();
         if least < self.margin {
             return Err(PoseError::NearSingularity {
                 distance: saturate(least),
             });
         }
-        Ok(placed)
+        Ok(solved)
     }
 
     /// The slides at a pose.
-    fn joints(&self, pose: &Pose, placed: &Placed) -> Result<Joints, PoseError> {
+    fn joints(&self, pose: &Pose, solved: &SolvedPose) -> Result<Joints, PoseError> {
         let mut joints = Joints::default();
         let z = i64::from(pose.0[Z].0) - self.height;
-        for (joint, rod) in joints.0.iter_mut().zip(&placed.rods) {
+        for (joint, rod) in joints.0.iter_mut().zip(&solved.rods) {
             let at = i32::try_from(z + rod.up).map_err(|_| PoseError::Unreachable)?;
             *joint = Coordinate(at);
         }
@@ -192,17 +192,17 @@ impl LinearDelta {
     }
 
     /// The motion of the platform that changes the slides by `changes`.
-    fn moved(&self, placed: &Placed, changes: [i64; AXES]) -> [i64; AXES] {
-        let rods = placed.rods.iter().zip(placed.weights);
+    fn moved(&self, solved: &SolvedPose, changes: [i64; AXES]) -> [i64; AXES] {
+        let rods = solved.rods.iter().zip(solved.weights);
         let along: i128 = rods
             .zip(changes)
             .map(|((rod, weight), change)| {
                 i128::from((rod.up * weight) >> WEIGHT) * i128::from(change)
             })
             .sum();
-        let dz = (along / i128::from(placed.plane.max(1))) as i64;
+        let dz = (along / i128::from(solved.plane.max(1))) as i64;
         let mut at = [0_i128; 2];
-        for ((rod, gradient), change) in placed.rods.iter().zip(self.gradients).zip(changes) {
+        for ((rod, gradient), change) in solved.rods.iter().zip(self.gradients).zip(changes) {
             let lever = i128::from(rod.up) * i128::from(change - dz);
             for (at, part) in at.iter_mut().zip(gradient) {
                 *at += lever * i128::from(part);
@@ -316,8 +316,8 @@ impl Machine for LinearDelta {
     }
 
     fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
-        Some(match self.place(pose) {
-            Ok(placed) => Ok(Length(saturate(placed.least()))),
+        Some(match self.solve_positions(pose) {
+            Ok(solved) => Ok(Length(saturate(solved.least()))),
             Err(PoseError::NearSingularity { distance }) => Ok(Length(distance)),
             Err(error) => Err(error),
         })
@@ -326,14 +326,14 @@ impl Machine for LinearDelta {
     /// One slide moves, the others are at rest.
     fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
         let mut rates = [0; MAX_AXES];
-        let Ok(placed) = self.place(pose) else {
+        let Ok(solved) = self.solve_positions(pose) else {
             return rates;
         };
         let mut changes = [0; AXES];
         if let Some(change) = changes.get_mut(joint) {
             *change = rate;
         }
-        rates[..AXES].copy_from_slice(&self.moved(&placed, changes));
+        rates[..AXES].copy_from_slice(&self.moved(&solved, changes));
         rates
     }
 }
@@ -344,8 +344,8 @@ impl Kinematics for LinearDelta {
     }
 
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
-        let placed = self.place(pose)?;
-        self.joints(pose, &placed)
+        let solved = self.solve_positions(pose)?;
+        self.joints(pose, &solved)
     }
 
     fn inverse_motion(
@@ -354,15 +354,15 @@ impl Kinematics for LinearDelta {
         rates: &Rates,
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
-        let placed = self.place(pose)?;
+        let solved = self.solve_positions(pose)?;
         let mut motion = JointMotion {
-            joints: self.joints(pose, &placed)?,
+            joints: self.joints(pose, &solved)?,
             ..JointMotion::default()
         };
         let rate = [0, 1].map(|axis| i64::from(rates[axis].0));
         let acceleration = [0, 1].map(|axis| i64::from(accelerations[axis].0));
         // A rate or acceleration beyond the range is held at its end, which is above every limit.
-        for (joint, Rod { away, up }) in placed.rods.iter().enumerate() {
+        for (joint, Rod { away, up }) in solved.rods.iter().enumerate() {
             let closing = -(away[0] * rate[0] + away[1] * rate[1]) / up;
             motion.rates[joint] = Rate(saturate(closing + i64::from(rates[Z].0)));
             // The squares have 2^-40 mm^2/s^2, the products 2^-32.
@@ -380,15 +380,15 @@ impl Kinematics for LinearDelta {
         let heights = [0, 1, 2].map(|joint| i64::from(joints.0[joint].0) + self.height);
         let mut at = self.solve_spheres(heights)?;
         for _ in 0..ITERATIONS {
-            let placed = self.rods_at([at[0], at[1]])?;
-            if placed.plane <= 0 {
+            let solved = self.rods_at([at[0], at[1]])?;
+            if solved.plane <= 0 {
                 break;
             }
             let mut left = heights;
-            for (left, rod) in left.iter_mut().zip(&placed.rods) {
+            for (left, rod) in left.iter_mut().zip(&solved.rods) {
                 *left -= at[Z] + rod.up;
             }
-            let by = self.moved(&placed, left);
+            let by = self.moved(&solved, left);
             for (at, by) in at.iter_mut().zip(by) {
                 *at += by;
             }
@@ -397,7 +397,7 @@ impl Kinematics for LinearDelta {
                 for (slot, at) in pose.0.iter_mut().zip(at) {
                     *slot = Coordinate(i32::try_from(at).map_err(|_| PoseError::Unreachable)?);
                 }
-                self.place(&pose)?;
+                self.solve_positions(&pose)?;
                 return Ok(pose);
             }
         }
@@ -405,9 +405,9 @@ impl Kinematics for LinearDelta {
     }
 
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
-        let placed = self.place(pose)?;
+        let solved = self.solve_positions(pose)?;
         let mut jacobian = Jacobian([[0; MAX_AXES]; MAX_AXES]);
-        for (row, Rod { away, up }) in jacobian.0.iter_mut().zip(&placed.rods) {
+        for (row, Rod { away, up }) in jacobian.0.iter_mut().zip(&solved.rods) {
             row[0] = -(away[0] << 32) / up;
             row[1] = -(away[1] << 32) / up;
             row[Z] = 1 << 32;

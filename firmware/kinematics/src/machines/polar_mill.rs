@@ -66,7 +66,7 @@ pub struct PolarMill {
 
 /// A pose on the table.
 #[derive(Debug, Clone, Copy)]
-struct Placed {
+struct SolvedPose {
     /// At least the margin, at most 2^31 - 1.
     r: i64,
     theta: Angle,
@@ -104,18 +104,18 @@ impl PolarMill {
     }
 
     /// The joints r and theta of a pose.
-    fn place(&self, pose: &Pose) -> Result<Placed, PoseError> {
+    fn solve_positions(&self, pose: &Pose) -> Result<SolvedPose, PoseError> {
         let at = self.tip(pose).ok_or(PoseError::Unreachable)?;
-        Ok(Placed {
+        Ok(SolvedPose {
             r: self.radius(at)?,
             theta: turn_of(at),
         })
     }
 
-    fn joints(pose: &Pose, placed: &Placed) -> Joints {
+    fn joints(pose: &Pose, solved: &SolvedPose) -> Joints {
         let mut joints = Joints::default();
-        joints.0[R] = Coordinate(placed.r as i32);
-        joints.0[THETA] = placed.theta.into();
+        joints.0[R] = Coordinate(solved.r as i32);
+        joints.0[THETA] = solved.theta.into();
         joints.0[Z] = pose.0[Z];
         joints
     }
@@ -166,8 +166,8 @@ impl Machine for PolarMill {
     }
 
     fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
-        Some(match self.place(pose) {
-            Ok(placed) => Ok(Length(placed.r as i32)),
+        Some(match self.solve_positions(pose) {
+            Ok(solved) => Ok(Length(solved.r as i32)),
             Err(PoseError::NearSingularity { distance }) => Ok(Length(distance)),
             Err(error) => Err(error),
         })
@@ -177,12 +177,12 @@ impl Machine for PolarMill {
     /// the tip.
     fn search_rates(&self, joint: usize, pose: &Pose, rate: i64) -> [i64; MAX_AXES] {
         let mut rates = [0; MAX_AXES];
-        let (Some([x, y]), Ok(placed)) = (self.tip(pose), self.place(pose)) else {
+        let (Some([x, y]), Ok(solved)) = (self.tip(pose), self.solve_positions(pose)) else {
             return rates;
         };
         match joint {
             R => {
-                let (sine, cosine) = sin_cos(placed.theta);
+                let (sine, cosine) = sin_cos(solved.theta);
                 rates[0] = scale(rate, cosine, 30);
                 rates[1] = -scale(rate, sine, 30);
             }
@@ -203,7 +203,7 @@ impl Kinematics for PolarMill {
     }
 
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
-        Ok(Self::joints(pose, &self.place(pose)?))
+        Ok(Self::joints(pose, &self.solve_positions(pose)?))
     }
 
     /// In the frame of the machine the tip has the rate (r', -r theta') with the table at rest, and
@@ -214,23 +214,23 @@ impl Kinematics for PolarMill {
         rates: &Rates,
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
-        let placed = self.place(pose)?;
-        let direction = sin_cos(placed.theta);
+        let solved = self.solve_positions(pose)?;
+        let direction = sin_cos(solved.theta);
         let [along, across] = turned([0, 1].map(|axis| i64::from(rates[axis].0)), direction);
         // A rate or acceleration beyond the range is held at its end, which is above every limit.
-        let turn = Rate(saturate(Self::turn(across, placed.r)));
+        let turn = Rate(saturate(Self::turn(across, solved.r)));
         let push = [0, 1].map(|axis| i64::from(accelerations[axis].0));
         let [push, aside] = turned(push, direction);
-        let spin = round_shift(tangential_rate(tangential_rate(placed.r, turn), turn), 8);
+        let spin = round_shift(tangential_rate(tangential_rate(solved.r, turn), turn), 8);
         let coriolis = round_shift(2 * tangential_rate(along, turn), 8);
         let mut motion = JointMotion {
-            joints: Self::joints(pose, &placed),
+            joints: Self::joints(pose, &solved),
             ..JointMotion::default()
         };
         motion.rates[..AXES].copy_from_slice(&[Rate(saturate(along)), turn, rates[Z]]);
         motion.accelerations[..AXES].copy_from_slice(&[
             Acceleration(saturate(push + spin)),
-            Acceleration(saturate(Self::turn(aside + coriolis, placed.r))),
+            Acceleration(saturate(Self::turn(aside + coriolis, solved.r))),
             accelerations[Z],
         ]);
         Ok(motion)
@@ -255,15 +255,15 @@ impl Kinematics for PolarMill {
     }
 
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
-        let placed = self.place(pose)?;
-        let (sine, cosine) = sin_cos(placed.theta);
+        let solved = self.solve_positions(pose)?;
+        let (sine, cosine) = sin_cos(solved.theta);
         // Q30 to Q32.
         let wide = |value: i32| i64::from(value) << 2;
         let mut jacobian = Jacobian([[0; MAX_AXES]; MAX_AXES]);
         jacobian.0[R][0] = wide(cosine);
         jacobian.0[R][1] = -wide(sine);
-        jacobian.0[THETA][0] = Self::turn(wide(sine), placed.r);
-        jacobian.0[THETA][1] = Self::turn(wide(cosine), placed.r);
+        jacobian.0[THETA][0] = Self::turn(wide(sine), solved.r);
+        jacobian.0[THETA][1] = Self::turn(wide(cosine), solved.r);
         jacobian.0[Z][Z] = 1 << 32;
         Ok(jacobian)
     }

@@ -85,7 +85,7 @@ struct Triangle {
 
 /// A pose with its joint angles.
 #[derive(Debug, Clone, Copy)]
-struct Placed {
+struct SolvedPose {
     triangle: Triangle,
     theta: [Angle; 2],
 }
@@ -172,7 +172,7 @@ impl Scara {
     }
 
     /// The joint angles of a pose.
-    fn place(&self, pose: &Pose) -> Result<Placed, PoseError> {
+    fn solve_positions(&self, pose: &Pose) -> Result<SolvedPose, PoseError> {
         let [x, y] = self.tip(pose).ok_or(PoseError::Unreachable)?;
         let triangle = self.triangle(x * x + y * y)?;
         let ahead = triangle.square + self.upper * self.upper - self.fore * self.fore;
@@ -183,7 +183,7 @@ impl Scara {
         } else {
             [towards.wrapping_add(lead), bend.wrapping_neg()]
         };
-        Ok(Placed { triangle, theta })
+        Ok(SolvedPose { triangle, theta })
     }
 
     fn joints(pose: &Pose, [theta1, theta2]: [Angle; 2]) -> Joints {
@@ -274,8 +274,8 @@ impl Machine for Scara {
 
     fn singularity_distance(&self, pose: &Pose) -> Option<Result<Length, PoseError>> {
         let distance = |area: i64| Length(saturate(area / (2 * self.upper).max(1)));
-        Some(match self.place(pose) {
-            Ok(placed) => Ok(distance(placed.triangle.area)),
+        Some(match self.solve_positions(pose) {
+            Ok(solved) => Ok(distance(solved.triangle.area)),
             Err(PoseError::NearSingularity { distance }) => Ok(Length(distance)),
             Err(error) => Err(error),
         })
@@ -286,10 +286,10 @@ impl Machine for Scara {
         let mut rates = [0; MAX_AXES];
         let turn = Rate(saturate(rate));
         let tangential_rate = |lever: i64| scale(per_turn(lever), turn.0, 32);
-        let Ok(placed) = self.place(pose) else {
+        let Ok(solved) = self.solve_positions(pose) else {
             return rates;
         };
-        let [(arm_sine, arm_cosine), (sine, cosine)] = Self::directions(placed.theta);
+        let [(arm_sine, arm_cosine), (sine, cosine)] = Self::directions(solved.theta);
         let fore = [cosine, sine].map(|part| scale(self.fore, part, 30));
         let upper = [arm_cosine, arm_sine].map(|part| scale(self.upper, part, 30));
         match joint {
@@ -313,7 +313,7 @@ impl Kinematics for Scara {
     }
 
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
-        Ok(Self::joints(pose, self.place(pose)?.theta))
+        Ok(Self::joints(pose, self.solve_positions(pose)?.theta))
     }
 
     fn inverse_motion(
@@ -322,7 +322,7 @@ impl Kinematics for Scara {
         rates: &Rates,
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
-        let Placed { triangle, theta } = self.place(pose)?;
+        let SolvedPose { triangle, theta } = self.solve_positions(pose)?;
         let levers = self.levers(&triangle);
         let directions = Self::directions(theta);
         let velocity = [0, 1].map(|axis| i64::from(rates[axis].0));
@@ -378,7 +378,7 @@ impl Kinematics for Scara {
     }
 
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
-        let Placed { triangle, theta } = self.place(pose)?;
+        let SolvedPose { triangle, theta } = self.solve_positions(pose)?;
         let levers = self.levers(&triangle);
         let directions = Self::directions(theta);
         let mut jacobian = Jacobian([[0; MAX_AXES]; MAX_AXES]);
@@ -403,7 +403,7 @@ impl Kinematics for Scara {
         for axis in 0..2 {
             middle.0[axis] = Coordinate((i64::from(low.0[axis].0) + width(axis) / 2) as i32);
         }
-        let placed = self.place(&middle)?;
+        let solved = self.solve_positions(&middle)?;
         let half = magnitude([0, 1].map(|axis| (width(axis) + 1) / 2));
         let r = magnitude(self.tip(&middle).ok_or(PoseError::Unreachable)?);
         let (near, far) = (r - half - 2, r + half + 2);
@@ -411,7 +411,7 @@ impl Kinematics for Scara {
             return Err(PoseError::Unreachable);
         }
         let ends = if half == 0 {
-            [placed.triangle; 2]
+            [solved.triangle; 2]
         } else {
             [self.triangle(near * near)?, self.triangle(far * far)?]
         };
@@ -427,7 +427,7 @@ impl Kinematics for Scara {
 
         let mut bounds = BoxBounds::default();
         let sweep = if half == 0 { 0 } else { turned(half, lever) };
-        let [theta1, theta2] = placed.theta;
+        let [theta1, theta2] = solved.theta;
         let bends = if half == 0 {
             [theta2; 2].map(|angle| i64::from(angle.0))
         } else {

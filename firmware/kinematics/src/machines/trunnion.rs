@@ -90,7 +90,7 @@ impl Trunnion {
 
     /// (p, q) and (v, h) of a pose.
     #[inline(always)]
-    fn place(&self, pose: &Pose) -> ([i64; 2], [i64; 2]) {
+    fn solve_positions(&self, pose: &Pose) -> ([i64; 2], [i64; 2]) {
         let (flat, height) = self.on_table(pose);
         let [p, q] = turned(flat, sin_cos(pose.0[C].angle()));
         let across = [total(q, self.apart), height];
@@ -188,7 +188,7 @@ impl Kinematics for Trunnion {
     }
 
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
-        let ([p, _], [v, h]) = self.place(pose);
+        let ([p, _], [v, h]) = self.solve_positions(pose);
         let [x, y, z] = self.slides([p, v, h])?;
         Ok(Joints([x, y, z, pose.0[A], pose.0[C], Coordinate::ZERO]))
     }
@@ -258,7 +258,7 @@ impl Kinematics for Trunnion {
     }
 
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
-        let ([p, q], [v, h]) = self.place(pose);
+        let ([p, q], [v, h]) = self.solve_positions(pose);
         self.slides([p, v, h])?;
         let (tilt_sine, tilt_cosine) = sin_cos(pose.0[A].angle());
         let (sine, cosine) = sin_cos(pose.0[C].angle());

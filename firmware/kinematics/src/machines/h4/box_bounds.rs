@@ -51,19 +51,19 @@ impl Turn {
         }
     }
 
-    /// How far a |cos| + b |sin| can be: of a displacement that is turned.
+    /// Bound of a |cos| + b |sin|, a coordinate of a rotated displacement.
     fn along(cosine: u32, a: u32, sine: u32, b: u32) -> u32 {
         times(cosine, a, 30).saturating_add(times(sine, b, 30))
     }
 
-    /// How far one coordinate of a point goes when it is turned by up to half the range; `aside` is
-    /// the other one.
-    fn swing(&self, along: u32, aside: u32) -> u32 {
+    /// Bound of the change of one coordinate of a point that rotates by up to half the range;
+    /// `aside` is the other coordinate.
+    fn bound_rotation(&self, along: u32, aside: u32) -> u32 {
         times(aside, self.by, 30).saturating_add(times(along, self.bend, 30))
     }
 }
 
-/// What was rounded down in the bound of a length, or of a rate, in axis units (per second).
+/// Rounding error of the bound of a length, or of a rate, axis units (per second).
 const ROUNDED: u32 = 16;
 const ROUNDED_RATE: u32 = 64;
 
@@ -90,32 +90,33 @@ impl H4 {
             check_tilt(end.0[THETA])?;
             check_table(end.0[ALPHA])?;
         }
-        let (placed, pairs) = self.place(&middle)?;
-        let joints = self.joints(&placed, &pairs, middle.0[ALPHA])?;
+        let (terms, pairs) = self.solve_positions(&middle)?;
+        let joints = self.joints(&terms, &pairs, middle.0[ALPHA])?;
         let [by_x, by_across, by_up, by_theta, by_alpha] = half;
         let moved = half != [0; AXES];
-        let table = Turn::of(placed.table, by_alpha);
-        let tilt = Turn::of(placed.tilt, by_theta);
+        let table = Turn::of(terms.table, by_alpha);
+        let tilt = Turn::of(terms.tilt, by_theta);
         // Both are words, so their magnitudes are.
-        let (y, height) = (placed.y as i32, placed.height as i32);
+        let (y, height) = (terms.y as i32, terms.height as i32);
         let line_y = Turn::along(table.cosine, by_across, table.sine, by_up);
         let line_height = Turn::along(table.cosine, by_up, table.sine, by_across);
         let most_y = y.unsigned_abs().saturating_add(line_y);
         let most_height = height.unsigned_abs().saturating_add(line_height);
         let rounded = if moved { ROUNDED } else { 0 };
         let by_y = line_y
-            .saturating_add(table.swing(most_y, most_height))
+            .saturating_add(table.bound_rotation(most_y, most_height))
             .saturating_add(rounded);
         let by_height = line_height
-            .saturating_add(table.swing(most_height, most_y))
+            .saturating_add(table.bound_rotation(most_height, most_y))
             .saturating_add(rounded);
         let arms = [self.upper, self.lower].map(i32::unsigned_abs);
         let by_v = arms.map(|arm| {
-            by_height
-                .saturating_add(tilt.swing(times(arm, tilt.cosine, 30), times(arm, tilt.sine, 30)))
+            by_height.saturating_add(
+                tilt.bound_rotation(times(arm, tilt.cosine, 30), times(arm, tilt.sine, 30)),
+            )
         });
         if moved {
-            self.stays_regular(&placed, by_y, by_v)?;
+            self.stays_regular(&terms, by_y, by_v)?;
         }
         let mut slopes = [(0, 0); 2];
         let mut ends = [joints; 2];
@@ -137,7 +138,7 @@ impl H4 {
             };
             // S is concave in U and V: it is never farther above than it is below.
             let shorter = (pair.root.rounded() - far.root.rounded()).unsigned_abs();
-            let lean = tilt.swing(
+            let lean = tilt.bound_rotation(
                 times(arms[index], tilt.sine, 30),
                 times(arms[index], tilt.cosine, 30),
             );

@@ -140,9 +140,9 @@ pub(super) struct Pair {
     pub(super) root: Root,
 }
 
-/// A pose in the base frame.
+/// Terms of a pose in the base frame that joints and rates share.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Placed {
+pub(super) struct PoseTerms {
     /// x.
     pub(super) x: i64,
     /// y.
@@ -250,16 +250,16 @@ impl H4 {
     /// # Errors
     /// [`TILT`], [`PoseError::Unreachable`]: the arm cannot take this pose.
     pub fn singularity_distance(&self, pose: &Pose) -> Result<Length, PoseError> {
-        let placed = self.frame(pose)?;
-        if self.square(placed.upper) < 0 || self.square(placed.lower) < 0 {
+        let terms = self.frame(pose)?;
+        if self.square(terms.upper) < 0 || self.square(terms.lower) < 0 {
             return Err(PoseError::Unreachable);
         }
-        Ok(Length(self.distance(&placed)))
+        Ok(Length(self.distance(&terms)))
     }
 
     /// Converts a pose to the base frame: the inverse of (3.14)-(3.16).
     #[inline(always)]
-    pub(super) fn frame(&self, pose: &Pose) -> Result<Placed, PoseError> {
+    pub(super) fn frame(&self, pose: &Pose) -> Result<PoseTerms, PoseError> {
         let [x_w, y_w, z_w, theta, alpha, _] = pose.0;
         check_tilt(theta)?;
         check_table(alpha)?;
@@ -296,7 +296,7 @@ impl H4 {
         if beyond | leaves(height) != 0 || !self.sound {
             return Err(PoseError::Unreachable);
         }
-        Ok(Placed {
+        Ok(PoseTerms {
             x: total(x_w.0 as i64, self.offset[0] as i64),
             y,
             height,
@@ -309,25 +309,25 @@ impl H4 {
 
     /// [`Kinematics::inverse_motion`], written to `motion`.
     #[inline(always)]
-    pub(super) fn place_motion(
+    pub(super) fn solve_motion(
         &self,
         pose: &Pose,
         rates: &Rates,
         accelerations: &Accelerations,
         motion: &mut JointMotion,
     ) -> Result<(), PoseError> {
-        let (placed, pairs) = self.place(pose)?;
-        motion.joints = self.joints(&placed, &pairs, pose.0[ALPHA])?;
-        self.derivatives(&placed, &pairs, rates, accelerations, motion);
+        let (terms, pairs) = self.solve_positions(pose)?;
+        motion.joints = self.joints(&terms, &pairs, pose.0[ALPHA])?;
+        self.derivatives(&terms, &pairs, rates, accelerations, motion);
         Ok(())
     }
 
     /// The pose with both pairs of rods, every condition but the strokes fulfilled.
     #[inline(always)]
-    pub(super) fn place(&self, pose: &Pose) -> Result<(Placed, [Pair; 2]), PoseError> {
-        let placed = self.frame(pose)?;
-        let upper = self.square(placed.upper);
-        let lower = self.square(placed.lower);
+    pub(super) fn solve_positions(&self, pose: &Pose) -> Result<(PoseTerms, [Pair; 2]), PoseError> {
+        let terms = self.frame(pose)?;
+        let upper = self.square(terms.upper);
+        let lower = self.square(terms.lower);
         if upper < self.least_square || lower < self.least_square {
             return Err(if upper < 0 || lower < 0 {
                 PoseError::Unreachable
@@ -338,11 +338,11 @@ impl H4 {
         }
         // hypot(E, D) <= |E| + |D|: a pose that is far enough by this bound needs no root and no
         // division.
-        let (cross, height) = self.cross(&placed);
+        let (cross, height) = self.cross(&terms);
         let width = total(self.twice_lateral, height);
         // margin <= 2^30, width <= 2^32.
         if cross < (self.margin as i64).wrapping_mul(width) {
-            let distance = self.distance(&placed);
+            let distance = self.distance(&terms);
             if distance < self.margin {
                 return Err(PoseError::NearSingularity { distance });
             }
@@ -352,10 +352,7 @@ impl H4 {
             v,
             root: Root::of(square as u64),
         };
-        Ok((
-            placed,
-            [pair(placed.upper, upper), pair(placed.lower, lower)],
-        ))
+        Ok((terms, [pair(terms.upper, upper), pair(terms.lower, lower)]))
     }
 
     /// R^2 - U^2 - V^2; from -2^63 to 2^60.
@@ -371,9 +368,9 @@ impl H4 {
     ///
     /// U and V must not be longer than a rod.
     #[inline(always)]
-    fn cross(&self, placed: &Placed) -> (i64, i64) {
-        let (u1, v1) = placed.upper;
-        let (u3, v3) = placed.lower;
+    fn cross(&self, terms: &PoseTerms) -> (i64, i64) {
+        let (u1, v1) = terms.upper;
+        let (u3, v3) = terms.lower;
         // All four are at most 2^30 in magnitude: nothing wraps.
         let twice = (u1 as i64 * v3 as i64).wrapping_add(u3 as i64 * v1 as i64);
         let sign = !(self.branch >> 63);
@@ -393,17 +390,17 @@ impl H4 {
     #[inline]
     pub(super) fn stays_regular(
         &self,
-        placed: &Placed,
+        terms: &PoseTerms,
         by_u: u32,
         by_v: [u32; 2],
     ) -> Result<(), PoseError> {
-        let (cross, height) = self.cross(placed);
+        let (cross, height) = self.cross(terms);
         // U1 + U3 is constant: what one gains the other one loses.
         let [by_v1, by_v3] = by_v.map(|by| i64::from(by.min(1 << 30)));
         let by_height = total(by_v1, by_v3);
         let less = i64::from(by_u.min(1 << 30)) * total(height, by_height)
-            + i64::from(placed.upper.0).abs() * by_v3
-            + i64::from(placed.lower.0).abs() * by_v1;
+            + i64::from(terms.upper.0).abs() * by_v3
+            + i64::from(terms.lower.0).abs() * by_v1;
         let least = cross.saturating_sub(less);
         if least < i64::from(self.margin) * total(self.twice_lateral, total(height, by_height)) {
             let distance = self.distance_of(least, total(height, by_height));
@@ -416,8 +413,8 @@ impl H4 {
 
     /// Signed distance from the parallel singularity, rounded towards zero.
     #[cold]
-    fn distance(&self, placed: &Placed) -> i32 {
-        let (cross, height) = self.cross(placed);
+    fn distance(&self, terms: &PoseTerms) -> i32 {
+        let (cross, height) = self.cross(terms);
         self.distance_of(cross, height)
     }
 
@@ -428,19 +425,19 @@ impl H4 {
         saturate(cross / (2 * base as i64))
     }
 
-    /// Joints of a placed pose, (3.23)-(3.26).
+    /// Joints of a solved pose, (3.23)-(3.26).
     #[inline(always)]
     pub(super) fn joints(
         &self,
-        placed: &Placed,
+        terms: &PoseTerms,
         pairs: &[Pair; 2],
         alpha: Coordinate,
     ) -> Result<Joints, PoseError> {
-        let sine = placed.tilt.0;
+        let sine = terms.tilt.0;
         // x is below 2^32, all others are 32-bit numbers: no sum exceeds 36 bits.
         let lean = |length: i32| round_q30(length as i64 * sine as i64) as i64;
-        let upper = total(placed.x, lean(self.upper));
-        let lower = total(placed.x, lean(self.lower));
+        let upper = total(terms.x, lean(self.upper));
+        let lower = total(terms.x, lean(self.lower));
         let ahead = self.joint_offset as i64;
         let front = total(ahead, pairs[0].root.rounded() as i64);
         let rear = total(ahead, pairs[1].root.rounded() as i64);
@@ -511,8 +508,8 @@ impl Kinematics for H4 {
     }
 
     fn inverse(&self, pose: &Pose) -> Result<Joints, PoseError> {
-        let (placed, pairs) = self.place(pose)?;
-        self.joints(&placed, &pairs, pose.0[ALPHA])
+        let (terms, pairs) = self.solve_positions(pose)?;
+        self.joints(&terms, &pairs, pose.0[ALPHA])
     }
 
     fn inverse_motion(
@@ -522,7 +519,7 @@ impl Kinematics for H4 {
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError> {
         let mut motion = JointMotion::default();
-        self.place_motion(pose, rates, accelerations, &mut motion)?;
+        self.solve_motion(pose, rates, accelerations, &mut motion)?;
         Ok(motion)
     }
 
@@ -556,8 +553,8 @@ impl Kinematics for H4 {
     }
 
     fn jacobian(&self, pose: &Pose) -> Result<Jacobian, PoseError> {
-        let (placed, pairs) = self.place(pose)?;
-        Ok(self.slopes(&placed, &pairs))
+        let (terms, pairs) = self.solve_positions(pose)?;
+        Ok(self.slopes(&terms, &pairs))
     }
 
     #[inline]
@@ -568,7 +565,7 @@ impl Kinematics for H4 {
         accelerations: &Accelerations,
         motion: &mut JointMotion,
     ) -> Result<(), PoseError> {
-        self.place_motion(pose, rates, accelerations, motion)
+        self.solve_motion(pose, rates, accelerations, motion)
     }
 
     #[inline]

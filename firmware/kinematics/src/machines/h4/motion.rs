@@ -20,7 +20,7 @@
 //! Limits: a rate or acceleration of a joint beyond its type saturates (2048 mm/s, 524 m/s^2), far
 //! above the capability of a drive.
 
-use super::{ALPHA, AXES, H4, Pair, Placed, THETA};
+use super::{ALPHA, AXES, H4, Pair, PoseTerms, THETA};
 use crate::planar::TWO_PI_Q28;
 use crate::{Accelerations, Jacobian, JointMotion, Rates};
 use haptimill_math::root::Reciprocal;
@@ -164,11 +164,11 @@ fn hold(jets: &[PairJet; 2], excess: u32, motion: &mut JointMotion) {
 }
 
 impl H4 {
-    /// Rates and accelerations of the joints at a placed pose that moves.
+    /// Rates and accelerations of the joints at a solved pose that moves.
     #[inline(always)]
     pub(super) fn derivatives(
         &self,
-        placed: &Placed,
+        terms: &PoseTerms,
         pairs: &[Pair; 2],
         rates: &Rates,
         accelerations: &Accelerations,
@@ -202,7 +202,7 @@ impl H4 {
             );
             (&slow.0, &slow.1)
         };
-        let jets = self.jets(placed, pairs, slow_rates, slow_accelerations);
+        let jets = self.jets(terms, pairs, slow_rates, slow_accelerations);
         // One check for all values that exceed 32 bits.
         let mut beyond = u64::from(excess);
         let mut narrow = |value: i64| {
@@ -253,7 +253,7 @@ impl H4 {
     #[inline(always)]
     fn jets(
         &self,
-        placed: &Placed,
+        terms: &PoseTerms,
         pairs: &[Pair; 2],
         rates: &Rates,
         accelerations: &Accelerations,
@@ -272,8 +272,8 @@ impl H4 {
         let radians = |value: i32| nearest(value as i64 * QUARTER_PI_Q31 as i64, 30);
 
         // The table. Sums of products in Q30; rates 2^-20 mm/s, accelerations 2^-12 mm/s^2.
-        let (sine, cosine) = placed.table;
-        let (y, height) = (placed.y as i32, placed.height as i32);
+        let (sine, cosine) = terms.table;
+        let (y, height) = (terms.y as i32, terms.height as i32);
         let (omega, spin) = (radians(turn), radians(turn_push));
         // Q28.
         let bend = word(omega as i64 * omega as i64, 32);
@@ -301,7 +301,7 @@ impl H4 {
         let u = (nearest(y_rate, 30), word(y_push, 30));
 
         // The tilt: derivatives of sin(theta) and cos(theta), Q30 and Q22, the latter negated.
-        let (sine, cosine) = placed.tilt;
+        let (sine, cosine) = terms.tilt;
         let (omega, spin) = (radians(tilt), radians(tilt_push));
         let bend = word(omega as i64 * omega as i64, 38);
         let sine_rate = nearest(cosine as i64 * omega as i64, 30);
@@ -337,10 +337,10 @@ impl H4 {
     }
 
     /// The Jacobian in table coordinates: docs/control.md 2.7, chained with the table.
-    pub(super) fn slopes(&self, placed: &Placed, pairs: &[Pair; 2]) -> Jacobian {
+    pub(super) fn slopes(&self, terms: &PoseTerms, pairs: &[Pair; 2]) -> Jacobian {
         let mut rows = Jacobian([[0; crate::MAX_AXES]; crate::MAX_AXES]);
-        let (table_sine, table_cosine) = (placed.table.0 as i64, placed.table.1 as i64);
-        let (sine, cosine) = placed.tilt;
+        let (table_sine, table_cosine) = (terms.table.0 as i64, terms.table.1 as i64);
+        let (sine, cosine) = terms.tilt;
         let one = 1i64 << 32;
         // Lengths per radian, 2^-20 mm, to 2^-20 mm per 2^-32 turn in Q32: times 2 pi.
         let per_turn = |length: i64| scale(length, TWO_PI_Q28, 28);
@@ -358,7 +358,7 @@ impl H4 {
             let up = sign * slope.v;
             let tilt = multiply_shift(length, cosine, 30)
                 - scale(multiply_shift(length, sine, 30), up, 27);
-            let table = scale(placed.y, up, 27) - scale(placed.height, across, 27);
+            let table = scale(terms.y, up, 27) - scale(terms.height, across, 27);
             *row = [
                 one,
                 // Q27 * Q30 to Q32.

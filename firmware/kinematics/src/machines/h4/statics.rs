@@ -41,12 +41,12 @@ impl H4 {
     /// # Errors
     /// As [`crate::Kinematics::inverse`].
     pub fn slide_forces(&self, pose: &Pose, tool: &ToolForce) -> Result<[Effort; 4], PoseError> {
-        let (placed, pairs) = self.place(pose)?;
+        let (terms, pairs) = self.solve_positions(pose)?;
         let wide = |value: i32| value as i128;
         let [fx, fy, fz] = tool.force.map(|force| wide(force.0));
-        let ((u1, v1), (u3, v3)) = (placed.upper, placed.lower);
+        let ((u1, v1), (u3, v3)) = (terms.upper, terms.lower);
         let [u1, v1, u3, v3] = [u1, v1, u3, v3].map(wide);
-        let (sine, cosine) = (wide(placed.tilt.0), wide(placed.tilt.1));
+        let (sine, cosine) = (wide(terms.tilt.0), wide(terms.tilt.1));
         let roots = pairs.map(|pair| wide(pair.root.rounded()));
 
         // -2 X, at least 2 * margin * |E| in magnitude: not 0. Numerators stay below 2^95.
