@@ -169,7 +169,7 @@ fn activate(
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
     let open_loop = machine.open_loop() != 0;
     core.safety
-        .set_open_loop(open_loop, machine.forgets_position());
+        .set_open_loop(open_loop, machine.loses_position_without_drives());
     if at_preset || first {
         core.safety.set_homed(false);
         core.job.preset_valid = at_preset || machine.count_from(&core.power_on);
@@ -275,7 +275,7 @@ fn move_off(core: &mut Core, axis: u8, inputs: &Inputs) -> Done {
     }
     machine.check_inputs(false)?;
     let counted = machine.encoders_counted();
-    machine.begin_leaving(axis, inputs)?;
+    machine.begin_move_off(axis, inputs)?;
     core.safety.lose_position();
     core.job.preset_valid &= counted;
     core.job.saturated = 0;

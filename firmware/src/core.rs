@@ -240,10 +240,10 @@ impl Core {
         if let Some(job) = self.job.number.take() {
             let program = self.machine.as_ref().map(|machine| &machine.motion.program);
             // A missing setpoint is reported as a late one.
-            if let Some(late) = program.and_then(|program| program.underrunning()) {
+            if let Some(underrun) = program.and_then(|program| program.underrunning()) {
                 self.safety.push_event(Event::Underrun {
-                    setpoint: late.setpoint,
-                    late_periods: late.periods,
+                    setpoint: underrun.setpoint,
+                    late_periods: underrun.periods,
                 });
             }
             let setpoints = program.map_or(0, |program| program.reached());

@@ -254,7 +254,7 @@ pub(crate) fn close_aborted_job(core: &mut Core) {
     if core.safety.has_latched() {
         invalidate_preset(core);
     }
-    if core.safety.take_forgotten() {
+    if core.safety.take_position_loss() {
         core.job.preset_valid = false;
     }
 }

@@ -9,8 +9,8 @@ mod correction;
 mod enable;
 mod gantry;
 mod joint_rates;
-mod leaving;
 pub mod masters;
+mod move_off;
 mod named_io;
 mod switches;
 

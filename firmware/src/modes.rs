@@ -81,10 +81,10 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
     let deferred = server.is_deferred();
     let program = &mut machine.motion.program;
     program.prefetch(deferred, || server.try_background_idle());
-    if let Some(late) = program.take_late() {
+    if let Some(underrun) = program.take_underrun() {
         core.safety.push_event(Event::Underrun {
-            setpoint: late.setpoint,
-            late_periods: late.periods,
+            setpoint: underrun.setpoint,
+            late_periods: underrun.periods,
         });
     }
     if progress.queue_empty {
@@ -135,8 +135,8 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
     let Some(machine) = &mut core.machine else {
         return;
     };
-    if machine.leaves_switch() {
-        return leave_switch(core, inputs);
+    if machine.is_moving_off() {
+        return advance_move_off(core, inputs);
     }
     if machine.searches_switches() {
         match machine.advance_switches(inputs, core.job.stopping) {
@@ -183,15 +183,15 @@ fn follow_homing(core: &mut Core, inputs: &Inputs, limited: bool) {
 /// One period in which a joint moves off its limit switch.
 #[cold]
 #[inline(never)]
-fn leave_switch(core: &mut Core, inputs: &Inputs) {
+fn advance_move_off(core: &mut Core, inputs: &Inputs) {
     let Some(machine) = &mut core.machine else {
         return;
     };
-    let axis = machine.leaving_joint();
-    match machine.advance_leaving(inputs, core.job.stopping) {
+    let axis = machine.move_off_joint();
+    match machine.advance_move_off(inputs, core.job.stopping) {
         Ok(false) => {}
         Ok(true) => {
-            let holds = machine.end_leaving(inputs);
+            let holds = machine.end_move_off(inputs);
             if !core.job.stopping {
                 core.safety.push_event(Event::MovedOff { axis });
             }

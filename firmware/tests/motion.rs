@@ -199,9 +199,9 @@ proptest! {
         for point in &points[delivered..] {
             program.push(point).expect("accepted");
         }
-        let late = program.take_late().expect("reported");
-        prop_assert_eq!(late.setpoint, delivered as u32);
-        prop_assert!(late.periods as usize >= gap, "{} {}", late.periods, gap);
+        let underrun = program.take_underrun().expect("reported");
+        prop_assert_eq!(underrun.setpoint, delivered as u32);
+        prop_assert!(underrun.periods as usize >= gap, "{} {}", underrun.periods, gap);
         program.end(points.len() as u32).expect("at rest");
         let path = walk(&mut program, 20_000, |_| false);
         prop_assert!(path.finished);

@@ -88,7 +88,7 @@ fn setpoints() {
         if progress.finished {
             assert_eq!(x, along(last, true).pose[0]);
             assert_eq!((reached as usize, program.queued()), (last, 0));
-            assert!(program.take_late().is_none());
+            assert!(program.take_underrun().is_none());
             return;
         }
     }
@@ -115,13 +115,13 @@ fn underrunning() {
     // Standstill before the end of the known path, and it reports the missing setpoint.
     assert!(program.is_at_standstill());
     assert_eq!(
-        program.underrunning().map(|late| late.setpoint),
+        program.underrunning().map(|underrun| underrun.setpoint),
         Some(first as u32)
     );
     assert_eq!(program.push(&along(first + 1, true)), Ok(()));
     assert_eq!(program.end(first as u32 + 1), Ok(()));
-    let late = program.take_late().map(|late| late.setpoint);
-    assert_eq!(late, Some(first as u32));
+    let underrun = program.take_underrun().map(|underrun| underrun.setpoint);
+    assert_eq!(underrun, Some(first as u32));
     for _ in 0..6000 {
         let (commanded, progress) = program.advance(false);
         assert!(commanded.pose.0[0].0 >= x);

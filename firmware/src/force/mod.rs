@@ -215,9 +215,9 @@ impl ForceControl {
             let window = axis.peaks.window().samples();
             if self.toothless_update > 0 && u32::from(axis.until_look) == window {
                 // The deepest position of the window of the peak, and of no other time.
-                axis.stability_monitor.forget_positions();
+                axis.stability_monitor.clear_positions();
             }
-            axis.stability_monitor.note(position[component]);
+            axis.stability_monitor.record_position(position[component]);
             axis.until_look = axis.until_look.saturating_sub(1);
             if axis.until_look == 0 {
                 axis.until_look = match self.toothless_update {
@@ -424,8 +424,8 @@ impl ForceControl {
             .any(|compliance| compliance.rate != Rate::ZERO)
     }
 
-    /// Forgets the contact, so that the sensor must confirm its sign again.
-    pub fn forget_contact(&mut self) {
+    /// Resets the contact, so that the sensor must confirm its sign again.
+    pub fn reset_contact(&mut self) {
         for axis in &mut self.axes {
             axis.stability_monitor.reset(true);
         }

@@ -165,7 +165,7 @@ impl StabilityMonitor {
         self.sign
     }
 
-    /// Forgets the contact; with `sign` the sensor must confirm its sign again.
+    /// Resets the contact; with `sign` the sensor must confirm its sign again.
     pub fn reset(&mut self, sign: bool) {
         *self = Self {
             sign: if sign { Sign::Unknown } else { self.sign },
@@ -175,15 +175,15 @@ impl StabilityMonitor {
 
     /// Records the position of the tool in every control period.
     #[inline]
-    pub fn note(&mut self, position: Coordinate) {
+    pub fn record_position(&mut self, position: Coordinate) {
         self.now = self.now.with(Reach {
             low: position.0,
             high: position.0,
         });
     }
 
-    /// Forgets the recorded positions: those up to the next update count alone.
-    pub fn forget_positions(&mut self) {
+    /// Clears the recorded positions: those up to the next update count alone.
+    pub fn clear_positions(&mut self) {
         self.now = Reach::default();
         self.quarters = [Reach::default(); 3];
     }

@@ -82,9 +82,9 @@ pub struct Passivity {
 }
 
 impl Passivity {
-    /// Creates an observer at zero energy, with the leak's time constant (63 %) `forget_us`.
+    /// Creates an observer at zero energy, with the leak's time constant (63 %) `leak_us`.
     #[must_use]
-    pub fn new(config: &PassivityConfig, period_us: u16, forget_us: u32) -> Self {
+    pub fn new(config: &PassivityConfig, period_us: u16, leak_us: u32) -> Self {
         // At most 2^43.
         let deficit = (i64::from(config.deficit) << 20).clamp(1 << 29, 100 << 36);
         Self {
@@ -92,7 +92,7 @@ impl Passivity {
             least: -i64::from(COUNTED) * deficit,
             per_debt: (1 << 58) / deficit,
             damping: config.damping.min(1 << 15),
-            leak: ((i64::from(period_us) << 32) / i64::from(forget_us.max(1))).min(1 << 26),
+            leak: ((i64::from(period_us) << 32) / i64::from(leak_us.max(1))).min(1 << 26),
             energy: 0,
         }
     }

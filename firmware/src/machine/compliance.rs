@@ -281,7 +281,7 @@ impl Machine {
             return;
         };
         if force.moves() {
-            force.forget_contact();
+            force.reset_contact();
             return;
         }
         if force.displaced() {

@@ -203,7 +203,7 @@ impl Machine {
     /// Whether a joint can move unseen while its drive is off: it has no encoder, and nothing holds
     /// it.
     #[must_use]
-    pub fn forgets_position(&self) -> bool {
+    pub fn loses_position_without_drives(&self) -> bool {
         let mut joints = self.config.joints.iter();
         joints.any(|joint| joint.encoder.is_none() && !joint.keeps_position)
     }

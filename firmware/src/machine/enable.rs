@@ -129,7 +129,7 @@ impl Machine {
                 *coordinate = locked;
             }
         }
-        if self.leaves_switch() {
+        if self.is_moving_off() {
             self.target.joints = joints;
             self.switches.origin = joints;
             self.settle();
@@ -141,7 +141,7 @@ impl Machine {
     /// Switches the drives off.
     #[inline]
     pub fn disable(&mut self) {
-        self.leave_switches();
+        self.end_switch_motion();
         self.locking = None;
         for joint in &mut self.joints {
             joint.disable();

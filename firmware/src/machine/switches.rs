@@ -2,7 +2,7 @@
 //! constant until all joints are found.
 
 use super::Machine;
-use super::leaving::Leaving;
+use super::move_off::MoveOff;
 use crate::config::{Home, SwitchInput};
 use crate::io::{AxisInputs, Inputs};
 use crate::joint::encoder::sum;
@@ -18,7 +18,7 @@ pub struct Switches {
     /// Commanded joints at the start.
     pub(super) origin: Joints,
     /// A joint moves off its limit switch, in place of a search.
-    pub(super) leaving: Option<Leaving>,
+    pub(super) move_off: Option<MoveOff>,
     /// Active limit switches that are no fault meanwhile, by joint.
     ignored: [u8; MAX_AXES],
     /// The position was known at the start.
@@ -66,11 +66,11 @@ impl Machine {
     }
 
     /// Starts the motion of a joint off its limit switch, with the drives just switched on.
-    pub(super) fn begin_leave(&mut self, leaving: Leaving, ignored: [u8; MAX_AXES]) {
+    pub(super) fn start_move_off(&mut self, move_off: MoveOff, ignored: [u8; MAX_AXES]) {
         self.switches = Switches {
             active: true,
             origin: self.target.joints,
-            leaving: Some(leaving),
+            move_off: Some(move_off),
             ignored,
             ..Switches::default()
         };
@@ -82,10 +82,10 @@ impl Machine {
     }
 
     /// Ends the search, or the motion off a limit switch, without a result.
-    pub(super) fn leave_switches(&mut self) {
+    pub(super) fn end_switch_motion(&mut self) {
         if self.switches.active {
             self.switches.active = false;
-            self.switches.leaving = None;
+            self.switches.move_off = None;
             self.switches.ignored = [0; MAX_AXES];
             self.plain_switches = self.has_plain_switches();
             self.set_placed(true);
@@ -157,7 +157,7 @@ impl Machine {
         let found = self.present_order().is_none();
         if found || (stopping && rest) {
             self.place_joints(inputs, found)?;
-            self.leave_switches();
+            self.end_switch_motion();
             return Ok(true);
         }
         Ok(false)

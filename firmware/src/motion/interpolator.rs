@@ -78,7 +78,7 @@ pub struct Progress {
 
 /// An underrun.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Late {
+pub struct Underrun {
     /// Number of the late setpoint.
     pub setpoint: u32,
     /// Control periods from the start of deceleration to the arrival of the setpoint.
@@ -137,15 +137,15 @@ pub struct Interpolator {
     started: bool,
     paused: bool,
     /// The underrun in progress: its setpoint, and the control periods since deceleration began.
-    underrunning: Option<Late>,
-    late: Option<Late>,
+    underrunning: Option<Underrun>,
+    ended_underrun: Option<Underrun>,
 }
 
 impl_digest!(Interpolator { fields {
     axes, circular, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods, pace_periods
 }, nested {}, skip {
     queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, overrides, pace, accepted_pace, accepted, reached, total, started, paused,
-    underrunning, late, duration, passed, retract_left
+    underrunning, ended_underrun, duration, passed, retract_left
 } });
 
 /// Bounds of the path rate for a configuration's [`Stopping`]; `None` if the times are
@@ -223,7 +223,7 @@ impl Interpolator {
         self.started = false;
         self.paused = false;
         self.underrunning = None;
-        self.late = None;
+        self.ended_underrun = None;
         self.accepted_pace.begin();
         self.set_pace(Pace::FEED);
     }
@@ -299,16 +299,16 @@ impl Interpolator {
 
     /// Takes the report of an ended underrun.
     #[inline]
-    pub fn take_late(&mut self) -> Option<Late> {
-        self.late.take()
+    pub fn take_underrun(&mut self) -> Option<Underrun> {
+        self.ended_underrun.take()
     }
 
     /// The underrun in progress: the setpoint that is missing, and the control periods since
     /// deceleration began.
     #[must_use]
-    pub const fn underrunning(&self) -> Option<Late> {
+    pub const fn underrunning(&self) -> Option<Underrun> {
         match self.underrunning {
-            Some(Late { periods, .. }) => Some(Late {
+            Some(Underrun { periods, .. }) => Some(Underrun {
                 setpoint: self.accepted,
                 periods,
             }),

@@ -44,12 +44,12 @@ pub struct Safety {
     homed: bool,
     position_kept: bool,
     /// A joint has no encoder and nothing holds it without its drive: its position is lost then.
-    forgets: bool,
+    loses_position_without_drives: bool,
     /// A joint has no encoder: an alarm of a drive loses the position.
     open_loop: bool,
-    /// The position of an open-loop joint was lost, and [`Safety::take_forgotten`] has not
+    /// The position of an open-loop joint was lost, and [`Safety::take_position_loss`] has not
     /// returned that yet.
-    forgotten: bool,
+    position_lost: bool,
     events: Deque<Event, EVENTS>,
     events_lost: u32,
 }
@@ -161,14 +161,14 @@ impl Safety {
 
     /// Sets whether a joint has no encoder, and whether the position is therefore lost whenever the
     /// drives go off.
-    pub const fn set_open_loop(&mut self, open_loop: bool, forgets: bool) {
+    pub const fn set_open_loop(&mut self, open_loop: bool, loses_position_without_drives: bool) {
         self.open_loop = open_loop;
-        self.forgets = forgets;
+        self.loses_position_without_drives = loses_position_without_drives;
     }
 
     /// Whether the position of an open-loop joint was lost since the last call.
-    pub const fn take_forgotten(&mut self) -> bool {
-        core::mem::replace(&mut self.forgotten, false)
+    pub const fn take_position_loss(&mut self) -> bool {
+        core::mem::replace(&mut self.position_lost, false)
     }
 
     /// Marks the position as unknown and the joints as not homed.
@@ -203,8 +203,8 @@ impl Safety {
     pub fn enter(&mut self, state: State) {
         if state != self.state {
             let from = core::mem::replace(&mut self.state, state);
-            if self.forgets && !self.drives_on() {
-                self.forgotten = true;
+            if self.loses_position_without_drives && !self.drives_on() {
+                self.position_lost = true;
                 self.lose_position();
             }
             #[cfg(feature = "defmt")]
@@ -259,7 +259,7 @@ impl Safety {
         // A drive with an alarm has not followed, and no encoder measured it.
         let unseen = self.open_loop && matches!(fault, Fault::Drive { .. });
         if unseen || !keeps_position(&fault) {
-            self.forgotten |= unseen;
+            self.position_lost |= unseen;
             self.lose_position();
         }
         let fault = match self.pending.take() {

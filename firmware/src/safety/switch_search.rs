@@ -48,7 +48,7 @@ enum SearchPhase {
 pub struct SwitchSearch {
     phase: SearchPhase,
     /// The joint only moves off the switch on which it stands.
-    leaves: bool,
+    is_move_off: bool,
     /// The joint comes to rest before the phase begins.
     halting: bool,
     /// It has come to rest, and the other motor of its gantry has not.
@@ -96,9 +96,9 @@ pub struct SearchInputs<'a> {
 impl SwitchSearch {
     /// A search that ends off the switch on which the joint stands.
     #[must_use]
-    pub fn leaving() -> Self {
+    pub fn moving_off() -> Self {
         Self {
-            leaves: true,
+            is_move_off: true,
             ..Self::default()
         }
     }
@@ -184,7 +184,7 @@ impl SwitchSearch {
                     let pressed = self.level || inputs.partner.is_some_and(|it| it.level);
                     self.phase = match pressed {
                         true => SearchPhase::Off,
-                        false if self.leaves => SearchPhase::Clear,
+                        false if self.is_move_off => SearchPhase::Clear,
                         false => SearchPhase::Seek,
                     };
                 }
@@ -205,7 +205,7 @@ impl SwitchSearch {
             }
             SearchPhase::Off if gone > release => return Err(HomingProblem::SwitchStuck),
             SearchPhase::Off => -towards * rate,
-            SearchPhase::Clear if gone >= back_off => self.halt_before(match self.leaves {
+            SearchPhase::Clear if gone >= back_off => self.halt_before(match self.is_move_off {
                 true => SearchPhase::Done,
                 false => SearchPhase::Touch,
             }),

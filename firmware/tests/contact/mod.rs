@@ -182,7 +182,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Co
         let measurement = Force((code * 0.0122 * NEWTON) as i32);
         let peak = peaks.push(measurement).peak();
         peak_forces.push(f64::from(peak.0) / NEWTON);
-        guard.note(Coordinate((measured * MM) as i32));
+        guard.record_position(Coordinate((measured * MM) as i32));
         // Desired motion.
         let end = -contact.depth;
         let rate = if desired > end {
@@ -200,16 +200,20 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Co
             level: if contact.guarded { guard.level() } else { 0 },
         };
         level = push.level;
-        let yielded = compliance.advance(&push);
-        reference = desired + yielded.displacement.length().0 as f64 / MM;
-        reference_rate = rate + f64::from(yielded.rate.0) / MM;
+        let compliance_motion = compliance.advance(&push);
+        reference = desired + compliance_motion.displacement.length().0 as f64 / MM;
+        reference_rate = rate + f64::from(compliance_motion.rate.0) / MM;
         if k % (contact.window as usize / 4) == 0 {
-            guard.update(peak, compliance.law(), yielded.displacement.0 != 0);
+            guard.update(
+                peak,
+                compliance.law(),
+                compliance_motion.displacement.0 != 0,
+            );
         }
         trace(
             k as f64 * STEP,
             force,
-            yielded.displacement.length().0 as f64 / MM,
+            compliance_motion.displacement.length().0 as f64 / MM,
             level,
         );
     }

@@ -163,7 +163,7 @@ fn apply(front: &mut Front, outputs: &Outputs) {
         .any(|command| *command != DriveCommand::Off);
     pins::enable_drives(on && !front.engine.is_stopped());
     if !on {
-        front.engine.forgive();
+        front.engine.clear_lost_steps();
     }
     pins::set_spindle(outputs.spindle_rpm);
     pins::set_outputs(outputs.digital);

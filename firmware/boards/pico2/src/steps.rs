@@ -232,7 +232,7 @@ impl Engine {
     }
 
     /// The drives are off: lost steps do not matter, because the joints will be homed again.
-    pub const fn forgive(&mut self) {
+    pub const fn clear_lost_steps(&mut self) {
         self.lost = 0;
     }
 

@@ -116,7 +116,7 @@ impl Interpolator {
         if let Some(underrunning) = self.underrunning
             && underrunning.setpoint == number
         {
-            self.late = Some(underrunning);
+            self.ended_underrun = Some(underrunning);
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Underrun monitor: whether the setpoint queue covers the stopping distance.
 
-use super::{FULL_RATE, Interpolator, Late, Ramp};
+use super::{FULL_RATE, Interpolator, Ramp, Underrun};
 use crate::motion::ramp::RampLimits;
 
 impl Interpolator {
@@ -48,7 +48,7 @@ impl Interpolator {
                 self.underrunning = None;
             }
         } else if remaining <= needed {
-            self.underrunning = Some(Late {
+            self.underrunning = Some(Underrun {
                 setpoint: self.accepted,
                 periods: 0,
             });

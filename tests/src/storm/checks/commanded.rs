@@ -85,8 +85,8 @@ impl Checks {
                 self.check_joint_derivative(&motion, joint)?;
             }
         }
-        if machine.leaves_switch() && !motion.initialised && !self.foreign_configuration {
-            motion.check_leaving(usize::from(machine.leaving_joint()))?;
+        if machine.is_moving_off() && !motion.initialised && !self.foreign_configuration {
+            motion.check_move_off(usize::from(machine.move_off_joint()))?;
         }
         Ok(())
     }
@@ -94,7 +94,7 @@ impl Checks {
     /// Checks that the commanded joints close the rods of the simulator's geometry.
     fn check_kinematics(&mut self, motion: &CommandedMotion) -> CheckResult {
         // A joint that moves off its limit switch moves alone.
-        let leaves = motion.machine.leaves_switch() || self.previous.leaves_switch;
+        let leaves = motion.machine.is_moving_off() || self.previous.is_moving_off;
         if self.foreign_configuration || leaves {
             return Ok(());
         }
@@ -179,13 +179,13 @@ impl CommandedMotion<'_> {
     }
 
     /// Checks that a joint on its limit switch moves away from it, and that the others stay.
-    fn check_leaving(&self, leaving: usize) -> CheckResult {
+    fn check_move_off(&self, moving: usize) -> CheckResult {
         let joints = &self.bench.machine.config.joints;
         let inputs = &self.bench.rig.inputs().axes;
-        let partner = gantry_partner(joints, leaving);
+        let partner = gantry_partner(joints, moving);
         for joint in 0..joints.len() {
             let step = self.joint_step(joint);
-            let is_wrong = if joint == leaving {
+            let is_wrong = if joint == moving {
                 step < 0.0 && inputs[joint].limit_low || step > 0.0 && inputs[joint].limit_high
             } else {
                 step != 0.0 && partner != Some(joint)
@@ -194,7 +194,7 @@ impl CommandedMotion<'_> {
                 violated!(
                     self.bench,
                     "off a limit switch",
-                    "joint {joint} is commanded by {step}, joint {leaving} is to move off"
+                    "joint {joint} is commanded by {step}, joint {moving} is to move off"
                 );
             }
         }

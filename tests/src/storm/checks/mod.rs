@@ -71,7 +71,7 @@ struct PreviousPeriod {
     /// The rotors of the step motors are locking.
     locking: bool,
     /// A joint moves off its limit switch.
-    leaves_switch: bool,
+    is_moving_off: bool,
     /// The limit switches that were active when the drives were off last, two bits per joint.
     limits_with_drives_off: [u8; 6],
     pose: [f64; 6],
@@ -257,7 +257,7 @@ impl Checks {
             configured: machine.is_some(),
             valid: true,
             locking: machine.is_some_and(|machine| machine.is_locking()),
-            leaves_switch: machine.is_some_and(|machine| machine.leaves_switch()),
+            is_moving_off: machine.is_some_and(|machine| machine.is_moving_off()),
             limits_with_drives_off: self.previous.limits_with_drives_off,
             pose: commanded_pose(bench),
             haptic_force: self.previous.haptic_force,

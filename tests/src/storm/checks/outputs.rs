@@ -85,7 +85,7 @@ impl Checks {
     fn check_drives(&self, bench: &StormBench, machine: &Machine, on: bool) -> CheckResult {
         let (outputs, inputs) = (bench.rig.outputs(), bench.rig.inputs());
         // A joint moves off the switch on which it stood when the drives were off.
-        let leaves = machine.leaves_switch() || self.previous.leaves_switch;
+        let leaves = machine.is_moving_off() || self.previous.is_moving_off;
         let ignored = if leaves {
             self.previous.limits_with_drives_off
         } else {

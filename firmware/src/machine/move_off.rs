@@ -35,7 +35,7 @@ const LIMITS: u8 = SwitchInput::LimitLow.bit() | SwitchInput::LimitHigh.bit();
 
 /// A joint that moves off its limit switch.
 #[derive(Debug)]
-pub(super) struct Leaving {
+pub(super) struct MoveOff {
     joint: usize,
     /// The other motor of its gantry.
     partner: Option<usize>,
@@ -77,15 +77,15 @@ fn motion_off(axis: &JointAxis, input: SwitchInput) -> SwitchHome {
 impl Machine {
     /// Whether a joint moves off its limit switch.
     #[must_use]
-    pub const fn leaves_switch(&self) -> bool {
-        self.switches.leaving.is_some()
+    pub const fn is_moving_off(&self) -> bool {
+        self.switches.move_off.is_some()
     }
 
     /// The joint that moves off its limit switch.
     #[must_use]
-    pub fn leaving_joint(&self) -> u8 {
-        let leaving = self.switches.leaving.as_ref();
-        leaving.map_or(0, |leaving| leaving.joint as u8)
+    pub fn move_off_joint(&self) -> u8 {
+        let move_off = self.switches.move_off.as_ref();
+        move_off.map_or(0, |move_off| move_off.joint as u8)
     }
 
     /// Starts to move a joint off its limit switch. The drives are off until now.
@@ -95,7 +95,7 @@ impl Machine {
     /// ready; the machine coasts.
     #[cold]
     #[inline(never)]
-    pub fn begin_leaving(&mut self, index: u8, inputs: &Inputs) -> Result<(), Refusal> {
+    pub fn begin_move_off(&mut self, index: u8, inputs: &Inputs) -> Result<(), Refusal> {
         let joint = usize::from(index);
         let axis = self.config.joints.get(joint).ok_or(Refusal::Range)?;
         let mut ignored = [0; MAX_AXES];
@@ -123,18 +123,18 @@ impl Machine {
         if !self.is_at_standstill() {
             return Err(Refusal::Input(InputProblem::Coasting));
         }
-        let leaving = Leaving {
+        let move_off = MoveOff {
             joint,
             partner,
             motion: motion_off(axis, input),
-            search: SwitchSearch::leaving(),
+            search: SwitchSearch::moving_off(),
             is_extended: false,
         };
         self.forget_joints(inputs);
         self.reset_force();
         self.motion.begin_jog(false);
         self.switch_on();
-        self.begin_leave(leaving, ignored);
+        self.start_move_off(move_off, ignored);
         Ok(())
     }
 
@@ -159,27 +159,27 @@ impl Machine {
     /// The switch did not open within the travel.
     #[cold]
     #[inline(never)]
-    pub fn advance_leaving(&mut self, inputs: &Inputs, stopping: bool) -> Result<bool, Fault> {
+    pub fn advance_move_off(&mut self, inputs: &Inputs, stopping: bool) -> Result<bool, Fault> {
         if self.is_locking() {
             return Ok(stopping);
         }
         let period_us = self.config.period_us;
-        let Some(leaving) = &mut self.switches.leaving else {
+        let Some(move_off) = &mut self.switches.move_off else {
             return Ok(true);
         };
-        let (joint, partner) = (leaving.joint, leaving.partner);
+        let (joint, partner) = (move_off.joint, move_off.partner);
         let motors = [Some(joint), partner];
         let motors = motors.into_iter().flatten();
-        let bit = leaving.motion.input.bit();
+        let bit = move_off.motion.input.bit();
         let active = motors.clone().any(|motor| {
             let switches = self.config.joints.get(motor).zip(inputs.axes.get(motor));
             switches.is_some_and(|(axis, seen)| axis.active_switches(seen) & bit != 0)
         });
         let at_rest = if stopping {
-            leaving.search.halt(&leaving.motion, period_us)
+            move_off.search.halt(&move_off.motion, period_us)
         } else {
             let search_inputs = SearchInputs {
-                config: &leaving.motion,
+                config: &move_off.motion,
                 partner: None,
                 active,
                 place: self.measured.0[joint],
@@ -191,51 +191,51 @@ impl Machine {
                 axis: joint as u8,
                 problem: HomingProblem::LimitStuck,
             };
-            leaving.search.advance(&search_inputs).map_err(failed)?;
-            leaving.search.is_done()
+            move_off.search.advance(&search_inputs).map_err(failed)?;
+            move_off.search.is_done()
         };
-        let moved = Coordinate(leaving.search.moved() as i32);
-        let change = leaving.search.change() * 1_000_000 / i64::from(period_us.max(1)) / 256;
+        let moved = Coordinate(move_off.search.moved() as i32);
+        let change = move_off.search.change() * 1_000_000 / i64::from(period_us.max(1)) / 256;
         for motor in motors {
             let origin = self.switches.origin.0[motor];
             let Some(axis) = self.config.joints.get(motor) else {
                 continue;
             };
             self.target.joints.0[motor] = sum(axis.kind, origin, moved);
-            self.target.rates[motor] = Rate::saturating_from(leaving.search.rate());
+            self.target.rates[motor] = Rate::saturating_from(move_off.search.rate());
             self.target.accelerations[motor] = Acceleration(change as i32);
         }
         if !at_rest || stopping {
             return Ok(at_rest);
         }
-        Ok(!self.extend_leaving())
+        Ok(!self.extend_move_off())
     }
 
     /// Moves on where the joint is beyond its stroke or near its end, where soft limits would
     /// refuse the pose. Returns false where it is not, or where its coordinate says that the stroke
     /// is so far that the coordinate must be wrong.
-    fn extend_leaving(&mut self) -> bool {
-        let Some(leaving) = &mut self.switches.leaving else {
+    fn extend_move_off(&mut self) -> bool {
+        let Some(move_off) = &mut self.switches.move_off else {
             return false;
         };
-        let Some(axis) = self.config.joints.get(leaving.joint) else {
+        let Some(axis) = self.config.joints.get(move_off.joint) else {
             return false;
         };
-        let at = i64::from(self.target.joints.0[leaving.joint].0);
+        let at = i64::from(self.target.joints.0[move_off.joint].0);
         let inside = i64::from(stroke(axis) >> INSIDE_SHIFT);
         let beyond = inside
-            + if leaving.motion.downwards {
+            + if move_off.motion.downwards {
                 i64::from(axis.low.0) - at
             } else {
                 at - i64::from(axis.high.0)
             };
-        let most = i64::from(leaving.motion.travel.0) * 2;
-        if leaving.is_extended || beyond <= 0 || beyond > most {
+        let most = i64::from(move_off.motion.travel.0) * 2;
+        if move_off.is_extended || beyond <= 0 || beyond > most {
             return false;
         }
-        leaving.is_extended = true;
-        leaving.motion.back_off.0 += beyond as i32;
-        leaving.search.move_on();
+        move_off.is_extended = true;
+        move_off.motion.back_off.0 += beyond as i32;
+        move_off.search.move_on();
         true
     }
 
@@ -243,8 +243,8 @@ impl Machine {
     /// is active, and the joints give a pose.
     #[cold]
     #[inline(never)]
-    pub fn end_leaving(&mut self, inputs: &Inputs) -> bool {
-        self.leave_switches();
+    pub fn end_move_off(&mut self, inputs: &Inputs) -> bool {
+        self.end_switch_motion();
         self.locking.is_none()
             && self.hardware_fault(&inputs.axes, false).is_none()
             && self.place_joints(inputs, false).is_ok()
