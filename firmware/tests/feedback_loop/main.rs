@@ -1,10 +1,12 @@
-//! The loop through the hand, all of it: the controller with its haptic arm, the watches over the
-//! energy, the way from hand to tool, the mover that follows, the force loop and the peak over a
-//! revolution are the firmware's own, driven period by period. In f64 are the hand, the motors'
-//! lag, the drives' lag, the contact and the line ([`rig`]).
+//! The closed loop of force feedback through the operator's hand.
 //!
-//! `cargo test -p haptimill-firmware --test feedback_loop -- --nocapture` shows the sweep as a
-//! table; `--ignored` the whole one, with more hands, contacts and lines.
+//! The firmware's own code runs period by period: the controller with its haptic arm, the passivity
+//! observers, the master-to-tool mapping, the tracking profile generator, the force loop and the
+//! peak force over a revolution. A model in f64 ([`rig`]) has the hand, the lag of the motors, the
+//! lag of the drives, the contact and the line.
+//!
+//! `cargo test -p haptimill-firmware --test feedback_loop -- --nocapture` prints a table of the
+//! cases. `--ignored` runs more hands, contacts and delays.
 
 #![allow(
     clippy::needless_range_loop,
@@ -22,7 +24,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// All cases, on as many threads as there are processors.
-fn sweep(cases: &[Case]) -> Vec<CaseResult> {
+fn run_all(cases: &[Case]) -> Vec<CaseResult> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let next = AtomicUsize::new(0);
     let outcomes = Mutex::new(vec![None; cases.len()]);
@@ -43,8 +45,15 @@ fn sweep(cases: &[Case]) -> Vec<CaseResult> {
     outcomes.into_iter().flatten().collect()
 }
 
-/// Sweeps, shows, and checks what holds for every hand, contact and line.
-fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f64, relapse: f64) {
+/// Runs all combinations, prints them, and checks what holds for every hand, contact and delay.
+fn check(
+    grips: &[f64],
+    contacts: &[f64],
+    delays: &[f64],
+    compliant: bool,
+    time: f64,
+    returned: f64,
+) {
     let mut cases = vec![];
     for &delay in delays {
         for &contact in contacts {
@@ -53,7 +62,7 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f6
                     grip,
                     contact,
                     delay,
-                    yields,
+                    compliant,
                     time,
                 });
             }
@@ -62,7 +71,7 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f6
     println!(
         "line ms  contact  hand N/mm  oscillation of the hand, mm: 3-15 s, then  of the force, N  largest N on the tool  hand N  hand / law"
     );
-    let outcomes = sweep(&cases);
+    let outcomes = run_all(&cases);
     for (case, out) in cases.iter().zip(&outcomes) {
         println!(
             "{:7.0} {:8.0} {:10.1}   {:28.3} {:8.3} {:16.2} {:21.1} {:8.3} {:10.3}",
@@ -78,26 +87,26 @@ fn check(grips: &[f64], contacts: &[f64], delays: &[f64], yields: bool, time: f6
         );
     }
     for (case, out) in cases.iter().zip(&outcomes) {
-        let place = format!("{case:?}\n{out:?}");
-        assert!(out.runs, "the mill stopped: {place}");
+        let case_text = format!("{case:?}\n{out:?}");
+        assert!(out.runs, "the mill stopped: {case_text}");
         // The oscillation decays, or is below the threshold of perception, or is one that returned
-        // after the leak of the energy deficit, no larger than `relapse`.
-        let most = (1.1 * out.early + 0.05).max(relapse);
-        assert!(out.late <= most, "the oscillation grows: {place}");
+        // after the leak of the energy deficit, no larger than `returned`.
+        let most = (1.1 * out.early + 0.05).max(returned);
+        assert!(out.late <= most, "the oscillation grows: {case_text}");
         // A soft grip oscillates slowly by less than 2.5 mm, a firm one by less than 1.4 mm.
         assert!(
             out.late < if case.grip < 0.2 { 2.5 } else { 1.4 },
-            "the oscillation is too large: {place}"
+            "the oscillation is too large: {case_text}"
         );
         let ratio = out.force / out.law;
         if case.delay == 0.0 {
-            assert!((0.95..=1.05).contains(&ratio), "{ratio:.3}: {place}");
+            assert!((0.95..=1.05).contains(&ratio), "{ratio:.3}: {case_text}");
         } else {
             // A delay of 50 ms costs accuracy. The bound is the measured one.
-            assert!((0.85..=1.15).contains(&ratio), "{ratio:.3}: {place}");
+            assert!((0.85..=1.15).contains(&ratio), "{ratio:.3}: {case_text}");
         }
-        assert!(out.most <= 3.2, "beyond the limit: {place}");
-        assert!(out.step <= 0.050_001, "beyond the step: {place}");
+        assert!(out.most <= 3.2, "beyond the limit: {case_text}");
+        assert!(out.step <= 0.050_001, "beyond the step: {case_text}");
     }
 }
 
@@ -126,7 +135,7 @@ fn force_feedback_loop_is_stable_without_compliance() {
 /// oscillate once more after the leak of their energy deficit, by 0.14 to 0.93 mm. Takes minutes.
 #[test]
 #[ignore = "long: run by hand when the loop is changed"]
-fn the_whole_sweep() {
+fn force_feedback_loop_is_stable_in_all_cases() {
     let contacts = [
         1.0, 2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0, 150.0, 200.0,
     ];

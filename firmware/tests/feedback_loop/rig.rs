@@ -1,11 +1,11 @@
-//! The hand, the contact and the line, around the controllers.
+//! Model of the hand, the contact and the line around the controllers.
 //!
-//! With a line there are two controllers, one with the arm and one with the mill; a word each way
-//! every 10 ms, so late as the line makes it. Without, one has both.
+//! With a line there are two controllers, one with the arm and one with the mill. Each endpoint
+//! sends one message every 10 ms, and the line delays it. Without a line, one controller has both.
 //!
-//! The hand is a mass of 0.8 kg on spring and damper that follow an intended path: 4 mm into the
-//! contact at 10 mm/s, and there it stays. There is no friction in hand, arm and mill, which is the
-//! worst case.
+//! The hand is a mass of 0.8 kg. A spring and a damper connect it to an intended path: 4 mm into
+//! the contact at 10 mm/s, then at rest. Hand, arm and mill have no friction, which is the worst
+//! case.
 
 use crate::bench::{Bench, HOME};
 use haptimill_checks::reference;
@@ -18,55 +18,57 @@ use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose};
 use haptimill_protocol::message::{Command, State};
 use std::collections::VecDeque;
 
-/// The period, s.
+/// Control period, s.
 pub const T: f64 = 2e-4;
+/// Units of the firmware in a newton.
 const NEWTON: f64 = 65_536.0;
-/// Of the hand and what it holds of the arm, kg.
+/// Mass of the hand and of the handle, kg.
 const MASS: f64 = 0.8;
-/// Part of the critical damping that the hand has.
+/// Damping ratio of the hand.
 const RATIO: f64 = 0.35;
-/// Of the amplifiers of the arm's motors, s.
+/// Time constant of the amplifiers of the arm's motors, s.
 const AMPLIFIER: f64 = 5e-4;
-/// Two poles of the drives, 1/s: 8 ms.
+/// Both poles of the drives, 1/s: a lag of 8 ms.
 const DRIVE: f64 = 250.0;
-/// Newtons of a code: a sensor of +-200 N, so that what a hit on 200 N/mm does to the loop is seen,
-/// too. (One of 100 N stops the mill there; see the largest force.)
+/// Force of a code of the sensor, N. The range is +-200 N: the contact of 200 N/mm exceeds 100 N,
+/// and a sensor of 100 N would stop the mill there.
 const CODE: f64 = 200.0 / 8192.0;
-/// Periods between two words on the line.
-const WORD: usize = 50;
+/// Periods between two messages on the line.
+const MESSAGE_PERIODS: usize = 50;
 
 #[derive(Debug, Clone, Copy)]
 pub struct Case {
     /// Stiffness of the hand, N/mm.
     pub grip: f64,
-    /// Of the contact at the tool, N/mm.
+    /// Stiffness of the contact at the tool, N/mm.
     pub contact: f64,
-    /// Of the line one way, s; 0: one board.
+    /// Delay of the line in each direction, s; 0: one board.
     pub delay: f64,
-    /// The tool yields to forces above 5 N.
-    pub yields: bool,
-    /// How long, s.
+    /// Forces above 5 N displace the tool.
+    pub compliant: bool,
+    /// Duration of the case, s.
     pub time: f64,
 }
 
-/// From when on the second part of it counts, s.
-const LATE: f64 = 15.0;
-/// How far into the contact the hand means to go, mm.
+/// Start of the second part of the measurement, s.
+const SECOND_PART: f64 = 15.0;
+/// Intended depth in the contact, mm.
 const DEPTH: f64 = 4.0;
-/// How fast, mm/s.
-const PACE: f64 = 10.0;
+/// Intended speed of the hand, mm/s.
+const SPEED: f64 = 10.0;
 
 #[derive(Debug, Clone, Copy, Default)]
 pub struct CaseResult {
-    /// Largest oscillation of the hand from peak to peak within 1.5 s, from 3 s on, and from 15 s
-    /// on; mm.
+    /// Largest oscillation of the hand, peak to peak within 1.5 s, from 3 s to 15 s and after 15 s;
+    /// mm.
     pub early: f64,
     pub late: f64,
-    /// That of the force at the hand from 15 s on, N.
+    /// Largest oscillation of the force at the hand after 15 s, N.
     pub force_oscillation: f64,
     /// Largest force on the tool, N.
     pub peak: f64,
-    /// Means from 15 s on: force at the hand, and what the law makes of the force on the tool; N.
+    /// Means after 15 s: force at the hand, and force that the feedback law demands for the force
+    /// on the tool; N.
     pub force: f64,
     pub law: f64,
     /// Largest force at the hand, and its largest change in a period, N.
@@ -76,7 +78,7 @@ pub struct CaseResult {
     pub runs: bool,
 }
 
-fn sensor(yields: bool) -> ForceConfig {
+fn sensor(compliant: bool) -> ForceConfig {
     let channel = || Channel {
         per_code: (CODE * NEWTON * NEWTON) as i32,
         saturation: 7782,
@@ -90,13 +92,13 @@ fn sensor(yields: bool) -> ForceConfig {
     ForceConfig {
         sensor: ForceSensor {
             channels: [channel(), channel(), channel()],
-            // No spindle turns here, and a force at rest is not that of an empty sensor.
+            // No spindle turns here, and the force at rest is not the drift of an unloaded sensor.
             drift: Force::millinewtons(20_000),
             limit: Force::millinewtons(185_000),
             ..force.sensor
         },
         axes: [settings.clone(), settings.clone(), settings],
-        mask: u8::from(yields),
+        mask: u8::from(compliant),
         drive_lag_us: 8000,
         slowest_rpm: 5000,
         ..force
@@ -138,7 +140,7 @@ pub fn run(case: &Case) -> CaseResult {
     let config = Config {
         follow: Some(reference::follow()),
         haptic: (!remote).then(haptic),
-        force: Some(sensor(case.yields)),
+        force: Some(sensor(case.compliant)),
         ..reference::h4_with_steps()
     };
     let mut mill = Bench::ready(config);
@@ -159,28 +161,29 @@ pub fn run(case: &Case) -> CaseResult {
 
     let stiffness = case.grip * 1000.0; // N/m
     let damping = 2.0 * RATIO * (stiffness * MASS).sqrt();
-    // From the surface, as the tool is; mm, mm/s.
+    // Distance of hand and tool from the surface, mm, and their rates, mm/s.
     let (mut x, mut v) = (10.0_f64, 0.0_f64);
     let (mut tool, mut tool_rate) = (10.0_f64, 0.0_f64);
     let mut motor = 0.0_f64;
     let lag = (case.delay / T).round() as usize;
     let mut out: VecDeque<(usize, MasterPose)> = VecDeque::new();
     let mut back: VecDeque<(usize, [i16; 3])> = VecDeque::new();
-    // The law's share comes in within 0.1 s.
+    // The feedback force rises to its full share within 0.1 s.
     let begin = (0.3 / T) as usize;
-    let (total, late) = ((case.time / T) as usize, (LATE / T) as usize);
-    let (mut places, mut forces) = (Vec::with_capacity(total), Vec::with_capacity(total));
+    let (total, late) = ((case.time / T) as usize, (SECOND_PART / T) as usize);
+    let (mut positions, mut forces) = (Vec::with_capacity(total), Vec::with_capacity(total));
     let mut outcome = CaseResult::default();
-    let way = 10.0 + DEPTH;
+    let travel = 10.0 + DEPTH;
     for period in 0..total {
         let time = (period as f64 - begin as f64) * T;
-        let going = time >= 0.0 && time < way / PACE;
-        let intended = (10.0 - PACE * time.max(0.0)).max(-DEPTH);
+        let is_moving = time >= 0.0 && time < travel / SPEED;
+        let intended = (10.0 - SPEED * time.max(0.0)).max(-DEPTH);
         let hand_force = master.as_ref().unwrap_or(&mill).force()[0];
         for _ in 0..4 {
             motor += (hand_force - motor) * (T / 4.0 / AMPLIFIER);
-            let pace = if going { -PACE / 1000.0 } else { 0.0 };
-            let force = stiffness * (intended - x) / 1000.0 + damping * (pace - v / 1000.0) + motor;
+            let speed = if is_moving { -SPEED / 1000.0 } else { 0.0 };
+            let force =
+                stiffness * (intended - x) / 1000.0 + damping * (speed - v / 1000.0) + motor;
             v += force / MASS * 1000.0 * T / 4.0;
             x += v * T / 4.0;
         }
@@ -193,10 +196,10 @@ pub fn run(case: &Case) -> CaseResult {
             f64::from(force.extremes()[0].peak().0) / NEWTON
         });
         mill.codes = Some([(force / CODE).round().min(8000.0) as i16, 0, 0]);
-        let held = master.as_mut().unwrap_or(&mut mill);
-        held.centre = [HOME[0] + x - 10.0, HOME[1], HOME[2]];
+        let with_arm = master.as_mut().unwrap_or(&mut mill);
+        with_arm.centre = [HOME[0] + x - 10.0, HOME[1], HOME[2]];
         if let Some(master) = &mut master {
-            if period % WORD == 0 {
+            if period % MESSAGE_PERIODS == 0 {
                 let pose = master.arm().telemetry(0).pose;
                 out.push_back((period + lag, pose));
                 back.push_back((period + lag, [(peak * 64.0).round() as i16, 0, 0]));
@@ -216,7 +219,7 @@ pub fn run(case: &Case) -> CaseResult {
             master.step();
         }
         mill.step();
-        places.push(x);
+        positions.push(x);
         let before = forces.last().copied().unwrap_or_default();
         outcome.step = outcome.step.max(f64::abs(hand_force - before));
         outcome.most = outcome.most.max(hand_force.abs());
@@ -227,8 +230,8 @@ pub fn run(case: &Case) -> CaseResult {
             outcome.law += (0.4 * peak).min(3.2) / (total - late) as f64;
         }
     }
-    outcome.early = oscillation(&places[(3.0 / T) as usize..late]);
-    outcome.late = oscillation(&places[late..]);
+    outcome.early = oscillation(&positions[(3.0 / T) as usize..late]);
+    outcome.late = oscillation(&positions[late..]);
     outcome.force_oscillation = oscillation(&forces[late..]);
     outcome.runs = mill.state() == State::Run;
     outcome
