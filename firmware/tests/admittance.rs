@@ -337,13 +337,13 @@ fn enable_condition_blocks_motion_along_and_standstill() {
     for _ in 0..10_000 {
         compliance.advance(&push(10.0, -2.0));
     }
-    let yielded = millimetres(compliance.displacement());
+    let displaced = millimetres(compliance.displacement());
     for _ in 0..20_000 {
         compliance.advance(&push(10.0, 0.0));
     }
     // At rest and above f_d: what was left of the rate runs out (K_A / K_V times 1 mm/s), nothing
     // more.
-    assert!((millimetres(compliance.displacement()) - yielded - 0.2).abs() < 0.01);
+    assert!((millimetres(compliance.displacement()) - displaced - 0.2).abs() < 0.01);
     for _ in 0..40_000 {
         compliance.advance(&push(0.0, 0.0));
     }
@@ -366,11 +366,11 @@ fn held_and_withheld() {
     for _ in 0..10_000 {
         compliance.advance(&push(10.0, 0.0));
     }
-    let yielded = compliance.displacement();
+    let displaced = compliance.displacement();
     for _ in 0..5000 {
         compliance.advance(&push(80.0, 0.0));
         let withheld = compliance.roll_back();
-        assert_eq!((withheld.displacement, withheld.rate), (yielded, Rate(0)));
+        assert_eq!((withheld.displacement, withheld.rate), (displaced, Rate(0)));
     }
     let first = compliance.advance(&push(10.0, 0.0));
     assert!(first.rate.0 < Rate(1 << 14).0, "wound up: {first:?}");

@@ -51,8 +51,8 @@ struct Rig {
     desired: f64,
     tool: f64,
     speed: f64,
-    yielded: f64,
-    yield_rate: f64,
+    displacement: f64,
+    displacement_rate: f64,
     number: u8,
     random: u64,
     turned: f64,
@@ -66,8 +66,8 @@ impl Rig {
             desired: 0.0,
             tool: 0.0,
             speed: 0.0,
-            yielded: 0.0,
-            yield_rate: 0.0,
+            displacement: 0.0,
+            displacement_rate: 0.0,
             number: 0,
             random: 3,
             turned: 0.0,
@@ -123,9 +123,9 @@ impl Rig {
         let [x, ..] = self
             .control
             .advance(&[Rate((speed * MM) as i32), Rate(0), Rate(0)]);
-        self.yielded = f64::from(x.displacement.length().0) / MM;
-        self.yield_rate = f64::from(x.rate.0) / MM;
-        let tool = self.desired + self.yielded;
+        self.displacement = f64::from(x.displacement.length().0) / MM;
+        self.displacement_rate = f64::from(x.rate.0) / MM;
+        let tool = self.desired + self.displacement;
         self.speed = (tool - self.tool) / STEP;
         self.tool = tool;
         self.turned += f64::from(self.rpm) / 60.0 * STEP;
@@ -162,16 +162,16 @@ fn monitor_does_not_interfere_with_cutting() {
             for k in 0..periods {
                 let force = rig.cut(3.0);
                 assert_eq!(rig.period(force, -feed), None);
-                if rig.yielded > 0.0 {
+                if rig.displacement > 0.0 {
                     impulse += (rig.peak() - 5.0) * STEP;
                 }
                 if rig.control.levels()[0] > 0 && levels == 0 {
                     println!(
-                        "at {} peak {} yielded {} rate {} tool {}",
+                        "at {} peak {} displacement {} rate {} tool {}",
                         f64::from(k as u32) * STEP,
                         rig.peak(),
-                        rig.yielded,
-                        rig.yield_rate,
+                        rig.displacement,
+                        rig.displacement_rate,
                         rig.tool
                     );
                 }
@@ -181,9 +181,12 @@ fn monitor_does_not_interfere_with_cutting() {
                     samples += 1;
                 }
             }
-            let (yielded, made) = (rig.yielded, damping * rig.yielded + mass * rig.yield_rate);
+            let (displacement, made) = (
+                rig.displacement,
+                damping * rig.displacement + mass * rig.displacement_rate,
+            );
             println!(
-                "K_A {mass}, K_V {damping}, {feed} mm/s: p_c {yielded:.2} mm, mean peak force of the last half {:.2} N",
+                "K_A {mass}, K_V {damping}, {feed} mm/s: p_c {displacement:.2} mm, mean peak force of the last half {:.2} N",
                 late / f64::from(samples)
             );
             assert_eq!(levels, 0, "the guard interfered");
@@ -193,13 +196,13 @@ fn monitor_does_not_interfere_with_cutting() {
                 rig.period(force, 0.0);
                 assert_eq!(rig.control.levels()[0], 0);
             }
-            assert!(rig.yielded < 0.05, "{}", rig.yielded);
+            assert!(rig.displacement < 0.05, "{}", rig.displacement);
         }
     }
 }
 
-/// A wall of this stiffness beyond x = -0.5, as the tool feels it.
-fn wall(rig: &Rig, stiffness: f64) -> f64 {
+/// An elastic body of this stiffness beyond x = -0.5: its force on the tool.
+fn body_force(rig: &Rig, stiffness: f64) -> f64 {
     stiffness * (-0.5 - rig.tool).max(0.0)
 }
 
@@ -220,7 +223,7 @@ fn wrong_sensor_sign_is_detected_in_the_first_contact() {
                 let mut rig = Rig::new(&config(sign, &settings(1.0, 5.0, enable_condition)));
                 let mut reported = None;
                 for _ in 0..(6.0 / speed / STEP) as usize {
-                    let force = wall(&rig, stiffness);
+                    let force = body_force(&rig, stiffness);
                     if let Some(condition) = rig.period(force, -speed) {
                         reported = Some((condition, force));
                         break;
@@ -254,13 +257,13 @@ fn wrong_sensor_sign_is_detected_in_the_first_contact() {
 fn stiffness_estimate_decays_in_free_motion() {
     let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, EnableCondition::Any)));
     for k in 0..20_000 {
-        let force = wall(&rig, 1000.0);
+        let force = body_force(&rig, 1000.0);
         rig.period(force, if k < 4000 { -1.0 } else { 0.0 });
     }
     assert!(rig.control.levels()[0] >= 4);
     let before = rig.tool;
     for _ in 0..1000 {
-        let force = wall(&rig, 1000.0);
+        let force = body_force(&rig, 1000.0);
         rig.period(force, 4.0);
     }
     // In 0.2 s the desired position retreats by 0.8 mm.
@@ -271,8 +274,8 @@ fn stiffness_estimate_decays_in_free_motion() {
     assert_eq!(rig.control.levels()[0], 0);
 }
 
-/// Settings change while the tool yields: the law takes over some periods later and the tool does
-/// not jump.
+/// Settings change while the tool is displaced. The law takes over some periods later, and the tool
+/// does not jump.
 #[test]
 fn runtime_settings_change_without_a_jump() {
     let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, EnableCondition::Any)));
@@ -291,9 +294,9 @@ fn runtime_settings_change_without_a_jump() {
             );
         }
         if k > 100 {
-            largest = largest.max((rig.yielded - last - speed * STEP).abs());
+            largest = largest.max((rig.displacement - last - speed * STEP).abs());
         }
-        (last, speed) = (rig.yielded, rig.yield_rate);
+        (last, speed) = (rig.displacement, rig.displacement_rate);
     }
     assert_eq!(
         rig.control.settings(0).map(|settings| settings.desired),
@@ -340,7 +343,7 @@ fn only_tared_axes_in_the_mask_comply() {
     for _ in 0..5000 {
         rig.period(10.0, 0.0);
     }
-    assert!(rig.yielded > 0.5 && rig.control.displacements()[1].0 == 0);
+    assert!(rig.displacement > 0.5 && rig.control.displacements()[1].0 == 0);
     rig.control.set_mask(0);
     for _ in 0..20_000 {
         rig.period(10.0, 0.0);

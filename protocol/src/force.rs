@@ -120,7 +120,7 @@ pub enum ForceProblem {
         /// The force, 2^-16 N.
         force: i32,
     },
-    /// The force grows when the tool yields to it.
+    /// The force grows when it displaces the tool.
     WrongSign {
         /// The component.
         component: u8,

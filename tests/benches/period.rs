@@ -50,7 +50,7 @@ fn cutting() -> Bench<Timed> {
     let mut bench = Bench::with(&RigOptions::default(), Timed::new());
     bench.make_ready();
     bench.steps(500);
-    let yields = |bench: &Bench<Timed>| {
+    let is_displaced = |bench: &Bench<Timed>| {
         let machine = bench.rig.control().controller.machine();
         let force = &machine.expect("configured").force;
         force.as_ref().expect("has a sensor").compliance()[0]
@@ -65,7 +65,7 @@ fn cutting() -> Bench<Timed> {
     let law = setup::force::force_settings(1.0, 5.0, EnableCondition::AgainstMotion);
     setup::force::control(&mut bench, 0, law);
     setup::force::job(&mut bench, -4.0, 40, 0.0);
-    while !yields(&bench) {
+    while !is_displaced(&bench) {
         bench.step();
     }
     bench

@@ -43,9 +43,9 @@ pub enum Mode {
     #[default]
     Feed,
     /// By force: the stone is lowered a little faster than its force removes material, at most at
-    /// 0.15 mm/s, and yields where the force exceeds its setpoint; the facet ends at the depth.
+    /// 0.15 mm/s. A force above its setpoint displaces the stone. The facet ends at the depth.
     Force,
-    /// By the feed of the lap, and the stone yields where the force exceeds its setpoint.
+    /// By the feed of the lap. A force above its setpoint displaces the stone.
     Both,
 }
 
@@ -72,7 +72,8 @@ pub enum Coolant {
 const FORCE_FEED: f64 = 0.15;
 
 /// Ratio of the feed by force to the removal at the force setpoint. Above 1, so that the stone
-/// yields and the force loop is closed; the rest of the feed raises the force by K_V times it.
+/// is displaced and the force loop is closed. The rest of the feed raises the force by K_V times
+/// it.
 const LEAD: f64 = 1.1;
 
 /// Smallest force setpoint, N: below, noise and friction are a large part of it.
@@ -486,8 +487,8 @@ impl Place<'_> {
         removal_mm_s(self.settings, self.lap, stone, plane) * self.force_n
     }
 
-    /// Heights at the ends of the strokes; `None` if there are too many. Strokes at the depth are
-    /// those in which the stone, which yields to its force, gets there, and sparks out.
+    /// Heights at the ends of the strokes; `None` if there are too many. In the strokes at the
+    /// depth the displaced stone reaches the depth and sparks out.
     fn strokes(&self, stone: &Polyhedron, goal: Plane) -> Option<Vec<f64>> {
         let mode = self.settings.mode;
         let stroke_s = self.settings.sweep_mm / self.settings.sweep_mm_s;

@@ -40,7 +40,7 @@ const MAX_FORCE_SWEEPS: u32 = 60;
 /// Longest time in which the stone returns from a displacement, microseconds.
 const RETURN_US: u64 = 30_000_000;
 
-/// A facet under force control is done when the stone yields less, mm.
+/// A facet under force control is done when the stone is displaced by less, mm.
 const DONE_MM: f64 = 5e-4;
 
 /// A facet has sparked out when the force of the last second was less, N.
@@ -253,7 +253,7 @@ impl Bench<'_> {
             .ok_or_else(|| Error::new(ErrorKind::Internal, "the simulated machine has no lap"))
     }
 
-    /// How far the stone yields under force control, mm.
+    /// Displacement of the stone under force control, mm.
     fn displacement_mm(&mut self) -> Result<f64, Error> {
         let status = self.session.status()?;
         let force = status.force.as_ref();
@@ -288,17 +288,17 @@ impl Bench<'_> {
             } else {
                 0.0
             };
-            let yields = displaced_mm > DONE_MM;
-            if !yields && pressure_n < SPARKED_OUT_N {
+            let is_displaced = displaced_mm > DONE_MM;
+            if !is_displaced && pressure_n < SPARKED_OUT_N {
                 break;
             }
-            if yields && sweeps % PROGRESS_SWEEPS == 0 {
+            if is_displaced && sweeps % PROGRESS_SWEEPS == 0 {
                 if displaced_mm > (1.0 - PROGRESS_PART) * before_mm {
                     break;
                 }
                 before_mm = displaced_mm;
             }
-            at_depth += u32::from(!yields);
+            at_depth += u32::from(!is_displaced);
             if sweeps >= MAX_SWEEPS || at_depth > MAX_FORCE_SWEEPS {
                 break;
             }

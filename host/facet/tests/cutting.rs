@@ -166,7 +166,7 @@ fn a_job_that_stops_keeps_its_facets() {
 }
 
 /// By force the job ends each facet at its depth. Before, the further sweeps ran with the lap at a
-/// standstill, and a stone that yielded stayed high.
+/// standstill, and a stone that was displaced stayed high.
 #[test]
 fn a_stone_is_cut_by_force() {
     let (gem, cutting) = stone(Mode::Force, &RunOptions::default());

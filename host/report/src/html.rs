@@ -126,7 +126,7 @@ fn process(page: &mut String, recording: &Recording, statistics: &Statistics, da
     }
     if statistics.displacement.max > 0.0 {
         let displacement = three(data.displacement.each_ref());
-        let caption = "Compliant displacement: by how much the tool yields to the force";
+        let caption = "Compliant displacement: displacement of the tool by the force";
         card(
             page,
             caption,

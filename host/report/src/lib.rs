@@ -110,7 +110,7 @@ pub struct Summary {
     /// the controller measured them, the force as its peak in the last revolution of the spindle.
     pub tool_is_true: bool,
     /// What the tool and contour errors are against: `programmed path`, or `compliant path` where
-    /// an axis under force control yielded.
+    /// an axis under force control was displaced.
     pub error_reference: &'static str,
     /// Setpoints of the job that were reached.
     pub setpoints: u64,
@@ -327,7 +327,7 @@ impl Summary {
         text
     }
 
-    /// An axis under force control yielded: the errors are against the compliant path.
+    /// An axis under force control was displaced: the errors are against the compliant path.
     fn is_compliant(&self) -> bool {
         self.process.displacement_max_mm.is_some()
     }

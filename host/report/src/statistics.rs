@@ -3,7 +3,7 @@
 //! The job is the records with a programmed pose. The tool error is the distance of the tool from
 //! the programmed point *at the same time*, start and stop included; the contour error is its
 //! distance from the nearest point of the path. On an axis under force control the point is moved
-//! by the compliant displacement: a tool that yields as it should has no error.
+//! by the compliant displacement: a tool that is displaced as intended has no error.
 
 use super::contour::{Contour, Point, distance};
 use super::tip::Tip;

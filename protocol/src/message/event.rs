@@ -89,7 +89,7 @@ pub enum Event {
     /// The tare was refused; the force sensor keeps its zero.
     TareRefused(TareRefusal),
     /// The compliant displacement reached its limit, a soft limit, or the limit of the workspace.
-    /// Reported once until the tool can yield again.
+    /// Reported once until the tool can be displaced again.
     ComplianceLimited {
         /// The component of the force.
         axis: u8,
