@@ -3,7 +3,7 @@
 use super::super::episode::Stimulus;
 use super::super::rng::Rng;
 use super::Steps;
-use super::operation::careful_host;
+use super::operation::valid_operation;
 use haptimill_protocol::message::Command;
 
 /// Returns the stimuli of one step of this theme.
@@ -29,7 +29,7 @@ pub(super) fn stimuli(rng: &mut Rng) -> Steps {
         steps.push((Stimulus::Recover, 200));
     }
     for _ in 0..rng.below(3) {
-        steps.extend(careful_host(rng));
+        steps.extend(valid_operation(rng));
     }
     steps
 }

@@ -4,7 +4,7 @@ use super::super::command;
 use super::super::episode::{JobPlan, Stimulus};
 use super::super::rng::Rng;
 use super::Steps;
-use super::operation::careful_host;
+use super::operation::valid_operation;
 use haptimill_protocol::message::Command;
 
 /// Returns the stimuli of one step of this theme.
@@ -46,7 +46,7 @@ pub(super) fn stimuli(rng: &mut Rng) -> Steps {
                 speed: rng.log_uniform(0.0004, 0.01),
             })
         }
-        _ => careful_host(rng),
+        _ => valid_operation(rng),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::super::episode::Stimulus;
 use super::super::rng::Rng;
-use super::operation::careful_host;
+use super::operation::valid_operation;
 use super::{Steps, periods};
 
 /// Returns the stimuli of one step of this theme.
@@ -52,7 +52,7 @@ pub(super) fn stimuli(rng: &mut Rng) -> Steps {
                 (Stimulus::LineNoise([[0.0; 3]; 2]), 2000),
                 (Stimulus::Recover, 100),
             ];
-            steps.extend(careful_host(rng));
+            steps.extend(valid_operation(rng));
             steps
         }
     }

@@ -100,7 +100,7 @@ pub(super) fn script(theme: Theme, kind: MachineKind, rng: &mut Rng) -> Vec<Step
             Theme::Config => configuration::stimuli(rng),
             Theme::Teleoperation => teleoperation::stimuli(kind, rng),
             Theme::Force => force::stimuli(rng),
-            _ => operation::careful_host(rng),
+            _ => operation::valid_operation(rng),
         };
         for (stimulus, periods) in step {
             add(stimulus, periods);

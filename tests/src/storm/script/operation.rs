@@ -71,7 +71,7 @@ pub(super) fn jog(rng: &mut Rng) -> Stimulus {
 }
 
 /// Returns valid commands for a healthy machine.
-pub(super) fn careful_host(rng: &mut Rng) -> Steps {
+pub(super) fn valid_operation(rng: &mut Rng) -> Steps {
     let percent = rng.choose(&[1, 10, 37, 50, 80, 100, 130, 200]);
     match rng.below(20) {
         0 => {

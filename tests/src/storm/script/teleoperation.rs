@@ -5,7 +5,7 @@ use super::super::episode::{JobPlan, Stimulus};
 use super::super::machines::MachineKind;
 use super::super::rng::Rng;
 use super::Steps;
-use super::operation::careful_host;
+use super::operation::valid_operation;
 use haptimill_protocol::message::{Command, Source};
 
 /// Returns the stimuli of one step of this theme.
@@ -73,6 +73,6 @@ pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
             }),
             200,
         )],
-        _ => careful_host(rng),
+        _ => valid_operation(rng),
     }
 }
