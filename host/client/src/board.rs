@@ -76,7 +76,7 @@ impl Chosen {
                 Err(Error::new(ErrorKind::Command, what))
             }
             Decision::Unknown(what) => {
-                session.forget_axes();
+                session.clear_axes();
                 if welcome.config_crc != 0 {
                     session.notify(format!("axes are not shown: {what}"));
                 }

@@ -89,7 +89,7 @@ impl Model {
     }
 
     /// Removes names and units of all axes, inputs and outputs.
-    pub fn forget_axes(&mut self) {
+    pub fn clear_axes(&mut self) {
         self.pose.clear();
         self.joints.clear();
         self.pose_scale.clear();

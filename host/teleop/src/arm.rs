@@ -155,7 +155,7 @@ impl<L: Line> Arm<L> {
             .with_startup(startup)
             .with_reconnection(numbers);
         // The machine has axes of the same numbers.
-        session.forget_axes();
+        session.clear_axes();
         Ok(Self {
             session,
             force_feedback: machine.config.haptic.as_ref().map(|arm| arm.feedback),

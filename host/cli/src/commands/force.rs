@@ -54,7 +54,7 @@ pub struct SetArgs {
     #[arg(long, value_name = "MM/S", value_parser = finite, allow_negative_numbers = true)]
     pub rate: Option<f64>,
     /// Enable condition of the compliance: against_motion, any, positive or negative
-    #[arg(long, value_name = "WHEN", value_parser = parse_gate)]
+    #[arg(long, value_name = "WHEN", value_parser = parse_enable_condition)]
     pub enable_condition: Option<EnableCondition>,
     #[command(flatten)]
     #[allow(missing_docs)]
@@ -126,7 +126,7 @@ fn finite(text: &str) -> Result<f64, String> {
     }
 }
 
-fn parse_gate(text: &str) -> Result<EnableCondition, String> {
+fn parse_enable_condition(text: &str) -> Result<EnableCondition, String> {
     let found = ENABLE_CONDITIONS.iter().find(|(word, _)| *word == text);
     found
         .map(|(_, enable_condition)| *enable_condition)

@@ -200,8 +200,8 @@ impl<L: Line> Session<L> {
     }
 
     /// Describes axes without names and units: the machine file of the controller is not known.
-    pub fn forget_axes(&mut self) {
-        self.model.forget_axes();
+    pub fn clear_axes(&mut self) {
+        self.model.clear_axes();
     }
 
     /// Time of the line, microseconds.

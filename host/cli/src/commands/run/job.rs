@@ -338,7 +338,7 @@ impl Job<'_> {
         }
         let failure = if recorded.disk_full {
             Some(results::disk_full(&dir))
-        } else if let Err(error) = end.and_then(|end| self.judge(session, &end)) {
+        } else if let Err(error) = end.and_then(|end| self.check_end(session, &end)) {
             Some(error.into())
         } else if let Some(lost) = lost_steps {
             Some(CliError::new(Exit::Fault, lost))
@@ -436,7 +436,7 @@ impl Job<'_> {
     }
 
     /// Reports underruns, and a job that did not complete.
-    fn judge<L: JobLine>(&self, session: &Session<L>, end: &JobEnd) -> Result<(), Error> {
+    fn check_end<L: JobLine>(&self, session: &Session<L>, end: &JobEnd) -> Result<(), Error> {
         for (setpoint, late) in &end.underruns {
             let ms = f64::from(*late) * f64::from(self.machine.config.period_us) / 1000.0;
             eprintln!(
