@@ -1,5 +1,5 @@
 //! The haptic arm against the golden table of docs/control.md 7.2, against f64 geometry, and
-//! against virtual work; and how far a hand moves before a lying encoder is found.
+//! against virtual work; and how far a hand moves before a faulty encoder is detected.
 #![allow(
     clippy::needless_range_loop,
     reason = "an index is an axis here, of several arrays at once"
