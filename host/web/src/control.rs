@@ -1,11 +1,11 @@
-//! Who commands: at most one viewer.
+//! Control of the machine: at most one viewer has it.
 
 use std::time::{Duration, Instant};
 
-/// Time in which the viewer who commands must answer, if another one asks for control.
+/// Time in which the viewer in control must answer when another one asks for control.
 pub const ANSWER: Duration = Duration::from_secs(10);
 
-/// Who commands, and who asks for it.
+/// The viewer in control, and the viewer that asks for control.
 #[derive(Debug, Default)]
 pub struct Control {
     commander: Option<u64>,
@@ -15,19 +15,19 @@ pub struct Control {
 }
 
 impl Control {
-    /// Changes with every change.
+    /// Number of the changes so far.
     #[must_use]
     pub const fn version(&self) -> u64 {
         self.version
     }
 
-    /// The viewer who commands.
+    /// The viewer in control.
     #[must_use]
     pub const fn commander(&self) -> Option<u64> {
         self.commander
     }
 
-    /// The viewer who asks for control.
+    /// The viewer that asks for control.
     #[must_use]
     pub fn asks(&self) -> Option<u64> {
         self.asks.map(|(viewer, _)| viewer)
@@ -39,13 +39,13 @@ impl Control {
         self.viewers
     }
 
-    /// A viewer came.
+    /// Adds a viewer.
     pub fn join(&mut self) {
         self.viewers += 1;
         self.version += 1;
     }
 
-    /// A viewer left; returns true when it commanded.
+    /// Removes a viewer; returns true when it had control.
     pub fn leave(&mut self, viewer: u64, now: Instant) -> bool {
         self.viewers = self.viewers.saturating_sub(1);
         self.version += 1;
@@ -62,14 +62,15 @@ impl Control {
         commanded
     }
 
-    /// A viewer wants to command: it does if nobody does, else the other one is asked.
+    /// A viewer wants control. It gets free control at once; otherwise the viewer in control is
+    /// asked.
     pub fn take(&mut self, viewer: u64, now: Instant) {
         match self.commander {
             None => {
                 self.commander = Some(viewer);
                 self.version += 1;
             }
-            // The first who asks; others ask after it.
+            // Only the first question counts; others ask after it.
             Some(other) if other != viewer && self.asks.is_none() => {
                 self.asks = Some((viewer, now));
                 self.version += 1;
@@ -78,7 +79,7 @@ impl Control {
         }
     }
 
-    /// The viewer who commands answers; returns true when another one commands now.
+    /// The viewer in control answers; returns true when it hands control over.
     pub fn answer(&mut self, viewer: u64, hands_over: bool) -> bool {
         if self.commander != Some(viewer) {
             return false;
@@ -93,7 +94,7 @@ impl Control {
         hands_over
     }
 
-    /// Hands over if the question was not answered in time; returns true then.
+    /// Hands control over if the question was not answered in time; returns true then.
     pub fn advance(&mut self, now: Instant) -> bool {
         match (self.asks, self.commander) {
             (Some((_, since)), Some(commander)) if now.duration_since(since) >= ANSWER => {

@@ -5,14 +5,14 @@
 //! JSON ([`Server::publish`], [`Server::publish_scene`]) and takes commands
 //! ([`Server::next_command`]). A thread serves each connection; the owner never waits for one.
 //!
-//! # Who may do what
+//! # Permissions
 //!
 //! | request | from |
 //! | --- | --- |
 //! | page, script, style | a `Host` header that names the served address |
 //! | WebSocket | also an `Origin` header of the served page, and the token where there is one |
 //! | hold, stop, emergency stop, end of a jog | every viewer |
-//! | any other command | the viewer who commands, in answer to a state of the last moment |
+//! | any other command | the viewer in control, in answer to a state of the last moment |
 //!
 //! A page of a stranger has another origin. A name of a stranger that resolves to this address (DNS
 //! rebinding) is another host. Both are refused and reported as [`OperatorCommand::Warn`].
@@ -136,7 +136,7 @@ pub enum OperatorCommand {
     /// Select a part program.
     #[serde(skip)]
     Select(PathBuf),
-    /// Another viewer commands now, or none: no jog goes on.
+    /// Another viewer has control now, or none: no jog goes on.
     #[serde(skip)]
     ControlEnded,
     /// For the messages of the machine: something was refused.

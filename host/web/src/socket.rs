@@ -11,16 +11,16 @@ use std::time::{Duration, Instant};
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Error, Message, WebSocket};
 
-/// Longest wait for a message; what is published waits as long.
+/// Longest wait for a message, and so the longest delay of a published state.
 const POLL: Duration = Duration::from_millis(20);
 
 /// Time between two pings.
 const PING: Duration = Duration::from_secs(2);
 
-/// A viewer of which nothing came for this time is gone.
+/// Silence after which a viewer is disconnected.
 const SILENCE: Duration = Duration::from_secs(20);
 
-/// Messages per second at most, and at once.
+/// Largest message rate, 1/s, and largest burst.
 const RATE: f64 = 100.0;
 
 /// Length of a message at most: a program in JSON, whose line ends take two bytes.
