@@ -145,7 +145,7 @@ fn a_fragment_is_named_as_one() {
     }
 }
 
-/// The way of a person with a plain mill: template, check, first cut in the simulator.
+/// First use of a plain mill: template, check, first cut in the simulator.
 #[test]
 fn a_new_machine_cuts_its_first_pocket() {
     let folder = Folder::new("first-cut");

@@ -81,18 +81,18 @@ impl Ramp {
         self.build_up.min(rate / self.acceleration)
     }
 
-    /// The largest rate up to `rate` that a way has room for.
+    /// The largest rate up to `rate` that fits into a travel.
     #[must_use]
-    pub fn slowed(&self, mut rate: f64, way: f64) -> f64 {
-        while self.way(rate, 0.01) > way && rate > 1e-3 {
+    pub fn slowed(&self, mut rate: f64, travel: f64) -> f64 {
+        while self.travel(rate, 0.01) > travel && rate > 1e-3 {
             rate *= 0.9;
         }
         rate
     }
 
-    /// Way to a rate and back to standstill, with `cruise` seconds at the rate.
+    /// Travel to a rate and back to standstill, with `cruise` seconds at the rate.
     #[must_use]
-    pub fn way(&self, rate: f64, cruise: f64) -> f64 {
+    pub fn travel(&self, rate: f64, cruise: f64) -> f64 {
         rate * (rate / self.acceleration + self.build_up_at(rate) + cruise)
     }
 }
@@ -126,7 +126,8 @@ impl<'a> Builder<'a> {
         self.now as f64 * self.period
     }
 
-    /// Adds the way `way(t)` with the rate `rate(t)`, in `duration` seconds, in segments of `span`.
+    /// Adds a motion of `duration` seconds in segments of `span`. `at(t)` gives its distance and
+    /// rate.
     fn add(
         &mut self,
         duration: f64,
@@ -139,14 +140,14 @@ impl<'a> Builder<'a> {
         let (start, place) = (self.now, self.place);
         for index in 1..=count {
             let end = periods * index / count;
-            let (way, rate) = at(end as f64 * self.period);
+            let (distance, rate) = at(end as f64 * self.period);
             let length = (start + end - self.now) as u16;
             let setpoint = self
                 .geometry
-                .setpoint(self.line, length, place + way, rate)?;
+                .setpoint(self.line, length, place + distance, rate)?;
             self.motion.setpoints.push(setpoint);
             self.now = start + end;
-            self.place = place + way;
+            self.place = place + distance;
         }
         Ok(())
     }
@@ -156,8 +157,11 @@ impl<'a> Builder<'a> {
         let duration = self.ramp_time(to - from);
         self.add(duration, SPAN, |t| {
             let part = t / duration;
-            let way = from * t + (to - from) * (t - duration / PI * (PI * part).sin()) / 2.0;
-            (way, from + (to - from) * (1.0 - (PI * part).cos()) / 2.0)
+            let distance = from * t + (to - from) * (t - duration / PI * (PI * part).sin()) / 2.0;
+            (
+                distance,
+                from + (to - from) * (1.0 - (PI * part).cos()) / 2.0,
+            )
         })
     }
 
@@ -178,16 +182,16 @@ impl<'a> Builder<'a> {
     /// # Errors
     /// The machine cannot reach the place.
     pub fn move_to(&mut self, place: f64, rate: f64) -> Result<(), Error> {
-        let way = place - self.place;
-        // A short way has a lower rate: two ramps are rate * ramp time long.
+        let distance = place - self.place;
+        // A short distance has a lower rate: two ramps are rate * ramp time long.
         let mut rate = rate.abs();
-        while rate * self.ramp_time(rate) > 0.8 * way.abs() && rate > 1e-3 {
+        while rate * self.ramp_time(rate) > 0.8 * distance.abs() && rate > 1e-3 {
             rate *= 0.8;
         }
-        if way.abs() < 1e-9 {
+        if distance.abs() < 1e-9 {
             return Ok(());
         }
-        let signed = rate * way.signum();
+        let signed = rate * distance.signum();
         self.ramp(0.0, signed)?;
         let cruise = (place - self.place).abs() / rate - self.ramp_time(rate) / 2.0;
         let from = self.time() + SETTLE;
@@ -201,36 +205,36 @@ impl<'a> Builder<'a> {
             });
         }
         self.ramp(signed, 0.0)?;
-        // The last ramp ends within a period's way.
+        // The last ramp ends within the motion of a period.
         let rest = place - self.place;
         let duration = 0.05;
         self.add(duration, duration, |_| (rest, 0.0))
     }
 
     /// Moves to a place at a rate. The acceleration builds up linearly to `ramp.acceleration`,
-    /// stays there, and dies away. Durations are whole periods, so rate and acceleration are a
-    /// little lower than given on a short way.
+    /// stays there, and decreases linearly. Durations are whole periods, so rate and acceleration
+    /// are a little lower than given over a short distance.
     ///
     /// # Errors
-    /// The way is too short for the rate, or the machine cannot reach the place.
+    /// The distance is too short for the rate, or the machine cannot reach the place.
     pub fn stroke(&mut self, place: f64, rate: f64, ramp: &Ramp) -> Result<(), Error> {
-        let way = place - self.place;
+        let distance = place - self.place;
         let up = (ramp.build_up_at(rate) / self.period).round().max(2.0);
         let hold = (rate / ramp.acceleration / self.period - up)
             .round()
             .max(0.0);
         let ramps = 2.0 * up + hold;
-        let cruise = (way.abs() / rate / self.period - ramps).ceil();
+        let cruise = (distance.abs() / rate / self.period - ramps).ceil();
         if cruise < 0.0 {
             let what = format!(
-                "a way of {:.1} mm or degrees is too short for {rate:.1} per second; lengthen \
+                "a distance of {:.1} mm or degrees is too short for {rate:.1} per second; lengthen \
                  --travel",
-                way.abs()
+                distance.abs()
             );
             return Err(Error::new(ErrorKind::Refused, what));
         }
         let [up_s, hold_s, cruise_s] = [up, hold, cruise].map(|it| it * self.period);
-        let rate = way / (ramps + cruise) / self.period;
+        let rate = distance / (ramps + cruise) / self.period;
         let slope = rate / (up_s + hold_s) / up_s;
         let (first, last) = (slope * up_s * up_s / 2.0, rate - slope * up_s * up_s / 2.0);
         let build = |rate: f64, slope: f64| {
@@ -246,8 +250,8 @@ impl<'a> Builder<'a> {
         };
         let fade = |rate: f64, slope: f64| {
             move |t: f64| {
-                let way = (up_s / 2.0 - t / 6.0) * slope * t * t;
-                (rate * t + way, rate + slope * t * (up_s - t / 2.0))
+                let distance = (up_s / 2.0 - t / 6.0) * slope * t * t;
+                (rate * t + distance, rate + slope * t * (up_s - t / 2.0))
             }
         };
         self.piece(up_s, build(0.0, slope))?;
@@ -286,7 +290,7 @@ impl<'a> Builder<'a> {
             let forward = self.place < (low + high) / 2.0;
             let target = if forward { high } else { low };
             let room = (target - self.place).abs() - rate * (self.ramp_time(rate) + SETTLE);
-            // The way back of one sine is as long as its way forth, but for rounding.
+            // The distances of one sine in both directions are equal, except for rounding.
             if room < 0.999 * one {
                 let what = format!(
                     "a line of {:.0} mm or degrees is too short for an excitation at {rate:.1} per \
@@ -327,10 +331,10 @@ impl<'a> Builder<'a> {
             } else {
                 0.0
             };
-            let way = amplitude * envelope * (omega * t).sin();
+            let distance = amplitude * envelope * (omega * t).sin();
             let speed =
                 amplitude * (slope * (omega * t).sin() + envelope * omega * (omega * t).cos());
-            (rate * t + way, rate + speed)
+            (rate * t + distance, rate + speed)
         })?;
         self.motion.windows.push(Window {
             from: start + TAPER,

@@ -1,7 +1,7 @@
 //! The straight line in joint space along which a joint is measured.
 //!
-//! A joint of a linkage moves alone only over a short way. So the line may also be that of a pose
-//! coordinate, which moves several joints: all of these are measured together.
+//! A joint of a linkage moves alone only over a short distance. So the line may also be that of a
+//! pose coordinate, which moves several joints: all of these are measured together.
 
 use haptimill_client::{Error, ErrorKind};
 use haptimill_firmware::config::AxisKind;
@@ -21,7 +21,7 @@ const STEP: f64 = 0.5;
 /// Distance from soft limits and strokes that no motion enters, mm or degrees.
 const MARGIN: f64 = 2.0;
 
-/// A line through the home pose, with the way of its joint as its coordinate: 0 is home.
+/// A line through the home pose, with the motion of its joint as its coordinate: 0 is home.
 #[derive(Debug, Clone)]
 pub struct Line {
     /// Joints that are measured on this line.
@@ -235,8 +235,8 @@ impl<'a> Geometry<'a> {
             .enumerate()
             .take(self.machine.joints.len())
         {
-            let way = f64::from(after.0[index].0) - f64::from(before.0[index].0);
-            *slot = way / per_unit(self.joint_kind(index)) / (2.0 * STEP);
+            let change = f64::from(after.0[index].0) - f64::from(before.0[index].0);
+            *slot = change / per_unit(self.joint_kind(index)) / (2.0 * STEP);
             // Motion that is only curvature and rounding counts as standstill.
             if slot.abs() < 1e-3 {
                 *slot = 0.0;
@@ -267,8 +267,8 @@ impl<'a> Geometry<'a> {
         };
         let axes = self.machine.pose.len();
         let slope = |axis: usize| {
-            let way = after.0[axis].0.wrapping_sub(before.0[axis].0);
-            f64::from(way) / (2.0 * STEP)
+            let change = after.0[axis].0.wrapping_sub(before.0[axis].0);
+            f64::from(change) / (2.0 * STEP)
         };
         Ok(Setpoint {
             periods,

@@ -19,8 +19,8 @@ const TIMES: usize = 5;
 /// Readings of the gauge for a joint: in turn from below and from above.
 pub const READINGS: usize = 2 * TIMES;
 
-/// Way to the place from each side, mm or degrees; the lost motion is less.
-const WAY: f64 = 1.5;
+/// Travel to the place from each side, mm or degrees; the lost motion is less.
+const TRAVEL: f64 = 1.5;
 
 /// Part of the largest rate.
 const RATE: f64 = 0.1;
@@ -100,16 +100,16 @@ pub fn line_of(machine: &MachineFile, joint: usize) -> Result<Line, Error> {
         return refuse("it is the second motor of a gantry; measure the first one");
     }
     let geometry = Geometry::new(machine);
-    let longest = 8.0 * WAY;
+    let longest = 8.0 * TRAVEL;
     let mut line = match geometry.alone(joint, longest) {
         Some(line) => line,
         None => geometry.line_of(joint, longest)?,
     };
-    let way = WAY.min(line.high).min(-line.low);
-    if way < WAY / 2.0 {
+    let travel = TRAVEL.min(line.high).min(-line.low);
+    if travel < TRAVEL / 2.0 {
         return refuse("there is no room around its home pose; move the preset");
     }
-    (line.low, line.high) = (-way, way);
+    (line.low, line.high) = (-travel, travel);
     Ok(line)
 }
 
@@ -131,14 +131,14 @@ pub fn measure<L: session::Line>(
     let geometry = Geometry::new(machine);
     let model = Model::new(machine);
     let period = f64::from(machine.config.period_us) * 1e-6;
-    let way = line.high;
+    let travel = line.high;
     let mut job = FIRST_JOB;
     let mut rests = Vec::new();
     for time in 1..=TIMES {
         let mut seen = [0.0; 2];
         for (side, seen) in [-1.0, 1.0].into_iter().zip(&mut seen) {
             let mut builder = Builder::new(&geometry, &line, period, 0.0);
-            builder.move_to(side * way, RATE * line.rate)?;
+            builder.move_to(side * travel, RATE * line.rate)?;
             builder.rest(0.2)?;
             builder.move_to(0.0, RATE * line.rate)?;
             builder.rest(REST)?;
@@ -156,10 +156,10 @@ pub fn measure<L: session::Line>(
             *seen = shown - at.get(joint).copied().unwrap_or_default();
         }
         let rest = seen[1] - seen[0];
-        if !rest.is_finite() || rest.abs() > way {
+        if !rest.is_finite() || rest.abs() > travel {
             let what = format!(
                 "joint {}: the readings from both sides differ by {rest:.3}, more than the motion \
-                 of {way:.1}; read in mm or degrees, positive in the direction of the joint",
+                 of {travel:.1}; read in mm or degrees, positive in the direction of the joint",
                 axis.name
             );
             return Err(Error::new(ErrorKind::Refused, what));

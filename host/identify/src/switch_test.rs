@@ -4,10 +4,10 @@
 //! made them. Homing finds the count at which the switch trips. A motion between two homings that
 //! loses steps shifts that count, by whole electrical turns of the motor.
 //!
-//! Losses on the way forth and on the way back can cancel: a motor that stalls on both is where it
+//! Losses of the motions in both directions can cancel: a motor that stalls on both is where it
 //! was. So a test has two parts with a homing each. The first one makes the motion away from the
 //! switch and comes back slowly, the second one goes there slowly and comes back with the motion. A
-//! motor that stalls is off by the way of the motion, to either side, so both sides of the home
+//! motor that stalls is off by the travel of the motion, to either side, so both sides of the home
 //! pose have room for it.
 //!
 //! Rates above those of the machine file are tested, so the controller gets the machine file with
@@ -212,15 +212,16 @@ fn step_joint(
             (most, lower) = (bound, Some(reason));
         }
     }
-    while ramp(gentle).way(most, CRUISE) > room && most > 1e-3 {
+    while ramp(gentle).travel(most, CRUISE) > room && most > 1e-3 {
         most *= 0.98;
-        lower =
-            Some("a higher rate needs a longer way; a larger --travel helps where there is room");
+        lower = Some(
+            "a higher rate needs a longer travel; a larger --travel helps where there is room",
+        );
     }
     let rate = f64::from(switch.rate.0) / per_unit(axis.kind);
     if most < rate {
         return Err(format!(
-            "its way of {room:.1} mm or degrees to each side of the home pose is too short to reach \
+            "its travel of {room:.1} mm or degrees to each side of the home pose is too short to reach \
              the rate of homing"
         ));
     }
@@ -252,7 +253,7 @@ enum Part {
 pub struct SwitchTest<'a, L> {
     session: &'a mut Session<L>,
     machine: &'a MachineFile,
-    /// The machine with the rates of homing, for the way to the home pose.
+    /// The machine with the rates of homing, for the motion to the home pose.
     slow: MachineFile,
     model: Model,
     joints: &'a [StepJoint],
@@ -376,11 +377,11 @@ impl<'a, L: session::Line> SwitchTest<'a, L> {
             acceleration: joint.bounds.acceleration[0],
             build_up,
         };
-        // A low rate needs a part of the way only.
-        let way = ramp.way(motion.rate, CRUISE).min(joint.end.abs());
-        let end = way * joint.end.signum();
+        // A low rate needs a part of the travel only.
+        let travel = ramp.travel(motion.rate, CRUISE).min(joint.end.abs());
+        let end = travel * joint.end.signum();
         let mut builder = Builder::new(&geometry, &joint.line, period, 0.0);
-        let slow = gentle.slowed(joint.homing_rate.min(motion.rate), way);
+        let slow = gentle.slowed(joint.homing_rate.min(motion.rate), travel);
         let [first, second] = match part {
             Part::Away => [(motion.rate, &ramp), (slow, &gentle)],
             Part::Towards => [(slow, &gentle), (motion.rate, &ramp)],
@@ -473,7 +474,7 @@ impl<'a, L: session::Line> SwitchTest<'a, L> {
                 let Some(motion) = motion else {
                     if found.is_loss(steps) {
                         let what = format!(
-                            "joint {}: it lost {steps:.0} steps on the way to the home pose and at \
+                            "joint {}: it lost {steps:.0} steps in the motion to the home pose and at \
                              homing; lower its rate in [joint.switch], or raise the current of its \
                              drive",
                             found.name
