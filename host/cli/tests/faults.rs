@@ -335,7 +335,7 @@ fn emergency_stop_during_homing_ends_with_the_fault_code() {
     let reported = haptimill(&[&["run", &program, "--out", &out], &stop[..]].concat());
     let reported = reported.expect_code(6);
     assert!(
-        reported.out.contains("\nEmergency stop, position kept\n"),
+        reported.out.contains("\nemergency stop, position kept\n"),
         "{}",
         reported.out
     );

@@ -321,7 +321,7 @@ impl Summary {
         }
         text.push_str(&format!(
             "{}, {kept}{}\n",
-            self.final_state_text,
+            self.final_state_text.to_lowercase(),
             self.counted()
         ));
         text

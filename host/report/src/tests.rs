@@ -244,7 +244,7 @@ fn a_recording_without_a_job_makes_a_report() {
     let json = serde_json::to_string(&summary).unwrap();
     assert!(!json.contains("null"), "{json}");
     write_html(&recording, &summary, &statistics, None, &mut Vec::new()).unwrap();
-    assert!(summary.terminal().contains("Unknown"));
+    assert!(summary.terminal().contains("unknown, the link"));
 }
 
 #[test]
