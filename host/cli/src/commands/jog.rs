@@ -1,4 +1,4 @@
-//! `haptimill jog`: moves at a rate for a time, with a dead-man deadline.
+//! `haptimill jog`: moves at a rate for a time, with a deadline for the next command.
 
 use super::args::{BoardArg, ConnectArgs, seconds};
 use super::board::file_of;
@@ -49,7 +49,7 @@ pub struct JogArgs {
     #[arg(long = "for", value_name = "SECONDS", default_value_t = 1.0, conflicts_with = "by",
           value_parser = seconds)]
     pub duration: f64,
-    /// Dead-man time: the machine stops when the controller receives nothing for this long
+    /// Deadline: the controller stops the machine when it receives nothing for this long
     #[arg(long, value_name = "MS", default_value_t = 200, value_parser = clap::value_parser!(u16).range(1..=1000))]
     pub deadline: u16,
     #[command(flatten)]

@@ -96,7 +96,7 @@ Examples:
   haptimill run part.ngc --force x,z --force-setpoint 5
       with force control of x and z: a compliant displacement above 5 N
   haptimill scenario run all
-      run the experiments of the thesis and compare them with its figures
+      run the experiments of four theses and compare them with their figures
   haptimill sim serve --listen tcp:127.0.0.1:7000
       serve the simulated machine on a TCP port
   haptimill home --port tcp:localhost:7000
@@ -206,7 +206,7 @@ enum Command {
     Hold(operate::OperateArgs),
     /// End the hold or the pause of a job that another process runs
     Resume(operate::OperateArgs),
-    /// Run the experiments of the theses in the simulator and compare the results with theirs
+    /// Run the experiments of four theses in the simulator and compare the results with theirs
     #[command(subcommand)]
     Scenario(scenario::ScenarioCommand),
     /// Measure geometric errors, correct programs by them, and calibrate an arm

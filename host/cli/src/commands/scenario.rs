@@ -1,4 +1,5 @@
-//! `haptimill scenario`: the experiments of the thesis in the simulator, compared with its numbers.
+//! `haptimill scenario`: the experiments of four theses in the simulator, compared with their
+//! numbers.
 
 use super::args::MachineArg;
 use super::{CliError, Exit, output};
@@ -13,10 +14,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 const RUN: &str = "\
-Run an experiment of the thesis, or `all`, in the simulator, and compare the results with the thesis.
+Run an experiment of a thesis, or `all`, in the simulator, and compare the results with the thesis.
 
 Writes to DIR index.html and a folder for each experiment with
-  index.html    charts of the thesis's figures, the cut surface from above, the table of results
+  index.html    charts of the figures of the thesis, the cut surface from above, the table of results
   summary.json  the same table for programs
   PASS/         recording, trace, summary and report of each pass, as `haptimill run` writes them
 Ends with the table. A result outside its band is shown with the reason; it is not an error.";

@@ -19,7 +19,7 @@ The top of the plate is Z0. The origin is that of the drawing: in an SVG the low
 page. --origin and --at move it. The tool starts and ends above X0 Y0.
 
 The order of the paths is the shortest that is found: open paths may be reversed, closed paths may \
-start anywhere. --order greedy uses the four conditions of the thesis instead.";
+start anywhere. --order greedy uses the four conditions of Mitravakin (2002) instead.";
 
 /// Names of [`Operation`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
