@@ -83,7 +83,8 @@ fn spread(gaps: impl Iterator<Item = f64> + Clone) -> f64 {
     gaps.clone().fold(0.0, f64::max) - gaps.fold(f64::INFINITY, f64::min)
 }
 
-/// Spec: 5 mm/s on one axis are 1000 pulses/s; at 45 degrees 707.107 on each.
+/// Section 3.1.3 of the thesis: 5 mm/s on one axis are 1000 pulses/s, and at 45 degrees 707.107 on
+/// each axis.
 #[test]
 fn rates_of_5_mm_s() {
     let [x, y] = overflow([1000, 0], 1000.0, 1000);

@@ -192,9 +192,9 @@ fn side(errors: &ErrorSet, model: Model, positions: &[f64], x: bool) -> Vec<f64>
     fit_line(&points).unwrap().residuals
 }
 
-/// Row 33 and section 5 of the specification: the experiment replayed 4000 times with the noise of
-/// the measuring machine stays in the bands; row 42: errors ten times as large correlate almost
-/// perfectly.
+/// docs/volumetric.md, table of capabilities, replay and worn machine: the experiment is replayed
+/// 4000 times with the noise of the measuring machine and stays in the bands. Errors ten times as
+/// large correlate almost perfectly.
 #[test]
 fn replay() {
     let errors = errors();
@@ -244,8 +244,8 @@ fn replay() {
 
 /// The same with the virtual measuring machine: three runs in set-ups of their own, interpolated to
 /// the positions of the laser. The interpolation takes a little of the noise, so the bands are
-/// wider by 0.01 than those of the noise alone. Row 42: errors ten times as large correlate above
-/// 0.99 with the same noise.
+/// wider by 0.01 than those of the noise alone. Errors ten times as large correlate above 0.99 with
+/// the same noise.
 #[test]
 fn replay_by_the_measuring_machine() {
     let straightness = errors().without(|function| function.kind() != Kind::Straightness);
