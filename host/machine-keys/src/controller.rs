@@ -72,7 +72,7 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
     gantry_of = text("the name of a joint of the model")
         .is("the joint is the second motor of a gantry: it gets the motion of that joint, and homing squares the two by their switches")
         .or_absent()
-        .bounded("after the joints of the model; linear; `home`, `preset` and `[joint.switch]` as of the other one, but for `input`, `at`, `release` and `travel`; the stroke contains, and the rate reaches that of the other one");
+        .bounded("after the joints of the model; linear; `home`, `preset` and `[joint.switch]` have the same values as the other motor, except `input`, `at`, `release` and `travel`; the stroke contains, and the rate reaches that of the other motor");
     racking = real(0.001, 100.0, "mm")
         .is("largest racking: distance between the two motors of a gantry, and in homing the difference of their motions")
         .named("racking_mm").only("second motors of gantries");
