@@ -81,7 +81,7 @@ pub struct Compensation {
     corrected: PoseCommand,
 }
 
-/// What the state of the machine permits.
+/// Compensation allowed in a state of the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fade {
     /// Compensation may be in effect.
@@ -92,7 +92,7 @@ pub enum Fade {
     Held,
 }
 
-/// What follows from the configuration.
+/// Values derived from the configuration.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct Constants {
     axes: [AxisConstants; ERROR_AXES],

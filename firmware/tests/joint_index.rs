@@ -120,7 +120,7 @@ proptest! {
         for raw in &raws {
             let _ = monitor.pulse(*raw);
         }
-        // 8000.25 counts a turn; and one that nobody wants compared.
+        // A pitch of 8000.25 counts a turn, and a pitch with the comparison off.
         let quarter = IndexMonitor::new(PITCH, (i64::from(PITCH) << 26) / 32_001, SLACK);
         for mut monitor in [quarter, IndexMonitor::new(PITCH, PER_COUNT, 0)] {
             for raw in &raws {

@@ -160,8 +160,8 @@ proptest! {
         }
     }
 
-    /// With errors of the readings within the tolerance of the sides: still a rotation, and one
-    /// nobody would call another.
+    /// With errors of the readings within the tolerance of the sides, the result is a rotation
+    /// within the tolerance of the true one.
     #[test]
     fn noisy_readings_give_a_rotation(seed in 1_u64..u64::MAX) {
         let mut sequence = Sequence(seed);

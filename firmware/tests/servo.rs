@@ -38,7 +38,7 @@ fn rate(mm_s: f64) -> Rate {
     Rate((mm_s * MM).round() as i32)
 }
 
-/// A mass on a way, exactly integrated under a constant force, mm, mm/s.
+/// A mass on a guideway, exactly integrated under a constant force, mm, mm/s.
 #[derive(Clone, Copy, Default)]
 struct Slide {
     position: f64,
@@ -246,7 +246,7 @@ fn derivative_term_damps() {
     );
 }
 
-/// The integrator takes a constant load away, stands still at the limit, and lets go at once.
+/// The integrator cancels a constant load, is held at its limit, and leaves the limit at once.
 #[test]
 fn integrator_does_not_wind_up() {
     let mut config = law(ServoForm::Pd, 40_000.0, 400.0, 1500);

@@ -80,7 +80,7 @@ pub(crate) fn held([x, y, z]: [i64; 3]) -> Result<[Coordinate; 3], PoseError> {
     Ok([x, y, z].map(|value| Coordinate(value as i32)))
 }
 
-/// What was rounded in the bound of a length, or of a rate, in axis units (per second).
+/// Rounding error of the bound of a length, or of a rate, axis units (per second).
 pub(crate) const ROUNDED: i64 = 16;
 pub(crate) const ROUNDED_RATE: i64 = 64;
 

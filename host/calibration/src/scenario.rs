@@ -1,5 +1,6 @@
-//! The whole loop in one run: errors in the machine, measured by the laser, compensated by the
-//! controller, and what became of the volume, of the test piece and of the circle test.
+//! Measurement and compensation in one run: the machine has errors, the laser measures them, and
+//! the controller compensates them. The results are the remaining errors of volume, test piece and
+//! circle test.
 
 use crate::ball_bar::{self, CircleResult, CircleTest};
 use crate::calibrate::{Calibration, Plan, calibrate, carriage_errors};
@@ -151,16 +152,17 @@ impl Extent {
     }
 }
 
-/// What one state of the controller gives.
+/// Results with one state of the compensation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct State {
     /// Name of the state.
     pub name: &'static str,
-    /// The volume.
+    /// Errors over the volume.
     pub volume: Volume,
     /// The cut surface of the test piece.
     pub surface: Features<Vector>,
-    /// Its characteristics by the coordinate measuring machine without noise, and with it.
+    /// Characteristics of the test piece, measured without noise and with the noise of the
+    /// coordinate measuring machine.
     pub rows: Vec<[Row; 2]>,
     /// Circular deviation at standstill on the circle of the circle tests, mm.
     pub still: f64,

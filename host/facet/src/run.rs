@@ -140,13 +140,13 @@ pub struct RunOptions {
 /// Result of an operation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OperationResult {
-    /// Number of the pass.
+    /// Number of the pass over the stone, from 0.
     pub pass: usize,
-    /// Number of the facet.
+    /// Index of the facet in the design.
     pub facet: usize,
-    /// Time, s.
+    /// Duration of the grinding with its spark-outs, s.
     pub seconds: f64,
-    /// Further spark-outs, until the force was gone.
+    /// Number of additional spark-outs, until the force was gone.
     pub sweeps: u32,
     /// Force on the stone.
     pub force: ForceStatistics,
@@ -164,9 +164,9 @@ pub struct Cutting {
     pub stone: Polyhedron,
     /// Facets as they left the lap.
     pub ground: Vec<Ground>,
-    /// Measurement.
+    /// The measured stone against the design.
     pub measured: Measured,
-    /// Operations.
+    /// Results in the order of cutting.
     pub operations: Vec<OperationResult>,
     /// Wear of the last lap by radius, mm.
     pub wear: Vec<f64>,

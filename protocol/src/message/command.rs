@@ -150,8 +150,8 @@ pub enum Command {
         /// The forces.
         force: [i16; COMPONENTS],
     },
-    /// Sets the force feedback law: the part of the force on the tool that the operator feels. The
-    /// change is complete within a second.
+    /// Sets the force feedback law: the part of the force on the tool that is fed back to the
+    /// operator. The change is complete within a second.
     ForceFeedback(ForceFeedback),
     /// Sets a virtual fixture: one face of the box around the master's tip.
     VirtualFixture {

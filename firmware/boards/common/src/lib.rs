@@ -1,4 +1,4 @@
-//! What boards share.
+//! Code for several boards.
 
 #![no_std]
 

@@ -394,7 +394,7 @@ impl Kinematics for FiveBar {
     }
 }
 
-/// What was rounded in the bound of an angle, raw units.
+/// Rounding error of the bound of an angle, raw units.
 const ROUNDED: i64 = 64;
 /// A quarter of a turn, raw units.
 const QUARTER_TURN: i32 = 1 << 30;

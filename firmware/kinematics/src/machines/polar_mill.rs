@@ -44,7 +44,7 @@ const Z: usize = 2;
 
 /// Least singularity margin, 2^-20 mm: 1 mm. Quotients by r fit then.
 const LEAST_MARGIN: i32 = 1 << 20;
-/// What was rounded in the bound of an angle, or of its rate, raw units.
+/// Rounding error of the bound of an angle, or of its rate, raw units.
 const ROUNDED: i64 = 16;
 
 /// Offsets of a polar mill, 2^-20 mm.

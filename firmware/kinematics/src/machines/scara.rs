@@ -458,5 +458,5 @@ impl Kinematics for Scara {
     }
 }
 
-/// What was rounded in the bound of an angle, raw units.
+/// Rounding error of the bound of an angle, raw units.
 const ROUNDED: i64 = 16;

@@ -13,7 +13,7 @@ pub fn identify(axes: &[MeasuredAxis]) -> ErrorSet {
     for measured in axes {
         identify_axis(measured, &mut set);
     }
-    take_off_arms(&mut set);
+    subtract_rotation_effects(&mut set);
     for measured in axes {
         // A roll that nobody measured is zero.
         for function in Function::all().filter(|function| function.moving == measured.axis) {
@@ -86,9 +86,10 @@ pub(super) fn identify_axis(measured: &MeasuredAxis, set: &mut ErrorSet) {
     }
 }
 
-/// Takes what the measured rotations of the table do on the line along y off the straightness of
-/// the table: the straight edge stands on it and turns with it about the origin of the work.
-pub(super) fn take_off_arms(set: &mut ErrorSet) {
+/// Subtracts from the straightness along y the part that the measured rotations of the table cause
+/// at the straight edge. The straight edge is fixed to the table and rotates with it about the
+/// origin of the work.
+pub(super) fn subtract_rotation_effects(set: &mut ErrorSet) {
     for (direction, about, sign) in [(Axis::X, Axis::Z, 1.0), (Axis::Z, Axis::X, -1.0)] {
         let of = |direction, rotates| Function {
             moving: Axis::Y,

@@ -1,6 +1,6 @@
 //! Readings as a file: those of a calibration written, and errors identified from those of a file.
 
-use super::identify::{identify_axis, take_off_arms};
+use super::identify::{identify_axis, subtract_rotation_effects};
 use super::report::{Conditions, results};
 use super::{Calibration, Measured, MeasuredAxis};
 use crate::targets::evaluate;
@@ -64,7 +64,7 @@ pub fn of_readings(
     for axis in &axes {
         identify_axis(axis, &mut set);
     }
-    take_off_arms(&mut set);
+    subtract_rotation_effects(&mut set);
     set.squareness = readings.squareness;
     let mut text = conditions.report() + "\n" + &results(&axes, &set);
     for function in Function::all() {

@@ -9,39 +9,39 @@ use std::fmt;
 pub enum JobEnding {
     /// The last setpoint was reached, at standstill.
     Done {
-        /// The job.
+        /// Number of the job, as in `JobStart`.
         job: u32,
-        /// Setpoints reached.
+        /// Number of setpoints that were reached.
         setpoints: u32,
     },
     /// The controller dropped the job, after a stop or a fault that it reports as an event.
     Dropped {
-        /// The job.
+        /// Number of the job, as in `JobStart`.
         job: u32,
-        /// Setpoints reached.
+        /// Number of setpoints that were reached.
         setpoints: u32,
     },
     /// The controller refused its start, a setpoint, or its end; the machine was stopped.
     Refused {
-        /// The job.
+        /// Number of the job, as in `JobStart`.
         job: u32,
-        /// Why.
+        /// The refused request, and the reason.
         error: RequestError,
     },
     /// A setpoint cannot be encoded; the machine was stopped.
     Setpoint {
-        /// The job.
+        /// Number of the job, as in `JobStart`.
         job: u32,
         /// Number of the setpoint.
         setpoint: u32,
-        /// Why.
+        /// The reason: no duration, or a wrong number of coordinates.
         error: SetpointError,
     },
     /// The session ended.
     Lost {
-        /// The job.
+        /// Number of the job, as in `JobStart`.
         job: u32,
-        /// Why.
+        /// The end of the session.
         error: ClientError,
     },
 }

@@ -9,10 +9,9 @@
 //! What takes several messages is a [`Procedure`] ([`Acknowledgement`], [`StatusQuery`],
 //! [`Homing`]) or a [`JobRun`]. Programs that wait for the result use [`Session::complete`] and the
 //! methods on it; programs that serve an operator meanwhile advance the procedure after each step.
-//! A
-//! [`Startup`] is sent each time the controller answers, and [`Session::with_reconnection`] opens a
-//! lost session again. Owners that handle each [`Notification`] in order use [`Session::exchange`]
-//! and [`Session::poll`] in place of [`Session::step`].
+//! A [`Startup`] is sent each time the controller answers, and [`Session::with_reconnection`] opens
+//! a lost session again. Owners that handle each [`Notification`] in order use
+//! [`Session::exchange`] and [`Session::poll`] in place of [`Session::step`].
 //!
 //! The session prints nothing: what the user should read is in [`Session::next_notice`].
 //!
