@@ -13,6 +13,9 @@ use serde::{Deserialize, Serialize};
 /// Components of a force: x, y, z of the workpiece.
 pub const COMPONENTS: usize = 3;
 
+/// Names of the components, in order.
+pub const COMPONENT_NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
+
 /// Enable condition: when a force above the force setpoint may move the tool away (docs/control.md
 /// 7.1 item 20).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]

@@ -6,7 +6,7 @@
 //!
 //! Callers must not queue these messages: only the newest one is valid.
 
-pub use crate::force::COMPONENTS;
+pub use crate::force::{COMPONENT_NAMES, COMPONENTS};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 

@@ -11,9 +11,14 @@ use haptimill_firmware::force::{
 use haptimill_machine_keys::controller::{force as keys, force_axis, force_sensor};
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_math::{Length, Rate};
+use haptimill_protocol::force::COMPONENT_NAMES;
 
-/// Components of the force, in order.
-pub const AXES: [(&str, usize); COMPONENTS] = [("x", 0), ("y", 1), ("z", 2)];
+/// Components of the force with their numbers, in order.
+pub const AXES: [(&str, usize); COMPONENTS] = [
+    (COMPONENT_NAMES[0], 0),
+    (COMPONENT_NAMES[1], 1),
+    (COMPONENT_NAMES[2], 2),
+];
 
 /// Enable conditions, with their names in machine files and on the command line.
 pub const ENABLE_CONDITIONS: [(&str, EnableCondition); 4] = [

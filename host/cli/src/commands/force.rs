@@ -7,10 +7,9 @@ use clap::{Args, Subcommand};
 use haptimill_client::board::Need;
 use haptimill_client::session::{ForceLoopChanges, PortLine, Session};
 use haptimill_machine_file::ENABLE_CONDITIONS;
-use haptimill_protocol::force::{COMPONENTS, EnableCondition, ForceLoop, ForceTelemetry};
-
-/// Names of the force components.
-const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
+use haptimill_protocol::force::{
+    COMPONENT_NAMES, COMPONENTS, EnableCondition, ForceLoop, ForceTelemetry,
+};
 
 /// A command on the force control.
 #[derive(Debug, Subcommand)]
@@ -107,7 +106,7 @@ pub(super) fn parse_axes(text: &str) -> Result<ForceAxes, String> {
     }
     let mut found = Vec::new();
     for word in text.split(',') {
-        let axis = NAMES.iter().position(|name| *name == word.trim());
+        let axis = COMPONENT_NAMES.iter().position(|name| *name == word.trim());
         let axis = axis.ok_or_else(|| {
             format!("\"{word}\" has no force sensor; write x, y, z, or several as x,z, or none")
         })? as u8;
@@ -197,7 +196,7 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     ];
     if json {
         let mut value = to_json(&force, problem.as_deref());
-        value["loops"] = NAMES
+        value["loops"] = COMPONENT_NAMES
             .iter()
             .zip(&loops)
             .map(|(name, settings)| ((*name).to_string(), loop_to_json(settings)))
@@ -276,7 +275,7 @@ fn loop_to_json(settings: &ForceLoop) -> serde_json::Value {
 }
 
 fn axes_under_control(force: &ForceTelemetry) -> Vec<&'static str> {
-    let axes = NAMES.iter().enumerate();
+    let axes = COMPONENT_NAMES.iter().enumerate();
     axes.filter(|(axis, _)| force.mask & (1 << axis) != 0)
         .map(|(_, name)| *name)
         .collect()
@@ -285,7 +284,7 @@ fn axes_under_control(force: &ForceTelemetry) -> Vec<&'static str> {
 /// The forces as JSON.
 pub(super) fn to_json(force: &ForceTelemetry, problem: Option<&str>) -> serde_json::Value {
     let named = |values: [f64; COMPONENTS]| -> serde_json::Value {
-        NAMES.iter().copied().zip(values).collect()
+        COMPONENT_NAMES.iter().copied().zip(values).collect()
     };
     serde_json::json!({
         "high_n": named(newtons(force.high)),

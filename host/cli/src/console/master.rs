@@ -18,9 +18,6 @@ use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, MasterTelemetry};
 use ratatui::crossterm::event::KeyCode;
 use std::time::{Duration, Instant};
 
-/// Names of the Cartesian components.
-pub(super) const NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
-
 /// Units per N, and per N mm, in the master telemetry.
 pub(super) const PER_REPORTED: f64 = 256.0;
 

@@ -2,11 +2,13 @@
 
 use super::app::{App, OnAck};
 use super::keys::Key;
-use super::master::{FACE_TOLERANCE_MM, Face, Field, FieldPosition, NAMES, PER_SCALE};
+use super::master::{FACE_TOLERANCE_MM, Face, Field, FieldPosition, PER_SCALE};
 use super::view_model::{Overlay, Severity};
 use haptimill_firmware::haptics::feedback_law::MOST;
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, to_i32};
-use haptimill_protocol::haptic::{COMPONENTS, ForceFeedback, ForceFeedbackAxis, VirtualFixture};
+use haptimill_protocol::haptic::{
+    COMPONENT_NAMES, COMPONENTS, ForceFeedback, ForceFeedbackAxis, VirtualFixture,
+};
 use haptimill_protocol::message::{Command, RATE_SHIFT};
 use haptimill_teleop::SCALES;
 use haptimill_teleop::script::scale;
@@ -29,11 +31,11 @@ const REPORT_AGE_S: f64 = 0.15;
 /// Name of a face of the virtual fixture.
 fn face_name(axis: usize, upper: bool) -> String {
     let side = if upper { "upper" } else { "lower" };
-    format!("{side} face of {}", NAMES[axis])
+    format!("{side} face of {}", COMPONENT_NAMES[axis])
 }
 
 fn axis_name(axis: Option<usize>) -> &'static str {
-    axis.map_or("all axes", |axis| NAMES[axis])
+    axis.map_or("all axes", |axis| COMPONENT_NAMES[axis])
 }
 
 impl App {

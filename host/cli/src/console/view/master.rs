@@ -3,10 +3,10 @@
 use super::bars::around_zero;
 use super::panels::{clock, heading, wrapped};
 use super::{STALE_MS, style_of};
-use crate::console::master::{ALL, Face, Field, FieldPosition, NAMES, PER_REPORTED, SCALE};
+use crate::console::master::{ALL, Face, Field, FieldPosition, PER_REPORTED, SCALE};
 use crate::console::view_model::{ArmView, LinkState, MasterView, Severity, ViewModel};
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM};
-use haptimill_protocol::haptic::{ForceFeedbackAxis, MasterTelemetry};
+use haptimill_protocol::haptic::{COMPONENT_NAMES, ForceFeedbackAxis, MasterTelemetry};
 use haptimill_protocol::message::{Source, State};
 use ratatui::style::{Modifier, Style};
 use ratatui::text::{Line, Span};
@@ -100,7 +100,7 @@ fn forces(view: &ViewModel, report: &MasterTelemetry, axis: usize, width: usize)
     };
     format!(
         " {}{}{}{:>8.2}{}",
-        NAMES[axis],
+        COMPONENT_NAMES[axis],
         drawn(tool, view.force_scale_n),
         drawn(Some(newtons(report.force[axis])), SCALE_N),
         newtons(report.feedback[axis]),
@@ -186,7 +186,11 @@ fn settings(
         }
         _ => format!("{:>12}", ""),
     };
-    let name = if row < ALL { NAMES[row] } else { "all" };
+    let name = if row < ALL {
+        COMPONENT_NAMES[row]
+    } else {
+        "all"
+    };
     let cell = |column: usize, text: &str, size: usize| {
         let (text, style) = match selected {
             Some((at, typed)) if at == column => {
@@ -346,7 +350,7 @@ pub(super) fn panel(view: &ViewModel, width: u16) -> Option<Vec<Line<'static>>> 
         width,
     )];
     let bar = usize::from(width).saturating_sub(25).clamp(5, 40);
-    for (axis, name) in NAMES.iter().enumerate() {
+    for (axis, name) in COMPONENT_NAMES.iter().enumerate() {
         let force = newtons(report.force[axis]);
         let part = force / SCALE_N;
         rows.push(Line::styled(

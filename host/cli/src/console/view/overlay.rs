@@ -6,7 +6,7 @@ use crate::console::keys::BINDINGS;
 use crate::console::listing::{Kind, Picker};
 use crate::console::view_model::{Axis, Confirm, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::PER_EFFORT;
-use haptimill_protocol::force::ForceLoop;
+use haptimill_protocol::force::{COMPONENT_NAMES, ForceLoop};
 use haptimill_protocol::message::Source;
 use haptimill_report::count;
 use ratatui::Frame;
@@ -289,7 +289,7 @@ fn axis_rows(view: &ViewModel) -> Vec<String> {
 fn force_rows(view: &ViewModel) -> Option<Vec<String>> {
     let force = view.telemetry.as_ref().and_then(|now| now.force.as_ref());
     let mask = force.map_or(0, |force| force.mask);
-    let loops = ["x", "y", "z"].iter().zip(view.loops.as_ref()?).enumerate();
+    let loops = COMPONENT_NAMES.iter().zip(view.loops.as_ref()?).enumerate();
     let row = |(index, (name, settings)): (usize, (&&str, &ForceLoop))| {
         format!(
             "{name} {}  setpoint {:.1} N  mass {:.2}  damping {:.2}",

@@ -6,6 +6,7 @@ use crate::commands::status::path_speed;
 use crate::console::jogging::Mode;
 use crate::console::view_model::{Axis, LinkState, LogEntry, Overlay, Severity, ViewModel};
 use haptimill_machine_file::scale::{PER_EFFORT, PER_MM, per_unit};
+use haptimill_protocol::force::COMPONENT_NAMES;
 use haptimill_protocol::message::{AxisValues, Source, State};
 use ratatui::Frame;
 use ratatui::layout::Rect;
@@ -257,7 +258,7 @@ fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'stat
     let mut rows = vec![heading(&title, width)];
     let force = telemetry.and_then(|t| t.force.as_ref());
     let bar = usize::from(width).saturating_sub(21).clamp(6, 40);
-    for (index, name) in ["x", "y", "z"].iter().enumerate() {
+    for (index, name) in COMPONENT_NAMES.iter().enumerate() {
         let text = match (force, &master_force) {
             (Some(force), master_force) => {
                 let high = f64::from(force.high[index]) / PER_EFFORT;
@@ -287,7 +288,7 @@ fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'stat
         return rows;
     };
     let mut spans = vec![Span::raw(" control")];
-    for (index, name) in ["x", "y", "z"].iter().enumerate() {
+    for (index, name) in COMPONENT_NAMES.iter().enumerate() {
         let is_controlled = force.mask & (1 << index) != 0;
         let desired = f64::from(loops[index].desired) / PER_EFFORT;
         let style = if is_controlled {

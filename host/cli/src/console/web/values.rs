@@ -1,7 +1,7 @@
 //! Values of the state as JSON: positions, the tool, work offsets, changes of the stock, and what
 //! the page plots.
 
-use super::super::master::{NAMES, PER_REPORTED};
+use super::super::master::PER_REPORTED;
 use super::super::view_model::{Axis, ViewModel};
 use crate::commands::force::newtons;
 use crate::commands::probe_cycle::kept_beside;
@@ -16,7 +16,7 @@ use haptimill_machine_file::model;
 use haptimill_machine_file::scale::{PER_MM, per_unit};
 use haptimill_machine_file::work_data::{WorkData, axis_index};
 use haptimill_machine_file::{AxisLimits, IoNames, MachineFile};
-use haptimill_protocol::haptic::{COMPONENTS, MasterPose};
+use haptimill_protocol::haptic::{COMPONENT_NAMES, COMPONENTS, MasterPose};
 use haptimill_protocol::message::{AxisValues, MAX_AXES};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
@@ -197,7 +197,7 @@ pub(super) fn columns(view: &ViewModel, names: &IoNames, truth: Option<&GroundTr
                 json!(value),
             );
         }
-        for (name, newtons) in ["x", "y", "z"].iter().zip(truth.force) {
+        for (name, newtons) in COMPONENT_NAMES.iter().zip(truth.force) {
             columns.insert(format!("true force {name}, N"), json!(newtons));
         }
     }
@@ -225,7 +225,7 @@ pub(super) fn columns(view: &ViewModel, names: &IoNames, truth: Option<&GroundTr
     columns.insert("program time, s".to_string(), json!(time));
     let arm = view.master.as_ref().and_then(|master| master.arm.as_ref());
     if let Some(report) = arm.and_then(|arm| arm.report.as_ref()) {
-        for (axis, name) in NAMES.iter().enumerate() {
+        for (axis, name) in COMPONENT_NAMES.iter().enumerate() {
             let newtons = |force: &[i16; COMPONENTS]| f64::from(force[axis]) / PER_REPORTED;
             let tip = f64::from(report.pose.tip[axis]) / PER_MM;
             for (column, value) in [
@@ -268,7 +268,7 @@ pub(super) fn columns(view: &ViewModel, names: &IoNames, truth: Option<&GroundTr
     }
     if let Some(force) = &now.force {
         let (high, low) = (newtons(force.high), newtons(force.low));
-        for (axis, name) in ["x", "y", "z"].iter().enumerate() {
+        for (axis, name) in COMPONENT_NAMES.iter().enumerate() {
             columns.insert(format!("force {name}, N"), json!(high[axis]));
             columns.insert(format!("opposite force {name}, N"), json!(low[axis]));
             let displacement = f64::from(force.displacement[axis]) / PER_MM;
