@@ -236,7 +236,8 @@ impl Geometry for Facet {
         force: [f64; 3],
         above: f64,
     ) -> Option<JointArray> {
-        self.tool_loads(joints, pose, force, [0.0, 0.0, above])
+        let from_tip = times(self.tool_pose(pose).axis, above);
+        self.tool_loads(joints, pose, force, from_tip)
     }
 
     /// Virtual work: the slides move the lap under the stone, the other joints the stone.

@@ -128,8 +128,8 @@ pub trait Geometry: Sized {
         self.joint_loads(joints, pose, force, from_tip[2])
     }
 
-    /// Loads of the joints by a force on the tool in the workpiece frame, N, which acts `above` mm
-    /// above the tip. `None` where the geometry is singular.
+    /// Loads of the joints, N and N m, by a force on the tool in the workpiece frame, N, which acts
+    /// on the axis of the tool `above` mm from the tip. `None` where the geometry is singular.
     fn joint_loads(
         &self,
         joints: &JointArray,
@@ -185,6 +185,35 @@ macro_rules! geometries {
         }
 
         impl GeometryConfig {
+            /// Tool in the workpiece frame at joint positions, mm and degrees; `None` where the
+            /// machine cannot be assembled.
+            #[must_use]
+            pub fn tool(&self, joints: &JointArray) -> Option<ToolPose> {
+                let mut pose = JointArray::default();
+                let mut machine = AnyGeometry::new(self, joints).ok()?;
+                machine.follow(joints, &mut pose).then(|| machine.tool_pose(&pose))
+            }
+
+            /// Loads of the joints, N and N m, by a force in the workpiece frame, N, on the axis of
+            /// the tool `above` mm from its tip; `None` where the machine is singular, or cannot be
+            /// assembled.
+            #[must_use]
+            pub fn loads(
+                &self,
+                joints: &JointArray,
+                force: [f64; 3],
+                above: f64,
+            ) -> Option<JointArray> {
+                let mut pose = JointArray::default();
+                let mut machine = AnyGeometry::new(self, joints).ok()?;
+                machine.follow(joints, &mut pose);
+                match &machine {
+                    $(AnyGeometry::$name(machine) => {
+                        Geometry::joint_loads(machine, joints, &pose, force, above)
+                    })*
+                }
+            }
+
             /// The machine with its joints at these positions, mm and degrees, in the workpiece
             /// frame, mm; `None` where it cannot be assembled there.
             #[must_use]
