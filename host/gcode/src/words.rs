@@ -187,11 +187,7 @@ impl Executor {
                 .unwrap_or((letter, word));
             return mistake(
                 word.at,
-                format!(
-                    "{}: this machine has no axis {}",
-                    here.text(word),
-                    char::from(letter)
-                ),
+                self.no_axis(letter, word, here),
                 "write the program for the axes of the machine file",
             );
         }
@@ -268,6 +264,17 @@ impl Executor {
         Ok(())
     }
 
+    fn no_axis(&self, letter: u8, word: Word, here: &Here) -> String {
+        let axes = self.options.axes.iter();
+        let letters: Vec<String> = axes.map(|axis| axis.letter.to_string()).collect();
+        format!(
+            "{}: this machine has no axis {}, only {}",
+            here.text(word),
+            char::from(letter),
+            letters.join(", ")
+        )
+    }
+
     pub(super) fn stray_word(&self, letter: u8, word: Word, here: &Here) -> Mistake {
         let text = here.text(word);
         let (what, remedy) = match letter {
@@ -275,7 +282,7 @@ impl Executor {
                 let axis = AXES.iter().position(|axis| *axis == letter);
                 if axis.is_some_and(|axis| self.out.coordinate(axis).is_none()) {
                     (
-                        format!("{text}: this machine has no axis {}", char::from(letter)),
+                        self.no_axis(letter, word, here),
                         "write the program for the axes of the machine file",
                     )
                 } else {
