@@ -373,11 +373,28 @@ impl<L: Line> Session<L> {
     fn refused(&self, command: &str, error: &RequestError) -> Error {
         match error {
             RequestError::Refused(refusal) => {
-                let why = self.describe(refusal);
+                let mut why = self.describe(refusal);
+                if let Some(fault) = self.cause(refusal) {
+                    why = format!("{why} ({})", self.describe(&fault));
+                }
                 Error::new(ErrorKind::Command, format!("{command}: {why}"))
             }
             other => Error::new(ErrorKind::Port, format!("{command}: {other}")),
         }
+    }
+
+    /// The fault for which a command was refused.
+    fn cause(&self, refusal: &Refusal) -> Option<Fault> {
+        if *refusal != Refusal::State(State::Fault) {
+            return None;
+        }
+        let reported = self.client.telemetry().and_then(|report| report.fault);
+        let events = self.events.iter().rev();
+        let fault = |(_, event): &(u64, Event)| match event {
+            Event::Fault(fault) => Some(*fault),
+            _ => None,
+        };
+        reported.or_else(|| events.map(fault).find_map(|fault| fault))
     }
 
     /// Makes the machine file the active configuration of the controller, unless it is already.
