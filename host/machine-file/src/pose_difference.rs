@@ -11,8 +11,9 @@ use haptimill_firmware::config::AxisKind;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::joint::mechanics::JointArray;
 use haptimill_hil_sim::machines::GeometryConfig;
-use haptimill_kinematics::{Joints, Kinematics, Pose};
+use haptimill_kinematics::{Joints, Kinematics, Pose, PoseError};
 use haptimill_math::Coordinate;
+use haptimill_protocol::message::MAX_AXES;
 use std::fmt;
 
 /// Difference, in mm or degrees, from which `haptimill machine check` prints a warning.
@@ -29,6 +30,10 @@ pub struct PoseDifference {
     pub compared: usize,
     /// Poses of the controller that the simulated machine cannot take.
     pub impossible: usize,
+    /// Poses of the grid that the controller cannot take.
+    pub out_of_reach: usize,
+    /// Those of them that are beyond the stroke of a joint, by joint.
+    pub beyond_stroke: [usize; MAX_AXES],
     /// Largest distance over the linear coordinates, mm.
     pub linear_mm: f64,
     /// Largest difference of a rotary coordinate, degrees.
@@ -70,8 +75,17 @@ impl PoseDifference {
                 let (low, high) = (f64::from(axis.low.0), f64::from(axis.high.0));
                 *slot = Coordinate((low + part * (high - low)).round() as i32);
             }
-            let Ok(joints) = kinematics.inverse(&pose) else {
-                continue;
+            let joints = match kinematics.inverse(&pose) {
+                Ok(joints) => joints,
+                Err(error) => {
+                    difference.out_of_reach += 1;
+                    if let PoseError::OutOfStroke { axis, .. } = error
+                        && let Some(count) = difference.beyond_stroke.get_mut(usize::from(axis))
+                    {
+                        *count += 1;
+                    }
+                    continue;
+                }
             };
             let mut values = JointArray::default();
             let pairs = joints.0.iter().zip(&machine.config.joints);
@@ -127,6 +141,27 @@ impl PoseDifference {
     #[must_use]
     pub const fn largest(&self) -> f64 {
         self.linear_mm.max(self.rotary_deg)
+    }
+
+    /// The poses of the grid that are out of reach, and the joint whose stroke ends first for most
+    /// of them; `None` if there is none.
+    #[must_use]
+    pub fn unreached(&self, machine: &MachineFile) -> Option<String> {
+        if self.out_of_reach == 0 {
+            return None;
+        }
+        let total = self.out_of_reach + self.compared + self.impossible;
+        let mut text = format!(
+            "{} of {total} poses of the soft limits are out of reach",
+            self.out_of_reach
+        );
+        let by_joint = self.beyond_stroke.iter().zip(&machine.joints);
+        if let Some((count, joint)) = by_joint.max_by_key(|(count, _)| **count)
+            && *count > 0
+        {
+            text.push_str(&format!(", {count} beyond the stroke of {}", joint.name));
+        }
+        Some(text)
     }
 
     /// Whether the difference deserves a warning.

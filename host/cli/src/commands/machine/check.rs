@@ -81,6 +81,9 @@ fn compare_poses(machine: &MachineFile, json: bool) -> Result<(), CliError> {
              poses",
             difference.compared
         );
+        if let Some(text) = difference.unreached(machine) {
+            print_line!("{text}");
+        }
     }
     Ok(())
 }
