@@ -11,7 +11,6 @@ use haptimill_firmware::config::{
     Config, Home, Homing, JointAxis, PoseAxis, Stopping, Supervision,
 };
 use haptimill_kinematics::Model;
-use haptimill_kinematics::descriptor::Role;
 use haptimill_machine_keys::controller::{self, root};
 use haptimill_math::Rate;
 use toml::Spanned;
@@ -203,26 +202,17 @@ fn read_name(root: &Section<'_, '_>) -> heapless::String<24> {
     })
 }
 
-/// Checks the limits of pose coordinates that are joints themselves, and of the tilt.
+/// Checks the limits of pose coordinates that are joints themselves.
 fn check_pose_against_joints(
     pose: &[(&Section<'_, '_>, (PoseAxis, AxisLimits))],
     joints: &[(JointAxis, AxisLimits)],
     model: Option<ModelReader>,
 ) {
-    let tilt = model.and_then(|model| model.descriptor.coordinate(Role::ToolTilt));
     for (index, (section, (_, limits))) in pose.iter().enumerate() {
         let ends = [
             (controller::pose::low, limits.low),
             (controller::pose::high, limits.high),
         ];
-        if tilt == Some(index) {
-            for (key, value) in ends {
-                if value.abs() >= 90.0 {
-                    let what = format!("{value} deg: the tilt must stay within +-90 deg");
-                    section.refuse(key, what, "narrow the soft limits");
-                }
-            }
-        }
         // A pose coordinate may be a joint itself, as a table is.
         let joint = joints.iter().find(|(_, joint)| joint.name == limits.name);
         let role = model.and_then(|model| model.descriptor.pose.get(index));

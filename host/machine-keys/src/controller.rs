@@ -47,7 +47,7 @@ pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may
     kind = word(&["linear", "rotary"]).is("kind that the model has at this place");
     low = super::LENGTHS.is("lower soft limit").named("low_mm")
         .rotary("low_deg", super::ANGLES).many_turns(super::TURNS)
-        .bounded("below the upper one; a tilt within +-90 deg; a coordinate that is a joint within its stroke")
+        .bounded("below the upper one; a coordinate that is a joint within its stroke")
         .beyond(super::LONGER);
     high = super::LENGTHS.is("upper soft limit").named("high_mm")
         .rotary("high_deg", super::ANGLES).many_turns(super::TURNS)
