@@ -29,6 +29,8 @@ pub struct Document<'i> {
 
 /// What is wrong with a key that is missing.
 pub const MISSING: &str = "is missing";
+/// The problem of a key that its section does not have.
+const UNKNOWN: &str = "is not a known key";
 
 /// Largest number of problems that are kept. Each one costs a search for its line.
 const KEPT_PROBLEMS: usize = 1000;
@@ -145,6 +147,26 @@ impl<'i> Document<'i> {
     /// Returns all reported problems in the order of the text.
     pub fn into_problems(self) -> Problems {
         let mut problems = self.problems.into_inner();
+        let sections: Vec<(String, String)> = problems
+            .iter()
+            .filter(|(_, problem)| problem.what == MISSING)
+            .filter_map(|(_, problem)| {
+                let (parent, _) = problem.key.rsplit_once('.')?;
+                Some((format!("{parent}."), section::table_path(&problem.key)))
+            })
+            .collect();
+        // Without its header, the keys of a section are in the section before it.
+        problems.retain(|(_, problem)| {
+            let name = problem.key.rsplit('.').next();
+            let has = |path: &str| {
+                let mut of_path = self.sections.iter().filter(|section| section.path == path);
+                of_path.any(|section| section.keys.iter().any(|key| Some(key.name) == name))
+            };
+            problem.what != UNKNOWN
+                || !sections
+                    .iter()
+                    .any(|(parent, path)| problem.key.starts_with(parent) && has(path))
+        });
         problems.sort_by_key(|(offset, _)| *offset);
         let more = problems.len().saturating_sub(LISTED_PROBLEMS) + self.more.get();
         problems.truncate(LISTED_PROBLEMS);

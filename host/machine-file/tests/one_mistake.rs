@@ -45,6 +45,19 @@ fn a_missing_drive_asks_for_no_key_of_another_drive() {
     assert_eq!(found, ["joint[1].drive: is missing"]);
 }
 
+/// The keys of the section are then in the section before it.
+#[test]
+fn a_missing_header_of_a_section_is_one_problem() {
+    let found = problems(MILL, "[joint.drive]\n", "");
+    assert_eq!(found, ["joint[1].drive: is missing"]);
+    let text = MILL.replacen("[joint.drive]\n", "", 1);
+    let refused = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+    assert_eq!(
+        refused.0[0].remedy,
+        "add a section [joint.drive] below its [[joint]]"
+    );
+}
+
 #[test]
 fn a_misspelt_key_is_not_missing() {
     let found = problems(MILL, "rate_mm_s = ", "rate_mms = ");

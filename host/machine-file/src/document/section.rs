@@ -5,7 +5,7 @@ mod words;
 
 pub use numbers::{Allowed, real, whole};
 
-use super::{Document, MISSING};
+use super::{Document, MISSING, UNKNOWN};
 use crate::likeness::nearest;
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_keys::Key;
@@ -108,7 +108,17 @@ impl<'d, 'i> Section<'d, 'i> {
 
     /// Returns a section below this one; `None` after a report.
     pub fn section(&self, key: &'static str) -> Option<Section<'d, 'i>> {
-        let value = self.required(key, || format!("add a section [{}]", self.path_of(key)))?;
+        let remedy = || {
+            let section = table_path(&self.path_of(key));
+            match self.path.rsplit_once('[') {
+                None => format!("add a section [{section}]"),
+                Some(_) => format!(
+                    "add a section [{section}] below its [[{}]]",
+                    table_path(&self.path)
+                ),
+            }
+        };
+        let value = self.required(key, remedy)?;
         match value.get_ref() {
             DeValue::Table(table) => Some(Section {
                 document: self.document,
@@ -127,7 +137,8 @@ impl<'d, 'i> Section<'d, 'i> {
 
     /// Returns the sections of a list (`[[key]]`); empty after a report.
     pub fn list(&self, key: &'static str) -> Vec<Section<'d, 'i>> {
-        let Some(value) = self.required(key, || format!("add sections [[{key}]]")) else {
+        let remedy = || format!("add sections [[{}]]", table_path(&self.path_of(key)));
+        let Some(value) = self.required(key, remedy) else {
             return Vec::new();
         };
         let DeValue::Array(items) = value.get_ref() else {
@@ -193,18 +204,14 @@ impl<'d, 'i> Section<'d, 'i> {
                 _ if others.is_empty() => "remove it; the section has all its keys".to_string(),
                 _ => format!("remove it; other keys here are {}", others.join(", ")),
             };
-            self.document.report(
-                key.span().start,
-                self.path_of(name),
-                "is not a known key",
-                remedy,
-            );
+            self.document
+                .report(key.span().start, self.path_of(name), UNKNOWN, remedy);
         }
     }
 }
 
 /// Returns a path without list indices, as in the table of keys: `joint[2].law` is `joint.law`.
-fn table_path(path: &str) -> String {
+pub(super) fn table_path(path: &str) -> String {
     let parts = path.split('.').map(|part| part.split('[').next());
     parts.flatten().collect::<Vec<_>>().join(".")
 }
