@@ -31,9 +31,7 @@ use gantry::Gantries;
 use haptimill_kinematics::BoundedKinematics;
 use haptimill_kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
 use haptimill_math::Coordinate;
-use haptimill_protocol::message::{
-    AxisValues, Fault, MAX_AXES, Refusal, SOFT_LIMIT_TOLERANCE, Telemetry,
-};
+use haptimill_protocol::message::{AxisValues, Fault, MAX_AXES, Refusal, Telemetry};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Vec;
 use joint_rates::JointRates;
@@ -386,8 +384,8 @@ impl Machine {
         self.motion.advance(mode, &self.kinematics)
     }
 
-    /// The first coordinate of the pose that is beyond its soft limits, by more than
-    /// [`SOFT_LIMIT_TOLERANCE`].
+    /// The first coordinate of the pose that is beyond its soft limits by more than their
+    /// tolerance.
     #[must_use]
     #[inline]
     pub fn beyond_soft_limit(&self, pose: &Pose) -> Option<u8> {
@@ -396,9 +394,9 @@ impl Machine {
             .iter()
             .zip(&pose.0)
             .position(|(axis, at)| {
-                let low = axis.low.0.saturating_sub(SOFT_LIMIT_TOLERANCE);
-                let high = axis.high.0.saturating_add(SOFT_LIMIT_TOLERANCE);
-                at.0 < low || at.0 > high
+                let tolerance = axis.kind.soft_limit_tolerance();
+                at.0 < axis.low.0.saturating_sub(tolerance)
+                    || at.0 > axis.high.0.saturating_add(tolerance)
             })
             .map(|index| index as u8)
     }

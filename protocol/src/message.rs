@@ -36,11 +36,6 @@ pub const MAX_AXES: usize = 6;
 /// Version of this protocol; both endpoints must have the same.
 pub const PROTOCOL_VERSION: u16 = 7;
 
-/// Axis units by which the commanded pose may be beyond a soft limit: 2 um, or 0.0002 degrees. A
-/// path that touches the limit passes it by less between its setpoints, and in the rounding of a
-/// change of curvature.
-pub const SOFT_LIMIT_TOLERANCE: i32 = 2048;
-
 /// Path rate in reports at the programmed speed.
 pub const FULL_PATH_RATE: u16 = 1 << 15;
 

@@ -4,9 +4,7 @@ mod setup;
 
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;
-use haptimill_protocol::message::{
-    Command, Event, Refusal, SOFT_LIMIT_TOLERANCE, SetpointBatch, Source, State,
-};
+use haptimill_protocol::message::{Command, Event, Refusal, SetpointBatch, Source, State};
 use haptimill_tests::Bench;
 use setup::{DEGREE, MM, commanded, jog, line, ready, rest, state, step_smoothly};
 
@@ -126,7 +124,8 @@ fn soft_limits_are_checked_with_the_offset_of_a_jog() {
     assert_eq!(refused, beyond);
     // What a path needs that touches the limit is within it, and no unit more. The arms do not
     // reach so far.
-    let most = bench.machine.config.pose[1].high.0 + SOFT_LIMIT_TOLERANCE - offset;
+    let limits = &bench.machine.config.pose[1];
+    let most = limits.high.0 + limits.kind.soft_limit_tolerance() - offset;
     for (place, is_beyond) in [(most + 1, true), (most, false)] {
         far.pose[1] = place;
         let mut coder = haptimill_protocol::setpoint::SetpointCoder::new(200, &start);

@@ -1,7 +1,7 @@
 //! Limits of pose coordinates and joints, and the caller's model of the geometry.
 
 use haptimill_gcode::{AxisKind, Coordinates};
-use haptimill_protocol::message::SOFT_LIMIT_TOLERANCE;
+use haptimill_protocol::text;
 use std::fmt;
 
 /// Limits of a pose coordinate: mm, mm/s, mm/s^2, mm/s^3, or the same in degrees.
@@ -133,7 +133,12 @@ impl PoseLimits {
     /// How far a pose may be beyond a limit, mm or degrees: half of what the controller allows, so
     /// that the rounding of setpoints and the cubics between them stay within that.
     pub(crate) fn limit_tolerance(&self) -> f64 {
-        0.5 * f64::from(SOFT_LIMIT_TOLERANCE) / self.units
+        let (kind, unit) = match self.kind {
+            AxisKind::Linear => (text::AxisKind::Linear, 1.0),
+            AxisKind::Rotary => (text::AxisKind::Rotary, 360.0),
+        };
+        let units = (1_u64 << kind.unit_bits()) as f64;
+        0.5 * f64::from(kind.soft_limit_tolerance()) * unit / units
     }
 }
 

@@ -5,10 +5,7 @@ use super::super::units::{PERIOD, joint_unit, kind_unit};
 use super::{CheckResult, Checks, PreviousPeriod, bounds, commanded_pose, gantry_partner};
 use haptimill_firmware::config::{JointAxis, PoseAxis};
 use haptimill_firmware::machine::Machine;
-use haptimill_protocol::message::{SOFT_LIMIT_TOLERANCE, State};
-
-/// What the controller allows beyond a soft limit, axis units.
-const TOLERANCE: f64 = SOFT_LIMIT_TOLERANCE as f64;
+use haptimill_protocol::message::State;
 
 /// What the checks of this file compare in a period.
 struct CommandedMotion<'a> {
@@ -256,12 +253,13 @@ impl CommandedMotion<'_> {
         if outside <= excess(self.before.pose[axis], low, high) {
             return Ok(());
         }
+        let tolerance = f64::from(limits.kind.soft_limit_tolerance());
         let state = self.state;
         let allowed = match state {
             // A cubic between two setpoints may leave the limits; the fault brakes then.
-            State::Run | State::Hold => 10.0 * kind_unit(limits.kind) + TOLERANCE,
+            State::Run | State::Hold => 10.0 * kind_unit(limits.kind) + tolerance,
             State::Homing => f64::INFINITY,
-            _ => TOLERANCE + 2.0,
+            _ => tolerance + 2.0,
         };
         if outside > allowed {
             violated!(
@@ -273,7 +271,7 @@ impl CommandedMotion<'_> {
         }
         if state == State::Run
             && self.before.state == State::Run
-            && outside > TOLERANCE + 2.0
+            && outside > tolerance + 2.0
             && self.bench.controller().safety().pending().is_none()
         {
             violated!(
