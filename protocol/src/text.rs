@@ -62,12 +62,14 @@ impl AxisKind {
     }
 
     /// Axis units by which a commanded pose may be beyond a soft limit: 2^-9 mm, or 2^-21 turn
-    /// (0.0002 degrees). A path that touches the limit passes it by less between its setpoints, and
-    /// in the rounding of a change of curvature.
+    /// (0.0002 degrees), or 2^-20 turn of a coordinate over many turns. A path that touches the
+    /// limit passes it by less between its setpoints, and in the rounding of a change of curvature.
     #[must_use]
     pub const fn soft_limit_tolerance(self) -> i32 {
-        let bits = if self.is_rotary() { 21 } else { 9 };
-        1 << (self.unit_bits() - bits)
+        match self {
+            Self::Linear | Self::Rotary => 1 << 11,
+            Self::MultiTurn => 1 << 2,
+        }
     }
 
     /// Binary logarithm of the axis units per millimetre or per turn.

@@ -323,14 +323,25 @@ fn the_compliant_displacement_stays_within_its_limit() {
 /// and returns when the force ends.
 #[test]
 fn soft_limits_hold_for_the_reference() {
+    reference_is_held(0.0);
+}
+
+/// The program is half a micrometre beyond the limit, within its tolerance.
+#[test]
+fn soft_limits_hold_for_the_reference_of_a_pose_beyond_them() {
+    reference_is_held(1.0005);
+}
+
+/// Pushes the tool towards a soft limit at 1 mm, from this place.
+fn reference_is_held(from: f64) {
     let text = BUILT_IN.replacen("high_mm = 200.0", "high_mm = 1.0", 1);
     let machine = MachineFile::parse("machine.toml", &text).expect("sound");
     let mut bench = Bench::of_machine(machine, &RigOptions::default(), Controller::new(200));
     bench.make_ready();
-    // From the pose after homing to 1 mm before the limit.
+    // From the pose after homing.
     let start = bench.status().commanded;
-    let way = -f64::from(start[0]) / MM;
-    bench.start_job(1, &line(&start, 0, way / 2.0, 19));
+    let distance = from - f64::from(start[0]) / MM;
+    bench.start_job(1, &line(&start, 0, distance / 2.0, 19));
     assert!(bench.wait_for(State::Idle, 20_000));
     let at = tool(&bench);
     bench.rig.plant_mut().fit(&sensor_alone()).expect("sound");
@@ -355,7 +366,9 @@ fn soft_limits_hold_for_the_reference() {
         let reference = bench.rig.control().machine().expect("there").reference();
         most = most.max(f64::from(reference.pose.0[0].0) / MM);
     }
-    assert_eq!(most, 1.0);
+    let desired = f64::from(bench.status().commanded[0]) / MM;
+    assert!((desired - from).abs() < 1e-4, "{desired}");
+    assert_eq!(most, desired.max(1.0));
     // 20 N deflect the servo by some hundredths of a millimetre.
     assert!((tool(&bench)[0] - 1.0).abs() < 0.1, "{}", tool(&bench)[0]);
     assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);

@@ -6,8 +6,8 @@
 //!
 //! Three bounds limit the compliant displacement p_c:
 //! - The compliance limit, in the admittance law.
-//! - The soft limits: p_r stops at a soft limit, and p_c becomes the rest. It does not change its
-//!   sign, because p_d is inside the soft limits.
+//! - The soft limits: p_r stops at a soft limit, or at p_d where that is beyond it by the
+//!   tolerance, and p_c becomes the rest. It does not change its sign.
 //! - The kinematics: where p_r has no joint motion, p_c returns to its value of the period before.
 //!   If that reference fails as well, the machine faults.
 //!
@@ -157,7 +157,8 @@ impl Machine {
         reference
     }
 
-    /// The soft limit that the reference passes while the desired position is inside.
+    /// The end that the reference passes: the soft limit, or the desired position where that is
+    /// beyond it by the tolerance.
     fn soft_limit_passed(
         &self,
         component: usize,
@@ -165,10 +166,11 @@ impl Machine {
         reference: Coordinate,
     ) -> Option<Coordinate> {
         let axis = self.config.pose.get(component)?;
-        if reference > axis.high && desired <= axis.high {
-            Some(axis.high)
-        } else if reference < axis.low && desired >= axis.low {
-            Some(axis.low)
+        let (low, high) = (axis.low.min(desired), axis.high.max(desired));
+        if reference > high {
+            Some(high)
+        } else if reference < low {
+            Some(low)
         } else {
             None
         }

@@ -31,9 +31,11 @@ struct JogAxis {
     /// Soft limits, 2^-20 axis units; the whole range of the number where there are none.
     low: i64,
     high: i64,
+    /// What a program may be beyond them, 2^-20 axis units.
+    tolerance: i64,
 }
 
-impl_digest!(JogAxis { fields { limits, rate_limit, low, high }, nested {}, skip { position, rate, target } });
+impl_digest!(JogAxis { fields { limits, rate_limit, low, high, tolerance }, nested {}, skip { position, rate, target } });
 
 /// Motion of a coordinate in one period, and its bounds from there to standstill.
 #[derive(Debug, Clone, Copy, Default)]
@@ -162,6 +164,7 @@ impl Jog {
         for (axis, pose) in jog.axis.iter_mut().zip(&config.pose) {
             axis.limits = rate_limits(pose.acceleration, pose.jerk, config.period_us);
             axis.rate_limit = per_period(i64::from(pose.rate.0), config.period_us);
+            axis.tolerance = i64::from(pose.kind.soft_limit_tolerance()) << FRACTION;
             (axis.low, axis.high) = if pose.wraps() {
                 (i64::MIN, i64::MAX)
             } else {
@@ -413,12 +416,13 @@ impl Jog {
         self.envelope(&steps)
     }
 
-    /// Whether a coordinate of `envelope` stays within its soft limits.
+    /// Whether a coordinate of `envelope` stays within its soft limits and their tolerance.
     #[must_use]
     pub fn allows(&self, axis: usize, envelope: &StoppingEnvelope) -> bool {
         let (low, high) = (envelope.low.0[axis].0, envelope.high.0[axis].0);
         let axis = &self.axis[axis];
-        i64::from(low) << FRACTION >= axis.low && i64::from(high) << FRACTION <= axis.high
+        i64::from(low) << FRACTION >= axis.low.saturating_sub(axis.tolerance)
+            && i64::from(high) << FRACTION <= axis.high.saturating_add(axis.tolerance)
     }
 }
 

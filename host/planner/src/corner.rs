@@ -208,13 +208,23 @@ impl Corner {
             let half = (BEND_TOLERANCE_SHARE * tolerance / value).sqrt();
             self.largest = self.largest.min(2.0 * half);
         }
-        // It is to both sides, so near a soft limit it would pass it.
-        let at = before.tool.machine_pose(&before.path.to);
-        for ((at, step), axis) in at.iter().zip(&self.bend).zip(&settings.pose) {
-            let room = (axis.high - at).min(at - axis.low);
+        // The bump is to both sides along the rounding, so near a soft limit it would pass it.
+        let reach = 0.5 * self.largest;
+        let places = [
+            before.path.at(before.path.length - reach),
+            before.path.to,
+            after.path.at(reach),
+        ];
+        let places = places.map(|at| before.tool.machine_pose(&at));
+        for (k, axis) in settings.pose.iter().enumerate() {
+            let step = self.bend[k].abs();
+            let rooms = places
+                .iter()
+                .map(|at| (axis.high - at[k]).min(at[k] - axis.low));
+            let room = rooms.fold(f64::INFINITY, f64::min);
             let room = room.max(0.5 * axis.limit_tolerance());
-            if BEND_VALUE * step.abs() * (0.5 * self.largest).powi(2) > room {
-                let half = (room / (BEND_VALUE * step.abs())).sqrt();
+            if BEND_VALUE * step * (0.5 * self.largest).powi(2) > room {
+                let half = (room / (BEND_VALUE * step)).sqrt();
                 self.largest = self.largest.min(2.0 * half);
             }
         }

@@ -60,7 +60,9 @@ impl Checks {
         let limits = machine.config.pose.iter().take(machine.axes());
         if motion.initialised || motion.rebased {
             for (axis, limits) in limits.clone().enumerate() {
-                let range = f64::from(limits.low.0)..=f64::from(limits.high.0);
+                let tolerance = f64::from(limits.kind.soft_limit_tolerance());
+                let range =
+                    f64::from(limits.low.0) - tolerance..=f64::from(limits.high.0) + tolerance;
                 self.faults.outside_soft_limits[axis] = !range.contains(&motion.pose[axis]);
             }
         }
@@ -259,6 +261,7 @@ impl CommandedMotion<'_> {
             // A cubic between two setpoints may leave the limits; the fault brakes then.
             State::Run | State::Hold => 10.0 * kind_unit(limits.kind) + tolerance,
             State::Homing => f64::INFINITY,
+            State::Jog => 2.0,
             _ => tolerance + 2.0,
         };
         if outside > allowed {
