@@ -205,7 +205,7 @@ impl Block {
                     if letter != b'N' {
                         self.first.get_or_insert(start);
                     }
-                    self.letter(&mut scan, letter, values)?;
+                    self.letter(&mut scan, letter)?;
                     self.numbered |= letter == b'N';
                 }
                 b'@' | b'^' => {
@@ -308,7 +308,7 @@ impl Block {
         Ok(())
     }
 
-    fn letter(&mut self, scan: &mut Scan, letter: u8, values: &dyn Values) -> Read<()> {
+    fn letter(&mut self, scan: &mut Scan, letter: u8) -> Read<()> {
         let start = scan.at;
         scan.at += 1;
         scan.skip_blanks();
@@ -392,7 +392,6 @@ impl Block {
                         "write a number from 0, or remove it",
                     )));
                 }
-                let _ = values;
                 Ok(())
             }
             b'O' => Err(Box::new(Mistake::new(

@@ -3,7 +3,7 @@
 use super::expression::{Read, Scan, Values};
 use super::problem::{Mistake, Place};
 use super::source::Mark;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 /// Deepest nesting of calls.
 pub(crate) const DEEPEST_CALL: usize = 50;
@@ -290,6 +290,8 @@ pub(crate) struct Flow {
     pub open: Vec<Open>,
     pub skip: Option<Skip>,
     pub subroutines: HashMap<String, Subroutine>,
+    /// Labels that were called.
+    pub called: HashSet<String>,
     pub jumps: u64,
     /// A loop or recursion has no end.
     pub is_endless: bool,

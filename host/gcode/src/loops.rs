@@ -261,13 +261,13 @@ impl Interpreter<'_> {
 
     pub(super) fn program_number(&mut self, word: &OWord, is_first: bool) -> Read<()> {
         let rest = word.arguments(&self.line, &self.executor.state);
-        let is_title = self.flow.frames.is_empty() && (is_first || !self.any_step);
-        if is_title && matches!(&rest, Ok(found) if found.is_empty()) {
-            return Ok(());
-        }
-        let is_called = self.flow.subroutines.contains_key(&word.label);
-        if is_called && self.flow.frames.is_empty() && rest.is_ok_and(|rest| rest.is_empty()) {
-            return self.end_at_subprogram(word);
+        if self.flow.frames.is_empty() && matches!(&rest, Ok(found) if found.is_empty()) {
+            if !is_first && self.flow.called.contains(&word.label) {
+                return self.end_at_subprogram(word);
+            }
+            if is_first || !self.any_step {
+                return Ok(());
+            }
         }
         Err(Box::new(Mistake::new(
             word.at,

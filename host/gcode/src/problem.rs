@@ -95,9 +95,10 @@ impl Listed {
     fn into_problem(self) -> Problem {
         let Listed {
             mut problem,
-            lines,
+            mut lines,
             count,
         } = self;
+        lines.sort_unstable();
         let named: Vec<String> = lines.iter().map(u32::to_string).collect();
         let more = match count - named.len() {
             0 => String::new(),

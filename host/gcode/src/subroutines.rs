@@ -34,6 +34,7 @@ impl Interpreter<'_> {
             self.call_line = self.place(at).line;
         }
         let body = self.find_subroutine(&label, at)?;
+        self.flow.called.insert(label.clone());
         let state = &mut self.executor.state;
         let saved = arguments.map(|arguments| {
             let mut saved = [0.0; ARGUMENTS];

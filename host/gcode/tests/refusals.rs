@@ -568,7 +568,11 @@ fn the_main_program_ends_before_a_subprogram_and_the_tape_at_its_mark() {
             .what
             .contains("before its subprogram O1000")
     );
-    // Without a call it is no subprogram.
+    // One that makes no step is no title of the main program.
+    assert_eq!(ends("G21\nM98 P7\nO7\nG4 P0\nM99\n"), [[0.0; 3]; 0]);
+    // Without a call of its own it is no subprogram.
+    let other = "M98 P2\nO1234\nG0 X2\nM30\nO2\nG0 X1\nM99\n";
+    one_error(other, "2:1", "program number O1234", "M30");
     one_error(
         "G0 X1\nO1000\nG0 X2\n",
         "2:1",
