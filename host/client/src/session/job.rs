@@ -463,7 +463,7 @@ impl<L: Line> Session<L> {
                 ..
             } => Err(Error::new(
                 ErrorKind::Command,
-                format!("refused: {}", self.describe(refusal)),
+                format!("refused: {}", self.why(refusal)),
             )),
             other => Err(Error::new(ErrorKind::Command, other)),
         }

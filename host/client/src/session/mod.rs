@@ -372,14 +372,20 @@ impl<L: Line> Session<L> {
 
     fn refused(&self, command: &str, error: &RequestError) -> Error {
         match error {
-            RequestError::Refused(refusal) => {
-                let mut why = self.describe(refusal);
-                if let Some(fault) = self.cause(refusal) {
-                    why = format!("{why} ({})", self.describe(&fault));
-                }
-                Error::new(ErrorKind::Command, format!("{command}: {why}"))
-            }
+            RequestError::Refused(refusal) => Error::new(
+                ErrorKind::Command,
+                format!("{command}: {}", self.why(refusal)),
+            ),
             other => Error::new(ErrorKind::Port, format!("{command}: {other}")),
+        }
+    }
+
+    /// Why the controller refused a command, with the fault if that is why.
+    fn why(&self, refusal: &Refusal) -> String {
+        let why = self.describe(refusal);
+        match self.cause(refusal) {
+            Some(fault) => format!("{why} ({})", self.describe(&fault)),
+            None => why,
         }
     }
 

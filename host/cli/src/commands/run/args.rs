@@ -319,7 +319,7 @@ impl RunArgs {
 
     /// Prints a message of the program to the operator, unless --json is given.
     pub(super) fn print_program_message(&self, text: &str) {
-        if !self.json {
+        if !self.json && !self.silent {
             print_line!("{text}");
         }
     }
