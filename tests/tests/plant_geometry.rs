@@ -48,7 +48,7 @@ fn check(name: &str, machine: &MachineFile, plant: &PlantConfig) {
     let descriptor = machine.config.model.descriptor();
     let axis = tool_axis(descriptor);
     let mut rng = Rng::new(7, 0);
-    let mut compared = 0;
+    let (mut compared, mut axes) = (0, 0);
     for _ in 0..POSES {
         let Some((pose, joints)) = draw(machine, &mut rng) else {
             continue;
@@ -61,6 +61,7 @@ fn check(name: &str, machine: &MachineFile, plant: &PlantConfig) {
         let is_at_tip =
             name != "facet.toml" && (0..3).all(|index| (tool.tip[index] - pose[index]).abs() < 0.1);
         if descriptor.tool_tip().is_some() && is_at_tip {
+            axes += 1;
             let expected = axis.direction(&pose);
             for (found, expected) in tool.axis.iter().zip(expected) {
                 assert!(
@@ -112,6 +113,8 @@ fn check(name: &str, machine: &MachineFile, plant: &PlantConfig) {
         compared += 1;
     }
     assert!(compared > POSES / 10, "{name}: {compared} poses");
+    let turns = axis.turns() && name != "facet.toml";
+    assert!(!turns || axes > POSES / 10, "{name}: {axes} axes");
 }
 
 #[test]

@@ -206,7 +206,9 @@ macro_rules! geometries {
             ) -> Option<JointArray> {
                 let mut pose = JointArray::default();
                 let mut machine = AnyGeometry::new(self, joints).ok()?;
-                machine.follow(joints, &mut pose);
+                if !machine.follow(joints, &mut pose) {
+                    return None;
+                }
                 match &machine {
                     $(AnyGeometry::$name(machine) => {
                         Geometry::joint_loads(machine, joints, &pose, force, above)

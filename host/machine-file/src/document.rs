@@ -147,12 +147,13 @@ impl<'i> Document<'i> {
     /// Returns all reported problems in the order of the text.
     pub fn into_problems(self) -> Problems {
         let mut problems = self.problems.into_inner();
-        let sections: Vec<(String, String)> = problems
+        let missing: Vec<(String, String)> = problems
             .iter()
             .filter(|(_, problem)| problem.what == MISSING)
-            .filter_map(|(_, problem)| {
-                let (parent, _) = problem.key.rsplit_once('.')?;
-                Some((format!("{parent}."), section::table_path(&problem.key)))
+            .map(|(_, problem)| {
+                let parent = problem.key.rsplit_once('.');
+                let parent = parent.map_or(String::new(), |(parent, _)| format!("{parent}."));
+                (parent, section::table_path(&problem.key))
             })
             .collect();
         // Without its header, the keys of a section are in the section before it.
@@ -160,10 +161,15 @@ impl<'i> Document<'i> {
             let name = problem.key.rsplit('.').next();
             let has = |path: &str| {
                 let mut of_path = self.sections.iter().filter(|section| section.path == path);
-                of_path.any(|section| section.keys.iter().any(|key| Some(key.name) == name))
+                of_path.any(|section| {
+                    section.keys.iter().any(|key| {
+                        let rotary = key.rotary.map(|(rotary, _)| rotary);
+                        name == Some(key.name) || (rotary.is_some() && name == rotary)
+                    })
+                })
             };
             problem.what != UNKNOWN
-                || !sections
+                || !missing
                     .iter()
                     .any(|(parent, path)| problem.key.starts_with(parent) && has(path))
         });

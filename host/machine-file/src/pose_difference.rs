@@ -30,7 +30,9 @@ pub struct PoseDifference {
     pub compared: usize,
     /// Poses of the controller that the simulated machine cannot take.
     pub impossible: usize,
-    /// Poses of the grid that the controller cannot take.
+    /// Poses of the grid.
+    pub grid: usize,
+    /// Those that the controller cannot take.
     pub out_of_reach: usize,
     /// Those of them that are beyond the stroke of a joint, by joint.
     pub beyond_stroke: [usize; MAX_AXES],
@@ -66,7 +68,9 @@ impl PoseDifference {
         }
         let axes = machine.config.pose.len() as u32;
         let levels = levels.max(2);
-        for point in 0..levels.checked_pow(axes)? {
+        let points = levels.checked_pow(axes)?;
+        difference.grid = points as usize;
+        for point in 0..points {
             let mut pose = Pose::default();
             let mut rest = point;
             for (slot, axis) in pose.0.iter_mut().zip(&machine.config.pose) {
@@ -150,10 +154,9 @@ impl PoseDifference {
         if self.out_of_reach == 0 {
             return None;
         }
-        let total = self.out_of_reach + self.compared + self.impossible;
         let mut text = format!(
-            "{} of {total} poses of the soft limits are out of reach",
-            self.out_of_reach
+            "{} of {} poses of the grid of the soft limits are out of reach",
+            self.out_of_reach, self.grid
         );
         let by_joint = self.beyond_stroke.iter().zip(&machine.joints);
         if let Some((count, joint)) = by_joint.max_by_key(|(count, _)| **count)

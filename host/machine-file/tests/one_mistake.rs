@@ -50,6 +50,7 @@ fn a_missing_drive_asks_for_no_key_of_another_drive() {
 fn a_missing_header_of_a_section_is_one_problem() {
     let found = problems(MILL, "[joint.drive]\n", "");
     assert_eq!(found, ["joint[1].drive: is missing"]);
+    assert_eq!(problems(MILL, "[planner]\n", ""), ["planner: is missing"]);
     let text = MILL.replacen("[joint.drive]\n", "", 1);
     let refused = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
     assert_eq!(

@@ -159,7 +159,7 @@ impl<'d, 'i> Section<'d, 'i> {
                 }),
                 other => {
                     let what = format!("is {}, not a section", named_type(other));
-                    let remedy = format!("write [[{key}]]");
+                    let remedy = format!("write [[{}]]", table_path(&self.path_of(key)));
                     self.document.report(item.span().start, path, what, remedy);
                 }
             }
