@@ -405,12 +405,16 @@ impl<'a> Interpreter<'a> {
             "this block and those after it are not run: the program ends in line {}",
             ended.line
         );
+        self.notice_end(first, what)
+    }
+
+    fn notice_end(&mut self, at: usize, what: String) -> Read<()> {
         let here = Here {
             line: &self.line,
             file: self.current as u16,
             number: self.sources[self.current].line,
         };
-        self.executor.notice(&here, first, "end", what)
+        self.executor.notice(&here, at, "end", what)
     }
 
     /// Ends the main program at a subprogram that it called: there is no M30 before it.
@@ -421,12 +425,7 @@ impl<'a> Interpreter<'a> {
             "the main program has no end: it ends before its subprogram O{}",
             word.label
         );
-        let here = Here {
-            line: &self.line,
-            file: self.current as u16,
-            number: self.sources[self.current].line,
-        };
-        self.executor.notice(&here, word.at, "end", what)?;
+        self.notice_end(word.at, what)?;
         self.check_open()
     }
 

@@ -218,13 +218,13 @@ impl Corner {
         let places = places.map(|at| before.tool.machine_pose(&at));
         for (k, axis) in settings.pose.iter().enumerate() {
             let step = self.bend[k].abs();
-            let rooms = places
+            let distances = places
                 .iter()
                 .map(|at| (axis.high - at[k]).min(at[k] - axis.low));
-            let room = rooms.fold(f64::INFINITY, f64::min);
-            let room = room.max(0.5 * axis.limit_tolerance());
-            if BEND_VALUE * step * (0.5 * self.largest).powi(2) > room {
-                let half = (room / (BEND_VALUE * step)).sqrt();
+            let distance = distances.fold(f64::INFINITY, f64::min);
+            let most = distance.max(0.5 * axis.limit_tolerance());
+            if BEND_VALUE * step * (0.5 * self.largest).powi(2) > most {
+                let half = (most / (BEND_VALUE * step)).sqrt();
                 self.largest = self.largest.min(2.0 * half);
             }
         }
