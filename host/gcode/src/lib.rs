@@ -48,6 +48,7 @@ mod source;
 mod splines;
 mod state;
 mod subroutines;
+mod symbols;
 mod tool_axis;
 mod tool_table;
 mod words;
