@@ -1,11 +1,10 @@
 //! Force loop against stiff contacts: stability limits without the monitor, against the analysis,
 //! and stability with it.
 //!
-//! `cargo test -p haptimill-firmware --test contact_stability -- --nocapture` prints the tables of
-//! docs/decisions/0010.
+//! `cargo test -p haptimill-firmware --test all contact_stability -- --nocapture` prints the tables
+//! of docs/decisions/0010.
 
-mod contact;
-
+use crate::contact;
 use contact::{Contact, ContactResult, DESIRED, Drive, run};
 use haptimill_firmware::force::stability::Sign;
 

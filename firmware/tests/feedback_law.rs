@@ -5,8 +5,7 @@
     reason = "an index is an axis here, of several arrays at once"
 )]
 
-mod arm;
-
+use crate::arm;
 use arm::{M, Sequence, apply, rotation, times, transposed};
 use haptimill_firmware::haptics::feedback_filter::{FeedbackFilter, SLOW_US};
 use haptimill_firmware::haptics::feedback_law::FeedbackLaw;

@@ -1,8 +1,7 @@
 //! Integrity check: a change of the configuration, or of a value derived from it, is detected while
 //! the machine runs.
 
-mod reference;
-
+use crate::reference;
 use haptimill_firmware::config::{Config, JointAxis};
 use haptimill_firmware::digest::{Constants, Digest};
 use haptimill_firmware::force::sensor::ForceSensor;

@@ -3,8 +3,7 @@
 //! The truth is the inverse kinematics of docs/control.md in f64, written here from the equations,
 //! applied to the commanded poses.
 
-mod reference;
-
+use crate::reference;
 use haptimill_firmware::config::{AxisKind, Config};
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_firmware::motion::{Mode, Motion};

@@ -5,8 +5,7 @@
     reason = "an index is an axis here, of several arrays at once"
 )]
 
-mod arm;
-
+use crate::arm;
 use arm::{
     PER_MM, PER_RADIAN, Sequence, V, add, apply, cross, dot, inverse, norm, random_pose, readings,
     rotation, scaled, sub,

@@ -1,7 +1,7 @@
 //! Interpolator and jog: limits, exact ends, no lost setpoint, no overshoot.
 
-mod path;
-mod reference;
+use crate::path;
+use crate::reference;
 
 use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
 use haptimill_firmware::motion::jog::Jog;

@@ -1,8 +1,8 @@
 //! Pace of the path: overrides act on their parts, and no commanded rate exceeds its limit at any
 //! override.
 
-mod path;
-mod reference;
+use crate::path;
+use crate::reference;
 
 use haptimill_firmware::motion::interpolator::{FULL_RATE, QUEUE};
 use haptimill_protocol::message::{Action, Pace, Refusal};

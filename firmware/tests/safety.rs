@@ -1,7 +1,6 @@
 //! Joint monitors, latched faults, and the queue in its worst case.
 
-mod reference;
-
+use crate::reference;
 use haptimill_firmware::config::{AxisKind, Drive, EncoderAxis, JointAxis, Stopping};
 use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
 use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};

@@ -1,8 +1,7 @@
 //! Standstill, pause and resume on the queue: the path rate never jumps, and every motion can be
 //! stopped before the queue ends.
 
-mod reference;
-
+use crate::reference;
 use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE, braking_limits};
 use haptimill_kinematics::Pose;
 use haptimill_math::{Acceleration, Coordinate};

@@ -1,7 +1,6 @@
 //! Material removal: what the mill removes, and where it finds material.
 
-mod mill;
-
+use crate::mill;
 use haptimill_hil_sim::process::{Coefficients, ToolPose};
 use mill::{Bench, TURN, block, config, largest, mean, peaks, with_slot};
 use std::f64::consts::PI;

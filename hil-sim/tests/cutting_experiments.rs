@@ -1,10 +1,10 @@
 //! The experiments without force control on a rigid machine: both material presets against the
 //! stated values (docs/control.md 4.1, bands 4.2).
 //!
-//! `cargo test -p haptimill-hil-sim --test cutting_experiments -- --nocapture` prints the table.
+//! `cargo test -p haptimill-hil-sim --test all cutting_experiments -- --nocapture` prints the
+//! table.
 
-mod mill;
-
+use crate::mill;
 use haptimill_hil_sim::process::{Coefficients, Cut};
 use mill::{Bench, TURN, block, config, peaks};
 use std::f64::consts::PI;

@@ -1,7 +1,6 @@
 //! Forces of the mill against a plain integration of the equations of docs/control.md.
 
-mod mill;
-
+use crate::mill;
 use haptimill_hil_sim::process::{Coefficients, CutterConfig};
 use mill::{Bench, block, config};
 use std::f64::consts::{PI, TAU};

@@ -1,7 +1,6 @@
 //! The cut surface and its measurement; the spindle; the elastic wall; refused configurations.
 
-mod mill;
-
+use crate::mill;
 use haptimill_hil_sim::process::metrology::circle;
 use haptimill_hil_sim::process::{
     Coefficients, CuttingConfig, ElasticWall, Spindle, SpindleConfig, ToolPose, Workpiece,

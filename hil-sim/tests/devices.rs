@@ -1,7 +1,6 @@
 //! Encoders and step drives against the true motion.
 
-mod machine;
-
+use crate::machine;
 use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
 use haptimill_firmware::joint::step_gen::{PulseTiming, StepPlanner};

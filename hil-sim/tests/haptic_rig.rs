@@ -1,7 +1,6 @@
 //! The haptic arm in the rig: its sensors, its motors and its faults as a controller sees them.
 
-mod machine;
-
+use crate::machine;
 use haptimill_firmware::io::{HapticOutputs, Inputs, Outputs};
 use haptimill_hil_sim::haptics::HapticConfig;
 use haptimill_hil_sim::operator::{OperatorConfig, Stroke, Trajectory};

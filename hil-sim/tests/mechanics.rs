@@ -1,7 +1,6 @@
 //! Masses, screws and friction against conservation laws and closed formulas.
 
-mod machine;
-
+use crate::machine;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_hil_sim::joint::mechanics::{Bodies, Mechanics};
 use haptimill_hil_sim::joint::{DriveConfig, SwitchConfig, SwitchSide};

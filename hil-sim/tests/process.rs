@@ -1,7 +1,6 @@
 //! The cut on the machine: joint loads, compliance of the structure, and the force sensor.
 
-mod machine;
-
+use crate::machine;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_hil_sim::joint::DriveConfig;
 use haptimill_hil_sim::process::ProcessConfig;

@@ -1,7 +1,6 @@
 //! The rig: sequence within a period, bytes, faults, and repeatability.
 
-mod machine;
-
+use crate::machine;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 use haptimill_hil_sim::fault::{Direction, Fault, FaultKind};
 use haptimill_hil_sim::{Control, PlantConfig, Rig, RigOptions};

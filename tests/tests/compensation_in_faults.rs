@@ -1,8 +1,7 @@
 //! Volumetric compensation in a fault that leaves the drives on: the tool stays at its place. A
 //! changed value of the error tables is found while the machine runs.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::Inputs;
 use haptimill_firmware::machine::Machine;

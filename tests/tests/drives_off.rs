@@ -2,8 +2,7 @@
 //!
 //! The position is kept exactly if it is true.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_hil_sim::joint::encoder::EncoderCondition;

@@ -1,8 +1,7 @@
 //! Encoder faults in motion: the fault that is reported, safe outputs in the same period, and the
 //! distance that the joint moved.
 
-mod setup;
-
+use crate::setup;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_protocol::message::{Command, Fault, Refusal};
 use setup::joint_fault::{

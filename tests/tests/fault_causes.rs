@@ -1,7 +1,6 @@
 //! Cause of a fault: a missed period or a counter jump is reported, not its consequence.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::safety::suspected;

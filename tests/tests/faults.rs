@@ -1,8 +1,7 @@
 //! Faults of machine, drives and board: the right report, safe outputs in the same period, and the
 //! distance that the machine moved.
 
-mod setup;
-
+use crate::setup;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;
 use haptimill_protocol::message::{Command, Event, Fault, InputProblem, Refusal, State};

@@ -1,8 +1,7 @@
 //! Contacts under force control that are pressed and not cut, from soft to stiff, with and without
 //! friction and backlash.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::RigOptions;
 use haptimill_hil_sim::process::ProcessConfig;

@@ -1,7 +1,6 @@
 //! Faults of the force sensor, and a spindle that stalls, under force control.
 
-mod setup;
-
+use crate::setup;
 use haptimill_hil_sim::process::ProcessConfig;
 use haptimill_hil_sim::process::sensor::{End, SensorCondition};
 use haptimill_protocol::force::{EnableCondition, ForceProblem};

@@ -3,8 +3,7 @@
 //! The arm has friction and backlash, the sensor has noise. The contact is a cutter or an elastic
 //! wall.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::RigOptions;
 use haptimill_machine_file::{BUILT_IN, MachineFile};

@@ -1,8 +1,7 @@
 //! Gantries: two step motors on the beam of machines/router3.toml, squared by their two switches.
 //! Each defect ends in a named state, with `position kept` true to the plant.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::fault::Fault as Injected;
 use haptimill_hil_sim::rig::RigOptions;

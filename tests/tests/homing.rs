@@ -1,7 +1,6 @@
 //! Homing: one transaction that finds the references, without a jump of the tool.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;

@@ -1,7 +1,6 @@
 //! Homing finds every index pulse from any pose inside the soft limits.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::config::Config;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::machines::h4::ArmGeometry;

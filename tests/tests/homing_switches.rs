@@ -1,8 +1,7 @@
 //! Homing by switches: the mill of machines/mill3.toml, and its switches with every defect. Each
 //! ends in a named state, with `position kept` true to the plant.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::config::{Home, SwitchHome};
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::fault::Fault as Injected;

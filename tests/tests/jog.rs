@@ -1,7 +1,6 @@
 //! Jogs: deadlines, epochs and limits.
 
-mod setup;
-
+use crate::setup;
 use haptimill_protocol::message::{Command, Event, Refusal, State};
 use setup::{commanded, jog, ready, state, step_smoothly};
 

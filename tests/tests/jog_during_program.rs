@@ -1,7 +1,6 @@
 //! Coordinates that are jogged or held while the program leads the others.
 
-mod setup;
-
+use crate::setup;
 use haptimill_kinematics::{Kinematics, Pose};
 use haptimill_math::Coordinate;
 use haptimill_protocol::message::{Command, Event, Refusal, SetpointBatch, Source, State};

@@ -1,8 +1,7 @@
 //! Joint rates: setpoints that exceed a maximum are refused with the joint and both rates, before
 //! they take effect.
 
-mod setup;
-
+use crate::setup;
 use haptimill_protocol::message::{
     Action, Command, Event, Pace, Refusal, SETPOINT_BATCH, SetpointBatch, State,
 };

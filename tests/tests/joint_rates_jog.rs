@@ -1,7 +1,6 @@
 //! Joint rates by jogs: under force control, and during a program.
 
-mod setup;
-
+use crate::setup;
 use haptimill_protocol::force::EnableCondition;
 use haptimill_protocol::message::{
     AxisValues, Command, Event, Fault, SETPOINT_BATCH, SetpointBatch, Source, State,

@@ -1,7 +1,6 @@
 //! Supervision of one joint against the true motion of its plant.
 
-mod setup;
-
+use crate::setup;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::random::Random;
 use setup::single_joint::{Friction, PERIOD, Slide};

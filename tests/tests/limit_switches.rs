@@ -1,8 +1,7 @@
 //! A joint on its limit switch is moved off by a command: only this joint moves, only away from the
 //! switch, and not far where the switch does not open. `position kept` is true to the plant.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::fault::Fault as Injected;
 use haptimill_hil_sim::rig::RigOptions;

@@ -1,8 +1,7 @@
 //! Joints without an encoder: the position is the count of the emitted steps, and it is lost when
 //! the drives go off.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_machine_file::MachineFile;

@@ -1,8 +1,7 @@
 //! Position kept: while the controller claims to know the position, the joints are there, with any
 //! encoder fault.
 
-mod setup;
-
+use crate::setup;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::random::Random;
 use haptimill_protocol::message::{Command, State};

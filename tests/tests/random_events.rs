@@ -1,8 +1,7 @@
 //! Random events in any order: the invariants of every period, whatever is requested and whatever
 //! fails.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::force::admittance::LARGEST_LIMIT;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;

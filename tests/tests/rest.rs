@@ -1,8 +1,7 @@
 //! A joint at rest does not hunt: with an integrator and friction that sticks, a loop without a
 //! dead band creeps across its target again and again.
 
-mod setup;
-
+use crate::setup;
 use haptimill_hil_sim::random::Random;
 use setup::single_joint::{Friction, PERIOD, Slide};
 

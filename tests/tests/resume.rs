@@ -1,7 +1,6 @@
 //! Resume: it never makes the machine jump, and a late setpoint is reported once.
 
-mod setup;
-
+use crate::setup;
 use haptimill_protocol::message::{
     AxisValues, Command, Event, SETPOINT_BATCH, SetpointBatch, State,
 };

@@ -1,8 +1,7 @@
 //! Serial line and sessions: a bad line, two hosts, and the out-of-band stop. No wrong motion, and
 //! no lost message.
 
-mod setup;
-
+use crate::setup;
 use haptimill_hil_sim::random::Random;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_protocol::link::{HostLink, LinkState, Timing};

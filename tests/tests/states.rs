@@ -1,7 +1,6 @@
 //! States, jobs and configurations: the effect of each command, without a jump of the tool.
 
-mod setup;
-
+use crate::setup;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::rig::RigOptions;
 use haptimill_protocol::message::{

@@ -1,7 +1,6 @@
 //! Enable of step motors: rotors that move to a detent, loads, lost steps, and a dead encoder.
 
-mod setup;
-
+use crate::setup;
 use haptimill_firmware::safety::suspected;
 use haptimill_hil_sim::joint::encoder::EncoderCondition;
 use haptimill_hil_sim::plant::JointCondition;

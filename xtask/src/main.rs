@@ -142,7 +142,8 @@ const MACHINES: &[Step] = &[Step {
         "--package",
         "haptimill",
         "--test",
-        "machines",
+        "all",
+        "machines::",
         "--",
         "--nocapture",
     ],
@@ -245,7 +246,7 @@ fn test() -> Result<(), String> {
     }
     run(TESTS)?;
     // Controller and simulated machine take turns: a test keeps one processor busy.
-    emulated("emulated runs", "emulated*", "--test-threads=2", &[])?;
+    emulated("emulated runs", "--test-threads=2", &[])?;
     short_storm()?;
     emulator::emulator(&root(), emulator::Task::Test)
 }
@@ -353,20 +354,14 @@ fn instructions() -> Result<(), String> {
     provide()?;
     emulated(
         "instructions",
-        "emulated_instructions",
-        "instructions",
+        "instructions::",
         &[("HAPTIMILL_WRITE", "1")],
     )
 }
 
 /// Runs the tests of emulated runs, with one more argument. They need a board's image and the
 /// emulator, so they are built only where both exist.
-fn emulated(
-    name: &str,
-    tests: &str,
-    last: &str,
-    environment: &[(&str, &str)],
-) -> Result<(), String> {
+fn emulated(name: &str, last: &str, environment: &[(&str, &str)]) -> Result<(), String> {
     run(&[Step {
         name,
         arguments: &[
@@ -375,7 +370,7 @@ fn emulated(
             "--features",
             EMULATED,
             "--test",
-            tests,
+            "emulated",
             "--no-fail-fast",
             "--",
             "--nocapture",

@@ -1,7 +1,5 @@
 //! The haptic arm in f64, from the geometry of docs/control.md 2.2-2.3: an independent truth for
 //! the tests.
-#![allow(dead_code, reason = "each test uses its part")]
-
 use haptimill_kinematics::haptic_arm::{HapticGeometry, LegReading};
 use haptimill_math::{Angle, Length};
 

@@ -7,7 +7,7 @@
 //! the contact at 10 mm/s, then at rest. Hand, arm and mill have no friction, which is the worst
 //! case.
 
-use crate::bench::{Bench, HOME};
+use crate::haptics::bench::{Bench, HOME};
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
 use haptimill_firmware::force::sensor::{Channel, ForceSensor};

@@ -1,7 +1,5 @@
 //! A controller, an ideal machine with step motors, a haptic arm with an f64 operator, and a host.
 
-#![allow(dead_code, reason = "each test uses its part")]
-
 use crate::arm::{M, V, inverse, rotation};
 use haptimill_firmware::config::Config;
 use haptimill_firmware::controller::Controller;

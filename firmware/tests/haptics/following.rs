@@ -1,9 +1,9 @@
 //! Following a master: clutch, scale, orientation, holds and stops, change of sources, the
 //! workspace boundary, and a remote master.
 
+use super::bench::Bench;
+use super::{JumpCheck, mill};
 use crate::arm::{self, rotation, times};
-use crate::bench::Bench;
-use crate::{JumpCheck, mill};
 use haptimill_firmware::config::Config;
 use haptimill_protocol::haptic::MasterPose;
 use haptimill_protocol::message::{Command, Event, Refusal, Request, Source, State};

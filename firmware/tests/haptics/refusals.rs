@@ -1,7 +1,7 @@
 //! Faults of the haptic arm, and commands that are refused.
 
-use crate::bench::Bench;
-use crate::mill;
+use super::bench::Bench;
+use super::mill;
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
 use haptimill_protocol::haptic::MasterProblem;

@@ -1,7 +1,7 @@
 //! Force feedback of a local and a remote tool, and virtual fixtures.
 
-use crate::bench::Bench;
-use crate::mill;
+use super::bench::Bench;
+use super::mill;
 use haptimill_checks::reference;
 use haptimill_firmware::config::Config;
 use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, VirtualFixture};

@@ -1,7 +1,5 @@
 //! Programs of one coordinate, and the path that the interpolator commands.
 
-#![allow(dead_code, reason = "each test uses a part")]
-
 use crate::reference::mm;
 use haptimill_firmware::config::Config;
 use haptimill_firmware::motion::interpolator::Interpolator;

@@ -1,6 +1,4 @@
 //! Machines of the tests.
-#![allow(dead_code, reason = "each test binary uses a part")]
-
 use haptimill_hil_sim::PlantConfig;
 use haptimill_hil_sim::joint::{DriveConfig, JointConfig, StepDrive};
 use haptimill_hil_sim::machines::GeometryConfig;

@@ -1,6 +1,4 @@
 //! A mill on a test bench: a tool that moves along lines at constant feed.
-#![allow(dead_code, reason = "each test binary uses a part")]
-
 use haptimill_hil_sim::process::config::Area;
 use haptimill_hil_sim::process::{
     Coefficients, Cut, Cutting, CuttingConfig, ToolPose, WorkpieceConfig,

@@ -2,8 +2,7 @@
 //! drives on with the configuration of another machine.
 #![cfg(unix)]
 
-mod scene;
-
+use crate::scene;
 use scene::{RunResult, SimServer, TestFolder, haptimill};
 
 /// The built-in machine with another name and shorter strokes.

@@ -1,8 +1,7 @@
 //! Jobs with injected faults: line errors never cause wrong motion, and machine faults stop the job
 //! with a message.
 
-mod scene;
-
+use crate::scene;
 use haptimill_trace::{Axes, Recording, flag};
 use scene::{RunResult, TestFolder, haptimill};
 use std::path::Path;

@@ -2,8 +2,7 @@
 //! place of the board.
 #![cfg(unix)]
 
-mod scene;
-
+use crate::scene;
 use scene::{SimServer, TestFolder, haptimill, start};
 use std::path::Path;
 use std::time::{Duration, Instant};

@@ -1,8 +1,7 @@
 //! Settings of force control that belong to a machine file, to a run, or to `force set`.
 #![cfg(unix)]
 
-mod scene;
-
+use crate::scene;
 use scene::{SimServer, TestFolder, haptimill};
 
 const SHORT: &str = "G21 G90 F600\nG1 X-1\nM30\n";

@@ -2,8 +2,7 @@
 
 #![cfg(unix)]
 
-mod scene;
-
+use crate::scene;
 use scene::{Running, SimServer, TestFolder, start};
 use std::collections::VecDeque;
 use std::fs::File;

@@ -1,9 +1,8 @@
 //! `haptimill identify` on machines with step motors.
 
+use crate::scene;
 use haptimill_machine_file::MachineFile;
 use serde_json::json;
-
-mod scene;
 
 use scene::{TestFolder, haptimill};
 

@@ -3,8 +3,7 @@
 //!
 //! `cargo xtask machines` rewrites the page.
 
-mod scene;
-
+use crate::scene;
 use haptimill_client::client::Options;
 use haptimill_client::session::{self, Session, SimLine};
 use haptimill_firmware::config::PoseAxis;

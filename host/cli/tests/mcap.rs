@@ -1,7 +1,6 @@
 //! MCAP export, checked with the reference MCAP reader; a build without MCAP refuses before motion.
 
-mod scene;
-
+use crate::scene;
 #[cfg(feature = "mcap")]
 mod built {
     use super::scene::{TestFolder, haptimill};

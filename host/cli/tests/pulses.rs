@@ -1,11 +1,10 @@
 //! `haptimill pulses` on lines that are drawn from a job's recording, correct and with a fault.
 
+use crate::scene;
 use haptimill_firmware::io::DriveCommand;
 use haptimill_trace::Recording;
 use std::fmt::Write as _;
 use std::path::Path;
-
-mod scene;
 
 use scene::{TestFolder, haptimill};
 

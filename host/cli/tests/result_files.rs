@@ -1,8 +1,7 @@
 //! Result files of a run: earlier results are kept by a failed start, and options without effect
 //! are reported.
 
-mod scene;
-
+use crate::scene;
 use scene::{TestFolder, haptimill};
 
 const SHORT: &str = "G1 X1 F600\nM30\n";

@@ -1,8 +1,7 @@
 //! All experiments of the thesis, as `haptimill scenario run all` runs them. Their results are
 //! snapshots, so every change of a result shows.
 
-mod scene;
-
+use crate::scene;
 use haptimill_trace::{Recording, flag};
 use scene::{TestFolder, haptimill, number};
 use serde_json::Value;

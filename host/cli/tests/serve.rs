@@ -2,8 +2,7 @@
 //! processes that die.
 #![cfg(unix)]
 
-mod scene;
-
+use crate::scene;
 use haptimill_trace::RECORD_BYTES;
 use scene::{Running, SimServer, TestFolder, number, start};
 use std::time::{Duration, Instant};

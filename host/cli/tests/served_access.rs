@@ -1,8 +1,7 @@
 //! Access to a served port: tokens, and connections that block the only session.
 #![cfg(unix)]
 
-mod scene;
-
+use crate::scene;
 use haptimill_protocol::link::{HostLink, Timing};
 use scene::{SimServer, TestFolder, haptimill, start};
 use std::io::{Read, Write};

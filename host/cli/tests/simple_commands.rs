@@ -1,8 +1,7 @@
 //! Single commands on a served simulator in real time: enable, jog, force.
 #![cfg(unix)]
 
-mod scene;
-
+use crate::scene;
 use scene::{SimServer, TestFolder, start};
 use std::time::Duration;
 

@@ -1,5 +1,6 @@
 //! Jobs on machines with step/direction drives, alone and together with torque drives.
 
+use crate::scene;
 use haptimill::commands::CliError;
 use haptimill_client::client::Options;
 use haptimill_client::session::{self, JobEnd, NoObserver, Session, SimLine};
@@ -10,8 +11,6 @@ use haptimill_planner::Plan;
 use haptimill_protocol::message::State;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-mod scene;
 
 use scene::{TestFolder, haptimill, number};
 

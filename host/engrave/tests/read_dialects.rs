@@ -1,8 +1,7 @@
 //! What drawings of other programs hold: comments, embedded objects, dimensions, units, mirrored
 //! and fitted text, clip paths, style sheets, symbols, and files that multiply.
 
-mod common;
-
+use crate::common;
 use common::{dxf, sections};
 use haptimill_engrave::drawing::{Drawing, LayerChoice, Problem};
 use haptimill_engrave::geometry::{Point, distance};

@@ -1,7 +1,6 @@
 //! Text of DXF drawings: sizes and codes of MTEXT, code pages.
 
-mod common;
-
+use crate::common;
 use common::{font, sections};
 use haptimill_engrave::drawing::Drawing;
 use haptimill_engrave::read::text::Font;

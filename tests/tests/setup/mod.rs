@@ -1,6 +1,4 @@
 //! Set-ups of the tests, and common assertions.
-#![allow(dead_code, reason = "each test binary uses a part")]
-
 pub mod enable;
 pub mod force;
 pub mod joint_fault;

@@ -1,7 +1,7 @@
 //! Latency from a key press to motion, and from the last press or release to standstill: over a
 //! pseudo-terminal, the real program and a TCP port, measured at the machine.
 //!
-//! `cargo test -p haptimill --release --test console latency -- --nocapture --test-threads 1`
+//! `cargo test -p haptimill --release --test all latency -- --nocapture --test-threads 1`
 //! prints the distributions. Only the bound of the dead-man time is asserted; the rest depends on
 //! the computer.
 

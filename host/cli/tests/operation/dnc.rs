@@ -1,7 +1,7 @@
 //! `haptimill dnc`: programs over a pseudo-terminal in place of the serial line.
 
+use super::stream::last_x;
 use crate::scene::{SimServer, TestFolder, number, start};
-use crate::stream::last_x;
 use haptimill_client::port::{PtyServer, Transport as _};
 use std::time::{Duration, Instant};
 

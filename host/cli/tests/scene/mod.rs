@@ -1,8 +1,6 @@
 //! Runs the command as a process, with temporary folders and served simulators.
 
 // Each test file uses a part of this module.
-#![allow(dead_code)]
-
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};

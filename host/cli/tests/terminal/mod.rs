@@ -4,8 +4,6 @@
 //! closing a terminal window.
 
 // Each test binary uses another part of this module.
-#![allow(dead_code)]
-
 pub mod console;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};

@@ -1,8 +1,8 @@
 //! Who is admitted: addresses, tokens, numbers of connections, and messages.
 
+use super::viewer::{Viewer, has_message};
 use super::{LIMIT, ask, get, serve, upgrade};
 use crate::scene::{TestFolder, haptimill, start};
-use crate::viewer::{Viewer, has_message};
 use std::io::Write as _;
 use std::net::TcpStream;
 use std::time::Instant;

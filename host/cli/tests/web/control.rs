@@ -1,8 +1,8 @@
 //! What a viewer commands and sees: jogs, programs, stock, work offsets.
 
 use super::serve;
+use super::viewer::{Viewer, has_message};
 use crate::scene::{self, SimServer, TestFolder};
-use crate::viewer::{Viewer, has_message};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use tungstenite::Message;

@@ -1,13 +1,11 @@
 //! Drawings for tests.
 
 /// A DXF with these entities: pairs of group code and value, one a line, `code value`.
-#[allow(dead_code)]
 pub fn dxf(entities: &str) -> String {
     sections(&[("ENTITIES", entities)])
 }
 
 /// A DXF of sections.
-#[allow(dead_code)]
 pub fn sections(sections: &[(&str, &str)]) -> String {
     let mut text = String::new();
     for (name, content) in sections {
@@ -25,7 +23,6 @@ pub fn sections(sections: &[(&str, &str)]) -> String {
 
 /// A TrueType font of a space and an L, both 600 wide in an em of 1000. The L is 400 wide from 100,
 /// and 700 high, which is the height of capitals.
-#[allow(dead_code)]
 pub fn font() -> Vec<u8> {
     let words = |all: &[i16]| -> Vec<u8> { all.iter().flat_map(|one| one.to_be_bytes()).collect() };
     let mut head = words(&[1, 0, 1, 0, 0, 0, 0x5f0f, 0x3cf5, 0, 1000]);

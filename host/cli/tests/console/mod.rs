@@ -2,6 +2,8 @@
 //! server process, or in this process, where its motion is recorded.
 #![cfg(target_os = "linux")]
 
+use crate::scene;
+use crate::terminal;
 mod closing;
 mod jogging;
 mod latency;
@@ -9,11 +11,7 @@ mod link;
 mod machine;
 mod master;
 mod programs;
-#[path = "../scene/mod.rs"]
-mod scene;
 mod screen;
-#[path = "../terminal/mod.rs"]
-mod terminal;
 
 use scene::root;
 use std::path::Path;

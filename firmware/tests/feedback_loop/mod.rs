@@ -5,7 +5,7 @@
 //! peak force over a revolution. A model in f64 ([`rig`]) has the hand, the lag of the motors, the
 //! lag of the drives, the contact and the line.
 //!
-//! `cargo test -p haptimill-firmware --test feedback_loop -- --nocapture` prints a table of the
+//! `cargo test -p haptimill-firmware --test all feedback_loop -- --nocapture` prints a table of the
 //! cases. `--ignored` runs more hands, contacts and delays.
 
 #![allow(
@@ -13,10 +13,6 @@
     reason = "an index is an axis here, of several arrays at once"
 )]
 
-#[path = "../arm/mod.rs"]
-mod arm;
-#[path = "../haptics/bench.rs"]
-mod bench;
 mod rig;
 
 use rig::{Case, CaseResult, run};

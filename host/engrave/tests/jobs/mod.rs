@@ -1,7 +1,6 @@
 //! Jobs: the planned path cuts what the drawing asks for, and nothing else.
 
-#[path = "../common/mod.rs"]
-mod common;
+use crate::common;
 mod orders;
 mod refusals;
 

@@ -1,11 +1,10 @@
 //! Named inputs and outputs on the simulated machine: probing, feed hold, door, outputs.
 
+use crate::setup;
 mod inputs;
 mod outputs;
 mod probing;
 mod recorded;
-#[path = "../setup/mod.rs"]
-mod setup;
 
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};

@@ -9,10 +9,6 @@ mod operate;
 mod posts;
 mod probing;
 mod run;
-#[path = "../scene/mod.rs"]
-mod scene;
 mod stream;
-#[path = "../terminal/mod.rs"]
-mod terminal;
 #[cfg(target_os = "linux")]
 mod terminal_keys;

@@ -2,10 +2,9 @@
 //! byte is sent to a port, and before earlier results are changed.
 #![cfg(unix)]
 
+use crate::scene;
 mod commands;
 mod disk;
-#[path = "../scene/mod.rs"]
-mod scene;
 
 use scene::{TestFolder, haptimill};
 use std::io::Read;

@@ -5,8 +5,7 @@
 //!
 //! Needs the feature `emulated`; see `emulated.rs`.
 
-mod emulator;
-
+use crate::emulator;
 use emulator::{BOARDS, Remote, image, remote, results, root, run};
 use haptimill::commands::Exit;
 use haptimill_client::port::Board;

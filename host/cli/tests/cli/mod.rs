@@ -3,8 +3,6 @@
 mod command_line;
 mod kin;
 mod machine;
-#[path = "../scene/mod.rs"]
-mod scene;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

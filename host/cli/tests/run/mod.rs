@@ -1,9 +1,8 @@
 //! Jobs in the built-in simulator, from the part program to the result files.
 
+use crate::scene;
 mod process;
 mod refusals;
-#[path = "../scene/mod.rs"]
-mod scene;
 mod stream;
 
 use haptimill_trace::{RECORD_BYTES, Recording};

@@ -6,8 +6,7 @@
 //!
 //! Needs the feature `emulated`; see `emulated.rs`.
 
-mod emulator;
-
+use crate::emulator;
 use emulator::{BOARDS, PeriodResult, Remote, assert_same, bench, period_result};
 use haptimill::commands::Exit;
 use haptimill_client::port::Board;

@@ -2,8 +2,7 @@
 //!
 //! Needs the feature `emulated`; see `emulated.rs`.
 
-mod emulator;
-
+use crate::emulator;
 use emulator::{BOARDS, helix, part_of_dome, results, root, run_counted, run_timed, scenario};
 use haptimill_client::port::Board;
 use haptimill_client::session::pil::{self, Instructions};

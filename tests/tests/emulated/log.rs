@@ -3,8 +3,7 @@
 //!
 //! Needs the feature `emulated`; see `emulated.rs`.
 
-mod emulator;
-
+use crate::emulator;
 use emulator::{image, results, root, run};
 use haptimill::commands::Exit;
 use haptimill_trace::{Recording, difference};

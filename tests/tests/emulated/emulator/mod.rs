@@ -1,6 +1,4 @@
 //! Common code of the tests of the controller on an emulated chip.
-#![allow(dead_code, reason = "each test binary uses a part")]
-
 use clap::{Args, FromArgMatches, Subcommand};
 use haptimill::commands::CliError;
 use haptimill::commands::run::{self, RunArgs};

@@ -6,8 +6,6 @@ mod ball_bar;
 mod laser;
 mod rewrite;
 mod scenario;
-#[path = "../scene/mod.rs"]
-mod scene;
 
 use haptimill_volumetric::chain;
 use haptimill_volumetric::file::{self, Limits};

@@ -3,8 +3,7 @@
 //!
 //! Needs the feature `emulated`; see `emulated.rs`.
 
-mod emulator;
-
+use crate::emulator;
 use emulator::{BOARDS, image, run_alone};
 use std::time::Instant;
 

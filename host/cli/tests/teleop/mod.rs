@@ -1,13 +1,11 @@
 //! Teleoperation: scripted and live, over delayed, lost and stalled links, with a haptic arm, a
 //! joystick and missing devices.
 
+use crate::scene;
+#[cfg(unix)]
+use crate::terminal;
 mod failures;
 mod live;
-#[path = "../scene/mod.rs"]
-mod scene;
-#[cfg(unix)]
-#[path = "../terminal/mod.rs"]
-mod terminal;
 
 use haptimill_machine_file::MachineFile;
 use haptimill_trace::{Record, Recording};

@@ -1,8 +1,7 @@
 //! Recordings: bit-exact replay, info, export; damaged, truncated and foreign files.
 
+use crate::scene;
 mod output;
-#[path = "../scene/mod.rs"]
-mod scene;
 
 use haptimill_trace::replay::replay;
 use haptimill_trace::{IoLog, Period, Record, Recorder, Recording};

@@ -1,8 +1,6 @@
 //! DXF drawings: every entity kind, the listings of the thesis, and bad files.
 
 mod blocks;
-#[path = "../common/mod.rs"]
-mod common;
 mod curves;
 mod left_out;
 mod refusals;

@@ -1,9 +1,8 @@
 //! `haptimill serve` with raw TCP clients: who is admitted, who commands, jogs, a program.
 
+use crate::scene;
 mod access;
 mod control;
-#[path = "../scene/mod.rs"]
-mod scene;
 mod viewer;
 
 use scene::{Running, TestFolder, start};

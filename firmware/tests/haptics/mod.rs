@@ -4,9 +4,7 @@
     reason = "an index is an axis here, of several arrays at once"
 )]
 
-#[path = "../arm/mod.rs"]
-mod arm;
-mod bench;
+pub mod bench;
 mod following;
 mod refusals;
 mod rendering;

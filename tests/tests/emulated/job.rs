@@ -4,8 +4,7 @@
 //! Needs the feature `emulated`, a compiler for the chip and the emulator. `cargo xtask test`
 //! provides them.
 
-mod emulator;
-
+use crate::emulator;
 use emulator::{part_of_dome, results, root, run_timed, scenario, teleoperate};
 use haptimill_client::port::Board;
 use haptimill_client::session::pil::{self, Emulator, Instructions};

@@ -1,0 +1,44 @@
+//! Integration tests, as one binary because it builds faster than many. Tests of one module:
+//! `cargo test -p haptimill-tests --test all compensation_in_faults`.
+
+mod compensation_in_faults;
+mod control_cycle;
+mod drives_off;
+mod encoder_faults;
+mod fault_causes;
+mod faults;
+mod force_contact;
+mod force_faults;
+mod force_law;
+mod gantry;
+mod homing;
+mod homing_poses;
+mod homing_switches;
+mod job_stop;
+mod jog;
+mod jog_during_program;
+mod joint_rates;
+mod joint_rates_jog;
+mod joint_supervision;
+mod limit_switches;
+mod links;
+mod machine_files;
+mod many_turns;
+mod named_io;
+mod open_loop;
+mod path_limits;
+mod plant_geometry;
+mod position_kept;
+mod random_events;
+mod rest;
+mod resume;
+mod serial_line;
+mod setup;
+mod short_segments;
+mod states;
+mod step_motor_enable;
+mod storm;
+mod tapping;
+mod tool_length;
+mod trunnion;
+mod turns;
