@@ -3,7 +3,7 @@
 use super::document::Document;
 use super::scale;
 use haptimill_firmware::config::Config;
-use haptimill_kinematics::{Joints, Kinematics};
+use haptimill_kinematics::{Joints, Kinematics, PoseError};
 use haptimill_protocol::message::ConfigField;
 use toml::de::{DeTable, DeValue};
 
@@ -17,11 +17,28 @@ pub(super) fn check_home_pose(document: &Document<'_>, root: &DeTable<'_>, confi
     let pose = match config.kinematics().forward(&preset) {
         Ok(pose) => pose,
         Err(error) => {
-            let what = format!(
-                "the presets of the joints give no pose of this geometry ({})",
-                crate::model::pose_error_code(error, config.model.descriptor())
-            );
-            document.report(offset, "joint", what, "correct the presets or the geometry");
+            let (what, remedy) = match error {
+                PoseError::NearSingularity { distance } => (
+                    format!(
+                        "at the presets of the joints the singularity distance is {:.3} mm, below \
+                         its margin",
+                        f64::from(distance) / scale::PER_MM
+                    ),
+                    "correct the presets, the branch of [kinematics] or the margin",
+                ),
+                PoseError::Geometry { code } => {
+                    let errors = config.model.descriptor().errors;
+                    let sentence = errors
+                        .get(usize::from(code))
+                        .map_or("the geometry refuses it", |error| error.sentence);
+                    (format!("the presets of the joints: {sentence}"), "")
+                }
+                PoseError::Unreachable | PoseError::OutOfStroke { .. } => (
+                    "the presets of the joints give no pose of this geometry".to_string(),
+                    "correct the presets or the geometry",
+                ),
+            };
+            document.report(offset, "joint", what, remedy);
             return;
         }
     };
@@ -67,7 +84,8 @@ pub(super) fn check_roles(document: &Document<'_>, root: &DeTable<'_>, config: &
                 "{purpose}, in this order; the coordinates of the model \"{}\" have other roles",
                 machine.code
             );
-            document.report(offset, section, what, "remove the section");
+            let remedy = format!("remove the section [{section}]");
+            document.report(offset, section, what, remedy);
         }
     }
 }

@@ -16,29 +16,32 @@ use toml::de::{DeTable, DeValue};
 /// Reports every problem of the simulated machine, and its differences from the controller.
 pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &MachineFile) {
     let offset = root.get("plant").map_or(0, |value| value.span().start);
+    let model = machine.config.model.descriptor().code;
+    if !machine.is_master()
+        && let Some(other) = simulated_model(root).filter(|it| *it != model)
+    {
+        let (offset, key) = place_in_plant(root, "geometry");
+        let what = format!("is \"{other}\", the model of [kinematics] is \"{model}\"");
+        document.report(offset, key, what, format!("write [plant.geometry.{model}]"));
+        return;
+    }
     match machine.plant::<PlantConfig>() {
         Err(Problems(problems, _)) => problems.into_iter().for_each(|p| document.add(p)),
         Ok(plant) => {
-            if plant.joint.len() != machine.config.joints.len() {
+            let are_named = if plant.joint.len() != machine.config.joints.len() {
                 let what = format!(
                     "has {} joints, the controller {}",
                     plant.joint.len(),
                     machine.config.joints.len()
                 );
                 document.report(offset, "plant.joint", what, "write one for each joint");
+                true
             } else {
-                check_joint_names(document, root, &plant, machine);
-            }
-            let model = machine.config.model.descriptor().code;
-            if !machine.is_master()
-                && let Some(geometry) = plant.geometry.as_ref().filter(|it| it.model() != model)
-            {
-                let (offset, key) = place_in_plant(root, "geometry");
-                let what = format!(
-                    "is \"{}\", the model of [kinematics] is \"{model}\"",
-                    geometry.model()
-                );
-                document.report(offset, key, what, format!("write [plant.geometry.{model}]"));
+                check_joint_names(document, root, &plant, machine)
+            };
+            if !are_named {
+                // The geometry would be asked about other joints.
+                return;
             }
             // The machine is built as a simulator builds it, so nothing is refused later.
             for error in Plant::new(&plant, machine.config.period_us)
@@ -315,19 +318,31 @@ const fn of(switch: Switch) -> SwitchInput {
     }
 }
 
-/// Checks that plant and controller have the same joint names, which faults and reports use.
+/// The model of the simulated geometry.
+fn simulated_model<'d>(root: &'d DeTable<'_>) -> Option<&'d str> {
+    let geometry = inside(root.get("plant"), "geometry")?;
+    match geometry.get_ref() {
+        DeValue::Table(table) => table.keys().next().map(|key| key.get_ref().as_ref()),
+        _ => None,
+    }
+}
+
+/// Checks that plant and controller have the same joint names, which faults and reports use, and
+/// the same gantries; returns whether they have.
 fn check_joint_names(
     document: &Document<'_>,
     root: &DeTable<'_>,
     plant: &PlantConfig,
     machine: &MachineFile,
-) {
+) -> bool {
+    let mut are_equal = true;
     for (index, (plant, joint)) in plant.joint.iter().zip(&machine.joints).enumerate() {
         if plant.name != joint.name {
             let (offset, key) = place_in_plant(root, &format!("joint {index}: name"));
             let (here, there) = (&plant.name, &joint.name);
             let what = format!("is \"{here}\", the controller's joint is \"{there}\"");
             document.report(offset, key, what, "give it the same name");
+            are_equal = false;
         }
         let of = machine.config.joints.get(index).and_then(|axis| {
             let gantry = axis.gantry.as_ref()?;
@@ -348,8 +363,10 @@ fn check_joint_names(
                 ),
             };
             document.report(offset, key, what, remedy);
+            are_equal = false;
         }
     }
+    are_equal
 }
 
 /// Returns the value of a key of a table.

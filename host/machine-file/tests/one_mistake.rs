@@ -4,6 +4,7 @@ use haptimill_machine_file::MachineFile;
 
 const MILL: &str = include_str!("../../../machines/mill3.toml");
 const TRUNNION: &str = include_str!("../../../machines/trunnion5.toml");
+const SCARA: &str = include_str!("../../../machines/scara.toml");
 const ROUTER: &str = include_str!("../../../machines/router3.toml");
 
 /// The problems of a file in which a text is replaced once.
@@ -112,6 +113,50 @@ fn a_second_motor_without_its_first_is_told_by_its_racking() {
     let line = ROUTER[start..].lines().next().expect("a line");
     let found = problems(ROUTER, line, "");
     assert_eq!(found, ["joint[4].gantry_of: is missing"]);
+}
+
+#[test]
+fn a_simulated_beam_without_its_second_motor_is_one_problem() {
+    let start = ROUTER.rfind("gantry_of = ").expect("a second motor");
+    let (before, line) = ROUTER.split_at(start);
+    let rest = &line[line.find('\n').expect("a next line")..];
+    let text = format!("{before}{rest}");
+    let found = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+    assert_eq!(found.0.len(), 1, "{found}");
+    assert_eq!(found.0[0].key, "plant.joint[4].gantry_of");
+}
+
+#[test]
+fn a_simulated_geometry_of_another_model_is_told_before_its_keys() {
+    let found = problems(
+        MILL,
+        "[plant.geometry.cartesian]",
+        "[plant.geometry.corexy]",
+    );
+    assert_eq!(
+        found,
+        ["plant.geometry: is \"corexy\", the model of [kinematics] is \"cartesian\""]
+    );
+}
+
+#[test]
+fn a_period_that_does_not_divide_a_second_is_told_at_its_key() {
+    let found = problems(MILL, "period_us = 200", "period_us = 300");
+    assert_eq!(
+        found,
+        ["period_us: is no divisor of a second in microseconds, 1,000,000"]
+    );
+}
+
+/// The sign of the second joint is that of the other branch.
+#[test]
+fn presets_on_the_other_branch_are_told_by_the_singularity_distance() {
+    let found = problems(SCARA, "elbow = \"right\"", "elbow = \"left\"");
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(
+        found[0].starts_with("joint: at the presets of the joints the singularity distance is -"),
+        "{found:?}"
+    );
 }
 
 #[test]
