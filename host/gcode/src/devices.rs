@@ -218,6 +218,7 @@ impl Executor {
                 tool,
             });
         }
+        self.state.length_is_open |= tool != self.state.tool;
         self.state.tool = tool;
         // After cutter compensation the tool is not where the program led it.
         self.state.at = *self.out.at();

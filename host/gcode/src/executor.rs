@@ -100,13 +100,18 @@ impl Executor {
         if self.options.strict {
             return mistake(at, what, "remove it, or run without --strict");
         }
+        self.advise(here, at, key, what);
+        Ok(())
+    }
+
+    /// Notes once per program what is allowed and is often a mistake.
+    pub(crate) fn advise(&mut self, here: &Here, at: usize, key: &'static str, what: String) {
         if self.noticed.insert(key) {
             self.notices.push(Notice {
                 place: here.place(at),
                 what,
             });
         }
-        Ok(())
     }
 
     /// Runs a block.

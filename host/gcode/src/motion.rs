@@ -36,6 +36,9 @@ const ARC_LETTERS: u32 = letters(b"IJKR");
 /// Most turns of an arc (P).
 const MOST_TURNS: f64 = 10_000.0;
 
+/// Words of the centre of an arc, by axis.
+const CENTRES: [u8; 3] = *b"IJK";
+
 fn refused<T>(at: usize, (what, remedy): Refusal) -> Read<T> {
     Err(Box::new(
         Mistake::new(at, what, remedy).because(Cause::Position),
@@ -208,6 +211,7 @@ impl Executor {
         let Some((_, first)) = block.first_of(words) else {
             return self.check_empty_motion(code, here);
         };
+        self.advise_on_motion(block, here, motion);
         let first = first_axis.unwrap_or(first);
         let place = here.place(first.at);
         self.check_angles(block, machine.is_some())?;
@@ -239,6 +243,40 @@ impl Executor {
             Motion::Cycle(number) => self.run_series(block, here, number, to, first.at),
             Motion::Cubic | Motion::Quadratic => self.spline(block, here, to, first.at),
             Motion::Nurbs | Motion::Off => Ok(()),
+        }
+    }
+
+    /// Notes what is often forgotten: the length of a new tool, and the plane of an arc.
+    fn advise_on_motion(&mut self, block: &Block, here: &Here, motion: Motion) {
+        let at = block.first.unwrap_or(0);
+        let cuts = motion.is_arc() || matches!(motion, Motion::Straight | Motion::Cycle(_));
+        let state = &self.state;
+        if cuts
+            && state.length_is_open
+            && let Some(tool) = state.tool_of(state.tool)
+            && tool.offset != state.tool_offset
+        {
+            let what = format!(
+                "tool {} moves without its length: no G43 follows its M6",
+                state.tool
+            );
+            self.advise(here, at, "length", what);
+        }
+        let plane = self.state.modes.plane;
+        let [first, second, normal] = plane.axes();
+        if motion.is_arc()
+            && normal != 2
+            && let Some(word) = block.word(CENTRES[normal])
+            && word.value == 0.0
+        {
+            let what = format!(
+                "{} changes nothing: the arc is in the plane {} {} of {}",
+                here.text(word),
+                char::from(AXES[first]),
+                char::from(AXES[second]),
+                plane.word()
+            );
+            self.advise(here, word.at, "plane", what);
         }
     }
 
@@ -342,7 +380,6 @@ impl Executor {
                 return mistake(at, what, "choose a plane of the machine's axes");
             }
         }
-        const CENTRES: [u8; 3] = *b"IJK";
         if let Some(word) = block.word(CENTRES[normal])
             && word.value != 0.0
         {

@@ -112,6 +112,7 @@ impl Executor {
         let Some(code) = block.codes.get(Group::ToolLength) else {
             return Ok(());
         };
+        self.state.length_is_open = false;
         let offset = match code.tenths {
             490 => PerLetter::default(),
             431 => {

@@ -181,6 +181,8 @@ pub(crate) struct State {
     /// Offset of G92 in force.
     pub g92: PerLetter,
     pub tool_offset: PerLetter,
+    /// A tool was changed, and no code of the tool length came since.
+    pub length_is_open: bool,
     /// Tool whose length is no offset, by letter.
     pub length: ToolLength,
     /// Number of the tool, and of the selected one.
@@ -263,6 +265,7 @@ impl State {
                 PerLetter::default()
             },
             tool_offset: PerLetter::default(),
+            length_is_open: false,
             length: ToolLength {
                 axis: options.tool_axis.map(|index| letter_of(options, index)),
                 length: 0.0,

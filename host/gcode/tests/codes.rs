@@ -471,3 +471,47 @@ fn a_block_has_one_number() {
     // M60 pauses as M0.
     assert_eq!(steps("M60"), steps("M0"));
 }
+
+/// Notices of a program with tool 1 of 30 mm and tool 2 of 42 mm.
+fn notices(text: &str) -> Vec<String> {
+    let mut options = options();
+    for (number, length) in [(1, 30.0), (2, 42.0)] {
+        let mut tool = haptimill_gcode::Tool::default();
+        tool.offset[2] = length;
+        options.tools.insert(number, tool);
+    }
+    let program = read("t.ngc", text.as_bytes(), &options).expect("a program");
+    let notices = program.notices.into_iter();
+    notices
+        .map(|notice| format!("{}: {}", notice.place.line, notice.what))
+        .collect()
+}
+
+#[test]
+fn a_new_tool_that_cuts_without_its_length_is_noticed_once() {
+    let forgotten = ["2: tool 1 moves without its length: no G43 follows its M6"];
+    assert_eq!(notices("T1 M6\nG1 X1 F60\nX2\n"), forgotten);
+    assert_eq!(notices("T1 M6\nG2 X10 Y0 I5 F60\n"), forgotten);
+    assert_eq!(notices("T1 M6\nG81 X1 Z-1 R1 F60\n"), forgotten);
+    assert_eq!(
+        notices("T1 M6 G43\nG1 X1 F60\nT2 M6\nG0 X2\nG1 X3\n"),
+        ["5: tool 2 moves without its length: no G43 follows its M6"]
+    );
+    for intended in [
+        "T1 M6\nG43\nG1 X1 F60",
+        "T1 M6\nG49\nG1 X1 F60",
+        "T1 M6\nG43.1 Z12\nG1 X1 F60",
+        "T1 M6\nG0 X1",
+        "G1 X1 F60",
+    ] {
+        assert_eq!(notices(intended), [""; 0], "{intended}");
+    }
+}
+
+#[test]
+fn an_arc_with_a_zero_of_another_plane_is_noticed_outside_the_plane_xy() {
+    let plane = ["2: J0 changes nothing: the arc is in the plane Z X of G18"];
+    assert_eq!(notices("G18\nG2 X10 Y0 I5 J0 F60\n"), plane);
+    // As FreeCAD writes every arc.
+    assert_eq!(notices("G17\nG2 X10 Y0 I5 J0 K0 F60\n"), [""; 0]);
+}
