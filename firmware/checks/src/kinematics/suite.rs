@@ -1,9 +1,9 @@
 //! The conformance checks, for any machine. Requirements: 0.1 um and 1 urad against f64, no wrong
-//! pose in a million.
+//! pose in a million. A failed check shows poses and joints in mm and radians, and the least margin.
 
 use super::subject::{Reals, Sequence, Subject, raw_pose, real};
 use core::fmt::Debug;
-use haptimill_kinematics::{Joints, Kinematics, MAX_AXES, Pose, PoseError};
+use haptimill_kinematics::{Joints, Kinematics, MAX_AXES, Machine, Pose, PoseError};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 
 /// Tolerance: 0.1 um, or 1 urad. The size of a raw unit distinguishes millimetres from radians.
@@ -62,11 +62,14 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
         let pose = any_pose(subject, &mut sequence);
         let truth = real(&pose.0, &pose_units);
         let margins = subject.margins(&truth);
-        let context = (pose, margins.least());
+        let context = (truth, margins.least());
         match machine.inverse(&pose) {
             Ok(joints) => {
                 answered += 1;
-                assert!(margins.least() >= -GREY, "taken: {context:?}");
+                assert!(
+                    margins.least() >= -GREY,
+                    "a pose beyond the bounds is accepted: {context:?}"
+                );
                 let want = subject.close(&truth).expect("closes");
                 let got = real(&joints.0, &joint_units);
                 worst = worst.max(agree(axes, &got, &want, &joint_units, &context));
@@ -77,26 +80,35 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
                         let back = real(&back.0, &pose_units);
                         assert!(
                             subject.measured_margins(&back).least() >= -GREY,
-                            "{context:?}"
+                            "the pose of the joints is beyond the bounds: {context:?}"
                         );
                         let want = subject.solve(&got, &back).expect("converges");
                         let share = agree(axes, &back, &want, &pose_units, &context);
                         worst_forward = worst_forward.max(share);
                     }
                     Err(error) => {
-                        assert!(margins.deserve(&error), "lost, {error:?}: {context:?}");
+                        assert!(
+                            margins.deserve(&error),
+                            "no pose for the joints of a pose, {error:?}: {context:?}"
+                        );
                     }
                 }
             }
             Err(error) => {
                 refused += 1;
-                assert!(margins.deserve(&error), "refused, {error:?}: {context:?}");
+                assert!(
+                    margins.deserve(&error),
+                    "a pose within the bounds is refused, {error:?}: {context:?}"
+                );
             }
         }
     }
     if S::HAS_BOUNDS {
         // Both sides of the bounds were tested.
-        assert!(refused > count / 20, "{refused} of {count} refused");
+        assert!(
+            refused > count / 20,
+            "only {refused} of {count} poses are beyond the bounds"
+        );
     } else {
         assert_eq!(refused, 0, "a geometry without bounds refused poses");
     }
@@ -131,13 +143,19 @@ pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
         answered += 1;
         let got = real(&pose.0, &pose_units);
         let margins = subject.measured_margins(&got);
-        let context = (joints, pose, margins.least());
-        assert!(margins.least() >= -GREY, "wrong pose: {context:?}");
+        let context = (real(&joints.0, &joint_units), got, margins.least());
+        assert!(
+            margins.least() >= -GREY,
+            "joint positions give a pose beyond the bounds: {context:?}"
+        );
         let commanded = real(&joints.0, &joint_units);
         let want = subject.solve(&commanded, &got).expect("closes");
         worst = worst.max(agree(axes, &got, &want, &pose_units, &context));
     }
-    assert!(answered > count / 20, "{answered} of {count}");
+    assert!(
+        answered > count / 20,
+        "only {answered} of {count} joint positions have a pose"
+    );
     worst
 }
 
@@ -191,7 +209,10 @@ pub fn extremes<S: Subject>(subject: &S, count: usize) {
         });
         let result = machine.inverse(&pose);
         match result {
-            Ok(_) => assert!(subject.margins(&truth).least() >= -GREY, "{pose:?}"),
+            Ok(_) => assert!(
+                subject.margins(&truth).least() >= -GREY,
+                "a pose beyond the bounds is accepted: {truth:?} (mm, rad)"
+            ),
             Err(error) => {
                 // Joint positions beyond the range of a word are not reachable either.
                 let held = |joints: Reals| {
@@ -204,7 +225,7 @@ pub fn extremes<S: Subject>(subject: &S, count: usize) {
                     subject.margins(&truth).deserve(&error)
                         || (error == PoseError::Unreachable
                             && !subject.close(&truth).is_some_and(held)),
-                    "{pose:?} {error:?}"
+                    "a pose within the bounds is refused, {error:?}: {truth:?} (mm, rad)"
                 );
             }
         }
@@ -215,7 +236,7 @@ pub fn extremes<S: Subject>(subject: &S, count: usize) {
             let pose = real(&pose.0, &subject.pose_units());
             assert!(
                 subject.measured_margins(&pose).least() >= -GREY,
-                "{values:?} {pose:?}"
+                "joint positions give a pose beyond the bounds: {pose:?} (mm, rad)"
             );
         }
     }
@@ -244,6 +265,7 @@ fn moved(pose: &Reals, rate: &Reals, acceleration: &Reals, time: f64) -> Reals {
 /// A claim does not hold.
 pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
     let (machine, axes) = (subject.machine(), subject.machine().axes());
+    let (coordinates, joints) = (S::Machine::DESCRIPTOR.pose, S::Machine::DESCRIPTOR.joints);
     let (pose_units, joint_units) = (subject.pose_units(), subject.joint_units());
     let mut sequence = Sequence(14);
     let mut done = 0;
@@ -282,7 +304,9 @@ pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
                 let bound = 1e-6 * (want.abs() + 1.0 + 350.0 * f64::from(rate[column] < 0.1));
                 assert!(
                     (got - want).abs() < bound,
-                    "{row} {column}: {got} not {want}; {pose:?}"
+                    "Jacobian of {} by {}: {got} instead of {want} (mm, rad) at {truth:?}",
+                    joints[row].name,
+                    coordinates[column].name
                 );
             }
         }
@@ -315,7 +339,8 @@ pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
             let bound = 1e-6 * first.abs() + 1e-5;
             assert!(
                 (got - first).abs() < bound,
-                "rate {joint}: {got} not {first}; {pose:?}"
+                "rate of {}: {got} instead of {first} (mm/s, rad/s) at {truth:?}",
+                joints[joint].name
             );
             let got = motion.accelerations[joint].0 as f64 * joint_units[joint] * 256.0;
             // Rates enter squared, with 1 / S. Angular accelerations are exact to 2e-7 rad/s^2;
@@ -323,7 +348,8 @@ pub fn derivatives_against_differences<S: Subject>(subject: &S, count: usize) {
             let bound = 1e-5 * second.abs() + 0.02;
             assert!(
                 (got - second).abs() < bound,
-                "acceleration {joint}: {got} not {second}; {pose:?}"
+                "acceleration of {}: {got} instead of {second} (mm/s^2, rad/s^2) at {truth:?}",
+                joints[joint].name
             );
         }
         done += 1;
