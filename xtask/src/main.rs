@@ -48,6 +48,7 @@ Developer tasks of the project.
   cargo xtask emulator --build     build the emulator and the image, for `haptimill run --port emu:pico2`
   cargo xtask emulator --long      as `emulator`, with homing, a part program, and five joints at 1,000,000 steps/s
   cargo xtask machines             run every machine file in the simulator and rewrite docs/machines.md
+  cargo xtask machines FILE        run one file of machines/ and print what it does
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
   cargo xtask storm [OPTION ...]   run random episodes against all checks, by seed (docs/storm.md; --help lists the options)
   cargo xtask storm --planted      plant bugs into a copy of the sources and show that the storm finds each
@@ -135,22 +136,6 @@ const TESTS: &[Step] = &[Step {
 /// The feature of the tests that need the image of a board and its emulator.
 const EMULATED: &str = "haptimill-tests/emulated";
 
-const MACHINES: &[Step] = &[Step {
-    name: "machines",
-    arguments: &[
-        "test",
-        "--package",
-        "haptimill",
-        "--test",
-        "all",
-        "machines::",
-        "--",
-        "--nocapture",
-    ],
-    environment: &[("HAPTIMILL_WRITE", "1")],
-    component: None,
-}];
-
 const BENCH: &[Step] = &[Step {
     name: "benchmarks",
     arguments: &["bench", "--workspace", "--benches"],
@@ -197,7 +182,11 @@ fn main() -> ExitCode {
         ["emulator"] => emulator::emulator(&root(), emulator::Task::Test),
         ["emulator", "--build"] => emulator::emulator(&root(), emulator::Task::Build),
         ["emulator", "--long"] => emulator::emulator(&root(), emulator::Task::LongTest),
-        ["machines"] => run(MACHINES),
+        ["machines"] => run(&[machines(&[("HAPTIMILL_WRITE", "1")])]),
+        ["machines", file] => {
+            let name = file.trim_start_matches("machines/");
+            run(&[machines(&[("HAPTIMILL_MACHINE", name)])])
+        }
         ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),
         ["keys"] => run(KEYS),
@@ -220,6 +209,25 @@ fn main() -> ExitCode {
             eprintln!("xtask: {problem}");
             ExitCode::FAILURE
         }
+    }
+}
+
+/// The step that runs machine files in the simulator.
+const fn machines<'a>(environment: &'a [(&'a str, &'a str)]) -> Step<'a> {
+    Step {
+        name: "machines",
+        arguments: &[
+            "test",
+            "--package",
+            "haptimill",
+            "--test",
+            "all",
+            "machines::",
+            "--",
+            "--nocapture",
+        ],
+        environment,
+        component: None,
     }
 }
 

@@ -6,6 +6,7 @@
 
 #[cfg(target_os = "linux")]
 #[path = "../tests/terminal/mod.rs"]
+#[allow(dead_code, reason = "the tests use all of it")]
 mod terminal;
 
 #[cfg(not(target_os = "linux"))]

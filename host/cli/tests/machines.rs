@@ -1,7 +1,7 @@
 //! What each machine file of `machines/` can do, shown by doing it, and the table of
 //! docs/machines.md.
 //!
-//! `cargo xtask machines` rewrites the page.
+//! `cargo xtask machines` rewrites the page, `cargo xtask machines FILE` runs one file.
 
 use crate::scene;
 use haptimill_client::client::Options;
@@ -22,6 +22,9 @@ const PAGE: &str = "docs/machines.md";
 
 /// Environment variable that rewrites the page.
 const WRITE: &str = "HAPTIMILL_WRITE";
+
+/// Environment variable that names the only file of `machines/` to run.
+const ONLY: &str = "HAPTIMILL_MACHINE";
 
 /// Columns of the table.
 const CAPABILITIES: [&str; 8] = [
@@ -347,7 +350,13 @@ fn every_machine_does_what_its_page_says() {
     table.push_str(&"| --- ".repeat(CAPABILITIES.len() + 2));
     table.push_str("|\n");
     let mut reasons = Vec::new();
-    for path in files() {
+    let only = std::env::var(ONLY).ok();
+    let mut files = files();
+    if let Some(name) = &only {
+        files.retain(|file| file.file_name().is_some_and(|file| file == name.as_str()));
+        assert_eq!(files.len(), 1, "machines/{name} is not there");
+    }
+    for path in files {
         let machine = Machine::new(&path);
         let code = machine.descriptor().code;
         let mut cells = Vec::new();
@@ -388,6 +397,9 @@ fn every_machine_does_what_its_page_says() {
         for (index, reason) in reasons.iter().enumerate() {
             table.push_str(&format!("| {} | {reason} |\n", index + 1));
         }
+    }
+    if only.is_some() {
+        return;
     }
     let page = root().join(PAGE);
     let text = std::fs::read_to_string(&page).expect("the page");
