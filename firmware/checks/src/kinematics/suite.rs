@@ -1,5 +1,6 @@
 //! The conformance checks, for any machine. Requirements: 0.1 um and 1 urad against f64, no wrong
-//! pose in a million. A failed check shows poses and joints in mm and radians, and the least margin.
+//! pose in a million. A failed check shows poses and joints in mm and radians, and the least
+//! margin.
 
 use super::subject::{Reals, Sequence, Subject, raw_pose, real};
 use core::fmt::Debug;
