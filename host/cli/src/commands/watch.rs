@@ -15,7 +15,8 @@ use std::time::Duration;
     long_about = "Observe a run that another process commands: `haptimill run part.ngc --port PORT \
                   --serve tcp:127.0.0.1:7100` serves any number of observers, and `haptimill watch \
                   --from tcp:127.0.0.1:7100` is one. An observer cannot command the machine. It \
-                  ends with the run, or with Ctrl-C. `?` marks the positions of a machine that is \
+                  ends with the run, or with Ctrl-C. --screen shows state, positions and messages \
+                  on the whole terminal. `?` marks the positions of a machine that is \
                   not homed."
 )]
 pub struct WatchArgs {
@@ -25,6 +26,10 @@ pub struct WatchArgs {
     /// Print every report as it comes, one JSON object per line, for a file or another program
     #[arg(long)]
     pub json: bool,
+    /// Show state, positions and messages on the whole screen of a terminal; q ends it
+    #[cfg(feature = "console")]
+    #[arg(long, conflicts_with = "json")]
+    pub screen: bool,
 }
 
 /// Longest wait between two looks at Ctrl-C.
@@ -42,34 +47,67 @@ pub fn run(args: &WatchArgs) -> Result<(), CliError> {
         let what = format!("{}: write tcp:HOST:PORT", args.from);
         return Err(CliError::new(Exit::Usage, what));
     };
+    let mut reports = Reports {
+        port: TcpTransport::connect(address)?,
+        from: args.from.clone(),
+        bytes: Vec::new(),
+    };
+    #[cfg(feature = "console")]
+    if args.screen {
+        if crate::console::watch::run(&mut reports, &args.from.to_string())? {
+            print_line!("the run has ended");
+        }
+        return Ok(());
+    }
     let interrupted = interrupt::flag();
-    let mut port = TcpTransport::connect(address)?;
-    let mut lines = Vec::new();
-    let mut buffer = [0; 4096];
     let mut shown = String::new();
     while !interrupted.load(Ordering::Relaxed) {
-        match port.read(&mut buffer, POLL) {
-            Ok(count) => lines.extend_from_slice(&buffer[..count]),
-            // The run has ended.
-            Err(PortError::Gone { .. }) => return Ok(()),
-            Err(error) => return Err(error.into()),
-        }
-        while let Some(end) = lines.iter().position(|byte| *byte == b'\n') {
-            let line: Vec<u8> = lines.drain(..=end).collect();
-            let line = String::from_utf8_lossy(&line);
+        let Some(lines) = reports.next()? else {
+            return Ok(());
+        };
+        for line in lines {
             if args.json {
-                print_line!("{}", line.trim_end());
+                print_line!("{line}");
             } else if let Some(text) = describe(&line, &mut shown) {
                 print_line!("{text}");
             }
             let _ = std::io::stdout().flush();
         }
-        if lines.len() > LONGEST {
-            let what = format!("{}: this is not an address of --serve", args.from);
-            return Err(CliError::new(Exit::Port, what));
-        }
     }
     Ok(())
+}
+
+/// The reports and events of a run, as lines of JSON.
+pub(crate) struct Reports {
+    port: TcpTransport,
+    from: PortSpec,
+    /// Bytes of a line that has not ended.
+    bytes: Vec<u8>,
+}
+
+impl Reports {
+    /// Waits up to [`POLL`], and returns the lines that have come; `None` after the end of the run.
+    ///
+    /// # Errors
+    /// The port fails, or serves something else.
+    pub(crate) fn next(&mut self) -> Result<Option<Vec<String>>, CliError> {
+        let mut buffer = [0; 4096];
+        match self.port.read(&mut buffer, POLL) {
+            Ok(count) => self.bytes.extend_from_slice(&buffer[..count]),
+            Err(PortError::Gone { .. }) => return Ok(None),
+            Err(error) => return Err(error.into()),
+        }
+        let mut lines = Vec::new();
+        while let Some(end) = self.bytes.iter().position(|byte| *byte == b'\n') {
+            let line: Vec<u8> = self.bytes.drain(..=end).collect();
+            lines.push(String::from_utf8_lossy(&line).trim_end().to_string());
+        }
+        if self.bytes.len() > LONGEST {
+            let what = format!("{}: this is not an address of --serve", self.from);
+            return Err(CliError::new(Exit::Port, what));
+        }
+        Ok(Some(lines))
+    }
 }
 
 /// A report as a line of text; none for one that equals the last.

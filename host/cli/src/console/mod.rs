@@ -15,6 +15,7 @@
 //! | `simulator.rs` | simulator in real time |
 //! | `recording.rs` | telemetry to CSV |
 //! | `view_model.rs`, `view/` | displayed values and their drawing |
+//! | `watch.rs` | a screen without commands: `haptimill watch --screen` |
 //! | `web.rs` | the same application state behind a page: `haptimill serve` |
 //! | `terminal.rs` | set-up and restoration of the terminal |
 //!
@@ -36,6 +37,7 @@ mod terminal;
 mod view;
 mod view_build;
 mod view_model;
+pub(crate) mod watch;
 pub mod web;
 
 use crate::commands::console::ConsoleArgs;
@@ -113,7 +115,7 @@ fn open_app(args: ConsoleArgs, needs_terminal: bool) -> Result<App, CliError> {
     let stock = args.stock.load(&machine)?;
     let operator = args.operator.load(&machine)?;
     if needs_terminal {
-        terminal::require_terminal()?;
+        terminal::require_terminal("console", "`haptimill status`, `jog`, `run` with --json")?;
     }
     let baud = args.port.baud_or_default();
     let mut options = Options {

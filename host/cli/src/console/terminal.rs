@@ -60,19 +60,20 @@ pub(super) fn restore() {
     );
 }
 
-/// Checks that standard input and output are a terminal.
+/// Checks that standard input and output are a terminal. The error names the command, and what is
+/// there for scripts.
 ///
 /// # Errors
 /// One of them is none.
-pub(super) fn require_terminal() -> Result<(), CliError> {
+pub(super) fn require_terminal(command: &str, for_scripts: &str) -> Result<(), CliError> {
     for (is_terminal, stream) in [
         (stdin().is_terminal(), "standard input"),
         (stdout().is_terminal(), "standard output"),
     ] {
         if !is_terminal {
             let message = format!(
-                "console: {stream} is not a terminal; run it in one (over ssh with `ssh -t`). \
-                 For scripts use `haptimill status`, `jog`, `run` with --json"
+                "{command}: {stream} is not a terminal; run it in one (over ssh with `ssh -t`). \
+                 For scripts use {for_scripts}"
             );
             return Err(CliError::new(Exit::Usage, message));
         }

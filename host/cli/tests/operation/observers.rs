@@ -1,8 +1,10 @@
 //! `run --serve` and `haptimill watch`: observers of a machine that another process commands.
 
-use crate::scene::{Running, SimServer, TestFolder, start};
+use crate::scene::{Running, SimServer, TestFolder, root, start};
+use crate::terminal::{Keyboard, Terminal};
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
+use std::path::Path;
 
 /// The address that a run prints.
 fn address_of(run: &mut Running) -> String {
@@ -147,4 +149,45 @@ fn observers_need_the_token_of_the_run() {
         .end()
         .expect_code(2);
     assert!(refused.err.contains("sim serve"), "{}", refused.err);
+}
+
+/// The screen has the state, the positions and the line of the program. Its keys command nothing.
+#[test]
+fn the_screen_of_an_observer_shows_a_run_and_commands_nothing() {
+    let served = SimServer::on_tcp(&[]);
+    served.run_ok(&["home"]);
+    let folder = TestFolder::new();
+    let part = folder.file("part.ngc", "G21 G90 F300\nG1 X20\nG1 X0\nG1 X5\nM30\n");
+    let out = folder.path("out");
+    let serve = ["--serve", "tcp:127.0.0.1:0", "--port", &served.port];
+    let mut run = start(&[&["run", &part, "--out", &out], &serve[..]].concat());
+    let address = address_of(&mut run);
+    let watch = |keyboard| {
+        let program = Path::new(env!("CARGO_BIN_EXE_haptimill"));
+        let watch = ["watch", "--screen", "--from", &address];
+        Terminal::start(program, &watch, &root(), (80, 24), keyboard)
+    };
+    let mut screen = watch(Keyboard::Plain);
+    let mut other = watch(Keyboard::Plain);
+    for text in [
+        "RUNNING",
+        "homed  read-only",
+        " line 2, path speed",
+        " theta ",
+        " deg",
+    ] {
+        screen.expect_text(text);
+    }
+    // Hold, emergency stop and jog of the console.
+    screen.press(b" \x05\x1b[C");
+    screen.expect_text(" line 3, path speed");
+    screen.press(b"q");
+    assert_eq!(screen.exit_code(), 0, "{}", screen.text());
+    assert!(screen.is_restored());
+    run.end().expect_code(0);
+    assert_eq!(folder.summary("out")["completed"], true);
+    assert_eq!(other.exit_code(), 0, "{}", other.text());
+    let refused = start(&["watch", "--screen", "--from", &served.port]).end();
+    assert_eq!(refused.code, 2, "{refused:?}");
+    assert!(refused.err.contains("is not a terminal"), "{refused:?}");
 }

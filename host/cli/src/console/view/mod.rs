@@ -8,6 +8,7 @@ mod bars;
 mod master;
 mod overlay;
 mod panels;
+pub(super) mod watched;
 
 use super::view_model::{LinkState, Severity, ViewModel};
 use haptimill_protocol::message::{State, Telemetry};
