@@ -446,7 +446,20 @@ impl Machine {
         });
         sample.drive = self.drive_values(inputs);
         sample.open_loop = self.open_loop();
+        self.fill_lines(inputs, sample);
         sample.compensation = self.compensation.as_ref().map(Compensation::percent);
+    }
+
+    /// Fills in what the switches, the drives and the emergency stop circuit signal.
+    fn fill_lines(&self, inputs: &Inputs, sample: &mut Telemetry) {
+        for (joint, (axis, seen)) in self.config.joints.iter().zip(&inputs.axes).enumerate() {
+            let active = axis.active_switches(seen);
+            for (input, joints) in sample.switches.iter_mut().enumerate() {
+                *joints |= (active >> input & 1) << joint;
+            }
+            sample.alarms |= u8::from(!seen.drive_ready) << joint;
+        }
+        sample.emergency_stop = inputs.emergency_stop;
     }
 
     /// Joints without an encoder, one bit each.

@@ -215,3 +215,40 @@ fn a_joint_is_moved_off_its_limit_switch() {
     let ended = served.run(&["move-off", "l2"]).expect_code(6);
     assert!(ended.err.contains("did not open"), "{}", ended.err);
 }
+
+/// What a person needs who wires a board: each switch, alarm and the emergency stop by name.
+#[test]
+fn status_names_the_active_switches_alarms_and_emergency_stop() {
+    let machine = "machines/mill3.toml";
+    let serve = |faults: &[&str]| {
+        let faults: Vec<&str> = faults.iter().flat_map(|it| ["--fault", *it]).collect();
+        SimServer::on_tcp(&[&["--machine", machine], &faults[..]].concat())
+    };
+    let status = |served: &SimServer| {
+        let text = served
+            .run(&["status", "--machine", machine])
+            .expect_code(0)
+            .out;
+        let lines = text.lines().find(|line| line.starts_with("lines"));
+        let json = served
+            .run(&["status", "--machine", machine, "--json"])
+            .expect_code(0);
+        (lines.unwrap_or(&text).to_string(), json.json())
+    };
+    let (lines, json) = status(&serve(&[]));
+    let none = "lines      no switch, alarm or emergency stop is active";
+    assert_eq!(lines, none);
+    assert_eq!(json["active_lines"], serde_json::json!({}));
+    assert_eq!(json["emergency_stop_open"], false);
+    let (lines, json) = status(&serve(&[
+        "switch-stuck axis=y switch=limit-high active=yes",
+        "switch-stuck axis=y switch=home active=yes",
+        "drive-tripped axis=z",
+    ]));
+    assert_eq!(lines, "lines      active: y home and limit-high, z alarm");
+    let expected = serde_json::json!({ "y": ["home", "limit-high"], "z": ["alarm"] });
+    assert_eq!(json["active_lines"], expected);
+    let (lines, json) = status(&serve(&["emergency-stop"]));
+    assert!(lines.ends_with(", emergency stop"), "{lines}");
+    assert_eq!(json["emergency_stop_open"], true);
+}

@@ -73,6 +73,12 @@ pub struct Telemetry {
     /// Open-loop joints, one bit each: their position is the count of emitted steps and not
     /// measured.
     pub open_loop: u8,
+    /// Active switches, one bit per joint: home switches, lower and upper limit switches.
+    pub switches: [u8; 3],
+    /// Drives that report an alarm, one bit per joint.
+    pub alarms: u8,
+    /// The emergency stop circuit is open.
+    pub emergency_stop: bool,
     /// Drive command of each joint: DAC code, or steps emitted since enable.
     pub drive: AxisValues,
     /// The latched fault.

@@ -4,7 +4,7 @@ use super::io_status::IoStatus;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, State, Telemetry};
 use serde_json::Value;
-use std::fmt::Write as _;
+use std::fmt::{Display, Formatter, Write as _};
 
 /// A status.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +19,56 @@ macro_rules! line {
         // Writing to a text cannot fail.
         let _ = writeln!($text, $($part)*);
     }};
+}
+
+/// Names of the lines of a joint: its switches in the order of [`Telemetry::switches`], its drive.
+const LINES: [&str; 4] = ["home", "limit-low", "limit-high", "alarm"];
+
+/// The active lines of the joints that have one, and the emergency stop circuit.
+struct ActiveLines<'n> {
+    joints: Vec<(&'n str, Vec<&'static str>)>,
+    is_stop_open: bool,
+}
+
+impl<'n> ActiveLines<'n> {
+    fn new(joints: &'n [String], status: &Telemetry) -> Self {
+        let [home, low, high] = status.switches;
+        let lines = [home, low, high, status.alarms];
+        let of_joint = |(joint, name): (usize, &'n String)| {
+            let active = LINES.iter().zip(lines);
+            let active = active.filter(|(_, joints)| joints >> joint & 1 != 0);
+            let active: Vec<_> = active.map(|(line, _)| *line).collect();
+            (!active.is_empty()).then_some((name.as_str(), active))
+        };
+        Self {
+            joints: joints.iter().enumerate().filter_map(of_joint).collect(),
+            is_stop_open: status.emergency_stop,
+        }
+    }
+
+    fn json(&self) -> Value {
+        let joints = self.joints.iter();
+        joints
+            .map(|(joint, lines)| ((*joint).to_string(), lines.clone()))
+            .collect()
+    }
+}
+
+impl Display for ActiveLines<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        let mut active: Vec<String> = self
+            .joints
+            .iter()
+            .map(|(joint, lines)| format!("{joint} {}", lines.join(" and ")))
+            .collect();
+        if self.is_stop_open {
+            active.push("emergency stop".to_string());
+        }
+        if active.is_empty() {
+            return f.write_str("no switch, alarm or emergency stop is active");
+        }
+        write!(f, "active: {}", active.join(", "))
+    }
 }
 
 impl StatusReport {
@@ -63,6 +113,7 @@ impl StatusReport {
             .filter(|(joint, _)| is_open(*joint))
             .map(|(_, name)| name)
             .collect();
+        let lines = ActiveLines::new(&joint_names, status);
         let map = |values: Vec<(String, f64)>| serde_json::Value::from_iter(values);
         let value = serde_json::json!({
             "machine": machine,
@@ -81,6 +132,8 @@ impl StatusReport {
             "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(status)).collect()),
             // Without a machine file the joints have no names.
             "open_loop": (!joint_names.is_empty()).then_some(&open_loop),
+            "active_lines": (!joint_names.is_empty()).then(|| lines.json()),
+            "emergency_stop_open": status.emergency_stop,
             "following_error": map(joints(&status.following_error)),
             "compensation_percent": status.compensation,
             "bad_frames": status.bad_frames,
@@ -152,6 +205,7 @@ impl StatusReport {
                     names.join(", ")
                 );
             }
+            line!(text, "lines      {lines}");
             let unwound = joint_names.into_iter().zip(model.unwound_joints(status));
             line!(text, "joints   {}", line(unwound.collect(), joint_units));
         }
