@@ -2,6 +2,7 @@
 //! with the whole simulator.
 
 #[path = "../tests/setup/mod.rs"]
+#[allow(dead_code, reason = "the tests use all of it")]
 mod setup;
 
 use criterion::{Criterion, criterion_group, criterion_main};
