@@ -117,7 +117,7 @@ impl Rig {
             Coordinate(0),
         ];
         self.control
-            .measure(&sample, self.rpm, &position, Angle(0), false);
+            .measure(&sample, self.rpm, &position, [Angle(0); 2], false);
         let condition = self.control.condition();
         self.desired += speed * STEP;
         let [x, ..] = self
@@ -332,7 +332,7 @@ fn only_tared_axes_in_the_mask_comply() {
             conversions: k as u8,
             overload: false,
         };
-        bare.measure(&sample, 5000, &[Coordinate(0); 3], Angle(0), false);
+        bare.measure(&sample, 5000, &[Coordinate(0); 3], [Angle(0); 2], false);
         assert!(
             bare.advance(&[Rate(0); 3])
                 .iter()
@@ -482,7 +482,7 @@ proptest! {
             control.hold(hold);
             for k in 0..periods {
                 let sample = ForceSample { codes: codes.map(|code| code.wrapping_add(k as i16)), conversions: conversions.wrapping_add(k as u8), overload };
-                control.measure(&sample, rpm, &position.map(Coordinate), Angle(table), unloaded);
+                control.measure(&sample, rpm, &position.map(Coordinate), [Angle(table); 2], unloaded);
                 control.advance(&rates.map(Rate));
                 if k % 7 == 3 {
                     control.roll_back();

@@ -305,7 +305,9 @@ fn vise_weight_is_compensated() {
             60.0 * libm::cos(angle) / PER_CODE,
         ]
     };
-    bench.conditioner.set_rotation(Angle::degrees(5));
+    bench
+        .conditioner
+        .set_rotation([Angle::degrees(5), Angle::ZERO]);
     // The zero of z is 4900 codes: beyond half of the range. A sensor that is reset at the tare
     // shows changes only.
     let reset = seen(5.0);
@@ -315,7 +317,9 @@ fn vise_weight_is_compensated() {
     };
     assert_eq!(bench.tare(since(5.0)), Some(Ok(())));
     for degrees in [-40, -10, 0, 5, 20, 40] {
-        bench.conditioner.set_rotation(Angle::degrees(degrees));
+        bench
+            .conditioner
+            .set_rotation([Angle::degrees(degrees), Angle::ZERO]);
         bench.quiet(since(f64::from(degrees)), false);
         for force in bench.conditioner.forces() {
             assert!(
@@ -346,7 +350,7 @@ proptest! {
             if table % 50 == 0 {
                 conditioner.begin_tare();
             }
-            conditioner.set_rotation(Angle(table));
+            conditioner.set_rotation([Angle(table), Angle(table.wrapping_mul(3))]);
             conditioner.take(&ForceSample { codes, conversions, overload }, unloaded);
             for force in conditioner.forces() {
                 prop_assert!(force.magnitude() <= Force::MOST.magnitude());

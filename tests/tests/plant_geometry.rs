@@ -1,5 +1,6 @@
-//! Simulated geometry of every machine file, against the roles of its coordinates and the
-//! conservation of power: a mistake here moves the machine rightly, and cuts wrongly.
+//! Simulated geometry of every machine file, against the roles of its coordinates, the conservation
+//! of power, and what force control assumes: a mistake here moves the machine rightly, and cuts or
+//! measures wrongly.
 
 use haptimill_firmware::config::AxisKind;
 use haptimill_hil_sim::config::PlantConfig;
@@ -17,7 +18,6 @@ const POSES: usize = 200;
 /// A random pose within the soft limits, mm and degrees, and its joint positions; `None` out of
 /// reach.
 fn draw(machine: &MachineFile, rng: &mut Rng) -> Option<([f64; 6], [f64; 6])> {
-    let mut pose = Pose::default();
     let mut values = [0.0; 6];
     for (index, axis) in machine.config.pose.iter().enumerate() {
         let unit = per_unit(axis.kind);
@@ -29,8 +29,22 @@ fn draw(machine: &MachineFile, rng: &mut Rng) -> Option<([f64; 6], [f64; 6])> {
             [-179.0, 179.0]
         };
         values[index] = rng.uniform(low, high);
-        pose.0[index] = Coordinate((values[index] * unit) as i32);
     }
+    Some((values, joints_of(machine, &values)?))
+}
+
+/// A pose in the units of the controller.
+fn in_units(machine: &MachineFile, values: &[f64; 6]) -> Pose {
+    let mut pose = Pose::default();
+    for (index, axis) in machine.config.pose.iter().enumerate() {
+        pose.0[index] = Coordinate((values[index] * per_unit(axis.kind)).round() as i64 as i32);
+    }
+    pose
+}
+
+/// The joint positions of a pose, mm and degrees; `None` out of reach.
+fn joints_of(machine: &MachineFile, pose: &[f64; 6]) -> Option<[f64; 6]> {
+    let pose = in_units(machine, pose);
     let joints = machine.config.kinematics().inverse(&pose).ok()?;
     let mut positions = [0.0; 6];
     for (index, joint) in machine.config.joints.iter().enumerate() {
@@ -40,7 +54,65 @@ fn draw(machine: &MachineFile, rng: &mut Rng) -> Option<([f64; 6], [f64; 6])> {
             positions[index] = f64::from(joints.0[index].0) / per_unit(joint.kind);
         }
     }
-    Some((values, positions))
+    Some(positions)
+}
+
+/// Checks the controller's knowledge of the force sensor: along which directions a pose moves the
+/// tool under force control, and how the weight on the sensor turns.
+fn check_sensor(name: &str, machine: &MachineFile, plant: &PlantConfig) {
+    if !machine.config.model.descriptor().has_force_axes() {
+        return;
+    }
+    let geometry = plant.geometry.as_ref().expect("checked before");
+    let kinematics = machine.config.kinematics();
+    let mut rng = Rng::new(8, 0);
+    let mut compared = 0;
+    for _ in 0..POSES {
+        let Some((pose, joints)) = draw(machine, &mut rng) else {
+            continue;
+        };
+        let (Some([workpiece, sensor]), Some(tool)) =
+            (geometry.frames(&joints), geometry.tool(&joints))
+        else {
+            continue;
+        };
+        let [tilt, turn] = kinematics
+            .sensor_rotation(&in_units(machine, &pose))
+            .map(|angle| f64::from(angle.0) / 2f64.powi(32) * std::f64::consts::TAU);
+        let upwards = [tilt.sin() * turn.sin(), tilt.sin() * turn.cos(), tilt.cos()];
+        for (axis, expected) in sensor.iter().zip(upwards) {
+            assert!(
+                (axis[2] - expected).abs() < 0.002,
+                "{name} at {pose:?}: upwards is {:?} along the sensor, {upwards:?} by the controller",
+                sensor.map(|axis| axis[2])
+            );
+        }
+        for direction in 0..3 {
+            let step = 0.01;
+            let mut moved = pose;
+            moved[direction] += step;
+            let Some(after) = joints_of(machine, &moved).and_then(|joints| geometry.tool(&joints))
+            else {
+                continue;
+            };
+            let by = [0, 1, 2].map(|index| (after.tip[index] - tool.tip[index]) / step);
+            let in_machine = [0, 1, 2].map(|row| {
+                let parts = workpiece.iter().zip(by);
+                parts.map(|(axis, by)| axis[row] * by).sum::<f64>()
+            });
+            for (index, axis) in sensor.iter().enumerate() {
+                let along: f64 = axis.iter().zip(in_machine).map(|(a, b)| a * b).sum();
+                let expected = if index == direction { 1.0 } else { 0.0 };
+                assert!(
+                    (along - expected).abs() < 0.01,
+                    "{name} at {pose:?}: coordinate {direction} moves the tool {along} along \
+                     axis {index} of the sensor"
+                );
+            }
+            compared += 1;
+        }
+    }
+    assert!(compared > POSES / 10, "{name}: {compared} directions");
 }
 
 fn check(name: &str, machine: &MachineFile, plant: &PlantConfig) {
@@ -136,6 +208,7 @@ fn the_tool_turns_by_its_roles_and_loads_conserve_power() {
             continue;
         };
         check(&name, &machine, &plant);
+        check_sensor(&name, &machine, &plant);
         checked += 1;
     }
     assert!(checked >= 16, "{checked} machine files");

@@ -84,11 +84,12 @@ impl BoundedKinematics {
         self.machine.singularity_distance(pose)
     }
 
-    /// Angle by which a pose turns the workpiece and its load out of the horizontal, about x.
+    /// Angles by which a pose turns the force sensor against gravity: tilt about x, then turn about
+    /// the table's normal.
     #[must_use]
     #[inline]
-    pub fn workpiece_rotation(&self, pose: &Pose) -> Angle {
-        self.machine.workpiece_rotation(pose)
+    pub fn sensor_rotation(&self, pose: &Pose) -> [Angle; 2] {
+        self.machine.sensor_rotation(pose)
     }
 
     /// Pose coordinate that moves while a joint searches its reference.

@@ -26,11 +26,13 @@ pub trait Machine: Kinematics + Copy {
         None
     }
 
-    /// Angle by which a pose turns the workpiece and its load out of the horizontal, about x.
+    /// Angles by which a pose turns the force sensor, with the workpiece on it, against gravity:
+    /// the tilt of the table about x, then the turn of the sensor on it about the table's normal.
+    /// Zero on a machine whose sensor stays level.
     #[inline]
-    fn workpiece_rotation(&self, pose: &Pose) -> Angle {
+    fn sensor_rotation(&self, pose: &Pose) -> [Angle; 2] {
         let _ = pose;
-        Angle::ZERO
+        [Angle::ZERO; 2]
     }
 
     /// Whether a joint may move alone, through its whole stroke and whatever the others do, to

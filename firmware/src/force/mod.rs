@@ -197,7 +197,7 @@ impl ForceControl {
         sample: &ForceSample,
         spindle_rpm: i16,
         position: &[Coordinate; COMPONENTS],
-        rotation: Angle,
+        rotation: [Angle; 2],
         unloaded: bool,
     ) {
         if spindle_rpm != self.rpm {

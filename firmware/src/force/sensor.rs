@@ -157,9 +157,9 @@ pub struct Conditioner {
     forces: [Force; COMPONENTS],
     /// Share of the weight now, minus its share at the tare.
     weight: [Force; COMPONENTS],
-    rotation: Angle,
-    /// Sine and cosine of the rotation at the tare, Q30.
-    tared_at: (i32, i32),
+    rotation: [Angle; 2],
+    /// Direction upwards in the frame of the sensor at the tare, Q30.
+    tared_at: [i32; COMPONENTS],
     tared: bool,
     conversions: u8,
     silent: u16,
@@ -178,8 +178,8 @@ impl Conditioner {
             memories: [Memory::default(); COMPONENTS],
             forces: [Force::ZERO; COMPONENTS],
             weight: [Force::ZERO; COMPONENTS],
-            rotation: Angle::ZERO,
-            tared_at: (0, ONE),
+            rotation: [Angle::ZERO; 2],
+            tared_at: [0, 0, ONE],
             tared: false,
             conversions: 0,
             silent: 0,
@@ -241,36 +241,44 @@ impl Conditioner {
         self.last_tare
     }
 
-    /// Sets the rotation r of the workpiece about x (docs/control.md (3.15)-(3.16)) for the share
-    /// of the weight: +W sin r along y and +W cos r along z of the workpiece, as a reaction on the
-    /// tool would appear. It computes a sine, so callers may call it once in some control periods.
+    /// Sets the rotation of the sensor for the share of the weight: tilt about x (docs/control.md
+    /// (3.15)-(3.16)), then turn about the normal of the table. The share is the weight along the
+    /// direction upwards, as a reaction on the tool would appear. It computes sines, so callers may
+    /// call it once in some control periods.
     #[inline]
-    pub fn set_rotation(&mut self, angle: Angle) {
-        if self.sensor.weight.0 == 0 || angle == self.rotation {
+    pub fn set_rotation(&mut self, angles: [Angle; 2]) {
+        if self.sensor.weight.0 == 0 || angles == self.rotation {
             return;
         }
-        self.rotation = angle;
+        self.rotation = angles;
         self.update_effective_zero();
+    }
+
+    /// Direction upwards in the frame of the sensor, Q30.
+    fn upwards(&self) -> [i32; COMPONENTS] {
+        let [tilt, turn] = self.rotation;
+        let (sine, cosine) = sin_cos(tilt);
+        if turn == Angle::ZERO {
+            return [0, sine, cosine];
+        }
+        let (across, along) = sin_cos(turn);
+        let part = |factor| saturate(multiply_shift(sine, factor, 30));
+        [part(across), part(along), cosine]
     }
 
     #[inline(never)]
     fn update_effective_zero(&mut self) {
-        let (sine, cosine) = sin_cos(self.rotation);
-        let (sine_then, cosine_then) = self.tared_at;
-        // Q30, differences within 2^31.
-        let share = |now: i32, then: i32| {
-            let difference = saturate(i64::from(now) - i64::from(then));
-            Force(saturate(multiply_shift(
+        let now = self.upwards();
+        for (component, share) in self.weight.iter_mut().enumerate() {
+            // Q30, differences within 2^31.
+            let then = i64::from(self.tared_at[component]);
+            let difference = saturate(i64::from(now[component]) - then);
+            *share = Force(saturate(multiply_shift(
                 self.sensor.weight.0,
                 difference,
                 30,
-            )))
-        };
-        self.weight = [
-            Force::ZERO,
-            share(sine, sine_then),
-            share(cosine, cosine_then),
-        ];
+            )));
+        }
     }
 
     /// Processes the sample of a control period; `unloaded` states that nothing touches the tool,
@@ -409,7 +417,7 @@ impl Conditioner {
             memory.mean = 0;
         }
         self.tared = true;
-        self.tared_at = sin_cos(self.rotation);
+        self.tared_at = self.upwards();
         self.update_effective_zero();
         Ok(())
     }

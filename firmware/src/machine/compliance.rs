@@ -65,8 +65,8 @@ impl Machine {
         let pose = self.measured_pose.as_ref().unwrap_or(&self.reference.pose);
         let [x, y, z, ..] = pose.0;
         let unloaded = force.unloaded(active);
-        let table = self.kinematics.workpiece_rotation(pose);
-        force.measure(&inputs.force, spindle_rpm, &[x, y, z], table, unloaded);
+        let rotation = self.kinematics.sensor_rotation(pose);
+        force.measure(&inputs.force, spindle_rpm, &[x, y, z], rotation, unloaded);
         force.update_overload(active);
     }
 

@@ -9,7 +9,7 @@ use crate::check::Check;
 use crate::joint::JointKind;
 use crate::joint::mechanics::JointArray;
 use crate::process::ToolPose;
-use crate::vector::{Vector, cross, dot, minus, plus, times};
+use crate::vector::{LEVEL, Vector, cross, dot, minus, plus, times};
 use serde::{Deserialize, Serialize};
 
 /// Section `[plant.geometry.four_axis]`: the place of the rotary axis in the machine frame, mm.
@@ -99,6 +99,11 @@ impl Geometry for FourAxis {
 
     fn workpiece_axes(&self, pose: &JointArray) -> [Vector; 3] {
         axes(pose[A])
+    }
+
+    /// The sensor stands below the rotary axis.
+    fn sensor_axes(&self, _: &JointArray) -> [Vector; 3] {
+        LEVEL
     }
 
     /// Virtual work: a slide moves the tool, the rotary axis moves the workpiece under it.

@@ -109,6 +109,12 @@ pub trait Geometry: Sized {
         LEVEL
     }
 
+    /// Directions of x, y and z of the force sensor in the machine frame, at a pose: those in which
+    /// the pose has x, y and z.
+    fn sensor_axes(&self, pose: &JointArray) -> [Vector; 3] {
+        self.workpiece_axes(pose)
+    }
+
     /// Directions of x, y and z of the tool's own frame in the workpiece frame, at a pose; of use
     /// for a tool that is not round.
     fn tool_axes(&self, pose: &JointArray) -> [Vector; 3] {
@@ -192,6 +198,19 @@ macro_rules! geometries {
                 let mut pose = JointArray::default();
                 let mut machine = AnyGeometry::new(self, joints).ok()?;
                 machine.follow(joints, &mut pose).then(|| machine.tool_pose(&pose))
+            }
+
+            /// Directions of x, y and z of the workpiece frame and of the force sensor in the
+            /// machine frame, at joint positions, mm and degrees; `None` where the machine cannot
+            /// be assembled.
+            #[must_use]
+            pub fn frames(&self, joints: &JointArray) -> Option<[[Vector; 3]; 2]> {
+                let mut pose = JointArray::default();
+                let mut machine = AnyGeometry::new(self, joints).ok()?;
+                let frames = |machine: &AnyGeometry, pose| {
+                    [machine.workpiece_axes(pose), machine.sensor_axes(pose)]
+                };
+                machine.follow(joints, &mut pose).then(|| frames(&machine, &pose))
             }
 
             /// Loads of the joints, N and N m, by a force in the workpiece frame, N, on the axis of
@@ -280,6 +299,12 @@ macro_rules! geometries {
             pub(crate) fn workpiece_axes(&self, pose: &JointArray) -> [Vector; 3] {
                 match self {
                     $(Self::$name(machine) => machine.workpiece_axes(pose),)*
+                }
+            }
+
+            pub(crate) fn sensor_axes(&self, pose: &JointArray) -> [Vector; 3] {
+                match self {
+                    $(Self::$name(machine) => machine.sensor_axes(pose),)*
                 }
             }
 

@@ -76,7 +76,10 @@ impl Plant {
         let (Some(process), Some(geometry)) = (&mut self.process, &self.geometry) else {
             return;
         };
-        let axes = geometry.workpiece_axes(&self.truth.pose);
+        let axes = [
+            geometry.workpiece_axes(&self.truth.pose),
+            geometry.sensor_axes(&self.truth.pose),
+        ];
         if process.grinding().is_some() {
             process.set_tool_axes(geometry.tool_axes(&self.truth.pose));
         }

@@ -146,8 +146,13 @@ impl Process {
     }
 
     /// Advances by one period, with the tool pose from the joints, the directions of the workpiece
-    /// frame in the machine frame and the spindle command `rpm` (rev/min).
-    pub fn step(&mut self, pose: &ToolPose, axes: &[Vector; 3], rpm: f64) -> ProcessResult {
+    /// frame and of the force sensor in the machine frame, and the spindle command `rpm` (rev/min).
+    pub fn step(
+        &mut self,
+        pose: &ToolPose,
+        [axes, sensor_axes]: &[[Vector; 3]; 2],
+        rpm: f64,
+    ) -> ProcessResult {
         let mut pose = *pose;
         if let Some(structure) = &self.structure {
             let deflection = axes.map(|axis| dot(axis, structure.deflection()));
@@ -171,12 +176,17 @@ impl Process {
             let push = wall.force(&pose, velocity);
             self.force = plus(self.force, push);
         }
+        let [x, y, z] = [0, 1, 2].map(|i| times(axes[i], self.force[i]));
+        let in_machine = plus(plus(x, y), z);
         if let Some(structure) = &mut self.structure {
-            let [x, y, z] = [0, 1, 2].map(|i| times(axes[i], self.force[i]));
-            structure.advance(plus(plus(x, y), z));
+            structure.advance(in_machine);
         }
         if let Some(sensor) = &mut self.sensor {
-            sensor.sample(self.force, axes.map(|axis| -axis[2]));
+            let on_tool = match sensor_axes == axes {
+                true => self.force,
+                false => sensor_axes.map(|axis| dot(axis, in_machine)),
+            };
+            sensor.sample(on_tool, sensor_axes.map(|axis| -axis[2]));
         }
         ProcessResult {
             tip: self.tip,

@@ -1,7 +1,9 @@
 //! Force sensor: a quartz element between the table and the vise, its charge amplifier, and the
 //! ADC.
 //!
-//! The element turns with the table and measures along the table's axes. It measures the force **on
+//! The element turns with the table and measures along the table's axes, which are those of the
+//! pose; on a machine whose pose does not turn with the workpiece it stands still, below the rotary
+//! axis. It measures the force **on
 //! the workpiece**, which is minus the force on the tool (docs/control.md 1.3), and the weight of
 //! vise and workpiece. The codes have that sign; a calibration converts them to the force on the
 //! tool.
@@ -188,7 +190,7 @@ impl Sensor {
     }
 
     /// Takes the next sample, with the force on the tool (N) and the direction downwards, both in
-    /// the frame of the table.
+    /// the frame of the sensor.
     pub fn sample(&mut self, on_tool: [f64; 3], down: [f64; 3]) {
         let weight = self.config.vise_kg * GRAVITY;
         let pull = down.map(|part| weight * part);

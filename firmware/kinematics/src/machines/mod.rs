@@ -152,10 +152,10 @@ macro_rules! machines {
             }
 
             #[inline]
-            pub(crate) fn workpiece_rotation(&self, pose: &Pose) -> Angle {
+            pub(crate) fn sensor_rotation(&self, pose: &Pose) -> [Angle; 2] {
                 match self {
-                    $(Self::$name(machine) => machine.workpiece_rotation(pose),)*
-                    Self::None => Angle::ZERO,
+                    $(Self::$name(machine) => machine.sensor_rotation(pose),)*
+                    Self::None => [Angle::ZERO; 2],
                 }
             }
 

@@ -146,8 +146,8 @@ impl Machine for Trunnion {
     }
 
     #[inline]
-    fn workpiece_rotation(&self, pose: &Pose) -> Angle {
-        pose.0[A].angle()
+    fn sensor_rotation(&self, pose: &Pose) -> [Angle; 2] {
+        [pose.0[A].angle(), pose.0[C].angle()]
     }
 
     /// A slide moves alone: with turned rotary axes the tip then moves along several coordinates of

@@ -95,8 +95,8 @@ impl Machine for H4 {
     }
 
     #[inline]
-    fn workpiece_rotation(&self, pose: &Pose) -> Angle {
-        pose.0[ALPHA].angle()
+    fn sensor_rotation(&self, pose: &Pose) -> [Angle; 2] {
+        [pose.0[ALPHA].angle(), Angle::ZERO]
     }
 
     /// Slides that move alone would leave the workspace.
