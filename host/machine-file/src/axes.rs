@@ -202,8 +202,9 @@ pub fn read_joint_axis(
         turn,
         preset,
     };
-    // Without its drive it is not known which keys the joint has.
-    let is_known = section.has("drive");
+    // Without the kind of its drive it is not known which keys the joint has.
+    let kind_of_drive = section.peek_text_of("drive", joint_drive::kind.name);
+    let is_known = kind_of_drive.is_some_and(|kind| DRIVES.iter().any(|(name, _)| *name == kind));
     let encoder = is_known
         .then(|| encoder::read_encoder(section, &place))
         .flatten();
@@ -286,6 +287,14 @@ const NO_LAW: ServoConfig = ServoConfig {
     friction_adaptation_ms: 0,
 };
 
+#[derive(Debug, Clone, Copy)]
+enum DriveKind {
+    Torque,
+    Step,
+}
+
+const DRIVES: [(&str, DriveKind); 2] = [("torque", DriveKind::Torque), ("step", DriveKind::Step)];
+
 /// Reads the drive; returns it, whether it keeps the position of an open-loop joint, and its effort
 /// limit (infinite for step drives, NaN if not known).
 fn read_drive(
@@ -294,15 +303,7 @@ fn read_drive(
     rate: f64,
     has_encoder: bool,
 ) -> ((Drive, bool), f64) {
-    #[derive(Clone, Copy)]
-    enum DriveKind {
-        Torque,
-        Step,
-    }
-    let result = match section.choice(
-        joint_drive::kind,
-        &[("torque", DriveKind::Torque), ("step", DriveKind::Step)],
-    ) {
+    let result = match section.choice(joint_drive::kind, &DRIVES) {
         Some(DriveKind::Torque) => {
             let direction = section.value(joint_drive::direction);
             let full_scale = section.value(joint_drive::full_scale);

@@ -67,7 +67,13 @@ impl<'i> Document<'i> {
                 0 => String::new(),
                 more => format!(" ({more} more like this below)"),
             };
+            let line = self.text[..span.start].rfind('\n').map_or(0, |at| at + 1);
+            let is_header = self.text[line..].starts_with('[');
             let (what, remedy) = match self.text.get(span.clone()) {
+                Some(key) if message == "duplicate key" && is_header => (
+                    format!("a section {key} is there already"),
+                    "remove one; of a list each one has two brackets, as [[joint]]",
+                ),
                 Some(key) if message == "duplicate key" => (
                     format!("{key} is a duplicate key"),
                     "remove or rename one, or write the missing header of its section above it",

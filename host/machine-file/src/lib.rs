@@ -260,12 +260,24 @@ impl MachineFile {
                 let document = Document::new(&self.file, &self.text, keys::sections());
                 let offset = error.span().map_or(0, |span| span.start);
                 let message = error.message().trim().replace('\n', ", ");
-                let remedy = "see [plant] in docs/machine-files.md";
+                let remedy = match unknown_field(&message) {
+                    Some(near) => format!("did you mean `{near}`?"),
+                    None => "see [plant] in docs/machine-files.md".to_string(),
+                };
                 document.report(offset, "plant", message, remedy);
                 Err(document.into_problems())
             }
         }
     }
+}
+
+/// The known field that the unknown one of an error message is most like.
+fn unknown_field(message: &str) -> Option<&str> {
+    let (unknown, known) = message
+        .strip_prefix("unknown field `")?
+        .split_once("`, expected ")?;
+    let known: Vec<&str> = known.split('`').skip(1).step_by(2).collect();
+    likeness::nearest(unknown, &known)
 }
 
 /// Reads the text of a TOML file. A file that cannot be read is a problem of line 0.

@@ -34,8 +34,11 @@ pub(super) fn check(document: &Document<'_>, root: &DeTable<'_>, machine: &Machi
                     plant.joint.len(),
                     machine.config.joints.len()
                 );
-                document.report(offset, "plant.joint", what, "write one for each joint");
-                true
+                // The joints of the controller may be what is wrong.
+                if !document.has_problem(|key| key == "joint") {
+                    document.report(offset, "plant.joint", what, "write one for each joint");
+                }
+                false
             } else {
                 check_joint_names(document, root, &plant, machine)
             };
@@ -337,7 +340,8 @@ fn check_joint_names(
 ) -> bool {
     let mut are_equal = true;
     for (index, (plant, joint)) in plant.joint.iter().zip(&machine.joints).enumerate() {
-        if plant.name != joint.name {
+        let named = format!("joint[{}].name", index + 1);
+        if plant.name != joint.name && !document.has_problem(|key| key == named) {
             let (offset, key) = place_in_plant(root, &format!("joint {index}: name"));
             let (here, there) = (&plant.name, &joint.name);
             let what = format!("is \"{here}\", the controller's joint is \"{there}\"");

@@ -51,8 +51,9 @@ pub(crate) fn read(document: &Document<'_>, root: &Spanned<DeTable<'_>>) -> Mach
     check_pose_against_joints(&pose, &joints, model);
     // A joint without its drive may have an encoder or not.
     let encoders = joints.is_empty() || joints.iter().any(|(joint, _)| joint.encoder.is_some());
-    let encoders =
-        (encoders || !root.has_problem(|key| key.ends_with(".drive"))).then_some(encoders);
+    let encoders = (encoders
+        || !root.has_problem(|key| key.ends_with(".drive") || key.ends_with("drive.kind")))
+    .then_some(encoders);
     let (supervision, margin) = root
         .section("supervision")
         .map(|section| read_supervision(section, singular, encoders))
@@ -213,6 +214,11 @@ fn check_pose_against_joints(
     model: Option<ModelReader>,
 ) {
     for (index, (section, (_, limits))) in pose.iter().enumerate() {
+        let named = format!("pose[{}].name", index + 1);
+        if section.has_problem(|key| key == named) {
+            // The joint of another coordinate is not compared.
+            continue;
+        }
         let ends = [
             (controller::pose::low, limits.low),
             (controller::pose::high, limits.high),
@@ -316,12 +322,8 @@ fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Ho
         rate: Rate(0),
         rotary_rate: Rate(0),
     };
-    // A joint whose way to find its reference is not known may need the section or not.
-    let is_unknown = root.has_problem(|key| {
-        [".home", ".switch", ".drive"]
-            .iter()
-            .any(|end| key.ends_with(end))
-    });
+    // A joint with a problem may need the section or not.
+    let is_unknown = root.has_problem(|key| key.starts_with("joint["));
     if is_unknown && !root.has("homing") {
         return homing;
     }

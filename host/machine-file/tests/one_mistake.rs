@@ -116,6 +116,70 @@ fn a_second_motor_without_its_first_is_told_by_its_racking() {
 }
 
 #[test]
+fn a_drive_of_no_kind_asks_for_no_key_of_another_kind() {
+    let found = problems(MILL, "kind = \"step\"", "kind = \"stepper\"");
+    assert_eq!(found, ["joint[1].drive.kind: \"stepper\" is not known"]);
+    let found = problems(MILL, "kind = \"step\"\n", "");
+    assert_eq!(found, ["joint[1].drive.kind: is missing"]);
+}
+
+#[test]
+fn a_misspelt_section_of_a_joint_asks_for_no_homing() {
+    let found = problems(MILL, "[joint.switch]", "[joint.swich]");
+    assert_eq!(found, ["joint[1].swich: is not a known key"]);
+}
+
+#[test]
+fn wrong_names_and_numbers_of_joints_are_compared_with_nothing() {
+    let joint = |text: &str| text.find("[[joint]]").expect("a joint");
+    let (before, rest) = MILL.split_at(joint(MILL) + 9);
+    let renamed = rest.replacen("name = \"y\"", "name = \"x\"", 1);
+    let found = MachineFile::parse("machine.toml", &format!("{before}{renamed}"));
+    let found = found.expect_err("a mistake");
+    assert_eq!(found.0.len(), 1, "{found}");
+    let without = &rest[joint(rest)..];
+    let found = MachineFile::parse(
+        "machine.toml",
+        &format!("{}{without}", &before[..joint(MILL)]),
+    );
+    let found = found.expect_err("a mistake");
+    assert_eq!(found.0.len(), 1, "{found}");
+    let start = MILL.rfind("[[plant.joint]]").expect("a simulated joint");
+    let found = MachineFile::parse("machine.toml", &MILL[..start]).expect_err("a mistake");
+    assert_eq!(found.0.len(), 1, "{found}");
+}
+
+#[test]
+fn exchanged_coordinates_are_not_compared_with_the_strokes() {
+    let text = MILL
+        .replacen("name = \"x\"", "name = \"w\"", 1)
+        .replacen("name = \"y\"", "name = \"x\"", 1)
+        .replacen("name = \"w\"", "name = \"y\"", 1);
+    let found = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+    let keys: Vec<&str> = found.0.iter().map(|it| it.key.as_str()).collect();
+    assert_eq!(keys, ["pose[1].name", "pose[2].name"], "{found}");
+}
+
+#[test]
+fn one_bracket_for_a_list_and_a_misspelt_key_of_the_plant_have_their_remedies() {
+    let text = MILL.replacen("[[joint]]", "[joint]", 1);
+    let found = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+    assert!(
+        found.0[0].remedy.contains("two brackets, as [[joint]]"),
+        "{found}"
+    );
+    let text = MILL.replacen("run_up_s = ", "runup_s = ", 1);
+    let start = MILL.find("[plant.spindle]").expect("a spindle");
+    let (before, plant) = MILL.split_at(start);
+    let text = match plant.contains("run_up_s") {
+        true => format!("{before}{}", plant.replacen("run_up_s", "runup_s", 1)),
+        false => text,
+    };
+    let found = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
+    assert_eq!(found.0[0].remedy, "did you mean `run_up_s`?", "{found}");
+}
+
+#[test]
 fn a_simulated_beam_without_its_second_motor_is_one_problem() {
     let start = ROUTER.rfind("gantry_of = ").expect("a second motor");
     let (before, line) = ROUTER.split_at(start);

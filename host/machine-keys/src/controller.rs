@@ -273,8 +273,8 @@ supervision "supervision" "Limits of the controller's monitors." {
         .only("not with role = \"master\"");
     singularity_margin_mm = real(1.0, 200.0, "mm")
         .is("least distance from the singularity of the model; poses nearer to it are refused, and jogs stop before them")
-        .only("models with a singularity, see below")
-        .bounded("shorter than rods and links; a model may have a lower bound, see below");
+        .only("models with a singularity")
+        .bounded("shorter than rods and links; a model may have a lower bound");
 }
 
 homing "homing" "The search for the index pulses; only where a joint has home = \"index\"." {
