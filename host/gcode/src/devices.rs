@@ -334,6 +334,13 @@ impl Executor {
             },
             _ => {
                 let analogue = number(b'E')?;
+                if let (Some(_), Some(word)) = (analogue, block.word(b'P')) {
+                    return mistake(
+                        word.at,
+                        "M66 with both P and E",
+                        "write P for a digital input, or E for an analog one",
+                    );
+                }
                 let number = match analogue {
                     Some(number) => number,
                     None => needed(b'P')?,
@@ -357,11 +364,11 @@ impl Executor {
                 }
                 let seconds = block.value(b'Q').unwrap_or(0.0);
                 if until != WaitFor::Nothing && !(seconds > 0.0 && seconds <= LONGEST_DWELL_S) {
-                    return mistake(
-                        code.at,
-                        "M66 waits without a time limit",
-                        "write Q with the seconds, up to 3600",
-                    );
+                    let (at, what) = match block.word(b'Q') {
+                        Some(word) => (word.at, format!("{} is not a time limit", here.text(word))),
+                        None => (code.at, "M66 waits without a time limit".to_string()),
+                    };
+                    return mistake(at, what, "write Q with the seconds, up to 3600");
                 }
                 // The value of an input is known only when the machine runs.
                 self.state.numbered[WAITED] = 0.0;

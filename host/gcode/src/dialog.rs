@@ -155,6 +155,11 @@ impl Dialog {
         executor.notices.truncate(*notices);
     }
 
+    /// Reports the value of the input that M66 read, as [`Interpreter::report_input`].
+    pub fn report_input(&mut self, value: f64) {
+        self.interpreter.report_input(value);
+    }
+
     /// Reports where a probe move ended, as [`Interpreter::report_probe`].
     pub fn report_probe(&mut self, at: &Coordinates, changed: bool) {
         self.interpreter.report_probe(at, changed);

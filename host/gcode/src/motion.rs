@@ -211,7 +211,7 @@ impl Executor {
         let Some((_, first)) = block.first_of(words) else {
             return self.check_empty_motion(code, here);
         };
-        self.advise_on_motion(block, here, motion);
+        self.advise_on_motion(block, here, motion)?;
         let first = first_axis.unwrap_or(first);
         let place = here.place(first.at);
         self.check_angles(block, machine.is_some())?;
@@ -247,7 +247,7 @@ impl Executor {
     }
 
     /// Notes what is often forgotten: the length of a new tool, and the plane of an arc.
-    fn advise_on_motion(&mut self, block: &Block, here: &Here, motion: Motion) {
+    fn advise_on_motion(&mut self, block: &Block, here: &Here, motion: Motion) -> Read<()> {
         let at = block.first.unwrap_or(0);
         let cuts = motion.is_arc() || matches!(motion, Motion::Straight | Motion::Cycle(_));
         let state = &self.state;
@@ -257,7 +257,7 @@ impl Executor {
             && tool.offset != state.tool_offset
         {
             let what = format!(
-                "tool {} moves without its length: no G43 follows its M6",
+                "tool {} cuts without its length: no G43 came after the tool was changed",
                 state.tool
             );
             self.advise(here, at, "length", what);
@@ -276,8 +276,9 @@ impl Executor {
                 char::from(AXES[second]),
                 plane.word()
             );
-            self.advise(here, word.at, "plane", what);
+            self.notice(here, word.at, "plane", what)?;
         }
+        Ok(())
     }
 
     fn begin_motion(&mut self, motion: Motion) {

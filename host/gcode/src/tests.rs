@@ -274,7 +274,7 @@ fn refusals_name_place_and_remedy() {
             "G0 X1 )",
             "t.ngc:1:7: a comment is closed that was not opened",
         ),
-        ("G0 C1", "t.ngc:1:4: C1: this machine has no axis C"),
+        ("G0 C1", "t.ngc:1:4: this machine has no axis C"),
         ("T1.5 M6", "t.ngc:1:1: T1.5 is not a tool"),
         ("S70000", "t.ngc:1:1: S70000 is not a spindle speed"),
         ("G4", "t.ngc:1:1: G4 without its time; write P"),

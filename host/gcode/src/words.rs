@@ -187,7 +187,7 @@ impl Executor {
                 .unwrap_or((letter, word));
             return mistake(
                 word.at,
-                self.no_axis(letter, word, here),
+                self.no_axis(letter),
                 "write the program for the axes of the machine file",
             );
         }
@@ -264,12 +264,12 @@ impl Executor {
         Ok(())
     }
 
-    fn no_axis(&self, letter: u8, word: Word, here: &Here) -> String {
+    /// The value of the word is not named: the same mistake in many blocks is one error.
+    fn no_axis(&self, letter: u8) -> String {
         let axes = self.options.axes.iter();
         let letters: Vec<String> = axes.map(|axis| axis.letter.to_string()).collect();
         format!(
-            "{}: this machine has no axis {}, only {}",
-            here.text(word),
+            "this machine has no axis {}, only {}",
             char::from(letter),
             letters.join(", ")
         )
@@ -282,7 +282,7 @@ impl Executor {
                 let axis = AXES.iter().position(|axis| *axis == letter);
                 if axis.is_some_and(|axis| self.out.coordinate(axis).is_none()) {
                     (
-                        self.no_axis(letter, word, here),
+                        self.no_axis(letter),
                         "write the program for the axes of the machine file",
                     )
                 } else {

@@ -489,13 +489,13 @@ fn notices(text: &str) -> Vec<String> {
 
 #[test]
 fn a_new_tool_that_cuts_without_its_length_is_noticed_once() {
-    let forgotten = ["2: tool 1 moves without its length: no G43 follows its M6"];
+    let forgotten = ["2: tool 1 cuts without its length: no G43 came after the tool was changed"];
     assert_eq!(notices("T1 M6\nG1 X1 F60\nX2\n"), forgotten);
     assert_eq!(notices("T1 M6\nG2 X10 Y0 I5 F60\n"), forgotten);
     assert_eq!(notices("T1 M6\nG81 X1 Z-1 R1 F60\n"), forgotten);
     assert_eq!(
         notices("T1 M6 G43\nG1 X1 F60\nT2 M6\nG0 X2\nG1 X3\n"),
-        ["5: tool 2 moves without its length: no G43 follows its M6"]
+        ["5: tool 2 cuts without its length: no G43 came after the tool was changed"]
     );
     for intended in [
         "T1 M6\nG43\nG1 X1 F60",
@@ -512,6 +512,11 @@ fn a_new_tool_that_cuts_without_its_length_is_noticed_once() {
 fn an_arc_with_a_zero_of_another_plane_is_noticed_outside_the_plane_xy() {
     let plane = ["2: J0 changes nothing: the arc is in the plane Z X of G18"];
     assert_eq!(notices("G18\nG2 X10 Y0 I5 J0 F60\n"), plane);
+    let strict = Options {
+        strict: true,
+        ..options()
+    };
+    assert!(read("t.ngc", b"G18\nG2 X10 Y0 I5 J0 F60\n", &strict).is_err());
     // As FreeCAD writes every arc.
     assert_eq!(notices("G17\nG2 X10 Y0 I5 J0 K0 F60\n"), [""; 0]);
 }

@@ -138,26 +138,29 @@ impl BoxView {
         is_dry: bool,
     ) -> Result<String, CliError> {
         let main_lines = std::mem::take(&mut program.main_lines);
-        let Some(first) = main_lines.iter().position(|at| *at >= line) else {
-            let is_behind = |step: &Step| {
-                let place = step.place();
-                place.file == 0 && place.line >= line
-            };
-            let mut steps = program.steps.iter().zip(&main_lines);
-            let what = match steps.find(|(step, _)| is_behind(step)) {
-                Some((step, call)) => format!(
-                    "{}: the next block that does something is line {}, in a subroutine; begin \
-                     with its call: --from-line {call}",
-                    program.file,
-                    step.place().line
-                ),
-                None => format!(
-                    "{}: nothing is to be done from line {line} on; the last block that does \
-                     something is in line {}",
-                    program.file,
-                    main_lines.iter().max().unwrap_or(&0)
-                ),
-            };
+        let first = main_lines.iter().position(|at| *at >= line);
+        let before = first.map_or(u32::MAX, |first| main_lines[first]);
+        let in_subroutine = |step: &Step| {
+            let place = step.place();
+            place.file == 0 && (line..before).contains(&place.line)
+        };
+        let mut steps = program.steps.iter().zip(&main_lines);
+        if let Some((step, call)) = steps.find(|(step, _)| in_subroutine(step)) {
+            let what = format!(
+                "{}: the next block that does something is line {}, in a subroutine; begin with \
+                 its call: --from-line {call}",
+                program.file,
+                step.place().line
+            );
+            return Err(CliError::new(Exit::BadInput, what));
+        }
+        let Some(first) = first else {
+            let what = format!(
+                "{}: nothing is to be done from line {line} on; the last block that does something \
+                 is in line {}",
+                program.file,
+                main_lines.iter().max().unwrap_or(&0)
+            );
             return Err(CliError::new(Exit::BadInput, what));
         };
         let rest = program.steps.split_off(first);
@@ -403,6 +406,31 @@ mod tests {
                 Some(if text.contains("M98") { "M9" } else { "O1" }),
                 "{text}"
             );
+        }
+    }
+
+    /// A line of a subroutine that stands before the main program: its call is named, too.
+    #[test]
+    fn a_start_in_a_subroutine_before_the_main_program_names_its_call() {
+        let text = "G21 G90\nO100 sub\nG0 X2\nX3\nO100 endsub\nG0 X1\nO100 call\nX5\nM30\n";
+        let options = Options::of_letters("XYZ", [0.0; 6]);
+        for (line, found) in [(3, Some(3)), (4, Some(4)), (5, None), (6, None), (7, None)] {
+            let read = haptimill_gcode::read("part", text.as_bytes(), &options);
+            let mut program = read.unwrap_or_else(|refused| panic!("{refused}"));
+            let change = ChangeArgs {
+                from_line: Some(line),
+                ..ChangeArgs::default()
+            };
+            let ended = change.apply(&mut program, &options, 5.0);
+            match (found, ended) {
+                (None, ended) => assert!(ended.is_ok(), "{line}"),
+                (Some(at), Ok(_)) => panic!("{line} begins elsewhere than in line {at}"),
+                (Some(at), Err(error)) => {
+                    let part = format!("line {at}, in a subroutine; begin with its call");
+                    assert!(error.message.contains(&part), "{}", error.message);
+                    assert!(error.message.contains("--from-line 7"), "{}", error.message);
+                }
+            }
         }
     }
 

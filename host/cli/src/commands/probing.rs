@@ -3,9 +3,10 @@
 use super::{CliError, Exit};
 use haptimill_client::session::{Line, NoObserver, Session};
 use haptimill_firmware::named_io::config::InputFunction;
+use haptimill_gcode::WaitFor;
 use haptimill_machine_file::MachineFile;
 use haptimill_planner::Plan;
-use haptimill_protocol::message::{AxisValues, Command, Event};
+use haptimill_protocol::message::{AxisValues, Command, Event, Telemetry};
 
 /// The host's number of a probing job.
 const PROBE_JOB: u32 = 2;
@@ -16,6 +17,67 @@ pub(super) struct Contact {
     pub(super) pose: AxisValues,
     /// The control period.
     pub(super) period: u64,
+}
+
+/// What is wrong with the start of a probe move, and the remedy: its input has its final level
+/// already. The controller refuses such a move without its place in the program.
+pub(super) fn wrong_start(
+    machine: &MachineFile,
+    status: &Telemetry,
+    input: u8,
+    away: bool,
+) -> Option<(String, &'static str)> {
+    let inputs = status.io.as_ref().map_or(0, |io| io.inputs);
+    let is_in_contact = inputs >> input & 1 != 0;
+    let name = &machine.io.inputs[usize::from(input)];
+    match (is_in_contact, away) {
+        (true, false) => Some((
+            format!("the probe move begins with {name} in contact"),
+            "move it off first, or write G38.4 or G38.5",
+        )),
+        (false, true) => Some((
+            format!("the probe move away begins with {name} not in contact"),
+            "move it into contact first, or write G38.2 or G38.3",
+        )),
+        _ => None,
+    }
+}
+
+/// Waits for an input, as M66 does; returns its value, or -1 after the time limit.
+///
+/// # Errors
+/// The line to the controller fails.
+pub(super) fn wait_for_input<L: Line>(
+    session: &mut Session<L>,
+    machine: &MachineFile,
+    (number, is_analog): (usize, bool),
+    until: WaitFor,
+    seconds: f64,
+) -> Result<f64, CliError> {
+    let end_us = session.now_us().saturating_add((seconds * 1e6) as u64);
+    let mut before = None;
+    loop {
+        let io = session.status()?.io.unwrap_or_default();
+        if is_analog {
+            let code = io.analog_inputs.get(number).copied().unwrap_or_default();
+            return Ok(machine.io.analog_inputs[number].value(code));
+        }
+        let level = io.inputs >> number & 1 != 0;
+        let is_reached = match until {
+            WaitFor::Nothing => true,
+            WaitFor::High => level,
+            WaitFor::Low => !level,
+            WaitFor::Rise => level && before == Some(false),
+            WaitFor::Fall => !level && before == Some(true),
+        };
+        if is_reached {
+            return Ok(f64::from(u8::from(level)));
+        }
+        if session.now_us() >= end_us {
+            return Ok(-1.0);
+        }
+        before = Some(level);
+    }
 }
 
 /// Runs a planned move until an input has its contact, or loses it with `away`. `None`: the move

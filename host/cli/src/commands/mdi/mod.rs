@@ -3,7 +3,7 @@
 use super::args::{BoardArg, ConnectArgs};
 use super::board::file_of;
 use super::operator_input::Input;
-use super::probing::{Touch, find_input, probe_along};
+use super::probing::{Touch, find_input, probe_along, wait_for_input, wrong_start};
 use super::program::{LanguageArgs, slowed};
 use super::run::job::refuse_latched_fault;
 use super::simple::{open, print_status};
@@ -236,6 +236,19 @@ impl Mdi {
                     self.run_steps(std::mem::take(&mut steps), input)?;
                     self.probe(Step::Move(step), kind, must_change)?;
                 }
+                Some(Step::Wait {
+                    number,
+                    analogue,
+                    until,
+                    seconds,
+                    ..
+                }) => {
+                    self.run_steps(std::mem::take(&mut steps), input)?;
+                    let number = (usize::from(number), analogue);
+                    let value =
+                        wait_for_input(&mut self.session, &self.machine, number, until, seconds)?;
+                    self.dialog.report_input(value);
+                }
                 Some(step) => steps.push(step),
                 None => {
                     self.run_steps(std::mem::take(&mut steps), input)?;
@@ -257,6 +270,12 @@ impl Mdi {
             more: 0,
         };
         Error::refused(kind, &refused).into()
+    }
+
+    /// The error of a block that the machine began and cannot end.
+    fn stopped(&self, problem: Problem) -> CliError {
+        let refused = self.refused(problem, ErrorKind::Refused);
+        CliError::new(Exit::Command, refused.message)
     }
 
     /// Plans steps from the present pose; takes the block back if the machine cannot run them.
@@ -337,7 +356,17 @@ impl Mdi {
             }
         };
         let away = kind == ProbeKind::Away;
+        let place = step.place();
         let status = self.session.status()?;
+        if let Some((what, remedy)) = wrong_start(&self.machine, &status, input, away) {
+            self.dialog.undo();
+            let problem = Problem {
+                place,
+                what,
+                remedy: remedy.into(),
+            };
+            return Err(self.stopped(problem));
+        }
         let plan = self.plan(vec![step], &status)?;
         let contact = probe_along(&mut self.session, plan, input, away)?;
         let status = self.session.status()?;
@@ -362,8 +391,13 @@ impl Mdi {
             }
             None if must_change => {
                 let name = &self.machine.io.inputs[usize::from(input)];
-                let what = format!("the move ended without a change of {name}");
-                Err(CliError::new(Exit::Command, what))
+                let problem = Problem {
+                    place,
+                    what: format!("the probe move ended without a change of {name}"),
+                    remedy: "check the probe and the end of the move, or write G38.3 or G38.5"
+                        .into(),
+                };
+                Err(self.stopped(problem))
             }
             None => Ok(()),
         }

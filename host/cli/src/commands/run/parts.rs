@@ -11,13 +11,13 @@ use super::operator::Operator;
 use super::progress::ProgressDisplay;
 use super::spool::Bytes;
 use super::supply::Supply;
-use crate::commands::probing::{Touch, find_input, probe_along};
+use crate::commands::probing::{Touch, find_input, probe_along, wait_for_input, wrong_start};
 use crate::commands::program::{PartProgram, Pause, Planned};
 use crate::commands::{CliError, Exit};
 use haptimill_client::session::{JobLine, Session};
 use haptimill_client::{Error, ErrorKind};
 use haptimill_gcode::{
-    Interpreter, Move, Place, ProbeKind, Problem, Program, Refused, Step, WaitFor, file_name,
+    Interpreter, Move, Place, ProbeKind, Problem, Program, Refused, Step, file_name,
 };
 use haptimill_machine_file::MachineFile;
 use haptimill_planner::Plan;
@@ -244,8 +244,8 @@ impl Job<'_> {
                     ..
                 } => {
                     self.run_part(session, part.take(), &mut interpreter, operator)?;
-                    let value =
-                        self.wait(session, usize::from(number), analogue, until, seconds)?;
+                    let input = (usize::from(number), analogue);
+                    let value = wait_for_input(session, self.machine, input, until, seconds)?;
                     interpreter.report_input(value);
                 }
                 step => part.push(step),
@@ -326,8 +326,12 @@ impl Job<'_> {
     ) -> Result<(), CliError> {
         let input = find_input(self.machine, None, Touch::Probe)?;
         let place = step.place;
-        let (planned, _) = self.plan_part(session, vec![Step::Move(step)], interpreter)?;
-        let contact = probe_along(session, planned.plan, input, kind == ProbeKind::Away)?;
+        let (planned, status) = self.plan_part(session, vec![Step::Move(step)], interpreter)?;
+        let away = kind == ProbeKind::Away;
+        if let Some((what, remedy)) = wrong_start(self.machine, &status, input, away) {
+            return Err(self.stopped(place, what, remedy, interpreter.called()));
+        }
+        let contact = probe_along(session, planned.plan, input, away)?;
         let status = session.status()?;
         let model = session.model();
         // The machine stops behind the contact; the probed position is the contact.
@@ -359,40 +363,5 @@ impl Job<'_> {
             more: 0,
         };
         CliError::new(Exit::Command, refused.to_string())
-    }
-
-    /// Waits for an input; returns its value, or -1 after the time limit.
-    fn wait<L: JobLine>(
-        &self,
-        session: &mut Session<L>,
-        number: usize,
-        analog: bool,
-        until: WaitFor,
-        seconds: f64,
-    ) -> Result<f64, CliError> {
-        let end_us = session.now_us().saturating_add((seconds * 1e6) as u64);
-        let mut before = None;
-        loop {
-            let io = session.status()?.io.unwrap_or_default();
-            if analog {
-                let code = io.analog_inputs.get(number).copied().unwrap_or_default();
-                return Ok(self.machine.io.analog_inputs[number].value(code));
-            }
-            let level = io.inputs >> number & 1 != 0;
-            let is_reached = match until {
-                WaitFor::Nothing => true,
-                WaitFor::High => level,
-                WaitFor::Low => !level,
-                WaitFor::Rise => level && before == Some(false),
-                WaitFor::Fall => !level && before == Some(true),
-            };
-            if is_reached {
-                return Ok(f64::from(u8::from(level)));
-            }
-            if session.now_us() >= end_us {
-                return Ok(-1.0);
-            }
-            before = Some(level);
-        }
     }
 }
