@@ -297,10 +297,13 @@ fn paths(page: &mut String, summary: &Summary, statistics: &Statistics, data: &C
         page.push_str("<div class=\"pair\">");
         let actual = chart("actual".into(), COLOURS[0], 1.0).svg();
         card(page, caption, &actual);
-        let label = format!("actual, error x {magnified}");
-        let chart = chart(label, COLOURS[1], magnified).svg();
-        let note = format!("Error at the same time, magnified {magnified} times");
-        card(page, &note, &chart);
+        // An error of the size of the path is not magnified.
+        if magnified > 1.0 {
+            let label = format!("actual, error x {magnified}");
+            let chart = chart(label, COLOURS[1], magnified).svg();
+            let note = format!("Error at the same time, magnified {magnified} times");
+            card(page, &note, &chart);
+        }
         page.push_str("</div>");
     }
 }

@@ -8,6 +8,12 @@ use super::view_model::{
 use haptimill_protocol::message::{Fault, State};
 use std::sync::Arc;
 
+/// Spindle speed at an override in percent, as the controller computes it outside of tapping.
+fn overridden(rpm: i16, percent: u8) -> i16 {
+    let rpm = i32::from(rpm) * i32::from(percent) / 100;
+    rpm.clamp(-i32::from(i16::MAX), i32::from(i16::MAX)) as i16
+}
+
 impl App {
     /// Next action of the operator, or the fault with its remedy.
     fn prompt(&self) -> (Severity, String) {
@@ -134,7 +140,8 @@ impl App {
                 lines: checked.lines,
                 text: checked.text_of(line).to_string(),
                 spindle_rpm: telemetry
-                    .and_then(|telemetry| checked.spindle_rpm(telemetry.setpoint)),
+                    .and_then(|telemetry| checked.spindle_rpm(telemetry.setpoint))
+                    .map(|rpm| overridden(rpm, self.overrides[2])),
             }
         });
         ViewModel {

@@ -221,7 +221,7 @@ pub(super) struct ProgramView {
     pub(super) lines: u32,
     /// Text of the line.
     pub(super) text: String,
-    /// Spindle speed that the running program has set, rev/min.
+    /// Spindle speed that the running program has set, at the override, rev/min.
     pub(super) spindle_rpm: Option<i16>,
 }
 

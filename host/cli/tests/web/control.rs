@@ -122,7 +122,7 @@ fn a_program_is_uploaded_run_held_and_ends_without_its_viewer() {
     upload(
         &mut viewer,
         "part.ngc",
-        "G21 G90 F600\nG1 X8 Y3\nG1 X0\nG1 Y0\nM30\n",
+        "G21 G90 F600 S2000 M3\nG1 X8 Y3\nG1 X0\nG1 Y0\nM30\n",
     );
     viewer.wait("list", |viewer| {
         viewer.programs["names"] == json!(["part.ngc"])
@@ -151,6 +151,8 @@ fn a_program_is_uploaded_run_held_and_ends_without_its_viewer() {
     });
     viewer.answer();
     viewer.wait("line", |viewer| viewer.state["program"]["line"] == 2);
+    // At the override of 80 %.
+    viewer.wait("spindle", |viewer| viewer.state["spindle_rpm"] == 1600);
     // The line end of the last line begins no sixth one.
     assert_eq!(viewer.state["program"]["lines"], 5);
     viewer.command("hold");
