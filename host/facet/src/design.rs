@@ -115,6 +115,8 @@ pub struct Design {
     pub notices: Vec<Problem>,
     /// Line of the gear in the file, from 1; 0 if there is none.
     pub(crate) gear_line: usize,
+    /// The file has an impossible gear, which was reported: `gear` is not of the file.
+    pub(crate) is_gear_refused: bool,
     /// A facet beyond the largest number was reported.
     pub(crate) is_full: bool,
 }
@@ -138,6 +140,7 @@ impl Design {
             facets: Vec::new(),
             notices: Vec::new(),
             gear_line: 0,
+            is_gear_refused: false,
             is_full: false,
         }
     }
@@ -261,6 +264,7 @@ impl Design {
             let what = format!("an index wheel of {teeth} teeth");
             let remedy = format!("write a gear of {} to {} teeth", GEARS.start(), GEARS.end());
             problems.report(line, None, what, remedy);
+            self.is_gear_refused = true;
             return;
         }
         self.gear_line = line;

@@ -4,6 +4,7 @@ use crate::design::{Design, Facet, Stage};
 use crate::problem::{Problems, Refused};
 use haptimill_hil_sim::polyhedron::{Cut, Plane, Polyhedron};
 use haptimill_hil_sim::vector::{Vector, cross, dot, length, minus, plus, times};
+use std::collections::BTreeMap;
 
 /// Tag of the faces of the rough.
 pub const ROUGH: usize = usize::MAX;
@@ -60,6 +61,59 @@ const SIDES: usize = 64;
 
 /// Part of the size by which the rough is larger where it is not given.
 const ALLOWANCE: f64 = 1.08;
+
+/// Size of the rough in which facets that are not on the stone are looked for, as a part of the
+/// stone's.
+const TRIAL: f64 = 3.0;
+
+/// Most cuts of a design that is cut once without each of its lines.
+const TRIAL_CUTS: usize = 20_000;
+
+/// Remedy for a facet that another one cuts away.
+const EITHER: &str = "check both distances, remove one of them, or name it preform";
+
+/// The design cut without the facets of one line, as often as that is asked for.
+struct Trials {
+    /// The rough.
+    block: Polyhedron,
+    /// Numbers of the facets that stay without those of a line.
+    kept: BTreeMap<Option<usize>, Vec<usize>>,
+}
+
+impl Trials {
+    /// Whether a facet stays on the stone without the facets of a line.
+    fn keeps(&mut self, gem: &Gem, without: Option<usize>, number: usize) -> bool {
+        let kept = self.kept.entry(without).or_insert_with(|| {
+            let mut body = self.block.clone();
+            for (number, facet) in gem.design.facets.iter().enumerate() {
+                if Some(facet.line) != without {
+                    body.cut(gem.plane(number), number);
+                }
+            }
+            body.faces().iter().map(|face| face.tag).collect()
+        });
+        kept.contains(&number)
+    }
+
+    /// The facet that cuts another one away: without the facets of its line the other one stays.
+    /// Of these the one that is nearest to it.
+    fn culprit<'g>(&mut self, gem: &'g Gem, lost: usize) -> Option<&'g Facet> {
+        let facets = &gem.design.facets;
+        let mut lines: Vec<usize> = facets.iter().map(|facet| facet.line).collect();
+        lines.dedup();
+        let own = facets[lost].line;
+        if lines.len() * facets.len() > TRIAL_CUTS || self.keeps(gem, None, lost) {
+            return None;
+        }
+        let line = lines
+            .into_iter()
+            .find(|&line| line != own && self.keeps(gem, Some(line), lost))?;
+        let normal = gem.design.normal(&facets[lost]);
+        let near = |facet: &&Facet| dot(gem.design.normal(facet), normal);
+        let of_line = facets.iter().filter(|facet| facet.line == line);
+        of_line.max_by(|a, b| near(a).total_cmp(&near(b)))
+    }
+}
 
 impl Gem {
     /// Cuts a design of this width, mm, out of its rough. A list in mm has its own size. Without a
@@ -145,7 +199,11 @@ impl Gem {
             meets: Vec::new(),
         };
         gem.body = gem.rough_body();
-        gem.cut_facets(problems);
+        let trial = Rough {
+            diameter_mm: (2.0 * widest * TRIAL).max(rough.diameter_mm),
+            height_mm: ((high - low) * TRIAL).max(rough.height_mm),
+        };
+        gem.cut_facets(trial, problems);
         let left = gem.body.faces().iter().any(|face| face.tag == ROUGH);
         if left && !gem.body.is_empty() {
             let what = format!(
@@ -170,24 +228,46 @@ impl Gem {
     /// The rough in the frame of the design.
     #[must_use]
     pub fn rough_body(&self) -> Polyhedron {
-        let half = 0.5 * self.rough.height_mm;
+        self.body_of(self.rough)
+    }
+
+    fn body_of(&self, rough: Rough) -> Polyhedron {
+        let half = 0.5 * rough.height_mm;
         let heights = [self.rough_middle_mm - half, self.rough_middle_mm + half];
-        Polyhedron::prism(SIDES, self.rough.diameter_mm, heights, ROUGH)
+        Polyhedron::prism(SIDES, rough.diameter_mm, heights, ROUGH)
     }
 
     /// Cuts the facets in their order, and reports those that cannot be cut.
-    fn cut_facets(&mut self, problems: &mut Problems) {
+    /// Why a facet is not on the stone is found with a larger rough.
+    fn cut_facets(&mut self, trial: Rough, problems: &mut Problems) {
+        let mut trials = Trials {
+            block: self.body_of(trial),
+            kept: BTreeMap::new(),
+        };
+        let wholly = |by: &Facet| {
+            format!(
+                "is wholly cut away by facet {} of line {}",
+                by.name, by.line
+            )
+        };
         for (number, facet) in self.design.facets.iter().enumerate() {
             let plane = plane_mm(&self.design, facet, self.scale_mm);
             let before: Vec<usize> = self.body.faces().iter().map(|face| face.tag).collect();
             match self.body.cut(plane, number) {
                 Cut::Cut => {}
                 Cut::Missed => {
-                    let what = match self.twin(facet, number) {
-                        Some(twin) => format!("is the plane of facet {}", twin.name),
-                        None => "the plane misses the stone".to_string(),
+                    let mut remedy = "lower its distance, or remove it";
+                    let what = if let Some(twin) = self.twin(facet, number) {
+                        format!("is the plane of facet {}", twin.name)
+                    } else if let Some(by) = trials.culprit(self, number) {
+                        remedy = EITHER;
+                        wholly(by)
+                    } else if trials.keeps(self, None, number) {
+                        // The rough does not reach there: it is too small, and reported.
+                        continue;
+                    } else {
+                        "the plane misses the stone".to_string()
                     };
-                    let remedy = "lower its distance, or remove it";
                     problems.report(facet.line, Some(&facet.name), what, remedy);
                     continue;
                 }
@@ -206,9 +286,8 @@ impl Gem {
                 if lost.stage == Stage::Preform {
                     continue;
                 }
-                let what = format!("is wholly cut away by facet {}", facet.name);
-                let remedy = "lower its distance, remove it, or name it preform";
-                problems.report(lost.line, Some(&lost.name), what, remedy);
+                let what = wholly(trials.culprit(self, gone).unwrap_or(facet));
+                problems.report(lost.line, Some(&lost.name), what, EITHER);
             }
         }
     }

@@ -170,11 +170,18 @@ fn plan(args: &PlanArgs) -> Result<(), CliError> {
     output::save(&args.out, &text)
 }
 
-/// A reading that differs by more than this from the lengths is reported, mm.
+/// Readings that differ by more than this from the lengths are refused, mm.
 const RESIDUAL_MM: f64 = 0.01;
 
 fn print_lengths(args: &CalibrateArgs) -> Result<(), CliError> {
     let found = calibrate(args.at_0, args.at_90, args.at_180);
+    if found.residual > RESIDUAL_MM {
+        return Err(bad(format!(
+            "the readings contradict each other: they differ by up to {:.4} mm from those of one \
+             arm, and {RESIDUAL_MM} mm is the most; measure again",
+            found.residual
+        )));
+    }
     if args.json {
         let value = json!({
             "l2": found.l2, "l3": found.l3, "l4": found.l4, "residual_mm": found.residual,
@@ -186,11 +193,5 @@ fn print_lengths(args: &CalibrateArgs) -> Result<(), CliError> {
     print_line!("l2 = {:.6}", found.l2);
     print_line!("l3 = {:.6}", found.l3);
     print_line!("l4 = {:.6}", found.l4);
-    if found.residual > RESIDUAL_MM {
-        eprintln!(
-            "the readings differ by up to {:.4} mm from these lengths; measure again",
-            found.residual
-        );
-    }
     Ok(())
 }

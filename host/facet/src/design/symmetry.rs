@@ -140,6 +140,9 @@ impl Design {
 
     /// Compares the facets with the symmetry that the file states.
     pub(super) fn check_symmetry(&mut self, problems: &mut Problems) {
+        if self.is_gear_refused {
+            return;
+        }
         let alone = self.without_partners(self.gear);
         if alone.is_empty() {
             return;

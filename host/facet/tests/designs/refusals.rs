@@ -156,3 +156,75 @@ fn a_design_larger_than_its_rough_is_refused() {
     };
     assert!(Gem::new(name, design, 6.0, Some(rough)).is_ok());
 }
+
+/// A facet that another one cuts away is refused with the names of both, whatever the rough is: the
+/// default rough is hardly larger than the finished stone, and may not reach to the facet.
+#[test]
+fn a_facet_that_is_cut_away_names_the_other_one() {
+    let text = String::from_utf8(example("round-brilliant.asc")).unwrap();
+    let with = |from: &str, to: &str, rough: Option<Rough>| {
+        assert!(text.contains(from), "{from}");
+        let design = read("b.asc", text.replace(from, to).as_bytes()).unwrap();
+        Gem::new("b.asc", design, 6.0, rough).unwrap_err()
+    };
+    let roughs = [[6.5, 8.0], [8.0, 4.0], [20.0, 20.0]].map(|[diameter_mm, height_mm]| Rough {
+        diameter_mm,
+        height_mm,
+    });
+    let roughs = roughs.map(Some);
+    for rough in [None].into_iter().chain(roughs) {
+        let table = text.lines().find(|line| line.contains(" n T")).unwrap();
+        let refused = with(table, "a 0.0 0.05 96 n T", rough);
+        assert_eq!(
+            refused.problems.len() + refused.more,
+            8,
+            "{rough:?}: {refused}"
+        );
+        for problem in &refused.problems {
+            let name = problem.facet.as_deref().unwrap();
+            assert!(
+                name.starts_with("C3@")
+                    && problem.what.contains("cut away by facet T@96 of line 13"),
+                "{rough:?}: {refused}"
+            );
+        }
+    }
+    // The pavilion through the middle of the stone cuts the girdle away.
+    let point = text.lines().find(|line| line.contains(" n P1 ")).unwrap();
+    for rough in [None, roughs[2]] {
+        let flat = point.replace(point.split(' ').nth(2).unwrap(), "0.0");
+        let refused = with(point, &flat, rough);
+        let first = &refused.problems[0];
+        assert!(
+            first.facet.as_deref() == Some("G1@3") && first.what.contains("by facet P1@"),
+            "{refused}"
+        );
+    }
+    // A rough that is too small is the only problem.
+    let small = Rough {
+        diameter_mm: 5.0,
+        height_mm: 4.0,
+    };
+    let refused = with("Standard", "Standard", Some(small)).to_string();
+    assert!(refused.contains("larger than the rough"), "{refused}");
+    assert!(!refused.contains("misses"), "{refused}");
+}
+
+/// An impossible gear is the only problem: the wheel is not compared with the symmetry.
+#[test]
+fn an_impossible_gear_is_refused_once() {
+    for name in ["small.asc", "step-cut.toml"] {
+        let text = if name == "small.asc" {
+            SMALL.replace("g 64 ", "g 30 ")
+        } else {
+            let text = String::from_utf8(example(name)).unwrap();
+            text.replace("gear = 64", "gear = 30")
+        };
+        let refused = problem(name, &text);
+        assert!(refused.contains("an index wheel of 30 teeth"), "{refused}");
+        assert!(
+            !refused.contains("of 64 teeth") && !refused.contains("96"),
+            "{refused}"
+        );
+    }
+}
