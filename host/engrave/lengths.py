@@ -9,7 +9,8 @@ a DXF with the first of the units 1, 0.1, 0.01 and 10 mm with which it fits 1200
 are in units of the DXF, and in mm of the SVG. The other length is that of the same entities in
 ezdxf, flattened within 0.001 units, or that of vpype. What one of both programs leaves out on
 purpose (hidden layers, fills, frozen blocks) is a difference: the last column has the notices and
-refusals of `haptimill engrave`. Refused drawings have no lengths.
+refusals of `haptimill engrave`. Refused drawings have no lengths. The script ends with exit code 1
+where every drawing is refused.
 """
 
 import math
@@ -51,7 +52,7 @@ def of_svg(drawing):
 
 
 def compare(command, drawing, folder):
-    """Prints the row of a drawing."""
+    """Prints the row of a drawing; returns whether it was compared."""
     name, program = os.path.basename(drawing), os.path.join(folder, "job.ngc")
     is_dxf = drawing.lower().endswith(".dxf")
     options = ["--origin", "lower-left", "--skip-text", "--machine", os.path.join(folder, "machine.toml")]
@@ -64,12 +65,13 @@ def compare(command, drawing, folder):
     said = notices[0][:100] if notices else ""
     if done.returncode:
         print(f"| {name} | | | refused: {(notices or [''])[-1][:100]} |", flush=True)
-        return
+        return False
     paths = cuts(program)
     ours = sum(math.dist(a, b) for path in paths for a, b in zip(path, path[1:])) / unit
     theirs = of_dxf(drawing) if is_dxf else of_svg(drawing)
     off = 100.0 * (ours / theirs - 1.0) if theirs else math.nan
     print(f"| {name} | {ours:.2f} | {theirs:.2f} | {off:+.3f} %; {len(notices)} notices {said} |", flush=True)
+    return True
 
 
 def main():
@@ -78,8 +80,9 @@ def main():
     print("| --- | ---: | ---: | --- |")
     with tempfile.TemporaryDirectory() as folder:
         large_machine.write(os.path.join(folder, "machine.toml"))
-        for drawing in drawings:
-            compare(command, drawing, folder)
+        compared = [compare(command, drawing, folder) for drawing in drawings]
+    if not any(compared):
+        sys.exit("no drawing was compared")
 
 
 main()

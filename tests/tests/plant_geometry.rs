@@ -207,6 +207,15 @@ fn the_tool_turns_by_its_roles_and_loads_conserve_power() {
         let Some(plant) = plant.ok().filter(|plant| plant.geometry.is_some()) else {
             continue;
         };
+        // A file has a singularity margin if and only if its model has a singularity.
+        let has_margin = std::fs::read_to_string(&path)
+            .expect("text")
+            .contains("\nsingularity_margin_mm");
+        let distance = machine
+            .config
+            .kinematics()
+            .singularity_distance(&Pose::default());
+        assert_eq!(has_margin, distance.is_some(), "{name}");
         check(&name, &machine, &plant);
         check_sensor(&name, &machine, &plant);
         checked += 1;

@@ -187,7 +187,7 @@ fn scene(drawing: &Drawing, job: &Job, options: &Options, speeds: Speeds) -> Sce
         air.begin(at, time);
         if at[2] < speeds.lift_mm {
             let up = [at[0], at[1], speeds.lift_mm];
-            time += off(at, up) / speeds.rapid;
+            time += off(at, up) / speeds.rise;
             air.add(up, time);
             at = up;
         }
@@ -214,7 +214,7 @@ fn scene(drawing: &Drawing, job: &Job, options: &Options, speeds: Speeds) -> Sce
     let home = [options.reference[0], options.reference[1], speeds.lift_mm];
     air.begin(at, time);
     let up = [at[0], at[1], speeds.lift_mm];
-    time += off(at, up) / speeds.rapid;
+    time += off(at, up) / speeds.rise;
     air.add(up, time);
     air.add(home, time + off(up, home) / speeds.rapid);
     let starts = Shape::Arrows {

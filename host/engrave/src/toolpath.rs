@@ -1,6 +1,7 @@
 //! Tool paths with depths, ramps, leads and tabs.
 
 use crate::geometry::{Path, Point, Segment, distance};
+use crate::times::Speeds;
 use serde::Serialize;
 
 /// A step of a cut.
@@ -34,6 +35,14 @@ impl Cut {
             PathStep::Vertical(_) => None,
         });
         ends.unwrap_or(self.start)
+    }
+
+    /// Z at the end, mm.
+    #[must_use]
+    pub fn floor(&self) -> f64 {
+        self.steps.last().map_or(self.z, |step| match step {
+            PathStep::Along(_, z) | PathStep::Vertical(z) => *z,
+        })
     }
 
     /// Length along the segments, mm.
@@ -132,6 +141,42 @@ pub struct Depths {
     pub slope: Option<f64>,
     /// Tabs of closed contours, and the diameter of the tool that leaves them, mm.
     pub tabs: Option<(Tabs, f64)>,
+}
+
+/// Joins cuts that begin where the one before ends, as far as that takes no more time: the tool
+/// does not come up and down again at the same point. `most` is the largest gap, mm.
+#[must_use]
+pub fn join_cuts(cuts: Vec<Cut>, most: f64, speeds: &Speeds) -> Vec<Cut> {
+    let mut out: Vec<Cut> = Vec::with_capacity(cuts.len());
+    for cut in cuts {
+        let Some(last) = out.last_mut() else {
+            out.push(cut);
+            continue;
+        };
+        let (end, floor) = (last.end(), last.floor());
+        let gap = distance(end, cut.start);
+        // Without a lift the tool moves at the feed of plunges to where the next cut begins.
+        let straight = (floor - cut.z).abs() / speeds.plunge;
+        let lifted =
+            (speeds.lift_mm - floor) / speeds.rise + (speeds.lift_mm - cut.z) / speeds.plunge;
+        if gap > most || straight > lifted {
+            out.push(cut);
+            continue;
+        }
+        if floor != cut.z {
+            last.steps.push(PathStep::Vertical(cut.z));
+        }
+        if gap > 0.0 {
+            let link = Segment {
+                from: end,
+                to: cut.start,
+                bulge: 0.0,
+            };
+            last.steps.push(PathStep::Along(link, cut.z));
+        }
+        last.steps.extend(cut.steps);
+    }
+    out
 }
 
 /// Z of passes to a depth with at most `step` each, mm. All passes have the same step.

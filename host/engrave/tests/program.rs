@@ -312,6 +312,7 @@ fn the_page_numbers_the_starts_and_shows_every_move() {
             feed: 5.0,
             plunge: 1.0,
             rapid: 20.0,
+            rise: 4.0,
             lift_mm: LIFT,
         };
         let rows = [

@@ -242,10 +242,10 @@ fn the_report_has_the_times_of_the_lengths() {
         let lifts = number(&result["lifts"]);
         if operation == "outline" {
             // One plunge from 2 mm above to 1 mm below for each lift.
-            assert!((number(&time["lifts"]) - lifts * (3.0 / 1.0 + 3.0 / 20.0)).abs() < 1e-9);
+            assert!((number(&time["lifts"]) - lifts * (3.0 / 1.0 + 3.0 / 4.0)).abs() < 1e-9);
         } else {
             // Half of the plunges end at 0.5 mm.
-            assert!((number(&time["lifts"]) - lifts * (2.75 / 1.0 + 2.75 / 20.0)).abs() < 1e-9);
+            assert!((number(&time["lifts"]) - lifts * (2.75 / 1.0 + 2.75 / 4.0)).abs() < 1e-9);
         }
         let orders = result["orders"].as_array().unwrap();
         let chosen = orders.last().unwrap();

@@ -13,6 +13,7 @@ use crate::order::edges::Condition;
 use crate::order::{Effort, order_paths};
 use crate::shape::clear::{ClearOptions, clear};
 use crate::shape::{Clearing, Region, Strand};
+use crate::times::Times;
 use crate::toolpath::{Cut, Depths, Lengths, PathStep, Toolpath, cut_path, levels};
 use outline::{outline, with_leads};
 use serde::Serialize;
@@ -130,6 +131,12 @@ fn measured(cuts: &[Cut], name: &str, options: &Options) -> Candidate {
         name: name.into(),
         lengths: Toolpath::lengths_of(cuts, options.reference),
     }
+}
+
+/// Time of cuts, s.
+fn time(cuts: &[Cut], options: &Options) -> f64 {
+    let lengths = Toolpath::lengths_of(cuts, options.reference);
+    Times::of(&lengths, &options.speeds).total()
 }
 
 fn pocket(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
@@ -279,8 +286,12 @@ fn drill(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     job.candidates
         .push(measured(&file, Condition::File.name(), options));
     let tour = order_paths(&holes, options.reference, Effort::default());
-    job.proven = tour.proven;
     job.toolpath.cuts = tour.apply(&holes).iter().map(drilled).collect();
+    if time(&job.toolpath.cuts, options) <= time(&file, options) + 1e-9 {
+        job.proven = tour.proven;
+    } else {
+        job.toolpath.cuts = file;
+    }
     let chosen = measured(&job.toolpath.cuts, "shortest found", options);
     job.candidates.push(chosen);
     Ok(job)

@@ -3,6 +3,7 @@
 use crate::drawing::Problem;
 use crate::geometry::Point;
 use crate::shape::Clearing;
+use crate::times::Speeds;
 use crate::toolpath::{Depths, Tabs, levels};
 use serde::Serialize;
 
@@ -34,7 +35,8 @@ pub enum Side {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Ordering {
-    /// The shortest order that is found: paths are reversed, closed paths start anywhere.
+    /// The shortest order that is found: paths are reversed, closed paths start anywhere. One of
+    /// the others where the job takes less time in it.
     Short,
     /// The shortest of the file order and the four greedy conditions; single entities in their own
     /// direction.
@@ -78,6 +80,8 @@ pub struct Options {
     pub join_mm: f64,
     /// Where the tool starts and ends.
     pub reference: Point,
+    /// Speeds, by which orders are compared.
+    pub speeds: Speeds,
 }
 
 impl Default for Options {
@@ -99,6 +103,7 @@ impl Default for Options {
             conventional: false,
             join_mm: 0.01,
             reference: [0.0; 2],
+            speeds: Speeds::default(),
         }
     }
 }

@@ -1,13 +1,13 @@
 //! Outlines: on the paths of the drawing, or beside its contours.
 
 use super::nothing;
-use super::{Job, Options, Ordering, Side, chained, measured, note_lost};
+use super::{Job, Options, Ordering, Side, chained, measured, note_lost, time};
 use crate::drawing::{Drawing, Problem};
-use crate::geometry::{Path, Point, Segment, distance};
+use crate::geometry::{Path, Point, Segment, Vertex, distance};
 use crate::order::edges::{self, Condition, Ends};
 use crate::order::{Effort, order_passes, order_paths};
 use crate::shape::Region;
-use crate::toolpath::{Cut, Depths, PathStep, Toolpath, cut_path, leads};
+use crate::toolpath::{Cut, Depths, PathStep, cut_path, join_cuts, leads};
 
 /// Largest number of entities for which the greedy conditions are shown beside the order of the
 /// file where this one is asked for.
@@ -203,7 +203,12 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
     } else {
         &Condition::ALL[..]
     };
-    // The conditions decide by one pass; the lengths are those of all passes.
+    // The conditions decide by one pass; the lengths are those of all passes. The thesis compares
+    // the air, the default the time of the job.
+    let cost = |cuts: &[Cut], air_mm: f64| match options.ordering {
+        Ordering::Short => time(cuts, options),
+        _ => air_mm,
+    };
     let of_conditions = || {
         let (mut best, mut least) = (Vec::new(), f64::INFINITY);
         let mut candidates = Vec::new();
@@ -214,8 +219,9 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
             ));
             let candidate = measured(&cuts, condition.name(), options);
             let is_file = condition == Condition::File;
-            if candidate.lengths.air_mm < least && (is_file || options.ordering != Ordering::File) {
-                (best, least) = (cuts, candidate.lengths.air_mm);
+            let cost = cost(&cuts, candidate.lengths.air_mm);
+            if cost < least && (is_file || options.ordering != Ordering::File) {
+                (best, least) = (cuts, cost);
             }
             candidates.push(candidate);
         }
@@ -234,10 +240,15 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
             )
         });
         job.candidates = candidates;
-        best = cut_all(&tour.apply(&chains));
-        // Chains stay whole in the tour, not in the orders above: one of these may be shorter. What
-        // counts is what is cut: after a ramp a closed path ends beside its start.
-        if Toolpath::lengths_of(&best, options.reference).air_mm <= least + 1e-9 {
+        let mut paths = tour.apply(&chains);
+        if depths.tabs.is_none() {
+            paths = join_meeting(paths, passes.is_multiple_of(2));
+        }
+        best = join_cuts(cut_all(&paths), edges::CONTINUOUS, &options.speeds);
+        // Chains stay whole in the tour, not in the orders above: one of these may take less time.
+        // What counts is what is cut: after a ramp a closed path ends beside its start. Only in the
+        // tour have all contours their tabs.
+        if depths.tabs.is_some() || time(&best, options) <= least + 1e-9 {
             job.proven = tour.proven;
             name = "chains, reversed and started anywhere";
         } else {
@@ -265,6 +276,60 @@ fn single_commands(path: &Path) -> Vec<Path> {
     path.segments()
         .map(|segment| Path::from_segments(&[segment], path.entity))
         .collect()
+}
+
+/// Joins paths of a tour that meet, so that all passes go along them without a lift. In an even
+/// number of passes (`returning`) the tool ends a path where it began.
+fn join_meeting(paths: Vec<Path>, returning: bool) -> Vec<Path> {
+    let mut out: Vec<Path> = Vec::with_capacity(paths.len());
+    for next in paths {
+        match out.last_mut() {
+            Some(last) if meets(last, &next, returning) => {
+                let both_closed = last.closed && next.closed;
+                // The tool comes back to the start of an open path, so that comes last.
+                *last = if returning && !last.closed {
+                    joined(&next, last)
+                } else {
+                    joined(last, &next)
+                };
+                if both_closed {
+                    last.vertices.pop();
+                    last.closed = true;
+                }
+            }
+            _ => out.push(next),
+        }
+    }
+    out
+}
+
+/// Whether the tool is at the start of a path after the one before it, and both can be one path.
+fn meets(last: &Path, next: &Path, returning: bool) -> bool {
+    let end = if returning { last.start() } else { last.end() };
+    let near = |(a, b)| distance(a, b) <= edges::CONTINUOUS;
+    end.zip(next.start()).is_some_and(near) && (!returning || last.closed || next.closed)
+}
+
+/// Both paths as an open one.
+fn joined(first: &Path, second: &Path) -> Path {
+    let opened = |path: &Path| {
+        let mut path = path.clone();
+        if path.closed {
+            path.closed = false;
+            path.vertices.extend(
+                path.vertices
+                    .first()
+                    .map(|one| Vertex { bulge: 0.0, ..*one }),
+            );
+        }
+        path
+    };
+    let (mut path, second) = (opened(first), opened(second));
+    if let (Some(joint), Some(start)) = (path.vertices.last_mut(), second.vertices.first()) {
+        joint.bulge = start.bulge;
+        path.vertices.extend_from_slice(&second.vertices[1..]);
+    }
+    path
 }
 
 /// Joins commands that begin where the one before ends.

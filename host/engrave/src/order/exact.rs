@@ -1,5 +1,6 @@
 //! The shortest order of a few pieces, by dynamic programming over all of their subsets.
 
+use super::edges::CONTINUOUS;
 use crate::geometry::{Point, distance};
 
 /// Largest number of pieces.
@@ -7,6 +8,15 @@ pub const PIECES: usize = 12;
 
 /// Largest number of steps of the computation.
 const STEPS: usize = 8_000_000;
+
+/// What a lift counts, mm: of equally short tours the one with the fewest lifts is the shortest.
+const LIFT: f64 = 1e-6;
+
+/// Length of a gap, mm.
+fn gap(a: Point, b: Point) -> f64 {
+    let off = distance(a, b);
+    if off > CONTINUOUS { off + LIFT } else { off }
+}
 
 /// The shortest tour from `reference` through one option of every piece and back. An option is
 /// where the tool goes down and where it comes up. Returns piece and option in their order; `None`
@@ -36,7 +46,7 @@ pub fn shortest(pieces: &[Vec<[Point; 2]>], reference: Point) -> Option<Vec<(usi
     let mut least = vec![f64::INFINITY; all * width];
     let mut before = vec![u32::MAX; all * width];
     for (last, &(piece, _, ends)) in options.iter().enumerate() {
-        least[(1 << piece) * width + last] = distance(reference, ends[0]);
+        least[(1 << piece) * width + last] = gap(reference, ends[0]);
     }
     for set in 1..all {
         for (last, &(piece, _, ends)) in options.iter().enumerate() {
@@ -49,7 +59,7 @@ pub fn shortest(pieces: &[Vec<[Point; 2]>], reference: Point) -> Option<Vec<(usi
                     continue;
                 }
                 let slot = (set | 1 << other) * width + next;
-                let total = length + distance(ends[1], to[0]);
+                let total = length + gap(ends[1], to[0]);
                 if total < least[slot] {
                     least[slot] = total;
                     before[slot] = last as u32;

@@ -23,6 +23,12 @@ const FARTHEST: usize = 3_000;
 /// number of pieces.
 const REVERSALS: usize = 50_000 * 25_000;
 
+/// Pieces that reversals of more than [`FARTHEST`] of them may turn in all, for each piece of the
+/// tour. Where 50,000 lines are longer than the gaps between them, these took seven tenths of the
+/// time, 6 s of 9 s; with this bound the order takes 2.5 s and is 2.6 % longer. The drawings of
+/// `host/engrave/compare.py` stay below it.
+const TURNED: usize = 10_000;
+
 /// Longest part of the tour that a kick exchanges, pieces.
 const KICK: usize = 30;
 
@@ -45,6 +51,8 @@ pub struct Search<'e> {
     queued: Vec<bool>,
     changes: Vec<Change>,
     logging: bool,
+    /// Pieces that long reversals may still turn.
+    to_turn: usize,
 }
 
 /// Distance, mm; `hypot` takes several times as long and differs in the last bit only.
@@ -69,6 +77,7 @@ impl<'e> Search<'e> {
             queued: vec![true; count],
             changes: Vec::new(),
             logging: false,
+            to_turn: TURNED * count,
         }
     }
 
@@ -179,7 +188,9 @@ impl<'e> Search<'e> {
             self.steps(c, b) + 1
         };
         let total = self.order.len();
-        if count.min(total - count) > (REVERSALS / total).max(FARTHEST) {
+        let turned = count.min(total - count);
+        let is_long = turned > FARTHEST;
+        if is_long && (turned > REVERSALS / total || turned > self.to_turn) {
             return None;
         }
         let gain = if forward {
@@ -189,6 +200,9 @@ impl<'e> Search<'e> {
         };
         if gain <= GAIN {
             return None;
+        }
+        if is_long {
+            self.to_turn -= turned;
         }
         if forward {
             self.reverse(b, c);

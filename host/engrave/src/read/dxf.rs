@@ -66,6 +66,8 @@ struct Reader<'a, 'o> {
     placed: usize,
     /// Lines and layers of problems that are reported.
     reported: HashSet<(usize, String)>,
+    /// Names and layers of blocks that are reported because they contain themselves.
+    endless: HashSet<(String, String)>,
 }
 
 /// Reads a DXF drawing.
@@ -89,6 +91,7 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
         flattened: 0,
         placed: 0,
         reported: HashSet::new(),
+        endless: HashSet::new(),
     };
     reader.drawing.notices.extend(decoded.notice);
     reader.file()?;

@@ -16,7 +16,8 @@ use haptimill_engrave::preview::{area, cut};
 use haptimill_engrave::read::{ReadOptions, read};
 use haptimill_engrave::shape::Clearing;
 use haptimill_engrave::thesis::{FIGURE_4_10, TOOL, closed, outlines};
-use haptimill_engrave::toolpath::{Cut, PathStep, Tabs};
+use haptimill_engrave::times::{Speeds, Times};
+use haptimill_engrave::toolpath::{Cut, Lengths, PathStep, Tabs};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 

@@ -325,3 +325,104 @@ fn the_way_from_the_end_of_a_ramp_counts() {
     let file = job.candidates[0].lengths.air_mm;
     assert!(air <= file + 1e-9, "{air} {file}");
 }
+
+/// Squares as closed polylines or as lines, each with a diagonal from a corner or from elsewhere.
+fn square_with_diagonal([x, y, side, kind]: [f64; 4]) -> String {
+    let (x, y, side) = (x.round(), y.round(), 1.0 + side.round());
+    let (u, v) = (x + side, y + side);
+    let square = if kind < 0.6 {
+        format!(
+            "0 LWPOLYLINE\n8 Cut\n90 4\n70 1\n10 {x}\n20 {y}\n10 {u}\n20 {y}\n10 {u}\n20 {v}\n10 {x}\n20 {v}\n"
+        )
+    } else {
+        let corners = [[x, y], [u, y], [u, v], [x, v], [x, y]];
+        let sides = corners.windows(2);
+        sides
+            .map(|pair| {
+                let [[a, b], [c, d]] = [pair[0], pair[1]];
+                format!("0 LINE\n8 Cut\n10 {a}\n20 {b}\n11 {c}\n21 {d}\n")
+            })
+            .collect()
+    };
+    let from = if kind * 10.0 % 1.0 < 0.7 { x } else { x + 0.5 };
+    format!("{square}0 LINE\n8 Cut\n10 {from}\n20 {y}\n11 {u}\n21 {v}\n")
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 80,
+        rng_seed: RngSeed::Fixed(1),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    /// The job takes no more time in the default order than in each other one, and the tool does
+    /// not come up and down again at one point in it.
+    #[test]
+    fn the_default_takes_no_more_time_than_any_order(
+        shapes in prop::collection::vec((
+            prop::array::uniform4(0.0..90.0), 0.0..9.0, 0.0..1.0), 1..14),
+        passes in 1..4_u8,
+        ramp in any::<bool>(),
+        plunge in prop::sample::select(vec![0.1, 1.0, 4.0]),
+    ) {
+        let text: String = shapes.iter()
+            .map(|&([x, y, ..], side, kind)| square_with_diagonal([x, y, side, kind])).collect();
+        let options = Options {
+            depth_mm: f64::from(passes),
+            step_mm: 1.0,
+            ramp_deg: ramp.then_some(10.0),
+            speeds: Speeds { plunge, ..Speeds::default() },
+            ..Options::default()
+        };
+        let drawing = drawing(&dxf(&text));
+        let job = plan(&drawing, &options).unwrap();
+        let time = |lengths: &Lengths| Times::of(lengths, &options.speeds).total();
+        let chosen = job.toolpath.lengths([0.0; 2]);
+        for one in &job.candidates {
+            prop_assert!(time(&chosen) <= time(&one.lengths) + 1e-6, "{chosen:?} {one:?}");
+        }
+        // The geometry is that of the file, apart from ramps.
+        if !ramp {
+            prop_assert!((chosen.cut_mm - job.candidates[0].lengths.cut_mm).abs() < 1e-6);
+        }
+        if passes == 1 && !ramp {
+            for pair in job.toolpath.cuts.windows(2) {
+                let (end, start) = (pair[0].end(), pair[1].start);
+                let gap = (end[0] - start[0]).hypot(end[1] - start[1]);
+                prop_assert!(gap > 0.0025, "{end:?} {start:?}");
+            }
+        }
+    }
+}
+
+/// A closed square and its diagonal are one cut, in any number of passes and with tabs.
+#[test]
+fn paths_that_meet_are_cut_without_a_lift() {
+    let drawing = drawing(&dxf(&square_with_diagonal([10.0, 10.0, 7.0, 0.0])));
+    for passes in 1..5_u8 {
+        for tabs in [
+            None,
+            Some(Tabs {
+                count: 2,
+                width_mm: 1.0,
+                height_mm: 0.2,
+            }),
+        ] {
+            let options = Options {
+                depth_mm: f64::from(passes),
+                step_mm: 1.0,
+                tabs,
+                ..Options::default()
+            };
+            let (job, _) = match tabs {
+                None => check(&drawing, &options),
+                Some(_) => (plan(&drawing, &options).unwrap(), PlateReport::default()),
+            };
+            assert_eq!(job.toolpath.cuts.len(), 1, "{passes} {tabs:?}");
+            let air = job.toolpath.lengths([0.0; 2]).air_mm;
+            let both_ends = if passes % 2 == 0 { 20.0 } else { 28.0 };
+            assert!((air - both_ends * 2.0_f64.sqrt()).abs() < 1e-9, "{air}");
+        }
+    }
+}

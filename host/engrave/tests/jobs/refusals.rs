@@ -20,6 +20,16 @@ fn what_is_no_pocket_is_refused_with_its_entity() {
         message.contains("handle 3F on layer Cut") && message.contains("open"),
         "{message}"
     );
+    // Every open contour is named.
+    let both = dxf(
+        "0 LWPOLYLINE\n5 3F\n8 Cut\n90 3\n70 0\n10 0\n20 0\n10 9\n20 0\n10 9\n20 9
+        0 LWPOLYLINE\n5 40\n8 Cut\n90 3\n70 0\n10 30\n20 0\n10 39\n20 0\n10 39\n20 9",
+    );
+    let message = problem(&both, &pocket());
+    assert!(
+        message.contains("handle 3F") && message.contains("handle 40"),
+        "{message}"
+    );
     let bow = dxf(
         "0 LWPOLYLINE\n5 3F\n8 Cut\n90 4\n70 1\n10 0\n20 0\n10 9\n20 9\n10 9\n20 0\n10 0\n20 9",
     );

@@ -86,6 +86,30 @@ fn blocks_that_contain_themselves_end() {
     );
 }
 
+/// Blocks that insert the next one twice, deeper than they may be: one problem, not one for each of
+/// the ways to the innermost block.
+#[test]
+fn deep_blocks_are_reported_once() {
+    let blocks: String = (1..20)
+        .map(|k| {
+            let next = format!("0 INSERT\n8 0\n2 L{}\n10 0\n20 0\n", k - 1);
+            format!("0 BLOCK\n2 L{k}\n10 0\n20 0\n{next}{next}0 ENDBLK\n")
+        })
+        .collect();
+    let text = sections(&[
+        ("BLOCKS", &blocks),
+        ("ENTITIES", "0 INSERT\n5 1F\n8 Cut\n2 L19\n10 0\n20 0"),
+    ]);
+    let drawing = read(text.as_bytes(), &ReadOptions::default()).unwrap();
+    assert_eq!(drawing.problems.len(), 1, "{:?}", drawing.problems);
+    let message = &drawing.problems[0].message;
+    assert!(
+        message.contains("block L3 contains itself or is nested deeper than 16 blocks")
+            && message.contains("in INSERT L4, in 14 more, in INSERT L19 handle 1F)"),
+        "{message}"
+    );
+}
+
 /// A block reference with a clip (XCLIP) is refused with its handle, as it would be cut whole.
 #[test]
 fn clipped_blocks_are_refused() {

@@ -111,3 +111,55 @@ fn zero_length_polylines_are_left_out_by_name() {
             .any(|notice| notice.contains("handle 3F on layer Cut"))
     );
 }
+
+/// Arcs, circles and ellipses without an extent are left out, and the rest of the drawing is read;
+/// so is a segment of a polyline whose ends are one point.
+#[test]
+fn entities_without_extent_are_left_out() {
+    let text = dxf("0 CIRCLE\n5 20\n8 Cut\n10 1\n20 1\n40 0
+        0 ARC\n5 21\n8 Cut\n10 1\n20 1\n40 0\n50 0\n51 90
+        0 ELLIPSE\n5 22\n8 Cut\n10 0\n20 0\n11 0\n21 0\n40 0.5
+        0 ELLIPSE\n5 23\n8 Cut\n10 0\n20 0\n11 4\n21 0\n40 0
+        0 LWPOLYLINE\n5 24\n8 Cut\n90 3\n70 1\n10 10\n20 10\n42 1\n10 10\n20 10\n10 20\n20 20
+        0 LINE\n5 25\n8 Cut\n10 0\n20 0\n11 3\n21 0");
+    let drawing = draw(&text);
+    assert_eq!(drawing.paths.len(), 2);
+    let notices = drawing.notices.join("\n");
+    for part in [
+        "it has no length: line",
+        "CIRCLE handle 20",
+        "an axis of it has no length: line",
+        "ELLIPSE handle 22",
+        "segments with a bulge and without length are left out",
+        "LWPOLYLINE handle 24",
+    ] {
+        assert!(notices.contains(part), "{part} in {notices}");
+    }
+}
+
+/// The unit of a drawing that states none is that of its measurement.
+#[test]
+fn the_measurement_is_the_unit_where_none_is_stated() {
+    for (header, mm, said) in [
+        ("9 $MEASUREMENT\n70 0", 25.4, "English measurement"),
+        (
+            "9 $MEASUREMENT\n70 0\n9 $INSUNITS\n70 0",
+            25.4,
+            "English measurement",
+        ),
+        ("9 $MEASUREMENT\n70 1", 1.0, "1 unit is taken as 1 mm"),
+        ("9 $ACADVER\n1 AC1009", 1.0, "1 unit is taken as 1 mm"),
+        ("9 $MEASUREMENT\n70 0\n9 $INSUNITS\n70 5", 10.0, ""),
+    ] {
+        let text = sections(&[
+            ("HEADER", header),
+            ("ENTITIES", "0 LINE\n8 0\n10 0\n20 0\n11 2\n21 0"),
+        ]);
+        let drawing = draw(&text);
+        let length = drawing.paths[0].length();
+        assert!((length - 2.0 * mm).abs() < 1e-9, "{header}: {length}");
+        let notices = drawing.notices.join("\n");
+        assert!(notices.contains(said), "{said} in {notices}");
+        assert_eq!(notices.contains("unit"), !said.is_empty(), "{notices}");
+    }
+}

@@ -119,8 +119,8 @@ fn numbers_that_are_none_name_the_entity() {
             "announces 5",
         ),
         (
-            "0 ELLIPSE\n5 3F\n8 Cut\n10 0\n20 0\n11 0\n21 0\n40 1",
-            "axis has no length",
+            "0 ELLIPSE\n5 3F\n8 Cut\n10 0\n20 0\n11 1\n21 0\n40 -1",
+            "the ratio -1",
         ),
         (
             "0 SPLINE\n5 3F\n8 Cut\n71 3\n11 0\n21 0\n11 1\n21 1",

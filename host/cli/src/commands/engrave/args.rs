@@ -5,6 +5,7 @@ use clap::{Args, ValueEnum};
 use haptimill_engrave::geometry::Point;
 use haptimill_engrave::job::{Operation, Options, Ordering, Side};
 use haptimill_engrave::shape::Clearing;
+use haptimill_engrave::times::Speeds;
 use haptimill_engrave::toolpath::Tabs;
 use std::path::PathBuf;
 
@@ -334,6 +335,7 @@ impl EngraveArgs {
             conventional: self.conventional,
             join_mm: self.join,
             reference: [0.0; 2],
+            speeds: Speeds::default(),
         }
     }
 

@@ -9,7 +9,7 @@ use haptimill_client::{Error, Located};
 use haptimill_engrave::drawing::{Drawing, LayerChoice, Problem};
 use haptimill_engrave::gcode::{Rates, program};
 use haptimill_engrave::geometry::Point;
-use haptimill_engrave::job::{Job, Operation, check_area, check_pocket, plan};
+use haptimill_engrave::job::{Job, Operation, Options, check_area, check_pocket, plan};
 use haptimill_engrave::kurbo::Affine;
 use haptimill_engrave::plate::PlateReport;
 use haptimill_engrave::preview;
@@ -130,6 +130,32 @@ fn area(machine: &MachineFile) -> Result<([Point; 2], f64), CliError> {
     Ok(([[x.low, y.low], [x.high, y.high]], x.rate.min(y.rate)))
 }
 
+/// Speeds of the job, which the machine reaches, and what is said about feeds that it does not.
+/// `rapid` is the rate of lifted moves, mm/s.
+fn speeds(machine: &MachineFile, args: &EngraveArgs, rapid: f64) -> (Speeds, Vec<String>) {
+    let rise = tool_axis(machine, Role::ToolZ).map_or(rapid, |z| z.rate);
+    let mut notices = Vec::new();
+    let mut reached = |option: &str, asked: f64, most: f64, along: &str| {
+        if asked / 60.0 > most + 1e-9 {
+            notices.push(format!(
+                "{option} {asked}: {} reaches {} mm/min along {along}; the times are those of that \
+                 feed",
+                machine.config.name,
+                most * 60.0
+            ));
+        }
+        (asked / 60.0).min(most)
+    };
+    let speeds = Speeds {
+        feed: reached("--feed", args.feed, rapid, "x and y"),
+        plunge: reached("--plunge", args.plunge, rise, "z"),
+        rapid,
+        rise,
+        lift_mm: args.lift,
+    };
+    (speeds, notices)
+}
+
 /// Refuses a depth or a lift that the travel of z does not have. Z0 is the surface of the plate.
 fn check_height(machine: &MachineFile, args: &EngraveArgs) -> Result<(), CliError> {
     let Some(z) = tool_axis(machine, Role::ToolZ) else {
@@ -175,11 +201,16 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
     let refused = |problems: Vec<Problem>| refuse(&args.drawing, Exit::BadInput, &problems);
     let outside = format!("the area of {}", machine.config.name);
     let leaves = |problems: Vec<Problem>| refuse(&args.drawing, Exit::Refused, &problems);
-    let options = args.options();
+    let (speeds, unreached) = speeds(&machine, &args, rapid);
+    let options = Options {
+        speeds,
+        ..args.options()
+    };
     if options.operation == Operation::Pocket {
         check_pocket(&drawing, options.tool_mm, area, &outside).map_err(leaves)?;
     }
-    let job = plan(&drawing, &options).map_err(refused)?;
+    let mut job = plan(&drawing, &options).map_err(refused)?;
+    job.notices.extend(unreached);
     let analysis_s = begin.elapsed().as_secs_f64();
     check_area(&job, &drawing, area, &outside).map_err(leaves)?;
     let lengths = job.toolpath.lengths([0.0; 2]);
@@ -209,12 +240,6 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
     let text = program(&job.toolpath, rates, [0.0; 2], &title);
     let out = args.out();
     output::save(&out, &text)?;
-    let speeds = Speeds {
-        feed: args.feed / 60.0,
-        plunge: args.plunge / 60.0,
-        rapid,
-        lift_mm: args.lift,
-    };
     let times = Times::of(&lengths, &speeds);
     let rows: Vec<preview::Row> = job
         .candidates
@@ -226,7 +251,7 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
         })
         .collect();
     if let Some(path) = &args.preview {
-        let page = preview::html(&title[0], &drawing, &job, &args.options(), speeds, &rows);
+        let page = preview::html(&title[0], &drawing, &job, &options, speeds, &rows);
         output::save(path, page)?;
     }
     if !args.json {

@@ -30,15 +30,18 @@ pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Re
                 0,
             )]
         }
+        "ARC" | "CIRCLE" if record.number(40)? == Some(0.0) => {
+            return Ok(Read::LeftOut("it has no length".into()));
+        }
         "ARC" => vec![arc(record)?],
         "CIRCLE" => {
-            if record.number(40)? == Some(0.0) {
-                return Ok(Read::LeftOut("it has no length".into()));
-            }
             let path = Path::circle(record.point(10, 20)?, radius(record)?, 0);
             vec![map_path(record.plane()?, &path, TOLERANCE)]
         }
         "LWPOLYLINE" => return light_polyline(record),
+        "ELLIPSE" if is_flat(record)? => {
+            return Ok(Read::LeftOut("an axis of it has no length".into()));
+        }
         "ELLIPSE" => vec![ellipse(record, tolerance)?],
         "SPLINE" => vec![spline(record, tolerance)?],
         "SOLID" | "TRACE" => vec![solid(record)?],
@@ -118,9 +121,11 @@ fn arc(record: &Record) -> Result<Path, Problem> {
 
 /// Checks the bulge of a segment and makes the path.
 fn bulged(record: &Record, mut vertices: Vec<Vertex>, closed: bool) -> Result<Read, Problem> {
+    let mut is_lost = false;
     vertices.dedup_by(|next, before| {
         let same = next.at == before.at;
         if same {
+            is_lost |= before.bulge != 0.0;
             // A segment without length keeps the bulge of the segment after it.
             before.bulge = next.bulge;
         }
@@ -128,7 +133,7 @@ fn bulged(record: &Record, mut vertices: Vec<Vertex>, closed: bool) -> Result<Re
     });
     let mut closed = closed;
     if vertices.len() > 2 && closed && vertices[0].at == vertices[vertices.len() - 1].at {
-        vertices.pop();
+        is_lost |= vertices.pop().is_some_and(|last| last.bulge != 0.0);
     }
     if vertices.len() < 2 {
         return Ok(Read::LeftOut("it has no length".into()));
@@ -165,8 +170,15 @@ fn bulged(record: &Record, mut vertices: Vec<Vertex>, closed: bool) -> Result<Re
             return Err(record.refuse(what, "draw this segment as a circle"));
         }
     }
-    Ok(shapes(vec![map_path(record.plane()?, &path, TOLERANCE)]))
+    let mut read = shapes(vec![map_path(record.plane()?, &path, TOLERANCE)]);
+    if let (Read::Shapes(shapes), true) = (&mut read, is_lost) {
+        shapes.notes.insert(NO_SEGMENT);
+    }
+    Ok(read)
 }
+
+/// Note on an arc whose ends are one point.
+const NO_SEGMENT: &str = "segments with a bulge and without length are left out";
 
 fn light_polyline(record: &Record) -> Result<Read, Problem> {
     let closed = record.integer(70)?.is_some_and(|flags| flags & 1 != 0);
@@ -251,14 +263,20 @@ pub fn polyline(record: &Record, parts: &[(usize, Vec<Pair>)]) -> Result<Read, P
     ))
 }
 
+/// Whether an axis of an ellipse has no length.
+fn is_flat(record: &Record) -> Result<bool, Problem> {
+    let major = [record.need(11)?, record.need(21)?];
+    Ok(major == [0.0, 0.0] || record.need(40)? == 0.0)
+}
+
 fn ellipse(record: &Record, tolerance: f64) -> Result<Path, Problem> {
     record.plane()?;
     let centre = record.point(10, 20)?;
     let major = [record.need(11)?, record.need(21)?];
     let ratio = record.need(40)?;
     // Some programs write the shorter axis first, with a ratio above 1.
-    if major == [0.0, 0.0] || ratio <= 0.0 {
-        let what = format!("an axis has no length, or the ratio {ratio} is not above 0");
+    if ratio <= 0.0 {
+        let what = format!("the ratio {ratio} of its axes is not above 0");
         return Err(record.refuse(what, "repair or delete the entity"));
     }
     let side = if record.or(230, 1.0)? < 0.0 {

@@ -11,6 +11,24 @@ use kurbo::Affine;
 /// Deepest nesting of blocks.
 const DEPTH: usize = 16;
 
+/// An entity with the innermost and the outermost of the blocks in which it is.
+fn without_chain(entity: &Entity) -> Entity {
+    let mut parts = entity.kind.split(" (in ");
+    let (kind, blocks): (_, Vec<&str>) = (parts.next().unwrap_or_default(), parts.collect());
+    let kind = match blocks.as_slice() {
+        [first, .., last] => format!(
+            "{kind} (in {first}, in {} more, in {})",
+            blocks.len() - 2,
+            last.trim_end_matches(')')
+        ),
+        _ => entity.kind.clone(),
+    };
+    Entity {
+        kind,
+        ..entity.clone()
+    }
+}
+
 impl<'a> Reader<'a, '_> {
     /// Adds an entity to the drawing under a map; `outer` is the entity of the block reference.
     pub(super) fn place(
@@ -101,14 +119,17 @@ impl<'a> Reader<'a, '_> {
     ) -> Result<(), Problem> {
         let name = insert.block.to_uppercase();
         if names.contains(&name) || names.len() >= DEPTH {
-            self.drawing.problems.push(Problem::of(
-                entity,
-                format!(
-                    "block {} contains itself or is nested too deep",
-                    insert.block
-                ),
-                "explode the block in the drawing program",
-            ));
+            // The reference is met once for each way that leads to it.
+            if self.endless.insert((name, entity.layer.clone())) {
+                self.drawing.problems.push(Problem::of(
+                    &without_chain(entity),
+                    format!(
+                        "block {} contains itself or is nested deeper than {DEPTH} blocks",
+                        insert.block
+                    ),
+                    "explode the block in the drawing program",
+                ));
+            }
             return Ok(());
         }
         // The block leaves the table while its entities are placed.
