@@ -31,7 +31,7 @@ use gantry::Gantries;
 use haptimill_kinematics::BoundedKinematics;
 use haptimill_kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
 use haptimill_math::Coordinate;
-use haptimill_protocol::message::{AxisValues, Fault, MAX_AXES, Refusal, Telemetry};
+use haptimill_protocol::message::{AxisValues, Fault, JointFlags, MAX_AXES, Refusal, Telemetry};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Vec;
 use joint_rates::JointRates;
@@ -445,21 +445,27 @@ impl Machine {
             self.joints[index].servo_output().following_error.0
         });
         sample.drive = self.drive_values(inputs);
-        sample.open_loop = self.open_loop();
-        self.fill_lines(inputs, sample);
+        let flags = self.joint_flags(inputs);
+        sample.joint_flags = (flags != JointFlags::default()).then_some(flags);
         sample.compensation = self.compensation.as_ref().map(Compensation::percent);
     }
 
-    /// Fills in what the switches, the drives and the emergency stop circuit signal.
-    fn fill_lines(&self, inputs: &Inputs, sample: &mut Telemetry) {
+    /// Joints without an encoder, and what the switches, the drives and the emergency stop circuit
+    /// signal.
+    fn joint_flags(&self, inputs: &Inputs) -> JointFlags {
+        let mut flags = JointFlags {
+            open_loop: self.open_loop(),
+            emergency_stop: inputs.emergency_stop,
+            ..JointFlags::default()
+        };
         for (joint, (axis, seen)) in self.config.joints.iter().zip(&inputs.axes).enumerate() {
             let active = axis.active_switches(seen);
-            for (input, joints) in sample.switches.iter_mut().enumerate() {
+            for (input, joints) in flags.switches.iter_mut().enumerate() {
                 *joints |= (active >> input & 1) << joint;
             }
-            sample.alarms |= u8::from(!seen.drive_ready) << joint;
+            flags.alarms |= u8::from(!seen.drive_ready) << joint;
         }
-        sample.emergency_stop = inputs.emergency_stop;
+        flags
     }
 
     /// Joints without an encoder, one bit each.

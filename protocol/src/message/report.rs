@@ -70,15 +70,8 @@ pub struct Telemetry {
     /// Following error of each joint, axis units; of an open-loop joint the steps that are still to
     /// be emitted.
     pub following_error: AxisValues,
-    /// Open-loop joints, one bit each: their position is the count of emitted steps and not
-    /// measured.
-    pub open_loop: u8,
-    /// Active switches, one bit per joint: home switches, lower and upper limit switches.
-    pub switches: [u8; 3],
-    /// Drives that report an alarm, one bit per joint.
-    pub alarms: u8,
-    /// The emergency stop circuit is open.
-    pub emergency_stop: bool,
+    /// Flags of the joints. `None` while all are clear, which takes one byte.
+    pub joint_flags: Option<JointFlags>,
     /// Drive command of each joint: DAC code, or steps emitted since enable.
     pub drive: AxisValues,
     /// The latched fault.
@@ -98,6 +91,20 @@ pub struct Telemetry {
     pub compensation: Option<u8>,
 }
 
+/// Flags of the joints, one bit per joint, and of the emergency stop circuit.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct JointFlags {
+    /// Open-loop joints: their position is the count of emitted steps and not measured.
+    pub open_loop: u8,
+    /// Active switches: home switches, lower and upper limit switches.
+    pub switches: [u8; 3],
+    /// Drives that report an alarm.
+    pub alarms: u8,
+    /// The emergency stop circuit is open.
+    pub emergency_stop: bool,
+}
+
 /// Named inputs and outputs, in the order of the configuration.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -113,6 +120,11 @@ pub struct IoTelemetry {
 }
 
 impl Telemetry {
+    /// Flags of the joints; all clear where the telemetry has none.
+    pub fn flags(&self) -> JointFlags {
+        self.joint_flags.unwrap_or_default()
+    }
+
     /// Position of a rotary axis, counted on over the turns of the joint that moves it; `value` is
     /// its angle, less than half a turn from the joint's. Without turns it is the angle.
     pub fn unwound(&self, joint: Option<usize>, value: i32) -> i64 {
