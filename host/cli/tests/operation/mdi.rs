@@ -173,10 +173,30 @@ fn a_probe_block_finds_the_simulated_block() {
     let missed = served.run(&[&["mdi", "G38.2 Z30 F600"], &on[..]].concat());
     let missed = missed.expect_code(8);
     assert!(
-        missed.err.contains("without a change of probe"),
+        missed
+            .err
+            .contains("mdi:1:7: the probe move ended without a change of probe"),
         "{}",
         missed.err
     );
+    // A move away from a contact begins in contact.
+    let away = served.run(&[&["mdi", "G38.4 Z40 F600"], &on[..]].concat());
+    let away = away.expect_code(8).err;
+    let what =
+        "mdi:1:7: the probe move away begins with probe not in contact; move it into contact";
+    assert!(away.contains(what), "{away}");
+    // M66: input 4 is on, and is never off within the time.
+    let wait = [
+        "mdi",
+        "M66 P4 L0",
+        "G0 X[100+#5399]",
+        "M66 P4 L4 Q0.2",
+        "G0 Y[70+#5399]",
+    ];
+    served.run_ok(&[&wait[..], &on[..]].concat());
+    let status = served.status_of(machine);
+    assert!((commanded(&status, "x") - 101.0).abs() < 1e-3, "{status:#}");
+    assert!((commanded(&status, "y") - 69.0).abs() < 1e-3, "{status:#}");
 }
 
 #[test]
