@@ -31,7 +31,9 @@ use gantry::Gantries;
 use haptimill_kinematics::BoundedKinematics;
 use haptimill_kinematics::{JointMotion, Joints, Kinematics, Pose, PoseError};
 use haptimill_math::Coordinate;
-use haptimill_protocol::message::{AxisValues, Fault, JointFlags, MAX_AXES, Refusal, Telemetry};
+use haptimill_protocol::message::{
+    ActiveLines, AxisValues, Fault, MAX_AXES, MoreTelemetry, Refusal, Telemetry,
+};
 use haptimill_protocol::setpoint::Setpoint;
 use heapless::Vec;
 use joint_rates::JointRates;
@@ -445,27 +447,25 @@ impl Machine {
             self.joints[index].servo_output().following_error.0
         });
         sample.drive = self.drive_values(inputs);
-        let flags = self.joint_flags(inputs);
-        sample.joint_flags = (flags != JointFlags::default()).then_some(flags);
-        sample.compensation = self.compensation.as_ref().map(Compensation::percent);
+        sample.open_loop = self.open_loop();
+        let compensation = self.compensation.as_ref().map(Compensation::percent);
+        sample.more = MoreTelemetry::new(compensation, self.active_lines(inputs));
     }
 
-    /// Joints without an encoder, and what the switches, the drives and the emergency stop circuit
-    /// signal.
-    fn joint_flags(&self, inputs: &Inputs) -> JointFlags {
-        let mut flags = JointFlags {
-            open_loop: self.open_loop(),
+    /// What the switches, the drives and the emergency stop circuit signal.
+    fn active_lines(&self, inputs: &Inputs) -> ActiveLines {
+        let mut lines = ActiveLines {
             emergency_stop: inputs.emergency_stop,
-            ..JointFlags::default()
+            ..ActiveLines::default()
         };
         for (joint, (axis, seen)) in self.config.joints.iter().zip(&inputs.axes).enumerate() {
             let active = axis.active_switches(seen);
-            for (input, joints) in flags.switches.iter_mut().enumerate() {
+            for (input, joints) in lines.switches.iter_mut().enumerate() {
                 *joints |= (active >> input & 1) << joint;
             }
-            flags.alarms |= u8::from(!seen.drive_ready) << joint;
+            lines.alarms |= u8::from(!seen.drive_ready) << joint;
         }
-        flags
+        lines
     }
 
     /// Joints without an encoder, one bit each.

@@ -23,7 +23,7 @@ pub use problem::{
     ConfigField, ConfigProblem, Fault, HomingProblem, InputProblem, OutputProblem, PoseError,
     Refusal,
 };
-pub use report::{IoTelemetry, JointFlags, Report, Telemetry};
+pub use report::{ActiveLines, IoTelemetry, MoreTelemetry, Report, Telemetry};
 pub use session::{Hello, HelloRefusal, Welcome};
 pub use setpoints::{Action, SetpointBatch, SetpointDelta};
 pub use state::State;

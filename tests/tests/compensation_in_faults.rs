@@ -59,7 +59,7 @@ fn the_correction_stays_while_a_fault_holds_the_tool() {
         bench.steps(500);
     }
     bench.steps(6000);
-    assert_eq!(bench.status().compensation, Some(100));
+    assert_eq!(bench.status().compensation(), Some(100));
     let start = bench.status().commanded;
     bench.start_job(1, &line(&start, 0, 5.0, 100));
     bench.steps(2000);
@@ -89,5 +89,5 @@ fn the_correction_stays_while_a_fault_holds_the_tool() {
     let moved = change.fold(0.0, f64::max);
     // The errors at this place are several micrometres.
     assert!(moved < 1e-4, "{moved} mm");
-    assert_eq!(bench.status().compensation, Some(100));
+    assert_eq!(bench.status().compensation(), Some(100));
 }

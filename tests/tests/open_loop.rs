@@ -87,7 +87,7 @@ fn a_job_moves_the_true_tool_and_telemetry_says_open_loop() {
     assert!(bench.wait_for(State::Idle, 30_000));
     let status = bench.status();
     assert!(status.homed && status.position_kept && status.fault.is_none());
-    assert_eq!(status.flags().open_loop, 0b111);
+    assert_eq!(status.open_loop, 0b111);
     // Backlash, a step and the lag of the rotor.
     let off = error(&mut bench);
     assert!(off < 0.02, "{off} mm");
@@ -105,7 +105,7 @@ fn lost_steps_show_at_the_next_homing() {
     condition.jam = 0.0;
     bench.rig.plant_mut().set_condition(0, condition);
     assert!(bench.wait_for(State::Idle, 30_000));
-    assert_eq!(bench.status().flags().open_loop, 0b111);
+    assert_eq!(bench.status().open_loop, 0b111);
     let (status, truth) = (bench.status(), bench.rig.plant().truth().joints);
     let lost: Vec<f64> = (status.joints.iter().zip(truth))
         .map(|(value, truth)| truth - f64::from(*value) / MM)

@@ -142,7 +142,7 @@ pub fn calibrate(
         axes,
         errors,
         options: plan.laser,
-        compensation: status.compensation,
+        compensation: status.compensation(),
     })
 }
 

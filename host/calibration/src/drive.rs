@@ -73,7 +73,7 @@ impl Machine {
         self.session.ask(Command::Compensation { on })?;
         let end = if on { 100 } else { 0 };
         for _ in 0..100 {
-            if self.status()?.compensation == Some(end) {
+            if self.status()?.compensation() == Some(end) {
                 return Ok(());
             }
             for _ in 0..200 {

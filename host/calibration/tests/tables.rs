@@ -157,7 +157,7 @@ fn the_correction_ends_with_the_drives() {
             session.step().unwrap();
         }
         let before = session.status().unwrap();
-        assert_eq!(before.compensation, Some(100));
+        assert_eq!(before.compensation(), Some(100));
         // The correction at the home pose is more than 1 um.
         let moved = before.joints.iter().zip(&before.commanded);
         assert!(
@@ -172,7 +172,7 @@ fn the_correction_ends_with_the_drives() {
             session.step().unwrap();
         }
         let after = session.status().unwrap();
-        assert_eq!((after.state, after.compensation), (expected, Some(0)));
+        assert_eq!((after.state, after.compensation()), (expected, Some(0)));
         for (joint, before) in after.joints.iter().zip(&before.joints) {
             assert!((joint - before).abs() < 1 << 9, "{joint} {before}");
         }
@@ -185,13 +185,13 @@ fn compensation_waits_for_homing() {
     let file = with_exact_tables(&machine().unwrap()).unwrap();
     let mut homed = Driven::new(&file, SLOW, &Default::default()).unwrap();
     homed.visit(&[[0.0, 0.0, 0.0]], 100.0, 1.2, 0.3).unwrap();
-    assert_eq!(homed.status().unwrap().compensation, Some(100));
+    assert_eq!(homed.status().unwrap().compensation(), Some(100));
     let mut unhomed = Driven::without_homing(&file, SLOW, &Default::default()).unwrap();
     let before = unhomed.status().unwrap().joints;
     let refused = unhomed.compensate(true).unwrap_err();
     assert!(refused.message.contains("home it first"), "{refused:?}");
     let status = unhomed.status().unwrap();
-    assert_eq!((status.compensation, status.joints), (Some(0), before));
+    assert_eq!((status.compensation(), status.joints), (Some(0), before));
 }
 
 /// Lines of an error file that the simulated machine cannot follow are refused with their line.

@@ -70,8 +70,9 @@ pub struct Telemetry {
     /// Following error of each joint, axis units; of an open-loop joint the steps that are still to
     /// be emitted.
     pub following_error: AxisValues,
-    /// Flags of the joints. `None` while all are clear, which takes one byte.
-    pub joint_flags: Option<JointFlags>,
+    /// Open-loop joints, one bit each: their position is the count of emitted steps and not
+    /// measured.
+    pub open_loop: u8,
     /// Drive command of each joint: DAC code, or steps emitted since enable.
     pub drive: AxisValues,
     /// The latched fault.
@@ -86,18 +87,43 @@ pub struct Telemetry {
     pub force: Option<ForceTelemetry>,
     /// Named inputs and outputs. `None` on a machine without any, which takes one byte.
     pub io: Option<IoTelemetry>,
-    /// Volumetric compensation: percent of its fade, 100 where it is in full effect. `None` on a
-    /// machine without error tables, which takes one byte.
-    pub compensation: Option<u8>,
+    /// What few reports have; without it they are as short as possible.
+    pub more: MoreTelemetry,
 }
 
-/// Flags of the joints, one bit per joint, and of the emergency stop circuit.
+/// Telemetry that few reports have.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct JointFlags {
-    /// Open-loop joints: their position is the count of emitted steps and not measured.
-    pub open_loop: u8,
-    /// Active switches: home switches, lower and upper limit switches.
+pub enum MoreTelemetry {
+    /// A machine without error tables, and no line is active.
+    #[default]
+    Nothing,
+    /// Volumetric compensation: percent of its fade, 100 where it is in full effect.
+    Compensation(u8),
+    /// Active lines.
+    Lines(ActiveLines),
+    /// Both.
+    CompensationAndLines(u8, ActiveLines),
+}
+
+impl MoreTelemetry {
+    /// Telemetry of a machine with this compensation (`None` without error tables) and these lines.
+    pub fn new(compensation: Option<u8>, lines: ActiveLines) -> Self {
+        let are_active = lines != ActiveLines::default();
+        match (compensation, are_active) {
+            (None, false) => Self::Nothing,
+            (Some(percent), false) => Self::Compensation(percent),
+            (None, true) => Self::Lines(lines),
+            (Some(percent), true) => Self::CompensationAndLines(percent, lines),
+        }
+    }
+}
+
+/// Lines of the joints that are active, one bit per joint, and the emergency stop circuit.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ActiveLines {
+    /// Home switches, lower and upper limit switches.
     pub switches: [u8; 3],
     /// Drives that report an alarm.
     pub alarms: u8,
@@ -120,9 +146,21 @@ pub struct IoTelemetry {
 }
 
 impl Telemetry {
-    /// Flags of the joints; all clear where the telemetry has none.
-    pub fn flags(&self) -> JointFlags {
-        self.joint_flags.unwrap_or_default()
+    /// Volumetric compensation: percent of its fade; `None` on a machine without error tables.
+    pub const fn compensation(&self) -> Option<u8> {
+        match self.more {
+            MoreTelemetry::Compensation(percent)
+            | MoreTelemetry::CompensationAndLines(percent, _) => Some(percent),
+            MoreTelemetry::Nothing | MoreTelemetry::Lines(_) => None,
+        }
+    }
+
+    /// The active lines.
+    pub fn lines(&self) -> ActiveLines {
+        match self.more {
+            MoreTelemetry::Lines(lines) | MoreTelemetry::CompensationAndLines(_, lines) => lines,
+            MoreTelemetry::Nothing | MoreTelemetry::Compensation(_) => ActiveLines::default(),
+        }
     }
 
     /// Position of a rotary axis, counted on over the turns of the joint that moves it; `value` is

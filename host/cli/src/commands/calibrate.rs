@@ -488,7 +488,7 @@ fn circle_test(args: &BallBarArgs) -> Result<(MachineFile, CircleResult, Option<
     let every = (degree_s * 1e6 / f64::from(machine_file.config.period_us) / 8.0) as u64;
     let mut machine = Machine::new(&machine_file, every.clamp(1, SLOW), &interrupt::flag())?;
     compensate(&mut machine, &machine_file, args.compensation.as_deref())?;
-    let compensation = machine.status()?.compensation;
+    let compensation = machine.status()?.compensation();
     let result = ball_bar::run(&mut machine, &test)?;
     print_line!(
         "circle      radius {} mm, {} mm/s, both directions",

@@ -21,7 +21,7 @@ macro_rules! line {
     }};
 }
 
-/// Names of the lines of a joint: its switches in the order of `JointFlags::switches`, its drive.
+/// Names of the lines of a joint: its switches in the order of `ActiveLines::switches`, its drive.
 const LINES: [&str; 4] = ["home", "limit-low", "limit-high", "alarm"];
 
 /// The active lines of the joints that have one, and the emergency stop circuit.
@@ -32,9 +32,9 @@ struct ActiveLines<'n> {
 
 impl<'n> ActiveLines<'n> {
     fn new(joints: &'n [String], status: &Telemetry) -> Self {
-        let flags = status.flags();
-        let [home, low, high] = flags.switches;
-        let lines = [home, low, high, flags.alarms];
+        let active = status.lines();
+        let [home, low, high] = active.switches;
+        let lines = [home, low, high, active.alarms];
         let of_joint = |(joint, name): (usize, &'n String)| {
             let active = LINES.iter().zip(lines);
             let active = active.filter(|(_, joints)| joints >> joint & 1 != 0);
@@ -43,7 +43,7 @@ impl<'n> ActiveLines<'n> {
         };
         Self {
             joints: joints.iter().enumerate().filter_map(of_joint).collect(),
-            is_stop_open: flags.emergency_stop,
+            is_stop_open: active.emergency_stop,
         }
     }
 
@@ -109,7 +109,7 @@ impl StatusReport {
             .iter()
             .map(ToString::to_string)
             .collect();
-        let is_open = |joint: usize| status.flags().open_loop >> joint & 1 != 0;
+        let is_open = |joint: usize| status.open_loop >> joint & 1 != 0;
         let open_loop: Vec<&String> = (joint_names.iter().enumerate())
             .filter(|(joint, _)| is_open(*joint))
             .map(|(_, name)| name)
@@ -134,9 +134,9 @@ impl StatusReport {
             // Without a machine file the joints have no names.
             "open_loop": (!joint_names.is_empty()).then_some(&open_loop),
             "active_lines": (!joint_names.is_empty()).then(|| lines.json()),
-            "emergency_stop_open": status.flags().emergency_stop,
+            "emergency_stop_open": status.lines().emergency_stop,
             "following_error": map(joints(&status.following_error)),
-            "compensation_percent": status.compensation,
+            "compensation_percent": status.compensation(),
             "bad_frames": status.bad_frames,
             "lost_bytes": status.lost_bytes,
             "inputs": io.inputs_json(),
@@ -210,7 +210,7 @@ impl StatusReport {
             let unwound = joint_names.into_iter().zip(model.unwound_joints(status));
             line!(text, "joints   {}", line(unwound.collect(), joint_units));
         }
-        if let Some(percent) = status.compensation {
+        if let Some(percent) = status.compensation() {
             line!(text, "compensation  {percent} %");
         }
         io.write(&mut text);

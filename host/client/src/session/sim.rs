@@ -356,7 +356,7 @@ impl JobRecording {
             (telemetry.position_kept, flag::POSITION_KEPT),
             (!telemetry.measured.is_empty(), flag::TOOL_MEASURED),
             (telemetry.fault.is_some(), flag::FAULT),
-            (telemetry.compensation == Some(100), flag::COMPENSATED),
+            (telemetry.compensation() == Some(100), flag::COMPENSATED),
         ];
         record.flags = flags
             .iter()

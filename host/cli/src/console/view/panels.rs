@@ -179,7 +179,7 @@ pub(super) fn left(frame: &mut Frame<'_>, area: Rect, view: &ViewModel) {
                 let part = f64::from(*code) / FULL_CODE;
                 format!("{} {:>4} %", around_zero(part, part, bar), percent(part))
             }
-            Some(steps) if telemetry.is_some_and(|t| t.flags().open_loop >> index & 1 != 0) => {
+            Some(steps) if telemetry.is_some_and(|t| t.open_loop >> index & 1 != 0) => {
                 format!("{steps} steps, open loop")
             }
             Some(steps) => format!("{steps} steps"),

@@ -191,14 +191,14 @@ impl Responder {
             joints: AxisValues::new(),
             turns: AxisValues::new(),
             following_error: AxisValues::new(),
-            joint_flags: None,
+            open_loop: 0,
             drive: AxisValues::new(),
             fault: None,
             deferred_bytes: 0,
             bad_frames: self.link.counters().bad_frames,
             force: None,
             io: None,
-            compensation: None,
+            more: Default::default(),
             lost_bytes: 0,
         }
     }
