@@ -182,9 +182,11 @@ impl Process {
             structure.advance(in_machine);
         }
         if let Some(sensor) = &mut self.sensor {
-            let on_tool = match sensor_axes == axes {
-                true => self.force,
-                false => sensor_axes.map(|axis| dot(axis, in_machine)),
+            // Without a conversion there is no rounding.
+            let on_tool = if sensor_axes == axes {
+                self.force
+            } else {
+                sensor_axes.map(|axis| dot(axis, in_machine))
             };
             sensor.sample(on_tool, sensor_axes.map(|axis| -axis[2]));
         }

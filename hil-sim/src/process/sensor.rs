@@ -2,11 +2,10 @@
 //! ADC.
 //!
 //! The element turns with the table and measures along the table's axes, which are those of the
-//! pose; on a machine whose pose does not turn with the workpiece it stands still, below the rotary
-//! axis. It measures the force **on
-//! the workpiece**, which is minus the force on the tool (docs/control.md 1.3), and the weight of
-//! vise and workpiece. The codes have that sign; a calibration converts them to the force on the
-//! tool.
+//! pose. On a machine whose pose does not turn with the workpiece it is below the rotary axis, and
+//! does not turn. It measures the force **on the workpiece**, which is minus the force on the tool
+//! (docs/control.md 1.3), and the weight of vise and workpiece. The codes have that sign; a
+//! calibration converts them to the force on the tool.
 //!
 //! Quartz gives charge for a change of force. The amplifier therefore measures from its last reset,
 //! decays with a time constant (a high-pass) and drifts by the leakage of its input. Amplifier

@@ -168,13 +168,8 @@ fn one_bracket_for_a_list_and_a_misspelt_key_of_the_plant_have_their_remedies() 
         found.0[0].remedy.contains("two brackets, as [[joint]]"),
         "{found}"
     );
-    let text = MILL.replacen("run_up_s = ", "runup_s = ", 1);
-    let start = MILL.find("[plant.spindle]").expect("a spindle");
-    let (before, plant) = MILL.split_at(start);
-    let text = match plant.contains("run_up_s") {
-        true => format!("{before}{}", plant.replacen("run_up_s", "runup_s", 1)),
-        false => text,
-    };
+    let (before, plant) = MILL.split_at(MILL.find("[plant.spindle]").expect("a spindle"));
+    let text = format!("{before}{}", plant.replacen("run_up_s", "runup_s", 1));
     let found = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
     assert_eq!(found.0[0].remedy, "did you mean `run_up_s`?", "{found}");
 }
