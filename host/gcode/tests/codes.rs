@@ -4,11 +4,7 @@
 use haptimill_gcode::{Feed, Options, OutputValue, Step, Tool, WaitFor, read};
 
 fn options() -> Options {
-    Options {
-        coolant: true,
-        outputs: true,
-        ..Options::of_letters("XYZ", Default::default())
-    }
+    crate::options("XYZ")
 }
 
 /// Returns the steps of a program as text, without their places.

@@ -5,3 +5,14 @@ mod codes;
 mod language;
 mod refusals;
 mod tool_length;
+
+use haptimill_gcode::Options;
+
+/// Options of a machine with these letters, coolant and outputs.
+fn options(letters: &str) -> Options {
+    Options {
+        coolant: true,
+        outputs: true,
+        ..Options::of_letters(letters, Default::default())
+    }
+}

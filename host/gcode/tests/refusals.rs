@@ -3,11 +3,7 @@
 use haptimill_gcode::{Dialog, Options, Step, Tool, read};
 
 fn options() -> Options {
-    Options {
-        coolant: true,
-        outputs: true,
-        ..Options::of_letters("XYZA", Default::default())
-    }
+    crate::options("XYZA")
 }
 
 fn with_tools() -> Options {

@@ -5,11 +5,7 @@ mod motion;
 use haptimill_gcode::{Feed, Move, Options, Step, Tool, read};
 
 fn options() -> Options {
-    Options {
-        coolant: true,
-        outputs: true,
-        ..Options::of_letters("XYZA", Default::default())
-    }
+    crate::options("XYZA")
 }
 
 fn steps_with(text: &str, options: &Options) -> Vec<Step> {
