@@ -228,6 +228,46 @@ fn frames_out_of_reach_are_refused() {
     }
 }
 
+/// Frames near the tolerance of 1e-6 are refused as the residuals of the links say, but for the
+/// rounding of 4 units of 2^-30.
+#[test]
+fn frames_at_the_tolerance_are_refused_by_their_residuals() {
+    let mut sequence = Sequence(29);
+    let (mut taken, mut refused) = (0, 0);
+    for lengths in [A, B] {
+        let chain = Chain::new(&geometry(&lengths));
+        for _ in 0..20_000 {
+            let [d1, theta2, theta3] = random(&mut sequence);
+            let at = joints(d1, theta2.to_degrees(), theta3.to_degrees());
+            let mut frame = chain.forward(&at).unwrap();
+            for entry in frame.rotation.as_flattened_mut() {
+                *entry += sequence.between(-1300.0, 1300.0) as i32;
+            }
+            let sent = matrix(&frame);
+            let theta2 = sent[0][2].atan2(sent[2][2]);
+            let theta3 = sent[1][0].atan2(sent[1][1]);
+            let reached = lengths.frame(d1, theta2, theta3);
+            let residual = (sent.iter().zip(&reached))
+                .flat_map(|(sent, reached)| sent.iter().zip(reached))
+                .map(|(sent, reached)| (sent - reached).abs() * f64::from(1 << 30))
+                .fold(0.0, f64::max);
+            match chain.inverse(&frame) {
+                Ok(_) => {
+                    taken += 1;
+                    assert!(residual < 1078.0, "{residual}");
+                }
+                Err(OutOfReach::Rotation(..)) => {
+                    refused += 1;
+                    assert!(residual > 1070.0, "{residual}");
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+    println!("{taken} taken, {refused} refused");
+    assert!(taken > 1000 && refused > 1000);
+}
+
 /// Both branches bring the tip to its place, and meet at the singular angle.
 #[test]
 fn both_branches_reach_the_position() {

@@ -80,6 +80,23 @@ const fn times(a: i32, b: i32) -> i32 {
     round_shift(a as i64 * b as i64, 30) as i32
 }
 
+/// A pair in Q30 at the length 1, if its length differs from 1 by less than 1.9e-6. Error at most
+/// 1 unit. Every pair that is within the tolerance of a sine and a cosine has such a length.
+#[inline(always)]
+const fn unit(sine: i32, cosine: i32) -> Option<(i32, i32)> {
+    // Each square is at most 2^62.
+    let square = (sine as i64 * sine as i64) as u64 + (cosine as i64 * cosine as i64) as u64;
+    // 2 (length - 1) in Q30, without the square of length - 1, which is below 2^-37.
+    let excess = square.wrapping_sub(1 << 60) as i64 >> 30;
+    if excess.abs() >= 1 << 12 {
+        return None;
+    }
+    Some((
+        sine - round_shift(sine as i64 * excess, 31) as i32,
+        cosine - round_shift(cosine as i64 * excess, 31) as i32,
+    ))
+}
+
 /// A coordinate, if it is within its range.
 const fn coordinate(value: i64) -> Result<Coordinate, OutOfReach> {
     if value == value as i32 as i64 {
@@ -115,8 +132,21 @@ impl Chain {
     /// # Errors
     /// [`OutOfReach::Range`].
     pub fn forward(&self, joints: &ChainJoints) -> Result<ChainPose, OutOfReach> {
-        let (s2, c2) = sin_cos(joints.theta2);
-        let (s3, c3) = sin_cos(joints.theta3);
+        self.frame(
+            i64::from(joints.d1.0),
+            sin_cos(joints.theta2),
+            sin_cos(joints.theta3),
+        )
+    }
+
+    /// Frame 4 in frame 0 (C41), from d1 and the sines and cosines of the angles.
+    #[inline(always)]
+    fn frame(
+        &self,
+        d1: i64,
+        (s2, c2): (i32, i32),
+        (s3, c3): (i32, i32),
+    ) -> Result<ChainPose, OutOfReach> {
         let [across, along] = self.arm((s2, c2));
         Ok(ChainPose {
             rotation: [
@@ -127,7 +157,7 @@ impl Chain {
             position: [
                 coordinate(total(self.l2, across))?,
                 Coordinate::ZERO,
-                coordinate(total(i64::from(joints.d1.0), along))?,
+                coordinate(total(d1, along))?,
             ],
         })
     }
@@ -138,14 +168,14 @@ impl Chain {
     /// The part of the frame that the chain cannot take.
     pub fn inverse(&self, frame: &ChainPose) -> Result<ChainJoints, OutOfReach> {
         let [[_, _, r13], [r21, r22, _], [_, _, r33]] = frame.rotation;
-        let theta2 = atan2(r13, r33);
-        let along = self.arm(sin_cos(theta2))[1];
-        let joints = ChainJoints {
-            d1: coordinate(total(i64::from(frame.position[2].0), -along))?,
-            theta2,
-            theta3: atan2(r21, r22),
-        };
-        let reached = self.forward(&joints)?;
+        let (theta2, theta3) = (atan2(r13, r33), atan2(r21, r22));
+        // A frame within reach has its sines and cosines; others are computed from the angles.
+        let pair = |sine, cosine, angle| unit(sine, cosine).unwrap_or_else(|| sin_cos(angle));
+        let (tilt, spin) = (pair(r13, r33, theta2), pair(r21, r22, theta3));
+        let along = self.arm(tilt)[1];
+        let d1 = coordinate(total(i64::from(frame.position[2].0), -along))?;
+        let joints = ChainJoints { d1, theta2, theta3 };
+        let reached = self.frame(i64::from(d1.0), tilt, spin)?;
         for (row, entries) in frame.rotation.iter().enumerate() {
             for (column, entry) in entries.iter().enumerate() {
                 let residual = i64::from(*entry) - i64::from(reached.rotation[row][column]);
