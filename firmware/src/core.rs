@@ -58,7 +58,7 @@ pub(crate) struct Job {
     pub busy: bool,
     /// A configuration was activated since power-on.
     pub configured: bool,
-    /// Leaky bucket of missed periods.
+    /// Missed periods, in sixteenths; each on-time period subtracts one.
     pub missed: u16,
     /// The joints are at their presets, or moved from there with encoders that count.
     pub preset_valid: bool,

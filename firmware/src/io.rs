@@ -33,11 +33,11 @@ pub struct AxisInputs {
     pub index_pulses: u8,
     /// Steps emitted so far, signed, free running, wraps around.
     pub steps: i32,
-    /// Home switch is active.
+    /// Level of the home switch's line; the configuration says which level is active.
     pub home: bool,
-    /// Limit switch at the lower end is active.
+    /// Level of the line of the limit switch at the lower end.
     pub limit_low: bool,
-    /// Limit switch at the upper end is active.
+    /// Level of the line of the limit switch at the upper end.
     pub limit_high: bool,
     /// The drive reports no alarm. The controller reads it before it switches the drive on, so the
     /// signal must not depend on the drive being on.

@@ -9,7 +9,7 @@ use crate::motion::interpolator::QUEUE;
 pub use crate::named_io::IoSnapshot;
 use haptimill_protocol::message::{MAX_AXES, State};
 
-/// Values of all axes, in axis units; 0 for axes that the machine lacks.
+/// Values of all coordinates, or of all joints, in axis units; 0 for those that the machine lacks.
 pub type Axes = [i32; MAX_AXES];
 
 /// A configured controller after one control period.

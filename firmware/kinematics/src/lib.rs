@@ -1,7 +1,7 @@
 //! Forward and inverse kinematics, one module per machine.
 //!
 //! A *pose* holds the coordinates of a part program, *joints* are what the drives move. Both are
-//! arrays of axis coordinates, of which a machine uses the first [`Kinematics::axes`]. Every
+//! arrays of positions in axis units, of which a machine uses the first [`Kinematics::axes`]. Every
 //! function returns a correct result or a [`PoseError`], never a wrong number.
 
 #![no_std]
@@ -89,10 +89,10 @@ pub trait Kinematics {
         accelerations: &Accelerations,
     ) -> Result<JointMotion, PoseError>;
 
-    /// Pose of the joints, certified to be on the configured assembly branch.
+    /// Pose of the joints, verified to be on the configured assembly branch.
     ///
     /// # Errors
-    /// A [`PoseError`] if the joints have no certified pose.
+    /// A [`PoseError`] if the joints have no verified pose.
     fn forward(&self, joints: &Joints) -> Result<Pose, PoseError>;
 
     /// [`Kinematics::inverse_motion`], written to `motion`. After an error the content of `motion`

@@ -21,12 +21,12 @@
 //!   0.5).
 //! - **Contact-stability monitor.** On a stiff contact a damper acts between the tool and the
 //!   *workpiece*, D (p_c' + p_d'), see [`super::stability`]. A damper between the tool and the
-//!   desired position would raise the force while the desired position still advances. Without
+//!   commanded position would raise the force while the commanded position still advances. Without
 //!   contact, and against a retreat, the damper's force is at most f_d: it neither moves a free
 //!   tool away nor keeps it displaced.
 //! - **Rest.** A drive with friction and lost motion does not follow a creeping reference: the tool
 //!   is at rest, the reference winds up, and later the tool moves at once by more than its error.
-//!   On a stiff contact (level 1 and above), while the desired position is constant, the tool
+//!   On a stiff contact (level 1 and above), while the commanded position is constant, the tool
 //!   therefore moves at least at the creep rate v_c, or rests. It comes to rest when the error
 //!   falls below D v_c / 8, rests while the error is below D v_c / 2 (f_d / 2 at most), and then
 //!   moves again at v_c or faster. See [`AdmittanceLaw::resting_below`]; without a creep rate the
@@ -535,7 +535,7 @@ impl AdmittanceAxis {
             EnableCondition::Negative => !self.upward,
         };
         // From displacement 0 only a force above f_d moves the tool, not the damping against the
-        // desired motion.
+        // commanded motion.
         let open = open && (self.away > 0 || outward(force) > desired);
         let most = if open { Force::MOST.0 } else { 0 };
         drive.min(most).max(-Force::MOST.0)

@@ -15,7 +15,7 @@
 //! | K_A, K_V | 2^-16 N s^2/mm, 2^-16 N s/mm | K_V T / K_A is 2^-18 to 1, at all levels |
 //! | contact stiffness | N/mm | up to 1000, the range of the contact-stability monitor |
 //!
-//! Callers must pass the desired rate of the motion to which p_c is added. With another rate, the
+//! Callers must pass the rate of the commanded motion to which p_c is added. With another rate, the
 //! enable condition and the contact-stability monitor act on a motion that does not happen.
 
 pub mod admittance;
@@ -328,7 +328,7 @@ impl ForceControl {
         self.conditioner.take_tare_result()
     }
 
-    /// Runs one control period of the *comply* stage with the rates of the desired motion.
+    /// Runs one control period of the *comply* stage with the rates of the commanded motion.
     pub fn advance(&mut self, desired_rates: &[Rate; COMPONENTS]) -> &[Compliance; COMPONENTS] {
         self.prepare();
         let tared = self.conditioner.tared();
@@ -466,8 +466,8 @@ impl ForceControl {
             .map(|axis| axis.compliance.law().settings())
     }
 
-    /// Selects the axes under force control: bit 0 for x. A deselected axis returns to the desired
-    /// position at f_d / K_V.
+    /// Selects the axes under force control: bit 0 for x. A deselected axis returns to the
+    /// commanded position at f_d / K_V.
     pub const fn set_mask(&mut self, mask: u8) {
         self.is_inactive = false;
         self.mask = mask & ((1 << COMPONENTS) - 1);

@@ -28,7 +28,7 @@
 //! The regression restarts in two cases. A force that changes its side, as along the axes across a
 //! plunge, is not that of one contact: deepest positions of both sides in one regression would
 //! appear as a stiffness. While the loop is open (displacement 0, force up to f_d) the tool stays
-//! at the desired position whatever the force does. A cutting force that rises within some um at
+//! at the commanded position whatever the force does. A cutting force that rises within some um at
 //! the start of a feed is therefore not a contact.
 //!
 //! **Controller.** Level 0 is K_V alone and covers k below 20 N/mm ([`ONSET`]). Level i covers k up
@@ -36,7 +36,7 @@
 //! needs ([`super::admittance::MARGIN`]: two for the delay that friction adds, two for the gain
 //! margin), and at least critical damping, because with less the tool oscillates across the lost
 //! motion of a drive without end. The added damping acts between the tool and the workpiece (p_c' +
-//! p_d'), so a steady push by the desired motion costs no force.
+//! p_d'), so a steady push by the commanded motion costs no force.
 //!
 //! A level rises at once. It falls by one when three conditions hold: [`MIN_CALM_UPDATES`] updates
 //! showed no contact of this stiffness; the tool has moved by [`MIN_TRAVEL`] since it was last

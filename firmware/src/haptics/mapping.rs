@@ -1,6 +1,6 @@
 //! Master-to-tool mapping: docs/control.md (3.1)-(3.8) without a division by zero.
 //!
-//! When the master starts to lead (the clutch closes, a coordinate is assigned to it, the scale
+//! When the master starts to lead (the clutch is pressed, a coordinate is assigned to it, the scale
 //! changes), the positions of master and tool are latched for each coordinate. From then on
 //!
 //! ```text
@@ -40,7 +40,7 @@ pub struct HandleFrame {
     pub tip: Vector,
     /// n, o and a, Q30.
     pub axes: [Vector; 3],
-    /// The clutch is closed.
+    /// The clutch is pressed.
     pub engaged: bool,
 }
 

@@ -1,33 +1,32 @@
 //! Backlash compensation for a screw whose encoder is on the motor.
 //!
-//! The slide is within half the play of the motor coordinate.
+//! The compensated value is the lost motion of a reversal as measured on a machine: the backlash
+//! plus twice the wind-up of the screw under the friction of the slide. The slide is within half
+//! the lost motion of the motor coordinate.
 //!
 //! - **Slide position.** Friction of the guideways and wipers holds the slide until a flank of the
-//!   nut pushes it. This is the play operator: `slide` stays while `|motor - slide| <= play / 2`
-//!   and is carried along otherwise. Its input is the measured motor coordinate, not the commanded
-//!   one, so it is also correct when the drives are off and the screw is turned by hand. After
-//!   power-on the flank is unknown. The middle is assumed until the first motion of more than the
-//!   play.
-//! - **Commanded motor position.** It is half the play ahead of the slide, on the side of the next
-//!   motion. The side changes with the commanded rate, with a hysteresis of one play per second.
-//!   The noise of the measured rate would make the motor chatter between the flanks. Slower motion,
-//!   such as that of a volumetric correction, changes the side after 1/16 of the play. The side
-//!   does not change at standstill, so a machine at standstill does not move.
-//! - **Transition.** A step of the commanded motor position would cause an effort step of K_P *
-//!   play. The shift passes two equal first-order filters in series, so position and rate are
-//!   continuous, and a reversal during the transition needs no special case. With [`SHIFT_US`] = 4
-//!   ms the crossing is 95 % done in 19 ms. On the 30 mm circle at 4 mm/s the hysteresis takes 9
-//!   ms, in which the slide should have moved 0.4 um: that is the remaining error.
-//!
-//! - **Position.** A worn screw has more play where it was used most. Half the play is then a table
-//!   over the stroke, linear between its nodes, taken at the motor for the slide position and at
-//!   the commanded slide for the commanded motor position.
-//!
-//! The compensated value is the lost motion of a reversal as measured on a machine: the play plus
-//! twice the wind-up of the screw under the friction of the slide.
+//!   nut pushes it: `slide` stays while `|motor - slide|` is at most half the lost motion, and is
+//!   carried along otherwise. The input is the measured motor coordinate, not the commanded one, so
+//!   it is also correct when the drives are off and the screw is turned by hand. After power-on the
+//!   flank is unknown. The middle is assumed until the first motion of more than the lost motion.
+//! - **Commanded motor position.** It is half the lost motion ahead of the slide, on the side of
+//!   the next motion. The side changes with the commanded rate, with a hysteresis of one lost
+//!   motion per second. The noise of the measured rate would make the motor chatter between the
+//!   flanks. Slower motion, such as that of a volumetric correction, changes the side after 1/16 of
+//!   the lost motion. The side does not change at standstill, so a machine at standstill does not
+//!   move.
+//! - **Transition.** A step of the commanded motor position would cause an effort step of K_P times
+//!   the lost motion. The shift passes two equal first-order filters in series, so position and
+//!   rate are continuous, and a reversal during the transition needs no special case. With
+//!   [`SHIFT_US`] = 4 ms the crossing is 95 % done in 19 ms. On the 30 mm circle at 4 mm/s the
+//!   hysteresis takes 9 ms, in which the slide should have moved 0.4 um: that is the remaining
+//!   error.
+//! - **Position.** A worn screw has more backlash where it was used most. Half the lost motion is
+//!   then a table over the stroke, linear between its nodes, taken at the motor for the slide
+//!   position and at the commanded slide for the commanded motor position.
 //!
 //! The loop is closed on the motor, with the error commanded + shift - motor. A loop closed on the
-//! estimated slide would contain the play. It would have no gain within the play and would
+//! estimated slide would contain the backlash. It would have no gain within it and would
 //! limit-cycle across it.
 
 use super::encoder::{difference, sum};
@@ -41,7 +40,7 @@ use heapless::Vec;
 /// Time constant of each of the two filters, in microseconds.
 pub const SHIFT_US: u16 = 4_000;
 
-/// Largest number of fractional bits of the filter states. A play of more than 0.12 um has fewer,
+/// Largest number of fractional bits of the filter states. More than 0.12 um have fewer,
 /// so that a state fits into 32 bits.
 const FRACTION: u32 = 24;
 
@@ -49,7 +48,7 @@ const FRACTION: u32 = 24;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Backlash {
     kind: AxisKind,
-    /// Half of the play, axis units: the largest, where it has a table.
+    /// Half of the lost motion, axis units: the largest, where it has a table.
     half: i32,
     table: Table,
     /// Rate above which the commanded direction is valid.
@@ -69,7 +68,7 @@ pub struct Backlash {
     /// The states no longer change.
     settled: bool,
     slide: Coordinate,
-    /// The commanded slide behind a play of 1/16: motion that carries it has a direction.
+    /// The commanded slide behind 1/16 of the lost motion: motion that carries it has a direction.
     anchor: Coordinate,
 }
 
@@ -84,10 +83,10 @@ enum Direction {
     None,
 }
 
-/// Half of the play along the stroke.
+/// Half of the lost motion along the stroke.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Table {
-    /// Halves at the nodes; empty where the play is the same everywhere.
+    /// Halves at the nodes; empty where the lost motion is the same everywhere.
     halves: Vec<i32, BACKLASH_NODES>,
     /// Place of the first node.
     low: i32,
@@ -107,7 +106,7 @@ impl Table {
         }
     }
 
-    /// Half of the play at a coordinate, `None` without a table. Beyond its ends the table is
+    /// Half of the lost motion at a coordinate, `None` without a table. Beyond its ends it is
     /// constant.
     #[inline(always)]
     fn at(&self, coordinate: Coordinate) -> Option<i32> {
@@ -126,15 +125,15 @@ impl Table {
     }
 }
 
-/// Half of a play, below 2^30.
+/// Half of a lost motion, below 2^30.
 const fn half_of(play: Coordinate) -> i32 {
     let half = (play.0.unsigned_abs() / 2) as i32;
     if half >= 1 << 30 { (1 << 30) - 1 } else { half }
 }
 
 impl Backlash {
-    /// Compensation of the backlash of a joint (its magnitude counts; 0 switches the compensation
-    /// off).
+    /// Compensation of the lost motion of a joint (its magnitude counts; 0 switches the
+    /// compensation off).
     pub fn new(axis: &JointAxis, period_us: u16) -> Self {
         let half = half_of(axis.backlash);
         let room = half.leading_zeros() - 2;
@@ -162,7 +161,7 @@ impl Backlash {
     }
 
     /// Updates the slide with the measured motor coordinate `motor` and returns the slide's
-    /// coordinate, within the uncertainty of the play.
+    /// coordinate, within the uncertainty of the lost motion.
     // Inlined although it has two callers: one is the control period, the other a configuration
     // change.
     #[inline(always)]
@@ -193,7 +192,7 @@ impl Backlash {
         self.settled = true;
     }
 
-    /// How far the motor is ahead of the slide, within half the play.
+    /// How far the motor is ahead of the slide, within half the lost motion.
     #[inline(always)]
     fn ahead(&self, motor: Coordinate) -> i32 {
         let half = self.half_at(motor);
@@ -203,7 +202,7 @@ impl Backlash {
             .min(half)
     }
 
-    /// Half of the play at a place.
+    /// Half of the lost motion at a place.
     #[inline(always)]
     fn half_at(&self, coordinate: Coordinate) -> i32 {
         self.table.at(coordinate).unwrap_or(self.half)

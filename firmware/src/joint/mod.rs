@@ -527,8 +527,8 @@ impl JointDrive {
             return false;
         }
         let (shift, shift_rate) = self.backlash.shift(coordinate, rate);
-        // The motor's rate includes the crossing of the play: friction reverses when the motor sets
-        // off, before the slide does.
+        // The motor's rate includes the crossing of the backlash: friction reverses when the motor
+        // sets off, before the slide does.
         let rate = Rate(rate.0.saturating_add(shift_rate.0));
         let target = sum(self.kind, coordinate, shift);
         let following_error = difference(self.kind, target, self.measurement.motor);

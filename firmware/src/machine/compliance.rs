@@ -157,7 +157,7 @@ impl Machine {
         reference
     }
 
-    /// The end that the reference passes: the soft limit, or the desired position where that is
+    /// The end that the reference passes: the soft limit, or the commanded position where that is
     /// beyond it by the tolerance.
     fn soft_limit_passed(
         &self,

@@ -6,13 +6,13 @@
 //! | Idle | holding | home, job, jog, disable |
 //! | Homing | moving | found, failed, stop |
 //! | Run | moving | last setpoint, hold, stop, fault |
-//! | Hold | braking along the path, then holding | resume, stop |
+//! | Hold | decelerating along the path, then holding | resume, stop |
 //! | Jog | moving | deadline, cancel, stop |
 //! | Fault (latched) | off, or holding | reset |
 //! | EmergencyStop (latched) | off | reset |
 //!
-//! After some faults the machine still follows its commands: lost host, late periods, a soft limit,
-//! a joint rate, the force sensor or its force, the haptic arm, a probe. The machine then
+//! After some faults the machine still follows its commands: lost host, missed periods, a soft
+//! limit, a joint rate, the force sensor or its force, the haptic arm, a probe. The machine then
 //! decelerates along the path first, the fault latches at standstill, and the drives hold. Any
 //! other fault takes the drives off in the same period.
 //!
@@ -35,7 +35,7 @@ pub const EVENTS: usize = 16;
 pub struct Safety {
     state: State,
     fault: Option<Fault>,
-    /// A fault that latches when the machine has come to rest on its path.
+    /// A fault that latches when the machine is at standstill on its path.
     pending: Option<Fault>,
     /// The drives hold while a fault is latched.
     holding: bool,
@@ -128,7 +128,7 @@ impl Safety {
         self.fault
     }
 
-    /// The fault for which the machine is braking.
+    /// The fault for which the machine is decelerating.
     #[must_use]
     #[inline]
     pub const fn pending(&self) -> Option<Fault> {
@@ -238,7 +238,7 @@ impl Safety {
         }
     }
 
-    /// Latches the fault for which the machine was braking. Callers must be at standstill.
+    /// Latches the fault for which the machine was decelerating. Callers must be at standstill.
     pub fn settle(&mut self) {
         if let Some(fault) = self.pending {
             self.latch(fault);

@@ -12,8 +12,8 @@
 //! Along the line through them the intersection is at t = (S12^2 - S34^2) / 4 H, H = hypot(E, D).
 //! Across it the intersection is at +-q, q^2 = R^2 - (S12^2 + S34^2) / 2 - H^2 - t^2. q is the
 //! distance from the parallel singularity, its sign is the assembly branch. Squaring loses the
-//! signs of S12 and S34, so four conditions together certify a pose: S12 >= 0.1 R, S34 >= 0.1 R,
-//! |sin(theta)| < 1, q >= the margin.
+//! signs of S12 and S34, so four conditions together verify a pose: S12 >= 0.09 R, S34 >= 0.09
+//! R, |sin(theta)| < 1, q >= the margin.
 //!
 //! N = 4 c sin(theta) is a sum of slides and 4 c cos(theta) = sqrt((4 c - N) (4 c + N)) is one
 //! root, so no sine is evaluated. The angle is the arc tangent of both, which is well conditioned
@@ -38,7 +38,7 @@ impl H4 {
     ///
     /// # Errors
     /// [`PoseError::Unreachable`], [`near_reach_limit`], [`PoseError::NearSingularity`]:
-    /// the slides have no certified pose.
+    /// the slides have no verified pose.
     pub fn base_pose(&self, joints: &Joints) -> Result<BasePose, PoseError> {
         self.base(joints)
     }

@@ -90,7 +90,7 @@ pub struct H4 {
     level: i64,
     /// Smallest accepted S^2: (0.1 R)^2.
     least_square: i64,
-    /// Smallest 2 S at which measured slides are certified: 0.18 R.
+    /// Smallest 2 S at which the pose of measured slides is verified: 0.18 R.
     pub(super) least_measured: i32,
     /// m of rods 1 and 2: T_L + 2 c.
     pub(super) upper: i32,
