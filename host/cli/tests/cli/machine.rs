@@ -21,7 +21,8 @@ fn work_offsets_are_kept_beside_the_machine_file() {
     let ran = set(&["g55", "c=1"]);
     assert_eq!(ran.code, 2);
     assert!(
-        ran.err.contains("no such axis; it has x, y, z, b, a"),
+        ran.err
+            .contains("there is no coordinate 'c'; this machine has x, y, z, b, a"),
         "{}",
         ran.err
     );
@@ -84,6 +85,7 @@ fn every_template_passes_machine_check_and_is_not_overwritten() {
         "h4",
         "h4-step",
         "haptic-arm",
+        "bench",
     ] {
         let path = folder.join(format!("{template}.toml"));
         let file = path.to_str().unwrap();

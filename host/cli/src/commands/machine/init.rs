@@ -50,6 +50,8 @@ pub enum Template {
     H4Step,
     /// Haptic arm on a board of its own, the master of a teleoperation
     HapticArm,
+    /// Step motors on the bench, with free shafts and without switches, for a first motion
+    Bench,
 }
 
 impl Template {
@@ -90,6 +92,10 @@ const TEMPLATES: &[(Template, &str)] = &[
         include_str!("../../../../../machines/h4-step.toml"),
     ),
     (Template::HapticArm, MASTER),
+    (
+        Template::Bench,
+        include_str!("../../../../../machines/bench.toml"),
+    ),
 ];
 
 /// Parses a machine name.
