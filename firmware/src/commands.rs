@@ -82,7 +82,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
             rates,
         } => motion::jog(core, epoch, deadline_ms, &rates),
         Command::JogCancel { epoch } => motion::cancel_jog(core, epoch),
-        Command::Source { axis, source } => motion::choose_source(core, axis, source),
+        Command::Source { coordinate, source } => motion::choose_source(core, coordinate, source),
         Command::Override { percent } => motion::set_override(core, percent),
         Command::RapidOverride { percent } => motion::set_rapid_override(core, percent),
         Command::SpindleOverride { percent } => motion::set_spindle_override(core, percent),
@@ -122,7 +122,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
             named_io::set_analog_output(core, output, code)
         }
         Command::Compensation { on } => set_compensation(core, on),
-        Command::MoveOff { axis } => move_off(core, axis, inputs),
+        Command::MoveOff { joint } => move_off(core, joint, inputs),
         Command::ArmProbe { input, active } => {
             named_io::arm_probe(core, Probing { input, active }, inputs)
         }
@@ -213,11 +213,11 @@ fn enable(core: &mut Core, inputs: &Inputs) -> Done {
         return Err(Refusal::Input(InputProblem::EmergencyStop));
     }
     match hardware(machine, inputs, core.safety.homed()) {
-        Some(Fault::LimitSwitch { axis }) => {
-            return Err(Refusal::Input(InputProblem::LimitSwitch { axis }));
+        Some(Fault::LimitSwitch { joint }) => {
+            return Err(Refusal::Input(InputProblem::LimitSwitch { joint }));
         }
-        Some(Fault::Drive { axis }) => {
-            return Err(Refusal::Input(InputProblem::Drive { axis }));
+        Some(Fault::Drive { joint }) => {
+            return Err(Refusal::Input(InputProblem::Drive { joint }));
         }
         _ => {}
     }
@@ -267,7 +267,7 @@ fn home(core: &mut Core) -> Done {
 /// active.
 #[cold]
 #[inline(never)]
-fn move_off(core: &mut Core, axis: u8, inputs: &Inputs) -> Done {
+fn move_off(core: &mut Core, joint: u8, inputs: &Inputs) -> Done {
     in_state(core, &[State::Disabled])?;
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
     if inputs.emergency_stop {
@@ -275,7 +275,7 @@ fn move_off(core: &mut Core, axis: u8, inputs: &Inputs) -> Done {
     }
     machine.check_inputs(false)?;
     let counted = machine.encoders_counted();
-    machine.begin_move_off(axis, inputs)?;
+    machine.begin_move_off(joint, inputs)?;
     core.safety.lose_position();
     core.job.preset_valid &= counted;
     core.job.saturated = 0;
@@ -317,12 +317,14 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
     if pose.len() != commanded.len() {
         return Err(Refusal::AxisCount);
     }
-    if let Some(axis) = pose
+    if let Some(coordinate) = pose
         .iter()
         .zip(&commanded)
         .position(|(said, is)| said != is)
     {
-        return Err(Refusal::StartPose { axis: axis as u8 });
+        return Err(Refusal::StartPose {
+            coordinate: coordinate as u8,
+        });
     }
     if let Some(force) = &machine.force
         && force.mask() != 0

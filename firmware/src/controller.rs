@@ -274,7 +274,7 @@ impl Core {
             if let Some(joint) = machine.joint_beyond_rate() {
                 self.safety.raise(Fault::JointRate {
                     setpoint: machine.motion.program.reached(),
-                    axis: joint as u8,
+                    joint: joint as u8,
                     rate: machine.target().rates[joint].0,
                     limit: machine.kinematics.rates()[joint].0,
                 });
@@ -296,11 +296,11 @@ impl Core {
             machine.disable();
         }
         let saturated = machine.servo(&mut outputs.axes);
-        if let Some(axis) = saturated
-            && self.job.saturated & (1 << axis) == 0
+        if let Some(joint) = saturated
+            && self.job.saturated & (1 << joint) == 0
         {
-            self.job.saturated |= 1 << axis;
-            self.safety.push_event(Event::Saturated { axis });
+            self.job.saturated |= 1 << joint;
+            self.safety.push_event(Event::Saturated { joint });
         }
     }
 

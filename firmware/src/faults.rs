@@ -37,8 +37,8 @@ pub(crate) fn check(core: &mut Core, server: &mut Server, inputs: &Inputs) {
     }
     check_locking(core);
     check_force(core);
-    let late = check_missed_periods(core, inputs);
-    check_joints(core, inputs, late);
+    let missed = check_missed_periods(core, inputs);
+    check_joints(core, inputs, missed);
     check_host(core, server);
 }
 
@@ -164,20 +164,20 @@ fn check_missed_periods(core: &mut Core, inputs: &Inputs) -> bool {
             .missed
             .saturating_add(missed.saturating_mul(ON_TIME_PER_MISSED)),
     };
-    let late =
+    let missed =
         inputs.missed >= limit || core.job.missed >= limit.saturating_mul(4 * ON_TIME_PER_MISSED);
-    if late {
+    if missed {
         core.job.missed = 0;
-        core.safety.raise(Fault::LatePeriod {
+        core.safety.raise(Fault::MissedPeriods {
             missed: inputs.missed,
         });
     }
-    late
+    missed
 }
 
 /// Limit switches, drives, and the joint monitors.
 #[inline]
-fn check_joints(core: &mut Core, inputs: &Inputs, late: bool) {
+fn check_joints(core: &mut Core, inputs: &Inputs, missed: bool) {
     let Some(machine) = &mut core.machine else {
         return;
     };
@@ -186,8 +186,11 @@ fn check_joints(core: &mut Core, inputs: &Inputs, late: bool) {
         .or_else(|| machine.racked(core.safety.homed()))
     {
         // After missed periods a large change of the counts is legitimate.
-        let jumped = matches!(fault, Fault::EncoderIllegal { .. });
-        if !(late && jumped && machine.encoders_counted()) {
+        let jumped = matches!(
+            fault,
+            Fault::EncoderIllegal { .. } | Fault::CounterJump { .. }
+        );
+        if !(missed && jumped && machine.encoders_counted()) {
             core.safety.raise(fault);
         }
     }
@@ -229,10 +232,10 @@ pub(crate) fn hardware(machine: &Machine, inputs: &Inputs, homed: bool) -> Optio
 fn name_hardware_fault(axes: &[AxisInputs]) -> Option<Fault> {
     for (index, axis) in axes.iter().enumerate() {
         if axis.limit_low || axis.limit_high {
-            return Some(Fault::LimitSwitch { axis: index as u8 });
+            return Some(Fault::LimitSwitch { joint: index as u8 });
         }
         if !axis.drive_ready {
-            return Some(Fault::Drive { axis: index as u8 });
+            return Some(Fault::Drive { joint: index as u8 });
         }
     }
     None

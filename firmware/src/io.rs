@@ -74,9 +74,9 @@ pub struct LegInputs {
 pub struct HapticInputs {
     /// The legs.
     pub legs: [LegInputs; LEGS],
-    /// The clutch on the handle is held: the arm leads the tool. While it is released, the handle
-    /// moves without the tool.
-    pub engaged: bool,
+    /// The clutch on the handle is pressed. While it is released, the handle moves without the
+    /// tool.
+    pub clutch: bool,
     /// The amplifiers report that they are healthy.
     pub drives_ready: bool,
 }

@@ -182,11 +182,9 @@ impl Machine {
     fn detect_jumps(&mut self, periods: u32) {
         for (index, joint) in self.joints.iter_mut().enumerate() {
             if joint.jumped(periods) {
-                let counts = joint.measurement().moved.unsigned_abs();
-                let counts = counts.min(u32::from(u16::MAX)) as u16;
-                self.counter_fault.get_or_insert(Fault::EncoderIllegal {
-                    axis: index as u8,
-                    count: counts,
+                self.counter_fault.get_or_insert(Fault::CounterJump {
+                    joint: index as u8,
+                    counts: joint.measurement().moved.unsigned_abs(),
                 });
             }
         }
@@ -374,7 +372,7 @@ impl Machine {
     /// that a limit stops, if there is one.
     #[inline]
     pub fn advance(&mut self, mode: Mode) -> (Progress, Option<u8>) {
-        self.update_excursion();
+        self.pass_displacement_to_jog();
         match self.motion.advance_program(mode) {
             Some(progress) => (progress, None),
             None => self.advance_with_sources(mode),
@@ -403,20 +401,21 @@ impl Machine {
             .map(|index| index as u8)
     }
 
-    /// Checks that the pose of a setpoint is within soft limits and strokes.
+    /// Checks that the pose of a setpoint is within soft limits and strokes, and stores the end of
+    /// its segment for the check of the joint rates.
     ///
     /// # Errors
     /// The soft limit or pose error that refuses the setpoint.
-    pub fn can_reach(&mut self, number: u32, setpoint: &Setpoint) -> Result<(), Refusal> {
+    pub fn check_setpoint_pose(&mut self, number: u32, setpoint: &Setpoint) -> Result<(), Refusal> {
         let mut pose = Pose::default();
         for (slot, value) in pose.0.iter_mut().zip(&setpoint.pose) {
             *slot = Coordinate(*value);
         }
         let pose = self.motion.destination(&pose);
-        if let Some(axis) = self.beyond_soft_limit(&pose) {
+        if let Some(coordinate) = self.beyond_soft_limit(&pose) {
             return Err(Refusal::SoftLimit {
                 setpoint: number,
-                axis,
+                coordinate,
             });
         }
         self.append_end(setpoint).map_err(|error| Refusal::Pose {

@@ -55,14 +55,14 @@ fn advance_motion(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         _ => Mode::Still,
     };
     let (progress, limited) = machine.advance(mode);
-    if let Some(axis) = limited
+    if let Some(coordinate) = limited
         && state != State::Homing
     {
         machine.motion.jog.release();
-        core.safety.push_event(Event::JogLimited { axis });
+        core.safety.push_event(Event::JogLimited { coordinate });
     }
-    if let Some(axis) = machine.motion.take_limited() {
-        core.safety.push_event(Event::MasterLimited { axis });
+    if let Some(coordinate) = machine.motion.take_limited() {
+        core.safety.push_event(Event::MasterLimited { coordinate });
     }
     match state {
         State::Run | State::Hold => follow_program(core, server, state, &progress),
@@ -94,8 +94,8 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
         return;
     }
     let commanded = machine.motion.commanded().pose;
-    if let Some(axis) = machine.beyond_soft_limit(&commanded) {
-        core.safety.raise(Fault::SoftLimit { axis });
+    if let Some(coordinate) = machine.beyond_soft_limit(&commanded) {
+        core.safety.raise(Fault::SoftLimit { coordinate });
     }
     match progress.action {
         Action::None | Action::Pause | Action::Pace(_) => {}
@@ -187,13 +187,13 @@ fn advance_move_off(core: &mut Core, inputs: &Inputs) {
     let Some(machine) = &mut core.machine else {
         return;
     };
-    let axis = machine.move_off_joint();
+    let joint = machine.move_off_joint();
     match machine.advance_move_off(inputs, core.job.stopping) {
         Ok(false) => {}
         Ok(true) => {
             let holds = machine.end_move_off(inputs);
             if !core.job.stopping {
-                core.safety.push_event(Event::MovedOff { axis });
+                core.safety.push_event(Event::MovedOff { joint });
             }
             core.finish_at_standstill();
             if !holds {

@@ -103,7 +103,7 @@ fn report_contact(core: &mut Core, probing: Probing) {
     let measured = machine.kinematics.forward(&latch.joints).ok();
     for axis in 0..machine.axes() {
         core.safety.push_event(Event::ProbedAt {
-            axis: axis as u8,
+            coordinate: axis as u8,
             measured: measured.map_or(latch.commanded, |pose| pose).0[axis].0,
             commanded: latch.commanded.0[axis].0,
             joint: latch.joints.0[axis].0,

@@ -19,7 +19,7 @@ const RANGE: Force = Force::millinewtons(95_000);
 
 fn settings(mass: f64, damping: f64, enable_condition: EnableCondition) -> LoopSettings {
     LoopSettings {
-        desired: Force::millinewtons(5000),
+        setpoint: Force::millinewtons(5000),
         mass: VirtualMass((mass * NEWTON).round() as u32),
         damping: VirtualDamping((damping * NEWTON).round() as u32),
         limit: Length::millimetres(10),
@@ -28,10 +28,10 @@ fn settings(mass: f64, damping: f64, enable_condition: EnableCondition) -> LoopS
     }
 }
 
-fn push(force: f64, desired_rate: f64) -> DrivingForce {
+fn push(force: f64, commanded_rate: f64) -> DrivingForce {
     DrivingForce {
         force: Force((force * NEWTON).round() as i32),
-        desired_rate: Rate((desired_rate * MM).round() as i32),
+        commanded_rate: Rate((commanded_rate * MM).round() as i32),
         active: true,
         held: false,
         level: 0,
@@ -142,9 +142,9 @@ proptest! {
         (settings.limit, settings.rate) = (Length(limit), Rate(rate));
         let Ok(law) = AdmittanceLaw::new(&settings, period, DELAY_US, RANGE) else { return Ok(()) };
         let mut compliance = AdmittanceAxis::new(law);
-        for (force, desired_rate, active, held, level, periods) in inputs {
+        for (force, commanded_rate, active, held, level, periods) in inputs {
             for _ in 0..periods {
-                let push = DrivingForce { force: Force(force), desired_rate: Rate(desired_rate), active, held, level, touching: force % 2 == 0 };
+                let push = DrivingForce { force: Force(force), commanded_rate: Rate(commanded_rate), active, held, level, touching: force % 2 == 0 };
                 let before = compliance.displacement();
                 let now = compliance.advance(&push);
                 prop_assert!(now.displacement.0.abs() <= i64::from(limit) << 20);
@@ -158,11 +158,11 @@ proptest! {
 
     /// A refusal names a bound, and the bound is where the refusal ends.
     #[test]
-    fn bounds_are_bounds(mass_raw: u32, damping_raw: u32, desired: i32, limit: i32, rate: i32, period in 50u16..=1000) {
+    fn bounds_are_bounds(mass_raw: u32, damping_raw: u32, setpoint: i32, limit: i32, rate: i32, period in 50u16..=1000) {
         let mut settings = settings(1.0, 5.0, EnableCondition::Any);
         settings.mass = VirtualMass(mass_raw >> (mass_raw % 32));
         settings.damping = VirtualDamping(damping_raw >> (damping_raw % 32));
-        settings.desired = Force(desired >> (desired & 15));
+        settings.setpoint = Force(setpoint >> (setpoint & 15));
         (settings.limit, settings.rate) = (Length(limit), Rate(rate));
         let mut repairs = 0;
         while let Err(refused) = AdmittanceLaw::begin(&settings, period, DELAY_US, RANGE) {
@@ -170,7 +170,7 @@ proptest! {
             prop_assert!(repairs <= 10, "{refused:?} {settings:?}");
             let bound = refused.bound;
             let changed = match refused.parameter {
-                ForceParameter::DesiredTooSmall | ForceParameter::DesiredTooLarge => core::mem::replace(&mut settings.desired, Force(bound)).0 != bound,
+                ForceParameter::SetpointTooSmall | ForceParameter::SetpointTooLarge => core::mem::replace(&mut settings.setpoint, Force(bound)).0 != bound,
                 ForceParameter::DampingTooSmall | ForceParameter::DampingTooLarge => core::mem::replace(&mut settings.damping, VirtualDamping(bound as u32)).0 != bound as u32,
                 ForceParameter::MassTooSmall | ForceParameter::MassTooLarge => core::mem::replace(&mut settings.mass, VirtualMass(bound as u32)).0 != bound as u32,
                 ForceParameter::Limit => core::mem::replace(&mut settings.limit, Length(bound)).0 != bound,
@@ -187,9 +187,9 @@ proptest! {
         before in (0.25f64..2.0, 0.5f64..20.0, 1.0f64..20.0), after in (0.25f64..2.0, 0.5f64..20.0, 1.0f64..20.0),
         force in 6.0f64..30.0, periods in 100u32..20_000, limit in 0.01f64..10.0,
     ) {
-        let make = |(mass, damping, desired): (f64, f64, f64), limit: f64| {
+        let make = |(mass, damping, setpoint): (f64, f64, f64), limit: f64| {
             let mut settings = settings(mass, damping, EnableCondition::Any);
-            settings.desired = Force((desired * NEWTON) as i32);
+            settings.setpoint = Force((setpoint * NEWTON) as i32);
             settings.limit = Length((limit * MM) as i32);
             AdmittanceLaw::new(&settings, 200, DELAY_US, RANGE).expect("sound")
         };
@@ -202,9 +202,9 @@ proptest! {
         let now = compliance.advance(&push(force, 0.0));
         // The largest acceleration is (F + f_d + K_V v) / K_A; the limit may end the rate, and the
         // landing may.
-        let (mass, damping, desired) = after;
+        let (mass, damping, setpoint) = after;
         let speed = f64::from(last.rate.0) / MM;
-        let most = (force + desired + damping * speed.abs()) / mass;
+        let most = (force + setpoint + damping * speed.abs()) / mass;
         let jump = millimetres(now.displacement) - millimetres(last.displacement) - speed * 200e-6;
         let mark = now.rate.0 == 0 || millimetres(last.displacement) < 1.0;
         prop_assert!(jump.abs() <= most * 200e-6 * 200e-6 + 1e-9 || (mark && jump.abs() <= speed.abs() * 200e-6 + 1e-9), "{jump} {last:?} {now:?}");
@@ -398,16 +398,16 @@ fn invalid_parameters_are_refused_with_their_bound() {
             .map_err(|refused| refused.parameter)
     };
     assert_eq!(
-        refuse(|settings| settings.desired = Force(0)),
-        Err(ForceParameter::DesiredTooSmall)
+        refuse(|settings| settings.setpoint = Force(0)),
+        Err(ForceParameter::SetpointTooSmall)
     );
     assert_eq!(
-        refuse(|settings| settings.desired = Force(-5 << 16)),
-        Err(ForceParameter::DesiredTooSmall)
+        refuse(|settings| settings.setpoint = Force(-5 << 16)),
+        Err(ForceParameter::SetpointTooSmall)
     );
     assert_eq!(
-        refuse(|settings| settings.desired = Force(96 << 16)),
-        Err(ForceParameter::DesiredTooLarge)
+        refuse(|settings| settings.setpoint = Force(96 << 16)),
+        Err(ForceParameter::SetpointTooLarge)
     );
     assert_eq!(
         refuse(|settings| settings.damping = VirtualDamping(0)),

@@ -5,7 +5,7 @@
 //! of docs/decisions/0010.
 
 use crate::contact;
-use contact::{Contact, ContactResult, DESIRED, Drive, run};
+use contact::{Contact, ContactResult, Drive, SETPOINT, run};
 use haptimill_firmware::force::stability::Sign;
 
 /// Resolution of the encoders at the tool, mm.
@@ -158,7 +158,7 @@ fn monitor_stabilises_contacts_up_to_1000_n_mm() {
                             ..Contact::new(stiffness)
                         };
                         let outcome = quiet(&contact);
-                        let first = DESIRED + 1.2 * (5.0 * approach + approach * stiffness.sqrt());
+                        let first = SETPOINT + 1.2 * (5.0 * approach + approach * stiffness.sqrt());
                         assert!(
                             outcome.oscillation <= bearable(stiffness),
                             "{contact:?} {outcome:?}"
@@ -169,14 +169,14 @@ fn monitor_stabilises_contacts_up_to_1000_n_mm() {
                         );
                         assert_eq!(outcome.sign, Sign::Right, "{contact:?}");
                         assert!(
-                            stiction > 0.0 || (outcome.mean - DESIRED).abs() <= 0.25,
+                            stiction > 0.0 || (outcome.mean - SETPOINT).abs() <= 0.25,
                             "{contact:?} {outcome:?}"
                         );
                         worst_oscillation =
                             worst_oscillation.max(outcome.oscillation / bearable(stiffness));
-                        worst_mean = worst_mean.max((outcome.mean - DESIRED).abs());
+                        worst_mean = worst_mean.max((outcome.mean - SETPOINT).abs());
                         worst_first = worst_first
-                            .max((outcome.first_peak - DESIRED) / (first - DESIRED) * 1.2);
+                            .max((outcome.first_peak - SETPOINT) / (first - SETPOINT) * 1.2);
                     }
                 }
                 println!(
@@ -261,17 +261,17 @@ fn other_gains_are_stable() {
             let outcome = quiet(&contact);
             assert!(
                 outcome.oscillation <= bearable(stiffness)
-                    && (outcome.mean - DESIRED).abs() <= 0.25,
+                    && (outcome.mean - SETPOINT).abs() <= 0.25,
                 "{contact:?} {outcome:?}"
             );
             assert!(
-                outcome.first_peak <= DESIRED + 1.2 * (damping + (mass * stiffness).sqrt()),
+                outcome.first_peak <= SETPOINT + 1.2 * (damping + (mass * stiffness).sqrt()),
                 "{contact:?} {outcome:?}"
             );
         }
     }
 }
-/// A desired motion that goes on for 3 s into the contact: the force is f_d + K_V v, whatever the
+/// A commanded motion that goes on for 3 s into the contact: the force is f_d + K_V v, whatever the
 /// guard adds.
 #[test]
 fn steady_push_force_matches_the_equation() {
@@ -286,7 +286,7 @@ fn steady_push_force_matches_the_equation() {
                 ..Contact::new(stiffness)
             };
             let outcome = quiet(&contact);
-            let steady = DESIRED + 5.0 * approach;
+            let steady = SETPOINT + 5.0 * approach;
             assert!(
                 (outcome.mean - steady).abs() < 0.05 * steady + COUNT * stiffness / 2.0,
                 "{contact:?} {outcome:?} {steady}"
@@ -323,11 +323,11 @@ fn mean_force_is_the_force_setpoint() {
                 outcome.oscillation <= bearable(stiffness),
                 "{contact:?} {outcome:?}"
             );
-            let off = (outcome.mean - DESIRED).abs();
+            let off = (outcome.mean - SETPOINT).abs();
             if off > worst.0 {
                 worst = (off, stiffness);
             }
-            worst_peak = worst_peak.max((outcome.mean_peak - DESIRED).abs());
+            worst_peak = worst_peak.max((outcome.mean_peak - SETPOINT).abs());
             stiffness *= 1.03;
         }
         println!(

@@ -19,7 +19,7 @@ const STEP: f64 = 200e-6;
 
 fn settings(mass: f64, damping: f64, enable_condition: EnableCondition) -> LoopSettings {
     LoopSettings {
-        desired: Force::millinewtons(5000),
+        setpoint: Force::millinewtons(5000),
         mass: VirtualMass((mass * NEWTON) as u32),
         damping: VirtualDamping((damping * NEWTON) as u32),
         limit: Length::millimetres(10),
@@ -48,7 +48,7 @@ fn config(sign: f64, loops: &LoopSettings) -> ForceConfig {
 /// A tool whose x follows its reference in the next period.
 struct Rig {
     control: ForceControl,
-    desired: f64,
+    commanded: f64,
     tool: f64,
     speed: f64,
     displacement: f64,
@@ -63,7 +63,7 @@ impl Rig {
     fn new(config: &ForceConfig) -> Self {
         let mut rig = Self {
             control: ForceControl::new(config, 200).expect("sound"),
-            desired: 0.0,
+            commanded: 0.0,
             tool: 0.0,
             speed: 0.0,
             displacement: 0.0,
@@ -94,7 +94,7 @@ impl Rig {
             * 2.0
     }
 
-    /// One period: the force on the tool in x, and the desired speed.
+    /// One period: the force on the tool in x, and the commanded speed.
     fn period(&mut self, force: f64, speed: f64) -> Option<ForceProblem> {
         self.number = self.number.wrapping_add(1);
         // The sensor sees the tool's push on the work.
@@ -119,13 +119,13 @@ impl Rig {
         self.control
             .measure(&sample, self.rpm, &position, [Angle(0); 2], false);
         let condition = self.control.condition();
-        self.desired += speed * STEP;
+        self.commanded += speed * STEP;
         let [x, ..] = self
             .control
             .advance(&[Rate((speed * MM) as i32), Rate(0), Rate(0)]);
         self.displacement = f64::from(x.displacement.length().0) / MM;
         self.displacement_rate = f64::from(x.rate.0) / MM;
-        let tool = self.desired + self.displacement;
+        let tool = self.commanded + self.displacement;
         self.speed = (tool - self.tool) / STEP;
         self.tool = tool;
         self.turned += f64::from(self.rpm) / 60.0 * STEP;
@@ -266,7 +266,7 @@ fn stiffness_estimate_decays_in_free_motion() {
         let force = body_force(&rig, 1000.0);
         rig.period(force, 4.0);
     }
-    // In 0.2 s the desired position retreats by 0.8 mm.
+    // In 0.2 s the commanded position retreats by 0.8 mm.
     assert!(rig.tool - before > 0.7, "{}", rig.tool - before);
     for _ in 0..5000 {
         rig.period(0.0, 4.0);
@@ -284,7 +284,7 @@ fn runtime_settings_change_without_a_jump() {
         rig.period(10.0, 0.0);
         if k == 5000 {
             let mut gentle = settings(0.25, 0.5, EnableCondition::Any);
-            gentle.desired = Force::millinewtons(9000);
+            gentle.setpoint = Force::millinewtons(9000);
             assert_eq!(rig.control.set(0, &gentle), Ok(()));
             assert_eq!(
                 rig.control
@@ -299,7 +299,7 @@ fn runtime_settings_change_without_a_jump() {
         (last, speed) = (rig.displacement, rig.displacement_rate);
     }
     assert_eq!(
-        rig.control.settings(0).map(|settings| settings.desired),
+        rig.control.settings(0).map(|settings| settings.setpoint),
         Some(Force::millinewtons(9000))
     );
     println!("largest jump of the tool {:.1} nm", largest * 1e6);
@@ -311,12 +311,12 @@ fn runtime_settings_change_without_a_jump() {
             .is_err()
     );
     let mut bad = settings(1.0, 5.0, EnableCondition::Any);
-    bad.desired = Force(0);
+    bad.setpoint = Force(0);
     assert_eq!(
         rig.control
             .set(0, &bad)
             .map_err(|refused| (refused.parameter, refused.bound)),
-        Err((ForceParameter::DesiredTooSmall, 32_768))
+        Err((ForceParameter::SetpointTooSmall, 32_768))
     );
 }
 

@@ -89,21 +89,21 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
     }
 }
 
-/// Motor and slide with play between them: the motor's mass is a quarter, friction (40 N) is mostly
-/// on the slide; mm, s, N, kg.
+/// Motor and slide with backlash between them: the motor's mass is a quarter, friction (40 N) is
+/// mostly on the slide; mm, s, N, kg.
 struct Plant {
     motor: [f64; 2],
     slide: [f64; 2],
-    play: f64,
+    backlash: f64,
     inputs: AxisInputs,
 }
 
 impl Plant {
-    fn new(play: f64) -> Self {
+    fn new(backlash: f64) -> Self {
         Self {
             motor: [0.0; 2],
             slide: [0.0; 2],
-            play,
+            backlash,
             inputs: AxisInputs::default(),
         }
     }
@@ -113,7 +113,7 @@ impl Plant {
         let dt = 2e-6;
         for k in 0..100u64 {
             let gap = self.motor[0] - self.slide[0];
-            let over = gap - gap.clamp(-self.play / 2.0, self.play / 2.0);
+            let over = gap - gap.clamp(-self.backlash / 2.0, self.backlash / 2.0);
             // A stiff contact of 80 Hz on 30 kg and its damping, only while it touches.
             let contact = if over == 0.0 {
                 0.0
@@ -196,18 +196,18 @@ fn follow(lost_motion: f64) -> (f64, f64) {
     (worst, blind)
 }
 
-/// 10 um of play, and 30 N of friction on the slide that wind the screw up by 4 um: a lost motion
-/// of 18 um.
+/// 10 um of backlash, and 30 N of friction on the slide that wind the screw up by 4 um: a lost
+/// motion of 18 um.
 #[test]
 fn lost_motion_is_compensated() {
-    let [none, play, all] = [0.0, 0.010, 0.018].map(follow);
+    let [none, backlash, all] = [0.0, 0.010, 0.018].map(follow);
     println!(
-        "largest error of slide and estimate, mm: none {none:?}, play {play:?}, play and wind-up {all:?}"
+        "largest error of slide and estimate, mm: none {none:?}, backlash {backlash:?}, backlash and wind-up {all:?}"
     );
     // 8 N of friction that is not compensated are 5 um at 40 kg and 40,000 1/s^2; they are in all
     // three.
-    assert!(none.0 - play.0 > 0.0045, "{none:?} {play:?}");
-    assert!(play.0 - all.0 > 0.003, "{play:?} {all:?}");
+    assert!(none.0 - backlash.0 > 0.0045, "{none:?} {backlash:?}");
+    assert!(backlash.0 - all.0 > 0.003, "{backlash:?} {all:?}");
     assert!(all.0 < 0.0065 && all.1 < 0.0065, "{all:?}");
 }
 
@@ -266,7 +266,7 @@ fn enable_does_not_move_the_joint() {
             drive_to(&mut joint, &JointCommand::default()).command,
             DriveCommand::Off
         );
-        // Turned by hand while off, by more than the play.
+        // Turned by hand while off, by more than the backlash.
         inputs.counts += 4000;
         joint.measure(&inputs, 200_000);
         let commanded = JointCommand {
@@ -563,7 +563,7 @@ fn a_resonating_rotor_is_no_stuck_channel() {
     };
     assert_eq!(fault(0.0), None);
     assert_eq!(fault(0.01), None);
-    assert_eq!(fault(0.2), Some(Fault::EncoderStuck { axis: 1 }));
+    assert_eq!(fault(0.2), Some(Fault::EncoderStuck { joint: 1 }));
 }
 
 /// A slide with an effort of -60 N against its new direction moves on by two counts while its loop
@@ -595,5 +595,5 @@ fn a_slide_that_moves_on_after_a_reversal_has_a_live_encoder() {
         })
     };
     assert_eq!(fault(&[2, 6]), None);
-    assert_eq!(fault(&[]), Some(Fault::EncoderStuck { axis: 1 }));
+    assert_eq!(fault(&[]), Some(Fault::EncoderStuck { joint: 1 }));
 }

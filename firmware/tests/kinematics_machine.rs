@@ -134,23 +134,23 @@ fn strokes_are_checked_in_both_directions() {
     assert_eq!(machine.axes(), 5);
     let pose = machine.forward(&home()).unwrap();
     // All slides move together with x: 250 mm are their whole stroke.
-    for (shift, axis, by) in [(251, 0, MM), (-251, 0, -MM), (300, 0, 50 * MM)] {
+    for (shift, joint, by) in [(251, 0, MM), (-251, 0, -MM), (300, 0, 50 * MM)] {
         let mut joints = home();
         for joint in &mut joints.0[..4] {
             joint.0 += shift * MM;
         }
-        let error = PoseError::OutOfStroke { axis, by };
+        let error = PoseError::OutOfStroke { joint, by };
         assert_eq!(machine.forward(&joints), Err(error));
         let mut far = pose;
         far.0[0].0 += shift * MM;
         let PoseError::OutOfStroke {
-            axis: at,
+            joint: at,
             by: excess,
         } = machine.inverse(&far).unwrap_err()
         else {
             panic!("not refused by stroke");
         };
-        assert_eq!(at, axis);
+        assert_eq!(at, joint);
         assert!((excess - by).abs() <= 4, "{excess}");
         let motion = machine.inverse_motion(&far, &Default::default(), &Default::default());
         assert_eq!(motion.unwrap_err(), machine.inverse(&far).unwrap_err());
@@ -160,7 +160,7 @@ fn strokes_are_checked_in_both_directions() {
     let by = Angle::degrees(50).0 - Angle::degrees(45).0;
     assert_eq!(
         machine.forward(&turned),
-        Err(PoseError::OutOfStroke { axis: 4, by })
+        Err(PoseError::OutOfStroke { joint: 4, by })
     );
 }
 
@@ -170,7 +170,7 @@ fn unconfigured_joint_does_not_move() {
     config.joints.truncate(3);
     let machine = config.kinematics();
     let error = PoseError::OutOfStroke {
-        axis: 3,
+        joint: 3,
         by: 485 * MM,
     };
     assert_eq!(machine.forward(&home()), Err(error));

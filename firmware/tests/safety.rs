@@ -74,7 +74,7 @@ fn following_error_limit_grows_with_the_commanded_rate() {
                 ..seen
             };
             let fault = look(&mut JointMonitor::default(), &axis, &seen, 1);
-            let reported = matches!(fault, Some(Fault::FollowingError { axis: 2, error: reported, limit }) if reported == error && (limit - most).abs() <= 1);
+            let reported = matches!(fault, Some(Fault::FollowingError { joint: 2, error: reported, limit }) if reported == error && (limit - most).abs() <= 1);
             assert_eq!(reported, faulty, "{speed} {error} {fault:?}");
             assert_eq!(fault.is_some(), faulty);
         }
@@ -97,7 +97,7 @@ fn stroke_fault_reports_the_excess() {
             };
             let fault = look(&mut JointMonitor::default(), &axis, &seen, 3);
             let by = sign * beyond;
-            assert_eq!(fault, faulty.then_some(Fault::Stroke { axis: 2, by }));
+            assert_eq!(fault, faulty.then_some(Fault::Stroke { joint: 2, by }));
         }
     }
 }
@@ -148,7 +148,7 @@ fn runaway_is_detected_a_driven_joint_is_not() {
             &running(sign * 26.0, -sign * 200.0),
             4,
         );
-        assert_eq!(fault, Some(Fault::EncoderReversed { axis: 2 }));
+        assert_eq!(fault, Some(Fault::EncoderReversed { joint: 2 }));
         // Three periods are not enough, nor is a push with the motion, a weak push, or a slow
         // motion.
         assert_eq!(
@@ -226,7 +226,7 @@ fn stuck_encoder_is_detected_a_static_load_is_not() {
         };
         look(&mut monitor, &axis, &seen, 1).map(|fault| (fault, off))
     });
-    let Some((Fault::EncoderStuck { axis: 2 }, off)) = fault else {
+    let Some((Fault::EncoderStuck { joint: 2 }, off)) = fault else {
         panic!("{fault:?}")
     };
     // Long before the following error (0.5 mm) would say it.
@@ -247,7 +247,7 @@ fn illegal_transitions_and_lost_steps_have_limits() {
     assert_eq!(
         look(&mut JointMonitor::default(), &axis, &illegal(LIMIT + 1), 1),
         Some(Fault::EncoderIllegal {
-            axis: 2,
+            joint: 2,
             count: LIMIT + 1
         })
     );
@@ -277,7 +277,7 @@ fn illegal_transitions_and_lost_steps_have_limits() {
         assert_eq!(
             fault,
             lost.then_some(Fault::StepsLost {
-                axis: 2,
+                joint: 2,
                 by: mm(by)
             })
         );
@@ -320,31 +320,35 @@ proptest! {
     }
 }
 
-fn every_fault() -> [Fault; 16] {
+fn every_fault() -> [Fault; 17] {
     [
-        Fault::Stroke { axis: 2, by: -9 },
+        Fault::Stroke { joint: 2, by: -9 },
         Fault::FollowingError {
-            axis: 0,
+            joint: 0,
             error: 1,
             limit: 0,
         },
-        Fault::SoftLimit { axis: 0 },
+        Fault::SoftLimit { coordinate: 0 },
         Fault::Pose(PoseError::Geometry { code: 2 }),
-        Fault::LimitSwitch { axis: 0 },
-        Fault::Drive { axis: 0 },
-        Fault::EncoderIllegal { axis: 0, count: 9 },
+        Fault::LimitSwitch { joint: 0 },
+        Fault::Drive { joint: 0 },
+        Fault::EncoderIllegal { joint: 0, count: 9 },
+        Fault::CounterJump {
+            joint: 0,
+            counts: 900,
+        },
         Fault::EncoderSlip {
-            axis: 0,
+            joint: 0,
             counts: -9,
         },
-        Fault::EncoderStuck { axis: 0 },
-        Fault::EncoderReversed { axis: 0 },
-        Fault::StepsLost { axis: 0, by: 1 },
+        Fault::EncoderStuck { joint: 0 },
+        Fault::EncoderReversed { joint: 0 },
+        Fault::StepsLost { joint: 0, by: 1 },
         Fault::LostHost { silent_ms: 501 },
         Fault::Configuration,
-        Fault::LatePeriod { missed: 3 },
+        Fault::MissedPeriods { missed: 3 },
         Fault::Homing {
-            axis: 0,
+            joint: 0,
             problem: HomingProblem::NoIndex,
         },
         Fault::Internal { line: 1 },
@@ -362,7 +366,7 @@ fn in_state(state: State) -> Safety {
 /// An invalid counter is still a fault of its own.
 #[test]
 fn missed_periods_explain_their_following_errors() {
-    let late = Fault::LatePeriod { missed: 50 };
+    let missed = Fault::MissedPeriods { missed: 50 };
     for other in every_fault() {
         let led_to = matches!(
             other,
@@ -371,13 +375,13 @@ fn missed_periods_explain_their_following_errors() {
                 | Fault::EncoderReversed { .. }
         );
         let mut safety = in_state(State::Run);
-        safety.raise(late);
+        safety.raise(missed);
         safety.raise(other);
         if decelerates_first(&other) {
-            assert_eq!(safety.pending(), Some(late));
+            assert_eq!(safety.pending(), Some(missed));
             continue;
         }
-        let named = if led_to { late } else { other };
+        let named = if led_to { missed } else { other };
         assert_eq!(safety.fault(), Some(named));
         // A fault of a joint loses the position, whatever the name of the latched fault is.
         let kept = keeps_position(&named) && keeps_position(&other);
@@ -464,7 +468,7 @@ fn emergency_stop_overrides_all_faults() {
             (State::EmergencyStop, false)
         );
         safety.settle();
-        safety.raise(Fault::Drive { axis: 1 });
+        safety.raise(Fault::Drive { joint: 1 });
         assert_eq!(safety.state(), State::EmergencyStop);
         assert!(safety.reset());
         assert_eq!((safety.state(), safety.fault()), (State::Disabled, None));
@@ -474,12 +478,12 @@ fn emergency_stop_overrides_all_faults() {
 #[test]
 fn event_queue_keeps_the_newest() {
     let mut safety = Safety::default();
-    for axis in 0..40 {
-        safety.push_event(Event::JogLimited { axis });
+    for coordinate in 0..40 {
+        safety.push_event(Event::JogLimited { coordinate });
     }
     let reported: Vec<_> = core::iter::from_fn(|| safety.next_event()).collect();
     let newest: Vec<_> = (40 - EVENTS as u8..40)
-        .map(|axis| Event::JogLimited { axis })
+        .map(|coordinate| Event::JogLimited { coordinate })
         .collect();
     assert_eq!(reported, newest);
 }

@@ -84,7 +84,7 @@ fn a_joint_sticks_below_the_coulomb_force_and_moves_above() {
     }
     assert_eq!(plant.bodies().motor_rate[0], 0.0);
     assert_eq!(plant.bodies().motor[0], 0.0);
-    // Raised slowly to 39 N, the motor takes up the play and winds the screw against the slide,
+    // Raised slowly to 39 N, the motor takes up the backlash and winds the screw against the slide,
     // which still sticks.
     for step in 0..20_000 {
         let newton = 19.9 + 19.1 * f64::from(step) / 20_000.0;
@@ -187,8 +187,8 @@ proptest! {
         bodies.slide_rate[0] = slide_rate;
         let (energy, momentum) = (mechanics.energy(&bodies, 0), mechanics.momentum(&bodies, 0));
         // A quarter of (omega step)^2 is the oscillation of the integrator on the spring. An edge
-        // of the play falls somewhere within a step, which adds or removes about as much each time:
-        // a random walk over the contacts.
+        // of the backlash falls somewhere within a step, which adds or removes about as much each
+        // time: a random walk over the contacts.
         let swing = (std::f64::consts::TAU * mode * STEP).powi(2);
         let (mut contacts, mut touched) = (1.0_f64, false);
         for _ in 0..10_000 {

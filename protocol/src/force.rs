@@ -21,8 +21,8 @@ pub const COMPONENT_NAMES: [&str; COMPONENTS] = ["x", "y", "z"];
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum EnableCondition {
-    /// Only while the force opposes the desired motion of the axis: F p_d' < 0. At standstill, and
-    /// across the motion, the tool only returns.
+    /// Only while the force opposes the commanded motion of the axis: F p_d' < 0. At standstill,
+    /// and across the motion, the tool only returns.
     #[default]
     AgainstMotion,
     /// Always.
@@ -38,7 +38,7 @@ pub enum EnableCondition {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ForceLoop {
     /// Force setpoint f_d, a magnitude, 2^-16 N.
-    pub desired: i32,
+    pub setpoint: i32,
     /// Virtual mass K_A, 2^-16 N s^2/mm.
     pub mass: u32,
     /// Virtual damping K_V, 2^-16 N s/mm.
@@ -66,10 +66,10 @@ pub struct ForceRefusal {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ForceParameter {
     /// f_d is zero, negative, or below the noise.
-    DesiredTooSmall,
+    SetpointTooSmall,
     /// f_d is above three quarters of the sensor range: the loop could not measure by how much a
     /// force is too high.
-    DesiredTooLarge,
+    SetpointTooLarge,
     /// K_V cannot hold a soft contact with this delay: K_V >= k tau is required.
     DampingTooSmall,
     /// K_V is beyond its range.

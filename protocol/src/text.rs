@@ -9,12 +9,12 @@
 //! use haptimill_protocol::text::{AxesText, AxisText, AxisKind};
 //! let joint = [AxisText { name: "joint 1", kind: AxisKind::Linear }];
 //! let axes = AxesText { joints: &joint, ..AxesText::default() };
-//! let fault = Fault::SoftLimit { axis: 4 };
+//! let fault = Fault::SoftLimit { coordinate: 4 };
 //! assert_eq!(
 //!     fault.to_string(),
 //!     "axis 5 left its soft limits; reset, then jog it back"
 //! );
-//! let fault = Fault::FollowingError { axis: 0, error: -(3 << 20), limit: 1 << 20 };
+//! let fault = Fault::FollowingError { joint: 0, error: -(3 << 20), limit: 1 << 20 };
 //! assert_eq!(
 //!     axes.describe(&fault).to_string(),
 //!     "the following error of joint 1 is -3.000 mm (at most 1.000 mm); \
@@ -266,7 +266,7 @@ mod tests {
             ..AxesText::default()
         };
         let error = PoseError::OutOfStroke {
-            axis: 0,
+            joint: 0,
             by: 1 << 19,
         };
         let refusal = Refusal::Pose {

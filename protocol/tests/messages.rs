@@ -32,7 +32,7 @@ const HAPTICS: MasterPose = MasterPose {
     tip: [i32::MIN; COMPONENTS],
     rate: [i32::MIN; COMPONENTS],
     axes: [[i16::MIN; COMPONENTS]; 2],
-    engaged: true,
+    clutch: true,
 };
 
 #[test]
@@ -73,7 +73,7 @@ fn every_request_fits_a_frame() {
             rates: values(),
         },
         Command::Source {
-            axis: 5,
+            coordinate: 5,
             source: Source::Hold,
         },
         Command::Telemetry { every: u16::MAX },
@@ -82,7 +82,7 @@ fn every_request_fits_a_frame() {
         Command::ForceLoop {
             axis: u8::MAX,
             settings: ForceLoop {
-                desired: i32::MIN,
+                setpoint: i32::MIN,
                 mass: u32::MAX,
                 damping: u32::MAX,
                 limit: i32::MIN,
@@ -126,7 +126,7 @@ fn every_request_fits_a_frame() {
             active: true,
         },
         Command::Compensation { on: true },
-        Command::MoveOff { axis: u8::MAX },
+        Command::MoveOff { joint: u8::MAX },
     ];
     let sizes = commands.map(|command| size(&Request { id: 255, command }));
     println!("requests: {sizes:?} bytes");
@@ -157,7 +157,7 @@ fn hello_and_welcome_fit_a_frame() {
 #[test]
 fn every_report_fits_a_frame_and_answers_and_events_are_short() {
     let fault = Fault::FollowingError {
-        axis: 255,
+        joint: 255,
         error: i32::MIN,
         limit: i32::MIN,
     };
@@ -236,7 +236,7 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
     assert!(hand <= MAX_PAYLOAD);
 
     let pose = PoseError::OutOfStroke {
-        axis: 255,
+        joint: 255,
         by: i32::MIN,
     };
     let period = u64::MAX;
@@ -244,7 +244,7 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
         Report::Event {
             period,
             event: Event::ProbedAt {
-                axis: 255,
+                coordinate: 255,
                 measured: i32::MIN,
                 commanded: i32::MIN,
                 joint: i32::MIN,
@@ -287,21 +287,21 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
         Report::Event {
             period,
             event: Event::Fault(Fault::StepsLost {
-                axis: 255,
+                joint: 255,
                 by: i32::MIN,
             }),
         },
         Report::Event {
             period,
             event: Event::Fault(Fault::Racking {
-                axis: 255,
+                joint: 255,
                 by: i32::MIN,
             }),
         },
         Report::Event {
             period,
             event: Event::ReferenceShift {
-                axis: 255,
+                joint: 255,
                 by: i32::MIN,
             },
         },

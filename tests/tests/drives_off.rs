@@ -92,9 +92,10 @@ fn a_counter_jump_with_the_drives_off_loses_the_position() {
                 bench.ask(Command::Reset).expect("reset");
             }
             let status = bench.status();
-            let axis = joint as u8;
-            let named =
-                matches!(status.fault, Some(Fault::EncoderIllegal { axis: of, .. }) if of == axis);
+            let named = matches!(
+                status.fault,
+                Some(Fault::CounterJump { joint: of, .. }) if usize::from(of) == joint
+            );
             assert!(named, "{how:?} {joint}: {:?}", status.fault);
             assert_eq!(
                 bench.ask(Command::Enable),
@@ -167,10 +168,9 @@ fn a_joint_that_is_moved_with_a_dead_channel_and_the_drives_off_leaves_no_positi
                     // The first fault is latched; this one is named after it.
                     bench.ask(Command::Reset).expect("reset");
                 }
-                let axis = joint as u8;
                 assert_eq!(
                     bench.status().fault,
-                    Some(Fault::EncoderStuck { axis }),
+                    Some(Fault::EncoderStuck { joint: joint as u8 }),
                     "{case}"
                 );
                 bench.ask(Command::Reset).expect("reset");
@@ -270,7 +270,7 @@ fn the_threshold_of_a_counter_jump_follows_the_configuration() {
                     bench.step();
                 }
                 let status = bench.status();
-                let named = matches!(status.fault, Some(Fault::EncoderIllegal { axis: 0, .. }));
+                let named = matches!(status.fault, Some(Fault::CounterJump { joint: 0, .. }));
                 let known = status.homed && status.position_kept;
                 assert_eq!((known, named), (kept, !kept), "{missed} {counts}");
             }

@@ -18,8 +18,8 @@ fn a_reversed_encoder_does_not_run_away() {
                 ..EncoderCondition::default()
             };
             let mut struck = run_with_joint_fault(0, joint, speed, encoder_fault(joint, swapped));
-            let named = struck.fault == Fault::EncoderReversed { axis: joint as u8 }
-                || struck.fault == Fault::EncoderStuck { axis: joint as u8 };
+            let named = struck.fault == Fault::EncoderReversed { joint: joint as u8 }
+                || struck.fault == Fault::EncoderStuck { joint: joint as u8 };
             assert!(named, "{:?}", struck.fault);
             assert!(
                 struck.off < 0.1 && struck.periods < 100,
@@ -86,7 +86,7 @@ fn a_stuck_channel_is_found_before_the_slide_is_fast() {
             ),
         ] {
             let mut struck = run_with_joint_fault(0, joint, speed, encoder_fault(joint, condition));
-            assert_eq!(struck.fault, Fault::EncoderStuck { axis: joint as u8 });
+            assert_eq!(struck.fault, Fault::EncoderStuck { joint: joint as u8 });
             assert!(struck.off < most, "{speed} mm/s: {} mm", struck.off);
             struck
                 .bench
@@ -108,7 +108,7 @@ fn illegal_transitions_lose_the_position() {
     assert!(matches!(
         struck.fault,
         Fault::EncoderIllegal {
-            axis: 2,
+            joint: 2,
             count: 9..
         }
     ));

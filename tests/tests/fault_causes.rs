@@ -50,7 +50,7 @@ fn missed_periods_are_reported_before_their_consequences() {
             );
             bench.steps(3000);
             let status = bench.status();
-            assert_eq!(status.fault, Some(Fault::LatePeriod { missed }));
+            assert_eq!(status.fault, Some(Fault::MissedPeriods { missed }));
             // Off drives mean that a joint did not follow: its encoder is suspected.
             assert_eq!(status.position_kept, !drives_off(&bench));
         }
@@ -86,7 +86,7 @@ fn a_counter_jump_loses_the_position() {
         bench.steps(1000);
         let status = bench.status();
         assert!(
-            matches!(status.fault, Some(Fault::EncoderIllegal { axis: 0, .. })),
+            matches!(status.fault, Some(Fault::CounterJump { joint: 0, .. })),
             "{:?}",
             status.fault
         );
@@ -135,7 +135,7 @@ fn lost_counts_are_found_within_two_turns() {
         let (mut bench, fault, went) = slip_until_fault(counts, standing);
         assert!(went < 20.0, "two turns of the motor");
         let Fault::EncoderSlip {
-            axis: 0,
+            joint: 0,
             counts: reported,
         } = fault
         else {
@@ -199,7 +199,7 @@ fn a_suspected_encoder_stays_suspected_with_a_new_configuration() {
             "{status:?}"
         );
         if !position_confirmed {
-            let slip = matches!(status.fault, Some(Fault::EncoderSlip { axis: 0, .. }));
+            let slip = matches!(status.fault, Some(Fault::EncoderSlip { joint: 0, .. }));
             assert!(slip, "{status:?}");
         }
     }
@@ -225,7 +225,7 @@ fn missed_periods_stop_the_machine_along_its_path_with_drives_on() {
         let status = bench.status();
         assert_eq!(
             status.fault,
-            fault.map(|missed| Fault::LatePeriod { missed })
+            fault.map(|missed| Fault::MissedPeriods { missed })
         );
         assert!(status.position_kept);
         if fault.is_some() {
@@ -277,7 +277,7 @@ fn missing_every_second_period_is_reported() {
         bench.steps(7500);
         bench.rig.control_mut().missed = 0;
         let status = bench.status();
-        assert_eq!(status.fault, Some(Fault::LatePeriod { missed }));
+        assert_eq!(status.fault, Some(Fault::MissedPeriods { missed }));
         assert!(status.position_kept);
     }
 }

@@ -41,13 +41,13 @@ fn a_dead_or_reversed_drive_and_a_jammed_slide_are_reported() {
             ),
         ] {
             let mut struck = run_with_joint_fault(0, 1, speed, joint_fault(1, condition));
-            let axis = match struck.fault {
-                Fault::EncoderStuck { axis }
-                | Fault::EncoderReversed { axis }
-                | Fault::FollowingError { axis, .. } => axis,
+            let joint = match struck.fault {
+                Fault::EncoderStuck { joint }
+                | Fault::EncoderReversed { joint }
+                | Fault::FollowingError { joint, .. } => joint,
                 other => panic!("{name}: {other:?}"),
             };
-            assert_eq!(axis, 1);
+            assert_eq!(joint, 1);
             // A jammed slide lags by the limit of the following error plus the wind-up of the
             // screw.
             assert!(struck.off < 0.75, "{name}: {} mm", struck.off);
@@ -66,7 +66,7 @@ fn the_limit_of_the_following_error_grows_with_the_speed() {
         };
         let struck = run_with_joint_fault(0, 0, speed, joint_fault(0, held));
         let Fault::FollowingError {
-            axis: 0,
+            joint: 0,
             error,
             limit,
         } = struck.fault
@@ -96,17 +96,17 @@ fn a_tripped_drive_or_limit_switch_stops_all_drives_in_one_period() {
                 drive_tripped: true,
                 ..well
             },
-            Fault::Drive { axis: 3 },
+            Fault::Drive { joint: 3 },
         ),
-        (stuck(1), Fault::LimitSwitch { axis: 3 }),
-        (stuck(2), Fault::LimitSwitch { axis: 3 }),
+        (stuck(1), Fault::LimitSwitch { joint: 3 }),
+        (stuck(2), Fault::LimitSwitch { joint: 3 }),
     ] {
         let mut struck = run_with_joint_fault(0, 3, 20.0, joint_fault(3, condition));
         assert_eq!((struck.fault, struck.periods), (fault, 0));
         struck.bench.ask(Command::Reset).expect("reset");
         let problem = match fault {
-            Fault::Drive { axis } => InputProblem::Drive { axis },
-            _ => InputProblem::LimitSwitch { axis: 3 },
+            Fault::Drive { joint } => InputProblem::Drive { joint },
+            _ => InputProblem::LimitSwitch { joint: 3 },
         };
         let refusal = Refusal::Input(problem);
         assert_eq!(struck.bench.ask(Command::Enable), Err(refusal));
@@ -376,12 +376,12 @@ fn a_stalled_step_motor_or_wrong_encoder_stops_the_whole_path() {
             );
             let kept = match fault {
                 Some(
-                    Fault::StepsLost { axis: 1, .. }
-                    | Fault::EncoderStuck { axis: 1 }
-                    | Fault::EncoderReversed { axis: 1 }
-                    | Fault::FollowingError { axis: 1, .. },
+                    Fault::StepsLost { joint: 1, .. }
+                    | Fault::EncoderStuck { joint: 1 }
+                    | Fault::EncoderReversed { joint: 1 }
+                    | Fault::FollowingError { joint: 1, .. },
                 ) => false,
-                Some(Fault::Drive { axis: 1 }) => true,
+                Some(Fault::Drive { joint: 1 }) => true,
                 other => panic!("{name}: {other:?}"),
             };
             assert_eq!(bench.rig.control().safety().position_kept(), kept);

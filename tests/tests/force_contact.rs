@@ -55,7 +55,7 @@ struct Held {
     level: u8,
 }
 
-/// Seconds from the end of the desired motion to the end, and seconds of the evaluated part.
+/// Seconds from the end of the commanded motion to the end, and seconds of the evaluated part.
 const TIME: f64 = 16.0;
 const LOOKED: f64 = 12.0;
 
@@ -135,8 +135,8 @@ fn press(ideal: bool, stiffness: f64, structure: bool, speed: f64, table: f64) -
     }
 }
 
-/// The desired motion presses on contacts of up to 1000 N/mm (wall, structure and servo in series),
-/// with and without friction and backlash.
+/// The commanded motion presses on contacts of up to 1000 N/mm (wall, structure and servo in
+/// series), with and without friction and backlash.
 ///
 /// The force reaches its setpoint. Result and oscillation depend on the place within an encoder
 /// count, so five places are tried: the first peak is the largest, error and oscillation are

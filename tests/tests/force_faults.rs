@@ -224,7 +224,7 @@ fn a_returning_tool_is_not_stopped_within_a_period() {
         bench.steps(100);
         tare(&mut bench);
         let mut settings = force_settings(1.0, 2.0, EnableCondition::AgainstMotion);
-        settings.desired *= if reset { 3 } else { 1 };
+        settings.setpoint *= if reset { 3 } else { 1 };
         control(&mut bench, 0, settings);
         job(&mut bench, -4.0, 30, if reset { 3.0 } else { 0.05 });
         while displacement(&bench) < 5.0 {

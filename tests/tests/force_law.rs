@@ -67,9 +67,9 @@ fn the_displacement_follows_the_admittance_law_and_returns() {
             bench.step();
         }
         assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
-        let desired = [0, 1, 2].map(|axis| f64::from(end[axis]) / MM);
-        let off = distance(&bench, desired);
-        println!("20 s after the stop the tool is {off:.4} mm from where it is desired");
+        let commanded = [0, 1, 2].map(|axis| f64::from(end[axis]) / MM);
+        let off = distance(&bench, commanded);
+        println!("20 s after the stop the tool is {off:.4} mm from where it is commanded");
         assert!(off <= 0.05, "{off}");
     }
 }
@@ -96,7 +96,7 @@ fn the_tool_does_not_jump_when_parameters_change() {
     let soft = force_settings(0.25, 0.5, EnableCondition::AgainstMotion);
     let stiff = force_settings(4.0, 40.0, EnableCondition::Any);
     let eager = ForceLoop {
-        desired: (2.0 * NEWTON) as i32,
+        setpoint: (2.0 * NEWTON) as i32,
         ..force_settings(1.0, 5.0, EnableCondition::Any)
     };
     let short = ForceLoop {
@@ -153,15 +153,15 @@ fn invalid_settings_are_refused_with_their_bound() {
     let mut bench = tared_machine(&sensor_alone());
     let good = force_settings(1.0, 5.0, EnableCondition::AgainstMotion);
     let newtons = |value: f64| ForceLoop {
-        desired: (value * NEWTON) as i32,
+        setpoint: (value * NEWTON) as i32,
         ..good
     };
     let cases = [
-        (newtons(0.0), ForceParameter::DesiredTooSmall, 0.5),
-        (newtons(-5.0), ForceParameter::DesiredTooSmall, 0.5),
+        (newtons(0.0), ForceParameter::SetpointTooSmall, 0.5),
+        (newtons(-5.0), ForceParameter::SetpointTooSmall, 0.5),
         (
             newtons(90.0),
-            ForceParameter::DesiredTooLarge,
+            ForceParameter::SetpointTooLarge,
             0.75 * 0.95 * 100.0,
         ),
         // K_V >= 20 N/mm * (15 ms + 5 ms + 0.3 ms).
@@ -373,9 +373,9 @@ fn pushed_to_the_limit(from: f64) -> (Bench, [f64; 3]) {
         let reference = bench.rig.control().machine().expect("there").reference();
         most = most.max(f64::from(reference.pose.0[0].0) / MM);
     }
-    let desired = f64::from(bench.status().commanded[0]) / MM;
-    assert!((desired - from).abs() < 1e-4, "{desired}");
-    assert_eq!(most, desired.max(1.0));
+    let commanded = f64::from(bench.status().commanded[0]) / MM;
+    assert!((commanded - from).abs() < 1e-4, "{commanded}");
+    assert_eq!(most, commanded.max(1.0));
     // 20 N deflect the servo by some hundredths of a millimetre.
     assert!((tool(&bench)[0] - 1.0).abs() < 0.1, "{}", tool(&bench)[0]);
     assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);

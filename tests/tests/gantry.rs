@@ -136,14 +136,14 @@ fn assert_lost(bench: &mut Bench) {
 /// The racking fault, mm.
 fn racking_fault(bench: &mut Bench) -> f64 {
     match bench.status().fault {
-        Some(Fault::Racking { axis: 3, by }) => f64::from(by) / MM,
+        Some(Fault::Racking { joint: 3, by }) => f64::from(by) / MM,
         other => panic!("{other:?}"),
     }
 }
 
 fn squared(bench: &Bench) -> f64 {
     let by = bench.events.iter().find_map(|event| match event {
-        Event::Squared { axis: 3, by } => Some(f64::from(*by) / MM),
+        Event::Squared { joint: 3, by } => Some(f64::from(*by) / MM),
         _ => None,
     });
     by.expect("squared")
@@ -151,7 +151,7 @@ fn squared(bench: &Bench) -> f64 {
 
 fn shifts(bench: &Bench) -> Vec<(u8, f64)> {
     let events = bench.events.iter().filter_map(|event| match event {
-        Event::ReferenceShift { axis, by } => Some((*axis, f64::from(*by) / MM)),
+        Event::ReferenceShift { joint, by } => Some((*joint, f64::from(*by) / MM)),
         _ => None,
     });
     events.collect()
@@ -292,7 +292,7 @@ fn a_beam_without_switches_is_a_missing_switch() {
     assert_eq!(home(&mut bench).0, State::Fault);
     let fault = bench.status().fault;
     let problem = HomingProblem::NoSwitch;
-    assert_eq!(fault, Some(Fault::Homing { axis: 1, problem }));
+    assert_eq!(fault, Some(Fault::Homing { joint: 1, problem }));
     assert_lost(&mut bench);
 }
 
@@ -374,8 +374,8 @@ fn both_motors_stop_together() {
         condition.drive_tripped = true;
         bench.rig.plant_mut().set_condition(motor, condition);
         bench.steps(2000);
-        let axis = motor as u8;
-        assert_eq!(bench.status().fault, Some(Fault::Drive { axis }));
+        let joint = motor as u8;
+        assert_eq!(bench.status().fault, Some(Fault::Drive { joint }));
         assert!(racking(&bench).abs() < LARGEST);
         condition.drive_tripped = false;
         bench.rig.plant_mut().set_condition(motor, condition);
@@ -400,7 +400,7 @@ fn motors_with_encoders_that_disagree_are_a_fault() {
     assert!(
         matches!(
             fault,
-            Some(Fault::StepsLost { axis: 3, .. } | Fault::EncoderStuck { axis: 3 })
+            Some(Fault::StepsLost { joint: 3, .. } | Fault::EncoderStuck { joint: 3 })
         ),
         "{fault:?}"
     );

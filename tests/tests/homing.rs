@@ -82,7 +82,7 @@ fn homing_without_an_index_corrects_no_joint() {
         }
         bench.steps(300);
         let fault = Fault::Homing {
-            axis: joint as u8,
+            joint: joint as u8,
             problem: HomingProblem::NoIndex,
         };
         assert_eq!(reported_faults(&bench), [&Event::Fault(fault)]);
@@ -120,7 +120,7 @@ fn a_wrong_index_position_fails_homing() {
     bench.ask(Command::Home).expect("homing");
     bench.steps(20_000);
     let implausible = Fault::Homing {
-        axis: 2,
+        joint: 2,
         problem: HomingProblem::Implausible,
     };
     assert_eq!(bench.rig.control().safety().fault(), Some(implausible));

@@ -72,10 +72,10 @@ fn assert_homed(bench: &mut Bench) {
     assert!(off < 0.02, "{off} mm");
 }
 
-fn assert_failed(bench: &mut Bench, axis: u8, problem: HomingProblem) {
+fn assert_failed(bench: &mut Bench, joint: u8, problem: HomingProblem) {
     assert_eq!(home(bench), State::Fault);
     let status = bench.status();
-    assert_eq!(status.fault, Some(Fault::Homing { axis, problem }));
+    assert_eq!(status.fault, Some(Fault::Homing { joint, problem }));
     assert!(!status.homed && !status.position_kept);
     assert!(drives_off(bench));
     // Nothing is left behind: it can be tried again.
@@ -287,7 +287,7 @@ fn a_limit_switch_serves_as_home_switch() {
     condition.switches[1].stuck = Some(true);
     bench.rig.plant_mut().set_condition(0, condition);
     bench.steps(50);
-    assert_eq!(bench.status().fault, Some(Fault::LimitSwitch { axis: 0 }));
+    assert_eq!(bench.status().fault, Some(Fault::LimitSwitch { joint: 0 }));
     assert!(!bench.status().position_kept);
     // Beyond it the drives come on, and homing moves off.
     condition.switches[1].stuck = None;
@@ -306,7 +306,7 @@ fn a_limit_switch_serves_as_home_switch() {
         mill(&text, &["switch-stuck axis=x switch=limit-high active=yes"]).ask(Command::Enable);
     assert_eq!(
         stuck,
-        Err(Refusal::Input(InputProblem::LimitSwitch { axis: 0 }))
+        Err(Refusal::Input(InputProblem::LimitSwitch { joint: 0 }))
     );
 }
 

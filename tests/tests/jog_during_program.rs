@@ -31,7 +31,7 @@ fn changing_the_source_of_an_axis_does_not_move_the_tool() {
     pause(&mut bench);
     bench
         .ask(Command::Source {
-            axis: 1,
+            coordinate: 1,
             source: Source::Jog,
         })
         .expect("chosen");
@@ -49,7 +49,7 @@ fn changing_the_source_of_an_axis_does_not_move_the_tool() {
     pause(&mut bench);
     bench
         .ask(Command::Source {
-            axis: 0,
+            coordinate: 0,
             source: Source::Hold,
         })
         .expect("chosen");
@@ -58,10 +58,10 @@ fn changing_the_source_of_an_axis_does_not_move_the_tool() {
     assert_eq!(commanded(&bench)[0], held);
     // The program leads both again. They keep the motion since then as their offset.
     pause(&mut bench);
-    for axis in [0, 1] {
+    for coordinate in [0, 1] {
         bench
             .ask(Command::Source {
-                axis,
+                coordinate,
                 source: Source::Program,
             })
             .expect("chosen");
@@ -95,7 +95,7 @@ fn soft_limits_are_checked_with_the_offset_of_a_jog() {
     bench.ask(Command::Hold).expect("holds");
     bench
         .ask(Command::Source {
-            axis: 1,
+            coordinate: 1,
             source: Source::Jog,
         })
         .expect("chosen");
@@ -103,7 +103,7 @@ fn soft_limits_are_checked_with_the_offset_of_a_jog() {
     bench.steps(8000);
     bench
         .ask(Command::Source {
-            axis: 1,
+            coordinate: 1,
             source: Source::Program,
         })
         .expect("chosen");
@@ -118,7 +118,7 @@ fn soft_limits_are_checked_with_the_offset_of_a_jog() {
     let refused = bench.ask(Command::Setpoints(SetpointBatch { first: 0, items }));
     let beyond = Err(Refusal::SoftLimit {
         setpoint: 0,
-        axis: 1,
+        coordinate: 1,
     });
     assert_eq!(refused, beyond);
     // What a path needs that touches the limit is within it, and no unit more. The arms do not
@@ -146,7 +146,7 @@ fn jog_during_program(axis: usize, speed: f64, hand: usize, rate: f64) -> Option
     bench.ask(Command::Hold).expect("holds");
     bench.steps(3000);
     let source = Command::Source {
-        axis: hand as u8,
+        coordinate: hand as u8,
         source: Source::Jog,
     };
     bench.ask(source).expect("chosen");

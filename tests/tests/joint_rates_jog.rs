@@ -73,10 +73,10 @@ impl Commanded {
 fn joint_rate_fault(bench: &Bench) -> Option<(u8, f64)> {
     bench.events.iter().find_map(|event| match event {
         Event::Fault(Fault::JointRate {
-            axis, rate, limit, ..
+            joint, rate, limit, ..
         }) => {
             assert_eq!(f64::from(*limit) / MM, LIMIT);
-            Some((*axis, f64::from(*rate) / MM))
+            Some((*joint, f64::from(*rate) / MM))
         }
         _ => None,
     })
@@ -160,9 +160,11 @@ fn jog_during_job(bench: &mut Bench, speeds: [f64; 2], setpoints: &[Setpoint]) {
     bench.start_part(1, &start, &[rest(&start, 2000)]);
     bench.ask(Command::Hold).expect("holds");
     bench.steps(2000);
-    for axis in [1, 2] {
+    for coordinate in [1, 2] {
         let source = Source::Jog;
-        bench.ask(Command::Source { axis, source }).expect("chosen");
+        bench
+            .ask(Command::Source { coordinate, source })
+            .expect("chosen");
     }
     bench.ask(Command::Resume).expect("goes on");
     let mut coder = SetpointCoder::new(200, &start);

@@ -23,7 +23,7 @@ const STROKES: [(f64, f64); 3] = [(-155.0, 155.0), (-105.0, 105.0), (-55.0, 105.
 const NAMES: [&str; 3] = ["x", "y", "z"];
 
 /// Backlash and wind-up of a screw, mm.
-const PLAY: f64 = 0.03;
+const LOST_MOTION: f64 = 0.03;
 
 fn bench(text: &str, faults: &[String]) -> Bench {
     let machine =
@@ -156,16 +156,19 @@ fn every_joint_comes_off_both_of_its_switches() {
         for upper in [false, true] {
             let mut bench = pushed(joint, upper, &[]);
             let on = Err(Refusal::Input(InputProblem::LimitSwitch {
-                axis: joint as u8,
+                joint: joint as u8,
             }));
             assert_eq!(bench.ask(Command::Enable), on);
             bench
-                .ask(Command::MoveOff { axis: joint as u8 })
+                .ask(Command::MoveOff { joint: joint as u8 })
                 .expect("moves");
             let moved = follow(&mut bench, &[joint], upper, |_, _| ());
             bench.steps(200);
             println!("{} {upper}: {moved:?}", NAMES[joint]);
-            assert!(moved.towards < PLAY && moved.others < PLAY, "{moved:?}");
+            assert!(
+                moved.towards < LOST_MOTION && moved.others < LOST_MOTION,
+                "{moved:?}"
+            );
             // A sixteenth of the stroke, and twice that into the stroke, at a 32nd of the rate.
             let (low, high) = STROKES[joint];
             assert!(moved.away < 3.0 * (high - low) / 16.0 + 0.5, "{moved:?}");
@@ -173,9 +176,10 @@ fn every_joint_comes_off_both_of_its_switches() {
             let at = bench.rig.truth().joints[joint];
             assert!((low..high).contains(&at), "{at}");
             assert_eq!(state(&bench), State::Idle, "{:?}", bench.events);
-            let axis = joint as u8;
             assert!(
-                bench.events.contains(&Event::MovedOff { axis }),
+                bench
+                    .events
+                    .contains(&Event::MovedOff { joint: joint as u8 }),
                 "{:?}",
                 bench.events
             );
@@ -196,23 +200,23 @@ fn every_joint_comes_off_both_of_its_switches() {
 #[test]
 fn anything_else_is_refused_and_nothing_moves() {
     let mut free = bench(SERVO, &[]);
-    let none = |axis| Err(Refusal::Input(InputProblem::NoLimitSwitch { axis }));
-    assert_eq!(free.ask(Command::MoveOff { axis: 1 }), none(1));
-    assert_eq!(free.ask(Command::MoveOff { axis: 3 }), Err(Refusal::Range));
+    let none = |joint| Err(Refusal::Input(InputProblem::NoLimitSwitch { joint }));
+    assert_eq!(free.ask(Command::MoveOff { joint: 1 }), none(1));
+    assert_eq!(free.ask(Command::MoveOff { joint: 3 }), Err(Refusal::Range));
     free.ask(Command::Enable).expect("enabled");
     let idle = Err(Refusal::State(State::Idle));
-    assert_eq!(free.ask(Command::MoveOff { axis: 0 }), idle);
+    assert_eq!(free.ask(Command::MoveOff { joint: 0 }), idle);
     let both =
         ["low", "high"].map(|end| format!("switch-stuck axis=x switch=limit-{end} active=yes"));
     let mut both = bench(SERVO, &both);
-    let refused = Err(Refusal::Input(InputProblem::BothLimitSwitches { axis: 0 }));
-    assert_eq!(both.ask(Command::MoveOff { axis: 0 }), refused);
+    let refused = Err(Refusal::Input(InputProblem::BothLimitSwitches { joint: 0 }));
+    assert_eq!(both.ask(Command::MoveOff { joint: 0 }), refused);
     assert!(drives_off(&both) && state(&both) == State::Disabled);
     // An open door.
     let mut open = pushed(0, true, &["input-level name=door level=low at=8s"]);
     let input = 3;
     let door = Err(Refusal::Input(InputProblem::DoorOpen { input }));
-    assert_eq!(open.ask(Command::MoveOff { axis: 0 }), door);
+    assert_eq!(open.ask(Command::MoveOff { joint: 0 }), door);
     assert!(drives_off(&open) && state(&open) == State::Disabled);
     // During the motion nothing else starts, and another switch is a fault.
     let mut bench = pushed(
@@ -220,19 +224,19 @@ fn anything_else_is_refused_and_nothing_moves() {
         true,
         &["switch-stuck axis=y switch=limit-low active=yes at=11s"],
     );
-    bench.ask(Command::MoveOff { axis: 0 }).expect("moves");
+    bench.ask(Command::MoveOff { joint: 0 }).expect("moves");
     let homing = Err(Refusal::State(State::Homing));
     for command in [
         Command::Home,
         Command::Enable,
         Command::Disable,
-        Command::MoveOff { axis: 0 },
+        Command::MoveOff { joint: 0 },
     ] {
         assert_eq!(bench.ask(command), homing);
     }
     assert_eq!(bench.ask(jog(1, 200, &[(0, 5.0)])), Err(Refusal::NotHomed));
     follow(&mut bench, &[0], true, |_, _| ());
-    assert_eq!(bench.status().fault, Some(Fault::LimitSwitch { axis: 1 }));
+    assert_eq!(bench.status().fault, Some(Fault::LimitSwitch { joint: 1 }));
     assert!(drives_off(&bench));
 }
 
@@ -244,13 +248,13 @@ fn a_switch_that_does_not_open_ends_the_motion() {
         "switch-inverted axis=x switch=limit-low",
     ] {
         let mut bench = bench(SERVO, &[fault.to_string()]);
-        bench.ask(Command::MoveOff { axis: 0 }).expect("moves");
+        bench.ask(Command::MoveOff { joint: 0 }).expect("moves");
         let moved = follow(&mut bench, &[0], false, |_, _| ());
         println!("{fault}: {moved:?}");
         let problem = HomingProblem::LimitStuck;
         assert_eq!(
             bench.status().fault,
-            Some(Fault::Homing { axis: 0, problem })
+            Some(Fault::Homing { joint: 0, problem })
         );
         assert!(drives_off(&bench));
         let sixteenth = 310.0 / 16.0;
@@ -265,7 +269,7 @@ fn a_switch_that_does_not_open_ends_the_motion() {
         "switch-stuck axis=x switch=limit-low active=yes",
     ];
     let mut bench = pushed(0, true, &exchanged);
-    bench.ask(Command::MoveOff { axis: 0 }).expect("moves");
+    bench.ask(Command::MoveOff { joint: 0 }).expect("moves");
     let moved = follow(&mut bench, &[0], true, |_, _| ());
     let status = bench.status();
     println!("exchanged: {moved:?} {:?}", status.fault);
@@ -283,9 +287,12 @@ fn open_loop_joints_and_both_motors_of_a_gantry_come_off() {
     let x = "preset = 0.0\nstart_spread = 20.0\nhome = { at = -150.0,";
     let on = "preset = 158.0\nstart_spread = 0.0\nlimit_high = 157.0\nhome = { at = -150.0,";
     let mut mill = bench_with_plant(MILL, &at(MILL, x, on));
-    mill.ask(Command::MoveOff { axis: 0 }).expect("moves");
+    mill.ask(Command::MoveOff { joint: 0 }).expect("moves");
     let moved = follow(&mut mill, &[0], true, |_, _| ());
-    assert!(moved.towards < PLAY && moved.others < PLAY, "{moved:?}");
+    assert!(
+        moved.towards < LOST_MOTION && moved.others < LOST_MOTION,
+        "{moved:?}"
+    );
     assert!(
         mill.rig.truth().joints[0] < 157.0 && state(&mill) == State::Idle,
         "{:?}",
@@ -304,17 +311,20 @@ fn open_loop_joints_and_both_motors_of_a_gantry_come_off() {
         y2,
         "preset = 108.0\nlimit_high = 107.0\ngantry_of = \"y\"",
     );
-    for axis in [1, 3] {
+    for joint in [1, 3] {
         let mut router = bench_with_plant(ROUTER, &plant);
         let racking = |bench: &Bench| bench.rig.truth().joints[3] - bench.rig.truth().joints[1];
         let before = racking(&router);
-        router.ask(Command::MoveOff { axis }).expect("moves");
+        router.ask(Command::MoveOff { joint }).expect("moves");
         let moved = follow(&mut router, &[1, 3], true, |bench, _| {
             let by = (racking(bench) - before).abs();
             assert!(by < 0.1, "racked by {by}");
         });
-        println!("gantry by {axis}: {moved:?}");
-        assert!(moved.towards < 0.1 && moved.others < PLAY, "{moved:?}");
+        println!("gantry by {joint}: {moved:?}");
+        assert!(
+            moved.towards < 0.1 && moved.others < LOST_MOTION,
+            "{moved:?}"
+        );
         let truth = router.rig.truth().joints;
         assert!(truth[1] < 107.0 && truth[3] < 107.0, "{truth:?}");
         assert_eq!(state(&router), State::Idle, "{:?}", router.events);
@@ -354,7 +364,7 @@ proptest! {
         };
         let mut unheard = 0.0_f64;
         let mut bench = pushed(joint, upper, jams);
-        bench.ask(Command::MoveOff { axis: joint as u8 }).expect("moves");
+        bench.ask(Command::MoveOff { joint: joint as u8 }).expect("moves");
         let moved = follow(&mut bench, &[joint], upper, |bench, period| {
             if period != at {
                 return;
@@ -373,7 +383,7 @@ proptest! {
             }
         });
         let (low, high) = STROKES[joint];
-        prop_assert!(moved.towards < PLAY && moved.others < PLAY, "{:?}", moved);
+        prop_assert!(moved.towards < LOST_MOTION && moved.others < LOST_MOTION, "{:?}", moved);
         prop_assert!(moved.away < 3.0 * (high - low) / 16.0 + 0.5, "{:?}", moved);
         let mut following_error = moved.following.max(unheard);
         for _ in 0..if kind == 5 { at + 500 } else { 500 } {
@@ -398,7 +408,7 @@ proptest! {
             // Enable refuses a measured pose beyond the stroke; the true one differs before homing.
             let measured = f64::from(bench.status().joints[joint]) / MM;
             if measured < low || measured > high {
-                bench.ask(Command::MoveOff { axis: joint as u8 }).expect("moves");
+                bench.ask(Command::MoveOff { joint: joint as u8 }).expect("moves");
                 follow(&mut bench, &[joint], upper, |_, _| ());
             }
             home(&mut bench);

@@ -115,8 +115,8 @@ fn lost_steps_show_at_the_next_homing() {
     // Homing says by how much each joint was off.
     let mut shifts = [0.0; 3];
     for event in &bench.events {
-        if let Event::ReferenceShift { axis, by } = event {
-            shifts[usize::from(*axis)] = f64::from(*by) / MM;
+        if let Event::ReferenceShift { joint, by } = event {
+            shifts[usize::from(*joint)] = f64::from(*by) / MM;
         }
     }
     for (shift, lost) in shifts.iter().zip(&lost) {
@@ -165,7 +165,7 @@ fn the_position_is_lost_with_the_drives() {
     condition.drive_tripped = true;
     bench.rig.plant_mut().set_condition(1, condition);
     bench.steps(50);
-    assert_eq!(bench.status().fault, Some(Fault::Drive { axis: 1 }));
+    assert_eq!(bench.status().fault, Some(Fault::Drive { joint: 1 }));
     assert_lost(&mut bench);
 
     // By the emergency stop, as a command and as a circuit that takes the power in motion.
@@ -215,6 +215,6 @@ fn a_drive_that_holds_its_rotor_keeps_the_position() {
     condition.drive_tripped = true;
     bench.rig.plant_mut().set_condition(1, condition);
     bench.steps(50);
-    assert_eq!(bench.status().fault, Some(Fault::Drive { axis: 1 }));
+    assert_eq!(bench.status().fault, Some(Fault::Drive { joint: 1 }));
     assert_lost(&mut bench);
 }

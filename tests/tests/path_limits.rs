@@ -133,7 +133,7 @@ fn the_commanded_motion_keeps_its_limits_in_every_period() {
         let used = check_limits(name, &machine, &motion);
         // The bounds are tight: the program uses the limits of the machine.
         assert!(used[1] > 0.9 && used[2] > 0.75, "{name} uses {used:?}");
-        // The true tool follows, with the play and the noise of the drives.
+        // The true tool follows, with the backlash and the noise of the drives.
         let settings = settings(&machine);
         let period = f64::from(settings.period_us) * 1e-6;
         for (k, axis) in settings.pose.iter().enumerate().take(3) {

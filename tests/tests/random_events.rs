@@ -79,9 +79,9 @@ fn force_loop() -> impl Strategy<Value = ForceLoop> {
         Just(EnableCondition::Negative)
     ];
     let sound = (1_i32..20, 1_u32..200, 1_u32..40, 1_i32..20, 1_i32..20).prop_map(
-        |(desired, mass, damping, limit, rate)| {
+        |(setpoint, mass, damping, limit, rate)| {
             (
-                desired << 16,
+                setpoint << 16,
                 mass << 14,
                 damping << 16,
                 limit << 20,
@@ -91,8 +91,8 @@ fn force_loop() -> impl Strategy<Value = ForceLoop> {
     );
     let any = any::<(i32, u32, u32, i32, i32)>();
     (prop_oneof![4 => sound, 1 => any], enable_condition).prop_map(
-        |((desired, mass, damping, limit, rate), enable_condition)| ForceLoop {
-            desired,
+        |((setpoint, mass, damping, limit, rate), enable_condition)| ForceLoop {
+            setpoint,
             mass,
             damping,
             limit,
@@ -124,7 +124,7 @@ fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(epoch, deadline_ms, rates)| Command::Jog { epoch, deadline_ms, rates }),
         1 => small.prop_map(|epoch| Command::JogCancel { epoch }),
         4 => (0_u8..7, prop_oneof![Just(Source::Program), Just(Source::Jog), Just(Source::Hold)])
-            .prop_map(|(axis, source)| Command::Source { axis, source }),
+            .prop_map(|(coordinate, source)| Command::Source { coordinate, source }),
         1 => any::<u8>().prop_map(|percent| Command::Override { percent }),
         1 => (0_u16..100).prop_map(|every| Command::Telemetry { every }),
         2 => (0_u8..9).prop_map(|mask| Command::ForceMask { mask }),

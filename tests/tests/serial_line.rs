@@ -304,7 +304,7 @@ fn a_second_host_is_refused_in_motion_and_accepted_at_standstill() {
     // In idle the new host has the machine, without anything of the old session.
     bench
         .ask(Command::Source {
-            axis: 1,
+            coordinate: 1,
             source: Source::Hold,
         })
         .expect("chosen");
@@ -398,7 +398,7 @@ fn a_refused_setpoint_changes_nothing_and_can_be_repeated() {
                 refused,
                 Err(Refusal::SoftLimit {
                     setpoint: index as u32,
-                    axis: 2
+                    coordinate: 2
                 })
             );
             let refused = bench.ask(batch(index + 1, core::slice::from_ref(&wrong)));
@@ -418,7 +418,7 @@ fn a_refused_setpoint_changes_nothing_and_can_be_repeated() {
                 refused,
                 Err(Refusal::SoftLimit {
                     setpoint: index as u32 + 1,
-                    axis: 2
+                    coordinate: 2
                 })
             );
             coder = ahead;

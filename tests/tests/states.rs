@@ -53,7 +53,7 @@ fn jobs_keep_their_boundary_conditions() {
                 job: 9,
                 pose: start.clone()
             }),
-            Err(Refusal::StartPose { axis: 0 })
+            Err(Refusal::StartPose { coordinate: 0 })
         );
         bench.start_job(job + 10, &line(&there, 0, -4.0, 1));
         while state(&bench) != State::Idle {
@@ -158,7 +158,7 @@ fn a_configuration_under_a_latched_fault_equals_one_after_the_reset() {
     bench.ask(Command::Home).expect("asked");
     assert!(bench.wait_for(State::Fault, 30_000));
     let slip = bench.status().fault;
-    assert!(matches!(slip, Some(Fault::EncoderSlip { axis: 0, .. })));
+    assert!(matches!(slip, Some(Fault::EncoderSlip { joint: 0, .. })));
     bench.steps(1000);
     bench.ask(Command::Reset).expect("reset");
     bench.ask(Command::Enable).expect("enabled");
@@ -211,7 +211,7 @@ fn missed_periods_in_a_hold_are_reported() {
         bench.step();
     }
     let status = bench.status();
-    assert_eq!(status.fault, Some(Fault::LatePeriod { missed: 50 }));
+    assert_eq!(status.fault, Some(Fault::MissedPeriods { missed: 50 }));
     assert!(status.position_kept && !drives_off(&bench));
     // A drive that fails now takes all drives off, and is the latched fault.
     bench.rig.plant_mut().set_condition(
@@ -223,7 +223,7 @@ fn missed_periods_in_a_hold_are_reported() {
     );
     bench.steps(2);
     assert!(drives_off(&bench));
-    assert_eq!(bench.status().fault, Some(Fault::Drive { axis: 2 }));
+    assert_eq!(bench.status().fault, Some(Fault::Drive { joint: 2 }));
 }
 
 #[test]
@@ -291,7 +291,7 @@ fn a_moving_machine_refuses_commands_that_need_standstill() {
     );
     assert_eq!(
         bench.ask(Command::Source {
-            axis: 0,
+            coordinate: 0,
             source: Source::Jog
         }),
         run

@@ -89,7 +89,7 @@ fn a_step_motor_that_does_not_lock_is_reported_and_keeps_its_position() {
         bench.steps(3000);
         let status = bench.status();
         assert!(
-            matches!(status.fault, Some(Fault::NotLocked { axis: 1, .. })),
+            matches!(status.fault, Some(Fault::NotLocked { joint: 1, .. })),
             "{gain} {load}: {:?}",
             status.fault
         );
@@ -170,7 +170,7 @@ fn steps_lost_after_an_emergency_stop_are_found_and_homing_checks_the_encoder() 
         bench.steps(1500);
         let status = bench.status();
         let lost = Some(Fault::StepsLost {
-            axis: 0,
+            joint: 0,
             by: status.fault.map_or(0, |fault| match fault {
                 Fault::StepsLost { by, .. } => by,
                 _ => 0,

@@ -187,7 +187,7 @@ pub fn force() -> ForceConfig {
         saturation: 7782,
     };
     let settings = LoopSettings {
-        desired: Force::millinewtons(5000),
+        setpoint: Force::millinewtons(5000),
         mass: VirtualMass(1 << 16),
         damping: VirtualDamping(5 << 16),
         limit: Length::millimetres(10),

@@ -393,7 +393,7 @@ fn trip() {
     assert!(bed.drives_off());
     assert_eq!(
         bed.controller.safety().fault(),
-        Some(Fault::Drive { axis: 2 })
+        Some(Fault::Drive { joint: 2 })
     );
     assert!(bed.ask(Command::Enable).is_err());
     bed.inputs.axes[2].drive_ready = true;
@@ -429,7 +429,7 @@ fn late() {
     bed.inputs.missed = limit;
     bed.step();
     bed.wait_for(State::Fault);
-    let fault = Fault::LatePeriod { missed: limit };
+    let fault = Fault::MissedPeriods { missed: limit };
     assert_eq!(bed.controller.safety().fault(), Some(fault));
     // The machine decelerated along its path, and the drives hold it.
     let held = bed.commanded();

@@ -164,7 +164,7 @@ impl BoundedKinematics {
                 continue;
             };
             found = PoseError::OutOfStroke {
-                axis: axis as u8,
+                joint: axis as u8,
                 by: by.0,
             };
         }

@@ -10,7 +10,7 @@ fn forward(a: i32, b: i32) -> Result<[i32; 2], PoseError> {
     let mut joints = Joints::default();
     (joints.0[0], joints.0[1]) = (Coordinate(a), Coordinate(b));
     let pose = machine.forward(&joints)?;
-    let back = machine.inverse(&pose).expect("certified");
+    let back = machine.inverse(&pose).expect("verified");
     for (joint, back) in joints.0.iter().zip(back.0) {
         let off = i64::from(joint.0) - i64::from(back.0);
         assert!((0..=1).contains(&off), "{joints:?} {back:?}");
@@ -30,7 +30,7 @@ fn two_motors_move_one_coordinate() {
 
 /// At the ends of the integers a pose gives the belts back, or is refused.
 #[test]
-fn ends_of_the_range_are_certified_or_refused() {
+fn ends_of_the_range_are_verified_or_refused() {
     let ends = [i32::MIN, i32::MIN + 1, -1, 0, 1, i32::MAX - 1, i32::MAX];
     for (a, b) in ends.into_iter().flat_map(|a| ends.map(|b| (a, b))) {
         let refused = forward(a, b).is_err();

@@ -76,29 +76,29 @@ pub(super) fn cancel_jog(core: &mut Core, epoch: u16) -> Done {
 /// A change to or from jog needs standstill; other changes are allowed while the coordinate moves.
 /// The command is also accepted while a fault is latched: a broken master would otherwise latch
 /// its fault again after each reset.
-pub(super) fn choose_source(core: &mut Core, axis: u8, source: Source) -> Done {
+pub(super) fn choose_source(core: &mut Core, coordinate: u8, source: Source) -> Done {
     in_state(core, &[State::Idle, State::Hold, State::Run, State::Fault])?;
     let state = core.safety.state();
     let machine = core.configured()?;
-    if usize::from(axis) >= machine.axes() {
+    if usize::from(coordinate) >= machine.axes() {
         return Err(Refusal::Range);
     }
-    let follows = HAPTICS && machine.config.follow.is_some() && usize::from(axis) < LED;
+    let follows = HAPTICS && machine.config.follow.is_some() && usize::from(coordinate) < LED;
     if source == Source::Master && !follows {
         return Err(Refusal::NoMaster);
     }
     // Without the feature `haptics` no source takes over a moving coordinate.
     let jogs = !HAPTICS
         || source == Source::Jog
-        || machine.motion.source(usize::from(axis)) == Source::Jog;
+        || machine.motion.source(usize::from(coordinate)) == Source::Jog;
     if jogs && state == State::Run {
         return Err(Refusal::State(state));
     }
     if jogs && state == State::Hold && !machine.motion.is_at_standstill() {
         return Err(Refusal::State(state));
     }
-    machine.masters.mapping.release_one(usize::from(axis));
-    machine.motion.set_source(usize::from(axis), source);
+    machine.masters.mapping.release_one(usize::from(coordinate));
+    machine.motion.set_source(usize::from(coordinate), source);
     Ok(())
 }
 

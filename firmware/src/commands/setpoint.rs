@@ -50,7 +50,7 @@ fn validate_setpoint(
     }
     if validated == 0 {
         machine.check_action(&setpoint.action)?;
-        machine.can_reach(number, setpoint)?;
+        machine.check_setpoint_pose(number, setpoint)?;
         *budget = budget.saturating_sub(POSE);
         if !machine.motion.program.expects(setpoint.periods) {
             *budget = budget.saturating_sub(NEW_DURATION);

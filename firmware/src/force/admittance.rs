@@ -244,17 +244,17 @@ fn check(
         parameter,
         bound: bound.min(i32::MAX as u64) as i32,
     };
-    let desired = settings.desired;
-    if desired < LoopSettings::LEAST_DESIRED {
+    let setpoint = settings.setpoint;
+    if setpoint < LoopSettings::LEAST_SETPOINT {
         return Err(refuse(
-            ForceParameter::DesiredTooSmall,
-            u64::from(LoopSettings::LEAST_DESIRED.magnitude()),
+            ForceParameter::SetpointTooSmall,
+            u64::from(LoopSettings::LEAST_SETPOINT.magnitude()),
         ));
     }
     // Above three quarters of the range too little range is left to measure the excess force.
     let most = largest_force.held().0.max(0) / 4 * 3;
-    if desired.0 > most {
-        return Err(refuse(ForceParameter::DesiredTooLarge, most as u64));
+    if setpoint.0 > most {
+        return Err(refuse(ForceParameter::SetpointTooLarge, most as u64));
     }
     // Level 0 must be stable on contacts that the monitor ignores: K_V >= k tau.
     let least = ((u64::from(SOFT) * u64::from(delay_us)) << 16).div_ceil(1_000_000);
@@ -296,7 +296,7 @@ pub struct DrivingForce {
     /// Peak force on the tool.
     pub force: Force,
     /// p_d'.
-    pub desired_rate: Rate,
+    pub commanded_rate: Rate,
     /// The axis is under force control. Otherwise the force counts as 0, and the tool returns.
     pub active: bool,
     /// Hold the displacement, whatever the force: the rate decays with the highest damping level.
@@ -485,13 +485,13 @@ impl AdmittanceAxis {
     fn rest(&mut self, push: &DrivingForce, drive: i32, level: usize) -> (i32, usize) {
         let law = &self.law;
         let creeping = law.creeping.get(level).copied().unwrap_or(0);
-        let stands = push.active && !push.held && push.desired_rate.0 == 0 && self.away > 0;
+        let stands = push.active && !push.held && push.commanded_rate.0 == 0 && self.away > 0;
         if level == 0 || creeping == 0 || !stands {
             self.resting = false;
             return (drive, level);
         }
         let error = drive.wrapping_abs();
-        let zone = creeping.min(law.settings.desired.0) / 2;
+        let zone = creeping.min(law.settings.setpoint.0) / 2;
         let moving = self.rate.abs() > law.creep / 4 && (self.rate > 0) == (drive > 0);
         self.resting = error <= zone && (self.resting || !moving || error <= zone / 4);
         if self.resting {
@@ -515,28 +515,28 @@ impl AdmittanceAxis {
                 value.wrapping_neg()
             }
         };
-        let desired = law.settings.desired.0;
-        let desired_rate = outward(push.desired_rate.0.max(-i32::MAX));
-        let mut drive = outward(force).wrapping_sub(desired);
+        let setpoint = law.settings.setpoint.0;
+        let commanded_rate = outward(push.commanded_rate.0.max(-i32::MAX));
+        let mut drive = outward(force).wrapping_sub(setpoint);
         // An axis without force control has no damping: its monitor may run but must not move the
         // tool.
         if level > 0 && push.active {
             // D p_d', 2^-16 N: a product of words.
             let added = law.added.get(level).copied().unwrap_or(0);
-            let resisted = multiply_shift(-desired_rate, added, 20);
-            let desired = i64::from(desired);
-            let most = if push.touching { 1 << 28 } else { desired };
-            drive = drive.wrapping_add(resisted.min(most).max(-desired) as i32);
+            let resisted = multiply_shift(-commanded_rate, added, 20);
+            let setpoint = i64::from(setpoint);
+            let most = if push.touching { 1 << 28 } else { setpoint };
+            drive = drive.wrapping_add(resisted.min(most).max(-setpoint) as i32);
         }
         let open = match law.settings.enable_condition {
-            EnableCondition::AgainstMotion => desired_rate < 0,
+            EnableCondition::AgainstMotion => commanded_rate < 0,
             EnableCondition::Any => true,
             EnableCondition::Positive => self.upward,
             EnableCondition::Negative => !self.upward,
         };
         // From displacement 0 only a force above f_d moves the tool, not the damping against the
         // commanded motion.
-        let open = open && (self.away > 0 || outward(force) > desired);
+        let open = open && (self.away > 0 || outward(force) > setpoint);
         let most = if open { Force::MOST.0 } else { 0 };
         drive.min(most).max(-Force::MOST.0)
     }

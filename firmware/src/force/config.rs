@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LoopSettings {
     /// f_d, a magnitude: it acts on the side of the contact.
-    pub desired: Force,
+    pub setpoint: Force,
     /// K_A.
     pub mass: VirtualMass,
     /// K_V.
@@ -30,13 +30,13 @@ impl LoopSettings {
     /// A force setpoint of 0 makes the tool follow noise and never return (its return rate is f_d /
     /// K_V): callers must disable the axis instead. A negative one has no meaning, since the sign
     /// is that of the contact. Below 40 codes, drift and noise move the tool.
-    pub const LEAST_DESIRED: Force = Force::millinewtons(500);
+    pub const LEAST_SETPOINT: Force = Force::millinewtons(500);
 }
 
 impl From<&ForceLoop> for LoopSettings {
     fn from(settings: &ForceLoop) -> Self {
         Self {
-            desired: Force(settings.desired),
+            setpoint: Force(settings.setpoint),
             mass: VirtualMass(settings.mass),
             damping: VirtualDamping(settings.damping),
             limit: Length(settings.limit),
@@ -49,7 +49,7 @@ impl From<&ForceLoop> for LoopSettings {
 impl From<&LoopSettings> for ForceLoop {
     fn from(settings: &LoopSettings) -> Self {
         Self {
-            desired: settings.desired.0,
+            setpoint: settings.setpoint.0,
             mass: settings.mass.0,
             damping: settings.damping.0,
             limit: settings.limit.0,

@@ -329,7 +329,7 @@ impl ForceControl {
     }
 
     /// Runs one control period of the *comply* stage with the rates of the commanded motion.
-    pub fn advance(&mut self, desired_rates: &[Rate; COMPONENTS]) -> &[Compliance; COMPONENTS] {
+    pub fn advance(&mut self, commanded_rates: &[Rate; COMPONENTS]) -> &[Compliance; COMPONENTS] {
         self.prepare();
         let tared = self.conditioner.tared();
         for (component, axis) in self.axes.iter_mut().enumerate() {
@@ -341,7 +341,7 @@ impl ForceControl {
             }
             let push = DrivingForce {
                 force: axis.extremes.peak(),
-                desired_rate: desired_rates[component],
+                commanded_rate: commanded_rates[component],
                 active,
                 held: self.held,
                 level: axis.stability_monitor.level(),

@@ -193,8 +193,8 @@ impl StabilityMonitor {
     #[inline(never)]
     pub fn update(&mut self, force: Force, law: &AdmittanceLaw, is_displaced: bool) {
         let highest = law.highest();
-        let desired = law.settings().desired;
-        self.touch = if force.magnitude() >= desired.magnitude() / 2 {
+        let setpoint = law.settings().setpoint;
+        self.touch = if force.magnitude() >= setpoint.magnitude() / 2 {
             TOUCH
         } else {
             self.touch.saturating_sub(1)
@@ -207,11 +207,11 @@ impl StabilityMonitor {
             return;
         }
         let downward = force.0 < 0;
-        let turned = downward != self.downward && force.magnitude() >= desired.magnitude() / 4;
+        let turned = downward != self.downward && force.magnitude() >= setpoint.magnitude() / 4;
         if turned {
             self.downward = downward;
         }
-        let open = !is_displaced && force.magnitude() <= desired.magnitude();
+        let open = !is_displaced && force.magnitude() <= setpoint.magnitude();
         if turned || open {
             self.begun = false;
             self.position_variance = 0;
@@ -237,7 +237,7 @@ impl StabilityMonitor {
         self.covariance = smoothed(self.covariance, off * more);
         self.judge_stiffness(highest, (deepest, force.held().0));
         if self.sign == Sign::Unknown {
-            self.judge_sign(force, desired);
+            self.judge_sign(force, setpoint);
         }
     }
 
@@ -296,13 +296,13 @@ impl StabilityMonitor {
         self.shown = now;
     }
 
-    fn judge_sign(&mut self, force: Force, desired: Force) {
+    fn judge_sign(&mut self, force: Force, setpoint: Force) {
         let is_significant = self.explained() && self.position_variance >= MOTION * MOTION;
         let strong = i64::from(force.magnitude());
-        let desired = i64::from(desired.magnitude());
-        if is_significant && self.covariance < 0 && strong >= desired / 2 {
+        let setpoint = i64::from(setpoint.magnitude());
+        if is_significant && self.covariance < 0 && strong >= setpoint / 2 {
             self.sign = Sign::Right;
-        } else if is_significant && self.covariance > 0 && strong >= 2 * desired {
+        } else if is_significant && self.covariance > 0 && strong >= 2 * setpoint {
             self.wrong += 1;
             if self.wrong >= WRONG_SIGN_PERIODS {
                 self.sign = Sign::Wrong;

@@ -41,7 +41,7 @@ pub struct HandleFrame {
     /// n, o and a, Q30.
     pub axes: [Vector; 3],
     /// The clutch is pressed.
-    pub engaged: bool,
+    pub clutch: bool,
 }
 
 impl HandleFrame {
@@ -64,7 +64,7 @@ impl HandleFrame {
         Self {
             tip: [on(0), on(1), on(2)],
             axes: [n, [product(1, 2), product(2, 0), product(0, 1)], a],
-            engaged: master.engaged,
+            clutch: master.clutch,
         }
     }
 }

@@ -98,7 +98,10 @@ impl Table {
     fn new(axis: &JointAxis) -> Self {
         let spans = axis.backlash_table.len().saturating_sub(1).max(1) as i64;
         let pitch = (i64::from(axis.high.0) - i64::from(axis.low.0)) / spans;
-        let halves = axis.backlash_table.iter().map(|play| half_of(*play));
+        let halves = axis
+            .backlash_table
+            .iter()
+            .map(|lost_motion| half_of(*lost_motion));
         Self {
             halves: halves.collect(),
             low: axis.low.0,
@@ -126,8 +129,8 @@ impl Table {
 }
 
 /// Half of a lost motion, below 2^30.
-const fn half_of(play: Coordinate) -> i32 {
-    let half = (play.0.unsigned_abs() / 2) as i32;
+const fn half_of(lost_motion: Coordinate) -> i32 {
+    let half = (lost_motion.0.unsigned_abs() / 2) as i32;
     if half >= 1 << 30 { (1 << 30) - 1 } else { half }
 }
 

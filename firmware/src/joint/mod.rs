@@ -461,7 +461,7 @@ impl JointDrive {
         };
         if measurement.off != 0 {
             return Some(Fault::EncoderSlip {
-                axis: joint,
+                joint,
                 counts: measurement.off,
             });
         }

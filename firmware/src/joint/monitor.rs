@@ -8,7 +8,8 @@
 //! | the following error is above its limit, which grows with the rate | following error |
 //! | the encoder counts no commanded motion, or its opposite | encoder stuck, encoder reversed |
 //! | the count reverses about one position faster than a slide can oscillate | encoder stuck |
-//! | both channels changed at once too often, or the counter jumped | encoder illegal |
+//! | both channels changed at once too often | encoder illegal |
+//! | the counter jumped | counter jump |
 //! | steps and encoder disagree (step/dir) | steps lost |
 //! | an index pulse is off its grid ([`crate::joint::index_monitor`]) | encoder slip |
 //!
@@ -124,11 +125,11 @@ impl JointMonitor {
         }
     }
 
-    /// Checks one period of joint `axis`.
+    /// Checks one period of `joint`.
     #[inline]
     pub fn check(
         &mut self,
-        axis: u8,
+        joint: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
         illegal_limit: u16,
@@ -136,18 +137,18 @@ impl JointMonitor {
     ) -> Option<Fault> {
         if sample.illegal > illegal_limit {
             return Some(Fault::EncoderIllegal {
-                axis,
+                joint,
                 count: sample.illegal,
             });
         }
-        self.check_jump(axis, config, encoder, sample)
-            .or_else(|| Self::check_lost_steps(axis, config, sample))
-            .or_else(|| self.check_runaway(axis, config, encoder, sample))
-            .or_else(|| self.check_stuck_channel(axis, config, encoder, sample))
-            .or_else(|| self.check_effort(axis, config, encoder, sample))
-            .or_else(|| self.check_motion(axis, config, encoder, sample))
-            .or_else(|| Self::check_stroke(axis, config, encoder, sample))
-            .or_else(|| Self::check_following_error(axis, config, encoder, sample))
+        self.check_jump(joint, config, encoder, sample)
+            .or_else(|| Self::check_lost_steps(joint, config, sample))
+            .or_else(|| self.check_runaway(joint, config, encoder, sample))
+            .or_else(|| self.check_stuck_channel(joint, config, encoder, sample))
+            .or_else(|| self.check_effort(joint, config, encoder, sample))
+            .or_else(|| self.check_motion(joint, config, encoder, sample))
+            .or_else(|| Self::check_stroke(joint, config, encoder, sample))
+            .or_else(|| Self::check_following_error(joint, config, encoder, sample))
     }
 
     /// Checks one period of a joint without an encoder: the emitted steps follow the command. The
@@ -156,7 +157,7 @@ impl JointMonitor {
     /// backlash.
     #[cold]
     #[inline(never)]
-    pub fn check_steps(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    pub fn check_steps(joint: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
         let Drive::Steps { per_step, .. } = config.drive else {
             return None;
         };
@@ -166,7 +167,7 @@ impl JointMonitor {
         let steps = (per_step.unsigned_abs() >> 24).min(1 << 20) as i64 * STEP_PERIODS;
         let limit = travel + steps + magnitude(config.backlash);
         (off.abs() > limit && !sample.missed).then_some(Fault::FollowingError {
-            axis,
+            joint,
             error: saturate(off),
             limit: saturate(limit),
         })
@@ -179,7 +180,7 @@ impl JointMonitor {
     #[inline]
     fn check_jump(
         &mut self,
-        axis: u8,
+        joint: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
         sample: &JointSample,
@@ -194,9 +195,9 @@ impl JointMonitor {
         if change <= STEADY {
             return None;
         }
-        Self::impact(config, encoder, sample.period_us, change).then_some(Fault::EncoderIllegal {
-            axis,
-            count: change.min(u32::from(u16::MAX)) as u16,
+        Self::impact(config, encoder, sample.period_us, change).then_some(Fault::CounterJump {
+            joint,
+            counts: change,
         })
     }
 
@@ -219,12 +220,12 @@ impl JointMonitor {
     }
 
     /// Lost steps.
-    fn check_lost_steps(axis: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    fn check_lost_steps(joint: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
         let Drive::Steps { lost, .. } = config.drive else {
             return None;
         };
         (magnitude(sample.step_error) > magnitude(lost)).then_some(Fault::StepsLost {
-            axis,
+            joint,
             by: sample.step_error.0,
         })
     }
@@ -232,7 +233,7 @@ impl JointMonitor {
     /// The measured position against the stroke. The commanded position is always within the stroke
     /// (the solve stage checks it); the measured one may be off by the following error.
     fn check_stroke(
-        axis: u8,
+        joint: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
         sample: &JointSample,
@@ -244,7 +245,7 @@ impl JointMonitor {
         let (low, high) = (i64::from(config.low.0), i64::from(config.high.0));
         let by = measured - measured.max(low).min(high.max(low));
         (by.abs() > magnitude(encoder.following)).then_some(Fault::Stroke {
-            axis,
+            joint,
             by: saturate(by),
         })
     }
@@ -259,7 +260,7 @@ impl JointMonitor {
     /// nearby.
     fn check_runaway(
         &mut self,
-        axis: u8,
+        joint: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
         sample: &JointSample,
@@ -292,14 +293,14 @@ impl JointMonitor {
         let limit = magnitude(encoder.following) / 2;
         Some(if error.abs() > limit {
             Fault::FollowingError {
-                axis,
+                joint,
                 error: saturate(error),
                 limit: saturate(limit),
             }
         } else if sample.rate.0 == 0 {
-            Fault::EncoderStuck { axis }
+            Fault::EncoderStuck { joint }
         } else {
-            Fault::EncoderReversed { axis }
+            Fault::EncoderReversed { joint }
         })
     }
 
@@ -309,7 +310,7 @@ impl JointMonitor {
     #[inline]
     pub fn check_stuck_channel(
         &mut self,
-        axis: u8,
+        joint: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
         sample: &JointSample,
@@ -324,7 +325,7 @@ impl JointMonitor {
         {
             return None;
         }
-        is_stuck.then_some(Fault::EncoderStuck { axis })
+        is_stuck.then_some(Fault::EncoderStuck { joint })
     }
 
     /// Whether the rotor of a step motor may resonate about the position of its steps: they have
@@ -366,7 +367,7 @@ impl JointMonitor {
     /// before the first count along it sets the effort anew.
     fn check_effort(
         &mut self,
-        axis: u8,
+        joint: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
         sample: &JointSample,
@@ -426,13 +427,13 @@ impl JointMonitor {
         let rate = (magnitude(encoder.following) * 25 / 2) >> 8;
         let momentum = (i64::from(config.law.inertia) * rate) >> 20;
         let limit = momentum * 1_000_000 / i64::from(sample.period_us.max(1));
-        (last_count.impulse > limit).then_some(Fault::EncoderStuck { axis })
+        (last_count.impulse > limit).then_some(Fault::EncoderStuck { joint })
     }
 
     /// Commanded motion that was not measured, or was measured with the opposite sign.
     fn check_motion(
         &mut self,
-        axis: u8,
+        joint: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
         sample: &JointSample,
@@ -447,14 +448,14 @@ impl JointMonitor {
         let measured = difference(config, sample.measured, measured_then);
         self.since = None;
         if measured.abs() < commanded.abs() / 8 {
-            return Some(Fault::EncoderStuck { axis });
+            return Some(Fault::EncoderStuck { joint });
         }
-        (measured.signum() != commanded.signum()).then_some(Fault::EncoderReversed { axis })
+        (measured.signum() != commanded.signum()).then_some(Fault::EncoderReversed { joint })
     }
 
     /// The following error against its limit.
     fn check_following_error(
-        axis: u8,
+        joint: u8,
         config: &JointAxis,
         encoder: &EncoderAxis,
         sample: &JointSample,
@@ -470,7 +471,7 @@ impl JointMonitor {
             return None;
         }
         Some(Fault::FollowingError {
-            axis,
+            joint,
             error: saturate(error),
             limit: saturate(limit),
         })

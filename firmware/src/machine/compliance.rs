@@ -118,14 +118,14 @@ impl Machine {
             if compliance.displacement == Displacement::default() && compliance.rate == Rate::ZERO {
                 continue;
             }
-            let desired = self.reference.pose.0[component];
+            let commanded = self.reference.pose.0[component];
             let reference = self.displace(component, compliance.displacement);
             let rate = &mut self.reference.rates[component];
             *rate = rate.saturating_add(compliance.rate);
             let acceleration = &mut self.reference.accelerations[component];
             *acceleration = acceleration.saturating_add(compliance.acceleration);
-            if let Some(end) = self.soft_limit_passed(component, desired, reference) {
-                self.stop_at_soft_limit(component, desired, end);
+            if let Some(end) = self.soft_limit_passed(component, commanded, reference) {
+                self.stop_at_soft_limit(component, commanded, end);
                 limited |= 1 << component;
             }
         }
@@ -151,8 +151,8 @@ impl Machine {
 
     /// Writes p_d + p_c of one component into the reference, and returns it.
     fn displace(&mut self, component: usize, by: Displacement) -> Coordinate {
-        let desired = self.motion.commanded().pose.0[component];
-        let reference = Coordinate(desired.0.saturating_add(by.length().0));
+        let commanded = self.motion.commanded().pose.0[component];
+        let reference = Coordinate(commanded.0.saturating_add(by.length().0));
         self.reference.pose.0[component] = reference;
         reference
     }
@@ -162,11 +162,11 @@ impl Machine {
     fn soft_limit_passed(
         &self,
         component: usize,
-        desired: Coordinate,
+        commanded: Coordinate,
         reference: Coordinate,
     ) -> Option<Coordinate> {
         let axis = self.config.pose.get(component)?;
-        let (low, high) = (axis.low.min(desired), axis.high.max(desired));
+        let (low, high) = (axis.low.min(commanded), axis.high.max(commanded));
         if reference > high {
             Some(high)
         } else if reference < low {
@@ -177,9 +177,9 @@ impl Machine {
     }
 
     /// Stops the reference of one component at a soft limit.
-    fn stop_at_soft_limit(&mut self, component: usize, desired: Coordinate, end: Coordinate) {
+    fn stop_at_soft_limit(&mut self, component: usize, commanded: Coordinate, end: Coordinate) {
         // The result is a p_c of smaller magnitude, so it fits.
-        let left = Length(end.0.saturating_sub(desired.0));
+        let left = Length(end.0.saturating_sub(commanded.0));
         if let Some(force) = &mut self.force {
             force.clamp_displacement(component, Displacement::from_length(left));
         }
@@ -190,12 +190,12 @@ impl Machine {
 
     /// Passes p_c and its rate to the jog source: the joint rates include them.
     #[inline]
-    pub(super) fn update_excursion(&mut self) {
+    pub(super) fn pass_displacement_to_jog(&mut self) {
         if let Some(force) = &self.force {
-            let excursion = force
+            let displacement = force
                 .compliance()
                 .map(|of| (of.displacement.length().0, of.rate));
-            self.motion.jog.displace(&excursion);
+            self.motion.jog.displace(&displacement);
         }
     }
 

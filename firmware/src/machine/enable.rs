@@ -107,7 +107,7 @@ impl Machine {
             let too_far = following.is_some_and(|limit| by.magnitude() > limit.magnitude());
             if too_far || (expired && moves) {
                 return Err(Fault::NotLocked {
-                    axis: index as u8,
+                    joint: index as u8,
                     by: by.0,
                 });
             }

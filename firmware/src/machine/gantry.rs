@@ -149,7 +149,7 @@ impl Machine {
         seconds(&self.config).find_map(|second| {
             let by = place(second.joint) - place(second.first);
             (by.abs() > i64::from(second.gantry.racking.0)).then_some(Fault::Racking {
-                axis: second.joint as u8,
+                joint: second.joint as u8,
                 by: by.clamp(i64::from(-i32::MAX), i64::from(i32::MAX)) as i32,
             })
         })
@@ -162,13 +162,13 @@ impl Machine {
         let moved = shifts.iter().enumerate().filter(move |_| known);
         let shifted = moved.filter(|(_, shift)| shift.0 != 0);
         let shifted = shifted.map(|(joint, shift)| Event::ReferenceShift {
-            axis: joint as u8,
+            joint: joint as u8,
             by: shift.0,
         });
         let squared = seconds(&self.config).map(|second| {
             let (own, first) = (shifts[second.joint], shifts[second.first]);
             Event::Squared {
-                axis: second.joint as u8,
+                joint: second.joint as u8,
                 // The coordinate rises where the motor was behind.
                 by: difference(second.axis.kind, first, own).0,
             }

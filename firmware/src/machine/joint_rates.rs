@@ -165,7 +165,7 @@ impl Machine {
                 };
                 return Err(Refusal::JointRate {
                     setpoint: number,
-                    axis: index as u8,
+                    joint: index as u8,
                     rate: Rate::saturating_from(rate).0,
                     limit,
                 });

@@ -139,7 +139,7 @@ impl Machine {
         let late = remote && age > self.masters.stale;
         let frame = self
             .master()
-            .filter(|frame| frame.engaged && !late && mask != 0);
+            .filter(|frame| frame.clutch && !late && mask != 0);
         let Some(frame) = frame else {
             let led = self.masters.mapping.is_active();
             self.release_master();
@@ -187,7 +187,7 @@ impl Machine {
         let leading = if here {
             self.masters.mapping.is_active()
         } else {
-            arm.frame().is_some_and(|frame| frame.engaged)
+            arm.frame().is_some_and(|frame| frame.clutch)
         };
         // A sensor that is invalid or not tared gives no force feedback.
         let tool = self

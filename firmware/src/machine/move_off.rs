@@ -102,19 +102,19 @@ impl Machine {
         let joints = self.config.joints.iter().zip(&inputs.axes);
         for (other, (slot, (axis, seen))) in ignored.iter_mut().zip(joints).enumerate() {
             if !seen.drive_ready {
-                let axis = other as u8;
-                return Err(Refusal::Input(InputProblem::Drive { axis }));
+                let joint = other as u8;
+                return Err(Refusal::Input(InputProblem::Drive { joint }));
             }
             *slot = axis.active_switches(seen) & LIMITS;
         }
         let partner = self.config.partner(joint);
         let active = ignored[joint] | partner.map_or(0, |partner| ignored[partner]);
-        let none = Refusal::Input(InputProblem::NoLimitSwitch { axis: index });
+        let none = Refusal::Input(InputProblem::NoLimitSwitch { joint: index });
         let input = match active {
             // Of a motion that was stopped between the switch and the stroke.
             0 => self.side_beyond_stroke(joint).ok_or(none)?,
             LIMITS => {
-                let both = InputProblem::BothLimitSwitches { axis: index };
+                let both = InputProblem::BothLimitSwitches { joint: index };
                 return Err(Refusal::Input(both));
             }
             _ if active == SwitchInput::LimitLow.bit() => SwitchInput::LimitLow,
@@ -188,7 +188,7 @@ impl Machine {
                 period_us,
             };
             let failed = |_| Fault::Homing {
-                axis: joint as u8,
+                joint: joint as u8,
                 problem: HomingProblem::LimitStuck,
             };
             move_off.search.advance(&search_inputs).map_err(failed)?;

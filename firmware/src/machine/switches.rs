@@ -141,7 +141,7 @@ impl Machine {
                 search
                     .advance(&search_inputs)
                     .map_err(|problem| Fault::Homing {
-                        axis: index as u8,
+                        joint: index as u8,
                         problem,
                     })?;
             }
@@ -194,7 +194,7 @@ impl Machine {
                 let off = if off > pitch / 2 { off - pitch } else { off };
                 if off.abs() > i64::from(encoder.search.0) {
                     return Err(Fault::Homing {
-                        axis: index as u8,
+                        joint: index as u8,
                         problem: HomingProblem::Implausible,
                     });
                 }
@@ -240,10 +240,10 @@ impl Machine {
                 limits &= !home.input.bit();
             }
             if axis.active_switches(inputs) & limits != 0 {
-                return Some(Fault::LimitSwitch { axis: index as u8 });
+                return Some(Fault::LimitSwitch { joint: index as u8 });
             }
             if !inputs.drive_ready {
-                return Some(Fault::Drive { axis: index as u8 });
+                return Some(Fault::Drive { joint: index as u8 });
             }
         }
         None

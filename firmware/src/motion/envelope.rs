@@ -79,8 +79,8 @@ impl StoppingEnvelope {
     }
 
     /// Shifts the box by an offset of some coordinates, and adds the rates of the offset.
-    pub fn displace(&mut self, excursion: &Excursion) {
-        for (axis, (by, rate)) in excursion.iter().enumerate() {
+    pub fn displace(&mut self, displacement: &Displacements) {
+        for (axis, (by, rate)) in displacement.iter().enumerate() {
             let moved = |value: Coordinate| Coordinate(value.0.saturating_add(*by));
             self.low.0[axis] = moved(self.low.0[axis]);
             self.high.0[axis] = moved(self.high.0[axis]);
@@ -188,7 +188,7 @@ impl StoppingEnvelope {
 pub const SLOWED_LOAD: u32 = FULL_LOAD - FULL_LOAD / 8;
 
 /// Offset of up to three coordinates, and its rates.
-pub type Excursion = [(i32, Rate); 3];
+pub type Displacements = [(i32, Rate); 3];
 
 /// Control periods between two attempts at a wider box after a failed one.
 const RETRY_PERIODS: u8 = 64;

@@ -8,7 +8,7 @@
 //! Units: 2^-20 axis units (per control period) inside, axis units per second outside.
 
 use super::PoseCommand;
-use super::envelope::{Excursion, FULL_LOAD, MOST_LOAD, StoppingEnvelope};
+use super::envelope::{Displacements, FULL_LOAD, MOST_LOAD, StoppingEnvelope};
 use super::ramp::{Ramp, RampLimits};
 use crate::config::{Config, JERK_SHIFT};
 use crate::digest::{Constants, Digest, impl_digest};
@@ -90,7 +90,7 @@ pub struct Jog {
     /// Decelerate in this control period only.
     braking: bool,
     /// Compliant displacement, added to the pose.
-    excursion: Excursion,
+    displacement: Displacements,
     /// Steps of this period, once they are planned.
     planned: Option<Steps>,
     /// Coordinate that its soft limit stops, in the planned steps.
@@ -111,7 +111,7 @@ impl Constants for Jog {
             axis,
             requested_load: _,
             braking: _,
-            excursion: _,
+            displacement: _,
             planned: _,
             at_limit: _,
             periods_left: _,
@@ -200,14 +200,14 @@ impl Jog {
     }
 
     /// Sets the compliant displacement of this control period.
-    pub const fn displace(&mut self, excursion: &Excursion) {
-        self.excursion = *excursion;
+    pub const fn displace(&mut self, displacement: &Displacements) {
+        self.displacement = *displacement;
     }
 
     /// The compliant displacement of this control period.
     #[must_use]
-    pub const fn excursion(&self) -> &Excursion {
-        &self.excursion
+    pub const fn displacement(&self) -> &Displacements {
+        &self.displacement
     }
 
     /// Sets the position of a coordinate that has another source, so that the reach is that of the
@@ -371,7 +371,7 @@ impl Jog {
     /// with the requested rates. `None` if the machine cannot reach the poses.
     fn loads(&self, machine: &impl Kinematics, steps: &Steps) -> Option<[u32; 2]> {
         let mut envelope = self.envelope(steps)?;
-        envelope.displace(&self.excursion);
+        envelope.displace(&self.displacement);
         let mut rates = envelope.rates;
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
             // A coordinate that its soft limit stops is not asked for more.

@@ -470,7 +470,7 @@ impl Motion {
                 Source::Hold | Source::Master => {}
             }
         }
-        envelope.displace(self.jog.excursion());
+        envelope.displace(self.jog.displacement());
         // A machine without a master checks the corners directly: it needs boxes only for jogs, and
         // has little flash.
         let load = if HAPTICS {

@@ -24,9 +24,9 @@ prop_compose! {
 }
 
 prop_compose! {
-    fn haptic()(counts: [[i32; 3]; 3], illegal: [[u16; 3]; 3], engaged: bool, drives_ready: bool) -> HapticInputs {
+    fn haptic()(counts: [[i32; 3]; 3], illegal: [[u16; 3]; 3], clutch: bool, drives_ready: bool) -> HapticInputs {
         let legs = core::array::from_fn(|leg| LegInputs { counts: counts[leg], illegal: illegal[leg] });
-        HapticInputs { legs, engaged, drives_ready }
+        HapticInputs { legs, clutch, drives_ready }
     }
 }
 

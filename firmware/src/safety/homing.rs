@@ -133,7 +133,7 @@ impl Homing {
         let off = if off > pitch / 2 { off - pitch } else { off };
         if off.abs() > i64::from(config.search.0) {
             return Some(Fault::Homing {
-                axis: joint as u8,
+                joint: joint as u8,
                 problem: HomingProblem::Implausible,
             });
         }
@@ -176,7 +176,7 @@ impl Homing {
                     return HomingProgress::Searching;
                 };
                 return HomingProgress::Failed(Fault::Homing {
-                    axis: joint as u8,
+                    joint: joint as u8,
                     problem,
                 });
             }

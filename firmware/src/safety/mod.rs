@@ -60,7 +60,7 @@ pub const fn decelerates_first(fault: &Fault) -> bool {
     matches!(
         fault,
         Fault::LostHost { .. }
-            | Fault::LatePeriod { .. }
+            | Fault::MissedPeriods { .. }
             | Fault::SoftLimit { .. }
             | Fault::JointRate { .. }
             | Fault::Force(_)
@@ -89,6 +89,7 @@ pub const fn keeps_position(fault: &Fault) -> bool {
         && !matches!(
             fault,
             Fault::EncoderIllegal { .. }
+                | Fault::CounterJump { .. }
                 | Fault::EncoderSlip { .. }
                 | Fault::Configuration
                 | Fault::Racking { .. }
@@ -103,12 +104,12 @@ pub const fn keeps_position(fault: &Fault) -> bool {
 #[must_use]
 pub const fn suspected(fault: &Fault) -> Option<u8> {
     match fault {
-        Fault::EncoderStuck { axis }
-        | Fault::EncoderReversed { axis }
-        | Fault::FollowingError { axis, .. }
-        | Fault::Stroke { axis, .. }
-        | Fault::LimitSwitch { axis }
-        | Fault::StepsLost { axis, .. } => Some(*axis),
+        Fault::EncoderStuck { joint }
+        | Fault::EncoderReversed { joint }
+        | Fault::FollowingError { joint, .. }
+        | Fault::Stroke { joint, .. }
+        | Fault::LimitSwitch { joint }
+        | Fault::StepsLost { joint, .. } => Some(*joint),
         _ => None,
     }
 }
@@ -263,7 +264,7 @@ impl Safety {
             self.lose_position();
         }
         let fault = match self.pending.take() {
-            Some(late @ Fault::LatePeriod { .. }) if is_of_joint(&fault) => late,
+            Some(missed @ Fault::MissedPeriods { .. }) if is_of_joint(&fault) => missed,
             _ => fault,
         };
         self.fault = Some(fault);

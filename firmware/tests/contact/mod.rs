@@ -10,7 +10,7 @@ use haptimill_math::{Coordinate, Length, Rate};
 
 pub const PERIOD_US: u16 = 200;
 pub const DELAY_US: u32 = 24_000;
-pub const DESIRED: f64 = 5.0;
+pub const SETPOINT: f64 = 5.0;
 const STEP: f64 = 200e-6;
 const MM: f64 = 1_048_576.0;
 const NEWTON: f64 = 65_536.0;
@@ -41,7 +41,7 @@ pub struct Contact {
     pub damping: f64,
     pub time: f64,
     pub window: u32,
-    /// Depth beyond the surface to which the desired motion goes on.
+    /// Depth beyond the surface to which the commanded motion goes on.
     pub depth: f64,
 }
 
@@ -59,7 +59,7 @@ impl Contact {
             damping: 5.0,
             time: 12.0,
             window: 60,
-            depth: 0.5 + DESIRED / stiffness,
+            depth: 0.5 + SETPOINT / stiffness,
         }
     }
 }
@@ -78,7 +78,7 @@ pub struct ContactResult {
 
 pub fn settings(mass: f64, damping: f64) -> LoopSettings {
     LoopSettings {
-        desired: Force((DESIRED * NEWTON) as i32),
+        setpoint: Force((SETPOINT * NEWTON) as i32),
         mass: VirtualMass((mass * NEWTON) as u32),
         damping: VirtualDamping((damping * NEWTON) as u32),
         limit: Length::millimetres(10),
@@ -125,7 +125,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Co
     let mut guard = StabilityMonitor::default();
     let mut noise = Noise(0x1234_5678_9abc_def1);
     let start = contact.approach * 0.1;
-    let mut desired = start;
+    let mut commanded = start;
     let (mut tool, mut speed, mut stuck) = (start, 0.0, start);
     let mut filtered = start;
     let mut reference = start;
@@ -183,17 +183,17 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Co
         let peak = peaks.push(measurement).peak();
         peak_forces.push(f64::from(peak.0) / NEWTON);
         guard.record_position(Coordinate((measured * MM) as i32));
-        // Desired motion.
+        // Commanded motion.
         let end = -contact.depth;
-        let rate = if desired > end {
+        let rate = if commanded > end {
             -contact.approach
         } else {
             0.0
         };
-        desired = (desired + rate * STEP).max(end);
+        commanded = (commanded + rate * STEP).max(end);
         let push = DrivingForce {
             force: peak,
-            desired_rate: Rate((rate * MM) as i32),
+            commanded_rate: Rate((rate * MM) as i32),
             active: true,
             held: false,
             touching: guard.touching(),
@@ -201,7 +201,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Co
         };
         level = push.level;
         let compliance_motion = compliance.advance(&push);
-        reference = desired + compliance_motion.displacement.length().0 as f64 / MM;
+        reference = commanded + compliance_motion.displacement.length().0 as f64 / MM;
         reference_rate = rate + f64::from(compliance_motion.rate.0) / MM;
         if k % (contact.window as usize / 4) == 0 {
             guard.update(

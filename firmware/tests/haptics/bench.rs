@@ -166,11 +166,11 @@ impl Bench {
         self.link.send_latest(&request).expect("open");
     }
 
-    /// Makes the master the source of an axis.
+    /// Makes the master the source of a coordinate.
     #[track_caller]
-    pub fn master(&mut self, axis: u8) {
+    pub fn master(&mut self, coordinate: u8) {
         let source = Source::Master;
-        assert_eq!(self.ask(Command::Source { axis, source }), Ok(()));
+        assert_eq!(self.ask(Command::Source { coordinate, source }), Ok(()));
     }
 
     /// Connects the force sensor without load, and tares it.

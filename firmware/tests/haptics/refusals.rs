@@ -18,7 +18,7 @@ fn wrong_arm_encoder_switches_the_arm_off_and_stops() {
             let mut bench = Bench::ready(mill());
             bench.master(0);
             bench.start_job();
-            bench.inputs.haptic.engaged = true;
+            bench.inputs.haptic.clutch = true;
             bench.lead([2.0, 0.0, 0.0], 1000);
             assert!(bench.outputs.haptic.enabled);
             bench.lie = Some((1, sensor, lie));
@@ -91,7 +91,13 @@ fn broken_arm_can_be_deselected() {
     bench.steps(5);
     assert_eq!(bench.state(), State::Fault, "found again");
     let source = Source::Program;
-    assert_eq!(bench.ask(Command::Source { axis: 0, source }), Ok(()));
+    assert_eq!(
+        bench.ask(Command::Source {
+            coordinate: 0,
+            source
+        }),
+        Ok(())
+    );
     let before = bench.commanded();
     assert_eq!(bench.ask(Command::Reset), Ok(()));
     bench.steps(100);
@@ -128,7 +134,10 @@ fn invalid_haptic_commands_are_refused() {
     let mut bench = Bench::ready(reference::h4_with_steps());
     let source = Source::Master;
     assert_eq!(
-        bench.ask(Command::Source { axis: 0, source }),
+        bench.ask(Command::Source {
+            coordinate: 0,
+            source
+        }),
         Err(Refusal::NoMaster)
     );
     assert_eq!(

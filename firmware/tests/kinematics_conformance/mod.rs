@@ -26,7 +26,7 @@ macro_rules! tests {
 
             #[test]
             fn no_wrong_pose() {
-                let worst = suite::forward_is_certified(&$subject, SHARE);
+                let worst = suite::forward_is_verified(&$subject, SHARE);
                 println!("largest error, share of the bound: {worst:.3}");
             }
 

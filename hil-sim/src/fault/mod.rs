@@ -406,7 +406,7 @@ impl Fault {
                 Some(place) => place,
                 None => {
                     return refuse(format!(
-                        "there is no axis `{axis}`; this machine has {}",
+                        "there is no joint `{axis}`; this machine has {}",
                         joints.join(", ")
                     ));
                 }

@@ -116,7 +116,7 @@ pub struct HapticArm {
     period_ns: u64,
     time_ns: u64,
     powered: bool,
-    engaged: bool,
+    clutch: bool,
     /// Number of periods without motion and without any commanded or intended motion.
     idle: u32,
     truth: HapticGroundTruth,
@@ -190,7 +190,7 @@ impl HapticArm {
             period_ns,
             time_ns: 0,
             powered: true,
-            engaged: false,
+            clutch: false,
             idle: 0,
             truth: HapticGroundTruth::default(),
             config: config.clone(),
@@ -252,7 +252,7 @@ impl HapticArm {
     /// becomes a live one.
     pub fn live(&mut self, live: Live) {
         self.idle = 0;
-        self.engaged = live.engaged;
+        self.clutch = live.clutch;
         if let Some(operator) = &mut self.around.operator {
             if matches!(operator.trajectory(), Trajectory::Live(_)) {
                 operator.live(live);
@@ -263,8 +263,8 @@ impl HapticArm {
     }
 
     /// Presses or releases the enabling switch on the handle.
-    pub const fn set_engaged(&mut self, engaged: bool) {
-        self.engaged = engaged;
+    pub const fn set_clutch(&mut self, clutch: bool) {
+        self.clutch = clutch;
     }
 
     /// The operator model.
@@ -346,7 +346,7 @@ impl HapticArm {
     pub fn inputs(&self) -> HapticInputs {
         HapticInputs {
             legs: core::array::from_fn(|leg| self.sensors.leg(leg)),
-            engaged: self.engaged,
+            clutch: self.clutch,
             drives_ready: self.motors.ready() && self.powered,
         }
     }

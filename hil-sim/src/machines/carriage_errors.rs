@@ -49,10 +49,10 @@ pub struct CarriageErrors {
     /// `EC0Y`, `EB0Z`, `EA0Z`.
     squareness: [f64; 3],
     model: ErrorModel,
-    /// Middle of the play of each carriage, mm, and the carriage's place in it: 1 after motion
-    /// upwards, -1 after motion downwards.
+    /// Middle of the lost motion of each carriage, mm, and the carriage's place in it: 1 after
+    /// motion upwards, -1 after motion downwards.
     middle: [f64; 3],
-    play_side: [f64; 3],
+    side: [f64; 3],
 }
 
 impl CarriageErrors {
@@ -177,19 +177,19 @@ impl CarriageErrors {
             ],
             model,
             middle: [0.0; 3],
-            play_side: [1.0; 3],
+            side: [1.0; 3],
         }))
     }
 
     /// Error of the tool relative to the workpiece with the carriages here, mm; keeps track of
-    /// their directions. A reversal takes the play of the carriage, in which the tool stands still:
-    /// the difference of its positioning error between the directions.
+    /// their directions. A reversal takes up the lost motion of the carriage, in which the tool
+    /// stands still: the difference of its positioning error between the directions.
     pub fn follow(&mut self, carriages: Vector) -> Vector {
         for (axis, carriage) in carriages.into_iter().enumerate() {
-            let half = 0.5 * self.play(axis, carriage).max(REVERSAL);
+            let half = 0.5 * self.lost_motion(axis, carriage).max(REVERSAL);
             let ahead = (carriage - self.middle[axis]).clamp(-half, half);
             self.middle[axis] = carriage - ahead;
-            self.play_side[axis] = ahead / half;
+            self.side[axis] = ahead / half;
         }
         let [x, y, z] = [0, 1, 2].map(|axis| self.carriage(axis, carriages[axis]));
         match self.model {
@@ -202,14 +202,14 @@ impl CarriageErrors {
     /// y, z in mm, then rotations about them in radians.
     #[must_use]
     pub fn of_carriage(&mut self, axis: usize, at: f64, upwards: bool) -> [f64; 6] {
-        self.play_side[axis] = if upwards { 1.0 } else { -1.0 };
+        self.side[axis] = if upwards { 1.0 } else { -1.0 };
         let Carriage { by, turn } = self.carriage(axis, at);
         let ([x, y, z], [a, b, c]) = (by, turn);
         [x, y, z, a, b, c]
     }
 
     /// Lost motion of a carriage, mm.
-    fn play(&self, axis: usize, at: f64) -> f64 {
+    fn lost_motion(&self, axis: usize, at: f64) -> f64 {
         match &self.functions[axis][axis] {
             Function::Form(..) => 0.0,
             Function::Table(nodes, up, down) => between(nodes, down, at) - between(nodes, up, at),
@@ -230,7 +230,7 @@ impl CarriageErrors {
                 value + slope * at + sines.iter().map(sine).sum::<f64>()
             }
             Function::Table(nodes, up, down) => {
-                let weight = 0.5 + 0.5 * self.play_side[axis];
+                let weight = 0.5 + 0.5 * self.side[axis];
                 weight * between(nodes, up, at) + (1.0 - weight) * between(nodes, down, at)
             }
         });

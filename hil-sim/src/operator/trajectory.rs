@@ -67,7 +67,7 @@ pub struct Live {
     /// Velocity of the position, mm/s.
     pub velocity_mm_s: [f64; 3],
     /// The enabling switch on the handle is pressed.
-    pub engaged: bool,
+    pub clutch: bool,
 }
 
 /// Desired motion at one time.

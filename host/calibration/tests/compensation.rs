@@ -144,7 +144,7 @@ fn lost_motion_by_place_is_compensated() {
     let mean_alone = sizes(&compensated);
     println!("with the table {with_table:?}, the mean alone {mean_alone:?}");
     // The largest errors are those of an axis that stands while its correction reverses: the
-    // carriage crosses the play within the wait, and the integrator has not ended.
+    // carriage crosses the lost motion within the wait, and the integrator has not ended.
     assert!(
         with_table.rms < 0.4e-3 && with_table.largest < 1.3e-3,
         "{with_table:?}"

@@ -185,8 +185,12 @@ impl Table {
             let place = place.ok_or_else(|| {
                 let names: Vec<&str> = inputs.iter().map(|(name, _)| *name).collect();
                 let known = names.join(", ");
+                let what = match self.direction {
+                    Direction::Inverse => "coordinate",
+                    Direction::Forward => "joint",
+                };
                 format!(
-                    "--grid {}: the machine has no such axis; it has {known}",
+                    "--grid: there is no {what} '{}'; this machine has {known}",
                     column.name
                 )
             })?;

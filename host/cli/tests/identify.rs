@@ -169,7 +169,7 @@ fn joints_that_are_not_measured_are_named() {
     );
 }
 
-/// The gauge of the simulated machine sees the slide of the plant: play of 0.010 mm, and the
+/// The gauge of the simulated machine sees the slide of the plant: backlash of 0.010 mm, and the
 /// wind-up of 0.0158 mm by its friction in both directions.
 #[test]
 fn lost_motion_is_written_as_backlash() {

@@ -147,11 +147,11 @@ fn captures_that_cannot_be_checked_are_refused() {
     for (arguments, part) in [
         (&[][..], "has no lines named NAME_step and NAME_dir"),
         (
-            &["--axis", "x=a,b"],
+            &["--joint", "x=a,b"],
             "no line is named 'a'; there are clock",
         ),
         (
-            &["--enable", "e", "--axis", "x=clock,clock"],
+            &["--enable", "e", "--joint", "x=clock,clock"],
             "no line is named 'e'",
         ),
         (
@@ -166,5 +166,5 @@ fn captures_that_cannot_be_checked_are_refused() {
     }
     let found = pulses(&folder.path("none.vcd"), &[]);
     assert_eq!(found.code, 3);
-    assert_eq!(pulses(&file, &["--axis", "x"]).code, 2);
+    assert_eq!(pulses(&file, &["--joint", "x"]).code, 2);
 }

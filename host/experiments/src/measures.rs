@@ -60,7 +60,7 @@ const fn teleoperated(
 
 /// Deviation of the tool from commanded position plus compliant displacement.
 fn following_error(sample: &HapticTraceSample, axis: usize) -> f64 {
-    (sample.tool[axis] - sample.desired[axis] - sample.displacement[axis]).abs()
+    (sample.tool[axis] - sample.commanded[axis] - sample.displacement[axis]).abs()
 }
 
 const QUANTITIES: &[Quantity] = &[
@@ -85,7 +85,7 @@ const QUANTITIES: &[Quantity] = &[
         error(0).max(error(1))
     }),
     teleoperated("tool_error", true, |sample, axis| {
-        sample.tool[axis] - sample.desired[axis]
+        sample.tool[axis] - sample.commanded[axis]
     }),
     teleoperated("following_error", true, following_error),
     teleoperated("following_error_xy", false, |sample, _| {

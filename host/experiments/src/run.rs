@@ -50,7 +50,7 @@ fn with_force_control(machine: &MachineFile, pass: &Pass) -> Option<MachineFile>
         let scaled = |value: f64| (value * 65_536.0).round() as u32;
         for axis in &control.axes {
             let axis = force.axes.get_mut(axis.index())?;
-            axis.desired = Force(scaled(control.setpoint_n) as i32);
+            axis.setpoint = Force(scaled(control.setpoint_n) as i32);
             axis.mass = VirtualMass(scaled(control.virtual_mass));
             axis.damping = VirtualDamping(scaled(control.virtual_damping));
             axis.limit = Length(COMPLIANCE_LIMIT_MM << 20);

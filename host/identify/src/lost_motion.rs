@@ -1,6 +1,6 @@
 //! Lost motion of a joint, by a dial gauge at the part that it moves.
 //!
-//! The encoder of a motor, and the count of its steps, do not see the play of the screw and its
+//! The encoder of a motor, and the count of its steps, do not see the backlash of the screw and its
 //! wind-up by friction. The joint comes to the same place from below and from above. The controller
 //! takes up the backlash of the machine file; what the gauge still sees is the rest.
 

@@ -334,7 +334,7 @@ pub fn tuning(machine: &str, date: &str, joints: &[Tuned], changes: &[Change]) -
         &mut page,
         format_args!(
             "<h1>{}</h1><p class=\"sub\">{date}, by haptimill tune, on the identified joints. The \
-             step responses are computed, without friction and play.</p>",
+             step responses are computed, without friction and backlash.</p>",
             escape(&title)
         ),
     );

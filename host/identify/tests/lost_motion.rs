@@ -41,7 +41,7 @@ fn check(backlash: &str) -> Result<()> {
         )?);
     }
     for (found, count) in found.iter().zip([0.001_25, f64::NAN]) {
-        // The play, and the wind-up by the friction of the slide in both directions.
+        // The backlash, and the wind-up by the friction of the slide in both directions.
         let joint = &plant.joint[found.joint];
         let omega = TAU * joint.mode_hz;
         let share = joint.motor_share * (1.0 - joint.motor_share);

@@ -79,7 +79,7 @@ impl Stroke {
 }
 
 /// Whether the motor loses steps in strokes with rests between them: the equations of motion of
-/// rotor and slide on the spring of the screw, without play and with a field that turns evenly.
+/// rotor and slide on the spring of the screw, without backlash and with a field that turns evenly.
 fn loses(joint: &JointConfig, strokes: &[Stroke]) -> bool {
     const STEP: f64 = 1e-5;
     let DriveConfig::Steps(drive) = &joint.drive else {

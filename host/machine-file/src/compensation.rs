@@ -119,7 +119,11 @@ fn add_lost_motion<'a>(
             continue;
         }
         let mm = |place: Coordinate| f64::from(place.0) / PER_MM;
-        let known: Vec<f64> = joint.backlash_table.iter().map(|play| mm(*play)).collect();
+        let known: Vec<f64> = joint
+            .backlash_table
+            .iter()
+            .map(|lost_motion| mm(*lost_motion))
+            .collect();
         let (low, high) = (mm(joint.low), mm(joint.high));
         let place = |node: usize, count: usize| {
             low + (high - low) * node as f64 / (count.max(2) - 1) as f64
@@ -134,12 +138,13 @@ fn add_lost_motion<'a>(
                 true => mm(joint.backlash),
                 false => interpolate(&places, &known, at),
             };
-            let play = before + table.value(at, Approach::Down) - table.value(at, Approach::Up);
-            if play < -NO_LOST_MOTION {
+            let lost_motion =
+                before + table.value(at, Approach::Down) - table.value(at, Approach::Up);
+            if lost_motion < -NO_LOST_MOTION {
                 let what = format!(
                     "{positioning} is {:.2} um larger upwards than downwards at {at:.1} mm: the lost \
                      motion would be negative",
-                    -1e3 * (play - before)
+                    -1e3 * (lost_motion - before)
                 );
                 section.report(
                     "errors",
@@ -148,11 +153,11 @@ fn add_lost_motion<'a>(
                 );
                 return;
             }
-            nodes.push(play.max(0.0));
+            nodes.push(lost_motion.max(0.0));
         }
         let nodes = nodes
             .into_iter()
-            .map(|play| Coordinate(to_i32(play * PER_MM)));
+            .map(|lost_motion| Coordinate(to_i32(lost_motion * PER_MM)));
         joint.backlash_table = nodes.collect();
         let largest = joint.backlash_table.iter().max();
         joint.backlash = largest.copied().unwrap_or(joint.backlash);

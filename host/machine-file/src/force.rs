@@ -129,7 +129,7 @@ fn check(
 /// Returns the key of a parameter of the controller.
 const fn key(parameter: ForceParameter) -> &'static str {
     match parameter {
-        ForceParameter::DesiredTooSmall | ForceParameter::DesiredTooLarge => "desired_n",
+        ForceParameter::SetpointTooSmall | ForceParameter::SetpointTooLarge => "desired_n",
         ForceParameter::DampingTooSmall | ForceParameter::DampingTooLarge => "damping_n_s_per_mm",
         ForceParameter::MassTooSmall | ForceParameter::MassTooLarge => "mass_n_s2_per_mm",
         ForceParameter::Limit => "limit_mm",
@@ -217,7 +217,7 @@ fn read_axis<'d, 'i>(
     }
     let newtons = section.value(force_axis::newtons_per_volt);
     let sign = section.value(force_axis::sign);
-    let desired = section.value(force_axis::desired_n);
+    let setpoint = section.value(force_axis::desired_n);
     let mass = section.value(force_axis::mass_n_s2_per_mm);
     let damping = section.value(force_axis::damping_n_s_per_mm);
     let limit = section.value(force_axis::limit_mm);
@@ -231,7 +231,7 @@ fn read_axis<'d, 'i>(
     }
     let is_scaled = per_code.abs() <= 0.5;
     let numbers = [
-        newtons, sign, desired, mass, damping, limit, rate, volts, saturation,
+        newtons, sign, setpoint, mass, damping, limit, rate, volts, saturation,
     ];
     AxisSections {
         is_valid: is_scaled
@@ -242,7 +242,7 @@ fn read_axis<'d, 'i>(
             saturation: to_u16(saturation * CODES).min(8191) as i16,
         },
         settings: LoopSettings {
-            desired: force(desired),
+            setpoint: force(setpoint),
             mass: VirtualMass(to_u32(mass * PER_EFFORT)),
             damping: VirtualDamping(to_u32(damping * PER_EFFORT)),
             limit: Length(to_i32(limit * PER_MM)),
@@ -282,7 +282,7 @@ const fn placeholder_sensor() -> ForceSensor {
 /// As [`placeholder_channel`].
 const fn placeholder_loop() -> LoopSettings {
     LoopSettings {
-        desired: Force::ZERO,
+        setpoint: Force::ZERO,
         mass: VirtualMass(0),
         damping: VirtualDamping(0),
         limit: Length::ZERO,

@@ -83,8 +83,8 @@ impl PoseDifference {
                 Ok(joints) => joints,
                 Err(error) => {
                     difference.out_of_reach += 1;
-                    if let PoseError::OutOfStroke { axis, .. } = error
-                        && let Some(count) = difference.beyond_stroke.get_mut(usize::from(axis))
+                    if let PoseError::OutOfStroke { joint, .. } = error
+                        && let Some(count) = difference.beyond_stroke.get_mut(usize::from(joint))
                     {
                         *count += 1;
                     }

@@ -18,7 +18,7 @@ pub struct Row {
     /// Directions of the x and z axes of the master's handle, in the frame of its base.
     pub axes: [[f64; COMPONENTS]; 2],
     /// The enabling switch is pressed.
-    pub engaged: bool,
+    pub clutch: bool,
     /// Age of the sample, ms.
     pub age_ms: f64,
     /// Commanded position of the tool.
@@ -51,7 +51,7 @@ impl Row {
         }
         let mut text = format!("{:.4},{:?}", self.time_s, self.state);
         add(&mut text, &self.master);
-        let _ = write!(text, ",{},{:.1}", u8::from(self.engaged), self.age_ms);
+        let _ = write!(text, ",{},{:.1}", u8::from(self.clutch), self.age_ms);
         for values in [
             &self.commanded,
             &self.tool,

@@ -248,7 +248,7 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
             |record| &record.haptic.tip,
             1.0 / MM,
         ));
-        all.push(Column::plain("master_engaged", "master", "", Field::Clutch));
+        all.push(Column::plain("master_clutch", "master", "", Field::Clutch));
         for (row, handle_axis) in [(0, 'x'), (1, 'z')] {
             for (component, name) in ["x", "y", "z"].iter().enumerate() {
                 let name = format!("{name}_master_axis_{handle_axis}");

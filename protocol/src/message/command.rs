@@ -46,7 +46,7 @@ pub enum Command {
     Enable,
     /// Switches the drives off, from standstill.
     Disable,
-    /// Finds the reference of all axes, as one transaction.
+    /// Finds the references of all joints, as one transaction.
     Home,
     /// Clears a latched fault or emergency stop.
     Reset,
@@ -94,7 +94,7 @@ pub enum Command {
     /// Sets the source of one pose coordinate.
     Source {
         /// Index of the pose coordinate.
-        axis: u8,
+        coordinate: u8,
         /// The new source.
         source: Source,
     },
@@ -113,7 +113,7 @@ pub enum Command {
     },
     /// Requests one telemetry frame now.
     Status,
-    /// Sets the axes under force control. An axis that is removed returns to the desired position
+    /// Sets the axes under force control. An axis that is removed returns to the commanded position
     /// at f_d / K_V.
     ForceMask {
         /// Bit 0 for x, 1 for y, 2 for z of the workpiece.
@@ -229,7 +229,7 @@ pub enum Command {
     /// [`Event::MovedOff`]: super::Event::MovedOff
     MoveOff {
         /// The joint; of a gantry, either motor.
-        axis: u8,
+        joint: u8,
     },
 }
 

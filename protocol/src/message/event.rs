@@ -55,20 +55,20 @@ pub enum Event {
         /// Setpoint that the motion was heading for.
         setpoint: u32,
     },
-    /// All axes have their reference.
+    /// All joints have their reference.
     Homed,
     /// Homing found the switch of a joint at another place than the controller had it, while the
     /// position was kept: steps were lost, or the switch moved. Comes before [`Event::Homed`].
     ReferenceShift {
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// Coordinate by the switch minus coordinate before, axis units.
         by: i32,
     },
     /// Homing squared the two motors of a gantry. Comes before [`Event::Homed`].
     Squared {
         /// The joint of the second motor.
-        axis: u8,
+        joint: u8,
         /// Distance by which the second motor was moved farther than the first one, axis units.
         by: i32,
     },
@@ -77,12 +77,12 @@ pub enum Event {
     /// A jog reached a soft limit, a stroke or the edge of the workspace, and ends.
     JogLimited {
         /// The pose coordinate.
-        axis: u8,
+        coordinate: u8,
     },
     /// A drive command exceeded its limit; it was limited and counted.
     Saturated {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
     /// The force sensor has a new zero.
     Tared,
@@ -108,7 +108,7 @@ pub enum Event {
     /// Reported once until the tool can follow again.
     MasterLimited {
         /// The pose coordinate.
-        axis: u8,
+        coordinate: u8,
     },
     /// Settings of a force loop in effect, as requested with [`Command::ForceSettings`].
     ///
@@ -123,7 +123,7 @@ pub enum Event {
     /// comes directly before [`Event::Probed`].
     ProbedAt {
         /// The pose coordinate, and the joint with that number.
-        axis: u8,
+        coordinate: u8,
         /// Measured pose coordinate, axis units.
         measured: i32,
         /// Commanded pose coordinate, axis units.
@@ -138,7 +138,7 @@ pub enum Event {
         input: u8,
         /// Control period in which the level changed.
         period: u64,
-        /// The forward kinematics certified the measured pose; otherwise the commanded pose stands
+        /// The forward kinematics verified the measured pose; otherwise the commanded pose stands
         /// in its place.
         is_measured: bool,
     },
@@ -170,6 +170,6 @@ pub enum Event {
     /// A joint is at rest off the limit switch on which it stood.
     MovedOff {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
 }

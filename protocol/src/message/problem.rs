@@ -15,7 +15,7 @@ pub enum PoseError {
     /// A joint would leave its stroke.
     OutOfStroke {
         /// The joint, from 0.
-        axis: u8,
+        joint: u8,
         /// Distance beyond the nearer end, axis units; negative below the lower end.
         by: i32,
     },
@@ -66,7 +66,7 @@ pub enum Refusal {
         /// Number of the setpoint in the job.
         setpoint: u32,
         /// The pose coordinate.
-        axis: u8,
+        coordinate: u8,
     },
     /// The coding of a setpoint is invalid: period 0, overflow of a coordinate or rate.
     Setpoint {
@@ -76,7 +76,7 @@ pub enum Refusal {
     /// The job must start at the present pose of the machine.
     StartPose {
         /// The first pose coordinate that differs.
-        axis: u8,
+        coordinate: u8,
     },
     /// The jog's epoch was cancelled, or a newer one is active.
     OldEpoch,
@@ -116,7 +116,7 @@ pub enum Refusal {
         /// Number of the setpoint in the job.
         setpoint: u32,
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// The rate that the setpoint demands, axis units per second; negative towards the lower
         /// end.
         rate: i32,
@@ -169,12 +169,12 @@ pub enum InputProblem {
     /// A joint is on its limit switch.
     LimitSwitch {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
     /// The drive of a joint is not ready.
     Drive {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
     /// The drives were switched off and the machine still coasts.
     Coasting,
@@ -198,12 +198,12 @@ pub enum InputProblem {
     /// A joint that must move off its limit switch is on none, and within its stroke.
     NoLimitSwitch {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
     /// Both limit switches of a joint are active: the direction off them is not known.
     BothLimitSwitches {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
 }
 
@@ -259,7 +259,7 @@ pub enum Fault {
     /// The following error of a joint exceeds its limit.
     FollowingError {
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// The following error, axis units.
         error: i32,
         /// The limit at that rate, axis units.
@@ -268,12 +268,12 @@ pub enum Fault {
     /// A pose coordinate left its soft limits.
     SoftLimit {
         /// The pose coordinate.
-        axis: u8,
+        coordinate: u8,
     },
     /// A joint was measured beyond its stroke by more than its following error limit at standstill.
     Stroke {
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// Distance beyond the end of the stroke, axis units; negative beyond the lower end.
         by: i32,
     },
@@ -282,41 +282,41 @@ pub enum Fault {
     /// A hardware limit switch is active.
     LimitSwitch {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
     /// The drive of a joint reports a fault.
     Drive {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
     /// An encoder made illegal transitions.
     EncoderIllegal {
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// Number of transitions since enable.
         count: u16,
     },
     /// Encoder slip: an index pulse came at a count where none is possible.
     EncoderSlip {
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// Counts by which the encoder is too high.
         counts: i32,
     },
     /// Encoder stuck: motion was commanded and the encoder counted none.
     EncoderStuck {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
     /// Motion was commanded and the encoder counted in the opposite direction.
     EncoderReversed {
         /// The joint.
-        axis: u8,
+        joint: u8,
     },
     /// Emitted steps and encoder disagree.
     StepsLost {
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// Steps minus encoder, axis units.
         by: i32,
     },
@@ -328,14 +328,14 @@ pub enum Fault {
     /// The active configuration fails its integrity check.
     Configuration,
     /// Control periods were missed.
-    LatePeriod {
+    MissedPeriods {
         /// Number of missed periods in a row.
         missed: u16,
     },
-    /// Homing failed; all axes were stopped.
+    /// Homing failed; all joints were stopped.
     Homing {
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// The problem.
         problem: HomingProblem,
     },
@@ -356,7 +356,7 @@ pub enum Fault {
         /// Setpoint of the job that the motion was heading for.
         setpoint: u32,
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// The commanded rate, axis units per second; negative towards the lower end.
         rate: i32,
         /// The maximum rate, axis units per second.
@@ -365,7 +365,7 @@ pub enum Fault {
     /// A step motor did not lock after its drive was switched on.
     NotLocked {
         /// The joint.
-        axis: u8,
+        joint: u8,
         /// Distance from the position at which it was switched on, axis units.
         by: i32,
     },
@@ -378,10 +378,17 @@ pub enum Fault {
     /// The two motors of a gantry disagree by more than the largest racking.
     Racking {
         /// The joint of the second motor.
-        axis: u8,
+        joint: u8,
         /// Second motor minus first motor, axis units; during homing the difference of the
         /// distances since its start.
         by: i32,
+    },
+    /// The counter of an encoder jumped: it changed by more than the joint can move.
+    CounterJump {
+        /// The joint.
+        joint: u8,
+        /// Counts of the jump.
+        counts: u32,
     },
 }
 

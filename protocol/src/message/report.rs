@@ -60,7 +60,7 @@ pub struct Telemetry {
     pub path_rate: u16,
     /// Commanded pose, axis units.
     pub commanded: AxisValues,
-    /// Measured pose, axis units; empty while the forward kinematics has no certified answer.
+    /// Measured pose, axis units; empty while the forward kinematics has no verified answer.
     pub measured: AxisValues,
     /// Measured joints, axis units.
     pub joints: AxisValues,

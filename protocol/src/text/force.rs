@@ -24,14 +24,14 @@ impl Describe for ForceRefusal {
         // Forces and gains have 16 fraction bits, lengths and rates 20.
         let (gain, length) = (Decimal(bound, 16), Decimal(bound, 20));
         match self.parameter {
-            ForceParameter::DesiredTooSmall => {
+            ForceParameter::SetpointTooSmall => {
                 write!(
                     f,
                     "the force setpoint must be {gain} N or more; \
                      to switch force control off take the axis out of it"
                 )
             }
-            ForceParameter::DesiredTooLarge => write!(
+            ForceParameter::SetpointTooLarge => write!(
                 f,
                 "the force setpoint must be {gain} N or less, three quarters of the sensor range"
             ),

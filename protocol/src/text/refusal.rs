@@ -10,10 +10,10 @@ impl Describe for PoseError {
             Self::Unreachable => f.write_str(
                 "no joint positions give this pose; move the workpiece or shorten the path",
             ),
-            Self::OutOfStroke { axis, by } => {
-                let name = Named(axes.joints, axis);
+            Self::OutOfStroke { joint, by } => {
+                let name = Named(axes.joints, joint);
                 write!(f, "{name} would leave its stroke")?;
-                if let Some(by) = amount(axes.joints, axis, by) {
+                if let Some(by) = amount(axes.joints, joint, by) {
                     write!(f, " by {by}")?;
                 }
                 f.write_str("; move the workpiece towards the middle of the workspace")
@@ -67,26 +67,29 @@ impl Describe for Refusal {
             Self::OutOfOrder { expected } => write!(f, "setpoint {expected} was expected next"),
             Self::QueueFull => f.write_str("the setpoint queue is full"),
             // The same sentence as for a joint that leaves its stroke with its drives on.
-            Self::MeasuredPose(PoseError::OutOfStroke { axis, by }) => {
-                Fault::Stroke { axis, by }.describe(axes, f)
+            Self::MeasuredPose(PoseError::OutOfStroke { joint, by }) => {
+                Fault::Stroke { joint, by }.describe(axes, f)
             }
             Self::MeasuredPose(error) => Fault::Pose(error).describe(axes, f),
             Self::Pose { setpoint, error } => {
                 write!(f, "setpoint {setpoint}: ")?;
                 error.describe(axes, f)
             }
-            Self::SoftLimit { setpoint, axis } => write!(
+            Self::SoftLimit {
+                setpoint,
+                coordinate,
+            } => write!(
                 f,
                 "setpoint {setpoint}: {} would leave its soft limits; \
                  move the workpiece or change the program",
-                Named(axes.pose, axis)
+                Named(axes.pose, coordinate)
             ),
             Self::Setpoint { setpoint } => write!(f, "setpoint {setpoint} cannot be decoded"),
-            Self::StartPose { axis } => write!(
+            Self::StartPose { coordinate } => write!(
                 f,
                 "the job does not start at the present pose: {} differs; \
                  start again from the present pose",
-                Named(axes.pose, axis)
+                Named(axes.pose, coordinate)
             ),
             Self::OldEpoch => f.write_str("this jog was cancelled"),
             Self::ConfigCheck => {
@@ -128,12 +131,12 @@ impl Describe for Refusal {
             ),
             Self::JointRate {
                 setpoint,
-                axis,
+                joint,
                 rate,
                 limit,
             } => {
                 write!(f, "setpoint {setpoint}: ")?;
-                write_joint_rate(axes, axis, rate, limit, f)?;
+                write_joint_rate(axes, joint, rate, limit, f)?;
                 f.write_str("; lower the feed there, or stay away from the edge of the workspace")
             }
             Self::NoProbe { input } => write!(
@@ -158,15 +161,15 @@ impl Describe for Refusal {
 /// Writes that a joint exceeds its maximum rate, with both rates if the machine is known.
 pub(super) fn write_joint_rate(
     axes: &AxesText<'_>,
-    axis: u8,
+    joint: u8,
     rate: i32,
     limit: i32,
     f: &mut Formatter<'_>,
 ) -> Result {
-    write!(f, "{} would move", Named(axes.joints, axis))?;
+    write!(f, "{} would move", Named(axes.joints, joint))?;
     match (
-        amount(axes.joints, axis, rate),
-        amount(axes.joints, axis, limit),
+        amount(axes.joints, joint, rate),
+        amount(axes.joints, joint, limit),
     ) {
         (Some(rate), Some(limit)) => write!(f, " at {rate}/s (at most {limit}/s)"),
         _ => f.write_str(" faster than its maximum rate"),
@@ -175,33 +178,33 @@ pub(super) fn write_joint_rate(
 
 impl Describe for InputProblem {
     fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
-        let joint = |axis| Named(axes.joints, axis);
+        let named = |joint| Named(axes.joints, joint);
         match *self {
             Self::EmergencyStop => f.write_str("the emergency stop is pressed; release it first"),
-            Self::LimitSwitch { axis } => write!(
+            Self::LimitSwitch { joint } => write!(
                 f,
                 "{} is on its limit switch; move it off (`haptimill move-off`, or by hand), then try \
                  again",
-                joint(axis)
+                named(joint)
             ),
-            Self::NoLimitSwitch { axis } => {
+            Self::NoLimitSwitch { joint } => {
                 write!(
                     f,
                     "{} is on no limit switch and within its stroke; nothing was moved",
-                    joint(axis)
+                    named(joint)
                 )
             }
-            Self::BothLimitSwitches { axis } => write!(
+            Self::BothLimitSwitches { joint } => write!(
                 f,
                 "both limit switches of {} are active, so the direction off them is not known; \
                  check their wiring and active levels, or move the joint by hand",
-                joint(axis)
+                named(joint)
             ),
-            Self::Drive { axis } => write!(
+            Self::Drive { joint } => write!(
                 f,
                 "the drive of {} is not ready; check the drive, and that the board can drive this \
                  joint (kind of drive, step clock, encoder)",
-                joint(axis)
+                named(joint)
             ),
             Self::Coasting => f.write_str("the machine still coasts; wait for its standstill"),
             Self::Settling => f.write_str(

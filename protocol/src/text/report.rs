@@ -15,42 +15,46 @@ const PRESET: &str =
 
 impl Describe for Fault {
     fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
-        let joint = |axis| Named(axes.joints, axis);
+        let named = |joint| Named(axes.joints, joint);
         match *self {
-            Self::FollowingError { axis, error, limit } => {
-                write!(f, "the following error of {} ", joint(axis))?;
+            Self::FollowingError {
+                joint,
+                error,
+                limit,
+            } => {
+                write!(f, "the following error of {} ", named(joint))?;
                 match (
-                    amount(axes.joints, axis, error),
-                    amount(axes.joints, axis, limit),
+                    amount(axes.joints, joint, error),
+                    amount(axes.joints, joint, limit),
                 ) {
                     (Some(error), Some(limit)) => write!(f, "is {error} (at most {limit})")?,
                     _ => f.write_str("exceeds its limit")?,
                 }
                 write!(f, "; remove what blocks the joint, {HOME}")
             }
-            Self::SoftLimit { axis } => {
+            Self::SoftLimit { coordinate } => {
                 write!(
                     f,
                     "{} left its soft limits; reset, then jog it back",
-                    Named(axes.pose, axis)
+                    Named(axes.pose, coordinate)
                 )
             }
             Self::JointRate {
                 setpoint,
-                axis,
+                joint,
                 rate,
                 limit,
             } => {
-                write_joint_rate(axes, axis, rate, limit, f)?;
+                write_joint_rate(axes, joint, rate, limit, f)?;
                 write!(
                     f,
                     " on the way to setpoint {setpoint}; \
                      reset, then move the master more slowly, or lower the feed there"
                 )
             }
-            Self::Stroke { axis, by } => {
-                write!(f, "{} is ", joint(axis))?;
-                match amount(axes.joints, axis, by) {
+            Self::Stroke { joint, by } => {
+                write!(f, "{} is ", named(joint))?;
+                match amount(axes.joints, joint, by) {
                     Some(by) => write!(f, "{by} beyond the end of its stroke")?,
                     None => f.write_str("beyond the end of its stroke")?,
                 }
@@ -60,51 +64,56 @@ impl Describe for Fault {
                 f.write_str("the pose of the machine is not allowed: ")?;
                 error.describe(axes, f)
             }
-            Self::LimitSwitch { axis } => {
+            Self::LimitSwitch { joint } => {
                 write!(
                     f,
                     "{} reached its limit switch; move it off (`haptimill move-off`, or by hand), \
                      {HOME}",
-                    joint(axis)
+                    named(joint)
                 )
             }
-            Self::Drive { axis } => write!(
+            Self::Drive { joint } => write!(
                 f,
                 "the drive of {} reports a fault; check the drive, then reset",
-                joint(axis)
+                named(joint)
             ),
-            Self::EncoderIllegal { axis, count } => write!(
+            Self::EncoderIllegal { joint, count } => write!(
                 f,
                 "the encoder of {} made {count} illegal transitions; check its cable and shield, {PRESET}",
-                joint(axis)
+                named(joint)
             ),
-            Self::EncoderSlip { axis, counts } => {
+            Self::CounterJump { joint, counts } => write!(
+                f,
+                "the encoder of {} jumped by {counts} counts; check its cable and shield, {PRESET}",
+                named(joint)
+            ),
+            Self::EncoderSlip { joint, counts } => {
                 let did = if counts < 0 { "lost" } else { "gained" };
                 write!(
                     f,
                     "the encoder of {} {did} {} counts between two index pulses; \
                      check its cable, its shield and the width of its index pulse \
                      (index_slack_counts in the machine file), {PRESET}",
-                    joint(axis),
+                    named(joint),
                     counts.unsigned_abs()
                 )
             }
-            Self::EncoderStuck { axis } => write!(
+            Self::EncoderStuck { joint } => write!(
                 f,
                 "the encoder of {} does not count the commanded motion; \
                  check whether the joint is blocked, its encoder and cable, \
                  and its drive (power, wiring, direction), {HOME}",
-                joint(axis)
+                named(joint)
             ),
-            Self::EncoderReversed { axis } => write!(
+            Self::EncoderReversed { joint } => write!(
                 f,
                 "{} moved against its drive; check what pushed it, and after a change of the \
                  wiring the direction of encoder and drive in the machine file, {HOME}",
-                joint(axis)
+                named(joint)
             ),
-            Self::StepsLost { axis, by } => {
-                write!(f, "{} lost steps", joint(axis))?;
-                if let Some(by) = amount(axes.joints, axis, by) {
+            Self::StepsLost { joint, by } => {
+                write!(f, "{} lost steps", named(joint))?;
+                if let Some(by) = amount(axes.joints, joint, by) {
                     write!(f, " ({by})")?;
                 }
                 write!(
@@ -123,20 +132,20 @@ impl Describe for Fault {
                 "the configuration in the controller failed its integrity check; {PRESET}, \
                  which sends the configuration again"
             ),
-            Self::LatePeriod { missed } => write!(
+            Self::MissedPeriods { missed } => write!(
                 f,
                 "the controller missed control periods, {missed} of them in a row; \
                  its computations take longer than a period, report this"
             ),
             Self::Homing {
-                axis,
+                joint,
                 problem: problem @ HomingProblem::LimitStuck,
-            } => write!(f, "{}: {problem}; the drives are off", joint(axis)),
-            Self::Homing { axis, problem } => {
+            } => write!(f, "{}: {problem}; the drives are off", named(joint)),
+            Self::Homing { joint, problem } => {
                 write!(
                     f,
-                    "homing failed on {}: {problem}; all axes were stopped",
-                    joint(axis)
+                    "homing failed on {}: {problem}; all joints were stopped",
+                    named(joint)
                 )
             }
             Self::Force(problem) => {
@@ -152,13 +161,13 @@ impl Describe for Fault {
                     "; its motors are off and the machine decelerated, remove the cause and reset",
                 )
             }
-            Self::NotLocked { axis, by } => {
+            Self::NotLocked { joint, by } => {
                 write!(
                     f,
                     "the motor of {} did not lock when its drive was switched on",
-                    joint(axis)
+                    named(joint)
                 )?;
-                if let Some(by) = amount(axes.joints, axis, by) {
+                if let Some(by) = amount(axes.joints, joint, by) {
                     write!(f, " (it moved by {by})")?;
                 }
                 f.write_str(
@@ -172,13 +181,13 @@ impl Describe for Fault {
                  its path, reset and move it off",
                 axes.input(input)
             ),
-            Self::Racking { axis, by } => {
+            Self::Racking { joint, by } => {
                 write!(
                     f,
                     "{} and the other motor of its gantry disagree",
-                    joint(axis)
+                    named(joint)
                 )?;
-                if let Some(by) = amount(axes.joints, axis, by) {
+                if let Some(by) = amount(axes.joints, joint, by) {
                     write!(f, " by {by}")?;
                 }
                 write!(
@@ -235,22 +244,22 @@ impl Describe for Event {
                 "hold before setpoint {setpoint}: the offset of jog or master leaves the program \
                  no stopping distance; jog away from the limit, then resume"
             ),
-            Self::Homed => f.write_str("all axes are homed"),
-            Self::ReferenceShift { axis, by } => {
+            Self::Homed => f.write_str("all joints are homed"),
+            Self::ReferenceShift { joint, by } => {
                 write!(
                     f,
                     "homing shifted the reference of {}",
-                    Named(axes.joints, axis)
+                    Named(axes.joints, joint)
                 )?;
-                if let Some(by) = amount(axes.joints, axis, by) {
+                if let Some(by) = amount(axes.joints, joint, by) {
                     write!(f, " by {by}")?;
                 }
                 f.write_str(": steps were lost, or the switch is not exact")
             }
-            Self::Squared { axis, by } => {
-                let joint = Named(axes.joints, axis);
-                write!(f, "homing squared the gantry: {joint} was moved")?;
-                if let Some(by) = amount(axes.joints, axis, by) {
+            Self::Squared { joint, by } => {
+                let name = Named(axes.joints, joint);
+                write!(f, "homing squared the gantry: {name} was moved")?;
+                if let Some(by) = amount(axes.joints, joint, by) {
                     write!(f, " by {by}")?;
                 }
                 f.write_str(" relative to its other motor")
@@ -259,16 +268,16 @@ impl Describe for Event {
                 f.write_str("fault: ")?;
                 fault.describe(axes, f)
             }
-            Self::JogLimited { axis } => write!(
+            Self::JogLimited { coordinate } => write!(
                 f,
                 "the jog of {} ended at its soft limit, at a stroke or at the edge of the workspace; \
                  jog it the other way",
-                Named(axes.pose, axis)
+                Named(axes.pose, coordinate)
             ),
-            Self::Saturated { axis } => write!(
+            Self::Saturated { joint } => write!(
                 f,
                 "the drive of {} is saturated: the commanded effort exceeds its limit",
-                Named(axes.joints, axis)
+                Named(axes.joints, joint)
             ),
             Self::Tared => f.write_str("the force sensor has a new zero"),
             Self::TareRefused(refusal) => {
@@ -284,10 +293,10 @@ impl Describe for Event {
                 "no master pose for {age_ms} ms: the machine decelerates and holds; \
                  resume when the master is connected again"
             ),
-            Self::MasterLimited { axis } => write!(
+            Self::MasterLimited { coordinate } => write!(
                 f,
                 "the master commands {} beyond a limit of the machine; the tool waits there",
-                Named(axes.pose, axis)
+                Named(axes.pose, coordinate)
             ),
             Self::ComplianceLimited { axis } => write!(
                 f,
@@ -295,9 +304,13 @@ impl Describe for Event {
                  by its own limit, a soft limit or the edge of the workspace",
                 Named(axes.pose, axis)
             ),
-            Self::ProbedAt { axis, measured, .. } => {
-                write!(f, "{} was", Named(axes.pose, axis))?;
-                match amount(axes.pose, axis, measured) {
+            Self::ProbedAt {
+                coordinate,
+                measured,
+                ..
+            } => {
+                write!(f, "{} was", Named(axes.pose, coordinate))?;
+                match amount(axes.pose, coordinate, measured) {
                     Some(at) => write!(f, " at {at} at the contact"),
                     None => f.write_str(" measured at the contact"),
                 }
@@ -320,10 +333,10 @@ impl Describe for Event {
                 "{} is active: the machine decelerates along its path and holds",
                 axes.input(input)
             ),
-            Self::MovedOff { axis } => write!(
+            Self::MovedOff { joint } => write!(
                 f,
                 "{} is off its limit switch; home the machine",
-                Named(axes.joints, axis)
+                Named(axes.joints, joint)
             ),
             Self::OutputsSafe => f.write_str("the outputs have their safe values"),
             Self::OutputRefused { output, problem } => write!(

@@ -55,7 +55,7 @@ fn enable_condition(rng: &mut Rng) -> EnableCondition {
 /// Returns valid settings of force control.
 pub fn valid_loop(rng: &mut Rng) -> ForceLoop {
     ForceLoop {
-        desired: (rng.uniform(1.0, 20.0) * 65_536.0) as i32,
+        setpoint: (rng.uniform(1.0, 20.0) * 65_536.0) as i32,
         mass: (rng.log_uniform(0.25, 40.0) * 65_536.0) as u32,
         damping: (rng.log_uniform(1.0, 40.0) * 65_536.0) as u32,
         limit: (rng.uniform(1.0, 20.0) * 1_048_576.0) as i32,
@@ -67,7 +67,7 @@ pub fn valid_loop(rng: &mut Rng) -> ForceLoop {
 /// Returns settings with which the tool complies with any force.
 pub fn compliant_loop(rng: &mut Rng) -> ForceLoop {
     ForceLoop {
-        desired: (rng.uniform(3.0, 8.0) * 65_536.0) as i32,
+        setpoint: (rng.uniform(3.0, 8.0) * 65_536.0) as i32,
         mass: 65_536,
         damping: (rng.uniform(4.0, 8.0) * 65_536.0) as u32,
         limit: 10 << 20,
@@ -130,7 +130,7 @@ pub fn any_master(rng: &mut Rng) -> MasterPose {
                 core::array::from_fn(|_| rng.bits() as i16),
             ]
         },
-        engaged: rng.chance(0.7),
+        clutch: rng.chance(0.7),
     }
 }
 
@@ -216,7 +216,7 @@ pub fn any(rng: &mut Rng) -> Command {
         },
         20 => Command::JogCancel { epoch: half(rng) },
         21 | 22 => Command::Source {
-            axis: rng.below(8) as u8,
+            coordinate: rng.below(8) as u8,
             source: rng.choose(&[Source::Program, Source::Jog, Source::Hold, Source::Master]),
         },
         23 => Command::Override { percent: byte(rng) },
@@ -227,7 +227,7 @@ pub fn any(rng: &mut Rng) -> Command {
                 valid_loop(rng)
             } else {
                 ForceLoop {
-                    desired: word(rng),
+                    setpoint: word(rng),
                     mass: word(rng) as u32,
                     damping: word(rng) as u32,
                     limit: word(rng),
@@ -264,7 +264,7 @@ pub fn any(rng: &mut Rng) -> Command {
         },
         37 => Command::MasterTelemetry { every: half(rng) },
         38 => Command::MoveOff {
-            axis: rng.below(7) as u8,
+            joint: rng.below(7) as u8,
         },
         39 => Command::RapidOverride { percent: byte(rng) },
         40 => Command::SpindleOverride { percent: byte(rng) },
@@ -301,7 +301,7 @@ pub fn refused(rng: &mut Rng) -> Command {
             mask: rng.choose(&[8, 16, 255]),
         },
         6 => Command::Source {
-            axis: rng.choose(&[5, 6, 255]),
+            coordinate: rng.choose(&[5, 6, 255]),
             source: Source::Hold,
         },
         7 => Command::JobStart {
@@ -311,7 +311,7 @@ pub fn refused(rng: &mut Rng) -> Command {
         _ => Command::ForceLoop {
             axis: rng.below(3) as u8,
             settings: ForceLoop {
-                desired: 0,
+                setpoint: 0,
                 mass: 0,
                 damping: 0,
                 limit: -1,

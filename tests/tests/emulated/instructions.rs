@@ -311,9 +311,11 @@ fn a_jog_period_stays_within_its_instructions() {
             bench.start_part(1, &start, &line_in_x(&start, 2.0, 200));
             bench.ask(Say::Hold).expect("holds");
             bench.steps(2500);
-            for axis in [1, 2, 4] {
+            for coordinate in [1, 2, 4] {
                 let source = Source::Jog;
-                bench.ask(Say::Source { axis, source }).expect("chosen");
+                bench
+                    .ask(Say::Source { coordinate, source })
+                    .expect("chosen");
             }
             bench.ask(Say::Resume).expect("goes on");
             bench.steps(1000);

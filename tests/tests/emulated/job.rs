@@ -106,7 +106,7 @@ fn run_into_wall<C: haptimill_hil_sim::Control>(control: C) -> Vec<(Snapshot, Ou
     assert!(bench.events.contains(&Event::Tared), "{:?}", bench.events);
     let raw = |value: f64| (value * 65_536.0) as u32;
     let settings = ForceLoop {
-        desired: raw(5.0) as i32,
+        setpoint: raw(5.0) as i32,
         mass: raw(0.8),
         damping: raw(4.0),
         limit: 10 << 20,

@@ -333,7 +333,7 @@ fn a_period_with_too_many_instructions_misses_the_next_ones() {
     let status = bench.status();
     println!("{missed} periods missed: {:?}", status.fault);
     assert!(missed > 5);
-    let late = matches!(status.fault, Some(Fault::LatePeriod { .. }));
+    let late = matches!(status.fault, Some(Fault::MissedPeriods { .. }));
     assert!(late, "{status:?}");
     assert_eq!(status.state, State::Fault);
     // The machine braked along its path: the drives are on, and it is at standstill.

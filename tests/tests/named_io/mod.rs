@@ -90,14 +90,14 @@ fn force(bench: &mut Bench, input: usize, level: Option<bool>) {
 }
 
 /// The latched coordinates of the newest contact: measured and commanded.
-fn latched(bench: &Bench, axis: u8) -> Option<(f64, f64)> {
+fn latched(bench: &Bench, coordinate: u8) -> Option<(f64, f64)> {
     bench.events.iter().find_map(|event| match event {
         Event::ProbedAt {
-            axis: of,
+            coordinate: of,
             measured,
             commanded,
             ..
-        } if *of == axis => Some((f64::from(*measured) / MM, f64::from(*commanded) / MM)),
+        } if *of == coordinate => Some((f64::from(*measured) / MM, f64::from(*commanded) / MM)),
         _ => None,
     })
 }

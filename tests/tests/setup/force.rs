@@ -23,7 +23,7 @@ pub const RPM: i16 = 5000;
 /// Settings of the machine file, with another enable condition and other gains.
 pub fn force_settings(mass: f64, damping: f64, enable_condition: EnableCondition) -> ForceLoop {
     ForceLoop {
-        desired: (5.0 * NEWTON) as i32,
+        setpoint: (5.0 * NEWTON) as i32,
         mass: (mass * NEWTON) as u32,
         damping: (damping * NEWTON) as u32,
         limit: (10.0 * MM) as i32,

@@ -72,7 +72,7 @@ macro_rules! checks {
             Check {
                 name: concat!("kinematics::", stringify!($name), "::no_wrong_pose"),
                 run: || {
-                    suite::forward_is_certified(&$subject, $count);
+                    suite::forward_is_verified(&$subject, $count);
                 },
             },
             Check {

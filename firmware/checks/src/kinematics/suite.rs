@@ -121,7 +121,7 @@ pub fn inverse_against_closure<S: Subject>(subject: &S, count: usize) -> (f64, f
 ///
 /// # Panics
 /// A claim does not hold.
-pub fn forward_is_certified<S: Subject>(subject: &S, count: usize) -> f64 {
+pub fn forward_is_verified<S: Subject>(subject: &S, count: usize) -> f64 {
     let (machine, axes) = (subject.machine(), subject.machine().axes());
     let (pose_units, joint_units) = (subject.pose_units(), subject.joint_units());
     let mut sequence = Sequence(12);

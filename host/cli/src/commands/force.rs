@@ -212,7 +212,7 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     row("force, high", "N", newtons(force.high));
     row("force, low", "N", newtons(force.low));
     row("displacement", "mm", millimetres(force.displacement));
-    row("f_d", "N", newtons(loops.map(|x| x.desired)));
+    row("f_d", "N", newtons(loops.map(|x| x.setpoint)));
     row(
         "K_A",
         "N s^2/mm",
@@ -265,7 +265,7 @@ fn enable_condition_name(enable_condition: EnableCondition) -> &'static str {
 /// The settings of a loop as JSON, with the key names of the machine file.
 fn loop_to_json(settings: &ForceLoop) -> serde_json::Value {
     serde_json::json!({
-        "desired_n": f64::from(settings.desired) / 65_536.0,
+        "desired_n": f64::from(settings.setpoint) / 65_536.0,
         "mass_n_s2_per_mm": f64::from(settings.mass) / 65_536.0,
         "damping_n_s_per_mm": f64::from(settings.damping) / 65_536.0,
         "limit_mm": f64::from(settings.limit) / 1_048_576.0,

@@ -145,14 +145,14 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     for (_, event) in &session.events[first..] {
         match event {
             // Every jog command at the limit reports it; the user needs it once.
-            Event::JogLimited { axis } if !limited.contains(axis) => {
-                limited.push(*axis);
-                let axis = usize::from(*axis);
-                if axis < machine.pose.len() {
+            Event::JogLimited { coordinate } if !limited.contains(coordinate) => {
+                limited.push(*coordinate);
+                let coordinate = usize::from(*coordinate);
+                if coordinate < machine.pose.len() {
                     let rates = asked_rates(&args, &machine)?;
                     eprintln!(
                         "{}",
-                        jog_limit(&machine, session.model(), axis, &at, &rates)
+                        jog_limit(&machine, session.model(), coordinate, &at, &rates)
                     );
                 }
             }
@@ -288,7 +288,7 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
         }
         if command.rate.abs() > axis.rate {
             return Err(usage(format!(
-                "{}={} exceeds the largest rate of the axis; write at most {}",
+                "{}={} exceeds the largest rate of the coordinate; write at most {}",
                 command.axis, command.rate, axis.rate
             )));
         }
@@ -325,7 +325,7 @@ pub(crate) fn axis_index(machine: &MachineFile, name: &str) -> Result<usize, Cli
             })
             .collect();
         let what = format!(
-            "there is no axis '{name}'; this machine has {}",
+            "there is no coordinate '{name}'; this machine has {}",
             names.join(", ")
         );
         CliError::new(Exit::Usage, what)

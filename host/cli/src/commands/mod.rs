@@ -179,7 +179,7 @@ enum Command {
     Dnc(dnc::DncArgs),
     Jog(jog::JogArgs),
     Mdi(mdi::MdiArgs),
-    /// Home all axes
+    /// Home all joints
     Home(simple::HomeArgs),
     Console(console::ConsoleArgs),
     Teleop(teleop::TeleopArgs),

@@ -179,7 +179,7 @@ fn set(args: &SetArgs) -> Result<(), CliError> {
         let Some((_, axis)) = axis else {
             let letters: Vec<String> = axes.iter().map(|(letter, _)| letter.to_string()).collect();
             return Err(usage(format!(
-                "{name}: the machine has no such axis; it has {}",
+                "there is no coordinate '{name}'; this machine has {}",
                 letters.join(", ")
             )));
         };

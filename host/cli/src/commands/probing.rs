@@ -111,8 +111,12 @@ fn contact<L: Line>(session: &Session<L>, first: usize, axes: usize) -> Option<C
     let mut found = None;
     for (_, event) in &session.events[first..] {
         match event {
-            Event::ProbedAt { axis, measured, .. } => {
-                if let Some(slot) = pose.get_mut(usize::from(*axis)) {
+            Event::ProbedAt {
+                coordinate,
+                measured,
+                ..
+            } => {
+                if let Some(slot) = pose.get_mut(usize::from(*coordinate)) {
                     *slot = *measured;
                 }
             }

@@ -24,7 +24,7 @@ limits, and no pulse may begin while the drives are disabled. With --recording e
 compared with its time by the segments that the controller commanded, and the pulses are counted.
 
 The lines of joint NAME are found as NAME_step and NAME_dir, and the enable line as enable \
-(active high); --axis and --enable name others. The limits are those of the recording's \
+(active high); --joint and --enable name others. The limits are those of the recording's \
 configuration; the options replace them.
 
 Exit code 0: no fault. Exit code 8: faults; the first ones are listed.";
@@ -41,7 +41,7 @@ pub struct PulsesArgs {
     pub recording: Option<PathBuf>,
     /// Lines of a joint; may be repeated
     #[arg(long, value_name = "NAME=STEP,DIRECTION", value_parser = lines_of_joint)]
-    pub axis: Vec<AxisLines>,
+    pub joint: Vec<JointLines>,
     /// The enable line, active high
     #[arg(long, value_name = "LINE")]
     pub enable: Option<String>,
@@ -81,21 +81,21 @@ pub struct PulsesArgs {
 
 /// Lines of a joint.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct AxisLines {
+pub struct JointLines {
     name: String,
     step: String,
     direction: String,
 }
 
 /// Parses `NAME=STEP,DIRECTION`.
-fn lines_of_joint(text: &str) -> Result<AxisLines, String> {
+fn lines_of_joint(text: &str) -> Result<JointLines, String> {
     let parsed = text.split_once('=').and_then(|(name, lines)| {
         let (step, direction) = lines.split_once(',')?;
         let all = [name, step, direction].map(str::trim);
         all.iter().all(|part| !part.is_empty()).then_some(all)
     });
     match parsed {
-        Some([name, step, direction]) => Ok(AxisLines {
+        Some([name, step, direction]) => Ok(JointLines {
             name: name.into(),
             step: step.into(),
             direction: direction.into(),
@@ -310,7 +310,7 @@ fn find_lines<'a>(
     joints: Vec<Joint>,
 ) -> Result<Vec<(Joint, &'a Signal, &'a Signal)>, CliError> {
     let find = |name: &str| capture.find(name).map_err(|what| bad(&args.capture, what));
-    let mut given = args.axis.clone();
+    let mut given = args.joint.clone();
     let mut found = Vec::new();
     let has_recording = !joints.is_empty();
     for joint in joints {
@@ -323,7 +323,7 @@ fn find_lines<'a>(
     if has_recording && let Some(lines) = given.first() {
         return Err(CliError::new(
             Exit::Usage,
-            format!("--axis: the recording has no step drive '{}'", lines.name),
+            format!("--joint: the recording has no step drive '{}'", lines.name),
         ));
     }
     if !has_recording && given.is_empty() {
@@ -346,7 +346,7 @@ fn find_lines<'a>(
         return Err(bad(
             &args.capture,
             format!(
-                "has no lines named NAME_step and NAME_dir; name them with --axis \
+                "has no lines named NAME_step and NAME_dir; name them with --joint \
                  NAME=STEP,DIRECTION. There are {}",
                 capture.names()
             ),
@@ -355,8 +355,8 @@ fn find_lines<'a>(
     Ok(found)
 }
 
-fn conventional(name: &str) -> AxisLines {
-    AxisLines {
+fn conventional(name: &str) -> JointLines {
+    JointLines {
         name: name.to_string(),
         step: format!("{name}_step"),
         direction: format!("{name}_dir"),

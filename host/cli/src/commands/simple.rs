@@ -203,7 +203,7 @@ pub fn move_off(args: MoveOffArgs) -> Result<(), CliError> {
                 CliError::new(Exit::Usage, what)
             })? as u8,
         None => match session.status()?.fault {
-            Some(Fault::LimitSwitch { axis }) => axis,
+            Some(Fault::LimitSwitch { joint }) => joint,
             _ => {
                 let what = format!(
                     "move-off: the latched fault, if any, is none of a limit switch; name the joint \

@@ -91,9 +91,10 @@ impl App {
                 }
                 _ => {}
             }
-            if let RequestError::Refused(Refusal::Input(InputProblem::LimitSwitch { axis })) = error
+            if let RequestError::Refused(Refusal::Input(InputProblem::LimitSwitch { joint })) =
+                error
             {
-                self.on_switch = Some(axis);
+                self.on_switch = Some(joint);
             }
             let reason = match &error {
                 RequestError::Refused(refusal) => self.session.describe(refusal),
@@ -213,8 +214,8 @@ impl App {
         let severity = match event {
             Event::Fault(fault) => {
                 self.fault = Some(*fault);
-                if let Fault::LimitSwitch { axis } = fault {
-                    self.on_switch = Some(*axis);
+                if let Fault::LimitSwitch { joint } = fault {
+                    self.on_switch = Some(*joint);
                 }
                 Severity::Alarm
             }
@@ -255,9 +256,9 @@ impl App {
         if !routine {
             let text = match (event, &self.jobs.pause) {
                 (Event::Paused { .. }, Some(pause)) => format!("program pause in {pause}"),
-                (Event::JogLimited { axis }, _) => {
+                (Event::JogLimited { coordinate }, _) => {
                     let text = self.session.describe(event);
-                    match self.machine.pose.get(usize::from(*axis)) {
+                    match self.machine.pose.get(usize::from(*coordinate)) {
                         Some(axis) => format!("{text} ({})", soft_limits(axis)),
                         None => text,
                     }

@@ -212,7 +212,7 @@ impl App {
         let state = self.state();
         let at_fault = state == Some(State::Fault);
         let joint = match self.fault {
-            Some(Fault::LimitSwitch { axis }) if at_fault => Some(axis),
+            Some(Fault::LimitSwitch { joint }) if at_fault => Some(joint),
             _ => self.on_switch.filter(|_| state == Some(State::Disabled)),
         };
         match (joint, state) {
@@ -238,7 +238,7 @@ impl App {
         if self.state() == Some(State::Fault) {
             self.request(Command::Reset, OnAck::Nothing);
         }
-        self.request(Command::MoveOff { axis: joint as u8 }, OnAck::Nothing);
+        self.request(Command::MoveOff { joint: joint as u8 }, OnAck::Nothing);
     }
 
     /// Homes the enabled machine.
@@ -461,10 +461,10 @@ impl App {
             _ => return self.overlay = Overlay::Axes { selected },
         };
         self.overlay = Overlay::Axes { selected };
-        let axis = selected as u8;
+        let coordinate = selected as u8;
         self.request(
-            Command::Source { axis, source },
-            OnAck::Source(axis, source),
+            Command::Source { coordinate, source },
+            OnAck::Source(coordinate, source),
         );
     }
 
@@ -493,7 +493,7 @@ impl App {
         if change != 0 {
             let requested = &mut self.requested_loops[selected];
             let mut settings = requested.latest().unwrap_or(loops[selected]);
-            settings.desired = settings.desired.saturating_add(change);
+            settings.setpoint = settings.setpoint.saturating_add(change);
             requested.settings = Some(settings);
         }
     }

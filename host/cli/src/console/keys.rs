@@ -61,7 +61,7 @@ pub enum Action {
     Program,
     /// Set a work offset from the present position.
     Zero,
-    /// Select the source of each axis.
+    /// Select the source of each coordinate.
     Axes,
     /// Set the force loops.
     Force,
@@ -286,7 +286,7 @@ pub const BINDINGS: &[Binding] = &[
         &[plain('a')],
         "a",
         Action::Axes,
-        "axes: source of each axis: program, hold, jog or master",
+        "sources: source of each coordinate: program, hold, jog or master",
     ),
     bind(
         &[plain('y')],

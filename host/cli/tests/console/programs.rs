@@ -32,7 +32,7 @@ fn zero_of_a_work_offset_is_typed() {
     terminal.press_expect(b"z", "Work offset: coordinates of the present position");
     terminal.press(b",q=1");
     terminal.press(ENTER);
-    terminal.expect_text("there is no axis 'q'");
+    terminal.expect_text("there is no coordinate 'q'");
     let after = haptimill(&["offset", "show", "--machine", &machine]).expect_code(0);
     assert_eq!(shown.out, after.out);
 }

@@ -189,7 +189,7 @@ fn cycles_refuse_what_they_cannot_use() {
         let ran = scene.run(&["probe", "edge", axis, "--radius", "0"]);
         ran.expect_code(2).err
     };
-    assert!(edge("q=1").contains("no axis 'q'"));
+    assert!(edge("q=1").contains("no coordinate 'q'"));
     assert!(edge("z=0").contains("largest distance"));
     scene
         .run(&["probe", "bore", "--reach", "-1"])

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
 
-/// Moves by 40 mm in 10 s with the clutch engaged.
+/// Moves by 40 mm in 10 s with the clutch pressed.
 const SLOWLY_AWAY: &str = "
 [[button]]
 at_s = 0.3
@@ -161,7 +161,7 @@ fn line_that_is_not_text_is_refused_and_stop_still_works() {
     assert!(ran.out.contains(what) && ran.err.contains(what), "{ran:?}");
 }
 
-/// A master that is no device, and one that is lost while it is disengaged.
+/// A master that is no device, and one that is lost while its clutch is released.
 #[cfg(unix)]
 #[test]
 fn wrong_device_is_refused_and_a_lost_one_is_reported() {
@@ -329,7 +329,7 @@ fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
         "csv",
         &trace,
         "--columns",
-        "z_master_mm,master_engaged",
+        "z_master_mm,master_clutch",
     ])
     .expect_code(0);
     assert!(
@@ -341,7 +341,7 @@ fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
     );
 }
 
-/// The arm was disengaged, so the machine did not hold. The loss is still reported.
+/// The clutch was released, so the machine did not hold. The loss is still reported.
 #[test]
 fn lost_arm_with_open_clutch_is_reported() {
     let folder = TestFolder::new();

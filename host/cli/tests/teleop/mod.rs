@@ -16,7 +16,7 @@ use std::path::Path;
 /// Axis units per millimetre.
 const MM: f64 = (1 << 20) as f64;
 
-/// Moves by 40 mm in about 4 s with the clutch engaged.
+/// Moves by 40 mm in about 4 s with the clutch pressed.
 const AWAY: &str = "
 [[button]]
 at_s = 0.3
@@ -153,7 +153,7 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     // The arm's recording has the reported values of the master.
     let trace = folder.path("one/master.hmr");
     let columns =
-        "time_s,?_master_mm,master_engaged,?_master_force_n,?_master_feedback_n,?_master_fixture_n";
+        "time_s,?_master_mm,master_clutch,?_master_force_n,?_master_feedback_n,?_master_fixture_n";
     let ran = haptimill(&[
         "trace",
         "csv",
@@ -388,7 +388,7 @@ what = \"end\"
     refused(
         &["--master", "sim", "--axes", "x,w"],
         2,
-        "there is no axis 'w'; this machine has x, y, z, theta, alpha",
+        "there is no coordinate 'w'; this machine has x, y, z, theta, alpha",
     );
     let master = ["--machine", "machines/haptic-master.toml"];
     refused(

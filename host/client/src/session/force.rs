@@ -33,7 +33,7 @@ impl ForceLoopChanges {
         let gain = |gain: f64| to_u32(gain * PER_EFFORT);
         let length = |length: f64| to_i32(length * PER_MM);
         ForceLoop {
-            desired: self.desired_n.map_or(default.desired, force),
+            setpoint: self.desired_n.map_or(default.setpoint, force),
             mass: self.mass.map_or(default.mass, gain),
             damping: self.damping.map_or(default.damping, gain),
             limit: self.limit_mm.map_or(default.limit, length),

@@ -18,7 +18,7 @@ pub struct HapticTraceSample {
     /// Its velocity, mm/s.
     pub velocity: [f64; 3],
     /// Commanded position of the tool.
-    pub desired: [f64; 3],
+    pub commanded: [f64; 3],
     /// True position of the tool.
     pub tool: [f64; 3],
     /// Compliant displacement of the tool, p_c.
@@ -74,7 +74,7 @@ impl HapticTrace {
             let rows = [
                 s.master,
                 s.velocity,
-                s.desired,
+                s.commanded,
                 s.tool,
                 s.displacement,
                 s.high,
@@ -146,7 +146,7 @@ impl HapticTraceRecorder {
             time: (now - start) as f64 * 1e-9,
             master: from(truth.tip, origins[0]),
             velocity: truth.tip_velocity,
-            desired: from(commanded, origins[1]),
+            commanded: from(commanded, origins[1]),
             tool: from([x, y, z], origins[2]),
             displacement: three(&snapshot.force.displacement).map(|raw: f64| raw / MM),
             high: three(&snapshot.force.high).map(|raw: f64| raw / NEWTON),

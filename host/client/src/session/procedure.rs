@@ -208,7 +208,7 @@ impl<L: Line> Session<L> {
         }
         let moving = MovingOff {
             next_event: self.events.len(),
-            request: Some(self.client.request(Command::MoveOff { axis: joint })),
+            request: Some(self.client.request(Command::MoveOff { joint })),
             is_stopping: false,
             is_off: false,
         };

@@ -375,7 +375,7 @@ impl JobRecording {
                 axes: master.pose.axes,
             };
             record.haptic_flags = flag::HAPTIC_KNOWN;
-            if master.pose.engaged {
+            if master.pose.clutch {
                 record.haptic_flags |= flag::CLUTCH_CLOSED;
             }
         }
@@ -450,7 +450,7 @@ impl JobRecording {
             ..Record::default()
         };
         record.set_snapshot(seen.inputs.period, &snapshot);
-        if seen.inputs.haptic.engaged {
+        if seen.inputs.haptic.clutch {
             record.haptic_flags |= flag::CLUTCH_CLOSED;
         }
         for (set, flag) in [

@@ -300,7 +300,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         }
         for axis in &self.options.axes {
             self.session.ask(Command::Source {
-                axis: *axis,
+                coordinate: *axis,
                 source: Source::Master,
             })?;
         }
@@ -351,7 +351,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         if status.state == State::Idle {
             for axis in &self.options.axes {
                 self.session.ask(Command::Source {
-                    axis: *axis,
+                    coordinate: *axis,
                     source: Source::Program,
                 })?;
             }

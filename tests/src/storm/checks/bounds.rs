@@ -2,7 +2,8 @@
 //!
 //! Of two values the first is for slides (mm), the second for the table (degrees).
 
-/// Measured minus true motor position with a whole encoder: half the play, the index, one count.
+/// Measured minus true motor position with a whole encoder: half the lost motion, the index, one
+/// count.
 pub const MOTOR: [f64; 2] = [0.022, 0.008];
 /// Offset of an index pulse above which the counter is known to be wrong.
 pub const INDEX_SLACK: [f64; 2] = [0.13, 0.06];
@@ -49,17 +50,17 @@ pub const OTHER_REST: f64 = 0.05;
 pub const TOOL: f64 = 0.3;
 /// Time by which a tool may lag behind its commanded pose, in s.
 pub const TOOL_LAG: f64 = 0.005;
-/// Position error of a joint without an encoder on a healthy machine: a step and the play.
+/// Position error of a joint without an encoder on a healthy machine: a step and the lost motion.
 pub const OPEN_LOOP: f64 = 0.1;
 /// Travel after which a slide is on the flank of its direction, in mm: twice its lost motion.
 pub const CROSSING: f64 = 0.052;
-/// Deceleration above which a slide may coast across the play of its screw, in mm/s^2: half of
+/// Deceleration above which a slide may coast across the backlash of its screw, in mm/s^2: half of
 /// 40 N on 40 kg.
 pub const COASTING: f64 = 500.0;
 /// The same for a slide whose motion ended with more than [`LASTING`] periods below [`KNEE`].
 ///
 /// Its friction of 40 N is not compensated and is 25 um (firmware/src/joint/friction.rs); half of
-/// both plays is 14 um.
+/// both lost motions is 14 um.
 pub const REST_SLOW: f64 = 0.039;
 /// Rate of a slide above which its friction is compensated in full, in mm/s.
 ///

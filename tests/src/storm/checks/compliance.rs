@@ -61,7 +61,8 @@ impl Checks {
                 );
             }
             let settings = force.settings(axis);
-            let desired = settings.map_or(0.0, |settings| f64::from(settings.desired.0) / 65_536.0);
+            let setpoint =
+                settings.map_or(0.0, |settings| f64::from(settings.setpoint.0) / 65_536.0);
             let pressed = truth.force[axis];
             let complies = force.mask() & (1 << axis) != 0
                 && matches!(state, State::Run)
@@ -71,7 +72,7 @@ impl Checks {
                 && force.conditioner().tared()
                 && self.is_fault_free(bench);
             let (periods, from) = &mut self.compliance.pressed[axis];
-            if complies && pressed.abs() > desired + 3.0 {
+            if complies && pressed.abs() > setpoint + 3.0 {
                 if *periods == 0 {
                     *from = displaced;
                 }

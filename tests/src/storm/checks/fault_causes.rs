@@ -114,18 +114,18 @@ impl Checks {
                     || bench.session_start + 5000 > bench.period
                     || bench.is_noisy()
             }
-            Fault::LatePeriod { .. } => self.causes.contains(&Cause::MissedPeriods),
+            Fault::MissedPeriods { .. } => self.causes.contains(&Cause::MissedPeriods),
             // Without commands step motors stop at once, and their rotors swing.
-            Fault::StepsLost { axis, .. } => {
-                let joint = usize::from(*axis);
+            Fault::StepsLost { joint, .. } => {
+                let joint = usize::from(*joint);
                 self.faults
                     .missed_at
                     .is_some_and(|missed| bench.period < missed + 500)
                     || self.leaves_dead_point(bench, joint)
             }
             // A joint was pushed faster than the threshold of a counter jump.
-            Fault::EncoderIllegal { axis, .. } => {
-                self.faults.fastest_motion[usize::from(*axis)] > 0.98
+            Fault::CounterJump { joint, .. } => {
+                self.faults.fastest_motion[usize::from(*joint)] > 0.98
             }
             Fault::Stroke { .. } | Fault::LimitSwitch { .. } => {
                 self.causes.contains(&Cause::MissedPeriods)
@@ -135,10 +135,10 @@ impl Checks {
                 self.causes.contains(&Cause::Input) || is_wire_active(bench, usize::from(*input))
             }
             // A motor without friction runs away before its counts show the direction.
-            Fault::FollowingError { axis, .. } if self.other_machine => {
+            Fault::FollowingError { joint, .. } if self.other_machine => {
                 self.injected.iter().any(|kind| {
                     matches!(kind, FaultKind::EncoderSwapped { .. })
-                        && kind.axis().and_then(joint_of) == Some(usize::from(*axis))
+                        && kind.axis().and_then(joint_of) == Some(usize::from(*joint))
                 })
             }
             // The cubic of a job may leave what the joints can reach between two setpoints.
@@ -157,8 +157,8 @@ impl Checks {
             }
             Fault::Force(_) => self.causes.contains(&Cause::Contact) && !self.theme.is_healthy(),
             // So are strokes.
-            Fault::Pose(PoseError::OutOfStroke { axis, .. }) => {
-                self.leaves_stroke(bench, usize::from(*axis))
+            Fault::Pose(PoseError::OutOfStroke { joint, .. }) => {
+                self.leaves_stroke(bench, usize::from(*joint))
             }
             // A search that meets the end of the workspace on both sides.
             Fault::Homing {
@@ -167,10 +167,10 @@ impl Checks {
             } => self.is_near_workspace_end(bench),
             // Soft limits of a setpoint are checked at its end only: the cubic may leave them.
             // A machine that was pushed with its drives off may stand beyond a soft limit.
-            Fault::SoftLimit { axis } => {
+            Fault::SoftLimit { coordinate } => {
                 self.job.altered
                     || self.theme == Theme::AnyCommand
-                    || self.faults.outside_soft_limits[usize::from(*axis)]
+                    || self.faults.outside_soft_limits[usize::from(*coordinate)]
             }
             _ => false,
         };
@@ -199,12 +199,12 @@ impl Checks {
     /// Returns whether a fault is the racking or the homing of a gantry with an injected fault of
     /// one of its two motors, or of a switch of one of them.
     fn explains_gantry(&self, bench: &StormBench, fault: &Fault) -> bool {
-        let (Fault::Racking { axis, .. } | Fault::Homing { axis, .. }, Some(machine)) =
+        let (Fault::Racking { joint, .. } | Fault::Homing { joint, .. }, Some(machine)) =
             (fault, bench.controller().machine())
         else {
             return false;
         };
-        let joint = usize::from(*axis);
+        let joint = usize::from(*joint);
         let Some(partner) = gantry_partner(&machine.config.joints, joint) else {
             return false;
         };
@@ -312,27 +312,28 @@ fn is_soft_contact_drift(bench: &StormBench, component: usize) -> bool {
     };
     let drift = force.conditioner().sensor().drift;
     let settings = force.settings(component);
-    settings.is_some_and(|settings| settings.desired.0 / 2 > drift.0)
+    settings.is_some_and(|settings| settings.setpoint.0 / 2 > drift.0)
 }
 
 /// Returns whether a fault is among the effects of an injected one.
 fn explains(kind: &FaultKind, fault: &Fault) -> bool {
     use FaultKind as K;
     let joint = kind.axis().and_then(joint_of);
-    let of = |axis: &u8| Some(usize::from(*axis)) == joint;
+    let of = |other: &u8| Some(usize::from(*other)) == joint;
     let counter = match fault {
-        Fault::EncoderStuck { axis }
-        | Fault::EncoderReversed { axis }
-        | Fault::EncoderIllegal { axis, .. }
-        | Fault::EncoderSlip { axis, .. }
-        | Fault::StepsLost { axis, .. }
-        | Fault::Homing { axis, .. } => of(axis),
+        Fault::EncoderStuck { joint }
+        | Fault::EncoderReversed { joint }
+        | Fault::EncoderIllegal { joint, .. }
+        | Fault::CounterJump { joint, .. }
+        | Fault::EncoderSlip { joint, .. }
+        | Fault::StepsLost { joint, .. }
+        | Fault::Homing { joint, .. } => of(joint),
         _ => false,
     };
-    let following = matches!(fault, Fault::FollowingError { axis, .. } if of(axis));
-    let stroke = matches!(fault, Fault::Stroke { axis, .. } if of(axis));
-    let homing = matches!(fault, Fault::Homing { axis, .. } if of(axis));
-    let switch = matches!(fault, Fault::LimitSwitch { axis } if of(axis));
+    let following = matches!(fault, Fault::FollowingError { joint, .. } if of(joint));
+    let stroke = matches!(fault, Fault::Stroke { joint, .. } if of(joint));
+    let homing = matches!(fault, Fault::Homing { joint, .. } if of(joint));
+    let switch = matches!(fault, Fault::LimitSwitch { joint } if of(joint));
     // The pose shows the motion of a joint that runs away.
     let pose = matches!(fault, Fault::Pose(_));
     match kind {
@@ -342,8 +343,8 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
         K::EncoderSwapped { .. } => counter,
         K::EncoderSlip { .. } => counter || following || stroke || pose,
         K::EncoderNoise { .. } => counter || following,
-        K::IndexMissing { .. } => matches!(fault, Fault::Homing { axis, .. } if of(axis)),
-        K::DriveTripped { .. } => matches!(fault, Fault::Drive { axis } if of(axis)),
+        K::IndexMissing { .. } => matches!(fault, Fault::Homing { joint, .. } if of(joint)),
+        K::DriveTripped { .. } => matches!(fault, Fault::Drive { joint } if of(joint)),
         K::DriveDead { .. }
         | K::DriveWeak { .. }
         | K::DriveReversed { .. }
@@ -351,9 +352,11 @@ fn explains(kind: &FaultKind, fault: &Fault) -> bool {
         | K::Push { .. } => {
             let plausible = !matches!(
                 fault,
-                Fault::EncoderIllegal { .. } | Fault::EncoderSlip { .. }
+                Fault::EncoderIllegal { .. }
+                    | Fault::CounterJump { .. }
+                    | Fault::EncoderSlip { .. }
             );
-            let unlocked = matches!(fault, Fault::NotLocked { axis, .. } if of(axis));
+            let unlocked = matches!(fault, Fault::NotLocked { joint, .. } if of(joint));
             (counter && plausible) || following || stroke || switch || pose || unlocked
         }
         K::SwitchStuck {

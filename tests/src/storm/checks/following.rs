@@ -22,7 +22,7 @@ pub(super) struct FollowingRecord {
     /// Rate of each joint in the period before, mm/s or degrees/s.
     rates: [f64; 6],
     /// The joint was decelerated so hard, since it last reversed, that its slide may have coasted
-    /// across the play.
+    /// across the backlash.
     coasted: [bool; 6],
     /// Periods with a following error above its limit, by joint.
     unreported: [u32; 6],

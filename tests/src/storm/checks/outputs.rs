@@ -14,7 +14,7 @@ const fn holds(fault: &Fault) -> bool {
     matches!(
         fault,
         Fault::LostHost { .. }
-            | Fault::LatePeriod { .. }
+            | Fault::MissedPeriods { .. }
             | Fault::SoftLimit { .. }
             | Fault::JointRate { .. }
             | Fault::Force(_)

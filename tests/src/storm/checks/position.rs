@@ -223,7 +223,7 @@ impl Checks {
         let limits = &bench.controller().machine()?.config.joints[joint];
         let unit = joint_unit(limits);
         let class = class(limits);
-        // Lost steps below their limit are not reported; half a play adds to them.
+        // Lost steps below their limit are not reported; half the lost motion adds to them.
         let unseen = match &limits.drive {
             Drive::Steps { lost, .. } => f64::from(lost.0) / unit + bounds::MOTOR[class],
             Drive::Torque { .. } => 0.0,
@@ -241,8 +241,8 @@ impl Checks {
                 name: "open loop",
             });
         }
-        // A reversed encoder takes the play of the screw with the wrong sign.
-        let [runaway, wrong_play] = if self.is_reversed(joint) {
+        // A reversed encoder takes up the lost motion with the wrong sign.
+        let [runaway, wrong_lost_motion] = if self.is_reversed(joint) {
             [
                 runaway_error(limits, unit),
                 f64::from(limits.backlash.0) / unit,
@@ -268,7 +268,7 @@ impl Checks {
         Some(match self.encoder_defect(joint) {
             EncoderDefect::None => ErrorBounds {
                 most: f64::INFINITY,
-                // The bound is that of the H-4 machines, whose play is known.
+                // The bound is that of the H-4 machines, whose lost motion is known.
                 lasting: bounds::MOTOR[class]
                     + if self.other_machine {
                         f64::from(limits.backlash.0) / unit
@@ -284,7 +284,7 @@ impl Checks {
                     self.until_found(joint, bounds::FOUND.max(runaway))
                 } else {
                     bounds::FOUND
-                } + wrong_play,
+                } + wrong_lost_motion,
                 lasting: unseen.max(creep).max(small_slip),
                 periods: bounds::LASTING,
                 name: "off after one fault",

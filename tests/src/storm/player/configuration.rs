@@ -123,7 +123,7 @@ fn mutate(config: &mut Config, rng: &mut Rng) {
             if let Some(force) = &mut config.force {
                 let axis = &mut force.axes[rng.index(3)];
                 match rng.below(8) {
-                    0 => axis.desired.0 = word,
+                    0 => axis.setpoint.0 = word,
                     1 => axis.limit.0 = word,
                     2 => axis.rate.0 = word,
                     3 => force.mask = word as u8,

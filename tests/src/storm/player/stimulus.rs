@@ -129,15 +129,15 @@ impl Player {
                 mutations,
                 preset,
             } => self.reconfigure(*seed, *mutations, *preset)?,
-            Stimulus::MoveMaster(to, engaged) => {
+            Stimulus::MoveMaster(to, clutch) => {
                 self.checks.causes.push(Cause::MasterLeads);
                 if let Some(arm) = self.bench.rig.plant_mut().haptic_mut() {
                     arm.set_trajectory(Trajectory::Live(Live {
                         place_mm: *to,
                         velocity_mm_s: [0.0; 3],
-                        engaged: *engaged,
+                        clutch: *clutch,
                     }));
-                    arm.set_engaged(*engaged);
+                    arm.set_clutch(*clutch);
                 }
             }
             Stimulus::RemoteMaster(seed, age_ms) => {

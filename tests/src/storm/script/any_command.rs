@@ -57,7 +57,7 @@ pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
             let mut steps = vec![(Stimulus::InjectFault(stuck), periods(rng))];
             if rng.chance(0.6) {
                 let reset = Stimulus::Send(Command::Reset);
-                let move_off = Stimulus::Send(Command::MoveOff { axis: number });
+                let move_off = Stimulus::Send(Command::MoveOff { joint: number });
                 steps.extend([(reset, 50), (move_off, periods(rng))]);
             }
             steps.push((Stimulus::ClearFaults, periods(rng)));

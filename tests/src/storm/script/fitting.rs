@@ -154,7 +154,7 @@ fn off_a_limit_switch(axis: String, rng: &mut Rng) -> Steps {
         ),
         (Stimulus::ClearFaults, periods(rng)),
         (
-            Stimulus::Send(Command::MoveOff { axis: number }),
+            Stimulus::Send(Command::MoveOff { joint: number }),
             rng.log_uniform(10.0, 20_000.0) as u32,
         ),
     ];

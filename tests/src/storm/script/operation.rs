@@ -171,17 +171,17 @@ pub(super) fn valid_operation(rng: &mut Rng) -> Steps {
             (Stimulus::Send(Command::Home), 4000),
         ],
         _ => {
-            let axis = rng.below(5) as u8;
+            let coordinate = rng.below(5) as u8;
             let source = rng.choose(&[Source::Hold, Source::Jog]);
             vec![
                 (Stimulus::WaitIdle, 6000),
-                (Stimulus::Send(Command::Source { axis, source }), 20),
+                (Stimulus::Send(Command::Source { coordinate, source }), 20),
                 (job(rng), 4000),
                 (jog(rng), 3000),
                 (Stimulus::WaitIdle, 20_000),
                 (
                     Stimulus::Send(Command::Source {
-                        axis,
+                        coordinate,
                         source: Source::Program,
                     }),
                     20,

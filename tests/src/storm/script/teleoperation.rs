@@ -32,15 +32,15 @@ pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
     }
     match rng.below(6) {
         0 | 1 => {
-            let master = |axis| {
+            let master = |coordinate| {
                 Stimulus::Send(Command::Source {
-                    axis,
+                    coordinate,
                     source: Source::Master,
                 })
             };
-            let back = |axis| {
+            let back = |coordinate| {
                 Stimulus::Send(Command::Source {
-                    axis,
+                    coordinate,
                     source: Source::Program,
                 })
             };

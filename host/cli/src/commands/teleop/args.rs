@@ -191,7 +191,7 @@ impl TeleopArgs {
             let found = names.iter().position(|name| name.to_lowercase() == axis);
             let Some(index) = found else {
                 let what = format!(
-                    "there is no axis '{axis}'; this machine has {}",
+                    "there is no coordinate '{axis}'; this machine has {}",
                     names.join(", ")
                 );
                 return Err(CliError::new(Exit::Usage, what));

@@ -96,7 +96,7 @@ impl Display {
             "\r{:7.2} s {:?} {} tool{} mm  force{} N  feedback{} N \x1b[K",
             row.time_s,
             row.state,
-            if row.engaged { "engaged" } else { "free   " },
+            if row.clutch { "engaged" } else { "free   " },
             three(&row.tool, 8, 3),
             three(&row.tool_force, 5, 1),
             three(&row.master_force.force, 5, 2)

@@ -54,10 +54,10 @@ fn clutch_status(view: &ViewModel, report: &MasterTelemetry) -> String {
         .filter(|(_, source)| **source == Source::Master)
         .map(|(axis, _)| axis.name.as_str())
         .collect();
-    let clutch = match (report.pose.engaged, driven.is_empty()) {
+    let clutch = match (report.pose.clutch, driven.is_empty()) {
         (false, _) => "clutch released".to_string(),
-        (true, false) if running => format!("clutch pressed, drives {}", driven.join(" ")),
-        (true, _) => "clutch pressed, drives no axis".to_string(),
+        (true, false) if running => format!("clutch pressed, leads {}", driven.join(" ")),
+        (true, _) => "clutch pressed, leads no coordinate".to_string(),
     };
     let motors = if report.enabled { "on" } else { "off" };
     format!(" {clutch}; motors {motors}")

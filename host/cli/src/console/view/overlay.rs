@@ -298,7 +298,7 @@ fn force_rows(view: &ViewModel) -> Option<Vec<String>> {
             } else {
                 "off"
             },
-            f64::from(settings.desired) / PER_EFFORT,
+            f64::from(settings.setpoint) / PER_EFFORT,
             f64::from(settings.mass) / PER_EFFORT,
             f64::from(settings.damping) / PER_EFFORT
         )

@@ -290,14 +290,14 @@ fn force_rows(view: &ViewModel, width: u16, with_master: bool) -> Vec<Line<'stat
     let mut spans = vec![Span::raw(" control")];
     for (index, name) in COMPONENT_NAMES.iter().enumerate() {
         let is_controlled = force.mask & (1 << index) != 0;
-        let desired = f64::from(loops[index].desired) / PER_EFFORT;
+        let setpoint = f64::from(loops[index].setpoint) / PER_EFFORT;
         let style = if is_controlled {
             Style::new().fg(Color::Black).bg(Color::Green)
         } else {
             Style::new().add_modifier(Modifier::DIM)
         };
         let text = if is_controlled {
-            format!("{name}>{desired:.1}N")
+            format!("{name}>{setpoint:.1}N")
         } else {
             format!("{name} off")
         };
