@@ -28,9 +28,9 @@ use haptimill_math::trig::{atan2, sin_cos};
 use haptimill_math::{Angle, Coordinate, Length, root};
 
 /// Largest residual of an entry of the rotation, Q30: 1e-6.
-const ROTATION_TOLERANCE: i64 = 1074;
+const ROTATION_TOLERANCE: u32 = 1074;
 /// Largest residual of a position: 0.01 mm.
-const POSITION_TOLERANCE: i64 = 10_486;
+const POSITION_TOLERANCE: u32 = 10_486;
 
 /// Joints of the chain.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -78,6 +78,15 @@ pub struct Chain {
 #[inline(always)]
 const fn times(a: i32, b: i32) -> i32 {
     round_shift(a as i64 * b as i64, 30) as i32
+}
+
+/// Which numbers differ by more than a tolerance: bit k for number k.
+#[inline(always)]
+fn residuals(is: &[i32], can: &[i32], tolerance: u32) -> u32 {
+    let pairs = is.iter().zip(can).enumerate();
+    pairs.fold(0, |found, (k, (is, can))| {
+        found | u32::from(is.abs_diff(*can) > tolerance) << k
+    })
 }
 
 /// A pair in Q30 at the length 1, if its length differs from 1 by less than 1.9e-6. Error at most
@@ -176,21 +185,20 @@ impl Chain {
         let d1 = coordinate(total(i64::from(frame.position[2].0), -along))?;
         let joints = ChainJoints { d1, theta2, theta3 };
         let reached = self.frame(i64::from(d1.0), tilt, spin)?;
-        for (row, entries) in frame.rotation.iter().enumerate() {
-            for (column, entry) in entries.iter().enumerate() {
-                let residual = i64::from(*entry) - i64::from(reached.rotation[row][column]);
-                if residual.abs() > ROTATION_TOLERANCE {
-                    return Err(OutOfReach::Rotation(row as u8, column as u8));
-                }
-            }
+        let rotation = residuals(
+            frame.rotation.as_flattened(),
+            reached.rotation.as_flattened(),
+            ROTATION_TOLERANCE,
+        );
+        if rotation != 0 {
+            let entry = rotation.trailing_zeros() as u8;
+            return Err(OutOfReach::Rotation(entry / 3, entry % 3));
         }
-        for axis in 0..2 {
-            let [is, can] = [frame, &reached].map(|of| i64::from(of.position[axis].0));
-            if (is - can).abs() > POSITION_TOLERANCE {
-                return Err(OutOfReach::Position(axis as u8));
-            }
+        let [is, can] = [frame, &reached].map(|of| of.position.map(|at| at.0));
+        match residuals(&is[..2], &can[..2], POSITION_TOLERANCE) {
+            0 => Ok(joints),
+            position => Err(OutOfReach::Position(position.trailing_zeros() as u8)),
         }
-        Ok(joints)
     }
 
     /// Lift and tilt that bring the tip to (p_x, p_z): both branches, theta2 = phi +- arccos((p_x -
