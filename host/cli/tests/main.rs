@@ -7,6 +7,7 @@ mod cli;
 #[cfg(feature = "console")]
 mod console;
 mod engrave;
+mod facet;
 mod faults;
 mod flash;
 mod force_settings;

@@ -6,7 +6,7 @@
 //! removal per second is that of the second default lap at 600 rev/min, at each speed.
 
 use core::fmt::Write as _;
-use haptimill_facet::{Gem, Job, JobSettings, Lap, Mode, RunOptions, cut, read};
+use haptimill_facet::{Gem, Job, JobSettings, Lap, Mode, RunOptions, cut, index_wraps, read};
 use haptimill_machine_file::MachineFile;
 
 const DESIGN: &str = "GemCad 5.0\ng 64 0.0\na -90 1.0 0 n G 16 32 48\na -45 0.72 0 n P 16 32 48\n\
@@ -37,6 +37,7 @@ fn amplitude(machine: &str, rpm: f64, mode: Mode) -> Result<f64, Box<dyn std::er
             preston_mm2_n: 8e-6 * 600.0 / rpm,
         }],
         mode,
+        index_wraps: index_wraps(&machine),
         ..JobSettings::default()
     };
     let options = RunOptions {

@@ -1,7 +1,7 @@
 //! Cuts a design on a simulated machine and prints the measurement; the report is `stone.html`.
 //! Arguments: MACHINE DESIGN WIDTH [feed|force|both] [FROM..TO] [RUN_OUT].
 
-use haptimill_facet::{Gem, Job, JobSettings, Mode, RunOptions, cut, read};
+use haptimill_facet::{Gem, Job, JobSettings, Mode, RunOptions, cut, index_wraps, read};
 use haptimill_machine_file::MachineFile;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -18,6 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Some("both") => Mode::Both,
             _ => Mode::Feed,
         },
+        index_wraps: index_wraps(&machine),
         ..JobSettings::default()
     };
     let job = Job::new(&gem, settings)?;

@@ -3,7 +3,7 @@
 //! that force control displaces, from 0.6 s after its beginning. Arguments: MACHINE DESIGN WIDTH
 //! RUN_OUT_MM [BED_N_MM3] [force|both].
 
-use haptimill_facet::{Gem, Job, JobSettings, Mode, RunOptions, cut, read};
+use haptimill_facet::{Gem, Job, JobSettings, Mode, RunOptions, cut, index_wraps, read};
 use haptimill_machine_file::MachineFile;
 use std::collections::BTreeMap;
 
@@ -36,6 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Some("both") => Mode::Both,
             _ => Mode::Force,
         },
+        index_wraps: index_wraps(&machine),
         ..JobSettings::default()
     };
     let job = Job::new(&gem, settings)?;

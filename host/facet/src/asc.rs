@@ -16,8 +16,8 @@
 //! in the next line. A semicolon begins a comment. A facet of angle 0 with a negative distance is
 //! the culet, as is one of angle -0.
 
-use crate::design::{Design, Tier};
-use crate::problem::{Problem, Problems};
+use crate::design::{Design, Position, Tier};
+use crate::problem::Problems;
 
 /// Reads a file.
 pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
@@ -38,7 +38,7 @@ pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
         ..
     } = reader;
     if ends_in_tier {
-        check_end(text, &mut design, problems);
+        design.check_end(text, problems);
     }
     if !has_gear {
         let what = "the index wheel is missing";
@@ -53,43 +53,6 @@ pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
         );
     }
     Some(design)
-}
-
-/// Checks the end of a file whose last line is one of a tier: a file that was cut off has no line
-/// end there, lacks facets of its last tier, or lacks the table. Two of them are a problem.
-fn check_end(text: &str, design: &mut Design, problems: &mut Problems) {
-    let line = text.lines().count();
-    let Some(last) = design.facets.last().map(|facet| facet.tier) else {
-        return;
-    };
-    let alone = design.without_partners(design.gear);
-    let is_alone = |of: usize| design.facets[of].tier == last;
-    let alone = alone.iter().find(|it| is_alone(it.facet));
-    let has_end = text.ends_with('\n');
-    let mut signs = Vec::new();
-    if !has_end {
-        signs.push("its last line has no line end".to_string());
-    }
-    if let Some(alone) = alone {
-        let name = &design.facets[alone.facet].name;
-        signs.push(format!("facet {name} has no partner in its last tier"));
-    }
-    if !design.has_table() {
-        signs.push("it has no table".to_string());
-    }
-    if signs.len() > 1 {
-        let what = format!("the file is cut off: {}", signs.join(", and "));
-        let remedy = "take the whole file; if it is whole, end its last line and correct the \
-                      symmetry of line y";
-        problems.report(line, None, what, remedy);
-    } else if !has_end {
-        design.notices.push(Problem {
-            line,
-            facet: None,
-            what: "the last line has no line end".to_string(),
-            remedy: "check that the file is complete".to_string(),
-        });
-    }
 }
 
 struct Reader<'a> {
@@ -255,7 +218,7 @@ impl Reader<'_> {
                 "n" => {
                     let name = after.split_whitespace().next().unwrap_or_default();
                     match tier.indices.last_mut() {
-                        Some((_, slot)) if !name.is_empty() => *slot = Some(name.to_string()),
+                        Some(last) if !name.is_empty() => last.name = Some(name.to_string()),
                         _ => {
                             let what = "`n` names no facet";
                             self.problems.report(line, None, what, "write INDEX n NAME");
@@ -267,7 +230,11 @@ impl Reader<'_> {
                 _ if word.starts_with(';') => break,
                 _ => {
                     if let Some(index) = self.number(line, Some(word), "a position of the wheel") {
-                        tier.indices.push((index, None));
+                        tier.indices.push(Position {
+                            index,
+                            name: None,
+                            line,
+                        });
                     }
                 }
             }
@@ -291,13 +258,17 @@ impl Reader<'_> {
                 );
                 return;
             }
-            tier.indices.push((0.0, None));
+            tier.indices.push(Position {
+                index: 0.0,
+                name: None,
+                line: tier.line,
+            });
         }
         let begins = |text: &str, with: &str| {
             text.get(..with.len())
                 .is_some_and(|start| start.eq_ignore_ascii_case(with))
         };
-        let named = tier.indices.iter().find_map(|(_, name)| name.as_deref());
+        let named = tier.indices.iter().find_map(|at| at.name.as_deref());
         tier.preform =
             begins(&tier.note, "preform") || named.is_some_and(|name| begins(name, "pf"));
         self.design.add(tier, self.problems);

@@ -1,5 +1,6 @@
 //! A design: its index wheel, its symmetry and its facets, in the order in which they are cut.
 
+mod end;
 mod sides;
 mod symmetry;
 
@@ -38,6 +39,16 @@ pub enum Stage {
 }
 
 impl Stage {
+    /// Stage of a facet that is no preform, from its angle of 0 to 90 degrees.
+    const fn of(side: Side, angle_deg: f64) -> Self {
+        match side {
+            _ if angle_deg == 90.0 => Self::Girdle,
+            Side::Pavilion => Self::Pavilion,
+            Side::Crown if angle_deg == 0.0 => Self::Table,
+            Side::Crown => Self::Crown,
+        }
+    }
+
     /// Name in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -74,6 +85,14 @@ pub struct Facet {
     pub note: String,
 }
 
+/// A position of a tier, and the name that begins there.
+#[derive(Debug, Clone)]
+pub(crate) struct Position {
+    pub index: f64,
+    pub name: Option<String>,
+    pub line: usize,
+}
+
 /// A tier as it is in a file: facets of one angle and distance.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Tier {
@@ -81,8 +100,7 @@ pub(crate) struct Tier {
     /// Negative below the girdle; -0 is the culet.
     pub angle_deg: f64,
     pub distance: f64,
-    /// Positions and names.
-    pub indices: Vec<(f64, Option<String>)>,
+    pub indices: Vec<Position>,
     pub note: String,
     pub preform: bool,
 }
@@ -182,7 +200,7 @@ impl Design {
         if self.is_full {
             return;
         }
-        let first_name = tier.indices.iter().find_map(|(_, name)| name.clone());
+        let first_name = tier.indices.iter().find_map(|at| at.name.clone());
         let mut name = first_name.unwrap_or_else(|| (number + 1).to_string());
         let shown = name.clone();
         let angle = tier.angle_deg.abs();
@@ -214,15 +232,17 @@ impl Design {
             _ if angle == 90.0 => Side::Pavilion,
             _ => Side::Crown,
         };
-        let stage = match side {
-            _ if tier.preform => Stage::Preform,
-            _ if angle == 90.0 => Stage::Girdle,
-            Side::Pavilion => Stage::Pavilion,
-            Side::Crown if angle == 0.0 => Stage::Table,
-            Side::Crown => Stage::Crown,
+        let stage = match tier.preform {
+            true => Stage::Preform,
+            false => Stage::of(side, angle),
         };
         let teeth = f64::from(self.gear);
-        for (index, own) in tier.indices {
+        for Position {
+            index,
+            name: own,
+            line,
+        } in tier.indices
+        {
             name = own.unwrap_or(name);
             // Positions repeat after a turn. GemCad writes that of 0 as the number of teeth, with
             // the sign of the gear.
@@ -235,7 +255,7 @@ impl Design {
             if !(0.0..=teeth).contains(&index) {
                 let what = format!("index {index} is off the wheel of {} teeth", self.gear);
                 let remedy = format!("write 0 to {}, or another gear", self.gear);
-                problems.report(tier.line, Some(&full), what, remedy);
+                problems.report(line, Some(&full), what, remedy);
                 continue;
             }
             if self.facets.len() == MAX_FACETS {
@@ -316,6 +336,31 @@ impl Design {
             order: order as u32,
             mirror,
         };
+    }
+
+    /// Makes preforms that stay on the stone facets, with a notice for each tier.
+    pub(crate) fn keep_preforms(&mut self, mut stay: Vec<usize>) {
+        stay.sort_unstable();
+        for &number in &stay {
+            let facet = &mut self.facets[number];
+            facet.stage = Stage::of(facet.side, facet.angle_deg);
+        }
+        for of_tier in stay.chunk_by(|a, b| self.facets[*a].tier == self.facets[*b].tier) {
+            let more = match of_tier.len() - 1 {
+                0 => String::new(),
+                more => format!(", as are {more} more of its tier"),
+            };
+            let facet = &self.facets[of_tier[0]];
+            self.notices.push(Problem {
+                line: facet.line,
+                facet: Some(facet.name.clone()),
+                what: format!(
+                    "is a preform that no later facet cuts away{more}; it is ground on all laps"
+                ),
+                remedy: "check the later facets, or remove the mark of the preform".to_string(),
+            });
+        }
+        self.notices.sort_by_key(|notice| notice.line);
     }
 
     fn notice(&mut self, facet: Option<usize>, line: usize, what: String, remedy: &str) {

@@ -2,7 +2,7 @@
 
 use crate::design::{Design, Facet, Stage};
 use crate::problem::{Problems, Refused};
-use haptimill_hil_sim::polyhedron::{Cut, Plane, Polyhedron};
+use haptimill_hil_sim::polyhedron::{Cut, Face, Plane, Polyhedron};
 use haptimill_hil_sim::vector::{Vector, cross, dot, length, minus, plus, times};
 use std::collections::BTreeMap;
 
@@ -13,6 +13,9 @@ pub const ROUGH: usize = usize::MAX;
 /// written with five to eight decimals, which alone move a vertex by some micrometres where facets
 /// meet at shallow angles; and a stone whose depths are off by a few has other short edges there.
 const MEET_MM: f64 = 0.02;
+
+/// A face of a preform that is no larger is a rounding of the distances of the design, mm^2.
+const LEAST_AREA_MM2: f64 = 1e-3;
 
 /// The stone before it is cut: a round preform about the spin axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -221,8 +224,26 @@ impl Gem {
             };
             problems.report(0, None, what, remedy);
         }
+        gem.keep_preforms();
         gem.meets = meet_points(&gem.body);
         Some(gem)
+    }
+
+    /// Preforms that stay on the stone are facets of it.
+    fn keep_preforms(&mut self) {
+        let stays = |face: &&Face| {
+            let facet = self.design.facets.get(face.tag);
+            facet.is_some_and(|facet| facet.stage == Stage::Preform)
+                && self.body.area(face) > LEAST_AREA_MM2
+        };
+        let stay: Vec<usize> = self
+            .body
+            .faces()
+            .iter()
+            .filter(stays)
+            .map(|it| it.tag)
+            .collect();
+        self.design.keep_preforms(stay);
     }
 
     /// The rough in the frame of the design.
@@ -258,7 +279,7 @@ impl Gem {
                 Cut::Missed => {
                     let mut remedy = "lower its distance, or remove it";
                     let what = if let Some(twin) = self.twin(facet, number) {
-                        format!("is the plane of facet {}", twin.name)
+                        format!("is the plane of facet {} of line {}", twin.name, twin.line)
                     } else if let Some(by) = trials.culprit(self, number) {
                         remedy = EITHER;
                         wholly(by)

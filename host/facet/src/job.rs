@@ -8,16 +8,23 @@
 
 use crate::design::{Side, Stage};
 use crate::gem::Gem;
+use crate::problem::one_line;
 use core::fmt::Write as _;
 use haptimill_hil_sim::polyhedron::{Plane, Polyhedron, area_vector};
 use haptimill_hil_sim::vector::{Vector, dot, length, minus, times};
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
+
+/// Reads a name into one line.
+fn name<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    String::deserialize(from).map(|name| one_line(&name))
+}
 
 /// A lap of the job.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lap {
     /// Name: its grit.
+    #[serde(deserialize_with = "name")]
     pub name: String,
     /// Speed, rev/min; negative counter-clockwise.
     pub rpm: f64,
@@ -103,6 +110,8 @@ pub struct JobSettings {
     pub sweep_mm_s: f64,
     /// Distance of the stone from the lap at the retracted height, mm.
     pub clearance_mm: f64,
+    /// The index of the machine wraps around, see [`crate::index_wraps`].
+    pub index_wraps: bool,
 }
 
 impl Default for JobSettings {
@@ -129,6 +138,7 @@ impl Default for JobSettings {
             sweep_mm: 10.0,
             sweep_mm_s: 20.0,
             clearance_mm: 2.0,
+            index_wraps: false,
         }
     }
 }
@@ -195,9 +205,10 @@ impl Mount {
     }
 
     /// Angle and index of the machine that put a normal of the design on the lap, degrees: the
-    /// angle of the facet with 180 degrees less its azimuth, or both negative.
+    /// angle of the facet with 180 degrees less its azimuth, or both negative. On a machine whose
+    /// index wraps around the angle is that of the facet, and the index 0 to 360.
     #[must_use]
-    pub fn pose(&self, normal: Vector) -> [f64; 2] {
+    pub fn pose(&self, normal: Vector, index_wraps: bool) -> [f64; 2] {
         let axes = self.axes();
         let turned: Vector = core::array::from_fn(|i| axes[i][i] * normal[i]);
         let across = libm::hypot(turned[0], turned[1]);
@@ -207,12 +218,40 @@ impl Mount {
         }
         let azimuth = libm::atan2(turned[1], turned[0]) / RADIAN;
         let index = 180.0 - azimuth;
+        if index_wraps {
+            return [angle, index.rem_euclid(360.0)];
+        }
         let index = index - 360.0 * libm::round(index / 360.0);
         if index.abs() > BRANCH_DEG {
             [-angle, -azimuth]
         } else {
             [angle, index]
         }
+    }
+}
+
+/// Words of the index in the order of the job.
+struct IndexWords {
+    /// The index wraps around.
+    wraps: bool,
+    /// Index before the next word, degrees.
+    at: f64,
+}
+
+impl IndexWords {
+    /// The word of an index. Where it wraps around, the word is the angle below a turn, and its
+    /// sign the direction of the shorter way there.
+    fn word(&mut self, index: f64) -> String {
+        if !self.wraps {
+            return format!("C{index:.6}");
+        }
+        // As it is written: it may round to a turn.
+        let index = (1e6 * index).round() / 1e6;
+        let index = index.rem_euclid(360.0);
+        let turn = (index - self.at).rem_euclid(360.0);
+        self.at = index;
+        let sign = if turn > 180.0 { "-" } else { "" };
+        format!("C{sign}{index:.6}")
     }
 }
 
@@ -276,6 +315,10 @@ impl Job {
         let reach = stone.vertices().iter().map(|at| length(*at));
         let retracted_mm = reach.fold(0.0, f64::max) + settings.clearance_mm;
         let mut passes = Vec::new();
+        let mut words = IndexWords {
+            wraps: settings.index_wraps,
+            at: 0.0,
+        };
         let mut sides: Vec<Side> = Vec::new();
         for facet in &gem.design.facets {
             if !sides.contains(&facet.side) {
@@ -326,6 +369,8 @@ impl Job {
                         ));
                     };
                     stone.cut(goal, facet);
+                    let [angle, index] = mount.pose(goal.normal, settings.index_wraps);
+                    let index = words.word(index);
                     operations.push(Operation {
                         facet,
                         lap: number,
@@ -334,7 +379,7 @@ impl Job {
                         area_mm2,
                         extent_mm: extent_mm(&contact, &goal),
                         force_n: at.force_n,
-                        grind: at.grind(&of.name, mount.pose(goal.normal), &depths),
+                        grind: at.grind(&of.name, angle, &index, &depths),
                         sweep: at.sweep(),
                         retract: at.retract(),
                     });
@@ -367,7 +412,6 @@ impl Job {
     /// pause says so, and a comment has the force of each facet.
     #[must_use]
     pub fn program(&self, title: &str, coolant: Coolant) -> String {
-        let plain = |text: &str| text.replace(['(', ')', '\n', '\r'], " ");
         let has_force = self.settings.mode.has_force();
         let mut text = format!("({})\n", plain(title));
         if has_force {
@@ -427,6 +471,11 @@ impl Job {
 
 /// Distance of the stone from the lap at which the feed begins, mm.
 const APPROACH_MM: f64 = 0.05;
+
+/// Text for a comment of a part program: of one line, without parentheses.
+fn plain(text: &str) -> String {
+    one_line(text).replace(['(', ')'], " ")
+}
 
 /// Area of a section in its plane, mm^2.
 fn area_mm2(section: &[Vector], plane: &Plane) -> f64 {
@@ -529,18 +578,18 @@ impl Place<'_> {
         Some(depths)
     }
 
-    fn grind(&self, name: &str, [angle, index]: [f64; 2], depths: &[f64]) -> String {
-        let name = name.replace(['(', ')'], " ");
-        let lap = self.lap;
+    /// `index` is the word of the index.
+    fn grind(&self, name: &str, angle: f64, index: &str, depths: &[f64]) -> String {
+        let (name, lap) = (plain(name), plain(&self.lap.name));
         let [inner, outer] = self.ends();
         let Self {
             retracted, start, ..
         } = self;
-        let mut text = format!("(facet {name}, lap {})\n", lap.name);
+        let mut text = format!("(facet {name}, lap {lap})\n");
         let _ = writeln!(text, "G21 G90 G94");
         let _ = writeln!(text, "G0 Z{retracted:.4}");
         let _ = writeln!(text, "{}", self.spindle());
-        let _ = writeln!(text, "G0 C{index:.6}");
+        let _ = writeln!(text, "G0 {index}");
         let _ = writeln!(text, "G0 A{angle:.6}");
         let _ = writeln!(text, "G0 X{inner:.4} Y0");
         let _ = writeln!(text, "G0 Z{start:.5}");

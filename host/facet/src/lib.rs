@@ -30,7 +30,7 @@ pub use job::{Coolant, Job, JobSettings, Lap, Mode, Mount, Operation, Pass, in_d
 pub use measure::{FacetResult, Measured, MeetResult};
 pub use page::report;
 pub use problem::{Problem, Refused};
-pub use reach::{check_machine, coolant, most_force_n};
+pub use reach::{check_machine, coolant, index_wraps, most_force_n};
 pub use run::{Cutting, OperationResult, RunOptions, cut};
 
 /// Largest number of facets of a design.
@@ -44,6 +44,10 @@ pub fn read(file: &str, text: &[u8]) -> Result<Design, Refused> {
     let end = file.rsplit('.').next().unwrap_or_default();
     let mut problems = problem::Problems::new(file);
     let mut design = match end.to_ascii_lowercase().as_str() {
+        "asc" | "toml" | "csv" if is_utf16(text) => {
+            problems.report(0, None, "is UTF-16", "save the file as UTF-8");
+            None
+        }
         "asc" => asc::read(&latin(text), &mut problems),
         "toml" => list::read_toml(&utf8(text, &mut problems), &mut problems),
         "csv" => list::read_csv(&utf8(text, &mut problems), &mut problems),
@@ -62,6 +66,17 @@ pub fn read(file: &str, text: &[u8]) -> Result<Design, Refused> {
         design.check(&mut problems);
     }
     problems.finish(design)
+}
+
+/// Whether a text begins with the mark of UTF-16, or with two of its Latin letters.
+fn is_utf16(text: &[u8]) -> bool {
+    matches!(
+        text,
+        [0xff, 0xfe, ..]
+            | [0xfe, 0xff, ..]
+            | [0, 1..=255, 0, 1..=255, ..]
+            | [1..=255, 0, 1..=255, 0, ..]
+    )
 }
 
 /// The text of a file of GemCad: UTF-8 with or without a mark, or Latin-1; lines end in LF, CRLF or

@@ -22,8 +22,8 @@
 //!
 //! Depths are distances of the planes from the origin in mm.
 
-use crate::design::{Design, Tier};
-use crate::problem::Problems;
+use crate::design::{Design, Position, Tier};
+use crate::problem::{Problems, one_line};
 use serde::Deserialize;
 use toml::Spanned;
 
@@ -42,8 +42,11 @@ struct RawDesign {
     facet: Vec<Spanned<RawFacet>>,
 }
 
+/// Message on an index; `expecting` takes no constant.
+const NO_INDEX: &str = "the index is no number and no list of numbers";
+
 #[derive(Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "the index is no number and no list of numbers")]
 enum Indices {
     One(f64),
     More(Vec<f64>),
@@ -88,7 +91,10 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
         Ok(raw) => raw,
         Err(error) => {
             let at = error.span().map_or(0, |span| line(span.start));
-            let remedy = "see docs/faceting.md for the keys of a list";
+            let remedy = match error.message() {
+                NO_INDEX => "write index = 0 or index = [0, 16], without quotes",
+                _ => "see docs/faceting.md for the keys of a list",
+            };
             problems.report(at, None, error.message().to_string(), remedy);
             return None;
         }
@@ -109,7 +115,8 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
     }
     for facet in raw.facet {
         let at = line(facet.span().start);
-        let facet = facet.into_inner();
+        let mut facet = facet.into_inner();
+        facet.name = facet.name.map(|name| one_line(&name));
         if facet.transfer {
             if facet.angle.is_some() || facet.index.is_some() || facet.depth.is_some() {
                 let what = "a transfer has no angle, index and depth";
@@ -145,7 +152,11 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
             distance,
             indices: indices
                 .into_iter()
-                .map(|index| (index, facet.name.clone()))
+                .map(|index| Position {
+                    index,
+                    name: facet.name.clone(),
+                    line: at,
+                })
                 .collect(),
             note: facet.note,
             preform: facet.preform,
@@ -160,73 +171,53 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
             "write sections [[facet]]",
         );
     }
+    design.check_end(text, problems);
     Some(design)
 }
 
-/// Reads a CSV list.
+/// Columns of a CSV list.
+const COLUMNS: [&str; 5] = ["angle", "index", "depth", "name", "note"];
+
+/// Remedy for a row that is no facet.
+const WRITE_ROW: &str = "write angle,index,depth,name,note or transfer; separate cells by commas, \
+                         and write 12.5 with a point";
+
+/// Settings of a CSV list.
+const SETTINGS: [&str; 5] = ["title", "gear", "reference", "refractive_index", "symmetry"];
+
+/// Reads a CSV list, whose lines end in LF, CRLF or CR.
 pub fn read_csv(text: &str, problems: &mut Problems) -> Option<Design> {
-    let mut design = empty();
-    let mut has_gear = false;
+    let text = text.replace("\r\n", "\n").replace('\r', "\n");
+    let mut reader = CsvReader {
+        design: empty(),
+        settings: Vec::new(),
+        columns: None,
+        has_row: false,
+        is_refused: false,
+        problems,
+    };
     for (number, line) in text.lines().enumerate() {
-        let (at, line) = (number + 1, line.trim());
-        if let Some(comment) = line.strip_prefix('#') {
-            if let Some((key, value)) = comment.split_once('=') {
-                has_gear |= key.trim() == "gear";
-                setting(&mut design, key.trim(), value.trim(), at, problems);
-            }
-            continue;
-        }
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        match cells[..] {
-            [""] => {}
-            ["transfer", ..] => turn_over(&mut design),
-            // The row of titles.
-            ["angle", ..] if design.facets.is_empty() => {}
-            [angle, index, depth, ref rest @ ..] => {
-                let name = rest.first().filter(|name| !name.is_empty());
-                let number = |of: &str, cell: &str, problems: &mut Problems| {
-                    let value = cell.parse::<f64>().ok().filter(|value| value.is_finite());
-                    if value.is_none() {
-                        let what = format!("\"{cell}\" is no number for the {of}");
-                        let name = name.copied();
-                        problems.report(at, name, what, "write a decimal number");
-                    }
-                    value
-                };
-                let angle_deg = number("angle", angle, problems);
-                let index = number("index", index, problems);
-                let distance = number("depth", depth, problems);
-                if let (Some(angle_deg), Some(index), Some(distance)) = (angle_deg, index, distance)
-                {
-                    let note = rest
-                        .get(1)
-                        .map_or(String::new(), |note| (*note).to_string());
-                    let tier = Tier {
-                        line: at,
-                        angle_deg,
-                        distance,
-                        indices: vec![(index, name.map(|name| (*name).to_string()))],
-                        preform: note.to_ascii_lowercase().starts_with("preform"),
-                        note,
-                    };
-                    design.add(tier, problems);
-                }
-            }
-            _ => {
-                let what = format!("the row has {} cells", cells.len());
-                problems.report(at, None, what, "write angle,index,depth or transfer");
-            }
-        }
+        reader.line(number + 1, line.trim());
     }
-    if !has_gear {
+    let CsvReader {
+        mut design,
+        settings,
+        is_refused,
+        ..
+    } = reader;
+    // Which side the facets of a refused row are on is not known.
+    if is_refused {
+        design.transfer = None;
+    }
+    if !settings.iter().any(|(key, _)| key == "gear") {
         problems.report(
             0,
             None,
             "the index wheel is missing",
-            "write a comment `# gear = 96`",
+            "write a comment `# gear = 96` before the rows",
         );
     }
-    if design.facets.is_empty() {
+    if design.facets.is_empty() && !is_refused {
         problems.report(
             0,
             None,
@@ -234,27 +225,168 @@ pub fn read_csv(text: &str, problems: &mut Problems) -> Option<Design> {
             "write rows angle,index,depth",
         );
     }
+    if !is_refused {
+        design.check_end(&text, problems);
+    }
     Some(design)
 }
 
-/// A setting in a comment of a CSV list; other comments have no meaning.
-fn setting(design: &mut Design, key: &str, value: &str, line: usize, problems: &mut Problems) {
-    if key == "title" {
-        design.title = value.to_string();
-        return;
+struct CsvReader<'a> {
+    design: Design,
+    /// Settings and their lines.
+    settings: Vec<(String, usize)>,
+    /// Cells of the row of titles.
+    columns: Option<usize>,
+    /// A row of a facet or a transfer was read.
+    has_row: bool,
+    /// A row of a facet was refused.
+    is_refused: bool,
+    problems: &'a mut Problems,
+}
+
+impl CsvReader<'_> {
+    fn line(&mut self, at: usize, line: &str) {
+        if let Some(comment) = line.strip_prefix('#') {
+            if let Some((key, value)) = comment.split_once('=') {
+                self.setting(key.trim(), value.trim(), at);
+            }
+            return;
+        }
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        let is_letter = |first: char| first.is_alphabetic() || first == '"';
+        let is_first = !self.has_row && self.columns.is_none();
+        match cells[..] {
+            [""] => return,
+            ["transfer", ref rest @ ..] => {
+                if let Some(word) = rest.iter().find(|cell| !cell.is_empty()) {
+                    let what = format!("\"{word}\" is behind transfer");
+                    let remedy = "write the transfer and the facet as two rows";
+                    self.problems.report(at, None, what, remedy);
+                }
+                turn_over(&mut self.design);
+            }
+            // The row of titles.
+            [first, ..] if is_first && first.starts_with(is_letter) => {
+                return self.titles(&cells, at);
+            }
+            [_, _, _, ..] => self.is_refused |= self.facet(&cells, at).is_none(),
+            _ => {
+                self.is_refused = true;
+                let count = match cells.len() {
+                    1 => "1 cell".to_string(),
+                    count => format!("{count} cells"),
+                };
+                let what = format!("the row has {count}");
+                self.problems.report(at, None, what, WRITE_ROW);
+            }
+        }
+        self.has_row = true;
     }
-    if !["gear", "reference", "refractive_index", "symmetry"].contains(&key) {
-        return;
+
+    /// The row of titles, which has the columns in their order.
+    fn titles(&mut self, cells: &[&str], at: usize) {
+        let named = cells.iter().rposition(|cell| !cell.is_empty());
+        let named = &cells[..named.map_or(0, |last| last + 1)];
+        let is_title = |(cell, title): (&&str, &str)| cell.eq_ignore_ascii_case(title);
+        let fits =
+            (3..=COLUMNS.len()).contains(&named.len()) && named.iter().zip(COLUMNS).all(is_title);
+        self.columns = Some(cells.len());
+        if !fits {
+            let what = format!("\"{}\" is no row of titles", named.join(","));
+            let remedy = "write angle,index,depth,name,note; the last two may be absent";
+            self.problems.report(at, None, what, remedy);
+        }
     }
-    let Ok(number) = value.parse::<f64>() else {
-        let what = format!("\"{value}\" is no number for {key}");
-        problems.report(line, None, what, "write a decimal number");
-        return;
-    };
-    match key {
-        "gear" => design.set_gear(number, line, problems),
-        "reference" => design.set_reference(number, line, problems),
-        "refractive_index" => design.set_refractive_index(number, line, problems),
-        _ => design.set_symmetry(number, false, line, problems),
+
+    /// Reads a facet; `None` if its row is refused.
+    fn facet(&mut self, cells: &[&str], at: usize) -> Option<()> {
+        let name = cells.get(3).filter(|name| !name.is_empty()).copied();
+        let columns = self.columns.unwrap_or(COLUMNS.len());
+        let most = match self.columns {
+            Some(columns) => format!("the row of titles {columns}"),
+            None => format!("a list at most {columns}"),
+        };
+        // A decimal comma makes a cell more, and often a name that is a number.
+        if cells.len() > columns {
+            let what = format!("the row has {} cells, and {most}", cells.len());
+            let remedy = "write 12.5 with a point, and names and notes without a comma";
+            self.problems.report(at, None, what, remedy);
+            return None;
+        }
+        let is_number = |name: &str| name.parse::<f64>().is_ok();
+        if let Some(number) = name.filter(|name| is_number(name))
+            && self.columns != Some(cells.len())
+        {
+            let what = format!("the name {number} is a number");
+            let remedy = "write 12.5 with a point; for a name that is a number, begin the list \
+                          with a row of titles, and give each row as many cells";
+            self.problems.report(at, None, what, remedy);
+            return None;
+        }
+        let angle_deg = self.number("angle", cells[0], name, at);
+        let index = self.number("index", cells[1], name, at);
+        let distance = self.number("depth", cells[2], name, at);
+        let (angle_deg, index, distance) = (angle_deg?, index?, distance?);
+        let note = cells.get(4).copied().unwrap_or_default().to_string();
+        let tier = Tier {
+            line: at,
+            angle_deg,
+            distance,
+            indices: vec![Position {
+                index,
+                name: name.map(one_line),
+                line: at,
+            }],
+            preform: note.to_ascii_lowercase().starts_with("preform"),
+            note,
+        };
+        self.design.add(tier, self.problems);
+        Some(())
+    }
+
+    fn number(&mut self, of: &str, cell: &str, name: Option<&str>, at: usize) -> Option<f64> {
+        let value = cell.parse::<f64>().ok().filter(|value| value.is_finite());
+        if value.is_none() {
+            let what = format!("\"{cell}\" is no number for the {of}");
+            let remedy = "write a decimal number, as 12.5";
+            self.problems.report(at, name, what, remedy);
+        }
+        value
+    }
+
+    /// A setting in a comment; other comments have no meaning. It is written once, before the rows:
+    /// it holds for all of them.
+    fn setting(&mut self, key: &str, value: &str, line: usize) {
+        if !SETTINGS.contains(&key) {
+            return;
+        }
+        let before = self.settings.iter().find(|(other, _)| other == key);
+        let what = match before {
+            Some((_, first)) => Some(format!("the setting {key} is already in line {first}")),
+            None if self.has_row => Some(format!("the setting {key} is behind a row")),
+            None => None,
+        };
+        self.settings.push((key.to_string(), line));
+        if let Some(what) = what {
+            let remedy = "write it once, before the rows: it holds for all of them";
+            self.problems.report(line, None, what, remedy);
+            return;
+        }
+        let (design, problems) = (&mut self.design, &mut *self.problems);
+        if key == "title" {
+            design.title = value.to_string();
+            return;
+        }
+        let Ok(number) = value.parse::<f64>() else {
+            let what = format!("\"{value}\" is no number for {key}");
+            problems.report(line, None, what, "write a decimal number");
+            return;
+        };
+        match key {
+            "gear" => design.set_gear(number, line, problems),
+            "reference" => design.set_reference(number, line, problems),
+            "refractive_index" => design.set_refractive_index(number, line, problems),
+            _ => design.set_symmetry(number, false, line, problems),
+        }
     }
 }

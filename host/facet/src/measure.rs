@@ -1,5 +1,6 @@
 //! The measured stone: facet by facet and point by point against the design.
 
+use crate::design::Stage;
 use crate::gem::Gem;
 use crate::job::{angle_between, angles};
 use haptimill_hil_sim::polyhedron::{Face, Polyhedron};
@@ -100,7 +101,9 @@ impl Measured {
         facets.sort_by_key(|result| result.facet);
         let has = |facet: usize| facets.iter().any(|result| result.facet == facet);
         let goal = gem.body.faces().iter().map(|face| face.tag);
-        let mut missing: Vec<usize> = goal.filter(|facet| !has(*facet)).collect();
+        // What is left of a preform is a rounding.
+        let is_due = |facet: &usize| gem.design.facets[*facet].stage != Stage::Preform;
+        let mut missing: Vec<usize> = goal.filter(is_due).filter(|facet| !has(*facet)).collect();
         missing.sort_unstable();
         let meets = (0..gem.meets.len())
             .map(|meet| meet_result(gem, meet, stone, &owners))
@@ -113,6 +116,12 @@ impl Measured {
             yield_part: stone.volume() / gem.rough_body().volume(),
             facets,
         }
+    }
+
+    /// Whether the stone has the facets of the design, and no other faces.
+    #[must_use]
+    pub fn is_design(&self) -> bool {
+        self.missing.is_empty() && self.strange == 0
     }
 
     /// Largest angle between a facet and its design, degrees.

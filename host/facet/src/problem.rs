@@ -4,6 +4,11 @@ use core::fmt;
 
 pub use haptimill_gcode::LISTED_PROBLEMS;
 
+/// A name in one line, for messages and comments of part programs.
+pub fn one_line(name: &str) -> String {
+    name.replace(char::is_control, " ")
+}
+
 /// A problem of a design.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {

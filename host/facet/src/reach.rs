@@ -45,6 +45,13 @@ pub fn coolant(machine: &MachineFile) -> Coolant {
     }
 }
 
+/// Whether the index of a machine wraps around, so that the sign of its word is a direction.
+#[must_use]
+pub fn index_wraps(machine: &MachineFile) -> bool {
+    let mut pose = machine.pose.iter();
+    pose.any(|axis| axis.name == "index" && axis.wraps())
+}
+
 /// Refuses a machine file of another model.
 fn check_model(machine: &MachineFile) -> Option<Problem> {
     let code = machine.config.model.descriptor().code;
@@ -95,6 +102,10 @@ pub fn check_machine(gem: &Gem, job: &Job, machine: &MachineFile) -> Result<(), 
         what,
         remedy: remedy.to_string(),
     };
+    if job.settings.index_wraps != index_wraps(machine) {
+        let what = "the index of the machine is not that of the job: one wraps around";
+        return refuse(plain(what.to_string(), "plan the job for this machine"));
+    }
     if job.settings.mode.has_force() {
         let Some(limit) = limit_n(machine) else {
             let what = "the machine has no force sensor".to_string();

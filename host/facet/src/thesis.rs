@@ -7,6 +7,7 @@
 use crate::calibrate::{Reading, calibrate};
 use crate::gem::Gem;
 use crate::job::{Job, JobSettings, Mode};
+use crate::reach::index_wraps;
 use crate::run::{Cutting, RunOptions, cut};
 use core::f64::consts::PI;
 use haptimill_client::{Error, ErrorKind};
@@ -305,6 +306,7 @@ pub fn rows(
         progress(&format!("cutting a stone by {name}"));
         let settings = JobSettings {
             mode,
+            index_wraps: index_wraps(machine),
             ..JobSettings::default()
         };
         let job = Job::new(&gem, settings).map_err(|error| refused(&error))?;

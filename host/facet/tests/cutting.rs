@@ -1,7 +1,9 @@
 //! A whole stone on the simulated machine: both sides, three laps, the transfer.
 
 use haptimill_facet::thesis::{SMALL, SMALL_MM};
-use haptimill_facet::{Cutting, Gem, Job, JobSettings, Mode, RunOptions, Side, cut, read};
+use haptimill_facet::{
+    Cutting, Gem, Job, JobSettings, Mode, RunOptions, Side, cut, index_wraps, read,
+};
 use haptimill_hil_sim::process::grinding::HardSpot;
 use haptimill_hil_sim::vector::dot;
 use haptimill_machine_file::MachineFile;
@@ -68,6 +70,30 @@ fn a_stone_is_cut_by_feed() {
     check(&gem, &cutting);
     let volume = gem.body.volume();
     assert!((cutting.measured.volume_mm3 - volume).abs() < 0.03 * volume);
+}
+
+/// On a machine whose index wraps around the stone is the design, too: a negative word of the index
+/// would be another angle.
+#[test]
+fn a_stone_is_cut_where_the_index_wraps() {
+    let text = include_str!("../../../machines/facet.toml");
+    let text = text
+        .replace("low_deg = -165.0\nhigh_deg = 165.0", "wrap = true")
+        .replace("low_deg = -166.5\nhigh_deg = 166.5", "wrap = true")
+        .replace("low = -200.0\nhigh = 200.0", "low = -1e5\nhigh = 1e5");
+    let machine = MachineFile::parse("facet.toml", &text);
+    let machine = machine.unwrap_or_else(|problems| panic!("{problems}"));
+    let design = read("small.asc", SMALL.as_bytes()).unwrap();
+    let gem = Gem::new("small.asc", design, SMALL_MM, None).unwrap();
+    let mut settings = JobSettings {
+        index_wraps: index_wraps(&machine),
+        ..JobSettings::default()
+    };
+    settings.laps.remove(1);
+    let job = Job::new(&gem, settings).unwrap();
+    let cutting = cut(&gem, &job, &machine, &RunOptions::default(), &mut |_, _| {});
+    let cutting = cutting.unwrap().whole().unwrap();
+    check(&gem, &cutting);
 }
 
 /// The same stone with the table, the facet 0, cut first: it is as large as the rough.
@@ -172,6 +198,29 @@ fn a_stone_is_cut_by_force() {
     let (gem, cutting) = stone(Mode::Force, &RunOptions::default());
     check(&gem, &cutting);
     assert!(cutting.measured.worst_depth_mm() < 0.005);
+}
+
+/// A whole example of 6 mm by force, as docs/faceting.md measures it.
+#[test]
+fn an_example_is_cut_by_force() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pentagon.asc");
+    let design = read("pentagon.asc", &std::fs::read(path).unwrap()).unwrap();
+    let gem = Gem::new("pentagon.asc", design, 6.0, None).unwrap();
+    let settings = JobSettings {
+        mode: Mode::Force,
+        ..JobSettings::default()
+    };
+    let job = Job::new(&gem, settings).unwrap();
+    let cutting = cut(
+        &gem,
+        &job,
+        &machine(),
+        &RunOptions::default(),
+        &mut |_, _| {},
+    );
+    let cutting = cutting.unwrap().whole().unwrap();
+    check(&gem, &cutting);
+    assert!(cutting.measured.worst_depth_mm() < 0.02);
 }
 
 /// With a run-out of 20 um and a hard spot in a facet, by force: flat and at depth.

@@ -257,8 +257,8 @@ fn home_signs_and_offsets() {
             let (home, [at_home, at_end], motion) = run(&machine, seed, program);
             let ends = [20.0, home[1], 25.0, 35.0, 70.0];
             for k in 0..5 {
-                // Play and friction of the slides. The friction of the dop twists the drive of the
-                // index by 0.0096 degrees, which the encoder on its motor does not see.
+                // Backlash and friction of the slides. The friction of the dop twists the drive of
+                // the index by 0.0096 degrees, which the encoder on its motor does not see.
                 let most = if k == INDEX { 0.012 } else { 0.004 };
                 let off = [at_home[k] - home[k], at_end[k] - ends[k]];
                 println!("{name}, seed {seed}: {k} {off:+.5?}");

@@ -10,7 +10,8 @@ pub use args::{
 use super::{CliError, Exit, output};
 use grind::grind;
 use haptimill_facet::{
-    Design, Gem, Job, JobSettings, Lap, calibrate, check_machine, coolant, most_force_n, read,
+    Design, Gem, Job, JobSettings, Lap, calibrate, check_machine, coolant, index_wraps,
+    most_force_n, read,
 };
 use haptimill_machine_file::{MachineFile, input};
 use serde_json::json;
@@ -46,10 +47,14 @@ fn read_design(path: &Path) -> Result<Design, CliError> {
 fn gem(args: &DesignArgs) -> Result<Gem, CliError> {
     let design = read_design(&args.design)?;
     let file = args.design.display().to_string();
-    for notice in &design.notices {
+    let notices = design.notices.clone();
+    let cut = Gem::new(&file, design, args.width, args.rough);
+    // A gem has those of its design, and those of the cut.
+    let notices = cut.as_ref().map_or(&notices, |gem| &gem.design.notices);
+    for notice in notices {
         eprintln!("notice: {}", notice.text(&file));
     }
-    Gem::new(&file, design, args.width, args.rough).map_err(bad)
+    cut.map_err(bad)
 }
 
 fn settings(args: &JobArgs, machine: &MachineFile) -> Result<JobSettings, CliError> {
@@ -60,6 +65,7 @@ fn settings(args: &JobArgs, machine: &MachineFile) -> Result<JobSettings, CliErr
     }
     let mut settings = JobSettings {
         mode: args.by.mode(),
+        index_wraps: index_wraps(machine),
         most_force_n: most_force_n(machine),
         ..JobSettings::default()
     };
@@ -153,11 +159,27 @@ fn job(gem: &Gem, args: &JobArgs, machine: &MachineFile) -> Result<Job, CliError
     Ok(job)
 }
 
+/// Refuses an output that is an input of the command.
+fn keep_inputs(design: &DesignArgs, args: &JobArgs, out: &Path) -> Result<(), CliError> {
+    let inputs = [
+        (Some(&design.design), "design"),
+        (args.laps.as_ref(), "file of laps"),
+        (args.machine.as_ref(), "machine file"),
+    ];
+    for (input, what) in inputs {
+        if let Some(input) = input {
+            output::refuse_overwrite(input, out, what)?;
+        }
+    }
+    Ok(())
+}
+
 /// Notice on a program that is ground by force.
 const BY_FORCE: &str = "notice: the program is for a controller that holds the force of the height; \
                         without force control it feeds the stone at up to 0.15 mm/s";
 
 fn plan(args: &PlanArgs) -> Result<(), CliError> {
+    keep_inputs(&args.design, &args.job, &args.out)?;
     let (gem, job, machine) = planned(&args.design, &args.job)?;
     let text = job.program(&gem.design.title, coolant(&machine));
     if job.settings.mode.has_force() {

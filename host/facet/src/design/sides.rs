@@ -53,7 +53,10 @@ impl Design {
             match twin {
                 Some(twin) => self.notices.push(Problem {
                     line: facet.line,
-                    what: format!("is the plane of facet {} and is not cut again", twin.name),
+                    what: format!(
+                        "is the plane of facet {} of line {} and is not cut again",
+                        twin.name, twin.line
+                    ),
                     remedy: "remove it".to_string(),
                     facet: Some(facet.name),
                 }),

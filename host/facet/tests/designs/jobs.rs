@@ -1,7 +1,10 @@
 //! Jobs of designs: approach, reach of the machine, laps, mounts.
 
-use super::{gem, small};
-use haptimill_facet::{Coolant, Gem, Job, JobSettings, Mode, check_machine, coolant, most_force_n};
+use super::{SMALL, gem, small};
+use haptimill_facet::{
+    Coolant, Gem, Job, JobSettings, Mode, Side, check_machine, coolant, index_wraps, most_force_n,
+    read,
+};
 use haptimill_hil_sim::polyhedron::Plane;
 use haptimill_hil_sim::vector::{length, minus};
 use haptimill_machine_file::MachineFile;
@@ -183,7 +186,7 @@ fn the_mounts_put_each_facet_on_the_lap() {
         for pass in &job.passes {
             for operation in &pass.operations {
                 let normal = gem.plane(operation.facet).normal;
-                let [angle, index] = pass.mount.pose(normal);
+                let [angle, index] = pass.mount.pose(normal, false);
                 assert!((-90.0..=90.0).contains(&angle), "{angle}");
                 assert!(index.abs() <= 160.0, "{name}: {index}");
                 // The tip in the lap frame: turned by the spin, then tilted; z of the lap is
@@ -223,4 +226,143 @@ fn laps_that_leave_stock_are_refused() {
     );
     settings.laps.clear();
     assert!(Job::new(&gem, settings).unwrap_err().contains("no lap"));
+}
+
+/// The index as the program of a machine has it whose index wraps around: an angle below a turn with
+/// the direction of the shorter way as its sign. The angle of the dop is that of the facet.
+#[test]
+fn an_index_that_wraps_is_an_angle_with_a_direction() {
+    for name in ["round-brilliant.asc", "pentagon.asc", "step-cut.toml"] {
+        let gem = gem(name);
+        let settings = JobSettings {
+            index_wraps: true,
+            ..JobSettings::default()
+        };
+        let job = Job::new(&gem, settings).unwrap();
+        let (mut at, mut back) = (0.0, 0);
+        for operation in job.passes.iter().flat_map(|pass| &pass.operations) {
+            let is_number = |word: &&str| word.parse::<f64>().is_ok();
+            let word = |letter: char| {
+                let mut words = operation.grind.split_whitespace();
+                let found = words.find_map(|it| it.strip_prefix(letter).filter(is_number));
+                found.unwrap()
+            };
+            let facet = &gem.design.facets[operation.facet];
+            assert_eq!(word('A'), format!("{:.6}", facet.angle_deg));
+            let flip = if facet.side == Side::Pavilion {
+                -1.0
+            } else {
+                1.0
+            };
+            let azimuth = flip * gem.design.azimuth_deg(facet.index);
+            let due = if facet.angle_deg == 0.0 {
+                0.0
+            } else {
+                180.0 - azimuth
+            };
+            let text = word('C');
+            let index: f64 = text.trim_start_matches('-').parse().unwrap();
+            assert!((0.0..360.0).contains(&index), "{text}");
+            let off = (index - due + 180.0).rem_euclid(360.0) - 180.0;
+            assert!(off.abs() < 1e-6, "{text}, {due} is due");
+            let is_back = text.starts_with('-');
+            let turn = (index - at).rem_euclid(360.0);
+            assert!(is_back == (turn > 180.0), "from {at} to {text}");
+            back += usize::from(is_back);
+            at = index;
+        }
+        assert!(back > 0, "{name}");
+    }
+}
+
+/// The job and the machine agree on the direction of the index.
+#[test]
+fn a_job_for_another_index_is_refused() {
+    let limits = "low_deg = -165.0\nhigh_deg = 165.0";
+    let stroke = "low_deg = -166.5\nhigh_deg = 166.5";
+    let text = include_str!("../../../../machines/facet.toml");
+    let text = text
+        .replace(limits, "wrap = true")
+        .replace(stroke, "wrap = true");
+    let wrapped = MachineFile::parse("facet.toml", &text);
+    let wrapped = wrapped.unwrap_or_else(|problems| panic!("{problems}"));
+    let gem = Gem::new("small.asc", small(), 2.5, None).unwrap();
+    for (machine, wraps) in [(machine("", ""), false), (wrapped, true)] {
+        assert_eq!(index_wraps(&machine), wraps);
+        let check = |index_wraps| {
+            let settings = JobSettings {
+                index_wraps,
+                ..JobSettings::default()
+            };
+            check_machine(&gem, &Job::new(&gem, settings).unwrap(), &machine)
+        };
+        assert_eq!(check(wraps), Ok(()));
+        let refused = check(!wraps).unwrap_err().to_string();
+        assert!(
+            refused.contains("plan the job for this machine"),
+            "{refused}"
+        );
+    }
+}
+
+/// Names of facets and laps are comments of the program: whatever they have, the program has the
+/// same blocks.
+#[test]
+fn names_add_nothing_to_the_program() {
+    let blocks = |facet: &str, lap: &str| {
+        let text = format!(
+            "gear = 64\n[[facet]]\nname = \"{facet}\"\nangle = -90\nindex = [0, 16, 32, 48]\n\
+             depth = 1.25\n[[facet]]\nangle = -45\nindex = [0, 16, 32, 48]\ndepth = 0.9\n\
+             [[facet]]\ntransfer = true\n[[facet]]\nangle = 0\nindex = 0\ndepth = 0.5\n"
+        );
+        let design = read("a.toml", text.as_bytes()).unwrap_or_else(|it| panic!("{it}"));
+        assert!(design.facets[0].name.lines().count() == 1);
+        let gem = Gem::new("a.toml", design, 2.5, None).unwrap_or_else(|it| panic!("{it}"));
+        let mut settings = JobSettings::default();
+        settings.laps[2].name = lap.to_string();
+        let job = Job::new(&gem, settings).unwrap();
+        let program = job.program("Title", Coolant::None);
+        let blocks: Vec<String> = program
+            .lines()
+            .filter(|line| !line.starts_with('(') || line.matches(')').count() > 1)
+            .map(|line| line.split(" (").next().unwrap().to_string())
+            .collect();
+        assert_eq!(check_machine(&gem, &job, &machine("", "")), Ok(()));
+        blocks
+    };
+    let plain = blocks("P", "polish");
+    assert!(plain.len() > 100);
+    for name in ["50k (diamond)", "p) G0 Z0.3 (p", "%", "a;b"] {
+        assert_eq!(blocks("P", name), plain, "{name}");
+        assert_eq!(blocks(name, "polish"), plain, "{name}");
+    }
+    assert_eq!(blocks("P", "polish\nG0 Z0.3\r"), plain);
+    assert_eq!(blocks("P\\nG0 Z0.3\\r", "polish"), plain);
+    let laps = "name = \"a\\nb\"\nrpm = 1\nstock_mm = 0\nfeed_mm_s = 1\nforce_n = 1\n\
+                spark_out_s = 1\npreston_mm2_n = 1";
+    let lap: haptimill_facet::Lap = toml::from_str(laps).unwrap();
+    assert_eq!(lap.name, "a b");
+}
+
+/// A preform that stays on the stone is ground on all laps, with a notice; one that is cut away is
+/// ground on the first lap only.
+#[test]
+fn a_preform_that_stays_is_a_facet() {
+    let job = |text: String| {
+        let design = read("small.asc", text.as_bytes()).unwrap();
+        let gem = Gem::new("small.asc", design, 2.5, None).unwrap_or_else(|it| panic!("{it}"));
+        let job = Job::new(&gem, JobSettings::default()).unwrap();
+        let notices = gem.design.notices.iter().map(|it| it.text("small.asc"));
+        let notices: Vec<String> = notices.collect();
+        let operations = job.passes.iter().flat_map(|pass| &pass.operations);
+        (operations.count(), notices)
+    };
+    assert_eq!(job(SMALL.to_string()), (39, vec![]));
+    let (count, notices) = job(SMALL.replace("n C 16", "n pfC 16"));
+    assert_eq!((count, notices.len()), (39, 1), "{notices:?}");
+    let expected = "small.asc:8: facet pfC@0: is a preform that no later facet cuts away, as are 3 \
+                    more of its tier; it is ground on all laps; check the later facets";
+    assert!(notices[0].starts_with(expected), "{notices:?}");
+    let before = "a -50 0.9 0 n pf 16 32 48\na -90 1.0";
+    assert_eq!(job(SMALL.replace("a -90 1.0", before)), (43, vec![]));
 }

@@ -70,7 +70,7 @@ fn tiers_in_any_order_are_cut_by_side() {
     let expected = [
         "mixed.asc:8: facet 3@0: is behind facets of the other side; the stone is turned over once, \
          and the side of the pavilion is cut first",
-        "mixed.asc:11: facet 6@64: is the plane of facet 1@0 and is not cut again",
+        "mixed.asc:11: facet 6@64: is the plane of facet 1@0 of line 6 and is not cut again",
     ];
     assert_eq!(notices.len(), 2, "{notices:?}");
     for (notice, expected) in notices.iter().zip(expected) {

@@ -21,6 +21,11 @@ fn what_cannot_be_cut_is_refused_by_line_and_facet() {
             "small.asc:7: \"x\" is no number for the angle of a facet",
         ),
         (
+            "32 48 G to",
+            "32\n 65 G to",
+            "small.asc:8: facet P@65: index 65 is off the wheel of 64 teeth",
+        ),
+        (
             "48 G to",
             "65 G to",
             "small.asc:7: facet P@65: index 65 is off the wheel of 64 teeth",
@@ -101,7 +106,9 @@ fn what_cannot_be_cut_is_refused_by_line_and_facet() {
     let list = "# gear = 64\n-45,0,1\ntransfer\n0,0,1\ntransfer\n-44,16,1\n";
     assert!(problem("a.csv", list).contains("a.csv:6: facet 3@16: is cut from a side"));
     let list = "# gear = 64\n-45,0,1\n-45,0,1,D\n-45,32,1\ntransfer\n45,16,1\n45,48,1\n";
-    assert!(problem("a.csv", list).contains("a.csv:3: facet D@0: is the plane of facet 1@0"));
+    assert!(
+        problem("a.csv", list).contains("a.csv:3: facet D@0: is the plane of facet 1@0 of line 2")
+    );
     let list = "gear = 64\n[[facet]]\nname = \"P\"\nangle = -4\nindex = []\ndepth = 1\n";
     assert!(problem("a.toml", list).contains("a.toml:2: facet P: the list of indices is empty"));
     let list = "gear = 64\nreference = nan\n[[facet]]\ntransfer = true\nangle = 3\n";
@@ -227,4 +234,204 @@ fn an_impossible_gear_is_refused_once() {
             "{refused}"
         );
     }
+}
+
+/// A list of 13 facets; its lines are 1 to 16.
+const LIST: &str = "# gear = 64\n# symmetry = 4\nangle,index,depth,name,note\n\
+-90,0,1.25,G,\n-90,16,1.25,G,\n-90,32,1.25,G,\n-90,48,1.25,G,\n\
+-45,0,0.9,P,\n-45,16,0.9,P,\n-45,32,0.9,P,\n-45,48,0.9,P,\ntransfer\n\
+40,0,0.875,C,\n40,16,0.875,C,\n40,32,0.875,C,\n40,48,0.875,C,\n0,0,0.375,T,\n";
+
+/// Rows of a list that would be read as other facets than those that are meant.
+#[test]
+fn rows_that_are_read_otherwise_are_refused() {
+    assert!(read("a.csv", LIST.as_bytes()).is_ok());
+    let bare = LIST
+        .replace("angle,index,depth,name,note\n", "")
+        .replace(",\n", "\n");
+    assert!(read("a.csv", bare.as_bytes()).is_ok());
+    let comma = "-90,0,12,5,G";
+    for (text, from, to, expected) in [
+        // Settings that hold for earlier rows.
+        (
+            LIST,
+            "transfer\n",
+            "transfer\n# gear = 80\n",
+            "a.csv:13: the setting gear is already in line 1; write it once, before the rows",
+        ),
+        (
+            LIST,
+            "transfer\n",
+            "transfer\n# reference = 8\n",
+            "a.csv:13: the setting reference is behind a row; write it once, before the rows",
+        ),
+        (
+            LIST,
+            "transfer\n",
+            "# symmetry=8\ntransfer\n",
+            "a.csv:12: the setting symmetry is",
+        ),
+        (
+            LIST,
+            "# symmetry = 4\n",
+            "# gear = 80\n",
+            "a.csv:2: the setting gear is already in line 1; write it once",
+        ),
+        // Decimal commas.
+        (
+            &bare,
+            "-90,0,1.25,G",
+            comma,
+            "a.csv:3: the name 5 is a number; write 12.5 with a point",
+        ),
+        (
+            &bare,
+            "-90,0,1.25,G",
+            "-90,0,12,5",
+            "a.csv:3: the name 5 is a number",
+        ),
+        (
+            &bare,
+            "-90,0,1.25,G",
+            "-90,0,12,5,G,",
+            "a.csv:3: the row has 6 cells, and a list at most 5",
+        ),
+        (
+            LIST,
+            "-90,0,1.25,G,",
+            "-90,0,12,5,G,",
+            "a.csv:4: the row has 6 cells, and the row of titles 5",
+        ),
+        (
+            LIST,
+            "-90,0,1.25,G,",
+            "-90,0,12,5",
+            "a.csv:4: the name 5 is a number",
+        ),
+        (
+            LIST,
+            "-90,0,1.25,G,",
+            "-90;0;12,5;G",
+            "a.csv:4: the row has 2 cells; write angle,index",
+        ),
+        (
+            LIST,
+            "-90,0,1.25,G,",
+            "-90,0,1.25,G,to, that",
+            "a.csv:4: the row has 6 cells",
+        ),
+        (
+            LIST,
+            "transfer",
+            "transfer,20,8,0.72",
+            "a.csv:12: \"20\" is behind transfer; write the transfer and the facet as two rows",
+        ),
+        // Titles.
+        (
+            LIST,
+            "angle,index,depth,",
+            "angle,depth,index,",
+            "a.csv:3: \"angle,depth,index,name,note\" is no row of titles; write angle,index,depth",
+        ),
+        (
+            LIST,
+            "angle,index",
+            "angel,index",
+            "a.csv:3: \"angel,index,depth,name,note\" is no row",
+        ),
+    ] {
+        assert!(text.contains(from), "{from}");
+        let refused = problem("a.csv", &text.replacen(from, to, 1));
+        assert!(
+            refused.starts_with(expected),
+            "{from:?} -> {to:?}:\n{refused}"
+        );
+    }
+    // A refused row is the only problem.
+    let all = bare.replace("1.25,", "1,25,").replace("0.9,", "0,9,");
+    let refused = problem(
+        "a.csv",
+        &all.replace("0.875", "0,875").replace("0.375", "0,375"),
+    );
+    assert!(
+        refused.starts_with("a.csv:3: the name 25 is a number"),
+        "{refused}"
+    );
+    assert!(!refused.contains("transfer"), "{refused}");
+    // A name that is a number, an empty transfer, titles in capitals, and other line ends.
+    for (from, to) in [
+        ("1.25,G,", "1.25,1,"),
+        ("transfer", "transfer,,,,"),
+        ("angle,index,depth", "Angle,Index,Depth"),
+        ("\n", "\r"),
+        ("\n", "\r\n"),
+    ] {
+        let design = read("a.csv", LIST.replace(from, to).as_bytes());
+        let design = design.unwrap_or_else(|refused| panic!("{from:?} -> {to:?}: {refused}"));
+        assert_eq!(design.facets.len(), 13);
+    }
+}
+
+/// A list that is cut off is refused as a GemCad file is.
+#[test]
+fn lists_that_are_cut_off_are_refused() {
+    for name in ["a.csv", "a.toml"] {
+        let text = match name {
+            "a.csv" => LIST.replace("# symmetry = 4\n", "\n"),
+            _ => String::from_utf8(example("step-cut.toml")).unwrap(),
+        };
+        let text = text.trim_end();
+        let table = text
+            .rfind(if name == "a.csv" {
+                "0,0,0.375"
+            } else {
+                "[[facet]]"
+            })
+            .unwrap();
+        let head = text[..table].trim_end();
+        let refused = problem(name, head);
+        let line = head.lines().count();
+        let expected = format!(
+            "{name}:{line}: the file is cut off: its last line has no line end, and it has no table"
+        );
+        assert!(refused.contains(&expected), "{refused}");
+        // With its table and without a line end it is a notice.
+        let design = read(name, text.as_bytes()).unwrap_or_else(|refused| panic!("{refused}"));
+        assert_eq!(design.notices.len(), 1);
+        assert_eq!(design.notices[0].what, "the last line has no line end");
+    }
+    // A row of a tier is missing, and the table.
+    let (head, _) = LIST.split_once("40,48,").unwrap();
+    let refused = problem("a.csv", head);
+    let expected = "a.csv:15: the file is cut off: facet C@0 has no partner in its last tier, and \
+                    it has no table";
+    assert!(refused.contains(expected), "{refused}");
+}
+
+#[test]
+fn unreadable_files_are_named() {
+    let utf16: Vec<u8> = SMALL.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    for (name, text) in [
+        ("a.asc", utf16.clone()),
+        ("a.asc", [&[0xff, 0xfe], &utf16[..]].concat()),
+        ("a.csv", [&[0xff, 0xfe], &utf16[..]].concat()),
+        (
+            "a.toml",
+            SMALL.encode_utf16().flat_map(u16::to_be_bytes).collect(),
+        ),
+    ] {
+        let refused = read(name, &text).unwrap_err().to_string();
+        assert_eq!(
+            refused,
+            format!("{name}: is UTF-16; save the file as UTF-8")
+        );
+    }
+    let list = "gear = 64\n[[facet]]\nangle = 4\nindex = \"0\"\ndepth = 1\n";
+    let expected = "a.toml:4: the index is no number and no list of numbers; write index = 0 or \
+                    index = [0, 16], without quotes";
+    assert!(
+        problem("a.toml", list).contains(expected),
+        "{}",
+        problem("a.toml", list)
+    );
 }

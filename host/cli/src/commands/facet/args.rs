@@ -19,6 +19,7 @@ stone is turned over. The folder of results gets
   report.html  the stone in 3D, facets and meet points against the design, times and forces
   stone.json   the same figures
   job.ngc      the job as one part program
+A stone that lacks facets of the design, or has other faces, is an error (exit code 6).
 
 With --by feed the feed of the lap moves the stone to its depth. With --by force the stone \
 complies above the force of the lap, and reaches its depth as material is removed. --by both does \

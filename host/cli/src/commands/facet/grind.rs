@@ -1,13 +1,18 @@
 //! `haptimill facet run`: cuts a gem in the simulator, and writes and prints its errors.
 
 use super::args::{JobArgs, RunArgs};
-use super::{job, planned};
+use super::{job, keep_inputs, planned};
 use crate::commands::run::results::ResultFolder;
 use crate::commands::{CliError, Exit, interrupt, output};
 use haptimill_facet::{Cutting, Gem, Job, RunOptions, coolant, cut, report};
 use haptimill_machine_file::MachineFile;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+/// Files of the folder of results.
+const REPORT: &str = "report.html";
+const FIGURES: &str = "stone.json";
+const PROGRAM: &str = "job.ngc";
 
 pub(super) fn grind(args: &RunArgs) -> Result<(), CliError> {
     let (gem, job, machine) = planned(&args.design, &args.job)?;
@@ -15,6 +20,9 @@ pub(super) fn grind(args: &RunArgs) -> Result<(), CliError> {
         let name = args.design.design.file_stem().unwrap_or_default();
         PathBuf::from(name).with_extension("out")
     });
+    for name in [REPORT, FIGURES, PROGRAM] {
+        keep_inputs(&args.design, &args.job, &dir.join(name))?;
+    }
     // Locked to the end of the command.
     let _folder = ResultFolder::open(&dir)?;
     let options = RunOptions {
@@ -59,36 +67,48 @@ pub(super) fn grind(args: &RunArgs) -> Result<(), CliError> {
     if let Some((_, second)) = beside {
         figures["beside"] = self::figures(&gem, second);
     }
+    output::save(&dir.join(REPORT), report(&gem, &job, &cutting, beside))?;
+    output::save(&dir.join(FIGURES), format!("{figures:#}\n"))?;
     output::save(
-        &dir.join("report.html"),
-        report(&gem, &job, &cutting, beside),
-    )?;
-    output::save(&dir.join("stone.json"), format!("{figures:#}\n"))?;
-    output::save(
-        &dir.join("job.ngc"),
+        &dir.join(PROGRAM),
         job.program(&gem.design.title, coolant(&machine)),
     )?;
+    let path = dir.join(REPORT);
+    let end = ended(&gem, [Some(&cutting), second.as_ref()], &path);
     if args.json {
         print_line!("{figures:#}");
-        return stopped(&cutting, second.as_ref());
+        return end.map_err(CliError::reported);
     }
     let design = args.design.design.display();
     print_stone(&format!("{design}"), &gem, &cutting);
     if let Some((_, second)) = beside {
         print_stone(&format!("{design}, beside"), &gem, second);
     }
-    print_line!("report      {}", dir.join("report.html").display());
-    stopped(&cutting, second.as_ref())
+    print_line!("report      {}", path.display());
+    end
 }
 
-/// The error of a job that ended before its last facet; its report is written.
-fn stopped(cutting: &Cutting, second: Option<&Cutting>) -> Result<(), CliError> {
-    let errors = [Some(cutting), second];
-    let mut errors = errors
-        .into_iter()
-        .flatten()
-        .filter_map(|it| it.stopped.clone());
-    errors.next().map_or(Ok(()), |error| Err(error.into()))
+/// The error of a job that ended before its last facet, or of a stone that is not the design. Its
+/// report is written.
+fn ended(gem: &Gem, cuttings: [Option<&Cutting>; 2], report: &Path) -> Result<(), CliError> {
+    let all = cuttings.into_iter().flatten();
+    if let Some(error) = all.clone().find_map(|it| it.stopped.clone()) {
+        return Err(error.into());
+    }
+    let mut wrong = all.filter(|it| !it.measured.is_design());
+    wrong.next().map_or(Ok(()), |cutting| {
+        let measured = &cutting.measured;
+        let what = format!(
+            "{}: the stone is not the design: {} of {} facets are missing, and {} faces are not \
+             facets; {} shows them; check the machine file and the disturbances",
+            gem.file,
+            measured.missing.len(),
+            gem.body.faces().len(),
+            measured.strange,
+            report.display()
+        );
+        Err(CliError::new(Exit::Fault, what))
+    })
 }
 
 /// Cuts the jobs of a design at the same time, each on a simulated machine of its own.
@@ -135,7 +155,7 @@ fn print_stone(name: &str, gem: &Gem, cutting: &Cutting) {
         measured.worst_depth_mm(),
         measured.worst_meet_mm()
     );
-    if !measured.missing.is_empty() || measured.strange > 0 {
+    if !measured.is_design() {
         print_line!(
             "{} facets are missing, {} faces are not facets",
             measured.missing.len(),
