@@ -15,6 +15,9 @@ pub struct Entity {
     pub handle: Option<String>,
     /// Layer; in an SVG the label of the group.
     pub layer: String,
+    /// Layers that hold this layer, the outermost first (Inkscape).
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub outer: Vec<String>,
     /// Line of the file at which it begins, from 1.
     pub line: usize,
 }
@@ -43,6 +46,9 @@ pub struct Problem {
     pub remedy: String,
     /// Layer of the entity at fault; `None` where the file as a whole is.
     pub layer: Option<String>,
+    /// Layers that hold this layer.
+    #[serde(skip)]
+    pub outer: Vec<String>,
 }
 
 impl Problem {
@@ -58,6 +64,7 @@ impl Problem {
             message,
             remedy: remedy.to_string(),
             layer: None,
+            outer: Vec::new(),
         }
     }
 
@@ -68,6 +75,7 @@ impl Problem {
             message: format!("{entity}: {message}"),
             remedy: remedy.to_string(),
             layer: Some(entity.layer.clone()),
+            outer: entity.outer.clone(),
         }
     }
 
@@ -110,11 +118,15 @@ pub struct LayerChoice {
 }
 
 impl LayerChoice {
-    /// Whether a layer counts. Letters count in either case.
+    /// Whether a layer counts, by its name or by that of a layer that holds it. Letters count in
+    /// either case.
     #[must_use]
-    pub fn allows(&self, layer: &str) -> bool {
-        let named = |names: &[String]| names.iter().any(|name| name.eq_ignore_ascii_case(layer));
-        (self.only.is_empty() || named(&self.only)) && !named(&self.without)
+    pub fn allows(&self, layer: &str, outer: &[String]) -> bool {
+        let is_one_of = |names: &[String]| {
+            let mut all = outer.iter().map(String::as_str).chain([layer]);
+            all.any(|layer| names.iter().any(|name| name.eq_ignore_ascii_case(layer)))
+        };
+        (self.only.is_empty() || is_one_of(&self.only)) && !is_one_of(&self.without)
     }
 }
 
@@ -176,7 +188,10 @@ impl Drawing {
     pub fn select_layers(&mut self, choice: &LayerChoice) -> Result<(), Problem> {
         let of_entities = self.entities.iter().map(|one| one.layer.as_str());
         let of_problems = self.problems.iter().filter_map(|one| one.layer.as_deref());
-        let mut names: Vec<&str> = of_entities.chain(of_problems).collect();
+        let outer = self.entities.iter().map(|one| &one.outer);
+        let outer = outer.chain(self.problems.iter().map(|one| &one.outer));
+        let outer = outer.flatten().map(String::as_str);
+        let mut names: Vec<&str> = of_entities.chain(of_problems).chain(outer).collect();
         names.sort_unstable();
         names.dedup();
         for requested in choice.only.iter().chain(&choice.without) {
@@ -191,11 +206,11 @@ impl Drawing {
             }
         }
         let entities = &self.entities;
-        let keeps = |entity: usize| choice.allows(&entities[entity].layer);
+        let keeps = |entity: usize| choice.allows(&entities[entity].layer, &entities[entity].outer);
         self.problems.retain(|one| {
             one.layer
                 .as_deref()
-                .is_none_or(|layer| choice.allows(layer))
+                .is_none_or(|layer| choice.allows(layer, &one.outer))
         });
         let before = self.paths.len() + self.points.len();
         self.paths.retain(|path| keeps(path.entity));

@@ -15,6 +15,10 @@ const CELLS: f64 = 4e6;
 /// Width of the band along edges that is not judged, cells: the grid does not resolve it.
 const BAND: f64 = 2.0;
 
+/// Cells of the largest patch that a comparison may find wrong: the grid places the fillets of
+/// corners within some cells.
+const UNRESOLVED: f64 = 16.0;
+
 /// Heights of the plate's surface on a square grid; 0 is the uncut top.
 #[derive(Debug, Clone)]
 pub struct Plate {
@@ -40,6 +44,8 @@ pub struct PlateReport {
     pub uncut_mm2: f64,
     /// Area that is cut although it should stay, mm^2.
     pub over_cut_mm2: f64,
+    /// Largest connected patch of the uncut or the over-cut area, mm^2.
+    pub largest_patch_mm2: f64,
     /// Depth that was asked for, mm.
     pub depth_mm: f64,
     /// Least depth in the cut area, mm.
@@ -48,6 +54,14 @@ pub struct PlateReport {
     pub mean_depth_mm: f64,
     /// Greatest depth anywhere, mm.
     pub greatest_depth_mm: f64,
+}
+
+impl PlateReport {
+    /// Whether the surface differs from the drawing by more than the grid does not resolve.
+    #[must_use]
+    pub fn differs(&self) -> bool {
+        self.largest_patch_mm2 > UNRESOLVED * self.cell_mm * self.cell_mm
+    }
 }
 
 impl Plate {
@@ -282,6 +296,36 @@ impl Plate {
         mask
     }
 
+    /// Number of points of the largest connected patch of a mask.
+    fn largest_patch(&self, mut mask: Vec<bool>) -> usize {
+        let mut largest = 0;
+        let mut open = Vec::new();
+        for first in 0..mask.len() {
+            if !std::mem::take(&mut mask[first]) {
+                continue;
+            }
+            open.push(first);
+            let mut count = 0;
+            while let Some(slot) = open.pop() {
+                count += 1;
+                let (column, row) = (slot % self.columns, slot / self.columns);
+                let beside = [
+                    (column > 0).then(|| slot - 1),
+                    (column + 1 < self.columns).then(|| slot + 1),
+                    (row > 0).then(|| slot - self.columns),
+                    (row + 1 < self.rows).then(|| slot + self.columns),
+                ];
+                for next in beside.into_iter().flatten() {
+                    if std::mem::take(&mut mask[next]) {
+                        open.push(next);
+                    }
+                }
+            }
+            largest = largest.max(count);
+        }
+        largest
+    }
+
     /// Compares the surface with the drawing.
     #[must_use]
     pub fn compare(&self, drawing: &Drawing, options: &Options) -> PlateReport {
@@ -305,6 +349,10 @@ impl Plate {
             least_depth_mm: f64::INFINITY,
             ..PlateReport::default()
         };
+        // Tabs stay; above them the plate is cut.
+        let tabs = options.tabs.filter(|tabs| tabs.count > 0);
+        let deep = options.depth_mm - tabs.map_or(0.0, |tabs| tabs.height_mm);
+        let (mut uncut, mut over_cut) = (vec![false; core.len()], vec![false; core.len()]);
         let (mut sum, mut count) = (0.0, 0_u64);
         for (slot, &height) in self.heights.iter().enumerate() {
             let depth = -f64::from(height);
@@ -316,8 +364,9 @@ impl Plate {
                 0.0
             };
             if core[slot] {
-                if depth < options.depth_mm / 2.0 {
+                if depth < deep / 2.0 {
                     report.uncut_mm2 += area;
+                    uncut[slot] = true;
                 } else {
                     report.least_depth_mm = report.least_depth_mm.min(depth);
                     sum += depth;
@@ -326,8 +375,11 @@ impl Plate {
             }
             if spared[slot] && depth > 0.01 {
                 report.over_cut_mm2 += area;
+                over_cut[slot] = true;
             }
         }
+        let largest = self.largest_patch(uncut).max(self.largest_patch(over_cut));
+        report.largest_patch_mm2 = largest as f64 * area;
         report.mean_depth_mm = if count > 0 { sum / count as f64 } else { 0.0 };
         if count == 0 {
             report.least_depth_mm = 0.0;

@@ -130,6 +130,11 @@ impl Tabs {
     pub fn length(&self, tool_mm: f64) -> f64 {
         self.count as f64 * (self.width_mm + tool_mm)
     }
+
+    /// Half of the longest part of a contour of this length that a tab may hold.
+    fn longest(&self, total: f64) -> f64 {
+        0.475 * total / self.count.max(1) as f64
+    }
 }
 
 /// Depths of cuts along a path.
@@ -189,30 +194,45 @@ pub fn levels(depth_mm: f64, step_mm: f64) -> Vec<f64> {
 }
 
 /// Cuts a path in all of its depths. A closed path goes around once for each depth. An open one
-/// goes to and fro without a lift.
+/// goes to and fro without a lift. The tabs of a closed path are at places of its own.
 #[must_use]
 pub fn cut_path(path: &Path, depths: &Depths) -> Cut {
+    let places = match &depths.tabs {
+        Some((tabs, tool)) if path.closed => tab_places(path, tabs, *tool),
+        _ => Vec::new(),
+    };
+    cut_path_with_tabs(path, depths, &places)
+}
+
+/// Cuts a path as [`cut_path`] does, with its tabs at the points nearest to these places.
+#[must_use]
+pub fn cut_path_with_tabs(path: &Path, depths: &Depths, places: &[Point]) -> Cut {
     let mut path = path.clone();
     let start = path.start().unwrap_or_default();
     let entity = path.entity;
-    let mut steps = Vec::new();
-    let mut above = 0.0;
-    let first = match depths.slope {
-        Some(_) => 0.0,
-        None => depths.levels.first().copied().unwrap_or(0.0),
+    let held = Held::new(&path, depths, places);
+    let mut tool = Tool {
+        steps: Vec::new(),
+        z: 0.0,
+        along: 0.0,
+        held: &held,
     };
+    let mut above = 0.0;
+    if depths.slope.is_none() {
+        tool.z = held.lifted(0.0, depths.levels.first().copied().unwrap_or(0.0));
+    }
+    let first = tool.z;
     for &z in &depths.levels {
         match depths.slope {
-            Some(slope) if path.closed => path = ramp_around(&path, above, z, slope, &mut steps),
-            Some(slope) => ramp_to_and_fro(&path, above, z, slope, &mut steps),
-            None if above < 0.0 => steps.push(PathStep::Vertical(z)),
+            Some(slope) if path.closed => path = ramp_around(&path, above, z, slope, &mut tool),
+            Some(slope) => {
+                ramp_to_and_fro(&path, above, z, slope, &mut tool.steps);
+                tool.z = z;
+            }
             None => {}
         }
-        match &depths.tabs {
-            Some((tabs, tool)) if path.closed => {
-                around_tabs(&path, z, depths, tabs, *tool, &mut steps)
-            }
-            _ => steps.extend(path.segments().map(|segment| PathStep::Along(segment, z))),
+        for segment in path.segments() {
+            tool.follow(&segment, z, z);
         }
         if !path.closed {
             path = path.reversed();
@@ -222,13 +242,243 @@ pub fn cut_path(path: &Path, depths: &Depths) -> Cut {
     Cut {
         start,
         z: first,
-        steps,
+        steps: tool.steps,
         entity,
     }
 }
 
+/// The parts of a closed path that tabs hold.
+struct Held {
+    total: f64,
+    /// Distances from the start of the path to begin and end of each; the end may be behind the
+    /// start.
+    spans: Vec<[f64; 2]>,
+    top: f64,
+}
+
+impl Held {
+    fn new(path: &Path, depths: &Depths, places: &[Point]) -> Self {
+        let mut held = Self {
+            total: 0.0,
+            spans: Vec::new(),
+            top: 0.0,
+        };
+        if let Some((tabs, tool)) = &depths.tabs
+            && !places.is_empty()
+        {
+            let way = Way::of(path);
+            let least = tabs.width_mm + tool;
+            let span = |&at: &Point| {
+                let along = way.nearest(at);
+                let half = way.half(along, least, tabs.longest(way.total));
+                [along - half, along + half]
+            };
+            held.total = way.total;
+            held.top = depths.levels.last().copied().unwrap_or(0.0) + tabs.height_mm;
+            held.spans = places.iter().map(span).collect();
+        }
+        held
+    }
+
+    /// Z at a distance from the start where the path itself is at `z`.
+    fn lifted(&self, along: f64, z: f64) -> f64 {
+        let is_held = |[from, to]: &[f64; 2]| (along - from).rem_euclid(self.total) < to - from;
+        if z < self.top && self.spans.iter().any(is_held) {
+            self.top
+        } else {
+            z
+        }
+    }
+}
+
+/// The tool on its way around a path.
+struct Tool<'h> {
+    steps: Vec<PathStep>,
+    z: f64,
+    /// Distance from the start of the path.
+    along: f64,
+    held: &'h Held,
+}
+
+impl Tool<'_> {
+    /// Follows a segment from one Z to another, lifted over tabs.
+    fn follow(&mut self, segment: &Segment, from: f64, to: f64) {
+        const SHORT: f64 = 1e-9;
+        let held = self.held;
+        if held.spans.is_empty() {
+            self.down(from);
+            self.z = to;
+            self.steps.push(PathStep::Along(*segment, to));
+            return;
+        }
+        let length = segment.length();
+        let mut parts = vec![0.0, 1.0];
+        if from.min(to) < held.top {
+            for bound in held.spans.iter().flatten() {
+                let mut off = (bound - self.along).rem_euclid(held.total);
+                while off < length - SHORT {
+                    if off > SHORT {
+                        parts.push(off / length);
+                    }
+                    off += held.total;
+                }
+            }
+            if from > held.top {
+                parts.push((from - held.top) / (from - to));
+            }
+            parts.sort_by(f64::total_cmp);
+        }
+        for pair in parts.windows(2) {
+            if (pair[1] - pair[0]) * length <= SHORT && parts.len() > 2 {
+                continue;
+            }
+            let middle = self.along + f64::midpoint(pair[0], pair[1]) * length;
+            let z = |part: f64| held.lifted(middle, from + (to - from) * part);
+            self.down(z(pair[0]));
+            let piece = if parts.len() == 2 {
+                *segment
+            } else {
+                let (before, _) = segment.split(pair[1]);
+                before.split(pair[0] / pair[1]).1
+            };
+            self.z = if pair[1] == 1.0 {
+                held.lifted(middle, to)
+            } else {
+                z(pair[1])
+            };
+            self.steps.push(PathStep::Along(piece, self.z));
+        }
+        self.along += length;
+    }
+
+    fn down(&mut self, z: f64) {
+        if (z - self.z).abs() > 1e-12 {
+            self.steps.push(PathStep::Vertical(z));
+            self.z = z;
+        }
+    }
+}
+
+/// Distances along a closed path.
+struct Way {
+    segments: Vec<Segment>,
+    /// Distance from the start of the path to that of each segment.
+    starts: Vec<f64>,
+    total: f64,
+}
+
+impl Way {
+    fn of(path: &Path) -> Self {
+        let segments: Vec<Segment> = path.segments().collect();
+        let mut total = 0.0;
+        let starts = segments
+            .iter()
+            .map(|one| {
+                total += one.length();
+                total - one.length()
+            })
+            .collect();
+        Self {
+            segments,
+            starts,
+            total,
+        }
+    }
+
+    fn point(&self, along: f64) -> Point {
+        let along = along.rem_euclid(self.total);
+        let index = self.starts.partition_point(|&one| one <= along).max(1) - 1;
+        let segment = &self.segments[index];
+        let part = (along - self.starts[index]) / segment.length().max(f64::MIN_POSITIVE);
+        segment.point(part.clamp(0.0, 1.0))
+    }
+
+    /// Distance from the start of the path to its point nearest to `at`.
+    fn nearest(&self, at: Point) -> f64 {
+        let mut best = (f64::INFINITY, 0.0);
+        for (segment, start) in self.segments.iter().zip(&self.starts) {
+            let part = segment.nearest(at);
+            let off = distance(segment.point(part), at);
+            if off < best.0 {
+                best = (off, start + part * segment.length());
+            }
+        }
+        best.1
+    }
+
+    /// Half of the length about a point whose ends are `least` apart; at corners and bends it is
+    /// longer than on a line. Where it would be more than `most`, as on a small circle, it is that
+    /// of a line.
+    fn half(&self, along: f64, least: f64, most: f64) -> f64 {
+        let mut half = least / 2.0;
+        while half < most {
+            if self.apart(along, half) >= least - 1e-9 {
+                return half;
+            }
+            half *= 1.02;
+        }
+        least / 2.0
+    }
+
+    /// Distance of the ends of a length about a point.
+    fn apart(&self, along: f64, half: f64) -> f64 {
+        distance(self.point(along - half), self.point(along + half))
+    }
+}
+
+/// Places of the tabs of a closed path, evenly along it, or beside corners that would make them
+/// longer. None where the path is too short for the tabs.
+#[must_use]
+pub fn tab_places(path: &Path, tabs: &Tabs, tool: f64) -> Vec<Point> {
+    const TRIES: i32 = 20;
+    let way = Way::of(path);
+    if tabs.count == 0 || tabs.length(tool) >= way.total {
+        return Vec::new();
+    }
+    let least = tabs.width_mm + tool;
+    let pitch = way.total / tabs.count as f64;
+    // As far as two tabs that come nearer to each other stay apart.
+    let room = (pitch - least) / 2.0;
+    (0..tabs.count)
+        .map(|k| {
+            // The first tab is half a distance of tabs behind the start.
+            let centre = (k as f64 + 0.5) * pitch;
+            let mut best = (f64::INFINITY, centre);
+            for step in 0..=2 * TRIES {
+                // To and fro, with growing distance.
+                let sign = if step % 2 == 0 { 1 } else { -1 };
+                let off = f64::from((step + 1) / 2 * sign) / f64::from(TRIES) * room;
+                let half = way.half(centre + off, least, tabs.longest(way.total));
+                let is_narrow = way.apart(centre + off, half) < least - 1e-6;
+                let half = if is_narrow { f64::MAX } else { half };
+                if half < best.0 - 0.01 * least {
+                    best = (half, centre + off);
+                }
+                if half <= 0.5 * least {
+                    break;
+                }
+            }
+            way.point(best.1)
+        })
+        .collect()
+}
+
+/// Width of the narrowest tab of a closed path, mm. It is less than that of the tabs where the path
+/// is too round for it.
+#[must_use]
+pub fn narrowest_tab(path: &Path, tabs: &Tabs, tool: f64) -> f64 {
+    let way = Way::of(path);
+    let least = tabs.width_mm + tool;
+    let width = |at: Point| {
+        let along = way.nearest(at);
+        way.apart(along, way.half(along, least, tabs.longest(way.total))) - tool
+    };
+    let widths = tab_places(path, tabs, tool).into_iter().map(width);
+    widths.fold(tabs.width_mm, f64::min)
+}
+
 /// Descends along a closed path and returns the path from the point where the depth is reached.
-fn ramp_around(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<PathStep>) -> Path {
+fn ramp_around(path: &Path, from: f64, to: f64, slope: f64, tool: &mut Tool) -> Path {
     let mut left = (from - to) / slope;
     let mut z = from;
     for index in (0..path.segment_count()).cycle() {
@@ -237,16 +487,16 @@ fn ramp_around(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<Path
         if length >= left - 1e-9 {
             let part = (left / length).min(1.0);
             if part >= 1.0 - 1e-9 {
-                steps.push(PathStep::Along(segment, to));
+                tool.follow(&segment, z, to);
                 return path.rotated((index + 1) % path.segment_count(), 0.0);
             }
             let (ramp, _) = segment.split(part);
-            steps.push(PathStep::Along(ramp, to));
+            tool.follow(&ramp, z, to);
             return path.rotated(index, part);
         }
         left -= length;
+        tool.follow(&segment, z, z - length * slope);
         z -= length * slope;
-        steps.push(PathStep::Along(segment, z));
     }
     path.clone()
 }
@@ -285,51 +535,6 @@ fn ramp_to_and_fro(path: &Path, from: f64, to: f64, slope: f64, steps: &mut Vec<
     }
     if z > to {
         steps.push(PathStep::Vertical(to));
-    }
-}
-
-/// Goes around a closed path and lifts over its tabs.
-fn around_tabs(
-    path: &Path,
-    z: f64,
-    depths: &Depths,
-    tabs: &Tabs,
-    tool: f64,
-    steps: &mut Vec<PathStep>,
-) {
-    let floor = depths.levels.last().copied().unwrap_or(z);
-    let top = floor + tabs.height_mm;
-    let total = path.length();
-    let half = (tabs.width_mm + tool) / 2.0;
-    let fits = tabs.length(tool) < total;
-    if z >= top || !fits || tabs.count == 0 {
-        steps.extend(path.segments().map(|segment| PathStep::Along(segment, z)));
-        return;
-    }
-    // The first tab is half a distance of tabs behind the start.
-    let pitch = total / tabs.count as f64;
-    let centres = (0..tabs.count).map(|k| (k as f64 + 0.5) * pitch);
-    let bounds: Vec<f64> = centres.flat_map(|at| [at - half, at + half]).collect();
-    let mut next = bounds.iter().peekable();
-    let (mut passed, mut present) = (0.0, z);
-    for segment in path.segments() {
-        let mut rest = segment;
-        let mut length = rest.length();
-        while let Some(&&bound) = next.peek() {
-            if bound > passed + length {
-                break;
-            }
-            let (before, after) = rest.split(((bound - passed) / length).clamp(0.0, 1.0));
-            steps.push(PathStep::Along(before, present));
-            present = if present == z { top } else { z };
-            steps.push(PathStep::Vertical(present));
-            length -= bound - passed;
-            passed = bound;
-            rest = after;
-            next.next();
-        }
-        passed += length;
-        steps.push(PathStep::Along(rest, present));
     }
 }
 

@@ -431,3 +431,95 @@ fn numbers_without_blanks_are_numbers() {
         assert!(distance(a, b) < 1e-9, "{a:?} {b:?}");
     }
 }
+
+/// A transform is about its origin: the middle stays where it is. What is not read is refused.
+#[test]
+fn transforms_are_about_their_origin() {
+    let rect = |more: &str| {
+        svg(&format!(
+            "<rect id='R' x='40' y='30' width='20' height='10' stroke='b' {more}/>"
+        ))
+    };
+    for origin in [
+        "transform='scale(0.5)' transform-origin='50 35'",
+        "transform='scale(0.5)' transform-origin='50px 35px'",
+        "transform='scale(0.5)' style='transform-origin: 50% 43.75%'",
+        "transform='scale(0.5)' transform-origin='center 35'",
+        "style='transform:scale(0.5);transform-origin:35px center' transform-origin='9 9'",
+    ] {
+        // The page is 80 high, y points up in the drawing; `35px center` is the point 35, 40.
+        let (low, high) = if origin.contains("35px center") {
+            ([37.5, 40.0], [47.5, 45.0])
+        } else {
+            ([45.0, 42.5], [55.0, 47.5])
+        };
+        bounds(&drawn(&rect(origin)), low, high);
+    }
+    for (words, refused) in [
+        (
+            "transform='scale(2)' transform-origin='2em 0'",
+            "transform-origin",
+        ),
+        (
+            "transform='scale(2)' style='transform-box:fill-box;transform-origin:center'",
+            "transform-box",
+        ),
+        ("style='translate:10px 20px'", "translate"),
+        ("style='rotate:10deg'", "rotate"),
+        ("style='scale:2'", "scale"),
+    ] {
+        let found = problems(&rect(words));
+        assert_eq!(found.len(), 1, "{words}");
+        let text = found[0].to_string();
+        assert!(
+            text.contains(refused) && text.contains("handle R"),
+            "{text}"
+        );
+        assert_eq!(found[0].line, 2);
+    }
+    let sheet = "<style>.a { rotate: 5deg }</style><g class='a'><path d='M1 1H9' stroke='b'/></g>";
+    assert_eq!(problems(&svg(sheet)).len(), 1);
+    // Without a transform an origin moves nothing.
+    bounds(
+        &drawn(&rect(
+            "style='transform-origin:9em;transform-box:fill-box;rotate:none'",
+        )),
+        [40.0, 40.0],
+        [60.0, 50.0],
+    );
+}
+
+/// A layer of Inkscape is chosen and left out with the layers in it.
+#[test]
+fn a_layer_holds_its_sublayers() {
+    let layer = |name: &str, content: &str| {
+        format!("<g inkscape:groupmode='layer' inkscape:label='{name}'>{content}</g>")
+    };
+    let line = |y: u32| format!("<path d='M10 {y}H20' stroke='b'/>");
+    let deep = layer("Deep", &line(30));
+    let cut = layer(
+        "Cut",
+        &[layer("Inner", &[line(20), deep].concat()), line(10)].concat(),
+    );
+    let guides = layer("Guides", &[layer("Frame", &line(50)), line(40)].concat());
+    let text = svg(&[cut, guides].concat());
+    let heights = |only: &[&str], without: &[&str]| {
+        let names = |names: &[&str]| names.iter().map(ToString::to_string).collect();
+        let mut drawing = drawn(&text);
+        let choice = LayerChoice {
+            only: names(only),
+            without: names(without),
+        };
+        drawing.select_layers(&choice).unwrap();
+        let paths = drawing.paths.iter();
+        paths
+            .map(|path| (80.0 - path.start().unwrap()[1]).round() as u32)
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(heights(&["Cut"], &[]), [20, 30, 10]);
+    assert_eq!(heights(&["Inner"], &[]), [20, 30]);
+    assert_eq!(heights(&["Deep"], &[]), [30]);
+    assert_eq!(heights(&[], &["Guides"]), [20, 30, 10]);
+    assert_eq!(heights(&[], &["Inner"]), [10, 50, 40]);
+    assert_eq!(heights(&["Cut"], &["Deep"]), [20, 10]);
+}

@@ -141,3 +141,33 @@ fn letters_that_cannot_be_known_are_refused_or_noted() {
     assert!(found.contains("'Grün'"), "{found}");
     assert!(drawing.notices.join("").contains("ANSI_1252"));
 }
+
+/// Capitals are as high as the drawing says, also with a font that does not state their height. A
+/// text that is aligned at its bottom has its descenders on the point, 0.2 em below its baseline.
+#[test]
+fn capitals_have_their_height_and_bottoms_their_descenders() {
+    // The H is 0.8 em high.
+    for stated in [0, 800] {
+        let file = common::font_of('H', 800, stated);
+        let font = Font::new(&file).unwrap();
+        let options = ReadOptions {
+            font: Some(&font),
+            unit_mm: Some(1.0),
+            ..ReadOptions::default()
+        };
+        for (kind, vertical, codes, low) in [
+            ("TEXT", 73, "0", 0.0),
+            ("TEXT", 73, "1", 2.0),
+            ("TEXT", 73, "2", -4.0),
+            ("TEXT", 73, "3", -8.0),
+            ("ATTRIB", 74, "1", 2.0),
+        ] {
+            let text = format!(
+                "0 {kind}\n8 0\n10 0\n20 0\n40 8\n1 H\n72 0\n{vertical} {codes}\n11 0\n21 0"
+            );
+            let drawing = read(sections(&[("ENTITIES", &text)]).as_bytes(), &options).unwrap();
+            assert_eq!(drawing.problems, []);
+            near(drawing.bounds().unwrap(), [1.0, low], [5.0, low + 8.0]);
+        }
+    }
+}

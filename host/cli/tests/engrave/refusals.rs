@@ -119,7 +119,7 @@ fn options_that_do_nothing_are_refused() {
     let plate = plate();
     let drill = ["--operation", "drill", "--layer", "HOLES"];
     let pocket = ["--operation", "pocket", "--layer", "PICTURE"];
-    let cases: [(&[&str], &[&str], &str); 10] = [
+    let cases: [(&[&str], &[&str], &str); 12] = [
         (
             &[],
             &["--clear", "zigzag"],
@@ -169,6 +169,16 @@ fn options_that_do_nothing_are_refused() {
             &pocket,
             &["--tabs", "4"],
             "--tabs is for --operation outline",
+        ),
+        (
+            &[],
+            &["--tabs", "4", "--order", "greedy"],
+            "--tabs needs --order short",
+        ),
+        (
+            &[],
+            &["--tabs", "4", "--order", "file"],
+            "--tabs needs --order short",
         ),
     ];
     for (job, ignored, expected) in cases {

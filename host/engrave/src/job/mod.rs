@@ -8,15 +8,16 @@ pub use area::{check_area, check_pocket};
 pub use options::{Operation, Options, Ordering, Side};
 
 use crate::drawing::{Drawing, Problem};
-use crate::geometry::{Path, Point};
+use crate::geometry::{Path, Point, distance};
 use crate::order::edges::Condition;
 use crate::order::{Effort, order_paths};
 use crate::shape::clear::{ClearOptions, clear};
 use crate::shape::{Clearing, Region, Strand};
 use crate::times::Times;
 use crate::toolpath::{Cut, Depths, Lengths, PathStep, Toolpath, cut_path, levels};
-use outline::{outline, with_leads};
+use outline::{Waste, outline, with_leads};
 use serde::Serialize;
+use std::collections::HashMap;
 
 /// The job in one order.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -139,11 +140,37 @@ fn time(cuts: &[Cut], options: &Options) -> f64 {
     Times::of(&lengths, &options.speeds).total()
 }
 
+/// Refuses a pocket of more rows than memory and time allow.
+fn check_rows(region: &Region, options: &Options) -> Result<(), Problem> {
+    const MOST: f64 = 1e6;
+    let boxes = region.loops();
+    let boxes = boxes.iter().filter_map(Path::bounds);
+    let widest = boxes
+        .map(|[low, high]| (high[0] - low[0]).hypot(high[1] - low[1]))
+        .fold(0.0, f64::max);
+    let spacing = options.tool_mm * options.overlap;
+    let passes = (options.depth_mm / options.step_mm).ceil();
+    let rows = widest / spacing * passes;
+    if rows <= MOST {
+        return Ok(());
+    }
+    Err(Problem::general(
+        format!(
+            "rows {spacing} mm apart through a pocket of {widest:.1} mm, in {passes} passes, are \
+             {rows:.0} rows"
+        ),
+        format!(
+            "at most {MOST} rows are planned: use a wider tool, a larger --overlap, or fewer passes"
+        ),
+    ))
+}
+
 fn pocket(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     if drawing.paths.is_empty() {
         return Err(nothing("contours to clear"));
     }
     let region = Region::of(drawing, &chained(drawing, options))?;
+    check_rows(&region, options).map_err(|problem| vec![problem])?;
     let mut job = Job::default();
     let reached = region.inset(options.tool_mm / 2.0);
     note_lost(&region, &reached, drawing, options, &mut job)?;
@@ -197,12 +224,17 @@ fn cleared(region: &Region, reached: &Region, options: &Options, job: &mut Job) 
             slope: None,
             tabs: None,
         };
+        let waste = Waste {
+            region: reached,
+            enclosed: true,
+        };
         for path in order_paths(&loops, at, Effort::default()).apply(&loops) {
             cuts.push(with_leads(
                 &path,
                 &floor,
                 options,
-                reached,
+                &[],
+                &waste,
                 &mut job.notices,
             ));
         }
@@ -241,6 +273,38 @@ fn cut_strand(strand: &Strand, above: f64, z: f64, slope: Option<f64>) -> Cut {
     }
 }
 
+/// Keeps the first of holes that are at the same place.
+fn drill_once(holes: &mut Vec<Path>, drawing: &Drawing, job: &mut Job) {
+    /// Nearer than this, mm, two holes are one.
+    const SAME: f64 = 1e-3;
+    let mut kept: HashMap<[i64; 2], Vec<Point>> = HashMap::new();
+    let mut again = Vec::new();
+    holes.retain(|hole| {
+        let Some(at) = hole.start() else { return false };
+        let [column, row] = at.map(|value| (value / SAME).floor() as i64);
+        let mut near = (column - 1..=column + 1)
+            .flat_map(|x| (row - 1..=row + 1).map(move |y| [x, y]))
+            .filter_map(|square| kept.get(&square))
+            .flatten();
+        if near.any(|other| distance(*other, at) < SAME) {
+            again.push(hole.entity);
+            return false;
+        }
+        kept.entry([column, row]).or_default().push(at);
+        true
+    });
+    if let Some(&first) = again.first() {
+        let more = match again.len() {
+            1 => String::new(),
+            count => format!("; and {} more", count - 1),
+        };
+        job.notices.push(format!(
+            "left out, a duplicate of a hole that is drilled: {}{more}",
+            drawing.entities[first]
+        ));
+    }
+}
+
 fn drill(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     let mut job = Job::default();
     let point = |at: Point, entity: usize| Path {
@@ -263,6 +327,7 @@ fn drill(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     if holes.is_empty() {
         return Err(nothing("points or circles to drill"));
     }
+    drill_once(&mut holes, drawing, &mut job);
     if others > 0 {
         job.notices.push(format!(
             "{others} paths are neither points nor circles: not drilled"

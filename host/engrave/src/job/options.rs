@@ -7,6 +7,9 @@ use crate::times::Speeds;
 use crate::toolpath::{Depths, Tabs, levels};
 use serde::Serialize;
 
+/// Largest number of passes.
+const MOST_PASSES: f64 = 10_000.0;
+
 /// What is done with the paths of the drawing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -128,6 +131,16 @@ impl Options {
                 ));
             }
         }
+        let passes = (self.depth_mm / self.step_mm).ceil();
+        if passes > MOST_PASSES {
+            return Err(Problem::general(
+                format!(
+                    "a depth of {} mm in steps of {} mm is {passes} passes",
+                    self.depth_mm, self.step_mm
+                ),
+                format!("use steps with at most {MOST_PASSES} passes"),
+            ));
+        }
         if self.operation == Operation::Pocket && self.overlap > 0.5 {
             return Err(Problem::general(
                 format!(
@@ -135,6 +148,17 @@ impl Options {
                     self.overlap
                 ),
                 "use at most 0.5",
+            ));
+        }
+        if self.operation == Operation::Pocket && self.finish_mm > self.tool_mm / 2.0 {
+            return Err(Problem::general(
+                format!(
+                    "the finishing allowance of {} mm is above the tool's radius of {} mm: the last \
+                     pass would leave a ridge",
+                    self.finish_mm,
+                    self.tool_mm / 2.0
+                ),
+                "use at most the radius with --finish",
             ));
         }
         if let Some(angle) = self.ramp_deg

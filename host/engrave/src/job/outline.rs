@@ -7,7 +7,10 @@ use crate::geometry::{Path, Point, Segment, Vertex, distance};
 use crate::order::edges::{self, Condition, Ends};
 use crate::order::{Effort, order_passes, order_paths};
 use crate::shape::Region;
-use crate::toolpath::{Cut, Depths, PathStep, cut_path, join_cuts, leads};
+use crate::toolpath::{
+    Cut, Depths, PathStep, cut_path, cut_path_with_tabs, join_cuts, leads, narrowest_tab,
+    tab_places,
+};
 
 /// Largest number of entities for which the greedy conditions are shown beside the order of the
 /// file where this one is asked for.
@@ -38,6 +41,37 @@ pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<P
         passes.push(region.inset(sign * (radius + options.finish_mm)).loops());
     }
     passes.push(finished.loops());
+    let waste = Waste {
+        region: &finished,
+        enclosed: options.side == Side::Inside,
+    };
+    // All passes leave their tabs at the same places, those of the last one.
+    let places: Vec<Point> = match options.tabs {
+        None => Vec::new(),
+        Some(tabs) => {
+            let of_loop = |path: Path| tab_places(&direct(path), &tabs, options.tool_mm);
+            finished.loops().into_iter().flat_map(of_loop).collect()
+        }
+    };
+    // A pass that is nearer than the tool is wide would cut through a tab.
+    let reach = options.tool_mm.max(1.5 * options.finish_mm);
+    let near = |path: &Path| -> Vec<Point> {
+        let Some([low, high]) = path.bounds() else {
+            return Vec::new();
+        };
+        let off = |at: &Point| {
+            let outside = |axis: usize| (low[axis] - at[axis]).max(at[axis] - high[axis]);
+            if outside(0).max(outside(1)) >= reach {
+                return f64::INFINITY;
+            }
+            let offs = path
+                .segments()
+                .map(|one| distance(one.point(one.nearest(*at)), *at));
+            offs.fold(f64::INFINITY, f64::min)
+        };
+        let all = places.iter().copied();
+        all.filter(|at| off(at) < reach).collect()
+    };
     let mut at = options.reference;
     let mut file = Vec::new();
     for (pass, loops) in passes.iter().enumerate() {
@@ -48,14 +82,16 @@ pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<P
             depths.levels = vec![-options.depth_mm];
         }
         for path in &paths {
-            let cut = with_leads(path, &depths, options, &finished, &mut Vec::new());
+            let places = near(path);
+            let cut = with_leads(path, &depths, options, &places, &waste, &mut Vec::new());
             file.push(cut);
         }
         // Inner contours first: the part must not come loose before they are cut.
         for level in by_depth(&paths) {
             let tour = order_paths(&level, at, Effort::default());
             for path in tour.apply(&level) {
-                let cut = with_leads(&path, &depths, options, &finished, &mut job.notices);
+                let places = near(&path);
+                let cut = with_leads(&path, &depths, options, &places, &waste, &mut job.notices);
                 at = cut.end();
                 job.toolpath.cuts.push(cut);
             }
@@ -86,6 +122,17 @@ fn note_tabs(paths: &[Path], drawing: &Drawing, options: &Options, job: &mut Job
                 tabs.width_mm,
                 options.tool_mm,
                 path.length()
+            ));
+            continue;
+        }
+        let narrowest = narrowest_tab(path, &tabs, options.tool_mm);
+        if narrowest < 0.99 * tabs.width_mm {
+            job.notices.push(format!(
+                "{}: its tabs are {:.2} mm wide instead of {} mm, because it is too small and round \
+                 for them; use narrower tabs",
+                drawing.entities[path.entity],
+                narrowest.max(0.0),
+                tabs.width_mm
             ));
         }
     }
@@ -118,18 +165,51 @@ fn by_depth(paths: &[Path]) -> Vec<Vec<Path>> {
         .collect()
 }
 
+/// Where the tool's centre may be beside contours.
+pub(super) struct Waste<'r> {
+    /// The region that the contours bound.
+    pub region: &'r Region,
+    /// Whether the waste is in it, instead of around it.
+    pub enclosed: bool,
+}
+
+impl Waste<'_> {
+    /// Whether a lead stays in the waste; its end on the contour is at `contact`.
+    fn holds(&self, lead: &Segment, contact: Point) -> bool {
+        const COUNT: u32 = 32;
+        // A lead leaves the contour along its tangent, and offsets are this exact.
+        const EXACT: f64 = 1e-4;
+        let points: Vec<Point> = (0..=COUNT)
+            .map(|k| lead.point(f64::from(k) / f64::from(COUNT)))
+            .filter(|at| distance(*at, contact) > 1e-3)
+            .collect();
+        let is_inside = |at: &Point| {
+            self.region.contains(*at) == self.enclosed
+                || self.region.distance_within(*at, EXACT).is_some()
+        };
+        let crosses = |pair: &[Point]| {
+            self.region.is_left_between(pair[0], pair[1])
+                && pair
+                    .iter()
+                    .all(|at| self.region.distance_within(*at, EXACT).is_none())
+        };
+        points.iter().all(is_inside) && !points.windows(2).any(crosses)
+    }
+}
+
 /// Cuts a closed path, with leads where they stay in the waste: at its start, else in the middle of
-/// one of its longest segments.
+/// one of its longest segments. Tabs are at the points nearest to `places`.
 pub(super) fn with_leads(
     path: &Path,
     depths: &Depths,
     options: &Options,
-    allowed: &Region,
+    places: &[Point],
+    waste: &Waste,
     notices: &mut Vec<String>,
 ) -> Cut {
     const TRIES: usize = 8;
     let Some(radius) = options.lead_mm else {
-        return cut_path(path, depths);
+        return cut_path_with_tabs(path, depths, places);
     };
     let mut longest: Vec<(f64, usize)> = path
         .segments()
@@ -147,24 +227,18 @@ pub(super) fn with_leads(
         .chain(starts)
         .find_map(|path| {
             let leads = leads(&path, radius, waste_left)?;
-            let clear = |segment: &Segment, from: f64, to: f64| {
-                let points: Vec<Point> = (0..=8)
-                    .map(|k| segment.point(from + (to - from) * f64::from(k) / 8.0))
-                    .collect();
-                !points
-                    .windows(2)
-                    .any(|pair| allowed.is_left_between(pair[0], pair[1]))
-            };
-            (clear(&leads.into, 0.0, 0.98) && clear(&leads.out, 0.02, 1.0)).then_some((path, leads))
+            let contact = path.start()?;
+            let fits = waste.holds(&leads.into, contact) && waste.holds(&leads.out, contact);
+            fits.then_some((path, leads))
         });
     let Some((path, leads)) = found else {
         notices.push("some contours have no room for a lead: the tool plunges on them".into());
-        return cut_path(path, depths);
+        return cut_path_with_tabs(path, depths, places);
     };
-    let cut = cut_path(&path, depths);
+    let cut = cut_path_with_tabs(&path, depths, places);
+    let floor = cut.floor();
     let mut steps = vec![PathStep::Along(leads.into, cut.z)];
     steps.extend(cut.steps);
-    let floor = depths.levels.last().copied().unwrap_or(cut.z);
     let end = steps.iter().rev().find_map(|step| match step {
         PathStep::Along(segment, _) => Some(segment.to),
         PathStep::Vertical(_) => None,

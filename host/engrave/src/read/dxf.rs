@@ -277,7 +277,7 @@ impl<'a> Reader<'a, '_> {
                 line,
                 pairs: &head,
             };
-            entity::polyline(&head, &vertices)
+            entity::polyline(&head, &vertices, self.tolerance(Affine::IDENTITY))
         } else {
             entity::read(&record, self.options, self.tolerance(Affine::IDENTITY))
         };

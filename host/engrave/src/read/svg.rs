@@ -42,6 +42,8 @@ pub struct Reader<'a, 'o> {
     paints: HashMap<NodeId, Paint>,
     /// Whether a group of the document is an Inkscape layer.
     layered: bool,
+    /// Layers that hold the present one, the outermost first.
+    outer: Vec<String>,
     /// Elements seen so far, with those of references.
     seen: usize,
     /// Size of the page in user units, for percentages.
@@ -93,6 +95,7 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
         paints: HashMap::new(),
         ids: HashMap::new(),
         layered: document.descendants().any(is_layer),
+        outer: Vec::new(),
         seen: 0,
         page: [100.0, 100.0],
     };
@@ -126,6 +129,7 @@ impl<'a> Reader<'a, '_> {
             kind: node.tag_name().name().to_string(),
             handle: node.attribute("id").map(str::to_string),
             layer: layer.to_string(),
+            outer: self.outer.clone(),
             line: 1 + self.line_ends.partition_point(|&end| end < start),
         }
     }
@@ -245,21 +249,48 @@ impl<'a> Reader<'a, '_> {
         if opacity.is_some_and(|text| text.trim_end_matches('%').parse() == Ok(0.0)) {
             self.note("cut although they are transparent".into(), node, layer);
         }
-        let transform = self.styles.property(node, "transform");
-        let map = match transform {
-            None => map,
-            Some(text) => match Transform::from_str(text) {
-                Ok(t) => map * Affine::new([t.a, t.b, t.c, t.d, t.e, t.f]),
-                Err(error) => {
-                    self.problem(node, layer, format!("transform: {error}"));
-                    return Ok(());
-                }
-            },
+        let map = match self.transform(node) {
+            Ok(own) => map * own,
+            Err(what) => {
+                self.problem(node, layer, what);
+                return Ok(());
+            }
         };
         let first = self.drawing.paths.len();
         self.drawn(node, map, layer, depth)?;
         self.clip(node, map, layer, first);
         Ok(())
+    }
+
+    /// The transform of an element about its origin.
+    fn transform(&self, node: Node) -> Result<Affine, String> {
+        for name in ["translate", "rotate", "scale", "offset-path"] {
+            let stated = self.styles.declared(node, name);
+            if let Some(value) = stated.filter(|&value| value != "none") {
+                return Err(format!(
+                    "{name}: {value}; this property is not read, use the attribute transform"
+                ));
+            }
+        }
+        let stated = self.styles.property(node, "transform");
+        let Some(text) = stated.filter(|&text| text != "none") else {
+            return Ok(Affine::IDENTITY);
+        };
+        let t = Transform::from_str(text).map_err(|error| format!("transform: {error}"))?;
+        let own = Affine::new([t.a, t.b, t.c, t.d, t.e, t.f]);
+        let reference = self.styles.property(node, "transform-box");
+        if let Some(value) = reference.filter(|&value| value != "view-box") {
+            return Err(format!(
+                "transform-box: {value}; transforms are read about the page only"
+            ));
+        }
+        match self.styles.property(node, "transform-origin") {
+            None => Ok(own),
+            Some(text) => {
+                let origin = self.transform_origin(node, text)?;
+                Ok(Affine::translate(origin) * own * Affine::translate((-origin.0, -origin.1)))
+            }
+        }
     }
 
     /// An element after its own transform.
@@ -280,15 +311,22 @@ impl<'a> Reader<'a, '_> {
                     let what = "all alternatives of a switch are cut";
                     self.note(what.into(), node, layer);
                 }
+                let present = self.outer.len();
+                let outer = layer;
                 let layer = self.layer_of(node, layer);
+                if !outer.is_empty() && layer != outer {
+                    self.outer.push(outer.to_string());
+                }
                 if name == "svg" {
                     let first = self.drawing.paths.len();
                     let inner = map * self.inner_page(node, None);
                     self.children(node, inner, layer, depth)?;
                     self.clip_to_frame(node, map, layer, first);
-                    return Ok(());
+                } else {
+                    self.children(node, map, layer, depth)?;
                 }
-                return self.children(node, map, layer, depth);
+                self.outer.truncate(present);
+                return Ok(());
             }
             "use" => return self.reference(node, map, layer, depth),
             "text" | "flowRoot" => {

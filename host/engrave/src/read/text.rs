@@ -42,11 +42,27 @@ impl<'a> Font<'a> {
         f64::from(self.face.units_per_em())
     }
 
-    /// Height of a capital letter, in ems.
+    /// Box of the outline of a letter, in units of the font.
+    fn letter(&self, one: char) -> Option<ttf_parser::Rect> {
+        let glyph = self.face.glyph_index(one)?;
+        self.face.glyph_bounding_box(glyph)
+    }
+
+    /// Height of a capital letter, in ems: the one that the font states, else that of its H.
     #[must_use]
     pub fn capital_height(&self) -> f64 {
         let stated = self.face.capital_height().filter(|&height| height > 0);
-        stated.map_or(0.7, |height| f64::from(height) / self.em())
+        let height = stated.or_else(|| self.letter('H').map(|one| one.y_max));
+        let height = height.filter(|&height| height > 0);
+        height.map_or(0.7, |height| f64::from(height) / self.em())
+    }
+
+    /// How far letters reach below the baseline, in ems: the p, else what the font states.
+    #[must_use]
+    pub fn descent(&self) -> f64 {
+        let lowest = self.letter('p').map(|one| one.y_min);
+        let lowest = lowest.unwrap_or_else(|| self.face.descender());
+        (-f64::from(lowest) / self.em()).max(0.0)
     }
 
     /// Outlines of a line of text with its baseline along x from the origin and an em of 1,

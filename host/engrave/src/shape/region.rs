@@ -91,7 +91,10 @@ impl Region {
         }
         find_crossings(drawing, &loops, &mut problems);
         if !problems.is_empty() {
-            return Err(problems);
+            // They are often the cause of the others.
+            let mut all = duplicates(drawing);
+            all.append(&mut problems);
+            return Err(all);
         }
         Ok(Self::nested(loops))
     }
@@ -238,7 +241,8 @@ impl Region {
     }
 
     /// Distance of a point from the boundaries, if it is at most `limit`, mm.
-    fn distance_within(&self, at: Point, limit: f64) -> Option<f64> {
+    #[must_use]
+    pub fn distance_within(&self, at: Point, limit: f64) -> Option<f64> {
         let (low, high) = (at.map(|one| one - limit), at.map(|one| one + limit));
         let mut least = f64::INFINITY;
         self.visit_segments([low, high], &mut |segment| {
@@ -325,6 +329,34 @@ impl Region {
         }
         rows
     }
+}
+
+/// Names the entities of which each line and arc is drawn before.
+fn duplicates(drawing: &Drawing) -> Vec<Problem> {
+    let key = |segment: &Segment| {
+        let place = |at: Point| at.map(|value| (value / SAME).round() as i64);
+        let (a, b) = (place(segment.from), place(segment.to));
+        [a.min(b), a.max(b), place(segment.point(0.5))]
+    };
+    let mut first = std::collections::HashMap::new();
+    let mut out = Vec::new();
+    for path in &drawing.paths {
+        let keys: Vec<_> = path.segments().map(|one| key(&one)).collect();
+        let before = keys.iter().map(|one| first.get(one).copied());
+        let before: Option<Vec<usize>> = before.collect();
+        let entity = before.and_then(|all| all.first().copied());
+        if let Some(entity) = entity.filter(|&entity| entity != path.entity) {
+            out.push(Problem::of(
+                drawing.entity(path),
+                format!("it is a duplicate of {}", drawing.entities[entity]),
+                "delete it in the drawing program",
+            ));
+        }
+        for one in keys {
+            first.entry(one).or_insert(path.entity);
+        }
+    }
+    out
 }
 
 /// Finds loops that cross or cover each other.

@@ -1,6 +1,7 @@
 //! Jobs: the planned path cuts what the drawing asks for, and nothing else.
 
 use crate::common;
+mod contours;
 mod orders;
 mod refusals;
 

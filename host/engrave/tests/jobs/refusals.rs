@@ -231,3 +231,147 @@ fn points_are_left_out_by_name() {
         );
     }
 }
+
+/// A job of more rows or passes than memory holds is refused before it is planned.
+#[test]
+fn more_rows_than_memory_holds_are_refused() {
+    let text = dxf(&squares(&[[0.0, 0.0, 20.0]]));
+    for options in [
+        Options {
+            tool_mm: 1e-9,
+            ..pocket()
+        },
+        Options {
+            overlap: 1e-6,
+            ..pocket()
+        },
+        Options {
+            clearing: Clearing::Zigzag,
+            tool_mm: 0.01,
+            overlap: 0.1,
+            step_mm: 0.001,
+            ..pocket()
+        },
+    ] {
+        let message = problem(&text, &options);
+        assert!(message.contains("rows"), "{message}");
+    }
+    let options = Options {
+        step_mm: 1e-9,
+        ..Options::default()
+    };
+    assert!(problem(&text, &options).contains("passes"));
+}
+
+/// Lines and contours that are drawn twice are named as such, with both entities.
+#[test]
+fn duplicates_in_a_pocket_are_named() {
+    let line = |handle: &str, [a, b]: [Point; 2]| {
+        format!(
+            "0 LINE\n5 {handle}\n8 Cut\n10 {}\n20 {}\n11 {}\n21 {}\n",
+            a[0], a[1], b[0], b[1]
+        )
+    };
+    let [a, b, c] = [[10.0, 10.0], [50.0, 10.0], [50.0, 40.0]];
+    let lines = [
+        ("A1", [a, b]),
+        ("A2", [b, c]),
+        ("A3", [c, a]),
+        ("A4", [b, a]),
+    ];
+    let triangle: String = lines.map(|(handle, ends)| line(handle, ends)).concat();
+    let twice = line("A1", [a, b]) + &line("A4", [a, b]);
+    let arcs = "0 CIRCLE\n5 A1\n8 Cut\n10 5\n20 5\n40 3\n0 CIRCLE\n5 A4\n8 Cut\n10 5\n20 5\n40 3\n";
+    for text in [&triangle, &twice, arcs] {
+        let message = problem(&dxf(text), &pocket());
+        let first = message.lines().next().unwrap();
+        assert!(
+            first.contains("handle A4") && first.contains("duplicate") && first.contains("A1"),
+            "{message}"
+        );
+    }
+}
+
+/// Holes at the same place are drilled once, with a notice that names the other.
+#[test]
+fn a_hole_is_drilled_once() {
+    let text = dxf("0 CIRCLE\n5 A1\n8 Cut\n10 5\n20 5\n40 3
+        0 POINT\n5 A2\n8 Cut\n10 5\n20 5
+        0 CIRCLE\n5 A3\n8 Cut\n10 5.0004\n20 5\n40 2
+        0 CIRCLE\n5 A4\n8 Cut\n10 5.01\n20 5\n40 2");
+    let options = Options {
+        operation: Operation::Drill,
+        ..Options::default()
+    };
+    let job = plan(&drawing(&text), &options).unwrap();
+    assert_eq!(job.toolpath.cuts.len(), 2);
+    let notices = job.notices.join("\n");
+    assert!(
+        notices.contains("duplicate") && notices.contains("1 more"),
+        "{notices}"
+    );
+    let single = dxf("0 POINT\n5 A2\n8 Cut\n10 5\n20 5");
+    let job = plan(&drawing(&single), &options).unwrap();
+    assert!(job.toolpath.cuts.len() == 1 && job.notices.is_empty());
+}
+
+/// An arc that is no higher than a ten-thousandth of a millimetre is a line; small circles stay.
+#[test]
+fn flat_arcs_are_lines() {
+    let text = |bulge: f64| {
+        dxf(&format!(
+            "0 LWPOLYLINE\n5 3F\n8 Cut\n90 2\n70 0\n10 10\n20 10\n42 {bulge}\n10 20\n20 10"
+        ))
+    };
+    // The chord is 10 mm: a bulge of 2e-5 is 1e-4 mm high. In inches it is 25.4 times as high.
+    for (bulge, is_line) in [(1e-9, true), (-1.9e-5, true), (2.1e-5, false)] {
+        let path = &drawing(&text(bulge)).paths[0];
+        assert_eq!(path.segment(0).arc().is_none(), is_line, "{bulge}");
+    }
+    let inches = ReadOptions {
+        unit_mm: Some(25.4),
+        ..ReadOptions::default()
+    };
+    let large = read(text(1e-5).as_bytes(), &inches).unwrap();
+    assert!(large.problems.is_empty() && large.paths[0].segment(0).arc().is_some());
+    assert!(drawing(&text(1e-5)).paths[0].segment(0).arc().is_none());
+    let circle = dxf("0 CIRCLE\n5 A1\n8 Cut\n10 5\n20 5\n40 0.00005");
+    assert!(
+        drawing(&circle).paths[0]
+            .segments()
+            .all(|one| one.bulge == 1.0)
+    );
+}
+
+/// A surface with a wrong patch is told from one with single cells that the grid does not resolve.
+#[test]
+fn a_surface_with_a_wrong_patch_is_found() {
+    let text = dxf(&squares(&[[0.0, 0.0, 20.0]]));
+    let pocketed = drawing(&text);
+    let options = pocket();
+    let job = plan(&pocketed, &options).unwrap();
+    assert!(!surface(&pocketed, &job, &options).differs());
+    // A strip of 0.2 mm along the middle stays, or a groove leaves the square.
+    let moved = |edit: &dyn Fn(&mut Plate)| {
+        let mut plate = Plate::new(area(&pocketed, &options), 0.05);
+        edit(&mut plate);
+        plate.compare(&pocketed, &options)
+    };
+    let halves = moved(&|plate| {
+        for k in 0..=200 {
+            let x = 0.5 + f64::from(k) * 0.095;
+            for [low, high] in [[0.5, 9.4], [10.6, 19.5]] {
+                plate.sweep(0.5, [x, low, -1.0], [x, high, -1.0]);
+            }
+        }
+    });
+    assert!(
+        halves.differs() && (3.5..5.5).contains(&halves.uncut_mm2),
+        "{halves:?}"
+    );
+    let groove = moved(&|plate| {
+        cut(plate, &job, options.tool_mm);
+        plate.sweep(0.5, [19.5, 10.0, -1.0], [20.5, 10.0, -1.0]);
+    });
+    assert!(groove.differs() && groove.over_cut_mm2 > 0.3, "{groove:?}");
+}

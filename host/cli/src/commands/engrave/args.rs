@@ -381,6 +381,11 @@ impl EngraveArgs {
                 "--tabs is for --operation outline",
             ),
             (
+                self.tabs.is_some() && self.order != OrderName::Short,
+                "--tabs needs --order short: the other orders cut chains as single lines, which \
+                 have no tabs",
+            ),
+            (
                 self.tabs.is_none() && tabs.iter().any(|(given, usual)| given != usual),
                 "--tab-width and --tab-height need --tabs",
             ),

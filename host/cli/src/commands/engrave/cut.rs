@@ -74,6 +74,29 @@ impl Cut {
         self.lost_at.is_some() || self.off_mm.iter().any(|off| off.abs() > LOST_MM)
     }
 
+    /// What of the surface is not as the drawing asks, if the comparison resolves it.
+    pub(super) fn differs(&self) -> Option<String> {
+        let PlateReport {
+            uncut_mm2,
+            over_cut_mm2,
+            largest_patch_mm2,
+            ..
+        } = self.surface;
+        self.surface.differs().then(|| {
+            format!(
+                "the surface is not that of the drawing: {uncut_mm2:.2} mm2 uncut, \
+                 {over_cut_mm2:.2} mm2 over-cut, the largest patch {largest_patch_mm2:.2} mm2; see \
+                 the notices of the job and the --preview"
+            )
+        })
+    }
+
+    /// What ends the command with a fault.
+    pub(super) fn wrong(&self) -> Option<String> {
+        let lost = self.lost_steps().then(|| self.lost());
+        lost.or_else(|| self.differs())
+    }
+
     /// Describes it.
     pub(super) fn lost(&self) -> String {
         let [x, y, z] = self.off_mm;
@@ -252,5 +275,25 @@ mod tests {
         stand(&mut seen, 600, [10.0, 20.0, 1.0], 7);
         let (line, off) = seen.lost_at.unwrap();
         assert!(line == 6 && (off[0] - 0.05).abs() < 1e-9, "{line} {off:?}");
+    }
+
+    /// A patch that the grid resolves is a fault, some cells at corners are not. Lost steps come
+    /// first.
+    #[test]
+    fn a_surface_with_a_wrong_patch_is_a_fault() {
+        let cut = |uncut_mm2, largest_patch_mm2, off| Cut {
+            surface: PlateReport {
+                cell_mm: 0.05,
+                uncut_mm2,
+                largest_patch_mm2,
+                ..PlateReport::default()
+            },
+            off_mm: [off, 0.0, 0.0],
+            lost_at: None,
+        };
+        assert_eq!(cut(0.5, 0.01, 0.0).wrong(), None);
+        let text = cut(0.5, 0.3, 0.0).wrong().unwrap();
+        assert!(text.contains("0.50 mm2 uncut"), "{text}");
+        assert!(cut(0.5, 0.3, 0.1).wrong().unwrap().contains("lost"));
     }
 }

@@ -275,9 +275,10 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
     } else if let Some(cut) = &surface {
         print_surface(cut);
     }
-    match surface {
-        Some(cut) if cut.lost_steps() => Err(CliError::new(Exit::Fault, cut.lost()).reported()),
-        _ => Ok(()),
+    let Some(cut) = surface else { return Ok(()) };
+    match cut.wrong() {
+        Some(what) => Err(CliError::new(Exit::Fault, what).reported()),
+        None => Ok(()),
     }
 }
 
@@ -406,6 +407,7 @@ fn print_json(
             "total_with_analysis": times.total() + analysis_s,
         },
         "surface": cut.map(|cut| &cut.surface),
+        "surface_differs": cut.and_then(cut::Cut::differs),
         "off_mm": cut.map(|cut| cut.off_mm),
         "lost_at": cut.and_then(|cut| cut.lost_at).map(|(line, off_mm)| {
             serde_json::json!({ "line": line, "off_mm": off_mm })

@@ -38,7 +38,7 @@ pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Re
             let path = Path::circle(record.point(10, 20)?, radius(record)?, 0);
             vec![map_path(record.plane()?, &path, TOLERANCE)]
         }
-        "LWPOLYLINE" => return light_polyline(record),
+        "LWPOLYLINE" => return light_polyline(record, tolerance),
         "ELLIPSE" if is_flat(record)? => {
             return Ok(Read::LeftOut("an axis of it has no length".into()));
         }
@@ -119,8 +119,18 @@ fn arc(record: &Record) -> Result<Path, Problem> {
     Ok(map_path(record.plane()?, &path, TOLERANCE))
 }
 
-/// Checks the bulge of a segment and makes the path.
-fn bulged(record: &Record, mut vertices: Vec<Vertex>, closed: bool) -> Result<Read, Problem> {
+/// Checks the bulges of segments and makes the path. A segment that is less high than a part of the
+/// tolerance (0.0001 mm) is a line.
+fn bulged(
+    record: &Record,
+    mut vertices: Vec<Vertex>,
+    closed: bool,
+    tolerance: f64,
+) -> Result<Read, Problem> {
+    /// Height of an arc above its chord, as a part of the tolerance.
+    const FLAT: f64 = 0.04;
+    /// A rounder arc stays one, however small it is.
+    const ROUND: f64 = 0.01;
     let mut is_lost = false;
     vertices.dedup_by(|next, before| {
         let same = next.at == before.at;
@@ -143,11 +153,18 @@ fn bulged(record: &Record, mut vertices: Vec<Vertex>, closed: bool) -> Result<Re
         vertices.pop();
         closed = true;
     }
-    let path = Path {
+    let mut path = Path {
         vertices,
         closed,
         entity: 0,
     };
+    for index in 0..path.segment_count() {
+        let segment = path.segment(index);
+        let height = segment.bulge.abs() * distance(segment.from, segment.to) / 2.0;
+        if height < FLAT * tolerance && segment.bulge.abs() < ROUND {
+            path.vertices[index].bulge = 0.0;
+        }
+    }
     for (index, segment) in path.segments().enumerate() {
         if let Some(arc) = segment.arc()
             && (arc.radius > RADIUS_LIMIT || !arc.radius.is_finite())
@@ -180,7 +197,7 @@ fn bulged(record: &Record, mut vertices: Vec<Vertex>, closed: bool) -> Result<Re
 /// Note on an arc whose ends are one point.
 const NO_SEGMENT: &str = "segments with a bulge and without length are left out";
 
-fn light_polyline(record: &Record) -> Result<Read, Problem> {
+fn light_polyline(record: &Record, tolerance: f64) -> Result<Read, Problem> {
     let closed = record.integer(70)?.is_some_and(|flags| flags & 1 != 0);
     let mut vertices: Vec<Vertex> = Vec::new();
     for pair in record.pairs {
@@ -220,7 +237,10 @@ fn light_polyline(record: &Record) -> Result<Read, Problem> {
     let widths = record.pairs.iter();
     let mut widths = widths.filter(|pair| matches!(pair.code, 40 | 41 | 43));
     let is_wide = widths.any(|pair| record.parse(pair).is_ok_and(|width| width > 0.0));
-    Ok(with_width(bulged(record, vertices, closed)?, is_wide))
+    Ok(with_width(
+        bulged(record, vertices, closed, tolerance)?,
+        is_wide,
+    ))
 }
 
 /// What a polyline of some width draws: its middle line.
@@ -234,7 +254,11 @@ fn with_width(mut read: Read, is_wide: bool) -> Read {
 }
 
 /// Reads a POLYLINE with the records of its vertices.
-pub fn polyline(record: &Record, parts: &[(usize, Vec<Pair>)]) -> Result<Read, Problem> {
+pub fn polyline(
+    record: &Record,
+    parts: &[(usize, Vec<Pair>)],
+    tolerance: f64,
+) -> Result<Read, Problem> {
     let flags = record.integer(70)?.unwrap_or(0);
     if flags & (16 | 64) != 0 {
         return Ok(Read::LeftOut("POLYLINE is a mesh".into()));
@@ -258,7 +282,7 @@ pub fn polyline(record: &Record, parts: &[(usize, Vec<Pair>)]) -> Result<Read, P
         });
     }
     Ok(with_width(
-        bulged(record, vertices, flags & 1 != 0)?,
+        bulged(record, vertices, flags & 1 != 0, tolerance)?,
         is_wide,
     ))
 }

@@ -25,6 +25,7 @@ impl<'a> Record<'_, 'a> {
             kind: self.kind.to_string(),
             handle: text(5).or_else(|| text(105)),
             layer: text(8).unwrap_or_else(|| "0".into()),
+            outer: Vec::new(),
             line: self.line,
         }
     }

@@ -57,7 +57,8 @@ pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Re
         multi_layout(record, &lines, height)?
     } else {
         let natural = lines.first().map_or(0.0, |line| width(line, font));
-        single_layout(record, height, natural)?
+        let descent = height * font.descent() / font.capital_height();
+        single_layout(record, height, descent, natural)?
     };
     let mut shapes = Shapes {
         notes,
@@ -112,8 +113,14 @@ struct Layout {
     oblique: f64,
 }
 
-/// Layout of a text of one line; `natural` is its width at a width factor of 1.
-fn single_layout(record: &Record, height: f64, natural: f64) -> Result<Layout, Problem> {
+/// Layout of a text of one line. Its letters reach `descent` below the baseline; `natural` is its
+/// width at a width factor of 1.
+fn single_layout(
+    record: &Record,
+    height: f64,
+    descent: f64,
+    natural: f64,
+) -> Result<Layout, Problem> {
     // An attribute has its vertical alignment in another group than a text.
     let vertical = if record.kind == "ATTRIB" { 74 } else { 73 };
     let (across, up) = (
@@ -134,6 +141,7 @@ fn single_layout(record: &Record, height: f64, natural: f64) -> Result<Layout, P
         record.point(10, 20)?
     };
     let down = match (up, across) {
+        (1, _) => -descent,
         (2, _) | (0, 4) => height / 2.0,
         (3, _) => height,
         _ => 0.0,

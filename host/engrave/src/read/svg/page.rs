@@ -100,6 +100,49 @@ impl<'a> Reader<'a, '_> {
         place * fit_view(view, [size("width", 0), size("height", 1)], aspect(node))
     }
 
+    /// The point that a transform is about, in user units: `left`, `center`, `right`, `top`,
+    /// `bottom`, lengths, and percentages of the page.
+    pub(super) fn transform_origin(&self, node: Node, text: &str) -> Result<(f64, f64), String> {
+        let refused = || format!("transform-origin: '{text}' is not read");
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let nested = node
+            .ancestors()
+            .skip(1)
+            .filter(|one| matches!(one.tag_name().name(), "svg" | "symbol"));
+        let has_own_page = nested.count() > 1;
+        let part = |axis: usize, part: f64| -> Result<f64, String> {
+            if has_own_page || self.page[1] == 0.0 {
+                return Err(refused());
+            }
+            Ok(part * self.page[axis])
+        };
+        let along = |axis: usize, word: &str| match (axis, word) {
+            (0, "left") | (1, "top") => Ok(0.0),
+            (_, "center") => part(axis, 0.5),
+            (0, "right") | (1, "bottom") => part(axis, 1.0),
+            _ => {
+                let length = Length::from_str(word).map_err(|_| refused())?;
+                match length.unit {
+                    LengthUnit::None | LengthUnit::Px => Ok(length.number),
+                    LengthUnit::Percent => part(axis, length.number / 100.0),
+                    LengthUnit::Em | LengthUnit::Ex => Err(refused()),
+                    unit => Ok(length.number * unit_mm(unit) / PIXEL_MM),
+                }
+            }
+        };
+        match words.as_slice() {
+            [y @ ("top" | "bottom")] => Ok((part(0, 0.5)?, along(1, y)?)),
+            [x] => Ok((along(0, x)?, part(1, 0.5)?)),
+            [y @ ("top" | "bottom"), x] | [x, y] | [x, y, _]
+                if !(matches!(*x, "top" | "bottom") || matches!(*y, "left" | "right")) =>
+            {
+                Ok((along(0, x)?, along(1, y)?))
+            }
+            [y, x] => Ok((along(0, x)?, along(1, y)?)),
+            _ => Err(refused()),
+        }
+    }
+
     /// Upper left corner of a nested `svg` element.
     pub fn place(&self, node: Node) -> (f64, f64) {
         let at = |name: &str, axis: usize| self.length(node, name, axis).ok().flatten();

@@ -16,7 +16,7 @@ pub struct Paint {
 }
 
 /// Properties that matter to a path; others of a style sheet are not kept.
-const PROPERTIES: [&str; 15] = [
+const PROPERTIES: [&str; 21] = [
     "clip-path",
     "display",
     "fill",
@@ -26,11 +26,17 @@ const PROPERTIES: [&str; 15] = [
     "marker-mid",
     "marker-start",
     "mask",
+    "offset-path",
     "opacity",
+    "rotate",
+    "scale",
     "stroke",
     "stroke-dasharray",
     "text-anchor",
     "transform",
+    "transform-box",
+    "transform-origin",
+    "translate",
     "visibility",
 ];
 
@@ -75,20 +81,28 @@ impl Styles {
 
     /// A property of the element itself: inline style, style sheet, attribute.
     pub fn property<'s>(&'s self, node: Node<'s, '_>, name: &str) -> Option<&'s str> {
+        self.stated(node, name)
+            .or_else(|| node.attribute(name))
+            .filter(|value| *value != "inherit")
+    }
+
+    /// A property of inline style or style sheet that no attribute states.
+    pub fn declared<'s>(&'s self, node: Node<'s, '_>, name: &str) -> Option<&'s str> {
+        self.stated(node, name)
+            .filter(|value| !matches!(*value, "inherit" | "initial" | "unset"))
+    }
+
+    fn stated<'s>(&'s self, node: Node<'s, '_>, name: &str) -> Option<&'s str> {
         let style = node.attribute("style").unwrap_or("");
         let inline = style.split(';').find_map(|declaration| {
             let (key, value) = declaration.split_once(':')?;
             (key.trim() == name).then(|| value.trim())
         });
-        let of_sheet = || {
+        inline.or_else(|| {
             let all = self.declarations.get(&node.id())?;
             let found = all.iter().rev().find(|(key, _)| key == name);
             found.map(|(_, value)| value.as_str())
-        };
-        inline
-            .or_else(of_sheet)
-            .or_else(|| node.attribute(name))
-            .filter(|value| *value != "inherit")
+        })
     }
 
     /// A property that descendants inherit.
