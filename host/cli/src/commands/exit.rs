@@ -21,7 +21,7 @@ pub enum Exit {
     Refused = 4,
     /// The port cannot be opened, is in use, or the connection to the controller is lost.
     Port = 5,
-    /// The machine latched a fault.
+    /// The machine latched a fault, or a simulated one lost steps or made another part.
     Fault = 6,
     /// Stopped by the user (Ctrl-C, or `haptimill stop`); the machine decelerated along its path.
     Stopped = 7,
@@ -41,7 +41,8 @@ Exit codes:
   3  an input file cannot be read or has a mistake; nothing moved
   4  the part program exceeds a limit of the machine; nothing moved
   5  the port cannot be opened, is in use, or the connection is lost
-  6  the machine latched a fault
+  6  the machine latched a fault; in the simulator also: steps were lost, or the
+     part is not the drawing or design
   7  stopped by the user; the machine decelerated along its path
   8  the controller refused a command in its state or configuration;
      `trace diff` and `replay`: there is a difference
