@@ -12,7 +12,8 @@ force_n = 3.0\nspark_out_s = 0.5\npreston_mm2_n = 4e-5\n";
 const MACHINE: &str = include_str!("../../../machines/facet.toml");
 
 /// The arm of the simulated machine is tilted by two degrees against the machine file: no facet of
-/// the stone is one of the design. The results are written, and the exit code is that of lost steps.
+/// the stone is one of the design. The results are written, and the exit code is that of lost
+/// steps.
 #[test]
 fn a_stone_that_is_not_the_design_is_an_error() {
     let folder = TestFolder::new();

@@ -228,8 +228,8 @@ fn laps_that_leave_stock_are_refused() {
     assert!(Job::new(&gem, settings).unwrap_err().contains("no lap"));
 }
 
-/// The index as the program of a machine has it whose index wraps around: an angle below a turn with
-/// the direction of the shorter way as its sign. The angle of the dop is that of the facet.
+/// The index as the program of a machine has it whose index wraps around: an angle below a turn
+/// with the direction of the shorter way as its sign. The angle of the dop is that of the facet.
 #[test]
 fn an_index_that_wraps_is_an_angle_with_a_direction() {
     for name in ["round-brilliant.asc", "pentagon.asc", "step-cut.toml"] {
