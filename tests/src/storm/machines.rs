@@ -48,7 +48,6 @@ machine_files! {
     "fivebar", "fivebar.toml";
     "polar3", "polar3.toml";
     "corexy", "corexy.toml";
-    "bench", "bench.toml";
 }
 
 impl MachineKind {
