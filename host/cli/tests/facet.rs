@@ -51,7 +51,7 @@ fn a_stone_that_is_not_the_design_is_an_error() {
                 assert_eq!(missing, if code == 0 { 0 } else { 6 });
             }
             let expected = format!(
-                "{design}: the stone is not the design: 6 of 6 facets are missing, and 6 faces are \
+                "{design}: the stone is not the design: 6 facets are missing, and 6 faces are \
                  not facets"
             );
             let is_told = run.err.contains(&expected) && run.err.contains("report.html");

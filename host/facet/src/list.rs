@@ -171,7 +171,10 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
             "write sections [[facet]]",
         );
     }
-    design.check_end(text, problems);
+    // A facet that was refused has no partners either.
+    if problems.is_empty() {
+        design.check_end(text, problems);
+    }
     Some(design)
 }
 
@@ -225,7 +228,7 @@ pub fn read_csv(text: &str, problems: &mut Problems) -> Option<Design> {
             "write rows angle,index,depth",
         );
     }
-    if !is_refused {
+    if problems.is_empty() {
         design.check_end(&text, problems);
     }
     Some(design)
@@ -306,7 +309,7 @@ impl CsvReader<'_> {
             Some(columns) => format!("the row of titles {columns}"),
             None => format!("a list at most {columns}"),
         };
-        // A decimal comma makes a cell more, and often a name that is a number.
+        // A decimal comma makes a cell more, or a name that is a number.
         if cells.len() > columns {
             let what = format!("the row has {} cells, and {most}", cells.len());
             let remedy = "write 12.5 with a point, and names and notes without a comma";
@@ -314,12 +317,9 @@ impl CsvReader<'_> {
             return None;
         }
         let is_number = |name: &str| name.parse::<f64>().is_ok();
-        if let Some(number) = name.filter(|name| is_number(name))
-            && self.columns != Some(cells.len())
-        {
+        if let Some(number) = name.filter(|name| is_number(name)) {
             let what = format!("the name {number} is a number");
-            let remedy = "write 12.5 with a point; for a name that is a number, begin the list \
-                          with a row of titles, and give each row as many cells";
+            let remedy = format!("write 12.5 with a point, and a name with a letter, as P{number}");
             self.problems.report(at, None, what, remedy);
             return None;
         }

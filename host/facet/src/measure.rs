@@ -100,10 +100,7 @@ impl Measured {
         }
         facets.sort_by_key(|result| result.facet);
         let has = |facet: usize| facets.iter().any(|result| result.facet == facet);
-        let goal = gem.body.faces().iter().map(|face| face.tag);
-        // What is left of a preform is a rounding.
-        let is_due = |facet: &usize| gem.design.facets[*facet].stage != Stage::Preform;
-        let mut missing: Vec<usize> = goal.filter(is_due).filter(|facet| !has(*facet)).collect();
+        let mut missing: Vec<usize> = due(gem).filter(|facet| !has(*facet)).collect();
         missing.sort_unstable();
         let meets = (0..gem.meets.len())
             .map(|meet| meet_result(gem, meet, stone, &owners))
@@ -155,6 +152,12 @@ impl Measured {
             .filter(|it| !it.is_found)
             .map(|it| it.meet)
     }
+}
+
+/// The facets that a stone must have: what is left of a preform is a rounding.
+fn due(gem: &Gem) -> impl Iterator<Item = usize> {
+    let goal = gem.body.faces().iter().map(|face| face.tag);
+    goal.filter(|facet| gem.design.facets[*facet].stage != Stage::Preform)
 }
 
 /// The facet of the gem to which a face belongs.

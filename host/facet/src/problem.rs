@@ -99,6 +99,11 @@ impl Problems {
         });
     }
 
+    /// Whether none was found.
+    pub fn is_empty(&self) -> bool {
+        self.problems.is_empty()
+    }
+
     /// The value, or the refusal.
     pub fn finish<T>(mut self, value: Option<T>) -> Result<T, Refused> {
         if let (Some(value), true) = (value, self.problems.is_empty()) {

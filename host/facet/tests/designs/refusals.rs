@@ -311,6 +311,12 @@ fn rows_that_are_read_otherwise_are_refused() {
         (
             LIST,
             "-90,0,1.25,G,",
+            "-90,0,1,25,G",
+            "a.csv:4: the name 25 is a number; write 12.5 with a point, and a name with a letter",
+        ),
+        (
+            LIST,
+            "-90,0,1.25,G,",
             "-90;0;12,5;G",
             "a.csv:4: the row has 2 cells; write angle,index",
         ),
@@ -358,9 +364,8 @@ fn rows_that_are_read_otherwise_are_refused() {
         "{refused}"
     );
     assert!(!refused.contains("transfer"), "{refused}");
-    // A name that is a number, an empty transfer, titles in capitals, and other line ends.
+    // An empty transfer, titles in capitals, and other line ends.
     for (from, to) in [
-        ("1.25,G,", "1.25,1,"),
         ("transfer", "transfer,,,,"),
         ("angle,index,depth", "Angle,Index,Depth"),
         ("\n", "\r"),

@@ -99,11 +99,10 @@ fn ended(gem: &Gem, cuttings: [Option<&Cutting>; 2], report: &Path) -> Result<()
     wrong.next().map_or(Ok(()), |cutting| {
         let measured = &cutting.measured;
         let what = format!(
-            "{}: the stone is not the design: {} of {} facets are missing, and {} faces are not \
-             facets; {} shows them; check the machine file and the disturbances",
+            "{}: the stone is not the design: {} facets are missing, and {} faces are not facets; \
+             {} shows them; check the machine file and the disturbances",
             gem.file,
             measured.missing.len(),
-            gem.body.faces().len(),
             measured.strange,
             report.display()
         );
