@@ -55,9 +55,7 @@ fn the_storm_knows_every_machine_file() {
         let path = entry.expect("an entry").path();
         let name = path.file_stem().and_then(|it| it.to_str()).expect("a name");
         assert!(
-            MACHINES.contains(&name)
-                || others.contains(&name)
-                || without_reference.contains(&name),
+            MACHINES.contains(&name) || others.contains(&name) || without_reference.contains(&name),
             "machines/{name}.toml has no row in `machine_files!` of tests/src/storm/machines.rs"
         );
     }
