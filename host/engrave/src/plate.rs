@@ -7,6 +7,7 @@ use crate::curves::distance_to_segment;
 use crate::drawing::Drawing;
 use crate::geometry::{Path, Point};
 use crate::job::{Operation, Options, Side};
+use crate::toolpath::Tab;
 use serde::Serialize;
 
 /// Largest number of cells.
@@ -14,6 +15,11 @@ const CELLS: f64 = 4e6;
 
 /// Width of the band along edges that is not judged, cells: the grid does not resolve it.
 const BAND: f64 = 2.0;
+
+/// Distance, cells, within which the way of the tool's centre beside a contour has points farther
+/// from the contour, where the tool has room: the way is known within a cell on either side, and in
+/// a right-angled corner the distance grows more slowly.
+const NEAR: f64 = 4.0;
 
 /// Cells of the largest patch that a comparison may find wrong: the grid places the fillets of
 /// corners within some cells.
@@ -232,16 +238,17 @@ impl Plate {
             }
             (Operation::Pocket, _) => {
                 let asked = self.inside(&chains);
-                let centres = self.at_least(&asked, radius);
-                let reached = self.distances(&centres);
-                let reached = asked
-                    .iter()
-                    .zip(reached)
-                    .map(|(a, d)| *a && d <= radius)
-                    .collect();
+                // What a tool of this radius reaches.
+                let reached = |radius: f64| -> Vec<bool> {
+                    let centres = self.at_least(&asked, radius);
+                    let off = self.distances(&centres);
+                    let both = asked.iter().zip(off);
+                    both.map(|(asked, off)| *asked && off <= radius).collect()
+                };
                 Asked {
+                    reached: reached(radius),
+                    judged: reached(radius + self.cell),
                     asked,
-                    reached,
                     kept: None,
                 }
             }
@@ -253,15 +260,25 @@ impl Plate {
                     .map(|one| *one == (side == Side::Outside))
                     .collect();
                 let off = self.distances(&kept);
+                let beside = |on_path: &[bool]| -> Vec<bool> {
+                    let cut = self.distances(on_path);
+                    cut.iter().map(|d| *d <= radius - 2.0 * self.cell).collect()
+                };
                 let on_path: Vec<bool> = off
                     .iter()
                     .map(|d| (d - radius).abs() <= self.cell)
                     .collect();
-                let cut = self.distances(&on_path);
-                let asked = cut.iter().map(|d| *d <= radius - 2.0 * self.cell).collect();
+                let wide: Vec<bool> = off.iter().map(|d| *d > radius + self.cell).collect();
+                let to_wide = self.distances(&wide);
+                let in_wide: Vec<bool> = on_path
+                    .iter()
+                    .zip(to_wide)
+                    .map(|(on_path, d)| *on_path && d <= NEAR * self.cell)
+                    .collect();
                 Asked {
                     kept: Some(kept),
-                    ..Asked::same(asked)
+                    judged: beside(&in_wide),
+                    ..Asked::same(beside(&on_path))
                 }
             }
         }
@@ -326,12 +343,30 @@ impl Plate {
         largest
     }
 
-    /// Compares the surface with the drawing.
+    /// Points that tabs may cover.
+    fn tabbed(&self, tabs: &[Tab]) -> Vec<bool> {
+        let mut mask = vec![false; self.heights.len()];
+        for tab in tabs {
+            let reach = tab.reach_mm + self.cell;
+            let [columns, rows] =
+                self.window(tab.at.map(|at| at - reach), tab.at.map(|at| at + reach));
+            for row in rows {
+                for column in columns.clone() {
+                    let off = crate::geometry::distance(self.at(column, row), tab.at);
+                    mask[row * self.columns + column] |= off <= reach;
+                }
+            }
+        }
+        mask
+    }
+
+    /// Compares the surface with the drawing; the job leaves these tabs.
     #[must_use]
-    pub fn compare(&self, drawing: &Drawing, options: &Options) -> PlateReport {
+    pub fn compare(&self, drawing: &Drawing, options: &Options, tabs: &[Tab]) -> PlateReport {
         let Asked {
             asked,
             reached,
+            judged,
             kept,
         } = self.asked(drawing, options);
         let area = self.cell * self.cell;
@@ -340,7 +375,7 @@ impl Plate {
             Some(kept) => kept,
             None => asked.iter().map(|one| !one).collect(),
         };
-        let core = self.at_least(&reached, band);
+        let core = self.at_least(&judged, band);
         let spared = self.at_least(&not_asked, band);
         let mut report = PlateReport {
             cell_mm: self.cell,
@@ -350,8 +385,8 @@ impl Plate {
             ..PlateReport::default()
         };
         // Tabs stay; above them the plate is cut.
-        let tabs = options.tabs.filter(|tabs| tabs.count > 0);
-        let deep = options.depth_mm - tabs.map_or(0.0, |tabs| tabs.height_mm);
+        let above = options.depth_mm - options.tabs.map_or(0.0, |tabs| tabs.height_mm);
+        let tabbed = self.tabbed(tabs);
         let (mut uncut, mut over_cut) = (vec![false; core.len()], vec![false; core.len()]);
         let (mut sum, mut count) = (0.0, 0_u64);
         for (slot, &height) in self.heights.iter().enumerate() {
@@ -364,6 +399,11 @@ impl Plate {
                 0.0
             };
             if core[slot] {
+                let deep = if tabbed[slot] {
+                    above
+                } else {
+                    options.depth_mm
+                };
                 if depth < deep / 2.0 {
                     report.uncut_mm2 += area;
                     uncut[slot] = true;
@@ -392,6 +432,9 @@ impl Plate {
 struct Asked {
     asked: Vec<bool>,
     reached: Vec<bool>,
+    /// What the tool reaches for certain: by distances on the grid a slot may seem up to a cell
+    /// wider than it is.
+    judged: Vec<bool>,
     /// What must stay, if that is not all the rest.
     kept: Option<Vec<bool>>,
 }
@@ -400,6 +443,7 @@ impl Asked {
     fn same(asked: Vec<bool>) -> Self {
         Self {
             reached: asked.clone(),
+            judged: asked.clone(),
             asked,
             kept: None,
         }
@@ -482,7 +526,7 @@ mod tests {
         };
         let mut plate = Plate::new([[0.0, 0.0], [10.0, 10.0]], 0.05);
         plate.sweep(0.5, [2.0, 5.0, -0.5], [8.0, 5.0, -0.5]);
-        let report = plate.compare(&drawing, &options);
+        let report = plate.compare(&drawing, &options, &[]);
         assert_eq!((report.uncut_mm2, report.over_cut_mm2), (0.0, 0.0));
         assert!(
             (report.asked_mm2 - 6.0 - std::f64::consts::PI / 4.0).abs() < 0.4,
@@ -492,7 +536,7 @@ mod tests {
         // The same cut 0.3 mm aside.
         let mut plate = Plate::new([[0.0, 0.0], [10.0, 10.0]], 0.05);
         plate.sweep(0.5, [2.0, 5.3, -0.5], [8.0, 5.3, -0.5]);
-        let report = plate.compare(&drawing, &options);
+        let report = plate.compare(&drawing, &options, &[]);
         // 0.3 mm less twice the band of 0.1 mm, over about 6.4 mm.
         assert!(
             report.uncut_mm2 > 0.5 && report.over_cut_mm2 > 0.5,

@@ -131,10 +131,22 @@ impl Tabs {
         self.count as f64 * (self.width_mm + tool_mm)
     }
 
-    /// Half of the longest part of a contour of this length that a tab may hold.
-    fn longest(&self, total: f64) -> f64 {
-        0.475 * total / self.count.max(1) as f64
+    /// Half of the longest part of a contour of this length that a tab may hold. A twentieth of the
+    /// distance of two tabs is left to cut between them.
+    fn longest_half(&self, total: f64) -> f64 {
+        0.95 * total / self.count.max(1) as f64 / 2.0
     }
+}
+
+/// A tab of a contour.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tab {
+    /// The middle of the part of the tool's way that it holds.
+    pub at: Point,
+    /// Greatest distance of that part from its middle, mm.
+    pub reach_mm: f64,
+    /// Its width under the tool, mm.
+    pub width_mm: f64,
 }
 
 /// Depths of cuts along a path.
@@ -184,10 +196,17 @@ pub fn join_cuts(cuts: Vec<Cut>, most: f64, speeds: &Speeds) -> Vec<Cut> {
     out
 }
 
+/// Number of passes to a depth with at most `step` each.
+#[must_use]
+pub fn passes(depth_mm: f64, step_mm: f64) -> f64 {
+    // A depth of three times the step may be a rounding error above it.
+    (depth_mm / step_mm - 1e-9).ceil().max(1.0)
+}
+
 /// Z of passes to a depth with at most `step` each, mm. All passes have the same step.
 #[must_use]
 pub fn levels(depth_mm: f64, step_mm: f64) -> Vec<f64> {
-    let count = (depth_mm / step_mm - 1e-9).ceil().max(1.0);
+    let count = passes(depth_mm, step_mm);
     (1..=count as usize)
         .map(|k| -depth_mm * k as f64 / count)
         .collect()
@@ -197,10 +216,11 @@ pub fn levels(depth_mm: f64, step_mm: f64) -> Vec<f64> {
 /// goes to and fro without a lift. The tabs of a closed path are at places of its own.
 #[must_use]
 pub fn cut_path(path: &Path, depths: &Depths) -> Cut {
-    let places = match &depths.tabs {
-        Some((tabs, tool)) if path.closed => tab_places(path, tabs, *tool),
+    let tabs = match &depths.tabs {
+        Some((tabs, tool_mm)) if path.closed => tabs_of(path, tabs, *tool_mm),
         _ => Vec::new(),
     };
+    let places: Vec<Point> = tabs.iter().map(|tab| tab.at).collect();
     cut_path_with_tabs(path, depths, &places)
 }
 
@@ -263,14 +283,13 @@ impl Held {
             spans: Vec::new(),
             top: 0.0,
         };
-        if let Some((tabs, tool)) = &depths.tabs
+        if let Some((tabs, tool_mm)) = &depths.tabs
             && !places.is_empty()
         {
             let way = Way::of(path);
-            let least = tabs.width_mm + tool;
             let span = |&at: &Point| {
                 let along = way.nearest(at);
-                let half = way.half(along, least, tabs.longest(way.total));
+                let half = way.half(along, tabs, *tool_mm);
                 [along - half, along + half]
             };
             held.total = way.total;
@@ -406,10 +425,12 @@ impl Way {
         best.1
     }
 
-    /// Half of the length about a point whose ends are `least` apart; at corners and bends it is
-    /// longer than on a line. Where it would be more than `most`, as on a small circle, it is that
-    /// of a line.
-    fn half(&self, along: f64, least: f64, most: f64) -> f64 {
+    /// Half of the length about a point that a tab holds, so that its ends are as far apart as the
+    /// tab and the tool are wide; at corners and bends it is longer than on a line. Where it would
+    /// be too long, as on a small circle, it is that of a line.
+    fn half(&self, along: f64, tabs: &Tabs, tool_mm: f64) -> f64 {
+        let least = tabs.width_mm + tool_mm;
+        let most = tabs.longest_half(self.total);
         let mut half = least / 2.0;
         while half < most {
             if self.apart(along, half) >= least - 1e-9 {
@@ -424,57 +445,70 @@ impl Way {
     fn apart(&self, along: f64, half: f64) -> f64 {
         distance(self.point(along - half), self.point(along + half))
     }
+
+    /// Length of the shorter way between two points.
+    fn between(&self, a: f64, b: f64) -> f64 {
+        let off = (a - b).rem_euclid(self.total);
+        off.min(self.total - off)
+    }
+
+    /// The tab about a point.
+    fn tab(&self, along: f64, half: f64, tool_mm: f64) -> Tab {
+        const COUNT: i32 = 8;
+        let at = self.point(along);
+        let offs = (-COUNT..=COUNT).map(|k| half * f64::from(k) / f64::from(COUNT));
+        let reaches = offs.map(|off| distance(self.point(along + off), at));
+        Tab {
+            at,
+            reach_mm: reaches.fold(0.0, f64::max),
+            width_mm: self.apart(along, half) - tool_mm,
+        }
+    }
 }
 
-/// Places of the tabs of a closed path, evenly along it, or beside corners that would make them
-/// longer. None where the path is too short for the tabs.
+/// Tabs of a closed path, evenly along it, or beside corners that would make them longer or join
+/// two of them. None where the path is too short for the tabs. They are narrower than asked for
+/// where the path is too round for them.
 #[must_use]
-pub fn tab_places(path: &Path, tabs: &Tabs, tool: f64) -> Vec<Point> {
+pub fn tabs_of(path: &Path, tabs: &Tabs, tool_mm: f64) -> Vec<Tab> {
     const TRIES: i32 = 20;
     let way = Way::of(path);
-    if tabs.count == 0 || tabs.length(tool) >= way.total {
+    if tabs.count == 0 || tabs.length(tool_mm) >= way.total {
         return Vec::new();
     }
-    let least = tabs.width_mm + tool;
+    let least = tabs.width_mm + tool_mm;
     let pitch = way.total / tabs.count as f64;
     // As far as two tabs that come nearer to each other stay apart.
     let room = (pitch - least) / 2.0;
-    (0..tabs.count)
-        .map(|k| {
-            // The first tab is half a distance of tabs behind the start.
-            let centre = (k as f64 + 0.5) * pitch;
-            let mut best = (f64::INFINITY, centre);
-            for step in 0..=2 * TRIES {
-                // To and fro, with growing distance.
-                let sign = if step % 2 == 0 { 1 } else { -1 };
-                let off = f64::from((step + 1) / 2 * sign) / f64::from(TRIES) * room;
-                let half = way.half(centre + off, least, tabs.longest(way.total));
-                let is_narrow = way.apart(centre + off, half) < least - 1e-6;
-                let half = if is_narrow { f64::MAX } else { half };
-                if half < best.0 - 0.01 * least {
-                    best = (half, centre + off);
-                }
-                if half <= 0.5 * least {
-                    break;
-                }
+    // Middle and half of the length of each.
+    let mut held: Vec<[f64; 2]> = Vec::with_capacity(tabs.count);
+    for k in 0..tabs.count {
+        // The first tab is half a distance of tabs behind the start.
+        let centre = (k as f64 + 0.5) * pitch;
+        let mut best = (f64::INFINITY, centre);
+        for step in 0..=2 * TRIES {
+            // To and fro, with growing distance.
+            let sign = if step % 2 == 0 { 1 } else { -1 };
+            let along = centre + f64::from((step + 1) / 2 * sign) / f64::from(TRIES) * room;
+            let half = way.half(along, tabs, tool_mm);
+            // The others are farther away.
+            let mut beside = held.first().into_iter().chain(held.last());
+            if beside.any(|[other, reach]| way.between(*other, along) < reach + half - 1e-9) {
+                continue;
             }
-            way.point(best.1)
-        })
-        .collect()
-}
-
-/// Width of the narrowest tab of a closed path, mm. It is less than that of the tabs where the path
-/// is too round for it.
-#[must_use]
-pub fn narrowest_tab(path: &Path, tabs: &Tabs, tool: f64) -> f64 {
-    let way = Way::of(path);
-    let least = tabs.width_mm + tool;
-    let width = |at: Point| {
-        let along = way.nearest(at);
-        way.apart(along, way.half(along, least, tabs.longest(way.total))) - tool
-    };
-    let widths = tab_places(path, tabs, tool).into_iter().map(width);
-    widths.fold(tabs.width_mm, f64::min)
+            let is_narrow = way.apart(along, half) < least - 1e-6;
+            let cost = if is_narrow { f64::MAX } else { half };
+            if cost < best.0 - 0.01 * least {
+                best = (cost, along);
+            }
+            if cost <= 0.5 * least {
+                break;
+            }
+        }
+        held.push([best.1, way.half(best.1, tabs, tool_mm)]);
+    }
+    let tab = |&[along, half]: &[f64; 2]| way.tab(along, half, tool_mm);
+    held.iter().map(tab).collect()
 }
 
 /// Descends along a closed path and returns the path from the point where the depth is reached.
@@ -600,6 +634,9 @@ mod tests {
         assert_eq!(levels(1.0, 0.4).len(), 3);
         assert_eq!(levels(1.0, 0.5), [-0.5, -1.0]);
         assert_eq!(levels(1.0, 5.0), [-1.0]);
+        let three = 3.0 * 0.1;
+        assert!(three / 0.1 > 3.0);
+        assert_eq!((passes(three, 0.1), levels(three, 0.1).len()), (3.0, 3));
     }
 
     #[test]
@@ -668,6 +705,49 @@ mod tests {
         // Width of the tabs and the diameter of the tool, four times, in the last pass only.
         assert!((lifted - 4.0 * 3.0).abs() < 1e-9, "{lifted}");
         assert!((cut.length() - 80.0).abs() < 1e-9);
+    }
+
+    /// Tabs do not join at corners, where they are longer: around stars of any number of points.
+    #[test]
+    fn tabs_stay_apart_at_corners() {
+        let tool_mm = 2.0;
+        for points in 3..12_u32 {
+            for inner in [2.0, 5.0, 8.0, 10.0] {
+                let corner = |k: u32| {
+                    let radius = if k.is_multiple_of(2) { 12.0 } else { inner };
+                    let angle = std::f64::consts::PI * f64::from(k) / f64::from(points);
+                    [radius * angle.cos(), radius * angle.sin()]
+                };
+                let corners: Vec<Point> = (0..2 * points).map(corner).collect();
+                let path = Path::polygon(&corners, 0);
+                let way = Way::of(&path);
+                for count in 2..12 {
+                    let tabs = Tabs {
+                        count,
+                        width_mm: 1.5,
+                        height_mm: 1.0,
+                    };
+                    if tabs.length(tool_mm) > 0.95 * way.total {
+                        continue;
+                    }
+                    let depths = Depths {
+                        tabs: Some((tabs, tool_mm)),
+                        ..depths(vec![-2.0])
+                    };
+                    let placed = tabs_of(&path, &tabs, tool_mm);
+                    assert_eq!(placed.len(), count);
+                    let places: Vec<Point> = placed.iter().map(|tab| tab.at).collect();
+                    let held = Held::new(&path, &depths, &places);
+                    for (k, [from, to]) in held.spans.iter().enumerate() {
+                        let [next, end] = held.spans[(k + 1) % count];
+                        let middles = [f64::midpoint(*from, *to), f64::midpoint(next, end)];
+                        let gap =
+                            way.between(middles[0], middles[1]) - (to - from + end - next) / 2.0;
+                        assert!(gap > -1e-6, "{points} {inner} {count} {gap}");
+                    }
+                }
+            }
+        }
     }
 
     #[test]

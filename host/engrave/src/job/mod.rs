@@ -3,6 +3,7 @@
 mod area;
 mod options;
 mod outline;
+mod tabs;
 
 pub use area::{check_area, check_pocket};
 pub use options::{Operation, Options, Ordering, Side};
@@ -14,10 +15,11 @@ use crate::order::{Effort, order_paths};
 use crate::shape::clear::{ClearOptions, clear};
 use crate::shape::{Clearing, Region, Strand};
 use crate::times::Times;
-use crate::toolpath::{Cut, Depths, Lengths, PathStep, Toolpath, cut_path, levels};
-use outline::{Waste, outline, with_leads};
+use crate::toolpath::{Cut, Depths, Lengths, PathStep, Tab, Toolpath, cut_path, levels, passes};
+use outline::{Waste, is_roughed, outline, with_leads};
 use serde::Serialize;
 use std::collections::HashMap;
+use tabs::TabGrid;
 
 /// The job in one order.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -40,6 +42,8 @@ pub struct Job {
     pub proven: bool,
     /// Gaps that are cut through.
     pub links: usize,
+    /// Tabs of the contours.
+    pub tabs: Vec<Tab>,
     /// What the person should know.
     pub notices: Vec<String>,
 }
@@ -143,21 +147,22 @@ fn time(cuts: &[Cut], options: &Options) -> f64 {
 /// Refuses a pocket of more rows than memory and time allow.
 fn check_rows(region: &Region, options: &Options) -> Result<(), Problem> {
     const MOST: f64 = 1e6;
-    let boxes = region.loops();
-    let boxes = boxes.iter().filter_map(Path::bounds);
-    let widest = boxes
+    let loops = region.loops();
+    let boxes = loops.iter().filter_map(Path::bounds);
+    // A row ends at two contours; each contour has at most as many as it is wide.
+    let width: f64 = boxes
         .map(|[low, high]| (high[0] - low[0]).hypot(high[1] - low[1]))
-        .fold(0.0, f64::max);
+        .sum();
     let spacing = options.tool_mm * options.overlap;
-    let passes = (options.depth_mm / options.step_mm).ceil();
-    let rows = widest / spacing * passes;
+    let passes = passes(options.depth_mm, options.step_mm);
+    let rows = width / spacing * passes;
     if rows <= MOST {
         return Ok(());
     }
     Err(Problem::general(
         format!(
-            "rows {spacing} mm apart through a pocket of {widest:.1} mm, in {passes} passes, are \
-             {rows:.0} rows"
+            "rows {spacing} mm apart through contours of {width:.1} mm together, in {passes} \
+             passes, are {rows:.0} rows"
         ),
         format!(
             "at most {MOST} rows are planned: use a wider tool, a larger --overlap, or fewer passes"
@@ -224,19 +229,25 @@ fn cleared(region: &Region, reached: &Region, options: &Options, job: &mut Job) 
             slope: None,
             tabs: None,
         };
+        let all = Depths {
+            tabs: None,
+            ..options.depths()
+        };
+        let rough = region.inset(options.tool_mm / 2.0 + options.finish_mm);
         let waste = Waste {
             region: reached,
             enclosed: true,
+            tabs: TabGrid::default(),
+            reach: 0.0,
         };
         for path in order_paths(&loops, at, Effort::default()).apply(&loops) {
-            cuts.push(with_leads(
-                &path,
-                &floor,
-                options,
-                &[],
-                &waste,
-                &mut job.notices,
-            ));
+            let depths = if is_roughed(&path, &rough, options) {
+                &floor
+            } else {
+                &all
+            };
+            let cut = with_leads(&path, depths, options, &waste, &mut job.notices);
+            cuts.push(cut);
         }
     }
     cuts

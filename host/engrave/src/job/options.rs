@@ -4,7 +4,7 @@ use crate::drawing::Problem;
 use crate::geometry::Point;
 use crate::shape::Clearing;
 use crate::times::Speeds;
-use crate::toolpath::{Depths, Tabs, levels};
+use crate::toolpath::{Depths, Tabs, levels, passes};
 use serde::Serialize;
 
 /// Largest number of passes.
@@ -131,7 +131,7 @@ impl Options {
                 ));
             }
         }
-        let passes = (self.depth_mm / self.step_mm).ceil();
+        let passes = passes(self.depth_mm, self.step_mm);
         if passes > MOST_PASSES {
             return Err(Problem::general(
                 format!(

@@ -1,6 +1,7 @@
 //! Outlines: on the paths of the drawing, or beside its contours.
 
 use super::nothing;
+use super::tabs::TabGrid;
 use super::{Job, Options, Ordering, Side, chained, measured, note_lost, time};
 use crate::drawing::{Drawing, Problem};
 use crate::geometry::{Path, Point, Segment, Vertex, distance};
@@ -8,8 +9,7 @@ use crate::order::edges::{self, Condition, Ends};
 use crate::order::{Effort, order_passes, order_paths};
 use crate::shape::Region;
 use crate::toolpath::{
-    Cut, Depths, PathStep, cut_path, cut_path_with_tabs, join_cuts, leads, narrowest_tab,
-    tab_places,
+    Cut, Depths, PathStep, Tab, cut_path, cut_path_with_tabs, join_cuts, leads, tabs_of,
 };
 
 /// Largest number of entities for which the greedy conditions are shown beside the order of the
@@ -36,69 +36,55 @@ pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<P
     // The material that stays is on the right of the tool (climb) or on its left.
     let material_left = (options.side == Side::Outside) != options.conventional;
     let direct = |path: Path| if material_left { path.reversed() } else { path };
-    let mut passes = Vec::new();
-    if options.finish_mm > 0.0 {
-        passes.push(region.inset(sign * (radius + options.finish_mm)).loops());
-    }
-    passes.push(finished.loops());
+    let directed =
+        |region: &Region| -> Vec<Path> { region.loops().into_iter().map(direct).collect() };
+    let rough =
+        (options.finish_mm > 0.0).then(|| region.inset(sign * (radius + options.finish_mm)));
+    let mut passes: Vec<Vec<Path>> = rough.iter().map(directed).collect();
+    let loops = directed(&finished);
+    // All passes leave their tabs at the same places, those of the last one.
+    let tabs = tabs_of_all(&loops, options);
+    job.tabs = tabs.concat();
+    passes.push(loops);
+    // A pass that is nearer than the tool is wide would cut through a tab.
+    let reach = options.tool_mm.max(1.5 * options.finish_mm);
     let waste = Waste {
         region: &finished,
         enclosed: options.side == Side::Inside,
+        tabs: TabGrid::new(job.tabs.clone(), reach),
+        reach,
     };
-    // All passes leave their tabs at the same places, those of the last one.
-    let places: Vec<Point> = match options.tabs {
-        None => Vec::new(),
-        Some(tabs) => {
-            let of_loop = |path: Path| tab_places(&direct(path), &tabs, options.tool_mm);
-            finished.loops().into_iter().flat_map(of_loop).collect()
-        }
-    };
-    // A pass that is nearer than the tool is wide would cut through a tab.
-    let reach = options.tool_mm.max(1.5 * options.finish_mm);
-    let near = |path: &Path| -> Vec<Point> {
-        let Some([low, high]) = path.bounds() else {
-            return Vec::new();
-        };
-        let off = |at: &Point| {
-            let outside = |axis: usize| (low[axis] - at[axis]).max(at[axis] - high[axis]);
-            if outside(0).max(outside(1)) >= reach {
-                return f64::INFINITY;
-            }
-            let offs = path
-                .segments()
-                .map(|one| distance(one.point(one.nearest(*at)), *at));
-            offs.fold(f64::INFINITY, f64::min)
-        };
-        let all = places.iter().copied();
-        all.filter(|at| off(at) < reach).collect()
+    let depths = options.depths();
+    let floor = Depths {
+        levels: vec![-options.depth_mm],
+        ..depths.clone()
     };
     let mut at = options.reference;
     let mut file = Vec::new();
-    for (pass, loops) in passes.iter().enumerate() {
-        let paths: Vec<Path> = loops.iter().cloned().map(direct).collect();
-        let last = pass + 1 == passes.len();
-        let mut depths = options.depths();
-        if last && passes.len() > 1 {
-            depths.levels = vec![-options.depth_mm];
-        }
-        for path in &paths {
-            let places = near(path);
-            let cut = with_leads(path, &depths, options, &places, &waste, &mut Vec::new());
+    for (pass, paths) in passes.iter().enumerate() {
+        let before = rough.as_ref().filter(|_| pass > 0);
+        let depths = |path: &Path| match before {
+            Some(rough) if is_roughed(path, rough, options) => &floor,
+            _ => &depths,
+        };
+        for path in paths {
+            let cut = with_leads(path, depths(path), options, &waste, &mut Vec::new());
             file.push(cut);
         }
         // Inner contours first: the part must not come loose before they are cut.
-        for level in by_depth(&paths) {
+        for level in by_depth(paths) {
             let tour = order_paths(&level, at, Effort::default());
             for path in tour.apply(&level) {
-                let places = near(&path);
-                let cut = with_leads(&path, &depths, options, &places, &waste, &mut job.notices);
+                let cut = with_leads(&path, depths(&path), options, &waste, &mut job.notices);
                 at = cut.end();
                 job.toolpath.cuts.push(cut);
             }
         }
     }
     job.notices.dedup();
-    note_tabs(&finished.loops(), drawing, options, &mut job);
+    if let Some(loops) = passes.last() {
+        note_tabs(loops, &tabs, drawing, options, &mut job);
+    }
     job.candidates = vec![
         measured(&file, Condition::File.name(), options),
         measured(&job.toolpath.cuts, "inner contours first", options),
@@ -106,13 +92,38 @@ pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<P
     Ok(job)
 }
 
-/// Notes the contours that are cut through because their tabs do not fit.
-fn note_tabs(paths: &[Path], drawing: &Drawing, options: &Options, job: &mut Job) {
+/// Whether the pass before the last one went along all of a contour of the last one: what is left
+/// there is the finishing allowance, and up to half more of it at right-angled corners.
+pub(super) fn is_roughed(path: &Path, rough: &Region, options: &Options) -> bool {
+    const TOLERANCE: f64 = 1e-3;
+    let limit = 1.5 * options.finish_mm + TOLERANCE;
+    rough.is_beside(path, limit, options.tool_mm / 8.0)
+}
+
+/// The tabs of each path.
+fn tabs_of_all(paths: &[Path], options: &Options) -> Vec<Vec<Tab>> {
+    let of_path = |path: &Path| match options.tabs {
+        Some(tabs) if path.closed => tabs_of(path, &tabs, options.tool_mm),
+        _ => Vec::new(),
+    };
+    paths.iter().map(of_path).collect()
+}
+
+/// Notes the contours that are cut through because their tabs do not fit, and those with narrower
+/// tabs.
+fn note_tabs(
+    paths: &[Path],
+    tabs_of_paths: &[Vec<Tab>],
+    drawing: &Drawing,
+    options: &Options,
+    job: &mut Job,
+) {
     let Some(tabs) = options.tabs else {
         return;
     };
     let needed = tabs.length(options.tool_mm);
-    for path in paths.iter().filter(|path| path.closed) {
+    let all = paths.iter().zip(tabs_of_paths);
+    for (path, placed) in all.filter(|(path, _)| path.closed) {
         if needed >= path.length() {
             job.notices.push(format!(
                 "{}: cut through without tabs: {} tabs of {} mm with a tool of {} mm need {needed:.1} \
@@ -125,7 +136,8 @@ fn note_tabs(paths: &[Path], drawing: &Drawing, options: &Options, job: &mut Job
             ));
             continue;
         }
-        let narrowest = narrowest_tab(path, &tabs, options.tool_mm);
+        let widths = placed.iter().map(|tab| tab.width_mm);
+        let narrowest = widths.fold(tabs.width_mm, f64::min);
         if narrowest < 0.99 * tabs.width_mm {
             job.notices.push(format!(
                 "{}: its tabs are {:.2} mm wide instead of {} mm, because it is too small and round \
@@ -165,12 +177,16 @@ fn by_depth(paths: &[Path]) -> Vec<Vec<Path>> {
         .collect()
 }
 
-/// Where the tool's centre may be beside contours.
+/// Where the tool's centre may be beside contours, and the tabs there.
 pub(super) struct Waste<'r> {
     /// The region that the contours bound.
     pub region: &'r Region,
     /// Whether the waste is in it, instead of around it.
     pub enclosed: bool,
+    /// Tabs of all contours.
+    pub tabs: TabGrid,
+    /// A contour nearer to a tab than this leaves it, mm.
+    pub reach: f64,
 }
 
 impl Waste<'_> {
@@ -197,19 +213,19 @@ impl Waste<'_> {
     }
 }
 
-/// Cuts a closed path, with leads where they stay in the waste: at its start, else in the middle of
-/// one of its longest segments. Tabs are at the points nearest to `places`.
+/// Cuts a closed path, with leads where they stay in the waste and off the tabs: at its start, else
+/// in the middle or at a quarter of one of its longest segments.
 pub(super) fn with_leads(
     path: &Path,
     depths: &Depths,
     options: &Options,
-    places: &[Point],
     waste: &Waste,
     notices: &mut Vec<String>,
 ) -> Cut {
     const TRIES: usize = 8;
+    let places = waste.tabs.beside(path, waste.reach);
     let Some(radius) = options.lead_mm else {
-        return cut_path_with_tabs(path, depths, places);
+        return cut_path_with_tabs(path, depths, &places);
     };
     let mut longest: Vec<(f64, usize)> = path
         .segments()
@@ -217,48 +233,65 @@ pub(super) fn with_leads(
         .map(|(index, one)| (one.length(), index))
         .collect();
     longest.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let starts = longest
-        .iter()
-        .take(TRIES)
-        .map(|&(_, index)| path.rotated(index, 0.5));
-    // The waste is on the other side of the tool than the material.
-    let waste_left = !options.conventional;
+    longest.truncate(TRIES);
+    let starts = [0.5, 0.25, 0.75].into_iter().flat_map(|part| {
+        let indices = longest.iter().map(|&(_, index)| index);
+        indices.map(move |index| path.rotated(index, part))
+    });
     let found = std::iter::once(path.clone())
         .chain(starts)
-        .find_map(|path| {
-            let leads = leads(&path, radius, waste_left)?;
-            let contact = path.start()?;
-            let fits = waste.holds(&leads.into, contact) && waste.holds(&leads.out, contact);
-            fits.then_some((path, leads))
-        });
-    let Some((path, leads)) = found else {
+        .find_map(|path| led(&path, radius, depths, options, &places, waste));
+    found.unwrap_or_else(|| {
         notices.push("some contours have no room for a lead: the tool plunges on them".into());
-        return cut_path_with_tabs(path, depths, places);
-    };
-    let cut = cut_path_with_tabs(&path, depths, places);
+        cut_path_with_tabs(path, depths, &places)
+    })
+}
+
+/// Cuts a closed path with leads at its start, if they cut nothing but waste.
+fn led(
+    path: &Path,
+    radius: f64,
+    depths: &Depths,
+    options: &Options,
+    places: &[Point],
+    waste: &Waste,
+) -> Option<Cut> {
+    // The waste is on the other side of the tool than the material.
+    let leads = leads(path, radius, !options.conventional)?;
+    let contact = path.start()?;
+    if !waste.holds(&leads.into, contact) || !waste.holds(&leads.out, contact) {
+        return None;
+    }
+    let cut = cut_path_with_tabs(path, depths, places);
     let floor = cut.floor();
+    // After a ramp the contour ends where the ramp did.
+    let returns = distance(cut.end(), leads.out.from) < 1e-6;
+    // A tab reaches to where the tool leaves its way over it, the tool is half as wide as it, and
+    // the pass before the last one is farther outside.
+    let room = options.tool_mm / 2.0 + options.finish_mm;
+    let top = options
+        .tabs
+        .map_or(f64::NEG_INFINITY, |tabs| tabs.height_mm - options.depth_mm);
+    let cuts_tab = |lead: &Segment, z: f64| z < top - 1e-9 && waste.tabs.meets(lead, room);
+    if cuts_tab(&leads.into, cut.z) || returns && cuts_tab(&leads.out, floor) {
+        return None;
+    }
     let mut steps = vec![PathStep::Along(leads.into, cut.z)];
     steps.extend(cut.steps);
-    let end = steps.iter().rev().find_map(|step| match step {
-        PathStep::Along(segment, _) => Some(segment.to),
-        PathStep::Vertical(_) => None,
-    });
-    // After a ramp the contour ends where the ramp did.
-    if end.is_some_and(|end| distance(end, leads.out.from) < 1e-6) {
+    if returns {
         steps.push(PathStep::Along(leads.out, floor));
     }
-    Cut {
+    Some(Cut {
         start: leads.into.from,
         steps,
         ..cut
-    }
+    })
 }
 
 /// Traces the paths of the drawing with the tool's centre on them.
 fn trace(drawing: &Drawing, options: &Options) -> Job {
     let mut job = Job::default();
     let chains = chained(drawing, options);
-    note_tabs(&chains, drawing, options, &mut job);
     let commands: Vec<Path> = drawing.paths.iter().flat_map(single_commands).collect();
     let ends: Vec<Ends> = commands
         .iter()
@@ -315,6 +348,9 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
         });
         job.candidates = candidates;
         let mut paths = tour.apply(&chains);
+        let tabs = tabs_of_all(&paths, options);
+        note_tabs(&paths, &tabs, drawing, options, &mut job);
+        job.tabs = tabs.concat();
         if depths.tabs.is_none() {
             paths = join_meeting(paths, passes.is_multiple_of(2));
         }
@@ -330,6 +366,10 @@ fn trace(drawing: &Drawing, options: &Options) -> Job {
             name = "chosen: best of the above";
         }
     } else {
+        // In these orders only circles have tabs.
+        let tabs = tabs_of_all(&commands, options);
+        note_tabs(&commands, &tabs, drawing, options, &mut job);
+        job.tabs = tabs.concat();
         (best, _, job.candidates) = of_conditions();
         name = match options.ordering {
             Ordering::File => "chosen: file order",

@@ -6,7 +6,7 @@ use crate::geometry::{Path, Point, Segment, Vertex};
 use cavalier_contours::polyline::{
     PlineOrientation, PlineSource, PlineSourceMut, PlineVertex, Polyline,
 };
-use cavalier_contours::shape_algorithms::{Shape, ShapeOffsetOptions};
+use cavalier_contours::shape_algorithms::{IndexedPolyline, Shape, ShapeOffsetOptions};
 
 /// Vertices nearer than this are one, mm.
 const SAME: f64 = 1e-5;
@@ -181,11 +181,21 @@ impl Region {
     /// Whether a point is inside.
     #[must_use]
     pub fn contains(&self, at: Point) -> bool {
+        // Lines whose boxes are elsewhere do not wind around the point.
+        let around = self.shape.plines_index.query(at[0], at[1], at[0], at[1]);
         let at = cavalier_contours::core::math::Vector2::new(at[0], at[1]);
-        self.polylines()
-            .map(|one| one.winding_number(at))
-            .sum::<i32>()
-            != 0
+        let turns = around
+            .into_iter()
+            .map(|which| self.line(which).polyline.winding_number(at));
+        turns.sum::<i32>() != 0
+    }
+
+    /// A boundary or island by its number in the index.
+    fn line(&self, which: usize) -> &IndexedPolyline<f64> {
+        match which.checked_sub(self.shape.ccw_plines.len()) {
+            None => &self.shape.ccw_plines[which],
+            Some(island) => &self.shape.cw_plines[island],
+        }
     }
 
     /// Index of the innermost boundary around a point.
@@ -217,12 +227,8 @@ impl Region {
 
     /// Visits the segments of all loops whose boxes meet a box.
     fn visit_segments(&self, [low, high]: [Point; 2], visit: &mut dyn FnMut(Segment)) {
-        let boundaries = self.shape.ccw_plines.len();
         let mut lines = |which: usize| {
-            let one = match which.checked_sub(boundaries) {
-                None => &self.shape.ccw_plines[which],
-                Some(island) => &self.shape.cw_plines[island],
-            };
+            let one = self.line(which);
             let mut segments = |index: usize| {
                 let line = &one.polyline;
                 let (p, q) = (line.at(index), line.at(line.next_wrapping_index(index)));
@@ -250,6 +256,16 @@ impl Region {
             least = least.min(crate::geometry::distance(near, at));
         });
         (least <= limit).then_some(least)
+    }
+
+    /// Whether the boundaries are within a distance of all of a path, looked at every `step`, mm.
+    #[must_use]
+    pub fn is_beside(&self, path: &Path, limit: f64, step: f64) -> bool {
+        let mut points = path.segments().flat_map(|segment| {
+            let count = (segment.length() / step).ceil().clamp(1.0, 4096.0);
+            (0..count as usize).map(move |k| segment.point(k as f64 / count))
+        });
+        points.all(|at| self.distance_within(at, limit).is_some())
     }
 
     /// The point of a loop of this region that a tool leaves farthest away, where its centre runs

@@ -4,7 +4,7 @@ use super::*;
 use haptimill_engrave::geometry::distance;
 
 /// Points of the tool's centre in the material, closely along its way, with their Z.
-fn places(job: &Job) -> Vec<(Point, f64)> {
+pub(super) fn places(job: &Job) -> Vec<(Point, f64)> {
     let mut out = Vec::new();
     for cut in &job.toolpath.cuts {
         let mut z = cut.z;
@@ -31,7 +31,7 @@ fn depth_in([x, y, side]: [f64; 3], at: Point) -> f64 {
     across(at[0], x).min(across(at[1], y))
 }
 
-fn has_lead(cut: &Cut) -> bool {
+pub(super) fn has_lead(cut: &Cut) -> bool {
     matches!(cut.steps[0], PathStep::Along(one, _)
         if (one.bulge.abs() - std::f64::consts::FRAC_PI_8.tan()).abs() < 1e-9)
 }
@@ -85,7 +85,7 @@ fn leads_stay_in_the_waste() {
 }
 
 /// A contour at a distance around a convex polygon that runs counter-clockwise.
-fn ring(corners: &[Point], off: f64) -> Vec<Point> {
+pub(super) fn ring(corners: &[Point], off: f64) -> Vec<Point> {
     let count = corners.len();
     let normal = |k: usize| {
         let (a, b) = (corners[k % count], corners[(k + 1) % count]);
@@ -115,7 +115,7 @@ fn ring(corners: &[Point], off: f64) -> Vec<Point> {
 }
 
 /// Widths of what is left up to a height on a ring, as distances of its two ends, mm.
-fn widths(plate: &Plate, ring: &[Point], top: f64) -> Vec<f64> {
+pub(super) fn widths(plate: &Plate, ring: &[Point], top: f64) -> Vec<f64> {
     let (low, cell) = (plate.at(0, 0), plate.at(1, 0)[0] - plate.at(0, 0)[0]);
     let left = |at: &Point| {
         let [column, row] = [0, 1].map(|axis| ((at[axis] - low[axis]) / cell).round() as usize);

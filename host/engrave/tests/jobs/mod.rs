@@ -2,8 +2,10 @@
 
 use crate::common;
 mod contours;
+mod leads;
 mod orders;
 mod refusals;
+mod surfaces;
 
 use common::dxf;
 use haptimill_engrave::drawing::Drawing;
@@ -43,7 +45,7 @@ fn layer(name: &str) -> Drawing {
 fn surface(drawing: &Drawing, job: &Job, options: &Options) -> PlateReport {
     let mut plate = Plate::new(area(drawing, options), options.tool_mm / 20.0);
     cut(&mut plate, job, options.tool_mm);
-    plate.compare(drawing, options)
+    plate.compare(drawing, options, &job.tabs)
 }
 
 /// Plans a job, and checks that its surface has no uncut and no over-cut area.

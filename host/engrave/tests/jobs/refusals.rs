@@ -256,6 +256,17 @@ fn more_rows_than_memory_holds_are_refused() {
         let message = problem(&text, &options);
         assert!(message.contains("rows"), "{message}");
     }
+    // Few rows in each of many pockets.
+    let many: Vec<[f64; 3]> = (0..2_000)
+        .map(|k| [f64::from(k) * 15.0, 0.0, 10.0])
+        .collect();
+    let options = Options {
+        tool_mm: 0.1,
+        depth_mm: 2.0,
+        ..pocket()
+    };
+    let message = problem(&dxf(&squares(&many)), &options);
+    assert!(message.contains("rows"), "{message}");
     let options = Options {
         step_mm: 1e-9,
         ..Options::default()
@@ -355,7 +366,7 @@ fn a_surface_with_a_wrong_patch_is_found() {
     let moved = |edit: &dyn Fn(&mut Plate)| {
         let mut plate = Plate::new(area(&pocketed, &options), 0.05);
         edit(&mut plate);
-        plate.compare(&pocketed, &options)
+        plate.compare(&pocketed, &options, &[])
     };
     let halves = moved(&|plate| {
         for k in 0..=200 {

@@ -6,6 +6,7 @@ use clap::Parser;
 use haptimill_engrave::drawing::Drawing;
 use haptimill_engrave::plate::{Plate, PlateReport};
 use haptimill_engrave::preview::area;
+use haptimill_engrave::toolpath::Tab;
 use haptimill_machine_file::MachineFile;
 use haptimill_trace::{Recording, flag};
 use std::ffi::OsString;
@@ -123,7 +124,7 @@ struct RunLine {
 }
 
 /// Runs the part program on the simulated machine with a plate on its table, and cuts a plate along
-/// the true path of the tool.
+/// the true path of the tool. The job leaves `tabs`.
 ///
 /// # Errors
 /// See [`Exit`].
@@ -131,6 +132,7 @@ pub(super) fn cut(
     args: &EngraveArgs,
     machine: &MachineFile,
     drawing: &Drawing,
+    tabs: &[Tab],
 ) -> Result<Cut, CliError> {
     let program = args.out();
     let mut folder = program.clone();
@@ -161,6 +163,7 @@ pub(super) fn cut(
     measure(
         args,
         drawing,
+        tabs,
         &folder.join(haptimill_report::RECORDING_FILE),
     )
 }
@@ -201,7 +204,12 @@ fn stock(args: &EngraveArgs, drawing: &Drawing) -> String {
 }
 
 /// Cuts a plate along the recorded true path of the tool and compares it with the drawing.
-fn measure(args: &EngraveArgs, drawing: &Drawing, path: &Path) -> Result<Cut, CliError> {
+fn measure(
+    args: &EngraveArgs,
+    drawing: &Drawing,
+    tabs: &[Tab],
+    path: &Path,
+) -> Result<Cut, CliError> {
     let failed = |error: &dyn std::fmt::Display| {
         CliError::new(Exit::Internal, format!("{}: {error}", path.display()))
     };
@@ -238,7 +246,7 @@ fn measure(args: &EngraveArgs, drawing: &Drawing, path: &Path) -> Result<Cut, Cl
         last = Some(at);
     }
     Ok(Cut {
-        surface: plate.compare(drawing, &options),
+        surface: plate.compare(drawing, &options, tabs),
         off_mm,
         lost_at: standstill.lost_at,
     })

@@ -258,7 +258,7 @@ pub fn run(args: EngraveArgs) -> Result<(), CliError> {
         print_text(&args, &drawing, &job, &lengths, &times, &rows, analysis_s);
     }
     let surface = if args.run {
-        Some(cut::cut(&args, &machine, &drawing)?)
+        Some(cut::cut(&args, &machine, &drawing, &job.tabs)?)
     } else {
         None
     };
