@@ -63,7 +63,7 @@ pub struct PlateReport {
 }
 
 impl PlateReport {
-    /// Whether the surface differs from the drawing by more than the grid does not resolve.
+    /// Whether the surface differs from the drawing by more than the grid can miss.
     #[must_use]
     pub fn differs(&self) -> bool {
         self.largest_patch_mm2 > UNRESOLVED * self.cell_mm * self.cell_mm

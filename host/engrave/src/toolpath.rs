@@ -213,7 +213,7 @@ pub fn levels(depth_mm: f64, step_mm: f64) -> Vec<f64> {
 }
 
 /// Cuts a path in all of its depths. A closed path goes around once for each depth. An open one
-/// goes to and fro without a lift. The tabs of a closed path are at places of its own.
+/// goes to and fro without a lift. A closed path has its own places of tabs.
 #[must_use]
 pub fn cut_path(path: &Path, depths: &Depths) -> Cut {
     let tabs = match &depths.tabs {
@@ -483,7 +483,7 @@ pub fn tabs_of(path: &Path, tabs: &Tabs, tool_mm: f64) -> Vec<Tab> {
     // Middle and half of the length of each.
     let mut held: Vec<[f64; 2]> = Vec::with_capacity(tabs.count);
     for k in 0..tabs.count {
-        // The first tab is half a distance of tabs behind the start.
+        // The first tab is half a pitch after the start.
         let centre = (k as f64 + 0.5) * pitch;
         let mut best = (f64::INFINITY, centre);
         for step in 0..=2 * TRIES {
