@@ -2,12 +2,13 @@
 //! branches, frames out of its reach, turns of the spin, and how it holds the height.
 
 use core::f64::consts::{FRAC_1_SQRT_2, PI};
-use haptimill_checks::kinematics::facet::{Lengths, SHORT};
+use haptimill_checks::kinematics::facet::{Lengths, Matrix, SHORT};
 use haptimill_checks::kinematics::subject::{MM, RADIAN, Sequence};
 use haptimill_kinematics::facet::chain::{Chain, ChainJoints, ChainPose, OutOfReach, unwrap};
 use haptimill_kinematics::facet::{Facet, FacetGeometry};
 use haptimill_kinematics::{Kinematics, Machine, Pose};
 use haptimill_math::{Angle, Coordinate, Length};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Lengths A: as printed, in mm.
 const A: Lengths = SHORT;
@@ -136,6 +137,127 @@ fn the_tilt_beyond_a_quarter_turn_is_found() {
     assert!((f64::from(found.d1.0) * MM - 25.0).abs() < 1e-5);
     assert!((f64::from(found.theta2.0) * RADIAN - 135.0_f64.to_radians()).abs() < 1e-8);
     assert!((f64::from(found.theta3.0) * RADIAN - 150.0_f64.to_radians()).abs() < 1e-8);
+}
+
+/// The general link transform with the rows of the D-H table is each of the four link transforms
+/// as they are printed.
+#[test]
+fn the_links_of_the_table() {
+    let mut sequence = Sequence(30);
+    for _ in 0..1000 {
+        let [d1, theta2, theta3] = random(&mut sequence);
+        let ((s2, c2), (s3, c3)) = (theta2.sin_cos(), theta3.sin_cos());
+        let printed: [Matrix; 4] = [
+            [
+                [1.0, 0.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0, 0.0],
+                [0.0, 0.0, 1.0, d1],
+                [0.0, 0.0, 0.0, 1.0],
+            ],
+            [
+                [c2, -s2, 0.0, B.l2],
+                [0.0, 0.0, 1.0, 0.0],
+                [-s2, -c2, 0.0, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+            ],
+            [
+                [c3, -s3, 0.0, B.l3],
+                [0.0, 0.0, -1.0, 0.0],
+                [s3, c3, 0.0, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+            ],
+            [
+                [1.0, 0.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0, 0.0],
+                [0.0, 0.0, 1.0, B.l4],
+                [0.0, 0.0, 0.0, 1.0],
+            ],
+        ];
+        for (link, printed) in B.links(d1, theta2, theta3).iter().zip(&printed) {
+            for (entry, printed) in link.as_flattened().iter().zip(printed.as_flattened()) {
+                assert!((entry - printed).abs() < 1e-12, "{link:?} {printed:?}");
+            }
+        }
+    }
+}
+
+/// The rotation of the chain is a turn about y by theta2 after a turn about z by theta3.
+#[test]
+fn the_rotation_is_a_tilt_about_y_and_a_spin_about_z() {
+    let mut sequence = Sequence(31);
+    let chain = Chain::new(&geometry(&B));
+    for _ in 0..20_000 {
+        let at = ChainJoints {
+            theta2: Angle(sequence.next() as i32),
+            theta3: Angle(sequence.next() as i32),
+            ..ChainJoints::default()
+        };
+        let [tilt, spin] = [at.theta2, at.theta3].map(|angle| f64::from(angle.0) * RADIAN);
+        let about_y = Rotation3::from_axis_angle(&Vector3::y_axis(), tilt);
+        let about_z = Rotation3::from_axis_angle(&Vector3::z_axis(), spin);
+        let expected = (about_y * about_z).into_inner();
+        let rotation = matrix(&chain.forward(&at).unwrap());
+        for (i, row) in rotation.iter().enumerate() {
+            for (j, entry) in row.iter().enumerate() {
+                assert!((entry - expected[(i, j)]).abs() < 1e-8, "{rotation:?}");
+            }
+        }
+    }
+}
+
+/// The Jacobian against differences of the products of the links: speeds, and turning rates by R'
+/// R^T. Its rank is 3 everywhere: det(J^T J) = 1 + (L4 c2 - L3 s2)^2.
+#[test]
+fn the_jacobian_of_the_chain() {
+    const STEP: f64 = 1e-5;
+    let mut sequence = Sequence(32);
+    for lengths in [A, B] {
+        let chain = Chain::new(&geometry(&lengths));
+        for _ in 0..2000 {
+            let [d1, theta2, theta3] = random(&mut sequence);
+            let raw = chain.jacobian(Angle((theta2 / RADIAN).round() as i64 as i32));
+            let q32 = |entry: i64| entry as f64 / 4_294_967_296.0;
+            // Columns of the angles: 2^-20 mm per 2^-32 turn to mm per radian.
+            let speed = |row: usize, column: usize| match column {
+                0 => q32(raw[row][0]),
+                _ => q32(raw[row][column]) * MM / RADIAN,
+            };
+            let is: [[f64; 3]; 6] = core::array::from_fn(|row| {
+                core::array::from_fn(|column| match row {
+                    0..3 => speed(row, column),
+                    _ => q32(raw[row][column]),
+                })
+            });
+            for column in 0..3 {
+                let at = |by: f64| {
+                    let mut joints = [d1, theta2, theta3];
+                    joints[column] += by;
+                    lengths.frame(joints[0], joints[1], joints[2])
+                };
+                let (before, here, after) = (at(-STEP), at(0.0), at(STEP));
+                let rate = |i: usize, j: usize| (after[i][j] - before[i][j]) / (2.0 * STEP);
+                // R' R^T is the matrix of the cross product with the turning rate.
+                let turning =
+                    |i: usize, j: usize| -> f64 { (0..3).map(|k| rate(i, k) * here[j][k]).sum() };
+                let expected = [
+                    rate(0, 3),
+                    rate(1, 3),
+                    rate(2, 3),
+                    turning(2, 1),
+                    turning(0, 2),
+                    turning(1, 0),
+                ];
+                for (row, expected) in is.iter().zip(expected) {
+                    assert!((row[column] - expected).abs() < 1e-5, "{is:?} {column}");
+                }
+            }
+            let gram: Matrix3<f64> =
+                Matrix3::from_fn(|i, j| is.iter().map(|row| row[i] * row[j]).sum());
+            let along = lengths.l4 * theta2.cos() - lengths.l3 * theta2.sin();
+            let expected = 1.0 + along * along;
+            assert!((gram.determinant() / expected - 1.0).abs() < 1e-5, "{gram}");
+        }
+    }
 }
 
 fn random(sequence: &mut Sequence) -> [f64; 3] {

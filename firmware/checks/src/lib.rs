@@ -32,6 +32,7 @@ pub const CHECKS: &[&[Check]] = &[
     memory::CHECKS,
     units::CHECKS,
     kinematics::CHECKS,
+    kinematics::facet::CHECKS,
     haptic::CHECKS,
     link::CHECKS,
     queue::CHECKS,

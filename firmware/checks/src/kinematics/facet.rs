@@ -2,7 +2,10 @@
 //! its D-H table.
 
 use super::subject::{MM, Margin, Margins, RADIAN, Reals, Sequence, Subject};
+use crate::Check;
 use core::f64::consts::{FRAC_PI_2, PI, TAU};
+use haptimill_firmware::digest::Digest;
+use haptimill_kinematics::facet::chain::{Chain, ChainJoints, OutOfReach};
 use haptimill_kinematics::facet::{Facet, FacetGeometry};
 use haptimill_kinematics::{Joints, MAX_AXES, Machine, PoseError};
 use haptimill_math::{Angle, Coordinate, Length};
@@ -26,6 +29,87 @@ pub struct Lengths {
     pub lap_dir: f64,
     /// Angle of the chain at which the joint theta2 reads 0.
     pub theta2_zero: f64,
+}
+
+/// Digest of [`chain_bits`].
+const CHAIN_BITS: u32 = 0x6665_7ce6;
+
+/// The checks of the chain, besides those that every machine has.
+pub const CHECKS: &[Check] = &[
+    Check {
+        name: "kinematics::facet_chain::frames_match_the_links_and_give_their_joints",
+        run: || chain_against_links(1000),
+    },
+    Check {
+        name: "kinematics::facet_chain::the_same_bits_everywhere",
+        run: chain_bits,
+    },
+];
+
+/// Joints of the chain: d1 within 200 mm, any angles.
+fn random_chain(sequence: &mut Sequence) -> ChainJoints {
+    ChainJoints {
+        d1: Coordinate(libm::round(sequence.between(-200.0, 200.0) / MM) as i32),
+        theta2: Angle(sequence.next() as i32),
+        theta3: Angle(sequence.next() as i32),
+    }
+}
+
+/// Frames of the chain are the products of its links within 0.1 um and 1e-6, and give their joints
+/// within 0.1 um and 1 urad; a frame of which r23 is not 0 has none.
+fn chain_against_links(count: usize) {
+    let mut sequence = Sequence(33);
+    for lengths in [SHORT, LONG] {
+        let chain = Chain::new(&lengths.geometry());
+        for _ in 0..count {
+            let joints = random_chain(&mut sequence);
+            let mut frame = chain.forward(&joints).unwrap();
+            let truth = lengths.frame(
+                f64::from(joints.d1.0) * MM,
+                f64::from(joints.theta2.0) * RADIAN,
+                f64::from(joints.theta3.0) * RADIAN,
+            );
+            for (row, truth) in truth.iter().take(3).enumerate() {
+                for (entry, truth) in frame.rotation[row].iter().zip(truth) {
+                    let error = f64::from(*entry) / f64::from(1 << 30) - truth;
+                    assert!(error.abs() < 1e-6);
+                }
+                let error = f64::from(frame.position[row].0) * MM - truth[3];
+                assert!(error.abs() < 1e-4);
+            }
+            let found = chain.inverse(&frame).unwrap();
+            assert!(f64::from(found.d1.0.abs_diff(joints.d1.0)) * MM < 1e-4);
+            for (found, angle) in [(found.theta2, joints.theta2), (found.theta3, joints.theta3)] {
+                let apart = found.wrapping_sub(angle).0.unsigned_abs();
+                assert!(f64::from(apart) * RADIAN < 1e-6);
+            }
+            frame.rotation[1][2] = 1 << 20;
+            assert_eq!(chain.inverse(&frame), Err(OutOfReach::Rotation(1, 2)));
+        }
+    }
+}
+
+/// Frames that are disturbed about as much as the tolerance, so that some are refused.
+fn chain_bits() {
+    let mut sequence = Sequence(34);
+    let mut digest = Digest::default();
+    for lengths in [SHORT, LONG] {
+        let chain = Chain::new(&lengths.geometry());
+        for _ in 0..500 {
+            let mut frame = chain.forward(&random_chain(&mut sequence)).unwrap();
+            for entry in frame.rotation.as_flattened_mut() {
+                *entry += sequence.between(-1200.0, 1200.0) as i32;
+            }
+            digest.add(&(frame.rotation, frame.position));
+            match chain.inverse(&frame) {
+                Ok(joints) => digest.add(&(joints.d1, joints.theta2, joints.theta3)),
+                Err(OutOfReach::Rotation(row, column)) => digest.add(&(row, column)),
+                Err(other) => panic!("{other:?}"),
+            }
+        }
+    }
+    let bits = core::hash::Hasher::finish(&digest) as u32;
+    assert_eq!(bits, CHAIN_BITS, "{bits:#010x}");
 }
 
 /// Short arm, the lap below.
@@ -74,11 +158,19 @@ impl Lengths {
     /// Frame 4 in frame 0.
     #[must_use]
     pub fn frame(&self, d1: f64, theta2: f64, theta3: f64) -> Matrix {
-        let first = link(0.0, 0.0, d1, 0.0);
-        let second = link(-FRAC_PI_2, self.l2, 0.0, theta2);
-        let third = link(FRAC_PI_2, self.l3, 0.0, theta3);
-        let fourth = link(0.0, 0.0, self.l4, 0.0);
+        let [first, second, third, fourth] = self.links(d1, theta2, theta3);
         product(&product(&product(&first, &second), &third), &fourth)
+    }
+
+    /// The transforms of the four links.
+    #[must_use]
+    pub fn links(&self, d1: f64, theta2: f64, theta3: f64) -> [Matrix; 4] {
+        [
+            link(0.0, 0.0, d1, 0.0),
+            link(-FRAC_PI_2, self.l2, 0.0, theta2),
+            link(FRAC_PI_2, self.l3, 0.0, theta3),
+            link(0.0, 0.0, self.l4, 0.0),
+        ]
     }
 
     /// The geometry of the firmware.

@@ -23,8 +23,9 @@
 //! [`Chain::singular_angles`].
 
 use super::{FacetGeometry, MAX_ARM};
+use crate::planar::per_turn;
 use haptimill_math::scale::{round_shift, scale, total};
-use haptimill_math::trig::{atan2, sin_cos};
+use haptimill_math::trig::{atan2, sin_cos, unit_angle};
 use haptimill_math::{Angle, Coordinate, Length, root};
 
 /// Largest residual of an entry of the rotation, Q30: 1e-6.
@@ -80,13 +81,20 @@ const fn times(a: i32, b: i32) -> i32 {
     round_shift(a as i64 * b as i64, 30) as i32
 }
 
-/// Which numbers differ by more than a tolerance: bit k for number k.
+/// The first number that differs by more than a tolerance from one within +-2^30. The largest
+/// difference is computed first, without a branch, because a frame within reach has none above it.
 #[inline(always)]
-fn residuals(is: &[i32], can: &[i32], tolerance: u32) -> u32 {
-    let pairs = is.iter().zip(can).enumerate();
-    pairs.fold(0, |found, (k, (is, can))| {
-        found | u32::from(is.abs_diff(*can) > tolerance) << k
-    })
+fn residual(is: &[i32], can: &[i32], tolerance: u32) -> Option<u8> {
+    let pairs = || is.iter().zip(can);
+    // From 0 to twice the tolerance if it is within; less than 0 wraps to a large number.
+    let shifted = |(is, can): (&i32, &i32)| (is.wrapping_sub(*can) as u32).wrapping_add(tolerance);
+    if pairs().map(shifted).fold(0, u32::max) <= 2 * tolerance {
+        return None;
+    }
+    let differences = || pairs().map(|(is, can)| is.abs_diff(*can));
+    differences()
+        .position(|is| is > tolerance)
+        .map(|entry| entry as u8)
 }
 
 /// A pair in Q30 at the length 1, if its length differs from 1 by less than 1.9e-6. Error at most
@@ -104,6 +112,24 @@ const fn unit(sine: i32, cosine: i32) -> Option<(i32, i32)> {
         sine - round_shift(sine as i64 * excess, 31) as i32,
         cosine - round_shift(cosine as i64 * excess, 31) as i32,
     ))
+}
+
+/// The angle of a sine and a cosine, with the pair at the length 1. A frame within reach has such
+/// pairs; those of another frame are computed from the angle.
+#[inline(always)]
+const fn angle_and_pair(sine: i32, cosine: i32) -> (Angle, (i32, i32)) {
+    match unit(sine, cosine) {
+        Some(pair) => (unit_angle(pair.0, pair.1), pair),
+        None => angle_of_other_pair(sine, cosine),
+    }
+}
+
+/// Out of line: no frame within reach needs it.
+#[cold]
+#[inline(never)]
+const fn angle_of_other_pair(sine: i32, cosine: i32) -> (Angle, (i32, i32)) {
+    let angle = atan2(sine, cosine);
+    (angle, sin_cos(angle))
 }
 
 /// A coordinate, if it is within its range.
@@ -177,28 +203,43 @@ impl Chain {
     /// The part of the frame that the chain cannot take.
     pub fn inverse(&self, frame: &ChainPose) -> Result<ChainJoints, OutOfReach> {
         let [[_, _, r13], [r21, r22, _], [_, _, r33]] = frame.rotation;
-        let (theta2, theta3) = (atan2(r13, r33), atan2(r21, r22));
-        // A frame within reach has its sines and cosines; others are computed from the angles.
-        let pair = |sine, cosine, angle| unit(sine, cosine).unwrap_or_else(|| sin_cos(angle));
-        let (tilt, spin) = (pair(r13, r33, theta2), pair(r21, r22, theta3));
+        let (theta2, tilt) = angle_and_pair(r13, r33);
+        let (theta3, spin) = angle_and_pair(r21, r22);
         let along = self.arm(tilt)[1];
         let d1 = coordinate(total(i64::from(frame.position[2].0), -along))?;
         let joints = ChainJoints { d1, theta2, theta3 };
         let reached = self.frame(i64::from(d1.0), tilt, spin)?;
-        let rotation = residuals(
-            frame.rotation.as_flattened(),
-            reached.rotation.as_flattened(),
-            ROTATION_TOLERANCE,
-        );
-        if rotation != 0 {
-            let entry = rotation.trailing_zeros() as u8;
+        let [is, can] = [frame, &reached].map(|of| of.rotation.as_flattened());
+        if let Some(entry) = residual(is, can, ROTATION_TOLERANCE) {
             return Err(OutOfReach::Rotation(entry / 3, entry % 3));
         }
-        let [is, can] = [frame, &reached].map(|of| of.position.map(|at| at.0));
-        match residuals(&is[..2], &can[..2], POSITION_TOLERANCE) {
-            0 => Ok(joints),
-            position => Err(OutOfReach::Position(position.trailing_zeros() as u8)),
+        for axis in 0..2 {
+            let [is, can] = [frame, &reached].map(|of| of.position[axis].0);
+            if is.abs_diff(can) > POSITION_TOLERANCE {
+                return Err(OutOfReach::Position(axis as u8));
+            }
         }
+        Ok(joints)
+    }
+
+    /// The rates of frame 4 for the rates of d1, theta2 and theta3 (C43). The rows are v_x, v_y,
+    /// v_z and the turning rates about x, y and z of the base.
+    ///
+    /// Q32 per ratio of units: a speed per rate of an angle is in 2^-20 mm per 2^-32 turn.
+    #[must_use]
+    pub fn jacobian(&self, theta2: Angle) -> [[i64; 3]; 6] {
+        let (s2, c2) = sin_cos(theta2);
+        let [across, along] = self.arm((s2, c2));
+        let one = 1_i64 << 32;
+        let q32 = |q30: i32| i64::from(q30) << 2;
+        [
+            [0, per_turn(along), 0],
+            [0, 0, 0],
+            [one, -per_turn(across), 0],
+            [0, 0, q32(s2)],
+            [0, one, 0],
+            [0, 0, q32(c2)],
+        ]
     }
 
     /// Lift and tilt that bring the tip to (p_x, p_z): both branches, theta2 = phi +- arccos((p_x -
