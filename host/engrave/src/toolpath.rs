@@ -235,6 +235,66 @@ pub fn cut_path_with_tabs(path: &Path, depths: &Depths, places: &[Point]) -> Cut
     }
 }
 
+/// Cuts a closed path as [`cut_path_with_tabs`] does, with leads at its start.
+///
+/// Both leads are cut at each of `levels`, so that no lead is deeper than a pass: where the contour
+/// is not cut at a level, its leads still are. Between two levels the tool goes back along them. A
+/// ramp begins at the surface, where its way in cuts nothing. It ends elsewhere than the contour
+/// began, so it has a way out only where it ends at its start, in a single pass.
+#[must_use]
+pub fn cut_path_with_leads(
+    path: &Path,
+    depths: &Depths,
+    places: &[Point],
+    leads: &Leads,
+    levels: &[f64],
+) -> Cut {
+    const SAME: f64 = 1e-9;
+    let Leads { into, out } = *leads;
+    let start = into.from;
+    if depths.slope.is_some() {
+        let mut cut = cut_path_with_tabs(path, depths, places);
+        let (returns, floor) = (distance(cut.end(), out.from) < 1e-6, cut.floor());
+        cut.steps.insert(0, PathStep::Along(into, cut.z));
+        if returns && levels.len() == 1 {
+            cut.steps.push(PathStep::Along(out, floor));
+        }
+        return Cut { start, ..cut };
+    }
+    let held = Held::new(path, depths, places);
+    let lead_z = |level: f64| held.lifted(0.0, level);
+    let z = lead_z(levels.first().copied().unwrap_or(0.0));
+    let mut tool = Tool {
+        steps: Vec::new(),
+        z,
+        along: 0.0,
+        held: &held,
+    };
+    for (k, &level) in levels.iter().enumerate() {
+        let z = lead_z(level);
+        if k > 0 {
+            for lead in [out, into] {
+                tool.steps.push(PathStep::Along(lead.reversed(), tool.z));
+            }
+            tool.down(z);
+        }
+        tool.steps.push(PathStep::Along(into, z));
+        if depths.levels.iter().any(|one| (one - level).abs() < SAME) {
+            for segment in path.segments() {
+                tool.follow(&segment, level, level);
+            }
+            tool.down(z);
+        }
+        tool.steps.push(PathStep::Along(out, z));
+    }
+    Cut {
+        start,
+        z,
+        steps: tool.steps,
+        entity: path.entity,
+    }
+}
+
 /// The tool on its way around a path.
 struct Tool<'h> {
     steps: Vec<PathStep>,

@@ -9,7 +9,8 @@ use crate::order::edges::{self, Condition, Ends};
 use crate::order::{Effort, order_passes, order_paths};
 use crate::shape::Region;
 use crate::toolpath::{
-    Cut, Depths, PathStep, Tab, cut_path, cut_path_with_tabs, join_cuts, leads, tabs_of,
+    Cut, Depths, PathStep, Tab, cut_path, cut_path_with_leads, cut_path_with_tabs, join_cuts,
+    leads, tabs_of,
 };
 
 /// Largest number of entities for which the greedy conditions are shown beside the order of the
@@ -262,30 +263,22 @@ fn led(
     if !waste.holds(&leads.into, contact) || !waste.holds(&leads.out, contact) {
         return None;
     }
-    let cut = cut_path_with_tabs(path, depths, places);
-    let floor = cut.floor();
-    // After a ramp the contour ends where the ramp did.
-    let returns = distance(cut.end(), leads.out.from) < 1e-6;
+    // A pass that goes straight to the floor has leads that no pass before it has cut.
+    let levels = options.depths().levels;
+    let cut = cut_path_with_leads(path, depths, places, &leads, &levels);
     // A tab reaches to where the tool leaves its way over it, the tool is half as wide as it, and
     // the pass before the last one is farther outside.
     let room = options.tool_mm / 2.0 + options.finish_mm;
     let top = options
         .tabs
         .map_or(f64::NEG_INFINITY, |tabs| tabs.height_mm - options.depth_mm);
-    let cuts_tab = |lead: &Segment, z: f64| z < top - 1e-9 && waste.tabs.meets(lead, room);
-    if cuts_tab(&leads.into, cut.z) || returns && cuts_tab(&leads.out, floor) {
-        return None;
-    }
-    let mut steps = vec![PathStep::Along(leads.into, cut.z)];
-    steps.extend(cut.steps);
-    if returns {
-        steps.push(PathStep::Along(leads.out, floor));
-    }
-    Some(Cut {
-        start: leads.into.from,
-        steps,
-        ..cut
-    })
+    let cuts_tab = |step: &PathStep| match step {
+        PathStep::Along(one, z) if *one == leads.into || *one == leads.out => {
+            *z < top - 1e-9 && waste.tabs.meets(one, room)
+        }
+        _ => false,
+    };
+    (!cut.steps.iter().any(cuts_tab)).then_some(cut)
 }
 
 /// Traces the paths of the drawing with the tool's centre on them.

@@ -107,6 +107,34 @@ fn a_lead_cuts_no_tab_of_another_contour() {
     }
 }
 
+/// No lead is deeper than a pass, in cuts of several passes and in a finishing pass, also where it
+/// reaches beyond what the passes before it have cut.
+#[test]
+fn a_lead_is_no_deeper_than_a_pass() {
+    let part = parts(&[rectangle([0.0, 0.0], [30.0, 20.0])]);
+    for lead_mm in [1.0, 3.0, 5.0] {
+        for finish_mm in [0.0, 0.3] {
+            for (count, ramp_deg) in [(0, None), (2, None), (0, Some(5.0))] {
+                let options = Options {
+                    side: Side::Outside,
+                    tool_mm: TOOL_MM,
+                    depth_mm: 3.0,
+                    step_mm: 1.0,
+                    finish_mm,
+                    lead_mm: Some(lead_mm),
+                    ramp_deg,
+                    tabs: tabs(count, 3.0),
+                    ..Options::default()
+                };
+                let job = plan(&part, &options).unwrap();
+                assert!(job.toolpath.cuts.iter().all(has_lead), "{options:?}");
+                let deepest = deepest_bite(&part, &job, &options);
+                assert!(deepest < options.step_mm + 1e-3, "{deepest} {options:?}");
+            }
+        }
+    }
+}
+
 /// Greatest height of material in the middle of the tool, above its face, before it is cut, mm.
 fn deepest_bite(drawing: &Drawing, job: &Job, options: &Options) -> f64 {
     let mut plate = Plate::new(area(drawing, options), options.tool_mm / 20.0);
