@@ -117,6 +117,11 @@ pub struct LayerChoice {
     pub without: Vec<String>,
 }
 
+/// Whether two names have the same letters, in either case.
+fn is_same_name(a: &str, b: &str) -> bool {
+    a.eq_ignore_ascii_case(b) || a.to_lowercase() == b.to_lowercase()
+}
+
 impl LayerChoice {
     /// Whether a layer counts, by its name or by that of a layer that holds it. Letters count in
     /// either case.
@@ -124,7 +129,7 @@ impl LayerChoice {
     pub fn allows(&self, layer: &str, outer: &[String]) -> bool {
         let is_one_of = |names: &[String]| {
             let mut all = outer.iter().map(String::as_str).chain([layer]);
-            all.any(|layer| names.iter().any(|name| name.eq_ignore_ascii_case(layer)))
+            all.any(|layer| names.iter().any(|name| is_same_name(name, layer)))
         };
         (self.only.is_empty() || is_one_of(&self.only)) && !is_one_of(&self.without)
     }
@@ -195,10 +200,7 @@ impl Drawing {
         names.sort_unstable();
         names.dedup();
         for requested in choice.only.iter().chain(&choice.without) {
-            if !names
-                .iter()
-                .any(|name| name.eq_ignore_ascii_case(requested))
-            {
+            if !names.iter().any(|name| is_same_name(name, requested)) {
                 return Err(Problem::general(
                     format!("the drawing has no layer {requested}"),
                     format!("its layers are {}", names.join(", ")),

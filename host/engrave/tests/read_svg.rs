@@ -1,6 +1,6 @@
 //! SVG drawings: shapes, units, transforms, references, and bad files.
 
-use haptimill_engrave::drawing::{Drawing, Problem};
+use haptimill_engrave::drawing::{Drawing, LayerChoice, Problem};
 use haptimill_engrave::geometry::{Point, distance};
 use haptimill_engrave::read::{ReadOptions, read};
 
@@ -30,6 +30,31 @@ fn mistake(text: &str) -> Problem {
 
 fn near(a: Point, b: Point) -> bool {
     distance(a, b) < 1e-9
+}
+
+/// UTF-16 with its byte order mark, and the encoding of the XML declaration.
+#[test]
+fn a_drawing_may_have_another_encoding_than_utf_8() {
+    let line = "<g id=\"Größe\"><line x1=\"0\" y1=\"80\" x2=\"30\" y2=\"40\"/></g>";
+    let text = |encoding: &str| {
+        format!(
+            "<?xml version=\"1.0\" encoding=\"{encoding}\"?>\n{}",
+            svg(PAGE, line)
+        )
+    };
+    let utf_16 = |bytes: fn(u16) -> [u8; 2]| -> Vec<u8> {
+        let text = format!("\u{feff}{}", text("UTF-16"));
+        text.encode_utf16().flat_map(bytes).collect()
+    };
+    let latin: Vec<u8> = text("ISO-8859-1").chars().map(|one| one as u8).collect();
+    for bytes in [utf_16(u16::to_le_bytes), utf_16(u16::to_be_bytes), latin] {
+        let drawing = read(&bytes, &ReadOptions::default()).unwrap();
+        assert_eq!(drawing.paths.len(), 1);
+        assert!((drawing.paths[0].length() - 50.0).abs() < 1e-9);
+    }
+    let wrong: Vec<u8> = text("UTF-8").chars().map(|one| one as u8).collect();
+    let problem = read(&wrong, &ReadOptions::default()).unwrap_err();
+    assert_eq!(problem.line, 3, "{problem}");
 }
 
 #[test]
@@ -142,6 +167,21 @@ fn layers_are_the_labels_of_groups() {
         (entity.layer.as_str(), entity.handle.as_deref()),
         ("Cut", Some("a"))
     );
+}
+
+#[test]
+fn layers_are_chosen_in_either_case() {
+    let mut drawing = draw(
+        "<g inkscape:groupmode=\"layer\" inkscape:label=\"Öffnung\"><line x2=\"5\"/></g>
+         <g inkscape:groupmode=\"layer\" inkscape:label=\"Rand\"><line x2=\"7\"/></g>",
+    );
+    let choice = LayerChoice {
+        only: vec!["ÖFFNUNG".into()],
+        without: Vec::new(),
+    };
+    drawing.select_layers(&choice).unwrap();
+    assert_eq!(drawing.paths.len(), 1);
+    assert!((drawing.paths[0].length() - 5.0).abs() < 1e-9);
 }
 
 #[test]

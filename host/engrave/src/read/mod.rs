@@ -6,6 +6,7 @@ mod svg;
 pub mod text;
 
 use crate::drawing::{Drawing, Problem};
+use encoding_rs::{Encoding, UTF_8};
 use text::Font;
 
 /// Largest number of entities after blocks are expanded.
@@ -37,7 +38,15 @@ pub struct ReadOptions<'a> {
 /// The first mistake after which the rest of the file cannot be read. Mistakes of single entities
 /// are in [`Drawing::problems`].
 pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
-    let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let text;
+    let start = match Encoding::for_bom(bytes) {
+        Some((encoding, mark)) if encoding != UTF_8 => {
+            text = encoding.decode_without_bom_handling(&bytes[mark..]).0;
+            text.as_bytes()
+        }
+        Some((_, mark)) => &bytes[mark..],
+        None => bytes,
+    };
     if start.starts_with(b"AutoCAD Binary DXF") {
         return Err(Problem::general(
             "the file is a binary DXF",

@@ -13,8 +13,10 @@ mod text;
 use super::{COORDINATE_LIMIT, ENTITY_LIMIT, ReadOptions};
 use crate::drawing::{Drawing, Entity, Problem};
 use crate::geometry::{Path, Point};
+use encoding_rs::{Encoding, UTF_8};
 use kurbo::Affine;
 use roxmltree::{Document, Node, NodeId, ParsingOptions};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::str::FromStr;
 use style::{Paint, Styles};
@@ -50,24 +52,37 @@ pub struct Reader<'a, 'o> {
     page: [f64; 2],
 }
 
-/// Reads an SVG drawing. The lower left corner of the page is the origin, y points up.
-pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
-    let text = std::str::from_utf8(bytes).map_err(|error| {
-        let line = 1 + bytes[..error.valid_up_to()]
-            .iter()
-            .filter(|&&one| one == b'\n')
-            .count();
+/// The text of a file: UTF-8, or in the encoding that its XML declaration names.
+fn decode(bytes: &[u8]) -> Result<Cow<'_, str>, Problem> {
+    let Err(error) = std::str::from_utf8(bytes).map(|_| ()) else {
+        return Ok(String::from_utf8_lossy(bytes));
+    };
+    let declared = || {
+        let head = String::from_utf8_lossy(&bytes[..bytes.len().min(200)]);
+        let declaration = head.strip_prefix("<?xml")?.split("?>").next()?;
+        let value = declaration.split("encoding=").nth(1)?;
+        let name = value.split(['"', '\'']).nth(1)?;
+        let encoding = Encoding::for_label(name.as_bytes()).filter(|one| *one != UTF_8)?;
+        encoding.decode_without_bom_handling_and_without_replacement(bytes)
+    };
+    declared().map(|text| Cow::Owned(text.into_owned())).ok_or_else(|| {
+        let good = &bytes[..error.valid_up_to()];
         Problem::at_line(
-            line,
-            "the file is not UTF-8 text",
+            1 + good.iter().filter(|&&one| one == b'\n').count(),
+            "the file is not UTF-8 text, and its XML declaration names no other encoding that it has",
             "save the drawing again as SVG",
         )
-    })?;
+    })
+}
+
+/// Reads an SVG drawing. The lower left corner of the page is the origin, y points up.
+pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
+    let text = decode(bytes)?;
     let parsing = ParsingOptions {
         allow_dtd: true,
         ..ParsingOptions::default()
     };
-    let document = Document::parse_with_options(text, parsing).map_err(|error| {
+    let document = Document::parse_with_options(&text, parsing).map_err(|error| {
         let line = error.pos().row as usize;
         let what = format!("the file is not well-formed XML: {error}");
         Problem::at_line(

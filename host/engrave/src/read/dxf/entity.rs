@@ -364,7 +364,7 @@ fn spline(record: &Record, tolerance: f64) -> Result<Path, Problem> {
     if weights.is_empty() {
         weights = vec![1.0; points.len()];
     }
-    let degree = record.integer(71)?.unwrap_or(3).clamp(0, 100) as usize;
+    let degree = record.integer(71)?.unwrap_or(3).max(0) as usize;
     let nurbs = Nurbs {
         degree,
         knots: numbers(40)?,
