@@ -2,16 +2,16 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptimill_firmware::config::{
-    AxisKind, Drive, EncoderAxis, Home, JointAxis, ServoConfig, ServoForm,
+    AxisKind, Drive, EncoderSettings, Home, JointSettings, ServoConfig, ServoForm,
 };
-use haptimill_firmware::io::{AxisInputs, DriveCommand};
+use haptimill_firmware::io::{DriveCommand, JointInputs};
 use haptimill_firmware::joint::JointDrive;
 use haptimill_math::{Acceleration, Coordinate, Effort, Gain, Rate};
 use std::hint::black_box;
 
 /// A 40 kg slide on a 10 mm screw with 8000 counts a turn.
-fn axis(drive: Drive) -> JointAxis {
-    JointAxis {
+fn axis(drive: Drive) -> JointSettings {
+    JointSettings {
         kind: AxisKind::Linear,
         low: Coordinate(0),
         high: Coordinate(i32::MAX),
@@ -33,7 +33,7 @@ fn axis(drive: Drive) -> JointAxis {
         },
         preset: Coordinate(0),
         home: Home::Index,
-        encoder: Some(EncoderAxis {
+        encoder: Some(EncoderSettings {
             per_count: 21_990_232_556,
             following: Coordinate(1 << 18),
             following_lag: 0,
@@ -62,7 +62,7 @@ fn period(bencher: &mut Criterion, name: &str, servo: &Drive) {
         joint.clone(),
         joint,
     ];
-    let mut inputs = AxisInputs::default();
+    let mut inputs = JointInputs::default();
     let mut command = DriveCommand::Off;
     for joint in &mut joints {
         joint.measure(&inputs, 0);

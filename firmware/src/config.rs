@@ -10,7 +10,7 @@ pub mod volumetric;
 
 use crate::force::ForceConfig;
 use crate::haptics::config::{FollowConfig, HapticConfig};
-use crate::io::AxisInputs;
+use crate::io::JointInputs;
 use crate::named_io::config::IoConfig;
 pub use haptimill_kinematics::descriptor::AxisKind;
 use haptimill_kinematics::{BoundedKinematics, JointLimits, Model};
@@ -38,7 +38,7 @@ pub struct Config {
     /// Pose coordinates, in the order of the model.
     pub pose: Vec<PoseAxis, MAX_AXES>,
     /// Joints, in the order of the model; then the second motors of gantries.
-    pub joints: Vec<JointAxis, MAX_AXES>,
+    pub joints: Vec<JointSettings, MAX_AXES>,
     /// Deceleration of stops along the path.
     pub stopping: Stopping,
     /// Limits of supervision.
@@ -116,7 +116,7 @@ impl PoseAxis {
     }
 }
 
-impl JointAxis {
+impl JointSettings {
     /// Whether the joint wraps around: it is rotary, and its stroke is the whole circle.
     #[must_use]
     pub const fn wraps(&self) -> bool {
@@ -141,7 +141,7 @@ pub const BACKLASH_SLOPE_SHIFT: u32 = 8;
 
 /// Joint: its screw, drive, servo loop, limits, and its encoder if it has one.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct JointAxis {
+pub struct JointSettings {
     /// Linear or rotary.
     pub kind: AxisKind,
     /// Lower end of the stroke.
@@ -167,7 +167,7 @@ pub struct JointAxis {
     pub home: Home,
     /// The encoder. Without one the joint is open loop: it has a step drive, and its position is
     /// the count of the emitted steps.
-    pub encoder: Option<EncoderAxis>,
+    pub encoder: Option<EncoderSettings>,
     /// Switches whose line is low when they are active, by their [bits](SwitchInput::bit).
     pub active_low: u8,
     /// Open loop only: the joint cannot move while its drive is off, and the drive keeps its
@@ -240,23 +240,23 @@ pub struct SwitchHome {
 /// Switch of a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum SwitchInput {
-    /// [`crate::io::AxisInputs::home`].
+    /// [`crate::io::JointInputs::home`].
     Home,
-    /// [`crate::io::AxisInputs::limit_low`]; while the machine is not homed it is no fault.
+    /// [`crate::io::JointInputs::limit_low`]; while the machine is not homed it is no fault.
     LimitLow,
-    /// [`crate::io::AxisInputs::limit_high`]; while the machine is not homed it is no fault.
+    /// [`crate::io::JointInputs::limit_high`]; while the machine is not homed it is no fault.
     LimitHigh,
 }
 
 impl SwitchInput {
-    /// Bit of the switch in [`JointAxis::active_low`].
+    /// Bit of the switch in [`JointSettings::active_low`].
     #[must_use]
     pub const fn bit(self) -> u8 {
         1 << self as u8
     }
 }
 
-impl JointAxis {
+impl JointSettings {
     /// Whether the joint has no encoder: its position is the count of the emitted steps.
     #[must_use]
     pub const fn is_open_loop(&self) -> bool {
@@ -278,7 +278,7 @@ impl JointAxis {
     /// The active switches, by their [bits](SwitchInput::bit).
     #[must_use]
     #[inline]
-    pub const fn active_switches(&self, inputs: &AxisInputs) -> u8 {
+    pub const fn active_switches(&self, inputs: &JointInputs) -> u8 {
         let levels =
             inputs.home as u8 | (inputs.limit_low as u8) << 1 | (inputs.limit_high as u8) << 2;
         levels ^ self.active_low
@@ -287,7 +287,7 @@ impl JointAxis {
 
 /// Encoder of a joint, its index pulse, and the supervision that needs an encoder.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct EncoderAxis {
+pub struct EncoderSettings {
     /// Axis units per encoder count, times 2^24; negative when the encoder counts backwards.
     pub per_count: i64,
     /// Largest following error at standstill.

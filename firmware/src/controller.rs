@@ -295,7 +295,7 @@ impl Core {
         if !self.safety.drives_on() {
             machine.disable();
         }
-        let saturated = machine.servo(&mut outputs.axes);
+        let saturated = machine.servo(&mut outputs.joints);
         if let Some(joint) = saturated
             && self.job.saturated & (1 << joint) == 0
         {

@@ -3,7 +3,7 @@
 use crate::comm::server::Server;
 use crate::core::Core;
 use crate::force::sensor::is_force;
-use crate::io::{AxisInputs, Inputs};
+use crate::io::{Inputs, JointInputs};
 use crate::machine::Machine;
 use crate::safety::{keeps_position, suspected};
 use haptimill_protocol::message::{Event, Fault, State};
@@ -217,10 +217,10 @@ fn check_host(core: &mut Core, server: &Server) {
 #[inline]
 pub(crate) fn hardware(machine: &Machine, inputs: &Inputs, homed: bool) -> Option<Fault> {
     if !machine.has_only_plain_switches() {
-        return machine.hardware_fault(&inputs.axes, homed);
+        return machine.hardware_fault(&inputs.joints, homed);
     }
-    let axes = inputs.axes.get(..machine.joint_count())?;
-    let healthy = |axis: &AxisInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
+    let axes = inputs.joints.get(..machine.joint_count())?;
+    let healthy = |axis: &JointInputs| axis.drive_ready & !(axis.limit_low | axis.limit_high);
     if axes.iter().fold(true, |all, axis| all & healthy(axis)) {
         return None;
     }
@@ -229,7 +229,7 @@ pub(crate) fn hardware(machine: &Machine, inputs: &Inputs, homed: bool) -> Optio
 
 #[cold]
 #[inline(never)]
-fn name_hardware_fault(axes: &[AxisInputs]) -> Option<Fault> {
+fn name_hardware_fault(axes: &[JointInputs]) -> Option<Fault> {
     for (index, axis) in axes.iter().enumerate() {
         if axis.limit_low || axis.limit_high {
             return Some(Fault::LimitSwitch { joint: index as u8 });

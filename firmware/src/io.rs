@@ -16,7 +16,7 @@ pub const TRANSMIT_BYTES: usize = 64;
 
 /// Inputs of one joint, latched at the start of the period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct AxisInputs {
+pub struct JointInputs {
     /// Quadrature x4 counter, free running, wraps around.
     pub counts: i32,
     /// Time of the last counted edge, in ns of a free running clock that wraps around (see
@@ -103,13 +103,13 @@ pub struct Inputs {
     /// The board's free running clock at the latch, in ns; wraps around.
     pub time_ns: u32,
     /// The joints.
-    pub axes: [AxisInputs; MAX_AXES],
+    pub joints: [JointInputs; MAX_AXES],
     /// The force sensor; constant on a machine without one.
     pub force: ForceSample,
     /// The haptic arm; constant on a machine without one.
     pub haptic: HapticInputs,
     /// Levels of the general digital inputs, channel `k` in bit `k`, not debounced. A board gives 0
-    /// for channels that it lacks. The switches of the joints are in [`AxisInputs`].
+    /// for channels that it lacks. The switches of the joints are in [`JointInputs`].
     pub digital: u32,
     /// Codes of the analog inputs, -32768 to 32767. A board gives 0 for channels that it lacks.
     pub analog: [i16; ANALOG],
@@ -164,7 +164,7 @@ pub enum DriveCommand {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Outputs {
     /// The joints; [`DriveCommand::Off`] disables the drive.
-    pub axes: [DriveCommand; MAX_AXES],
+    pub joints: [DriveCommand; MAX_AXES],
     /// The haptic arm's amplifiers.
     pub haptic: HapticOutputs,
     /// Spindle speed in rev/min: clockwise above 0, counter-clockwise below 0, off at 0.
@@ -182,7 +182,7 @@ impl Outputs {
     /// Switches drives, haptic arm and spindle off, and sets the general outputs to the level and
     /// code 0, as after a reset of the board. Bytes to the host are still transmitted.
     pub fn make_safe(&mut self) {
-        self.axes = [DriveCommand::Off; MAX_AXES];
+        self.joints = [DriveCommand::Off; MAX_AXES];
         self.haptic = HapticOutputs::default();
         self.spindle_rpm = 0;
         self.digital = 0;

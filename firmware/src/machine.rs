@@ -126,7 +126,8 @@ impl Machine {
         let before = self.turning();
         let measured = self.measured.0.iter_mut();
         let mut large_step = false;
-        for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.axes).zip(measured) {
+        for ((joint, inputs), measured) in self.joints.iter_mut().zip(&inputs.joints).zip(measured)
+        {
             let measurement = joint.measure(inputs, time_ns);
             *measured = measurement.coordinate;
             large_step |= measurement.large_step;
@@ -149,7 +150,7 @@ impl Machine {
     #[cold]
     #[inline(never)]
     fn skip_periods(&mut self, inputs: &Inputs) {
-        for (joint, counted) in self.joints.iter_mut().zip(&inputs.axes) {
+        for (joint, counted) in self.joints.iter_mut().zip(&inputs.joints) {
             joint.skip(inputs.missed, counted.counts);
         }
     }
@@ -457,7 +458,7 @@ impl Machine {
             emergency_stop: inputs.emergency_stop,
             ..ActiveLines::default()
         };
-        for (joint, (axis, seen)) in self.config.joints.iter().zip(&inputs.axes).enumerate() {
+        for (joint, (axis, seen)) in self.config.joints.iter().zip(&inputs.joints).enumerate() {
             let active = axis.active_switches(seen);
             for (input, joints) in lines.switches.iter_mut().enumerate() {
                 *joints |= (active >> input & 1) << joint;
@@ -483,7 +484,7 @@ impl Machine {
     fn command(&self, inputs: &Inputs, index: usize) -> i32 {
         match self.joints[index].servo_output().command {
             DriveCommand::Torque(code) => i32::from(code),
-            DriveCommand::Steps(_) => inputs.axes[index].steps,
+            DriveCommand::Steps(_) => inputs.joints[index].steps,
             DriveCommand::Off => 0,
         }
     }

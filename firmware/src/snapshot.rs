@@ -110,7 +110,7 @@ impl Controller {
             snapshot.following_error[axis] = joint.following_error.0;
             snapshot.drive[axis] = match joint.command {
                 DriveCommand::Torque(code) => i32::from(code),
-                DriveCommand::Steps(_) => inputs.axes[axis].steps,
+                DriveCommand::Steps(_) => inputs.joints[axis].steps,
                 DriveCommand::Off => 0,
             };
         }

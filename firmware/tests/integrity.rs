@@ -2,11 +2,11 @@
 //! the machine runs.
 
 use crate::reference;
-use haptimill_firmware::config::{Config, JointAxis};
+use haptimill_firmware::config::{Config, JointSettings};
 use haptimill_firmware::digest::{Constants, Digest};
 use haptimill_firmware::force::sensor::ForceSensor;
 use haptimill_firmware::force::{EnableCondition, ForceConfig, ForceControl, LoopSettings};
-use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs};
+use haptimill_firmware::io::{DriveCommand, Inputs, JointInputs};
 use haptimill_firmware::joint::{JointCommand, JointDrive};
 use haptimill_firmware::machine::Machine;
 use haptimill_firmware::motion::interpolator::Interpolator;
@@ -145,9 +145,9 @@ fn changed_joint_constant_is_detected_motion_is_not() {
         joint.digest(&mut digest);
         digest
     };
-    let made = |axis: &JointAxis| digest(&JointDrive::new(axis, 200).expect("sound"));
+    let made = |axis: &JointSettings| digest(&JointDrive::new(axis, 200).expect("sound"));
     let axis = h4().joints[0].clone();
-    let changes: [fn(&mut JointAxis); 10] = [
+    let changes: [fn(&mut JointSettings); 10] = [
         |axis| axis.encoder.as_mut().expect("an encoder").per_count += 1,
         |axis| axis.backlash.0 += 2,
         |axis| axis.law.kp.0 += 1,
@@ -166,7 +166,7 @@ fn changed_joint_constant_is_detected_motion_is_not() {
     }
     let mut joint = JointDrive::new(&axis, 200).expect("sound");
     let before = digest(&joint);
-    let mut inputs = AxisInputs::default();
+    let mut inputs = JointInputs::default();
     joint.measure(&inputs, 0);
     joint.enable();
     for period in 1..500_i32 {

@@ -2,9 +2,9 @@
 //! references, bad configurations.
 
 use haptimill_firmware::config::{
-    AxisKind, Drive, EncoderAxis, Home, JointAxis, ServoConfig, ServoForm,
+    AxisKind, Drive, EncoderSettings, Home, JointSettings, ServoConfig, ServoForm,
 };
-use haptimill_firmware::io::{AxisInputs, DriveCommand};
+use haptimill_firmware::io::{DriveCommand, JointInputs};
 use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
 use haptimill_firmware::joint::torque::TorqueOutput;
 use haptimill_firmware::joint::{DriveError, JointCommand, JointDrive, ServoOutput};
@@ -50,8 +50,8 @@ fn steps() -> Drive {
     }
 }
 
-fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
-    JointAxis {
+fn axis(drive: Drive, backlash_mm: f64) -> JointSettings {
+    JointSettings {
         kind: AxisKind::Linear,
         low: Coordinate(0),
         high: Coordinate((1500.0 * MM) as i32),
@@ -73,7 +73,7 @@ fn axis(drive: Drive, backlash_mm: f64) -> JointAxis {
         },
         preset: Coordinate(0),
         home: Home::Index,
-        encoder: Some(EncoderAxis {
+        encoder: Some(EncoderSettings {
             per_count: 21_990_232_556,
             following: Coordinate((0.2 * MM) as i32),
             following_lag: 0,
@@ -95,7 +95,7 @@ struct Plant {
     motor: [f64; 2],
     slide: [f64; 2],
     backlash: f64,
-    inputs: AxisInputs,
+    inputs: JointInputs,
 }
 
 impl Plant {
@@ -104,7 +104,7 @@ impl Plant {
             motor: [0.0; 2],
             slide: [0.0; 2],
             backlash,
-            inputs: AxisInputs::default(),
+            inputs: JointInputs::default(),
         }
     }
 
@@ -237,7 +237,7 @@ fn lost_motion_depends_on_the_place() {
         (-3.0, 1.0),
     ] {
         let mut joint = JointDrive::new(&config, 200).unwrap();
-        joint.measure(&AxisInputs::default(), 0);
+        joint.measure(&JointInputs::default(), 0);
         joint.enable();
         let command = JointCommand {
             coordinate: Coordinate((at * MM) as i32),
@@ -256,10 +256,10 @@ fn lost_motion_depends_on_the_place() {
 fn enable_does_not_move_the_joint() {
     for servo in [torque(), steps()] {
         let mut joint = JointDrive::new(&axis(servo, 0.01), 200).unwrap();
-        let mut inputs = AxisInputs {
+        let mut inputs = JointInputs {
             counts: 12_345,
             steps: 777,
-            ..AxisInputs::default()
+            ..JointInputs::default()
         };
         joint.measure(&inputs, 0);
         assert_eq!(
@@ -293,13 +293,13 @@ fn enable_does_not_move_the_joint() {
 #[test]
 fn missed_periods_do_not_kick() {
     let mut joint = JointDrive::new(&axis(torque(), 0.0), 200).expect("valid");
-    let mut inputs = AxisInputs::default();
+    let mut inputs = JointInputs::default();
     joint.measure(&inputs, 0);
     let still = JointCommand {
         coordinate: joint.enable(),
         ..JointCommand::default()
     };
-    let period = |joint: &mut JointDrive, inputs: &AxisInputs, number: u32, missed: u16| {
+    let period = |joint: &mut JointDrive, inputs: &JointInputs, number: u32, missed: u16| {
         joint.measure(inputs, number * 200_000);
         if missed != 0 {
             joint.skip(missed, inputs.counts);
@@ -324,9 +324,9 @@ fn missed_periods_do_not_kick() {
 fn reference_set_in_motion_does_not_jump() {
     for servo in [torque(), steps()] {
         let mut joint = JointDrive::new(&axis(servo, 0.01), 200).unwrap();
-        let inputs = AxisInputs {
+        let inputs = JointInputs {
             counts: -500,
-            ..AxisInputs::default()
+            ..JointInputs::default()
         };
         joint.measure(&inputs, 0);
         let mut commanded = JointCommand {
@@ -354,7 +354,7 @@ fn reference_set_in_motion_does_not_jump() {
 #[test]
 fn lost_steps_are_detected() {
     let mut joint = JointDrive::new(&axis(steps(), 0.0), 200).unwrap();
-    let mut inputs = AxisInputs::default();
+    let mut inputs = JointInputs::default();
     joint.measure(&inputs, 0);
     let start = joint.enable();
     let (mut motor_steps, mut segment) = (0i64, 0i16);
@@ -401,7 +401,7 @@ fn lost_steps_are_detected() {
 
 #[test]
 fn invalid_joint_configurations_are_refused() {
-    let refused = |axis: &JointAxis, period| JointDrive::new(axis, period).err();
+    let refused = |axis: &JointSettings, period| JointDrive::new(axis, period).err();
     assert_eq!(refused(&axis(torque(), 0.0), 200), None);
     assert_eq!(refused(&axis(steps(), 0.0), 200), None);
     assert_eq!(refused(&axis(torque(), 0.0), 49), Some(DriveError::Period));
@@ -496,9 +496,9 @@ proptest! {
     ) {
         let limit = Effort(limit);
         let mut joint = JointDrive::new(&axis(Drive::Torque { full_scale: Effort(full_scale), limit }, 0.0), 200).unwrap();
-        joint.measure(&AxisInputs::default(), 0);
+        joint.measure(&JointInputs::default(), 0);
         joint.enable();
-        joint.measure(&AxisInputs { counts: place >> 12, ..AxisInputs::default() }, 200_000);
+        joint.measure(&JointInputs { counts: place >> 12, ..JointInputs::default() }, 200_000);
         let (coordinate, rate, acceleration) = commanded;
         let servo_output = drive_to(&mut joint, &JointCommand { coordinate: Coordinate(coordinate), rate: Rate(rate), acceleration: Acceleration(acceleration) });
         let DriveCommand::Torque(code) = servo_output.command else {
@@ -521,7 +521,7 @@ proptest! {
             config.encoder.as_mut().expect("an encoder").per_count = per_count;
             let mut joint = JointDrive::new(&config, 200).unwrap();
             for &((counts, edge_time_ns, illegal, index_counts, index_pulses, steps, time), (coordinate, rate, acceleration), what) in &frames {
-                joint.measure(&AxisInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, ..AxisInputs::default() }, time);
+                joint.measure(&JointInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, ..JointInputs::default() }, time);
                 match what {
                     0 => { joint.enable(); }
                     1 => joint.disable(),

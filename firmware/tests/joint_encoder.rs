@@ -1,7 +1,7 @@
 //! Quadrature decoder and encoder against a true motion.
 
 use haptimill_firmware::config::AxisKind;
-use haptimill_firmware::io::AxisInputs;
+use haptimill_firmware::io::JointInputs;
 use haptimill_firmware::joint::encoder::Encoder;
 use haptimill_firmware::joint::quadrature::Quadrature;
 use haptimill_math::Coordinate;
@@ -25,7 +25,7 @@ const PER_COUNT: i64 = 21_990_232_556;
 struct Rig {
     decoder: Quadrature,
     place: i64,
-    inputs: AxisInputs,
+    inputs: JointInputs,
 }
 
 impl Rig {
@@ -37,12 +37,12 @@ impl Rig {
         Self {
             decoder,
             place,
-            inputs: AxisInputs::default(),
+            inputs: JointInputs::default(),
         }
     }
 
     /// Edges on the way to `position`, each at its own time, on a clock of 100 ns.
-    fn run(&mut self, motion: impl Fn(f64) -> f64, from_ns: u64, to_ns: u64) -> &AxisInputs {
+    fn run(&mut self, motion: impl Fn(f64) -> f64, from_ns: u64, to_ns: u64) -> &JointInputs {
         let fine = 100;
         for time in (from_ns..=to_ns).step_by(fine) {
             let place = motion(time as f64 * 1e-9).floor() as i64;
@@ -101,7 +101,7 @@ proptest! {
     ) {
         for kind in [AxisKind::Linear, AxisKind::Rotary, AxisKind::MultiTurn] {
             let mut encoder = Encoder::new(kind, per_count);
-            let mut inputs = AxisInputs { counts: start, ..AxisInputs::default() };
+            let mut inputs = JointInputs { counts: start, ..JointInputs::default() };
             encoder.read(&inputs, 0);
             encoder.set_reference(start, Coordinate(reference));
             let mut total = 0i128;
@@ -130,7 +130,7 @@ proptest! {
         for kind in [AxisKind::Linear, AxisKind::Rotary, AxisKind::MultiTurn] {
             let mut encoder = Encoder::new(kind, per_count);
             for &(counts, edge_time_ns, illegal, index_counts, index_pulses, time) in &frames {
-                let inputs = AxisInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, ..AxisInputs::default() };
+                let inputs = JointInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, ..JointInputs::default() };
                 encoder.read(&inputs, time);
                 encoder.set_reference(reference.0, Coordinate(reference.1));
             }
@@ -192,7 +192,7 @@ fn rate_decays_as_one_count_over_elapsed_time() {
 fn dither_about_one_edge_gives_zero_rate() {
     let mut decoder = Quadrature::new(0);
     let mut encoder = Encoder::new(AxisKind::Linear, PER_COUNT);
-    let mut inputs = AxisInputs::default();
+    let mut inputs = JointInputs::default();
     decoder.feed(false, false, false, 0);
     encoder.read(&inputs, 0);
     for period in 1..200u32 {
@@ -209,9 +209,9 @@ fn dither_about_one_edge_gives_zero_rate() {
 fn index_pulse_latches_its_coordinate() {
     let mut decoder = Quadrature::new(i32::MAX - 3);
     let mut encoder = Encoder::new(AxisKind::Linear, PER_COUNT);
-    let mut inputs = AxisInputs {
+    let mut inputs = JointInputs {
         counts: i32::MAX - 3,
-        ..AxisInputs::default()
+        ..JointInputs::default()
     };
     decoder.feed(false, false, false, 0);
     encoder.read(&inputs, 0);
@@ -238,9 +238,9 @@ fn index_pulse_latches_its_coordinate() {
 #[test]
 fn illegal_transition_count_restarts_after_clear() {
     let mut encoder = Encoder::new(AxisKind::Linear, PER_COUNT);
-    let mut inputs = AxisInputs {
+    let mut inputs = JointInputs {
         illegal: u16::MAX - 1,
-        ..AxisInputs::default()
+        ..JointInputs::default()
     };
     encoder.read(&inputs, 0);
     assert_eq!(encoder.illegal(), 0);
@@ -265,10 +265,10 @@ fn edge_captured_after_clock_read_counts_as_now() {
             let edge_time_ns = if late { time_ns + 300 } else { time_ns - 5_000 };
             let counts = period as i32 * 8;
             encoder.read(
-                &AxisInputs {
+                &JointInputs {
                     counts,
                     edge_time_ns,
-                    ..AxisInputs::default()
+                    ..JointInputs::default()
                 },
                 time_ns,
             );

@@ -6,7 +6,7 @@
 )]
 
 use haptimill_firmware::config::{
-    AxisKind, Config, Drive, EncoderAxis, Home, Homing, JointAxis, ServoConfig, ServoForm,
+    AxisKind, Config, Drive, EncoderSettings, Home, Homing, JointSettings, ServoConfig, ServoForm,
     Stopping, Supervision,
 };
 use haptimill_firmware::motion::envelope::StoppingEnvelope;
@@ -41,8 +41,8 @@ fn reference() -> H4Geometry {
 }
 
 /// A joint with a stroke; its drive does not matter here.
-fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
-    JointAxis {
+fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointSettings {
+    JointSettings {
         kind,
         low,
         high,
@@ -67,7 +67,7 @@ fn joint(kind: AxisKind, low: Coordinate, high: Coordinate) -> JointAxis {
         },
         preset: Coordinate::ZERO,
         home: Home::Index,
-        encoder: Some(EncoderAxis {
+        encoder: Some(EncoderSettings {
             per_count: 1 << 24,
             following: Coordinate(MM),
             following_lag: 0,

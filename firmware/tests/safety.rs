@@ -1,7 +1,7 @@
 //! Joint monitors, latched faults, and the queue in its worst case.
 
 use crate::reference;
-use haptimill_firmware::config::{AxisKind, Drive, EncoderAxis, JointAxis, Stopping};
+use haptimill_firmware::config::{AxisKind, Drive, EncoderSettings, JointSettings, Stopping};
 use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
 use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
 use haptimill_firmware::safety::{EVENTS, Safety, decelerates_first, keeps_position};
@@ -22,12 +22,12 @@ fn newtons(force: f64) -> Effort {
 }
 
 /// The encoder of a joint.
-fn encoder(axis: &mut JointAxis) -> &mut EncoderAxis {
+fn encoder(axis: &mut JointSettings) -> &mut EncoderSettings {
     axis.encoder.as_mut().expect("an encoder")
 }
 
 /// A slide and a sample of it without a fault: standstill at 100 mm.
-fn slide() -> (JointAxis, JointSample) {
+fn slide() -> (JointSettings, JointSample) {
     let mut axis = h4().joints[0].clone();
     (axis.low, axis.high) = (Coordinate(mm(-1000.0)), Coordinate(mm(1000.0)));
     let seen = JointSample {
@@ -43,7 +43,7 @@ fn slide() -> (JointAxis, JointSample) {
 /// First fault of a monitor that gets the same sample for some periods.
 fn look(
     monitor: &mut JointMonitor,
-    axis: &JointAxis,
+    axis: &JointSettings,
     seen: &JointSample,
     periods: usize,
 ) -> Option<Fault> {

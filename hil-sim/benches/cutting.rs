@@ -146,7 +146,7 @@ fn machine(criterion: &mut Criterion) {
                         * joint.inertia
                         / joint.kind.acceleration_unit();
                     let full = if axis < 4 { 800.0 } else { 40.0 };
-                    outputs.axes[axis] = DriveCommand::Torque(
+                    outputs.joints[axis] = DriveCommand::Torque(
                         (effort / full * 8192.0).clamp(-8192.0, 8191.0) as i16,
                     );
                 }

@@ -32,7 +32,7 @@ fn plant(criterion: &mut Criterion) {
                 let code = if (period >> 8) & 1 == 0 { 1000 } else { -1000 };
                 period = period.wrapping_add(1);
                 for axis in 0..5 {
-                    outputs.axes[axis] = DriveCommand::Torque(code);
+                    outputs.joints[axis] = DriveCommand::Torque(code);
                 }
                 plant.advance(black_box(&outputs));
                 plant.latch(&mut inputs);
@@ -46,7 +46,7 @@ fn plant(criterion: &mut Criterion) {
         fn tick(&mut self, _: &Inputs, outputs: &mut Outputs) {
             self.0 = self.0.wrapping_add(1);
             let code = if (self.0 >> 8) & 1 == 0 { 1000 } else { -1000 };
-            outputs.axes[..5].fill(DriveCommand::Torque(code));
+            outputs.joints[..5].fill(DriveCommand::Torque(code));
             let _ = outputs.transmit.push(1);
         }
     }

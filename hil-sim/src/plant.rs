@@ -271,7 +271,7 @@ impl Plant {
                 .as_ref()
                 .map(Encoder::reading)
                 .unwrap_or_default();
-            let seen = &mut inputs.axes[axis];
+            let seen = &mut inputs.joints[axis];
             seen.counts = reading.counts;
             seen.edge_time_ns = reading.edge_time_ns;
             seen.illegal = reading.illegal;
@@ -310,7 +310,7 @@ impl Plant {
         let mut drive = [0.0; MAX_AXES];
         let mut stepping = false;
         for (axis, joint) in self.joints.iter_mut().enumerate() {
-            let command = &outputs.axes[axis];
+            let command = &outputs.joints[axis];
             let powered = powered && !joint.condition.drive_tripped;
             drive[axis] = joint.torque(command, powered);
             match (&mut joint.drive, command) {

@@ -179,7 +179,7 @@ impl<L: PlantLink> RemoteController<L> {
         let total = done.stages.iter().sum::<u32>();
         let driven = done
             .outputs
-            .axes
+            .joints
             .iter()
             .any(|&axis| axis != DriveCommand::Off);
         self.overrun = self.budget.filter(|_| driven).map_or(0, |budget| {

@@ -231,7 +231,7 @@ impl<C: Control> Rig<C> {
         // The bytes enter the line at the end of the period, when the outputs take effect.
         self.to_host
             .write(&self.outputs.transmit, self.plant.time_ns());
-        self.effective.axes = self.outputs.axes;
+        self.effective.joints = self.outputs.joints;
         self.effective.spindle_rpm = self.outputs.spindle_rpm;
         self.effective.haptic = self.outputs.haptic;
         self.effective.digital = self.outputs.digital;
@@ -323,7 +323,7 @@ impl<C: Control> Rig<C> {
 
 /// Clears the pulses. In a missed period torques stay on their DACs, but pulses do not repeat.
 fn end_pulses(outputs: &mut Outputs) {
-    for command in &mut outputs.axes {
+    for command in &mut outputs.joints {
         if let DriveCommand::Steps(segment) = command {
             *segment = StepSegment::default();
         }

@@ -150,7 +150,7 @@ proptest! {
         prop_assert_eq!(report(&plant).violations, 0);
         let mut inputs = Inputs::default();
         plant.latch(&mut inputs);
-        prop_assert_eq!(inputs.axes[0].steps, expected);
+        prop_assert_eq!(inputs.joints[0].steps, expected);
         // At standstill the field holds 20 N of friction: asin(20 / 1200) of an electrical turn of
         // 0.2 mm is 0.5 um.
         let lag = plant.bodies().motor[0] - f64::from(expected) * 10.0 / 3200.0;
@@ -170,7 +170,7 @@ proptest! {
         let emitted = |plant: &Plant| {
             let mut inputs = Inputs::default();
             plant.latch(&mut inputs);
-            inputs.axes[0].steps
+            inputs.joints[0].steps
         };
         let mut expected = 0_i32;
         for (time_ns, up) in times {
@@ -189,7 +189,7 @@ proptest! {
 
 fn steps(plant: &mut Plant, segment: StepSegment) {
     let mut outputs = Outputs::default();
-    outputs.axes[0] = DriveCommand::Steps(segment);
+    outputs.joints[0] = DriveCommand::Steps(segment);
     plant.advance(&outputs);
 }
 
@@ -368,7 +368,7 @@ fn violations_of_the_data_sheet_are_reported() {
     );
     let mut inputs = Inputs::default();
     plant.latch(&mut inputs);
-    assert_eq!(inputs.axes[0].steps, 2);
+    assert_eq!(inputs.joints[0].steps, 2);
 }
 
 /// Drives a slide at `rate` steps per period for `periods`. Returns the distance to its target.
@@ -448,7 +448,7 @@ fn planned_pulses_obey_the_data_sheet_and_move_the_slide() {
     assert_eq!(report(&plant).violations, 0, "{:?}", report(&plant));
     let mut inputs = Inputs::default();
     plant.latch(&mut inputs);
-    assert_eq!(i64::from(inputs.axes[0].steps), steps_sent);
+    assert_eq!(i64::from(inputs.joints[0].steps), steps_sent);
     assert!(steps_sent != 0);
     // Half a step of 3.1 um, friction and acceleration on the field's stiffness of 38 N/um: well
     // below 10 um.

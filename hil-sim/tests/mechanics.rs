@@ -13,7 +13,7 @@ const NONE: [f64; 6] = [0.0; 6];
 
 fn torque(code: i16) -> Outputs {
     let mut outputs = Outputs::default();
-    outputs.axes[0] = DriveCommand::Torque(code);
+    outputs.joints[0] = DriveCommand::Torque(code);
     outputs
 }
 
@@ -293,7 +293,7 @@ fn limit_switches_follow_the_slide() {
         }));
         plant.latch(&mut inputs);
         let slide = plant.truth().joints[0];
-        let axis = &inputs.axes[0];
+        let axis = &inputs.joints[0];
         assert_eq!(axis.home, slide >= 0.1);
         assert_eq!(axis.limit_low, slide <= -0.5);
         assert_eq!(axis.limit_high, slide >= 0.5);

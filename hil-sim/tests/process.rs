@@ -85,7 +85,7 @@ impl Held {
                 * joint.inertia
                 / joint.kind.acceleration_unit();
             let code = (effort / drive.full_scale * 8192.0).clamp(-8192.0, 8191.0);
-            self.outputs.axes[axis] = DriveCommand::Torque(code as i16);
+            self.outputs.joints[axis] = DriveCommand::Torque(code as i16);
         }
         self.outputs.spindle_rpm = rpm;
         let outputs = self.outputs.clone();
@@ -121,7 +121,7 @@ fn a_wall_force_maps_to_the_slides_by_virtual_work() {
             let rate = plant.bodies().motor_rate[axis];
             // Damping of the test's own, to reach standstill.
             let effort: f64 = -20.0 * share - 2.0 * rate;
-            outputs.axes[axis] = DriveCommand::Torque((effort / 800.0 * 8192.0).round() as i16);
+            outputs.joints[axis] = DriveCommand::Torque((effort / 800.0 * 8192.0).round() as i16);
         }
         plant.advance(&outputs);
     }
@@ -301,7 +301,7 @@ fn a_machine_without_a_process_is_unchanged() {
     assert!(fitted.force_codes().is_none());
     let mut outputs = Outputs::default();
     for step in 0..2000_i16 {
-        outputs.axes[..5].fill(DriveCommand::Torque(step % 700 - 350));
+        outputs.joints[..5].fill(DriveCommand::Torque(step % 700 - 350));
         plain.advance(&outputs);
         fitted.advance(&outputs);
         assert_eq!(plain.bodies(), fitted.bodies());
@@ -330,7 +330,7 @@ fn three_slides_carry_a_tool_and_fewer_are_refused() {
     plant.fit(&process).expect("three slides");
     let mut outputs = Outputs::default();
     // The third drives into the wall with 100 N, of which friction may hold 40 N.
-    outputs.axes[2] = DriveCommand::Torque(-1024);
+    outputs.joints[2] = DriveCommand::Torque(-1024);
     for _ in 0..20_000 {
         plant.advance(&outputs);
     }
@@ -361,11 +361,11 @@ fn a_sampled_wall_adds_the_energy_of_half_a_period_of_damping() {
         plant.fit(&process).expect("a wall");
         // A push for 20 ms, then free motion.
         let mut outputs = Outputs::default();
-        outputs.axes[2] = DriveCommand::Torque(-1000);
+        outputs.joints[2] = DriveCommand::Torque(-1000);
         for _ in 0..100 {
             plant.advance(&outputs);
         }
-        outputs.axes[2] = DriveCommand::Torque(0);
+        outputs.joints[2] = DriveCommand::Torque(0);
         plant.advance(&outputs);
         let energy = |plant: &Plant| plant.mechanics().energy(plant.bodies(), 2);
         let before = energy(&plant);

@@ -61,7 +61,7 @@ impl Control for Loops {
         let time = inputs.period as f64 * PERIOD;
         let (now, soon) = ((self.expected)(time), (self.expected)(time + PERIOD));
         for (axis, joint) in self.joints.iter_mut().enumerate() {
-            let measured = joint.start + f64::from(inputs.axes[axis].counts) * joint.per_count;
+            let measured = joint.start + f64::from(inputs.joints[axis].counts) * joint.per_count;
             let error = joint.start + now[axis] - measured;
             let filter = PERIOD / (1.5e-3 + PERIOD);
             joint.rate += filter * ((error - joint.error) / PERIOD - joint.rate);
@@ -71,7 +71,7 @@ impl Control for Loops {
             let code = (effort / joint.full_scale * 8192.0)
                 .round()
                 .clamp(-8192.0, 8191.0);
-            outputs.axes[axis] = DriveCommand::Torque(code as i16);
+            outputs.joints[axis] = DriveCommand::Torque(code as i16);
         }
     }
 }
@@ -177,7 +177,7 @@ fn the_same_seed_gives_the_same_outputs() {
     let faulty_line = || RigOptions {
         baud: Some(115_200),
         ..faults(&[
-            "encoder-noise axis=l2 per-second=2000 at=100ms for=200ms",
+            "encoder-noise joint=l2 per-second=2000 at=100ms for=200ms",
             "link-errors rate=1e-3",
             "link-drop rate=0.01 at=0.3s",
             "missed-periods count=3 at=0.5s",
@@ -192,7 +192,7 @@ fn outputs_take_effect_one_period_later() {
     struct Push;
     impl Control for Push {
         fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
-            outputs.axes[0] = if inputs.period == 3 {
+            outputs.joints[0] = if inputs.period == 3 {
                 DriveCommand::Torque(8191)
             } else {
                 DriveCommand::Off
@@ -315,10 +315,10 @@ fn faults_start_and_end_on_time() {
     let mut rig = rig(
         faults(&[
             "emergency-stop at=2ms for=1ms",
-            "drive-tripped axis=l4 at=4ms for=2ms",
-            "switch-stuck axis=l2 switch=limit-high active=yes at=1ms",
-            "joint-jammed axis=l1 at=20ms",
-            "encoder-slip axis=l3 counts=5000 at=5ms",
+            "drive-tripped joint=l4 at=4ms for=2ms",
+            "switch-stuck joint=l2 switch=limit-high active=yes at=1ms",
+            "joint-jammed joint=l1 at=20ms",
+            "encoder-slip joint=l3 counts=5000 at=5ms",
         ]),
         still,
     );
@@ -331,17 +331,17 @@ fn faults_start_and_end_on_time() {
             "{period}"
         );
         assert_eq!(
-            inputs.axes[3].drive_ready,
+            inputs.joints[3].drive_ready,
             !(10..15).contains(&period) && !(20..30).contains(&period)
         );
-        assert_eq!(inputs.axes[1].limit_high, period >= 5);
-        assert_eq!(inputs.axes[2].counts > 4000, period >= 25);
+        assert_eq!(inputs.joints[1].limit_high, period >= 5);
+        assert_eq!(inputs.joints[2].counts > 4000, period >= 25);
     }
 }
 
 #[test]
 fn a_jammed_slide_stops_and_continues_after_the_fault() {
-    let mut rig = rig(faults(&["joint-jammed axis=l1 at=0.5s for=200ms"]), swing);
+    let mut rig = rig(faults(&["joint-jammed joint=l1 at=0.5s for=200ms"]), swing);
     let mut stood = Vec::new();
     for period in 0..6000 {
         let before = rig.plant().truth().joints[0];
@@ -402,15 +402,15 @@ fn line_errors_have_the_configured_rates() {
 fn invalid_faults_are_refused_with_a_message() {
     for (line, part) in [
         ("", "empty"),
-        ("slide-jamed axis=l2", "unknown fault `slide-jamed`"),
-        ("joint-jammed", "`axis=` is missing"),
-        ("joint-jammed axis=", "`axis=` is empty"),
-        ("joint-jammed axis=l2 effort=much", "not a number"),
-        ("joint-jammed axis=l2 at=3", "must be a time"),
-        ("joint-jammed axis=l2 axis=l3", "is a duplicate"),
-        ("joint-jammed axis=l2 gain=2", "is not a key"),
+        ("slide-jamed joint=l2", "unknown fault `slide-jamed`"),
+        ("joint-jammed", "`joint=` is missing"),
+        ("joint-jammed joint=", "`joint=` is empty"),
+        ("joint-jammed joint=l2 effort=much", "not a number"),
+        ("joint-jammed joint=l2 at=3", "must be a time"),
+        ("joint-jammed joint=l2 joint=l3", "is a duplicate"),
+        ("joint-jammed joint=l2 gain=2", "is not a key"),
         (
-            "encoder-stuck axis=l2 channel=c level=low",
+            "encoder-stuck joint=l2 channel=c level=low",
             "must be a or b",
         ),
         ("link-cut direction=up", "both or to-machine or to-host"),
@@ -420,13 +420,13 @@ fn invalid_faults_are_refused_with_a_message() {
         assert!(error.contains(part), "{line}: {error}");
     }
     for line in [
-        "drive-dead axis=5",
-        "drive-dead axis=0",
-        "drive-dead axis=L1",
+        "drive-dead joint=5",
+        "drive-dead joint=0",
+        "drive-dead joint=L1",
         "link-errors rate=1.5",
-        "joint-jammed axis=l1 effort=-1",
-        "drive-weak axis=l1 gain=inf",
-        "drive-dead axis=l1 at=-1s",
+        "joint-jammed joint=l1 effort=-1",
+        "drive-weak joint=l1 gain=inf",
+        "drive-dead joint=l1 at=-1s",
     ] {
         let options = faults(&[line]);
         assert!(
@@ -483,14 +483,14 @@ proptest! {
         which in 0..9,
     ) {
         let what = match which {
-            0 => FaultKind::EncoderSlip { axis, counts },
+            0 => FaultKind::EncoderSlip { joint: axis, counts },
             1 => FaultKind::LinkErrors { rate: number, direction },
             2 => FaultKind::LinkDelay { ms: number, direction },
-            3 => FaultKind::JointJammed { axis, effort: (counts > 0).then_some(number) },
-            4 => FaultKind::DriveWeak { axis, gain: -number },
+            3 => FaultKind::JointJammed { joint: axis, effort: (counts > 0).then_some(number) },
+            4 => FaultKind::DriveWeak { joint: axis, gain: -number },
             5 => FaultKind::EmergencyStop,
             6 => FaultKind::LinkCut { direction },
-            7 => FaultKind::EncoderNoise { axis, per_second: number },
+            7 => FaultKind::EncoderNoise { joint: axis, per_second: number },
             _ => FaultKind::MissedPeriods { count: counts.unsigned_abs() },
         };
         let fault = Fault { at_s, for_s, what };

@@ -218,7 +218,7 @@ fn a_joint_moved_by_hand_keeps_its_position() {
 fn a_coasting_joint_may_move_far_in_missed_periods() {
     for missed in [1, 20, 300] {
         let faults = [1, 2, 3, 4].map(|slide| {
-            let push = format!("push axis=l{slide} effort=-300 at=9s for=50ms");
+            let push = format!("push joint=l{slide} effort=-300 at=9s for=50ms");
             push.parse().expect("a fault")
         });
         let late = format!("missed-periods count={missed} at=9.045s");
@@ -254,7 +254,7 @@ fn the_threshold_of_a_counter_jump_follows_the_configuration() {
         for (counts, kept) in [(bound - 2.0, true), (bound + 24.0, false)] {
             for sign in [1.0, -1.0] {
                 let counts = (sign * counts) as i32;
-                let mut faults = vec![format!("encoder-slip axis=l1 counts={counts} at=9s")];
+                let mut faults = vec![format!("encoder-slip joint=l1 counts={counts} at=9s")];
                 if missed > 0 {
                     faults.push(format!("missed-periods count={missed} at=9s"));
                 }
@@ -287,7 +287,7 @@ struct Shifted {
 impl Control for Shifted {
     fn tick(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
         let mut inputs = inputs.clone();
-        for axis in &mut inputs.axes {
+        for axis in &mut inputs.joints {
             axis.counts = axis.counts.wrapping_add(self.by);
             axis.index_counts = axis.index_counts.wrapping_add(self.by);
         }

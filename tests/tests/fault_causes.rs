@@ -63,7 +63,7 @@ fn missed_periods_are_reported_before_their_consequences() {
 fn missed_periods_do_not_keep_the_position_of_a_reversed_encoder() {
     for missed in [3, 15, 50] {
         for speed in [4.0, 16.0] {
-            let faults = format!("missed-periods count={missed}; encoder-swapped axis=l1");
+            let faults = format!("missed-periods count={missed}; encoder-swapped joint=l1");
             let (mut bench, _) = bench_with_fault(&moving(0, speed), speed, &faults);
             bench.steps(3000);
             let status = bench.status();
@@ -81,7 +81,7 @@ fn a_counter_jump_loses_the_position() {
         let (mut bench, _) = bench_with_fault(
             &moving(0, 4.0),
             4.0,
-            &format!("encoder-slip axis=l1 counts={counts}"),
+            &format!("encoder-slip joint=l1 counts={counts}"),
         );
         bench.steps(1000);
         let status = bench.status();
@@ -96,7 +96,7 @@ fn a_counter_jump_loses_the_position() {
 
 /// Slips a counter at standstill or in motion. Returns the fault, and the travel until it.
 fn slip_until_fault(counts: i32, standing: bool) -> (Bench, Fault, f64) {
-    let slip = format!("encoder-slip axis=l1 counts={counts}");
+    let slip = format!("encoder-slip joint=l1 counts={counts}");
     let mut bench = if standing {
         let like = ready();
         let at = like.rig.time_ns() as f64 * 1e-9;
@@ -157,7 +157,7 @@ fn lost_counts_are_found_within_two_turns() {
 #[test]
 fn a_pushed_slide_needs_only_homing() {
     for effort in [-300, -150, 150, 200, 400] {
-        let push = format!("push axis=l1 effort={effort} for=12ms");
+        let push = format!("push joint=l1 effort={effort} for=12ms");
         let (mut bench, _) = bench_with_fault(&moving(0, 4.0), 4.0, &push);
         bench.steps(1000);
         let status = bench.status();
@@ -179,9 +179,9 @@ fn a_pushed_slide_needs_only_homing() {
 #[test]
 fn a_suspected_encoder_stays_suspected_with_a_new_configuration() {
     for (fault, position_confirmed) in [
-        ("push axis=l1 effort=300 for=12ms", true),
+        ("push joint=l1 effort=300 for=12ms", true),
         (
-            "encoder-stuck axis=l1 channel=a level=high for=300ms",
+            "encoder-stuck joint=l1 channel=a level=high for=300ms",
             false,
         ),
     ] {
@@ -208,7 +208,7 @@ fn a_suspected_encoder_stays_suspected_with_a_new_configuration() {
 /// An encoder may be off by this many counts itself. A healthy one is never reported.
 #[test]
 fn an_offset_of_one_encoder_line_is_tolerated() {
-    let (mut bench, _) = bench_with_fault(&moving(0, 8.0), 8.0, "encoder-slip axis=l1 counts=3");
+    let (mut bench, _) = bench_with_fault(&moving(0, 8.0), 8.0, "encoder-slip joint=l1 counts=3");
     bench.steps(30_000);
     let status = bench.status();
     assert_eq!((status.state, status.fault), (State::Idle, None));
@@ -340,7 +340,7 @@ fn a_new_index_slack_keeps_the_position() {
 /// A reset in the period of the fault hides neither the fault nor the lost position.
 #[test]
 fn a_reset_in_the_period_of_a_fault_does_not_hide_it() {
-    let slip = "encoder-slip axis=l1 counts=700";
+    let slip = "encoder-slip joint=l1 counts=700";
     let (mut like, _) = bench_with_fault(&moving(0, 4.0), 4.0, slip);
     while like.rig.control().safety().fault().is_none() {
         like.step();

@@ -261,12 +261,12 @@ fn lost_steps_of_one_motor_are_reported_at_the_next_homing() {
 #[test]
 fn a_defect_of_one_switch_stops_both_motors() {
     for fault in [
-        "switch-missing axis=y switch=home",
-        "switch-missing axis=y2 switch=home",
-        "switch-stuck axis=y switch=home active=yes",
-        "switch-stuck axis=y2 switch=home active=yes",
-        "switch-inverted axis=y switch=home",
-        "switch-inverted axis=y2 switch=home",
+        "switch-missing joint=y switch=home",
+        "switch-missing joint=y2 switch=home",
+        "switch-stuck joint=y switch=home active=yes",
+        "switch-stuck joint=y2 switch=home active=yes",
+        "switch-inverted joint=y switch=home",
+        "switch-inverted joint=y2 switch=home",
     ] {
         for by in [-1.5, 1.5] {
             let mut bench = router(&racked(by), &[fault]);
@@ -285,8 +285,8 @@ fn a_defect_of_one_switch_stops_both_motors() {
 #[test]
 fn a_beam_without_switches_is_a_missing_switch() {
     let both = [
-        "switch-missing axis=y switch=home",
-        "switch-missing axis=y2 switch=home",
+        "switch-missing joint=y switch=home",
+        "switch-missing joint=y2 switch=home",
     ];
     let mut bench = router(ROUTER, &both);
     assert_eq!(home(&mut bench).0, State::Fault);
@@ -298,7 +298,7 @@ fn a_beam_without_switches_is_a_missing_switch() {
 
 #[test]
 fn switches_that_bounce_square_the_beam() {
-    let mut bench = router(ROUTER, &["switch-bounces axis=y2 switch=home ms=8"]);
+    let mut bench = router(ROUTER, &["switch-bounces joint=y2 switch=home ms=8"]);
     assert_eq!(home(&mut bench).0, State::Idle, "{:?}", bench.events);
     assert_square(&mut bench);
 }

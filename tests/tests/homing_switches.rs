@@ -208,27 +208,27 @@ fn homing_begins_from_beyond_a_switch() {
 #[test]
 fn lost_steps_before_homing_and_a_jam_in_it() {
     // A jam that ends: steps are lost in the fast search, and the slow touch is right.
-    let mut bench = mill(MILL, &["joint-jammed axis=z at=1.5s for=500ms"]);
+    let mut bench = mill(MILL, &["joint-jammed joint=z at=1.5s for=500ms"]);
     assert_homed(&mut bench);
     // A joint that never moves does not come to its switch.
-    let mut bench = mill(MILL, &["joint-jammed axis=z"]);
+    let mut bench = mill(MILL, &["joint-jammed joint=z"]);
     assert_failed(&mut bench, 2, HomingProblem::NoSwitch);
 }
 
 #[test]
 fn a_switch_that_sticks_or_is_missing_ends_homing() {
     for fault in [
-        "switch-missing axis=x switch=home",
-        "switch-stuck axis=x switch=home active=no",
+        "switch-missing joint=x switch=home",
+        "switch-stuck joint=x switch=home active=no",
     ] {
         let mut bench = mill(MILL, &[fault]);
         assert_failed(&mut bench, 0, HomingProblem::NoSwitch);
     }
     // Closed from the start; and closed when it was pressed, in the middle of homing.
     for fault in [
-        "switch-stuck axis=z switch=home active=yes",
-        "switch-stuck axis=z switch=home active=yes at=1.2s",
-        "switch-inverted axis=z switch=home",
+        "switch-stuck joint=z switch=home active=yes",
+        "switch-stuck joint=z switch=home active=yes at=1.2s",
+        "switch-inverted joint=z switch=home",
     ] {
         let mut bench = mill(MILL, &[fault]);
         assert_failed(&mut bench, 2, HomingProblem::SwitchStuck);
@@ -237,13 +237,13 @@ fn a_switch_that_sticks_or_is_missing_ends_homing() {
         assert!(z > 20.0, "{fault}: {z}");
     }
     // It closes again while the joint moves off.
-    let mut bench = mill(MILL, &["switch-stuck axis=z switch=home active=yes at=3s"]);
+    let mut bench = mill(MILL, &["switch-stuck joint=z switch=home active=yes at=3s"]);
     assert_failed(&mut bench, 2, HomingProblem::SwitchUnsteady);
 }
 
 #[test]
 fn a_contact_that_bounces_is_found() {
-    let mut bench = mill(MILL, &["switch-bounces axis=x switch=home ms=8"]);
+    let mut bench = mill(MILL, &["switch-bounces joint=x switch=home ms=8"]);
     assert_homed(&mut bench);
 }
 
@@ -264,7 +264,7 @@ fn the_active_level_is_configured() {
     let mut bench = mill_with_plant(&wired, &low, &[]);
     assert_failed(&mut bench, 2, HomingProblem::SwitchStuck);
     // The line of a contact that opens is low when its cable breaks: it is found active.
-    let mut bench = mill(&wired, &["switch-missing axis=z switch=home"]);
+    let mut bench = mill(&wired, &["switch-missing joint=z switch=home"]);
     assert_failed(&mut bench, 2, HomingProblem::SwitchStuck);
 }
 
@@ -302,8 +302,11 @@ fn a_limit_switch_serves_as_home_switch() {
     assert_homed(&mut bench);
     // The other limit stays one.
     let text = with(&text, "high = 160.0\n", "high = 160.0\nlimit_high = 10.0\n");
-    let stuck =
-        mill(&text, &["switch-stuck axis=x switch=limit-high active=yes"]).ask(Command::Enable);
+    let stuck = mill(
+        &text,
+        &["switch-stuck joint=x switch=limit-high active=yes"],
+    )
+    .ask(Command::Enable);
     assert_eq!(
         stuck,
         Err(Refusal::Input(InputProblem::LimitSwitch { joint: 0 }))
@@ -391,7 +394,7 @@ fn switch_and_index_on_servo_joints() {
     let text = servo_with_switches();
     let mut bench = mill(&text, &[]);
     assert_homed(&mut bench);
-    let mut bench = mill(&text, &["index-missing axis=y"]);
+    let mut bench = mill(&text, &["index-missing joint=y"]);
     assert_failed(&mut bench, 1, HomingProblem::NoIndex);
 }
 

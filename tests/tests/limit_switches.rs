@@ -44,7 +44,7 @@ fn bench(text: &str, faults: &[String]) -> Bench {
 /// The servo mill with a joint pushed onto a limit switch by hand, drives off.
 fn pushed(joint: usize, upper: bool, more: &[&str]) -> Bench {
     let effort = if upper { 45.0 } else { -45.0 };
-    let push = format!("push axis={} effort={effort} at=1s for=7s", NAMES[joint]);
+    let push = format!("push joint={} effort={effort} at=1s for=7s", NAMES[joint]);
     let mut faults = vec![push];
     faults.extend(more.iter().map(ToString::to_string));
     let mut bench = bench(SERVO, &faults);
@@ -207,7 +207,7 @@ fn anything_else_is_refused_and_nothing_moves() {
     let idle = Err(Refusal::State(State::Idle));
     assert_eq!(free.ask(Command::MoveOff { joint: 0 }), idle);
     let both =
-        ["low", "high"].map(|end| format!("switch-stuck axis=x switch=limit-{end} active=yes"));
+        ["low", "high"].map(|end| format!("switch-stuck joint=x switch=limit-{end} active=yes"));
     let mut both = bench(SERVO, &both);
     let refused = Err(Refusal::Input(InputProblem::BothLimitSwitches { joint: 0 }));
     assert_eq!(both.ask(Command::MoveOff { joint: 0 }), refused);
@@ -222,7 +222,7 @@ fn anything_else_is_refused_and_nothing_moves() {
     let mut bench = pushed(
         0,
         true,
-        &["switch-stuck axis=y switch=limit-low active=yes at=11s"],
+        &["switch-stuck joint=y switch=limit-low active=yes at=11s"],
     );
     bench.ask(Command::MoveOff { joint: 0 }).expect("moves");
     let homing = Err(Refusal::State(State::Homing));
@@ -244,8 +244,8 @@ fn anything_else_is_refused_and_nothing_moves() {
 #[test]
 fn a_switch_that_does_not_open_ends_the_motion() {
     for fault in [
-        "switch-stuck axis=x switch=limit-low active=yes",
-        "switch-inverted axis=x switch=limit-low",
+        "switch-stuck joint=x switch=limit-low active=yes",
+        "switch-inverted joint=x switch=limit-low",
     ] {
         let mut bench = bench(SERVO, &[fault.to_string()]);
         bench.ask(Command::MoveOff { joint: 0 }).expect("moves");
@@ -265,8 +265,8 @@ fn a_switch_that_does_not_open_ends_the_motion() {
     }
     // The upper switch is wired to the lower input: the joint runs onto its hard stop.
     let exchanged = [
-        "switch-missing axis=x switch=limit-high",
-        "switch-stuck axis=x switch=limit-low active=yes",
+        "switch-missing joint=x switch=limit-high",
+        "switch-stuck joint=x switch=limit-low active=yes",
     ];
     let mut bench = pushed(0, true, &exchanged);
     bench.ask(Command::MoveOff { joint: 0 }).expect("moves");
@@ -355,7 +355,7 @@ proptest! {
     fn an_interrupted_motion_ends_and_never_claims_a_wrong_position(
         joint in 0_usize..3, upper: bool, kind in 0_u8..7, at in 0_usize..30_000,
     ) {
-        let jam = format!("joint-jammed axis={} at={}s", NAMES[joint], 10.0 + at as f64 * 2e-4);
+        let jam = format!("joint-jammed joint={} at={}s", NAMES[joint], 10.0 + at as f64 * 2e-4);
         let late = format!("missed-periods count=60 at={}s", 10.0 + at as f64 * 2e-4);
         let jams: &[&str] = match kind {
             0 => &[&jam],

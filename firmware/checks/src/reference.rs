@@ -1,7 +1,7 @@
 //! The reference H-4 machine as a configuration.
 
 use haptimill_firmware::config::{
-    AxisKind, Config, Drive, EncoderAxis, Home, Homing, JointAxis, PoseAxis, ServoConfig,
+    AxisKind, Config, Drive, EncoderSettings, Home, Homing, JointSettings, PoseAxis, ServoConfig,
     ServoForm, Stopping, Supervision,
 };
 use haptimill_firmware::force::sensor::{Channel, ForceSensor};
@@ -47,8 +47,8 @@ fn pose_axis(
     }
 }
 
-fn slide(preset: f64) -> JointAxis {
-    JointAxis {
+fn slide(preset: f64) -> JointSettings {
+    JointSettings {
         kind: AxisKind::Linear,
         low: Coordinate(mm(preset - 250.0)),
         high: Coordinate(mm(preset + 250.0)),
@@ -73,7 +73,7 @@ fn slide(preset: f64) -> JointAxis {
         },
         preset: Coordinate(mm(preset)),
         home: Home::Index,
-        encoder: Some(EncoderAxis {
+        encoder: Some(EncoderSettings {
             per_count: i64::from(mm(10.0)) * (1 << 24) / 8000,
             following: Coordinate(mm(0.5)),
             following_lag: 1311,
@@ -89,8 +89,8 @@ fn slide(preset: f64) -> JointAxis {
     }
 }
 
-fn table() -> JointAxis {
-    JointAxis {
+fn table() -> JointSettings {
+    JointSettings {
         kind: AxisKind::Rotary,
         low: Coordinate(degrees(-45.0)),
         high: Coordinate(degrees(45.0)),
@@ -98,7 +98,7 @@ fn table() -> JointAxis {
         backlash: Coordinate(0),
         backlash_table: Default::default(),
         preset: Coordinate(0),
-        encoder: Some(EncoderAxis {
+        encoder: Some(EncoderSettings {
             per_count: (i64::from(degrees(4.0)) << 24) / 8000,
             following: Coordinate(degrees(0.5)),
             following_lag: 1311,

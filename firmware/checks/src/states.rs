@@ -72,7 +72,7 @@ impl Bed {
         let mut link = HostLink::new(Timing::default());
         link.open(7, 0);
         let mut inputs = Inputs::default();
-        for axis in &mut inputs.axes {
+        for axis in &mut inputs.joints {
             axis.drive_ready = true;
         }
         Self {
@@ -93,8 +93,8 @@ impl Bed {
         let inputs = &mut self.inputs;
         inputs.period += 1 + u64::from(inputs.missed);
         inputs.time_ns = inputs.time_ns.wrapping_add(200_000);
-        for (joint, axis) in inputs.axes.iter_mut().enumerate().take(JOINTS) {
-            let DriveCommand::Steps(segment) = self.outputs.axes[joint] else {
+        for (joint, axis) in inputs.joints.iter_mut().enumerate().take(JOINTS) {
+            let DriveCommand::Steps(segment) = self.outputs.joints[joint] else {
                 continue;
             };
             let way = i32::from(segment.count.signum());
@@ -170,7 +170,7 @@ impl Bed {
 
     fn drives_off(&self) -> bool {
         let off = |command: &DriveCommand| *command == DriveCommand::Off;
-        self.outputs.axes.iter().all(off) && self.outputs.spindle_rpm == 0
+        self.outputs.joints.iter().all(off) && self.outputs.spindle_rpm == 0
     }
 
     /// Sends bytes as the configuration.
@@ -260,9 +260,9 @@ impl Bed {
         assert_eq!(self.state(), State::Disabled);
         assert_eq!(self.ask(Command::Enable), Ok(()));
         assert_eq!(self.state(), State::Idle);
-        let before = self.inputs.axes.map(|axis| axis.counts);
+        let before = self.inputs.joints.map(|axis| axis.counts);
         self.steps(500);
-        let after = self.inputs.axes.map(|axis| axis.counts);
+        let after = self.inputs.joints.map(|axis| axis.counts);
         for (before, after) in before.into_iter().zip(after) {
             assert!((after - before).abs() <= 1, "it jumped");
         }
@@ -311,7 +311,7 @@ fn job() {
     assert_eq!(bed.state(), State::Disabled);
     bed.make_ready();
     let start = bed.commanded();
-    let counts = bed.inputs.axes.map(|axis| axis.counts);
+    let counts = bed.inputs.joints.map(|axis| axis.counts);
     let setpoints = bed.start_job(2);
     assert_eq!(bed.state(), State::Run);
     let mut farthest = 0;
@@ -334,7 +334,7 @@ fn job() {
     );
     // There and back again: the command to the last bit, and the motion to a step.
     assert_eq!(bed.commanded(), start);
-    for (before, axis) in counts.into_iter().zip(&bed.inputs.axes) {
+    for (before, axis) in counts.into_iter().zip(&bed.inputs.joints) {
         assert!((axis.counts - before).abs() <= 1);
         assert_eq!(axis.counts, axis.steps);
     }
@@ -387,7 +387,7 @@ fn trip() {
     bed.make_ready();
     bed.start_job(2);
     bed.steps(1500);
-    bed.inputs.axes[2].drive_ready = false;
+    bed.inputs.joints[2].drive_ready = false;
     bed.step();
     assert_eq!(bed.state(), State::Fault);
     assert!(bed.drives_off());
@@ -396,7 +396,7 @@ fn trip() {
         Some(Fault::Drive { joint: 2 })
     );
     assert!(bed.ask(Command::Enable).is_err());
-    bed.inputs.axes[2].drive_ready = true;
+    bed.inputs.joints[2].drive_ready = true;
     bed.recover();
 }
 

@@ -1,7 +1,8 @@
 //! Checks of a configuration before it is activated. A refusal names the field and its axis.
 
 use super::{
-    AxisKind, Config, Drive, EncoderAxis, Home, JointAxis, PoseAxis, ServoConfig, SwitchHome,
+    AxisKind, Config, Drive, EncoderSettings, Home, JointSettings, PoseAxis, ServoConfig,
+    SwitchHome,
 };
 use crate::config::volumetric::{CORRECTION, ERROR_AXES};
 use crate::config::{BACKLASH_SLOPE_SHIFT, HAPTICS};
@@ -100,7 +101,8 @@ impl Config {
             ConfigField::Homing,
             None,
         )?;
-        let searched = |joint: &JointAxis, kind| joint.kind == kind && joint.home == Home::Index;
+        let searched =
+            |joint: &JointSettings, kind| joint.kind == kind && joint.home == Home::Index;
         let needed = |kind| self.joints.iter().any(|joint| searched(joint, kind));
         require(
             (self.homing.rate.0 > 0 || !needed(AxisKind::Linear))
@@ -202,7 +204,7 @@ impl Config {
         )
     }
 
-    fn check_joint(&self, index: usize, axis: &JointAxis) -> Check {
+    fn check_joint(&self, index: usize, axis: &JointSettings) -> Check {
         let here = Some(index);
         let limited = axis.low < axis.high && within(axis.low.0) && within(axis.high.0);
         let turns = || {
@@ -252,7 +254,7 @@ impl Config {
 
     /// Checks that the joints of the model come first, and that the two motors of a gantry home
     /// together and reach the same places.
-    fn check_gantry(&self, index: usize, axis: &JointAxis) -> Check {
+    fn check_gantry(&self, index: usize, axis: &JointSettings) -> Check {
         let axes = self.model.descriptor().axes();
         let Some(gantry) = &axis.gantry else {
             return require(index < axes, ConfigField::AxisCount, Some(index));
@@ -286,7 +288,11 @@ impl Config {
         require(sound && racking, ConfigField::Gantry, Some(index))
     }
 
-    fn check_encoder(here: Option<usize>, axis: &JointAxis, encoder: &EncoderAxis) -> Check {
+    fn check_encoder(
+        here: Option<usize>,
+        axis: &JointSettings,
+        encoder: &EncoderSettings,
+    ) -> Check {
         let per_count = encoder.per_count.unsigned_abs();
         require(
             (1 << 20..1 << 44).contains(&per_count),
@@ -316,7 +322,7 @@ impl Config {
         require(slack, ConfigField::Homing, here)
     }
 
-    fn check_drive(&self, here: Option<usize>, axis: &JointAxis) -> Check {
+    fn check_drive(&self, here: Option<usize>, axis: &JointSettings) -> Check {
         match &axis.drive {
             Drive::Torque { full_scale, limit } => {
                 let sound =
@@ -366,7 +372,7 @@ impl Config {
 
 /// Whether the search for a switch stays within the numbers of the joint, and stops within the
 /// distance in which the switch is released.
-fn is_sound(axis: &JointAxis, switch: &SwitchHome) -> bool {
+fn is_sound(axis: &JointSettings, switch: &SwitchHome) -> bool {
     let stroke = i64::from(axis.low.0)..=i64::from(axis.high.0);
     let at = i64::from(switch.coordinate.0);
     let off = i64::from(switch.back_off.0);
@@ -407,7 +413,7 @@ fn within(value: i32) -> bool {
 }
 
 /// Whether the backlash table of a joint is within its bounds: values, slopes, distance of nodes.
-fn has_sound_table(axis: &JointAxis) -> bool {
+fn has_sound_table(axis: &JointSettings) -> bool {
     let table = &axis.backlash_table;
     let Some(spans) = table.len().checked_sub(1) else {
         return true;

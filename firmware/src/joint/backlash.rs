@@ -30,7 +30,7 @@
 //! limit-cycle across it.
 
 use super::encoder::{difference, sum};
-use crate::config::{AxisKind, BACKLASH_NODES, JointAxis};
+use crate::config::{AxisKind, BACKLASH_NODES, JointSettings};
 use crate::digest::impl_digest;
 use crate::rate_filter::approach;
 use haptimill_math::reciprocal::{Factor, Scale, saturate};
@@ -95,7 +95,7 @@ struct Table {
 }
 
 impl Table {
-    fn new(axis: &JointAxis) -> Self {
+    fn new(axis: &JointSettings) -> Self {
         let spans = axis.backlash_table.len().saturating_sub(1).max(1) as i64;
         let pitch = (i64::from(axis.high.0) - i64::from(axis.low.0)) / spans;
         let halves = axis
@@ -137,7 +137,7 @@ const fn half_of(lost_motion: Coordinate) -> i32 {
 impl Backlash {
     /// Compensation of the lost motion of a joint (its magnitude counts; 0 switches the
     /// compensation off).
-    pub fn new(axis: &JointAxis, period_us: u16) -> Self {
+    pub fn new(axis: &JointSettings, period_us: u16) -> Self {
         let half = half_of(axis.backlash);
         let room = half.leading_zeros() - 2;
         let fraction = if room > FRACTION { FRACTION } else { room };

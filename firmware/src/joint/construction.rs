@@ -9,7 +9,7 @@ use super::step_gen::{PulseTiming, StepPlanner};
 use super::step_supervision::StepSupervision;
 use super::torque::TorqueOutput;
 use super::{JointCommand, JointDrive, JointMeasurement, Output, ServoOutput};
-use crate::config::{Drive, JointAxis};
+use crate::config::{Drive, JointSettings};
 use haptimill_math::Coordinate;
 
 /// Reason why the configuration of a joint is invalid.
@@ -39,7 +39,7 @@ const REACH_FACTOR: u64 = 10;
 /// counts.
 ///
 /// A count of emitted steps cannot jump.
-fn reach(axis: &JointAxis, period_us: u16) -> u32 {
+fn reach(axis: &JointSettings, period_us: u16) -> u32 {
     let Some(encoder) = &axis.encoder else {
         return u32::MAX;
     };
@@ -63,7 +63,7 @@ impl JointDrive {
     /// # Errors
     ///
     /// A [`DriveError`] if the configuration of the joint is invalid.
-    pub fn new(axis: &JointAxis, period_us: u16) -> Result<Self, DriveError> {
+    pub fn new(axis: &JointSettings, period_us: u16) -> Result<Self, DriveError> {
         if !(50..=1000).contains(&period_us) {
             return Err(DriveError::Period);
         }

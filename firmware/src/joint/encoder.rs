@@ -10,7 +10,7 @@
 use super::edge_timer::EdgeTimer;
 use crate::config::AxisKind;
 use crate::digest::impl_digest;
-use crate::io::AxisInputs;
+use crate::io::JointInputs;
 use haptimill_math::reciprocal::saturate;
 use haptimill_math::{Coordinate, Rate};
 
@@ -92,7 +92,7 @@ impl Encoder {
     /// Reads the inputs of a period, latched at `time_ns`. The first reading is the start and shows
     /// no motion.
     #[inline]
-    pub fn read(&mut self, inputs: &AxisInputs, time_ns: u32) -> Measured {
+    pub fn read(&mut self, inputs: &JointInputs, time_ns: u32) -> Measured {
         if self.fresh {
             self.begin(inputs);
         }
@@ -119,7 +119,7 @@ impl Encoder {
 
     #[cold]
     #[inline(never)]
-    fn begin(&mut self, inputs: &AxisInputs) {
+    fn begin(&mut self, inputs: &JointInputs) {
         self.fresh = false;
         self.raw = inputs.counts;
         self.travelled = 0;

@@ -37,9 +37,9 @@ pub mod torque;
 
 pub use construction::DriveError;
 
-use crate::config::{AxisKind, JointAxis, Supervision};
+use crate::config::{AxisKind, JointSettings, Supervision};
 use crate::digest::{Constants, Digest, impl_digest};
-use crate::io::{AxisInputs, DriveCommand};
+use crate::io::{DriveCommand, JointInputs};
 use crate::joint::monitor::{JointMonitor, JointSample};
 use crate::joint::servo::ServoLaw;
 use backlash::Backlash;
@@ -171,7 +171,7 @@ impl JointDrive {
     /// Reads the joint's inputs, latched at `time_ns` of the board's clock. Callers must call it
     /// once every period.
     #[inline(never)]
-    pub fn measure(&mut self, inputs: &AxisInputs, time_ns: u32) -> &JointMeasurement {
+    pub fn measure(&mut self, inputs: &JointInputs, time_ns: u32) -> &JointMeasurement {
         let measured = if self.open_loop {
             self.count_steps(inputs, time_ns)
         } else {
@@ -205,18 +205,18 @@ impl JointDrive {
     /// Reads the count of emitted steps in place of an encoder.
     #[cold]
     #[inline(never)]
-    fn count_steps(&mut self, inputs: &AxisInputs, time_ns: u32) -> Measured {
-        let steps = AxisInputs {
+    fn count_steps(&mut self, inputs: &JointInputs, time_ns: u32) -> Measured {
+        let steps = JointInputs {
             counts: inputs.steps,
             edge_time_ns: time_ns,
-            ..AxisInputs::default()
+            ..JointInputs::default()
         };
         self.encoder.read(&steps, time_ns)
     }
 
     /// The counter that [`Self::set_reference`] refers to: the encoder's, or the emitted steps.
     #[must_use]
-    pub const fn counter(&self, inputs: &AxisInputs) -> i32 {
+    pub const fn counter(&self, inputs: &JointInputs) -> i32 {
         if self.open_loop {
             inputs.steps
         } else {
@@ -351,7 +351,7 @@ impl JointDrive {
     /// Updates the rotor lock by one period. Returns the distance of the rotor from where its drive
     /// was switched on, and the number of periods for which it has stayed within an eighth of the
     /// limit of lost steps (at least two counts). `None` for a torque drive.
-    pub fn locking(&mut self, axis: &JointAxis) -> Option<(Coordinate, u32)> {
+    pub fn locking(&mut self, axis: &JointSettings) -> Option<(Coordinate, u32)> {
         let Output::Steps { supervision, .. } = &mut self.output else {
             return None;
         };
@@ -433,7 +433,7 @@ impl JointDrive {
     pub fn supervise(
         &mut self,
         joint: u8,
-        axis: &JointAxis,
+        axis: &JointSettings,
         limits: &Supervision,
         period_us: u16,
         missed: bool,
@@ -476,7 +476,7 @@ impl JointDrive {
     pub fn supervise_unpowered(
         &mut self,
         joint: u8,
-        axis: &JointAxis,
+        axis: &JointSettings,
         period_us: u16,
     ) -> Option<Fault> {
         let seen = JointSample {

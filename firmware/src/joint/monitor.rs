@@ -16,9 +16,9 @@
 //! All of these need an encoder. A joint without one is supervised for one thing: the board emits
 //! the steps that were commanded ([`JointMonitor::check_steps`]).
 //!
-//! Limits are in axis units of the joint; all of them come from its [`JointAxis`].
+//! Limits are in axis units of the joint; all of them come from its [`JointSettings`].
 
-use crate::config::{Drive, EncoderAxis, JointAxis};
+use crate::config::{Drive, EncoderSettings, JointSettings};
 use crate::joint::reversals::Reversals;
 use haptimill_math::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
@@ -118,7 +118,7 @@ impl JointMonitor {
     /// then.
     #[must_use]
     #[inline]
-    pub const fn pushes(config: &JointAxis, effort: Effort) -> bool {
+    pub const fn pushes(config: &JointSettings, effort: Effort) -> bool {
         match config.drive {
             Drive::Torque { limit, .. } => effort.0.unsigned_abs() >= limit.0.unsigned_abs() / 8,
             Drive::Steps { .. } => false,
@@ -130,8 +130,8 @@ impl JointMonitor {
     pub fn check(
         &mut self,
         joint: u8,
-        config: &JointAxis,
-        encoder: &EncoderAxis,
+        config: &JointSettings,
+        encoder: &EncoderSettings,
         illegal_limit: u16,
         sample: &JointSample,
     ) -> Option<Fault> {
@@ -157,7 +157,7 @@ impl JointMonitor {
     /// backlash.
     #[cold]
     #[inline(never)]
-    pub fn check_steps(joint: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    pub fn check_steps(joint: u8, config: &JointSettings, sample: &JointSample) -> Option<Fault> {
         let Drive::Steps { per_step, .. } = config.drive else {
             return None;
         };
@@ -181,8 +181,8 @@ impl JointMonitor {
     fn check_jump(
         &mut self,
         joint: u8,
-        config: &JointAxis,
-        encoder: &EncoderAxis,
+        config: &JointSettings,
+        encoder: &EncoderSettings,
         sample: &JointSample,
     ) -> Option<Fault> {
         let now = if sample.missed {
@@ -204,7 +204,12 @@ impl JointMonitor {
     /// Whether `change` counts are more than an impact can cause in a period.
     #[cold]
     #[inline(never)]
-    fn impact(config: &JointAxis, encoder: &EncoderAxis, period_us: u16, change: u32) -> bool {
+    fn impact(
+        config: &JointSettings,
+        encoder: &EncoderSettings,
+        period_us: u16,
+        change: u32,
+    ) -> bool {
         let Drive::Torque { limit, .. } = config.drive else {
             // [`JointMonitor::check_lost_steps`] finds lost steps.
             return false;
@@ -220,7 +225,7 @@ impl JointMonitor {
     }
 
     /// Lost steps.
-    fn check_lost_steps(joint: u8, config: &JointAxis, sample: &JointSample) -> Option<Fault> {
+    fn check_lost_steps(joint: u8, config: &JointSettings, sample: &JointSample) -> Option<Fault> {
         let Drive::Steps { lost, .. } = config.drive else {
             return None;
         };
@@ -234,8 +239,8 @@ impl JointMonitor {
     /// (the solve stage checks it); the measured one may be off by the following error.
     fn check_stroke(
         joint: u8,
-        config: &JointAxis,
-        encoder: &EncoderAxis,
+        config: &JointSettings,
+        encoder: &EncoderSettings,
         sample: &JointSample,
     ) -> Option<Fault> {
         if !sample.placed || (config.low..=config.high).contains(&sample.measured) {
@@ -261,8 +266,8 @@ impl JointMonitor {
     fn check_runaway(
         &mut self,
         joint: u8,
-        config: &JointAxis,
-        encoder: &EncoderAxis,
+        config: &JointSettings,
+        encoder: &EncoderSettings,
         sample: &JointSample,
     ) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
@@ -311,8 +316,8 @@ impl JointMonitor {
     pub fn check_stuck_channel(
         &mut self,
         joint: u8,
-        config: &JointAxis,
-        encoder: &EncoderAxis,
+        config: &JointSettings,
+        encoder: &EncoderSettings,
         sample: &JointSample,
     ) -> Option<Fault> {
         let position = Coordinate(self.reversals.place());
@@ -334,8 +339,8 @@ impl JointMonitor {
     #[inline(never)]
     fn resonates(
         &mut self,
-        config: &JointAxis,
-        encoder: &EncoderAxis,
+        config: &JointSettings,
+        encoder: &EncoderSettings,
         sample: &JointSample,
         is_away: bool,
     ) -> bool {
@@ -368,8 +373,8 @@ impl JointMonitor {
     fn check_effort(
         &mut self,
         joint: u8,
-        config: &JointAxis,
-        encoder: &EncoderAxis,
+        config: &JointSettings,
+        encoder: &EncoderSettings,
         sample: &JointSample,
     ) -> Option<Fault> {
         let Drive::Torque { limit: most, .. } = config.drive else {
@@ -434,8 +439,8 @@ impl JointMonitor {
     fn check_motion(
         &mut self,
         joint: u8,
-        config: &JointAxis,
-        encoder: &EncoderAxis,
+        config: &JointSettings,
+        encoder: &EncoderSettings,
         sample: &JointSample,
     ) -> Option<Fault> {
         let (commanded_then, measured_then) = *self
@@ -456,8 +461,8 @@ impl JointMonitor {
     /// The following error against its limit.
     fn check_following_error(
         joint: u8,
-        config: &JointAxis,
-        encoder: &EncoderAxis,
+        config: &JointSettings,
+        encoder: &EncoderSettings,
         sample: &JointSample,
     ) -> Option<Fault> {
         if distance(config, sample.commanded, sample.measured) <= encoder.following.magnitude() {
@@ -485,30 +490,30 @@ const fn direction_of(value: i32) -> i32 {
 }
 
 /// Whether `moved` counts are motion in `direction`.
-const fn counts_along(encoder: &EncoderAxis, moved: i32, direction: i32) -> bool {
+const fn counts_along(encoder: &EncoderSettings, moved: i32, direction: i32) -> bool {
     (moved > 0) == ((encoder.per_count > 0) == (direction > 0))
 }
 
 /// Size of an encoder count, axis units.
-fn count(encoder: &EncoderAxis) -> u32 {
+fn count(encoder: &EncoderSettings) -> u32 {
     u32::try_from(encoder.per_count.unsigned_abs() >> 24).unwrap_or(u32::MAX)
 }
 
 /// Limit of the apparent motion by a stuck channel, axis units: two and a half counts. A stuck
 /// channel moves the count back and forth by one.
-fn stuck_distance(encoder: &EncoderAxis) -> u32 {
+fn stuck_distance(encoder: &EncoderSettings) -> u32 {
     count(encoder).saturating_mul(5) / 2
 }
 
 /// Effort that friction may take: the compensated friction, and at least a 32nd of the drive's
 /// limit `most`.
-fn friction(config: &JointAxis, most: u32) -> u32 {
+fn friction(config: &JointSettings, most: u32) -> u32 {
     config.law.coulomb.0.unsigned_abs().max(most / 32)
 }
 
 /// Distance from `b` to `a`, in the shorter direction on a joint of one turn, axis units.
 #[inline]
-fn distance(config: &JointAxis, a: Coordinate, b: Coordinate) -> u32 {
+fn distance(config: &JointSettings, a: Coordinate, b: Coordinate) -> u32 {
     if config.kind.is_circular() {
         a.0.wrapping_sub(b.0).unsigned_abs()
     } else {
@@ -517,7 +522,7 @@ fn distance(config: &JointAxis, a: Coordinate, b: Coordinate) -> u32 {
 }
 
 /// `a - b`; the shorter way round on a joint of one turn.
-fn difference(config: &JointAxis, a: Coordinate, b: Coordinate) -> i64 {
+fn difference(config: &JointSettings, a: Coordinate, b: Coordinate) -> i64 {
     if config.kind.is_circular() {
         i64::from(a.0.wrapping_sub(b.0))
     } else {

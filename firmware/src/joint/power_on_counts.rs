@@ -6,7 +6,7 @@
 //!
 //! Callers must make sure that the counters are running at the first period.
 
-use crate::io::{AxisInputs, Inputs};
+use crate::io::{Inputs, JointInputs};
 use crate::joint::reversals::Reversals;
 use haptimill_protocol::message::MAX_AXES;
 
@@ -35,7 +35,7 @@ pub struct Counted {
 pub struct SincePowerOn {
     started: bool,
     /// The encoders, as many as a machine may have.
-    pub axes: [Counted; MAX_AXES],
+    pub encoders: [Counted; MAX_AXES],
 }
 
 impl SincePowerOn {
@@ -44,7 +44,7 @@ impl SincePowerOn {
     pub fn update(&mut self, inputs: &Inputs, period_us: u16) {
         let periods = u32::from(inputs.missed) + 1;
         let started = core::mem::replace(&mut self.started, true);
-        for (counted, axis) in self.axes.iter_mut().zip(&inputs.axes) {
+        for (counted, axis) in self.encoders.iter_mut().zip(&inputs.joints) {
             if started {
                 counted.update(axis, periods, period_us);
             }
@@ -55,7 +55,7 @@ impl SincePowerOn {
 }
 
 impl Counted {
-    fn update(&mut self, axis: &AxisInputs, periods: u32, period_us: u16) {
+    fn update(&mut self, axis: &JointInputs, periods: u32, period_us: u16) {
         let moved = axis.counts.wrapping_sub(self.counts);
         self.travelled = self.travelled.saturating_add(i64::from(moved));
         self.widest = self.widest.max(moved.unsigned_abs() / periods);

@@ -11,7 +11,7 @@
 //! Callers should sample at every edge: sampling at a fixed rate limits the speed to one count per
 //! sample.
 
-use crate::io::AxisInputs;
+use crate::io::JointInputs;
 
 /// Both channels changed.
 const ILLEGAL: i8 = 2;
@@ -92,7 +92,7 @@ impl Quadrature {
 
     /// Writes the encoder's state into the inputs of its joint and leaves the other fields
     /// unchanged.
-    pub fn latch(&self, inputs: &mut AxisInputs) {
+    pub fn latch(&self, inputs: &mut JointInputs) {
         inputs.counts = self.counts;
         inputs.edge_time_ns = self.edge_time_ns;
         inputs.illegal = self.illegal;

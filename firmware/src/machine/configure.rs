@@ -7,7 +7,7 @@ use super::gantry::Gantries;
 use super::joint_rates::JointRates;
 use super::masters::Masters;
 use super::switches::Switches;
-use crate::config::{AxisKind, Config, Drive, JointAxis, SwitchInput};
+use crate::config::{AxisKind, Config, Drive, JointSettings, SwitchInput};
 use crate::digest::{Constants, Digest};
 use crate::force::Design;
 use crate::force::sensor::COMPONENTS;
@@ -55,7 +55,7 @@ pub struct EncoderScaling(
 );
 
 impl EncoderScaling {
-    fn of(axis: &JointAxis) -> Self {
+    fn of(axis: &JointSettings) -> Self {
         let (per_count, index, pitch) = match (&axis.encoder, &axis.drive) {
             (Some(encoder), _) => (encoder.per_count, encoder.index, encoder.index_pitch),
             (None, Drive::Steps { per_step, .. }) => (*per_step, Coordinate(0), Coordinate(0)),
@@ -121,7 +121,7 @@ impl Machine {
     #[cold]
     #[inline(never)]
     fn create_joints(&mut self, inputs: &Inputs) {
-        for (axis, inputs_of_axis) in self.config.joints.iter().zip(&inputs.axes) {
+        for (axis, inputs_of_axis) in self.config.joints.iter().zip(&inputs.joints) {
             let Ok(mut joint) = JointDrive::new(axis, self.config.period_us) else {
                 return;
             };
@@ -230,7 +230,7 @@ impl Machine {
             return false;
         }
         for (index, (joint, (_, state))) in self.joints.iter_mut().zip(positions).enumerate() {
-            joint.take_over(joint.counter(&inputs.axes[index]), state);
+            joint.take_over(joint.counter(&inputs.joints[index]), state);
         }
         self.update_measured();
         true
@@ -243,7 +243,7 @@ impl Machine {
     pub fn count_from(&mut self, counted: &SincePowerOn) -> bool {
         let limit = u32::from(self.config.supervision.illegal_transitions);
         let mut is_valid = true;
-        for (joint, counted) in self.joints.iter_mut().zip(&counted.axes) {
+        for (joint, counted) in self.joints.iter_mut().zip(&counted.encoders) {
             is_valid &= joint.count_from(counted) && counted.illegal <= limit;
         }
         self.update_measured();

@@ -198,7 +198,7 @@ impl Machine {
                 .motor
                 .0
                 .wrapping_add(corrections[index].0);
-            let counter = joint.counter(&inputs.axes[index]);
+            let counter = joint.counter(&inputs.joints[index]);
             let shift = joint.set_reference(counter, Coordinate(coordinate));
             commanded.0[index] = commanded.0[index].wrapping_add(shift);
             joint.search(false);

@@ -10,7 +10,7 @@
 //! so squares the beam; the motors wait for each other before each step of the search.
 
 use super::Machine;
-use crate::config::{Config, GantryAxis, JointAxis};
+use crate::config::{Config, GantryAxis, JointSettings};
 use crate::joint::encoder::{difference, sum};
 use haptimill_kinematics::Joints;
 use haptimill_math::{Coordinate, Rate};
@@ -51,7 +51,7 @@ impl Gantries {
 struct Second<'a> {
     joint: usize,
     first: usize,
-    axis: &'a JointAxis,
+    axis: &'a JointSettings,
     gantry: &'a GantryAxis,
 }
 

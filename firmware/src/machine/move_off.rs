@@ -9,7 +9,7 @@
 //! joints do not move. Any other limit switch is. The position is lost: homing follows.
 
 use super::Machine;
-use crate::config::{JointAxis, SwitchHome, SwitchInput};
+use crate::config::{JointSettings, SwitchHome, SwitchInput};
 use crate::io::Inputs;
 use crate::joint::encoder::sum;
 use crate::safety::switch_search::{SearchInputs, SwitchSearch};
@@ -47,7 +47,7 @@ pub(super) struct MoveOff {
 }
 
 /// Width of the stroke; of a joint without ends that of the whole circle.
-fn stroke(axis: &JointAxis) -> u32 {
+fn stroke(axis: &JointSettings) -> u32 {
     axis.high.0.wrapping_sub(axis.low.0) as u32
 }
 
@@ -56,7 +56,7 @@ fn part(of: u32, shift: u32) -> Coordinate {
 }
 
 /// The motion off the limit switch at the lower or the upper end.
-fn motion_off(axis: &JointAxis, input: SwitchInput) -> SwitchHome {
+fn motion_off(axis: &JointSettings, input: SwitchInput) -> SwitchHome {
     let rate = Rate((axis.rate.0 >> RATE_SHIFT).max(1));
     let travel = part(stroke(axis), TRAVEL_SHIFT);
     SwitchHome {
@@ -99,7 +99,7 @@ impl Machine {
         let joint = usize::from(index);
         let axis = self.config.joints.get(joint).ok_or(Refusal::Range)?;
         let mut ignored = [0; MAX_AXES];
-        let joints = self.config.joints.iter().zip(&inputs.axes);
+        let joints = self.config.joints.iter().zip(&inputs.joints);
         for (other, (slot, (axis, seen))) in ignored.iter_mut().zip(joints).enumerate() {
             if !seen.drive_ready {
                 let joint = other as u8;
@@ -172,7 +172,7 @@ impl Machine {
         let motors = motors.into_iter().flatten();
         let bit = move_off.motion.input.bit();
         let active = motors.clone().any(|motor| {
-            let switches = self.config.joints.get(motor).zip(inputs.axes.get(motor));
+            let switches = self.config.joints.get(motor).zip(inputs.joints.get(motor));
             switches.is_some_and(|(axis, seen)| axis.active_switches(seen) & bit != 0)
         });
         let at_rest = if stopping {
@@ -246,7 +246,7 @@ impl Machine {
     pub fn end_move_off(&mut self, inputs: &Inputs) -> bool {
         self.end_switch_motion();
         self.locking.is_none()
-            && self.hardware_fault(&inputs.axes, false).is_none()
+            && self.hardware_fault(&inputs.joints, false).is_none()
             && self.place_joints(inputs, false).is_ok()
     }
 }

@@ -4,7 +4,7 @@
 use super::Machine;
 use super::move_off::MoveOff;
 use crate::config::{Home, SwitchInput};
-use crate::io::{AxisInputs, Inputs};
+use crate::io::{Inputs, JointInputs};
 use crate::joint::encoder::sum;
 use crate::safety::switch_search::{SearchInputs, SwitchSearch};
 use haptimill_kinematics::Joints;
@@ -132,7 +132,7 @@ impl Machine {
                 let search_inputs = SearchInputs {
                     config,
                     partner,
-                    active: axis.active_switches(&inputs.axes[index]) & config.input.bit() != 0,
+                    active: axis.active_switches(&inputs.joints[index]) & config.input.bit() != 0,
                     place: measurement.coordinate,
                     index: measurement.index.map(|(_, coordinate)| coordinate),
                     index_travel,
@@ -200,7 +200,7 @@ impl Machine {
                 }
                 by = by.wrapping_add(off as i32);
             }
-            let counter = joint.counter(&inputs.axes[index]);
+            let counter = joint.counter(&inputs.joints[index]);
             let shift = joint.set_reference(counter, Coordinate(motor.0.wrapping_add(by)));
             self.switches.shifts[index] = shift;
             commanded.0[index] = sum(axis.kind, commanded.0[index], shift);
@@ -219,7 +219,7 @@ impl Machine {
             if axis.home.switch().is_some()
                 && let Some(joint) = self.joints.get_mut(index)
             {
-                joint.set_reference(joint.counter(&inputs.axes[index]), axis.preset);
+                joint.set_reference(joint.counter(&inputs.joints[index]), axis.preset);
             }
         }
         self.update_measured();
@@ -229,7 +229,7 @@ impl Machine {
     /// are active at a low level or serve for homing, or while a joint moves off its limit switch.
     #[cold]
     #[inline(never)]
-    pub fn hardware_fault(&self, inputs: &[AxisInputs; MAX_AXES], homed: bool) -> Option<Fault> {
+    pub fn hardware_fault(&self, inputs: &[JointInputs; MAX_AXES], homed: bool) -> Option<Fault> {
         for (index, axis) in self.config.joints.iter().enumerate() {
             let inputs = inputs.get(index)?;
             let mut limits = SwitchInput::LimitLow.bit() | SwitchInput::LimitHigh.bit();

@@ -3,7 +3,7 @@
 use super::words::{Reader, Writer};
 use super::{Done, DoneRef, FrameError, LineInputs};
 use crate::io::{
-    ANALOG, AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs,
+    ANALOG, DriveCommand, ForceSample, HapticInputs, HapticOutputs, JointInputs, LegInputs,
     StepSegment,
 };
 use crate::snapshot::{ForceSnapshot, HapticSnapshot, IoSnapshot, Snapshot};
@@ -85,7 +85,7 @@ fn take_currents(words: &mut Reader<'_>) -> HapticOutputs {
     haptic
 }
 
-pub(super) fn put_axis(words: &mut Writer<'_>, axis: &AxisInputs) {
+pub(super) fn put_axis(words: &mut Writer<'_>, axis: &JointInputs) {
     let bits = [axis.home, axis.limit_low, axis.limit_high, axis.drive_ready];
     let bits = bits
         .iter()
@@ -101,10 +101,10 @@ pub(super) fn put_axis(words: &mut Writer<'_>, axis: &AxisInputs) {
 }
 
 #[inline(always)]
-pub(super) fn take_axis(words: &mut Reader<'_>) -> AxisInputs {
+pub(super) fn take_axis(words: &mut Reader<'_>) -> JointInputs {
     let [counts, edge_time_ns, index_counts, steps, rest] = words.take_all();
     let bit = |index: u32| rest >> (24 + index) & 1 != 0;
-    AxisInputs {
+    JointInputs {
         counts: counts as i32,
         edge_time_ns,
         illegal: rest as u16,
@@ -121,7 +121,7 @@ pub(super) fn take_axis(words: &mut Reader<'_>) -> AxisInputs {
 #[inline(always)]
 pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
     words.put_long(done.period);
-    for command in &done.outputs.axes {
+    for command in &done.outputs.joints {
         words.put_all(match command {
             DriveCommand::Off => [0; 4],
             DriveCommand::Torque(code) => [1 | u32::from(*code as u16) << 16, 0, 0, 0],
@@ -206,7 +206,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
         period: words.take_long(),
         ..Done::default()
     };
-    for command in &mut done.outputs.axes {
+    for command in &mut done.outputs.joints {
         let [kind, delay, interval, ramp] = words.take_all();
         let value = (kind >> 16) as i16;
         *command = match kind & 0xFFFF {

@@ -215,7 +215,7 @@ pub fn read(frame: &[u32; TO_BOARD_WORDS], inputs: &mut Inputs) -> Result<Reques
             inputs.analog = take_analog(&mut words);
             inputs.force = take_force(&mut words);
             take_haptic(&mut words, &mut inputs.haptic);
-            for axis in &mut inputs.axes {
+            for axis in &mut inputs.joints {
                 *axis = take_axis(&mut words);
             }
             Ok(Request::Period { arrived })
@@ -255,7 +255,7 @@ impl ToBoard {
                 put_analog(&mut words, inputs.analog);
                 put_force(&mut words, &inputs.force);
                 put_haptic(&mut words, &inputs.haptic);
-                for axis in &inputs.axes {
+                for axis in &inputs.joints {
                     put_axis(&mut words, axis);
                 }
             }

@@ -1,6 +1,6 @@
 use super::*;
 use crate::io::{
-    AxisInputs, DriveCommand, ForceSample, HapticInputs, HapticOutputs, LegInputs, StepSegment,
+    DriveCommand, ForceSample, HapticInputs, HapticOutputs, JointInputs, LegInputs, StepSegment,
 };
 use crate::snapshot::{ForceSnapshot, HapticSnapshot, IoSnapshot};
 use haptimill_protocol::message::{MAX_AXES, State};
@@ -18,8 +18,8 @@ prop_compose! {
     fn axis()(
         counts: i32, edge_time_ns: u32, illegal: u16, index_counts: i32, index_pulses: u8, steps: i32,
         (home, limit_low, limit_high, drive_ready) in any::<(bool, bool, bool, bool)>(),
-    ) -> AxisInputs {
-        AxisInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, home, limit_low, limit_high, drive_ready }
+    ) -> JointInputs {
+        JointInputs { counts, edge_time_ns, illegal, index_counts, index_pulses, steps, home, limit_low, limit_high, drive_ready }
     }
 }
 
@@ -79,7 +79,7 @@ prop_compose! {
     ) -> Done {
         Done {
             period,
-            outputs: Outputs { axes, spindle_rpm, digital, analog, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
+            outputs: Outputs { joints: axes, spindle_rpm, digital, analog, haptic: HapticOutputs { enabled, currents }, ..Outputs::default() },
             transmitted,
             line_inputs: LineInputs { received, waiting, lost_bytes, out_of_band_stop },
             stages,
@@ -98,7 +98,7 @@ proptest! {
         axes in prop::array::uniform6(axis()), period_us: u16, haptic in haptic(), (codes, conversions, overload, digital, analog) in any::<([i16; 3], u8, bool, u32, [i16; 4])>(),
     ) {
         let force = ForceSample { codes, conversions, overload };
-        let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, axes, digital, analog, ..Inputs::default() };
+        let inputs = Inputs { force, haptic, period, missed, time_ns, transmit_room, emergency_stop, joints: axes, digital, analog, ..Inputs::default() };
         for message in [ToBoard::Begin { period_us }, ToBoard::Period { inputs, arrived }, ToBoard::End] {
             prop_assert_eq!(ToBoard::decode(&message.encode()), Ok(message));
         }

@@ -1,7 +1,7 @@
 //! Finding the reference: one transaction for all joints.
 //!
-//! The operator sets the joints to their presets before power-on, within [`EncoderAxis::search`].
-//! Motion after that is known from the counters ([`crate::joint::power_on_counts`]).
+//! The operator sets the joints to their presets before power-on, within
+//! [`EncoderSettings::search`]. Motion after that is known from the counters ([`crate::joint::power_on_counts`]).
 //!
 //! Joints of a parallel arm that home one by one can leave the workspace, so the *pose* moves. The
 //! machine names for each joint the coordinate that moves in its search, and the pose rates
@@ -14,7 +14,7 @@
 //! Homing of all joints fails if a joint finds no index, finds one too far from its position by the
 //! preset, or if a pose is unreachable.
 
-use crate::config::{AxisKind, Config, EncoderAxis, JointAxis};
+use crate::config::{AxisKind, Config, EncoderSettings, JointSettings};
 use crate::motion::jog::Jog;
 use haptimill_kinematics::{BoundedKinematics, Pose};
 use haptimill_math::Coordinate;
@@ -120,7 +120,7 @@ impl Homing {
     pub fn index(
         &mut self,
         joint: usize,
-        config: &EncoderAxis,
+        config: &EncoderSettings,
         coordinate: Coordinate,
     ) -> Option<Fault> {
         let slot = self.corrections.get_mut(joint)?;
@@ -205,7 +205,7 @@ fn search_rate(config: &Config, kind: AxisKind) -> i64 {
 
 /// Periods in which a joint must have seen its index: a turn and a fifth at the search rate, and
 /// half a second to accelerate.
-fn search_periods(config: &Config, joint: &JointAxis, slower: u8) -> u32 {
+fn search_periods(config: &Config, joint: &JointSettings, slower: u8) -> u32 {
     let rate = (search_rate(config, joint.kind) >> slower).max(1);
     let pitch = joint
         .encoder

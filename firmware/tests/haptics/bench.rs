@@ -42,7 +42,7 @@ impl Bench {
         let mut link = HostLink::new(Timing::default());
         link.open(7, 0);
         let mut inputs = Inputs::default();
-        for axis in &mut inputs.axes {
+        for axis in &mut inputs.joints {
             axis.drive_ready = true;
         }
         inputs.haptic.drives_ready = true;
@@ -67,8 +67,8 @@ impl Bench {
     }
 
     fn move_axes(&mut self) {
-        for (joint, axis) in self.inputs.axes.iter_mut().enumerate() {
-            let DriveCommand::Steps(segment) = self.outputs.axes[joint] else {
+        for (joint, axis) in self.inputs.joints.iter_mut().enumerate() {
+            let DriveCommand::Steps(segment) = self.outputs.joints[joint] else {
                 continue;
             };
             let preset = self.config.joints[joint].preset;

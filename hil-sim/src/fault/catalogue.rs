@@ -28,73 +28,73 @@ const fn entry(name: &'static str, keys: &'static str, what: &'static str) -> En
 pub(super) const CATALOGUE: [Entry; 36] = [
     entry(
         "encoder-stuck",
-        "axis=NAME channel=a|b level=low|high",
+        "joint=NAME channel=a|b level=low|high",
         "a channel of an encoder is stuck",
     ),
     entry(
         "encoder-swapped",
-        "axis=NAME",
+        "joint=NAME",
         "the channels of an encoder are swapped: it counts backwards",
     ),
     entry(
         "encoder-slip",
-        "axis=NAME counts=N",
+        "joint=NAME counts=N",
         "an encoder gains N counts, once",
     ),
     entry(
         "encoder-noise",
-        "axis=NAME per-second=N",
+        "joint=NAME per-second=N",
         "noise pulses on the channels of an encoder",
     ),
-    entry("index-missing", "axis=NAME", "the index line is open"),
+    entry("index-missing", "joint=NAME", "the index line is open"),
     entry(
         "drive-dead",
-        "axis=NAME",
+        "joint=NAME",
         "the drive has no output and reports no fault",
     ),
     entry(
         "drive-tripped",
-        "axis=NAME",
+        "joint=NAME",
         "the drive has no output and reports a fault",
     ),
     entry(
         "drive-weak",
-        "axis=NAME gain=X",
+        "joint=NAME gain=X",
         "the drive's output is X times the command",
     ),
     entry(
         "drive-reversed",
-        "axis=NAME",
+        "joint=NAME",
         "the drive's output has the wrong sign",
     ),
     entry(
         "joint-jammed",
-        "axis=NAME [effort=X]",
+        "joint=NAME [effort=X]",
         "additional friction of X N (or N m); the joint is blocked without X",
     ),
     entry(
         "push",
-        "axis=NAME effort=X",
+        "joint=NAME effort=X",
         "an external force of X N (or N m) on the joint",
     ),
     entry(
         "switch-stuck",
-        "axis=NAME switch=home|limit-low|limit-high active=yes|no",
+        "joint=NAME switch=home|limit-low|limit-high active=yes|no",
         "a switch is stuck",
     ),
     entry(
         "switch-inverted",
-        "axis=NAME switch=home|limit-low|limit-high",
+        "joint=NAME switch=home|limit-low|limit-high",
         "a switch is inverted: active and inactive are exchanged",
     ),
     entry(
         "switch-missing",
-        "axis=NAME switch=home|limit-low|limit-high",
+        "joint=NAME switch=home|limit-low|limit-high",
         "a switch is not connected: its line is low",
     ),
     entry(
         "switch-bounces",
-        "axis=NAME switch=home|limit-low|limit-high ms=X",
+        "joint=NAME switch=home|limit-low|limit-high ms=X",
         "the contact of a switch bounces for X ms after a change",
     ),
     entry(

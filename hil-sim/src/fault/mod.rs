@@ -5,16 +5,16 @@
 //!
 //! ```
 //! use haptimill_hil_sim::fault::{Fault, FaultKind};
-//! let fault: Fault = "joint-jammed axis=y effort=500 at=1.5s for=200ms".parse().unwrap();
-//! assert_eq!(fault.what, FaultKind::JointJammed { axis: "y".into(), effort: Some(500.0) });
+//! let fault: Fault = "joint-jammed joint=y effort=500 at=1.5s for=200ms".parse().unwrap();
+//! assert_eq!(fault.what, FaultKind::JointJammed { joint: "y".into(), effort: Some(500.0) });
 //! assert_eq!(fault.for_s, Some(0.2));
 //! ```
 //!
 //! [`catalogue`] lists all faults with their keys, as a help text.
 //!
-//! The axis of a fault is the name of its joint in the machine's configuration. Without `at` a
-//! fault begins at the start; without `for` it stays. Two faults of one device add up; where they
-//! contradict each other, the later one in the list applies.
+//! A fault of a joint names it as the machine's configuration does. Without `at` a fault begins at
+//! the start; without `for` it stays. Two faults of one device add up; where they contradict each
+//! other, the later one in the list applies.
 
 mod catalogue;
 mod haptic;
@@ -48,7 +48,7 @@ pub enum FaultKind {
     /// A channel of an encoder is stuck.
     EncoderStuck {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// Stuck channel.
         channel: Channel,
         /// Level at which it is stuck.
@@ -57,19 +57,19 @@ pub enum FaultKind {
     /// The channels of an encoder are swapped: it counts backwards.
     EncoderSwapped {
         /// Name of the joint.
-        axis: String,
+        joint: String,
     },
     /// The counter of an encoder slips once.
     EncoderSlip {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// Counts added to the counter.
         counts: i32,
     },
     /// Noise pulses on A, B or both.
     EncoderNoise {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// Mean rate, 1/s.
         #[serde(rename = "per-second")]
         per_second: f64,
@@ -77,34 +77,34 @@ pub enum FaultKind {
     /// The index line is dead.
     IndexMissing {
         /// Name of the joint.
-        axis: String,
+        joint: String,
     },
     /// The drive has no output and reports no fault.
     DriveDead {
         /// Name of the joint.
-        axis: String,
+        joint: String,
     },
     /// The drive has no output and reports a fault.
     DriveTripped {
         /// Name of the joint.
-        axis: String,
+        joint: String,
     },
     /// The drive's output is smaller or larger than commanded.
     DriveWeak {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// Ratio of the effort to the commanded one.
         gain: f64,
     },
     /// The direction of the drive is reversed.
     DriveReversed {
         /// Name of the joint.
-        axis: String,
+        joint: String,
     },
     /// A joint has additional friction.
     JointJammed {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// Additional friction, N or N m; without it the joint is blocked.
         #[serde(default)]
         effort: Option<f64>,
@@ -112,14 +112,14 @@ pub enum FaultKind {
     /// An external effort acts on a joint.
     Push {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// Effort, N or N m.
         effort: f64,
     },
     /// A switch is stuck.
     SwitchStuck {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// Stuck switch.
         switch: Switch,
         /// State in which it is stuck.
@@ -128,21 +128,21 @@ pub enum FaultKind {
     /// A switch is wired the wrong way: closed for open.
     SwitchInverted {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// The switch.
         switch: Switch,
     },
     /// A switch is not connected: its line is low.
     SwitchMissing {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// The switch.
         switch: Switch,
     },
     /// The contact of a switch bounces.
     SwitchBounces {
         /// Name of the joint.
-        axis: String,
+        joint: String,
         /// The switch.
         switch: Switch,
         /// Time after a change, ms.
@@ -317,23 +317,23 @@ impl core::error::Error for FaultError {}
 
 impl FaultKind {
     /// Name of the fault's joint, if it has one.
-    pub fn axis(&self) -> Option<&str> {
+    pub fn joint(&self) -> Option<&str> {
         match self {
-            Self::EncoderStuck { axis, .. }
-            | Self::EncoderSwapped { axis }
-            | Self::EncoderSlip { axis, .. }
-            | Self::EncoderNoise { axis, .. }
-            | Self::IndexMissing { axis }
-            | Self::DriveDead { axis }
-            | Self::DriveTripped { axis }
-            | Self::DriveWeak { axis, .. }
-            | Self::DriveReversed { axis }
-            | Self::JointJammed { axis, .. }
-            | Self::Push { axis, .. }
-            | Self::SwitchStuck { axis, .. }
-            | Self::SwitchInverted { axis, .. }
-            | Self::SwitchMissing { axis, .. }
-            | Self::SwitchBounces { axis, .. } => Some(axis),
+            Self::EncoderStuck { joint, .. }
+            | Self::EncoderSwapped { joint }
+            | Self::EncoderSlip { joint, .. }
+            | Self::EncoderNoise { joint, .. }
+            | Self::IndexMissing { joint }
+            | Self::DriveDead { joint }
+            | Self::DriveTripped { joint }
+            | Self::DriveWeak { joint, .. }
+            | Self::DriveReversed { joint }
+            | Self::JointJammed { joint, .. }
+            | Self::Push { joint, .. }
+            | Self::SwitchStuck { joint, .. }
+            | Self::SwitchInverted { joint, .. }
+            | Self::SwitchMissing { joint, .. }
+            | Self::SwitchBounces { joint, .. } => Some(joint),
             _ => None,
         }
     }
@@ -386,7 +386,7 @@ impl Fault {
             })
         };
         let input = self.what.input();
-        let place = match self.what.axis() {
+        let place = match self.what.joint() {
             None => match input.map(|name| inputs.iter().position(|input| *input == name)) {
                 None => 0,
                 Some(Some(place)) => place,
@@ -402,11 +402,11 @@ impl Fault {
                     ));
                 }
             },
-            Some(axis) => match joints.iter().position(|joint| *joint == axis) {
+            Some(name) => match joints.iter().position(|joint| *joint == name) {
                 Some(place) => place,
                 None => {
                     return refuse(format!(
-                        "there is no joint `{axis}`; this machine has {}",
+                        "there is no joint `{name}`; this machine has {}",
                         joints.join(", ")
                     ));
                 }

@@ -65,9 +65,9 @@ impl<'a> Keys<'a> {
     }
 
     /// Reads the name of a joint. [`Fault::place`] checks later whether the machine has it.
-    fn axis(&mut self) -> Result<String, String> {
-        match self.need("axis")? {
-            "" => Err("`axis=` is empty".into()),
+    fn joint(&mut self) -> Result<String, String> {
+        match self.need("joint")? {
+            "" => Err("`joint=` is empty".into()),
             name => Ok(name.to_owned()),
         }
     }
@@ -127,7 +127,7 @@ fn parse(text: &str) -> Result<Fault, String> {
     let mut words = text.split([' ', ',', '\t']).filter(|word| !word.is_empty());
     let name = words
         .next()
-        .ok_or("empty; must be a name and its keys, like `joint-jammed axis=y at=1.5s`")?;
+        .ok_or("empty; must be a name and its keys, like `joint-jammed joint=y at=1.5s`")?;
     let entry = CATALOGUE.iter().find(|entry| entry.name == name);
     let entry = entry.ok_or_else(|| {
         let names: Vec<_> = CATALOGUE.iter().map(|entry| entry.name).collect();
@@ -160,32 +160,42 @@ fn parse(text: &str) -> Result<Fault, String> {
 fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
     Ok(match name {
         "encoder-stuck" => FaultKind::EncoderStuck {
-            axis: keys.axis()?,
+            joint: keys.joint()?,
             channel: keys.word("channel")?,
             level: keys.word("level")?,
         },
-        "encoder-swapped" => FaultKind::EncoderSwapped { axis: keys.axis()? },
+        "encoder-swapped" => FaultKind::EncoderSwapped {
+            joint: keys.joint()?,
+        },
         "encoder-slip" => FaultKind::EncoderSlip {
-            axis: keys.axis()?,
+            joint: keys.joint()?,
             counts: keys.number("counts")?,
         },
         "encoder-noise" => FaultKind::EncoderNoise {
-            axis: keys.axis()?,
+            joint: keys.joint()?,
             per_second: keys.number("per-second")?,
         },
-        "index-missing" => FaultKind::IndexMissing { axis: keys.axis()? },
-        "drive-dead" => FaultKind::DriveDead { axis: keys.axis()? },
-        "drive-tripped" => FaultKind::DriveTripped { axis: keys.axis()? },
+        "index-missing" => FaultKind::IndexMissing {
+            joint: keys.joint()?,
+        },
+        "drive-dead" => FaultKind::DriveDead {
+            joint: keys.joint()?,
+        },
+        "drive-tripped" => FaultKind::DriveTripped {
+            joint: keys.joint()?,
+        },
         "drive-weak" => FaultKind::DriveWeak {
-            axis: keys.axis()?,
+            joint: keys.joint()?,
             gain: keys.number("gain")?,
         },
-        "drive-reversed" => FaultKind::DriveReversed { axis: keys.axis()? },
+        "drive-reversed" => FaultKind::DriveReversed {
+            joint: keys.joint()?,
+        },
         "joint-jammed" => {
-            let axis = keys.axis()?;
+            let joint = keys.joint()?;
             let given = keys.0.iter().any(|(key, _)| *key == "effort");
             FaultKind::JointJammed {
-                axis,
+                joint,
                 effort: if given {
                     Some(keys.number("effort")?)
                 } else {
@@ -194,24 +204,24 @@ fn kind(name: &str, keys: &mut Keys<'_>) -> Result<FaultKind, String> {
             }
         }
         "push" => FaultKind::Push {
-            axis: keys.axis()?,
+            joint: keys.joint()?,
             effort: keys.number("effort")?,
         },
         "switch-stuck" => FaultKind::SwitchStuck {
-            axis: keys.axis()?,
+            joint: keys.joint()?,
             switch: keys.word("switch")?,
             active: keys.word("active")?,
         },
         "switch-inverted" => FaultKind::SwitchInverted {
-            axis: keys.axis()?,
+            joint: keys.joint()?,
             switch: keys.word("switch")?,
         },
         "switch-missing" => FaultKind::SwitchMissing {
-            axis: keys.axis()?,
+            joint: keys.joint()?,
             switch: keys.word("switch")?,
         },
         "switch-bounces" => FaultKind::SwitchBounces {
-            axis: keys.axis()?,
+            joint: keys.joint()?,
             switch: keys.word("switch")?,
             ms: keys.number("ms")?,
         },
@@ -276,58 +286,63 @@ impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.what {
             FaultKind::EncoderStuck {
-                axis,
+                joint,
                 channel,
                 level,
             } => {
                 write!(
                     f,
-                    "encoder-stuck axis={axis} channel={} level={}",
+                    "encoder-stuck joint={joint} channel={} level={}",
                     channel.word(),
                     level.word()
                 )
             }
-            FaultKind::EncoderSwapped { axis } => write!(f, "encoder-swapped axis={axis}"),
-            FaultKind::EncoderSlip { axis, counts } => {
-                write!(f, "encoder-slip axis={axis} counts={counts}")
+            FaultKind::EncoderSwapped { joint } => write!(f, "encoder-swapped joint={joint}"),
+            FaultKind::EncoderSlip { joint, counts } => {
+                write!(f, "encoder-slip joint={joint} counts={counts}")
             }
-            FaultKind::EncoderNoise { axis, per_second } => {
-                write!(f, "encoder-noise axis={axis} per-second={per_second}")
+            FaultKind::EncoderNoise { joint, per_second } => {
+                write!(f, "encoder-noise joint={joint} per-second={per_second}")
             }
-            FaultKind::IndexMissing { axis } => write!(f, "index-missing axis={axis}"),
-            FaultKind::DriveDead { axis } => write!(f, "drive-dead axis={axis}"),
-            FaultKind::DriveTripped { axis } => write!(f, "drive-tripped axis={axis}"),
-            FaultKind::DriveWeak { axis, gain } => write!(f, "drive-weak axis={axis} gain={gain}"),
-            FaultKind::DriveReversed { axis } => write!(f, "drive-reversed axis={axis}"),
-            FaultKind::JointJammed { axis, effort: None } => write!(f, "joint-jammed axis={axis}"),
+            FaultKind::IndexMissing { joint } => write!(f, "index-missing joint={joint}"),
+            FaultKind::DriveDead { joint } => write!(f, "drive-dead joint={joint}"),
+            FaultKind::DriveTripped { joint } => write!(f, "drive-tripped joint={joint}"),
+            FaultKind::DriveWeak { joint, gain } => {
+                write!(f, "drive-weak joint={joint} gain={gain}")
+            }
+            FaultKind::DriveReversed { joint } => write!(f, "drive-reversed joint={joint}"),
             FaultKind::JointJammed {
-                axis,
+                joint,
+                effort: None,
+            } => write!(f, "joint-jammed joint={joint}"),
+            FaultKind::JointJammed {
+                joint,
                 effort: Some(effort),
             } => {
-                write!(f, "joint-jammed axis={axis} effort={effort}")
+                write!(f, "joint-jammed joint={joint} effort={effort}")
             }
-            FaultKind::Push { axis, effort } => write!(f, "push axis={axis} effort={effort}"),
-            FaultKind::SwitchInverted { axis, switch } => {
-                write!(f, "switch-inverted axis={axis} switch={}", switch.word())
+            FaultKind::Push { joint, effort } => write!(f, "push joint={joint} effort={effort}"),
+            FaultKind::SwitchInverted { joint, switch } => {
+                write!(f, "switch-inverted joint={joint} switch={}", switch.word())
             }
-            FaultKind::SwitchMissing { axis, switch } => {
-                write!(f, "switch-missing axis={axis} switch={}", switch.word())
+            FaultKind::SwitchMissing { joint, switch } => {
+                write!(f, "switch-missing joint={joint} switch={}", switch.word())
             }
-            FaultKind::SwitchBounces { axis, switch, ms } => {
+            FaultKind::SwitchBounces { joint, switch, ms } => {
                 write!(
                     f,
-                    "switch-bounces axis={axis} switch={} ms={ms}",
+                    "switch-bounces joint={joint} switch={} ms={ms}",
                     switch.word()
                 )
             }
             FaultKind::SwitchStuck {
-                axis,
+                joint,
                 switch,
                 active,
             } => {
                 write!(
                     f,
-                    "switch-stuck axis={axis} switch={} active={}",
+                    "switch-stuck joint={joint} switch={} active={}",
                     switch.word(),
                     active.word()
                 )

@@ -13,7 +13,7 @@
 use crate::joint::mechanics::JointArray;
 use crate::joint::{EncoderConfig, JointConfig};
 use crate::random::Random;
-use haptimill_firmware::io::AxisInputs;
+use haptimill_firmware::io::JointInputs;
 use haptimill_firmware::joint::quadrature::Quadrature;
 
 /// Reading of the counter hardware.
@@ -116,7 +116,7 @@ impl EdgeCounter {
     }
 
     fn reading(&self) -> EncoderReading {
-        let mut seen = AxisInputs::default();
+        let mut seen = JointInputs::default();
         self.decoder.latch(&mut seen);
         EncoderReading {
             counts: seen.counts,

@@ -39,7 +39,7 @@ use crate::check::{Check, PlantError};
 use crate::vector::{Vector, dot, length, minus, plus, times};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
-use trajectory::{Carried, DesiredMotion, without};
+use trajectory::{Carried, IntendedMotion, without};
 
 /// Parameters of the operator: the `[plant.operator]` section of a machine file. All keys are
 /// optional.
@@ -169,7 +169,7 @@ struct Observation {
 pub struct Operator {
     config: OperatorConfig,
     carried: Carried,
-    desired: DesiredMotion,
+    desired: IntendedMotion,
     past: VecDeque<Observation>,
     /// Perceived force along the path, N.
     applied: f64,
@@ -199,9 +199,9 @@ impl Operator {
         let delay = libm::round(config.reaction_s / period_s) as usize;
         let carried = Carried::new(Trajectory::Hold, handle.tip);
         Self {
-            desired: DesiredMotion {
+            desired: IntendedMotion {
                 place: handle.tip,
-                ..DesiredMotion::default()
+                ..IntendedMotion::default()
             },
             carried,
             past: core::iter::repeat_n(Observation::default(), delay).collect(),
@@ -236,7 +236,7 @@ impl Operator {
     }
 
     /// Present desired motion.
-    pub const fn desired(&self) -> &DesiredMotion {
+    pub const fn desired(&self) -> &IntendedMotion {
         &self.desired
     }
 

@@ -72,7 +72,7 @@ pub struct Live {
 
 /// Desired motion at one time.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct DesiredMotion {
+pub struct IntendedMotion {
     /// Position of the tip from home, mm.
     pub place: Vector,
     /// Velocity of that position, mm/s.
@@ -142,33 +142,33 @@ impl Carried {
 
     /// Advances by one period of `dt` seconds. `pace` is the fraction of the speed that is kept (1
     /// all, 0 none); the tip is at `tip`.
-    pub fn advance(&mut self, dt: f64, pace: f64, tip: Vector) -> DesiredMotion {
+    pub fn advance(&mut self, dt: f64, pace: f64, tip: Vector) -> IntendedMotion {
         self.time += dt;
-        let still = DesiredMotion {
+        let still = IntendedMotion {
             place: self.place,
-            ..DesiredMotion::default()
+            ..IntendedMotion::default()
         };
         match &self.trajectory {
-            Trajectory::Hold => DesiredMotion {
+            Trajectory::Hold => IntendedMotion {
                 done: true,
                 ..still
             },
             Trajectory::Live(live) => {
                 self.place = live.place_mm;
                 let speed = length(live.velocity_mm_s);
-                DesiredMotion {
+                IntendedMotion {
                     place: live.place_mm,
                     velocity: live.velocity_mm_s,
                     along: match speed > 1e-3 {
                         true => times(live.velocity_mm_s, 1.0 / speed),
                         false => [0.0; 3],
                     },
-                    ..DesiredMotion::default()
+                    ..IntendedMotion::default()
                 }
             }
             Trajectory::Strokes(strokes) => {
                 let Some(stroke) = strokes.get(self.index) else {
-                    return DesiredMotion {
+                    return IntendedMotion {
                         done: true,
                         ..still
                     };
@@ -190,18 +190,18 @@ impl Carried {
                 let along = times(unit_direction, 1.0 / remaining);
                 let step = (self.speed * dt).min(remaining).max(remaining.min(1e-9));
                 self.place = plus(self.place, times(along, step));
-                DesiredMotion {
+                IntendedMotion {
                     place: self.place,
                     velocity: times(along, self.speed),
                     along,
-                    ..DesiredMotion::default()
+                    ..IntendedMotion::default()
                 }
             }
             Trajectory::Trace(trace) => self.trace(*trace, dt, pace, tip),
         }
     }
 
-    fn trace(&mut self, trace: Trace, dt: f64, pace: f64, tip: Vector) -> DesiredMotion {
+    fn trace(&mut self, trace: Trace, dt: f64, pace: f64, tip: Vector) -> IntendedMotion {
         let [x, y] = trace.centre_mm;
         let outwards = [tip[0] - x, tip[1] - y, 0.0];
         let distance = length(outwards);
@@ -223,7 +223,7 @@ impl Carried {
         self.place[1] = y + trace.radius_mm * sin;
         let along = [-side * sin, side * cos, 0.0];
         let moving = self.speed > 0.0;
-        DesiredMotion {
+        IntendedMotion {
             place: self.place,
             velocity: times(along, self.speed),
             along: if moving { along } else { [0.0; 3] },

@@ -134,7 +134,7 @@ pub(super) fn step_efforts(
 ) {
     for (axis, joint) in joints.iter_mut().enumerate() {
         if let (Drive::Steps(stepper), DriveCommand::Steps(_)) =
-            (&mut joint.drive, &outputs.axes[axis])
+            (&mut joint.drive, &outputs.joints[axis])
         {
             let effort = stepper.effort(part, bodies.motor[axis], bodies.motor_rate[axis]);
             let alive = powered && !joint.condition.drive_tripped;

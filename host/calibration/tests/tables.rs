@@ -143,7 +143,7 @@ fn errors_between_the_nodes_are_refused() {
 #[test]
 fn the_correction_ends_with_the_drives() {
     let file = with_exact_tables(&machine().unwrap()).unwrap();
-    let trip = "drive-tripped axis=y at=30s".parse().unwrap();
+    let trip = "drive-tripped joint=y at=30s".parse().unwrap();
     for (faults, expected) in [(vec![], State::EmergencyStop), (vec![trip], State::Fault)] {
         let rig = session::rig(&file, None, None, faults).unwrap();
         let line = SimLine::new(rig);

@@ -140,17 +140,17 @@ fn machine_faults_stop_the_job_with_a_remedy() {
     let folder = TestFolder::new();
     let mut text = String::new();
     let faults = [
-        ("encoder-stuck axis=l2 channel=a level=high at=6s", "l2"),
-        ("encoder-swapped axis=l3 at=6s", "l3"),
-        ("joint-jammed axis=l1 at=6s", "l1"),
-        ("drive-dead axis=l4 at=6s", "l4"),
-        ("drive-tripped axis=l1 at=6s", "l1"),
-        ("drive-reversed axis=alpha at=6s", "alpha"),
-        ("encoder-noise axis=l2 per-second=2000 at=6s", "l2"),
+        ("encoder-stuck joint=l2 channel=a level=high at=6s", "l2"),
+        ("encoder-swapped joint=l3 at=6s", "l3"),
+        ("joint-jammed joint=l1 at=6s", "l1"),
+        ("drive-dead joint=l4 at=6s", "l4"),
+        ("drive-tripped joint=l1 at=6s", "l1"),
+        ("drive-reversed joint=alpha at=6s", "alpha"),
+        ("encoder-noise joint=l2 per-second=2000 at=6s", "l2"),
         ("missed-periods count=5 at=6s", ""),
         ("emergency-stop at=6s", ""),
-        ("joint-jammed axis=l3", "l3"),
-        ("index-missing axis=l2", "l2"),
+        ("joint-jammed joint=l3", "l3"),
+        ("index-missing joint=l2", "l2"),
     ];
     for (fault, joint) in faults {
         let ran = run(&folder, "out", &[fault], &[]).expect_code(6);
@@ -182,11 +182,11 @@ fn faults_of_step_motors_stop_the_job_with_a_remedy() {
     let folder = TestFolder::new();
     let mut text = String::new();
     // The dead motor is pushed while the rotors lock.
-    let not_locked: &[&str] = &["drive-dead axis=l2", "push axis=l2 effort=80 at=20ms"];
+    let not_locked: &[&str] = &["drive-dead joint=l2", "push joint=l2 effort=80 at=20ms"];
     let lists: [&[&str]; 4] = [
-        &["joint-jammed axis=l1 at=8s"],
-        &["encoder-stuck axis=l2 channel=a level=high at=8s"],
-        &["drive-dead axis=l2"],
+        &["joint-jammed joint=l1 at=8s"],
+        &["encoder-stuck joint=l2 channel=a level=high at=8s"],
+        &["drive-dead joint=l2"],
         not_locked,
     ];
     for faults in lists {
@@ -224,7 +224,7 @@ fn lost_steps_without_encoders_are_no_success() {
     };
     let whole = run(&[]).expect_code(0).json();
     assert_eq!(whole["faults"], serde_json::json!([]), "{whole:#}");
-    let lost = run(&["--fault", "joint-jammed axis=x at=30s for=100ms"]).expect_code(6);
+    let lost = run(&["--fault", "joint-jammed joint=x at=30s for=100ms"]).expect_code(6);
     let summary = lost.json();
     let fault = summary["faults"][0].as_str().unwrap_or_default();
     for part in ["steps were lost", "x is ", " mm off", "home again"] {
@@ -257,7 +257,7 @@ fn lost_steps_without_encoders_are_no_success() {
         "{off} {tool}"
     );
     // In the move to the home pose, before the program.
-    let before = run(&["--fault", "joint-jammed axis=x at=20s for=100ms"]).expect_code(6);
+    let before = run(&["--fault", "joint-jammed joint=x at=20s for=100ms"]).expect_code(6);
     let before = before.json();
     assert_eq!(before["position_kept"], false, "{before:#}");
 }
@@ -281,7 +281,7 @@ fn lost_steps_of_a_program_in_parts_are_no_success() {
     let program = folder.file("part.ngc", &text);
     let job = ["run", &program, "--machine", &machine];
     haptimill(&job).expect_code(0);
-    let fault = ["--fault", "joint-jammed axis=x at=30s for=100ms"];
+    let fault = ["--fault", "joint-jammed joint=x at=30s for=100ms"];
     let lost = haptimill(&[&job[..], &fault].concat()).expect_code(6);
     assert!(lost.err.contains("steps were lost"), "{lost:?}");
 }
@@ -289,7 +289,7 @@ fn lost_steps_of_a_program_in_parts_are_no_success() {
 #[test]
 fn fault_before_the_job_prevents_motion() {
     let folder = TestFolder::new();
-    let ran = run(&folder, "out", &["drive-dead axis=l2"], &[]).expect_code(6);
+    let ran = run(&folder, "out", &["drive-dead joint=l2"], &[]).expect_code(6);
     assert!(ran.err.contains("l2"), "{}", ran.err);
     assert!(!Path::new(&folder.path("out/recording.hmr")).exists());
 }

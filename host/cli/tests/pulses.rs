@@ -28,7 +28,7 @@ fn vcd(recording: &Recording, names: &[&str]) -> (String, usize) {
     for pair in periods.windows(2) {
         let start = pair[1].inputs.period as i64 * PERIOD;
         for (axis, level) in levels.iter_mut().enumerate() {
-            let DriveCommand::Steps(segment) = pair[0].outputs.axes[axis] else {
+            let DriveCommand::Steps(segment) = pair[0].outputs.joints[axis] else {
                 continue;
             };
             if segment.count == 0 {

@@ -16,11 +16,11 @@ fn failed_start_keeps_earlier_results() {
     for (more, code) in [
         (["--port", "tcp:127.0.0.1:1"], 5),
         (["--fault", "link-cut"], 5),
-        (["--fault", "index-missing axis=l1"], 6),
+        (["--fault", "index-missing joint=l1"], 6),
         (
             [
                 "--fault",
-                "switch-stuck axis=alpha switch=limit-low active=yes",
+                "switch-stuck joint=alpha switch=limit-low active=yes",
             ],
             8,
         ),
@@ -63,12 +63,12 @@ fn invalid_options_are_refused_before_the_run() {
             "--force names none",
         ),
         (
-            &["--fault", "drive-weak axis=l1 gain=1e99"],
+            &["--fault", "drive-weak joint=l1 gain=1e99"],
             2,
             "allowed is -100 to 100",
         ),
         (
-            &["--fault", "push axis=l1 effort=1e30"],
+            &["--fault", "push joint=l1 effort=1e30"],
             2,
             "allowed is -100000 to 100000",
         ),

@@ -438,7 +438,7 @@ fn emergency_stop_is_latched_until_reset() {
 fn lost_position_is_homed_from_presets() {
     // The machine has reached its home pose, which is that of the presets, when the encoder fault
     // begins.
-    let fault = "encoder-noise axis=l2 per-second=5000 at=10s for=200ms";
+    let fault = "encoder-noise joint=l2 per-second=5000 at=10s for=200ms";
     let served = SimServer::on_tcp(&["--fault", fault]);
     served.run_ok(&["home"]);
     let refused = served.run(&["home", "--at-preset"]).expect_code(8);
@@ -496,7 +496,11 @@ fn run_refuses_simulator_options_on_a_port() {
     let out = folder.path("none");
     for (option, value, part) in [
         ("--seed", "7", "--seed 7 is for the simulator"),
-        ("--fault", "drive-dead axis=l1 at=1s", "haptimill sim serve"),
+        (
+            "--fault",
+            "drive-dead joint=l1 at=1s",
+            "haptimill sim serve",
+        ),
         ("--baud", "9600", "leave it out with tcp:"),
     ] {
         let run = ["run", &program, "--port", "tcp:localhost:1", "--out", &out];

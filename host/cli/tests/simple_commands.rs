@@ -9,10 +9,10 @@ use std::time::Duration;
 fn enable_reports_what_prevents_it() {
     for (fault, named) in [
         (
-            "switch-stuck axis=l2 switch=limit-low active=yes",
+            "switch-stuck joint=l2 switch=limit-low active=yes",
             "l2 is on its limit switch",
         ),
-        ("drive-tripped axis=l4", "the drive of l4 is not ready"),
+        ("drive-tripped joint=l4", "the drive of l4 is not ready"),
         ("emergency-stop", "remove the cause, then reset"),
     ] {
         let served = SimServer::on_tcp(&["--fault", fault]);
@@ -170,7 +170,7 @@ fn force_command_transcript() {
 #[test]
 fn a_joint_is_moved_off_its_limit_switch() {
     let mill = "machines/mill3-servo.toml";
-    let push = "push axis=x effort=45 at=1s for=5s";
+    let push = "push joint=x effort=45 at=1s for=5s";
     let served = SimServer::on_tcp(&["--machine", mill, "--fault", push]);
     let run = |command: &[&str]| served.run(&[command, &["--machine", mill]].concat());
     run(&["status"]).expect_code(0);
@@ -210,7 +210,7 @@ fn a_joint_is_moved_off_its_limit_switch() {
     assert!((140.0..155.0).contains(&x), "{x}");
     run(&["home"]).expect_code(0);
     // A switch that stays active ends the motion with a fault.
-    let stuck = "switch-stuck axis=l2 switch=limit-low active=yes";
+    let stuck = "switch-stuck joint=l2 switch=limit-low active=yes";
     let served = SimServer::on_tcp(&["--fault", stuck]);
     let ended = served.run(&["move-off", "l2"]).expect_code(6);
     assert!(ended.err.contains("did not open"), "{}", ended.err);
@@ -241,9 +241,9 @@ fn status_names_the_active_switches_alarms_and_emergency_stop() {
     assert_eq!(json["active_lines"], serde_json::json!({}));
     assert_eq!(json["emergency_stop_open"], false);
     let (lines, json) = status(&serve(&[
-        "switch-stuck axis=y switch=limit-high active=yes",
-        "switch-stuck axis=y switch=home active=yes",
-        "drive-tripped axis=z",
+        "switch-stuck joint=y switch=limit-high active=yes",
+        "switch-stuck joint=y switch=home active=yes",
+        "drive-tripped joint=z",
     ]));
     assert_eq!(lines, "lines      active: y home and limit-high, z alarm");
     let expected = serde_json::json!({ "y": ["home", "limit-high"], "z": ["alarm"] });

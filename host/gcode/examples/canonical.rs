@@ -6,7 +6,7 @@
 //! memory (Linux). `--tools FILE` names a tool table in LinuxCNC's format, in inches.
 
 use haptimill_gcode::{
-    AxisKind, Feed, Interpreter, Move, Options, ProgramAxis, Step, Tool, ToolTable, file_name,
+    Feed, Interpreter, Move, Options, ProgramAxis, Step, Tool, ToolTable, WordKind, file_name,
 };
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -23,9 +23,9 @@ fn main() -> std::io::Result<()> {
             .map(|letter| ProgramAxis {
                 letter: *letter,
                 kind: if "ABC".contains(*letter) {
-                    AxisKind::Rotary
+                    WordKind::Rotary
                 } else {
-                    AxisKind::Linear
+                    WordKind::Linear
                 },
                 wraps: false,
             })

@@ -59,7 +59,7 @@ mod tests;
 pub use canonical::{Feed, Move, OutputValue, ProbeKind, Step, WaitFor};
 pub use dialog::Dialog;
 pub use interpreter::Interpreter;
-pub use path::{Arc, AxisKind, Coordinates, Measure, Path};
+pub use path::{Arc, Coordinates, Measure, Path, WordKind};
 pub use problem::{LISTED_PROBLEMS, Notice, Place, Problem, Problems, Refused, file_name};
 pub use program::{Comment, Program, read};
 pub use source::{LONGEST_LINE, ProgramBytes};
@@ -87,7 +87,7 @@ pub struct ProgramAxis {
     /// The letter, one of X Y Z A B C U V W, in upper case.
     pub letter: char,
     /// Millimetres or degrees.
-    pub kind: AxisKind,
+    pub kind: WordKind,
     /// The coordinate wraps around: an absolute word is an angle below a turn, and its sign the
     /// direction in which the machine turns there.
     pub wraps: bool,
@@ -134,8 +134,8 @@ impl Options {
         let axis = |letter| ProgramAxis {
             letter,
             kind: match letter {
-                'A' | 'B' | 'C' => AxisKind::Rotary,
-                _ => AxisKind::Linear,
+                'A' | 'B' | 'C' => WordKind::Rotary,
+                _ => WordKind::Linear,
             },
             wraps: false,
         };
@@ -148,7 +148,7 @@ impl Options {
     }
 
     /// Returns the kinds of the pose coordinates.
-    pub fn kinds(&self) -> Vec<AxisKind> {
+    pub fn kinds(&self) -> Vec<WordKind> {
         self.axes.iter().map(|axis| axis.kind).collect()
     }
 }

@@ -4,7 +4,7 @@
 use super::canonical::{Feed, Move, Step};
 use super::compensation::Compensation;
 use super::frame::Frame;
-use super::path::{Arc, AxisKind, Coordinates, Path};
+use super::path::{Arc, Coordinates, Path, WordKind};
 use super::problem::Place;
 use super::tool_axis::ToolLength;
 use super::tool_table::PerLetter;
@@ -39,7 +39,7 @@ pub(crate) struct Leg {
 pub(crate) struct Output {
     /// Index of each pose coordinate's letter.
     pub letters: Vec<usize>,
-    kinds: Vec<AxisKind>,
+    kinds: Vec<WordKind>,
     /// Position after the last move of the queue.
     at: PerLetter,
     /// Offsets and rotation of the program in the machine.
@@ -51,7 +51,7 @@ pub(crate) struct Output {
 }
 
 impl Output {
-    pub(crate) fn new(letters: Vec<usize>, kinds: Vec<AxisKind>, at: PerLetter) -> Self {
+    pub(crate) fn new(letters: Vec<usize>, kinds: Vec<WordKind>, at: PerLetter) -> Self {
         Self {
             letters,
             kinds,

@@ -5,7 +5,7 @@ pub type Coordinates = [f64; 6];
 
 /// Linear or rotary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum AxisKind {
+pub enum WordKind {
     /// In millimetres.
     Linear,
     /// In degrees.
@@ -70,13 +70,13 @@ pub struct Path {
 
 impl Path {
     /// Creates a line; `None` if nothing moves.
-    pub fn line(kinds: &[AxisKind], from: Coordinates, to: Coordinates) -> Option<Path> {
+    pub fn line(kinds: &[WordKind], from: Coordinates, to: Coordinates) -> Option<Path> {
         let (tip, turn) = extent(kinds, &from, &to, &[]);
         Self::with_length(from, to, None, tip.sqrt(), turn)
     }
 
     /// Creates an arc; `None` if nothing moves.
-    pub fn arc(kinds: &[AxisKind], from: Coordinates, to: Coordinates, arc: Arc) -> Option<Path> {
+    pub fn arc(kinds: &[WordKind], from: Coordinates, to: Coordinates, arc: Arc) -> Option<Path> {
         let (rest, turn) = extent(kinds, &from, &to, &arc.plane);
         let in_plane = 0.5 * (arc.radius[0] + arc.radius[1]) * arc.sweep;
         Self::with_length(
@@ -111,9 +111,9 @@ impl Path {
     }
 
     /// Whether the path turns a rotary coordinate.
-    pub fn turns(&self, kinds: &[AxisKind]) -> bool {
+    pub fn turns(&self, kinds: &[WordKind]) -> bool {
         let mut ends = kinds.iter().zip(self.from.iter().zip(&self.to));
-        ends.any(|(kind, (from, to))| *kind == AxisKind::Rotary && from != to)
+        ends.any(|(kind, (from, to))| *kind == WordKind::Rotary && from != to)
     }
 
     /// Returns the two halves of the path.
@@ -231,14 +231,14 @@ impl Path {
 
 /// Returns the squared length over the linear coordinates outside `skip`, and the largest turn of a
 /// rotary coordinate.
-fn extent(kinds: &[AxisKind], from: &Coordinates, to: &Coordinates, skip: &[usize]) -> (f64, f64) {
+fn extent(kinds: &[WordKind], from: &Coordinates, to: &Coordinates, skip: &[usize]) -> (f64, f64) {
     let (mut squared, mut turn) = (0.0, 0.0f64);
     for (k, kind) in kinds.iter().enumerate().take(6) {
         let step = to[k] - from[k];
         match kind {
-            AxisKind::Linear if !skip.contains(&k) => squared += step * step,
-            AxisKind::Linear => {}
-            AxisKind::Rotary => turn = turn.max(step.abs()),
+            WordKind::Linear if !skip.contains(&k) => squared += step * step,
+            WordKind::Linear => {}
+            WordKind::Rotary => turn = turn.max(step.abs()),
         }
     }
     (squared, turn)

@@ -418,7 +418,7 @@ fn turned(start: f64, text: &str) -> Vec<f64> {
     let mut options = options();
     options.axes.push(crate::ProgramAxis {
         letter: 'C',
-        kind: AxisKind::Rotary,
+        kind: WordKind::Rotary,
         wraps: true,
     });
     options.start[5] = start;

@@ -1,6 +1,6 @@
 //! Tool lengths on a machine whose workpiece turns under the tool.
 
-use haptimill_gcode::{AxisKind, Coordinates, Options, ProgramAxis, Step, Tool, ToolAxis, read};
+use haptimill_gcode::{Coordinates, Options, ProgramAxis, Step, Tool, ToolAxis, WordKind, read};
 
 /// X, Y, Z and A, which turns the workpiece about X; tools 1 and 2 are 12 and 20 mm longer than
 /// that of the machine file.
@@ -8,8 +8,8 @@ fn options() -> Options {
     let axis = |letter| ProgramAxis {
         letter,
         kind: match letter {
-            'A' => AxisKind::Rotary,
-            _ => AxisKind::Linear,
+            'A' => WordKind::Rotary,
+            _ => WordKind::Linear,
         },
         wraps: false,
     };

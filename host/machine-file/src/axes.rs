@@ -8,7 +8,7 @@ use super::scale::{
 use super::stability::{Gains, spectral_radius};
 use super::{encoder, homing};
 use haptimill_firmware::config::{
-    AxisKind, BACKLASH_NODES, BACKLASH_SLOPE_SHIFT, Drive, GantryAxis, JointAxis, PoseAxis,
+    AxisKind, BACKLASH_NODES, BACKLASH_SLOPE_SHIFT, Drive, GantryAxis, JointSettings, PoseAxis,
     ServoConfig, ServoForm,
 };
 use haptimill_machine_keys::Key;
@@ -173,7 +173,7 @@ pub fn read_joint_axis(
     place: Option<(&str, AxisKind)>,
     of: Option<usize>,
     period: f64,
-) -> (JointAxis, AxisLimits) {
+) -> (JointSettings, AxisLimits) {
     let (name, kind) = read_identity(section, place);
     let scale = per_unit(kind);
     let unit = unit(kind);
@@ -237,7 +237,7 @@ pub fn read_joint_axis(
     if is_known {
         section.finish();
     }
-    let axis = JointAxis {
+    let axis = JointSettings {
         kind,
         low: coordinate(low),
         high: coordinate(high),

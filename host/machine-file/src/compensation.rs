@@ -7,7 +7,7 @@ use super::{MachineFile, Problems};
 use haptimill_firmware::config::volumetric::{
     ERROR_AXES, ERROR_VALUES, ERRORS, ErrorAxis, VolumetricConfig,
 };
-use haptimill_firmware::config::{BACKLASH_NODES, JointAxis, PoseAxis};
+use haptimill_firmware::config::{BACKLASH_NODES, JointSettings, PoseAxis};
 use haptimill_machine_keys::controller::compensation as keys;
 use haptimill_math::Coordinate;
 use haptimill_volumetric::errors::{Approach, Axis, ErrorSet, Function, Shape, interpolate};
@@ -35,7 +35,7 @@ const LARGEST_REST: f64 = 0.5;
 pub(super) fn read<'a>(
     section: &Section<'_, '_>,
     pose: &[PoseAxis],
-    joints: impl IntoIterator<Item = &'a mut JointAxis>,
+    joints: impl IntoIterator<Item = &'a mut JointSettings>,
 ) -> Option<VolumetricConfig> {
     let chain = section.text("chain", "write the bodies from w to t, such as \"wYbXZt\"");
     let arms = chain.and_then(|chain| {
@@ -97,7 +97,7 @@ pub(super) fn read<'a>(
 fn add_lost_motion<'a>(
     section: &Section<'_, '_>,
     errors: &ErrorSet,
-    joints: impl IntoIterator<Item = &'a mut JointAxis>,
+    joints: impl IntoIterator<Item = &'a mut JointSettings>,
 ) {
     for (index, joint) in joints.into_iter().enumerate() {
         let of = joint

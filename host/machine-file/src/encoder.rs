@@ -3,13 +3,13 @@
 use super::document::Section;
 use super::place::{Place, unit};
 use super::scale::{PER_COUNT, per_unit, to_i32, to_i64, to_u32};
-use haptimill_firmware::config::EncoderAxis;
+use haptimill_firmware::config::EncoderSettings;
 use haptimill_machine_keys::controller::joint as keys;
 use haptimill_math::Coordinate;
 
 /// Reads the encoder of a joint. `None` if the joint has none: it has a step drive and no
 /// `counts_per_turn`, and the other keys of an encoder are refused.
-pub(super) fn read_encoder(section: &Section<'_, '_>, joint: &Place) -> Option<EncoderAxis> {
+pub(super) fn read_encoder(section: &Section<'_, '_>, joint: &Place) -> Option<EncoderSettings> {
     let steps = section.peek_text_of("drive", "kind") == Some("step");
     if steps && !section.has(keys::counts_per_turn.name) {
         refuse_keys(section);
@@ -42,7 +42,7 @@ pub(super) fn read_encoder(section: &Section<'_, '_>, joint: &Place) -> Option<E
     check_index(section, joint, index, search);
     let scale = per_unit(joint.kind);
     let coordinate = |value: f64| Coordinate(to_i32(value * scale));
-    Some(EncoderAxis {
+    Some(EncoderSettings {
         per_count: to_i64(direction * resolution * scale * PER_COUNT),
         following: coordinate(following),
         following_lag: to_u32(lag * 65.536),

@@ -3,7 +3,7 @@
 use super::axes::{AxisLimits, read_joint_axis};
 use super::axis_places::place_axes;
 use super::document::Section;
-use haptimill_firmware::config::{AxisKind, JointAxis, SwitchHome};
+use haptimill_firmware::config::{AxisKind, JointSettings, SwitchHome};
 use haptimill_machine_keys::controller::joint;
 use haptimill_protocol::message::MAX_AXES;
 
@@ -12,7 +12,7 @@ pub(super) fn read_joints(
     root: &Section<'_, '_>,
     places: &[(&'static str, AxisKind)],
     period: f64,
-) -> Vec<(JointAxis, AxisLimits)> {
+) -> Vec<(JointSettings, AxisLimits)> {
     let sections = root.list("joint");
     let count = sections.len();
     let has_key = |section: &Section<'_, '_>| section.has(joint::gantry_of.name);
@@ -92,9 +92,9 @@ pub(super) fn read_joints(
 /// Checks a second motor against the first one.
 fn check(
     section: &Section<'_, '_>,
-    joints: &[(JointAxis, AxisLimits)],
+    joints: &[(JointSettings, AxisLimits)],
     of: usize,
-    (axis, limits): (&JointAxis, &AxisLimits),
+    (axis, limits): (&JointSettings, &AxisLimits),
 ) {
     let Some((first, first_limits)) = joints.get(of) else {
         return;

@@ -8,7 +8,7 @@ use crate::work_data::tools_path;
 use crate::{IoNames, MachineFile};
 use haptimill_firmware::config;
 use haptimill_firmware::named_io::config::OutputFunction;
-use haptimill_gcode::{AxisKind, Coordinates, Options, ProgramAxis, ToolAxis};
+use haptimill_gcode::{Coordinates, Options, ProgramAxis, ToolAxis, WordKind};
 use haptimill_kinematics::BoundedKinematics;
 use haptimill_kinematics::descriptor::{Descriptor, Role};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
@@ -51,11 +51,11 @@ fn round(value: f64) -> f64 {
     }
 }
 
-fn program_kind(kind: config::AxisKind) -> AxisKind {
+fn program_kind(kind: config::AxisKind) -> WordKind {
     if kind.is_rotary() {
-        AxisKind::Rotary
+        WordKind::Rotary
     } else {
-        AxisKind::Linear
+        WordKind::Linear
     }
 }
 

@@ -5,7 +5,7 @@ use super::place::unit;
 use super::pose_difference::{ERROR, PoseDifference};
 use super::scale::{PER_COUNT, per_unit};
 use super::{MachineFile, Problems};
-use haptimill_firmware::config::{Drive, Home, JointAxis, SwitchInput};
+use haptimill_firmware::config::{Drive, Home, JointSettings, SwitchInput};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Switch;
 use haptimill_hil_sim::joint::{DriveConfig, JointConfig, SwitchSide};
@@ -245,7 +245,11 @@ fn check_scales(
 
 /// Checks that the switch that a joint searches is there, where the controller expects it, and that
 /// the lines of the switches have the levels that the controller expects.
-fn check_switches(simulated: &JointConfig, joint: &JointAxis, report: &dyn Fn(&str, String, &str)) {
+fn check_switches(
+    simulated: &JointConfig,
+    joint: &JointSettings,
+    report: &dyn Fn(&str, String, &str),
+) {
     let (unit, per_unit) = (unit(joint.kind), per_unit(joint.kind));
     let home = simulated.home.as_ref();
     let below = |is_below: bool| {

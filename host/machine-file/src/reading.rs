@@ -8,7 +8,7 @@ use super::scale::{PER_DEG, PER_MM, to_i32, to_u16};
 use super::{IoNames, MachineFile, Planner, Spindle};
 use super::{compensation, force, gantry, haptic, named_io, place};
 use haptimill_firmware::config::{
-    Config, Home, Homing, JointAxis, PoseAxis, Stopping, Supervision,
+    Config, Home, Homing, JointSettings, PoseAxis, Stopping, Supervision,
 };
 use haptimill_kinematics::Model;
 use haptimill_machine_keys::controller::{self, root};
@@ -210,7 +210,7 @@ fn read_name(root: &Section<'_, '_>) -> heapless::String<24> {
 /// Checks the limits of pose coordinates that are joints themselves.
 fn check_pose_against_joints(
     pose: &[(&Section<'_, '_>, (PoseAxis, AxisLimits))],
-    joints: &[(JointAxis, AxisLimits)],
+    joints: &[(JointSettings, AxisLimits)],
     model: Option<ModelReader>,
 ) {
     for (index, (section, (_, limits))) in pose.iter().enumerate() {
@@ -312,7 +312,7 @@ fn read_supervision(
 
 /// Reads the rates of the search for the index pulses; a machine without a joint that homes by its
 /// index has no such section.
-fn read_homing(root: &Section<'_, '_>, joints: &[(JointAxis, AxisLimits)]) -> Homing {
+fn read_homing(root: &Section<'_, '_>, joints: &[(JointSettings, AxisLimits)]) -> Homing {
     let searched = |rotary| {
         let mut joints = joints.iter();
         joints.any(|(joint, _)| joint.kind.is_rotary() == rotary && joint.home == Home::Index)

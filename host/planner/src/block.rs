@@ -3,7 +3,7 @@
 use super::limits::{MachineModel, PoseProblem, Settings};
 use super::profile::Along;
 use super::samples::{JointDerivatives, Samples};
-use haptimill_gcode::{AxisKind, Coordinates, Feed, Move, Path, Place, Problem, ToolLength};
+use haptimill_gcode::{Coordinates, Feed, Move, Path, Place, Problem, ToolLength, WordKind};
 
 /// Planned share of the acceleration limit; the rest is for rounding to periods and units.
 pub(super) const ACCELERATION_SHARE: f64 = 0.95;
@@ -165,8 +165,8 @@ fn check_soft_limits(
 ) -> Result<(), Refusal> {
     for (k, (value, axis)) in pose.iter().zip(&settings.pose).enumerate() {
         let unit = match axis.kind {
-            AxisKind::Linear => "mm",
-            AxisKind::Rotary => "deg",
+            WordKind::Linear => "mm",
+            WordKind::Rotary => "deg",
         };
         let is_in_range = (value * axis.units).abs() < NUMBER_RANGE * (1.0 - 1e-12);
         let tolerance = axis.limit_tolerance();

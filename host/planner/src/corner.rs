@@ -15,7 +15,7 @@
 
 use super::block::{ACCELERATION_SHARE, Block, JERK_SHARE, JOINT_CORNER_JERK, JOINT_RAMP_SHARE};
 use super::limits::Settings;
-use haptimill_gcode::{AxisKind, Coordinates};
+use haptimill_gcode::{Coordinates, WordKind};
 
 /// Largest half-length of a rounding, as a fraction of the shorter block. The rest is for
 /// acceleration and deceleration.
@@ -105,7 +105,7 @@ impl Corner {
         let (mut dot, mut norm1, mut norm2) = (0.0, 0.0, 0.0);
         let mut squared = [0.0; 2];
         for (k, axis) in settings.pose.iter().enumerate() {
-            let rotary = usize::from(axis.kind == AxisKind::Rotary);
+            let rotary = usize::from(axis.kind == WordKind::Rotary);
             // Direction of the tip, or of the rotary axes if only they move.
             if rotary == usize::from(before.path.tip_length() == 0.0) {
                 dot += u1[k] * u2[k];

@@ -9,7 +9,7 @@
 
 use super::block::Block;
 use super::limits::Settings;
-use haptimill_gcode::{Arc, AxisKind, Coordinates, Feed, Measure, Move, Path};
+use haptimill_gcode::{Arc, Coordinates, Feed, Measure, Move, Path, WordKind};
 
 /// Most moves of a joined path: a new move is compared with all of them.
 const MOST: usize = 256;
@@ -56,7 +56,7 @@ struct Within {
 impl Joined {
     /// Gives the blocks of the whole the places of the moves, and its corners their share of the
     /// tolerance of rotary coordinates.
-    pub(crate) fn complete(&self, blocks: &mut [Block], kinds: &[AxisKind]) {
+    pub(crate) fn complete(&self, blocks: &mut [Block], kinds: &[WordKind]) {
         let whole = &self.whole.path;
         let turns = if whole.turns(kinds) {
             1.0 - TURN_SHARE
@@ -113,7 +113,7 @@ impl Joining {
     }
 
     /// Joins a move to those before; returns false if it cannot be.
-    pub(crate) fn extend(&mut self, step: &Move, kinds: &[AxisKind]) -> bool {
+    pub(crate) fn extend(&mut self, step: &Move, kinds: &[WordKind]) -> bool {
         let Some(joined) = &mut self.0 else {
             return false;
         };
@@ -154,7 +154,7 @@ impl Joining {
     }
 }
 
-fn is_short_line(step: &Move, kinds: &[AxisKind]) -> bool {
+fn is_short_line(step: &Move, kinds: &[WordKind]) -> bool {
     let path = &step.path;
     !step.exact_stop
         && step.feed != Feed::Rapid
@@ -174,10 +174,10 @@ fn points(moves: &[Move]) -> impl Iterator<Item = &Coordinates> {
 }
 
 /// Returns the line from the first to the last point if all points are near it, in its direction.
-fn line_through(moves: &[Move], within: Within, kinds: &[AxisKind]) -> Option<Path> {
+fn line_through(moves: &[Move], within: Within, kinds: &[WordKind]) -> Option<Path> {
     let (first, last) = (moves.first()?, moves.last()?);
     let (from, to) = (&first.path.from, &last.path.to);
-    let is_rotary = |k: usize| kinds.get(k) == Some(&AxisKind::Rotary);
+    let is_rotary = |k: usize| kinds.get(k) == Some(&WordKind::Rotary);
     let along: Coordinates = std::array::from_fn(|k| to[k] - from[k]);
     let linear = |k: &usize| !is_rotary(*k);
     let squared: f64 = (0..6).filter(linear).map(|k| along[k] * along[k]).sum();
@@ -208,11 +208,11 @@ fn arc_through(
     moves: &[Move],
     within: Within,
     (plane, axis): &([usize; 2], usize),
-    kinds: &[AxisKind],
+    kinds: &[WordKind],
 ) -> Option<Path> {
     let (first, last) = (moves.first()?, moves.last()?);
     let (from, to) = (&first.path.from, &last.path.to);
-    let is_linear = |k: &usize| kinds.get(*k) == Some(&AxisKind::Linear);
+    let is_linear = |k: &usize| kinds.get(*k) == Some(&WordKind::Linear);
     if !plane.iter().all(is_linear) {
         return None;
     }
@@ -258,7 +258,7 @@ fn arc_through(
             let most = match k {
                 _ if plane.contains(&k) => continue,
                 _ if k == *axis => most,
-                _ if kinds.get(k) == Some(&AxisKind::Rotary) => within.degrees,
+                _ if kinds.get(k) == Some(&WordKind::Rotary) => within.degrees,
                 _ => 0.0,
             };
             if off.abs() + between * slope.abs() > most {

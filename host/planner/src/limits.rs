@@ -1,6 +1,6 @@
 //! Limits of pose coordinates and joints, and the caller's model of the geometry.
 
-use haptimill_gcode::{AxisKind, Coordinates};
+use haptimill_gcode::{Coordinates, WordKind};
 use haptimill_protocol::text;
 use std::fmt;
 
@@ -10,7 +10,7 @@ pub struct PoseLimits {
     /// Program letter.
     pub letter: char,
     /// Millimetres or degrees.
-    pub kind: AxisKind,
+    pub kind: WordKind,
     /// Axis units of the protocol per millimetre or degree.
     pub units: f64,
     /// Lower soft limit; minus infinity if the coordinate wraps around.
@@ -124,7 +124,7 @@ impl Settings {
     }
 
     /// Returns the kinds of the pose coordinates.
-    pub fn kinds(&self) -> Vec<AxisKind> {
+    pub fn kinds(&self) -> Vec<WordKind> {
         self.pose.iter().map(|axis| axis.kind).collect()
     }
 }
@@ -134,8 +134,8 @@ impl PoseLimits {
     /// that the rounding of setpoints and the cubics between them stay within that.
     pub(crate) fn limit_tolerance(&self) -> f64 {
         let (kind, unit) = match self.kind {
-            AxisKind::Linear => (text::AxisKind::Linear, 1.0),
-            AxisKind::Rotary => (text::AxisKind::Rotary, 360.0),
+            WordKind::Linear => (text::AxisKind::Linear, 1.0),
+            WordKind::Rotary => (text::AxisKind::Rotary, 360.0),
         };
         let units = (1_u64 << kind.unit_bits()) as f64;
         0.5 * f64::from(kind.soft_limit_tolerance()) * unit / units

@@ -1,7 +1,7 @@
 //! Samples of a path, and what they tell of the motion between them.
 
 use super::limits::Settings;
-use haptimill_gcode::{AxisKind, Path};
+use haptimill_gcode::{Path, WordKind};
 
 /// The samples of a path: at most 1 mm, 1 degree of a rotary axis and 20 degrees of arc apart.
 ///
@@ -24,7 +24,7 @@ impl Samples {
     pub fn of(path: &Path, settings: &Settings) -> Self {
         let mut count = path.tip_length().max(1.0);
         for (k, axis) in settings.pose.iter().enumerate() {
-            if axis.kind == AxisKind::Rotary {
+            if axis.kind == WordKind::Rotary {
                 count = count.max((path.to[k] - path.from[k]).abs());
             }
         }
@@ -111,7 +111,7 @@ impl JointDerivatives {
 mod tests {
     use super::{JointDerivatives, Samples};
     use crate::limits::{PoseLimits, Settings};
-    use haptimill_gcode::{Arc, AxisKind, Path};
+    use haptimill_gcode::{Arc, Path, WordKind};
     use proptest::prelude::*;
 
     /// Joint rates of a machine whose joints are linear in the pose.
@@ -122,7 +122,7 @@ mod tests {
     fn settings() -> Settings {
         let axis = |letter| PoseLimits {
             letter,
-            kind: AxisKind::Linear,
+            kind: WordKind::Linear,
             units: 1.0,
             low: -100.0,
             high: 100.0,
@@ -149,7 +149,7 @@ mod tests {
             sweep in prop_oneof![0.01_f64..6.2, -6.2_f64..-0.01],
             weights in prop::array::uniform6(prop::array::uniform2(-2.0_f64..2.0)),
         ) {
-            let kinds = [AxisKind::Linear; 2];
+            let kinds = [WordKind::Linear; 2];
             let point = |angle: f64| {
                 [radius * angle.cos(), radius * angle.sin(), 0.0, 0.0, 0.0, 0.0]
             };

@@ -1,6 +1,6 @@
 //! The preview of a program of known geometry.
 
-use haptimill_gcode::{AxisKind, Coordinates, Interpreter, Options, ProgramAxis, ToolAxis};
+use haptimill_gcode::{Coordinates, Interpreter, Options, ProgramAxis, ToolAxis, WordKind};
 use haptimill_planner::{JointLimits, MachineModel, Planner, PoseLimits, PoseProblem, Settings};
 use haptimill_preview::{Joint, Preview};
 use haptimill_viewer::Shape;
@@ -23,7 +23,7 @@ fn settings() -> Settings {
     let pose = ['X', 'Y', 'Z'].map(|letter| PoseLimits {
         units: 1_048_576.0,
         letter,
-        kind: AxisKind::Linear,
+        kind: WordKind::Linear,
         low: -100.0,
         high: 100.0,
         rate: 60.0,
@@ -43,7 +43,7 @@ fn settings() -> Settings {
 fn preview(text: &str) -> (Preview<Mill>, String) {
     let axes = ['X', 'Y', 'Z'].map(|letter| ProgramAxis {
         letter,
-        kind: AxisKind::Linear,
+        kind: WordKind::Linear,
         wraps: false,
     });
     let options = Options {
@@ -116,7 +116,7 @@ fn a_longer_tool_is_drawn_at_its_tip() {
     let mut settings = settings();
     settings.pose.push(PoseLimits {
         letter: 'A',
-        kind: AxisKind::Rotary,
+        kind: WordKind::Rotary,
         ..settings.pose[0].clone()
     });
     let axis = |letter, kind| ProgramAxis {
@@ -125,9 +125,9 @@ fn a_longer_tool_is_drawn_at_its_tip() {
         wraps: false,
     };
     let mut axes = ['X', 'Y', 'Z']
-        .map(|letter| axis(letter, AxisKind::Linear))
+        .map(|letter| axis(letter, WordKind::Linear))
         .to_vec();
-    axes.push(axis('A', AxisKind::Rotary));
+    axes.push(axis('A', WordKind::Rotary));
     let options = Options {
         axes,
         tool_axis: ToolAxis {

@@ -6,7 +6,7 @@ use super::contour::Point;
 use super::markup::{self, escape, put};
 use super::series::Columns;
 use super::{Cut, Statistics, Summary, duration};
-use haptimill_firmware::config::JointAxis;
+use haptimill_firmware::config::JointSettings;
 use haptimill_trace::{Recording, RecordingError};
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -336,7 +336,10 @@ fn time_charts(
             .collect()
     };
     let label = |axis: usize| {
-        let open_loop = config.joints.get(axis).is_some_and(JointAxis::is_open_loop);
+        let open_loop = config
+            .joints
+            .get(axis)
+            .is_some_and(JointSettings::is_open_loop);
         let note = if open_loop { " (open loop)" } else { "" };
         format!("{}{note}", names[axis])
     };

@@ -178,7 +178,7 @@ fn compare_outputs(
     if recorded == replayed {
         return None;
     }
-    let axes = recorded.axes.iter().zip(&replayed.axes).enumerate();
+    let axes = recorded.joints.iter().zip(&replayed.joints).enumerate();
     for (axis, (one, other)) in axes {
         if one != other {
             let name = header.joints.get(axis);

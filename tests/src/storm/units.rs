@@ -1,6 +1,6 @@
 //! Units of the wire in engineering units.
 
-use haptimill_firmware::config::{AxisKind, JointAxis};
+use haptimill_firmware::config::{AxisKind, JointSettings};
 
 /// Axis units of a millimetre.
 pub const MM: f64 = (1 << 20) as f64;
@@ -27,13 +27,13 @@ pub const fn kind_unit(kind: AxisKind) -> f64 {
 
 /// Returns the axis units of a millimetre or of a degree of a joint.
 #[must_use]
-pub const fn joint_unit(joint: &JointAxis) -> f64 {
+pub const fn joint_unit(joint: &JointSettings) -> f64 {
     kind_unit(joint.kind)
 }
 
 /// Returns the index of a joint's bound in the lists of [`super::checks::bounds`]: slide or table.
 #[must_use]
-pub const fn class(joint: &JointAxis) -> usize {
+pub const fn class(joint: &JointSettings) -> usize {
     match joint.kind {
         AxisKind::Linear => 0,
         AxisKind::Rotary | AxisKind::MultiTurn => 1,

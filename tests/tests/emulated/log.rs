@@ -57,7 +57,7 @@ fn the_log_reports_states_and_faults_and_changes_no_output() {
     let image = image.display().to_string();
     let file = results("chip.log");
     let name = file.display().to_string();
-    let fault = ["--fault", "drive-tripped axis=l2 at=8s"];
+    let fault = ["--fault", "drive-tripped joint=l2 at=8s"];
     let native = run(&program, "sim", &results("log-native"), &fault).expect_err("tripped");
     let [fault, tripped] = fault;
     let more = ["--image", &image, "--log", &name, fault, tripped];

@@ -5,7 +5,7 @@ pub mod joint_fault;
 pub mod single_joint;
 pub mod slides;
 
-use haptimill_firmware::config::EncoderAxis;
+use haptimill_firmware::config::EncoderSettings;
 use haptimill_hil_sim::rig::Control;
 use haptimill_protocol::message::{Action, AxisValues, Command, Event, State};
 use haptimill_protocol::setpoint::Setpoint;
@@ -59,7 +59,7 @@ pub fn moving(axis: usize, speed: f64) -> Bench {
 }
 
 /// Returns the encoder of a joint in the configuration to be sent.
-pub fn encoder(bench: &mut Bench, joint: usize) -> &mut EncoderAxis {
+pub fn encoder(bench: &mut Bench, joint: usize) -> &mut EncoderSettings {
     let joint = &mut bench.machine.config.joints[joint];
     joint.encoder.as_mut().expect("an encoder")
 }
@@ -118,7 +118,7 @@ pub fn drives_off(bench: &Bench) -> bool {
     bench
         .rig
         .outputs()
-        .axes
+        .joints
         .iter()
         .all(|command| *command == haptimill_firmware::io::DriveCommand::Off)
         && bench.rig.outputs().spindle_rpm == 0

@@ -5,8 +5,8 @@
 //! breakaway force above the Coulomb force (Stribeck). Units: mm, s, N, kg.
 
 use super::MM;
-use haptimill_firmware::config::{JointAxis, Supervision};
-use haptimill_firmware::io::{AxisInputs, DriveCommand};
+use haptimill_firmware::config::{JointSettings, Supervision};
+use haptimill_firmware::io::{DriveCommand, JointInputs};
 use haptimill_firmware::joint::JointDrive;
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::joint::encoder::{Encoder, EncoderCondition, Track};
@@ -41,7 +41,7 @@ impl Friction {
 
 /// The slide, its encoder, and its joint in the controller.
 pub struct Slide {
-    axis: JointAxis,
+    axis: JointSettings,
     limits: Supervision,
     joint: JointDrive,
     encoder: Encoder,
@@ -67,9 +67,9 @@ impl Slide {
         axis.law.ki = Gain((integral * 256.0) as u32);
         let start = 1135.0 + phase * 10.0 / 8000.0;
         let mut joint = JointDrive::new(&axis, 200).expect("sound");
-        let inputs = AxisInputs {
+        let inputs = JointInputs {
             drive_ready: true,
-            ..AxisInputs::default()
+            ..JointInputs::default()
         };
         joint.measure(&inputs, 0);
         joint.set_reference(0, Coordinate((1135.0 * MM) as i32));
@@ -112,14 +112,14 @@ impl Slide {
     /// the slide.
     pub fn step(&mut self, commanded: [f64; 3], load: f64) -> Option<Fault> {
         let snapshot = self.encoder.reading();
-        let inputs = AxisInputs {
+        let inputs = JointInputs {
             counts: snapshot.counts,
             edge_time_ns: snapshot.edge_time_ns,
             illegal: snapshot.illegal,
             index_counts: snapshot.index_counts,
             index_pulses: snapshot.index_pulses,
             drive_ready: true,
-            ..AxisInputs::default()
+            ..JointInputs::default()
         };
         self.joint.measure(&inputs, self.time_ns as u32);
         // Supervision compares the measurement with the command of the period before. The first

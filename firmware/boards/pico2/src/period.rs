@@ -158,7 +158,7 @@ fn SysTick() {
 /// Applies the outputs of the call before, besides the pulses.
 fn apply(front: &mut Front, outputs: &Outputs) {
     let on = outputs
-        .axes
+        .joints
         .iter()
         .any(|command| *command != DriveCommand::Off);
     pins::enable_drives(on && !front.engine.is_stopped());
@@ -177,11 +177,11 @@ fn latch(front: &Front, back: &mut Back, levels: Levels) {
     inputs.time_ns = (front.period as u32).wrapping_mul(u32::from(PERIOD_US) * 1000);
     let broken = front.engine.lost() | back.wrong;
     for joint in 0..JOINTS {
-        let axis = &mut inputs.axes[joint];
+        let axis = &mut inputs.joints[joint];
         axis.steps = front.engine.emitted(joint);
         axis.home = levels.home(joint);
     }
-    for (joint, axis) in inputs.axes.iter_mut().enumerate() {
+    for (joint, axis) in inputs.joints.iter_mut().enumerate() {
         axis.drive_ready = levels.drives_ready() && broken >> joint & 1 == 0;
     }
     inputs.digital = levels.digital();
@@ -208,7 +208,7 @@ fn PendSV() {
     bytes.send(&outputs.transmit);
     let (widths, wrong) = requirements(controller.machine());
     back.wrong = wrong;
-    back.batch = Some(filler.fill(back.buffer, &outputs.axes, &widths));
+    back.batch = Some(filler.fill(back.buffer, &outputs.joints, &widths));
     profile.end(cycles());
     record::write(&back.inputs, &back.outputs, &profile, back.glitches);
     ending::feed_watchdog();

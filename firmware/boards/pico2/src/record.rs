@@ -43,8 +43,8 @@ pub fn write(inputs: &Inputs, outputs: &Outputs, cycles: &Cycles, glitches: u32)
     let words = unsafe { &mut *RECORD.0.get() };
     let pair = |low: u16, high: u16| u32::from(low) | u32::from(high) << 16;
     words[1] = pair(inputs.missed, inputs.transmit_room);
-    let bits = |bit: fn(&haptimill_firmware::io::AxisInputs) -> bool| {
-        let axes = inputs.axes.iter().enumerate();
+    let bits = |bit: fn(&haptimill_firmware::io::JointInputs) -> bool| {
+        let axes = inputs.joints.iter().enumerate();
         axes.fold(0, |all, (axis, inputs)| {
             all | u32::from(bit(inputs)) << axis
         })
@@ -64,8 +64,8 @@ pub fn write(inputs: &Inputs, outputs: &Outputs, cycles: &Cycles, glitches: u32)
     }
     words[27] = 0;
     for joint in 0..JOINTS {
-        words[22 + joint] = inputs.axes[joint].steps as u32;
-        if let DriveCommand::Steps(segment) = outputs.axes[joint] {
+        words[22 + joint] = inputs.joints[joint].steps as u32;
+        if let DriveCommand::Steps(segment) = outputs.joints[joint] {
             words[27] |= 1 << joint;
             let at = 28 + 4 * joint;
             words[at] = i32::from(segment.count) as u32;

@@ -158,7 +158,7 @@ pub struct SimulatorArgs {
     /// Random seed of the simulated machine [default: the one in the machine file]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Inject a fault into the simulated machine, as "joint-jammed axis=NAME at=1.5s"; repeatable.
+    /// Inject a fault into the simulated machine, as "joint-jammed joint=NAME at=1.5s"; repeatable.
     /// `haptimill run --help` lists all faults
     #[arg(long, value_name = "FAULT")]
     pub fault: Vec<Fault>,

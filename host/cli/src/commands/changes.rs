@@ -2,7 +2,7 @@
 
 use crate::commands::{CliError, Exit};
 use haptimill_gcode::{
-    AxisKind, Coordinates, Feed, Move, Options, OutputValue, Path, Place, Program, Step, ToolLength,
+    Coordinates, Feed, Move, Options, OutputValue, Path, Place, Program, Step, ToolLength, WordKind,
 };
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -98,7 +98,7 @@ impl ChangeArgs {
 
 /// The coordinates of a machine.
 struct BoxView {
-    kinds: Vec<AxisKind>,
+    kinds: Vec<WordKind>,
     letters: Vec<char>,
     z: Option<usize>,
 }

@@ -288,7 +288,7 @@ fn segments(recording: &Recording) -> Result<Vec<Vec<Planned>>, haptimill_trace:
     };
     for period in periods {
         let period = period?;
-        for (drive, planned) in before.outputs.axes.iter().zip(&mut planned) {
+        for (drive, planned) in before.outputs.joints.iter().zip(&mut planned) {
             if let DriveCommand::Steps(segment) = drive
                 && segment.count != 0
             {

@@ -176,7 +176,7 @@ fn faults_are_shown_with_their_remedy() {
             "--fault",
             "emergency-stop at=8s for=1s",
             "--fault",
-            "joint-jammed axis=l1 at=14s",
+            "joint-jammed joint=l1 at=14s",
         ],
         Keyboard::Plain,
     );

@@ -323,7 +323,7 @@ fn axis_sources_and_force_control_are_set_from_the_screen() {
 #[test]
 fn a_joint_is_moved_off_its_limit_switch_by_a_key() {
     let mill = "machines/mill3-servo.toml";
-    let push = "push axis=x effort=45 at=1s for=5s";
+    let push = "push joint=x effort=45 at=1s for=5s";
     let terminal = console(&["--machine", mill, "--fault", push], Keyboard::Plain);
     terminal.expect_state("DISABLED");
     terminal.press_expect(

@@ -149,7 +149,7 @@ fn unusable_files_have_distinct_messages() {
             "run",
             &good,
             "--fault",
-            "joint-jammed axis=9",
+            "joint-jammed joint=9",
             "--out",
             &out,
         ],

@@ -127,7 +127,7 @@ fn faulted_job_over_a_bad_line_replays_equal() {
     let folder = TestFolder::new();
     let fault = [
         "--fault",
-        "encoder-stuck axis=l2 channel=a level=high at=6s",
+        "encoder-stuck joint=l2 channel=a level=high at=6s",
         "--fault",
         "missed-periods count=2 at=5.5s",
         "--baud",
@@ -162,7 +162,7 @@ fn one_changed_input_bit_is_reported_with_both_values() {
     for period in recording.read_periods().unwrap() {
         let mut period: Period = period.unwrap();
         if period.inputs.period == flipped {
-            period.inputs.axes[2].counts ^= 1;
+            period.inputs.joints[2].counts ^= 1;
         }
         recorder.period(&period.inputs, &period.outputs);
     }

@@ -300,7 +300,7 @@ fn a_refused_program_is_not_selected() {
 #[test]
 fn a_joint_is_moved_off_its_limit_switch_by_the_button() {
     let mill = "machines/mill3-servo.toml";
-    let push = "push axis=x effort=45 at=1s for=5s";
+    let push = "push joint=x effort=45 at=1s for=5s";
     let served = serve(&["--machine", mill, "--fault", push]);
     let mut viewer = Viewer::open(&served.address);
     viewer.take();

@@ -1,7 +1,7 @@
 //! The H-4 machine in f64, written independently from docs/control.md 2.6 and 2.7 with the lengths
 //! of REF-G (7.2), and default dynamics.
 
-use haptimill_gcode::{AxisKind, Coordinates};
+use haptimill_gcode::{Coordinates, WordKind};
 use haptimill_planner::{JointLimits, MachineModel, PoseLimits, PoseProblem, Settings};
 
 /// The geometry REF-G.
@@ -103,7 +103,7 @@ impl MachineModel for H4 {
 pub fn settings() -> Settings {
     let linear = |letter, low, high| PoseLimits {
         letter,
-        kind: AxisKind::Linear,
+        kind: WordKind::Linear,
         units: 1_048_576.0,
         low,
         high,
@@ -113,7 +113,7 @@ pub fn settings() -> Settings {
     };
     let rotary = |letter, reach: f64| PoseLimits {
         letter,
-        kind: AxisKind::Rotary,
+        kind: WordKind::Rotary,
         units: 4_294_967_296.0 / 360.0,
         low: -reach,
         high: reach,

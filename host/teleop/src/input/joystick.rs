@@ -1,6 +1,6 @@
 //! Game controllers, by the joystick interface of Linux.
 
-use super::{DesiredMotion, Device, OperatorCommand, Read, VecDeque, io, read_all, shape};
+use super::{Device, InputMotion, OperatorCommand, Read, VecDeque, io, read_all, shape};
 
 /// Decodes the records of the joystick interface.
 #[derive(Debug)]
@@ -48,7 +48,7 @@ impl<R: Read> Device for Joystick<R> {
         _: u64,
         _: f64,
         commands: &mut VecDeque<OperatorCommand>,
-    ) -> io::Result<DesiredMotion> {
+    ) -> io::Result<InputMotion> {
         read_all(&mut self.input, &mut self.received)?;
         let received = std::mem::take(&mut self.received);
         let (records, rest) = received.as_chunks::<RECORD>();
@@ -60,7 +60,7 @@ impl<R: Read> Device for Joystick<R> {
         let part = |axis: usize, sign: f64| {
             shape(sign * f64::from(self.axes[axis]) / 32_767.0) * self.speed
         };
-        Ok(DesiredMotion {
+        Ok(InputMotion {
             velocity: [part(0, 1.0), part(1, -1.0), part(4, -1.0)],
             limit: None,
             is_enabled: self.is_enabled,

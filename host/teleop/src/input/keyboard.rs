@@ -1,6 +1,6 @@
 //! Keys of a terminal.
 
-use super::{COMPONENTS, DesiredMotion, Device, OperatorCommand, Read, VecDeque, io, read_all};
+use super::{COMPONENTS, Device, InputMotion, OperatorCommand, Read, VecDeque, io, read_all};
 
 /// The command of a key.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -95,7 +95,7 @@ impl<R: Read> Device for Keyboard<R> {
         now_us: u64,
         dt: f64,
         commands: &mut VecDeque<OperatorCommand>,
-    ) -> io::Result<DesiredMotion> {
+    ) -> io::Result<InputMotion> {
         read_all(&mut self.input, &mut self.received)?;
         while let Some(key) = self.key() {
             match key {
@@ -117,9 +117,9 @@ impl<R: Read> Device for Keyboard<R> {
         if is_enabled {
             let since = *self.enabled_us.get_or_insert(now_us);
             if now_us.saturating_sub(since) < LATCH_US {
-                return Ok(DesiredMotion {
+                return Ok(InputMotion {
                     is_enabled,
-                    ..DesiredMotion::default()
+                    ..InputMotion::default()
                 });
             }
         } else {
@@ -138,7 +138,7 @@ impl<R: Read> Device for Keyboard<R> {
         for left in &mut self.remaining {
             *left -= left.clamp(-distance, distance);
         }
-        Ok(DesiredMotion {
+        Ok(InputMotion {
             velocity,
             limit: Some(limit),
             is_enabled,

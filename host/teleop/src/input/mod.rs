@@ -36,7 +36,7 @@ use std::path::Path;
 
 /// The motion that a device commands.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct DesiredMotion {
+pub struct InputMotion {
     /// Velocity of the handle, mm/s.
     pub velocity: [f64; COMPONENTS],
     /// Distance limit at that velocity, mm; none when it is absent.
@@ -56,7 +56,7 @@ pub trait Device {
         now_us: u64,
         dt: f64,
         commands: &mut VecDeque<OperatorCommand>,
-    ) -> io::Result<DesiredMotion>;
+    ) -> io::Result<InputMotion>;
 }
 
 /// Time between two samples, microseconds.
@@ -94,7 +94,7 @@ impl<D: Device> VirtualHandle<D> {
     }
 
     /// Moves the handle for a time, and returns its velocity in that time.
-    fn integrate(&mut self, motion: &DesiredMotion, dt: f64) -> [f64; COMPONENTS] {
+    fn integrate(&mut self, motion: &InputMotion, dt: f64) -> [f64; COMPONENTS] {
         std::array::from_fn(|axis| {
             let limit = motion.limit.map_or(f64::INFINITY, |limit| limit[axis]);
             let distance = (motion.velocity[axis] * dt).clamp(-limit, limit);

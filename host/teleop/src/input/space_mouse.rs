@@ -1,7 +1,7 @@
 //! 3D mice, by the event interface of Linux.
 
 use super::{
-    COMPONENTS, DesiredMotion, Device, OperatorCommand, Read, VecDeque, io, read_all, shape,
+    COMPONENTS, Device, InputMotion, OperatorCommand, Read, VecDeque, io, read_all, shape,
 };
 
 /// Decodes the records of the event interface, as a 3D mouse sends them.
@@ -63,7 +63,7 @@ impl<R: Read> Device for SpaceMouse<R> {
         now_us: u64,
         _: f64,
         commands: &mut VecDeque<OperatorCommand>,
-    ) -> io::Result<DesiredMotion> {
+    ) -> io::Result<InputMotion> {
         read_all(&mut self.input, &mut self.received)?;
         let received = std::mem::take(&mut self.received);
         let (events, rest) = received.as_chunks::<EVENT>();
@@ -80,7 +80,7 @@ impl<R: Read> Device for SpaceMouse<R> {
             let value = if is_over(at) { 0 } else { value };
             shape((signs[axis] * f64::from(value) / FULL).clamp(-1.0, 1.0)) * self.speed
         });
-        Ok(DesiredMotion {
+        Ok(InputMotion {
             velocity,
             limit: None,
             is_enabled: self.is_enabled,

@@ -102,12 +102,12 @@ fn changed_input_gives_a_named_difference() {
     let file = TemporaryFile::new("replay-counts.hmr");
     // Two counts of slide l3, once: 2.5 um.
     let mut periods = standstill_periods().to_vec();
-    periods[3500].inputs.axes[2].counts ^= 2;
+    periods[3500].inputs.joints[2].counts ^= 2;
     let recording = record(&file.0, &periods);
     let difference = replay(&recording).unwrap().unwrap_err();
     assert_eq!(difference.period, 3500);
     assert_eq!(difference.field, "the command to drive l3");
-    let before = &periods[3500].outputs.axes[2];
+    let before = &periods[3500].outputs.joints[2];
     assert_eq!(difference.recorded, format!("{before:?}"));
     assert_ne!(difference.replayed, difference.recorded);
     assert!((difference.time_s - 0.7).abs() < 1e-9);
@@ -192,8 +192,8 @@ proptest! {
         let file = TemporaryFile::new("replay-absurd.hmr");
         let mut periods = standstill_periods().to_vec();
         let inputs = &mut periods[at].inputs;
-        inputs.axes[axis].counts = counts;
-        inputs.axes[axis].edge_time_ns = edge;
+        inputs.joints[axis].counts = counts;
+        inputs.joints[axis].edge_time_ns = edge;
         inputs.missed = missed;
         inputs.received = heapless::Vec::from_slice(&garbage).unwrap();
         let mut controller = Controller::new(200);

@@ -113,7 +113,7 @@ fn small_recording() -> Vec<u8> {
         for number in 0..70_u64 {
             let mut period = Period::default();
             period.inputs.period = number;
-            period.inputs.axes[2].counts = (number * number) as i32;
+            period.inputs.joints[2].counts = (number * number) as i32;
             recorder.period(&period.inputs, &period.outputs);
             if number >= 20 {
                 recorder.record(&Record {
@@ -187,7 +187,7 @@ fn constant_rates_of_clock_and_counters_compress_to_one_byte() {
     for number in 0..20_000_u64 {
         period.inputs.period = number;
         period.inputs.time_ns = (number * 200_000) as u32;
-        period.inputs.axes[0].counts = number as i32 * 3;
+        period.inputs.joints[0].counts = number as i32 * 3;
         recorder.period(&period.inputs, &period.outputs);
     }
     recorder.finish().unwrap();

@@ -70,7 +70,7 @@ pub fn any_record() -> impl Strategy<Value = Record> {
 }
 
 pub fn any_period() -> impl Strategy<Value = Period> {
-    use haptimill_firmware::io::{AxisInputs, DriveCommand, Inputs, StepSegment};
+    use haptimill_firmware::io::{DriveCommand, Inputs, JointInputs, StepSegment};
     // Small and large differences, and half words.
     let word = || {
         prop_oneof![
@@ -81,14 +81,14 @@ pub fn any_period() -> impl Strategy<Value = Period> {
         ]
     };
     let axis = (word(), word(), any::<u16>(), any::<u8>(), any::<bool>()).prop_map(
-        |(counts, edge, illegal, index_pulses, bit)| AxisInputs {
+        |(counts, edge, illegal, index_pulses, bit)| JointInputs {
             counts,
             edge_time_ns: edge as u32,
             illegal,
             index_pulses,
             home: bit,
             drive_ready: !bit,
-            ..AxisInputs::default()
+            ..JointInputs::default()
         },
     );
     let command = prop_oneof![
@@ -127,7 +127,7 @@ pub fn any_period() -> impl Strategy<Value = Period> {
                     period,
                     missed,
                     time_ns: time as u32,
-                    axes,
+                    joints: axes,
                     waiting: line.0,
                     lost_bytes: line.1,
                     out_of_band_stop: line.2,
@@ -142,9 +142,9 @@ pub fn any_period() -> impl Strategy<Value = Period> {
                     inputs,
                     ..Period::default()
                 };
-                period.inputs.haptic.legs[1].counts = [period.inputs.axes[0].counts, 3, -7];
+                period.inputs.haptic.legs[1].counts = [period.inputs.joints[0].counts, 3, -7];
                 period.outputs.haptic.currents[2] = [codes[1], codes[2]];
-                period.outputs.axes = commands;
+                period.outputs.joints = commands;
                 period.outputs.spindle_rpm = spindle_rpm;
                 period.outputs.digital = u32::from(line.1) << 3;
                 period.outputs.analog = [-1, codes[2], 2, codes[0]];

@@ -3,7 +3,7 @@
 use super::super::bench::StormBench;
 use super::super::units::{PERIOD, joint_unit, kind_unit};
 use super::{CheckResult, Checks, PreviousPeriod, bounds, commanded_pose, gantry_partner};
-use haptimill_firmware::config::{JointAxis, PoseAxis};
+use haptimill_firmware::config::{JointSettings, PoseAxis};
 use haptimill_firmware::machine::Machine;
 use haptimill_protocol::message::State;
 
@@ -120,7 +120,7 @@ impl Checks {
         &mut self,
         motion: &CommandedMotion,
         joint: usize,
-        limits: &JointAxis,
+        limits: &JointSettings,
     ) -> CheckResult {
         let most = f64::from(limits.rate.0) * PERIOD;
         let part = motion.joint_step(joint).abs() / most;
@@ -180,7 +180,7 @@ impl CommandedMotion<'_> {
     /// Checks that a joint on its limit switch moves away from it, and that the others stay.
     fn check_move_off(&self, moving: usize) -> CheckResult {
         let joints = &self.bench.machine.config.joints;
-        let inputs = &self.bench.rig.inputs().axes;
+        let inputs = &self.bench.rig.inputs().joints;
         let partner = gantry_partner(joints, moving);
         for joint in 0..joints.len() {
             let step = self.joint_step(joint);
@@ -287,7 +287,7 @@ impl CommandedMotion<'_> {
         Ok(())
     }
 
-    fn check_stroke(&self, joint: usize, limits: &JointAxis) -> CheckResult {
+    fn check_stroke(&self, joint: usize, limits: &JointSettings) -> CheckResult {
         let (low, high) = (f64::from(limits.low.0), f64::from(limits.high.0));
         let beyond = |place: f64| excess(place, low, high) / joint_unit(limits);
         let outside = beyond(self.joints[joint]);

@@ -138,7 +138,7 @@ impl Checks {
             Fault::FollowingError { joint, .. } if self.other_machine => {
                 self.injected.iter().any(|kind| {
                     matches!(kind, FaultKind::EncoderSwapped { .. })
-                        && kind.axis().and_then(joint_of) == Some(usize::from(*joint))
+                        && kind.joint().and_then(joint_of) == Some(usize::from(*joint))
                 })
             }
             // The cubic of a job may leave what the joints can reach between two setpoints.
@@ -209,7 +209,7 @@ impl Checks {
             return false;
         };
         self.injected.iter().any(|kind| {
-            let injected = kind.axis().and_then(joint_of);
+            let injected = kind.joint().and_then(joint_of);
             injected == Some(joint) || injected == Some(partner)
         })
     }
@@ -318,7 +318,7 @@ fn is_soft_contact_drift(bench: &StormBench, component: usize) -> bool {
 /// Returns whether a fault is among the effects of an injected one.
 fn explains(kind: &FaultKind, fault: &Fault) -> bool {
     use FaultKind as K;
-    let joint = kind.axis().and_then(joint_of);
+    let joint = kind.joint().and_then(joint_of);
     let of = |other: &u8| Some(usize::from(*other)) == joint;
     let counter = match fault {
         Fault::EncoderStuck { joint }

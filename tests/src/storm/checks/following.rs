@@ -5,7 +5,7 @@ use super::super::episode::joint_of;
 use super::super::units::{PERIOD, class, joint_unit};
 use super::position::is_position_known;
 use super::{Cause, CheckResult, Checks, bounds, gantry_partner};
-use haptimill_firmware::config::JointAxis;
+use haptimill_firmware::config::JointSettings;
 use haptimill_protocol::message::State;
 
 /// Periods for which the conditions of this file have lasted.
@@ -31,7 +31,7 @@ pub(super) struct FollowingRecord {
 }
 
 /// Returns the distance of two positions of a joint, in mm or degrees.
-pub(super) fn distance(limits: &JointAxis, a: f64, b: f64) -> f64 {
+pub(super) fn distance(limits: &JointSettings, a: f64, b: f64) -> f64 {
     let off = (a - b).abs();
     if limits.wraps() {
         off.rem_euclid(360.0).min((-off).rem_euclid(360.0))
@@ -59,7 +59,7 @@ impl Checks {
 
     /// Counts the periods of motion in which friction is not compensated in full, and the travel
     /// since the last reversal.
-    pub(super) fn count_motion(&mut self, joint: usize, limits: &JointAxis) {
+    pub(super) fn count_motion(&mut self, joint: usize, limits: &JointSettings) {
         let rate = self.previous.joint_rates[joint] / joint_unit(limits);
         let travel = &mut self.following.travel[joint];
         if rate * *travel < 0.0 {
@@ -138,7 +138,7 @@ impl Checks {
         // to the other motor of its gantry.
         let partner = gantry_partner(&machine.config.joints, joint);
         let of_joint = self.injected.iter().any(|kind| {
-            let injected = kind.axis().and_then(joint_of);
+            let injected = kind.joint().and_then(joint_of);
             injected.is_some() && (injected == Some(joint) || injected == partner)
         });
         let seen = limits.encoder.is_some() || !of_joint;
@@ -168,7 +168,7 @@ impl Checks {
         &mut self,
         bench: &StormBench,
         joint: usize,
-        limits: &JointAxis,
+        limits: &JointSettings,
         far: f64,
     ) -> CheckResult {
         let unit = joint_unit(limits);

@@ -40,8 +40,8 @@ use super::bench::StormBench;
 use super::episode::{Episode, Theme};
 use super::reference::{PlannedJob, ReferenceKinematics};
 use super::units::{PERIOD, joint_unit};
-use haptimill_firmware::config::JointAxis;
-use haptimill_firmware::io::AxisInputs;
+use haptimill_firmware::config::JointSettings;
+use haptimill_firmware::io::JointInputs;
 use haptimill_hil_sim::fault::FaultKind;
 use haptimill_protocol::message::State;
 
@@ -115,7 +115,7 @@ pub struct Checks {
 /// Returns the motion in one period that the firmware takes for a counter jump, in axis units.
 ///
 /// It is the limit of the following error at standstill plus ten times the highest rate.
-fn jump_threshold(limits: &JointAxis) -> f64 {
+fn jump_threshold(limits: &JointSettings) -> f64 {
     let following = limits
         .encoder
         .as_ref()
@@ -124,7 +124,7 @@ fn jump_threshold(limits: &JointAxis) -> f64 {
 }
 
 /// Returns the other motor of the gantry of a joint.
-fn gantry_partner(joints: &[JointAxis], joint: usize) -> Option<usize> {
+fn gantry_partner(joints: &[JointSettings], joint: usize) -> Option<usize> {
     let first = |joint: usize| {
         let gantry = joints.get(joint)?.gantry.as_ref();
         gantry.map(|gantry| usize::from(gantry.of))
@@ -133,7 +133,7 @@ fn gantry_partner(joints: &[JointAxis], joint: usize) -> Option<usize> {
 }
 
 /// Returns the active limit switches of each joint, one bit for each end.
-fn limits(axes: &[AxisInputs; 6]) -> [u8; 6] {
+fn limits(axes: &[JointInputs; 6]) -> [u8; 6] {
     axes.each_ref()
         .map(|axis| u8::from(axis.limit_low) | u8::from(axis.limit_high) << 1)
 }
@@ -263,11 +263,11 @@ impl Checks {
             haptic_force: self.previous.haptic_force,
             ..PreviousPeriod::default()
         };
-        for (slot, axis) in now.index_pulses.iter_mut().zip(&bench.rig.inputs().axes) {
+        for (slot, axis) in now.index_pulses.iter_mut().zip(&bench.rig.inputs().joints) {
             *slot = axis.index_pulses;
         }
         if !now.drives_on {
-            now.limits_with_drives_off = limits(&bench.rig.inputs().axes);
+            now.limits_with_drives_off = limits(&bench.rig.inputs().joints);
         }
         if let Some(machine) = machine {
             let target = machine.target();

@@ -30,7 +30,7 @@ impl Checks {
         let (safety, outputs, inputs) =
             (controller.safety(), bench.rig.outputs(), bench.rig.inputs());
         let state = safety.state();
-        let on = outputs.axes.iter().any(|axis| *axis != DriveCommand::Off);
+        let on = outputs.joints.iter().any(|axis| *axis != DriveCommand::Off);
         let haptic = outputs.haptic != HapticOutputs::default();
         let all_off = !on && !haptic && outputs.spindle_rpm == 0;
         let holding = state == State::Fault && safety.fault().is_some_and(|fault| holds(&fault));
@@ -45,7 +45,7 @@ impl Checks {
                 "outputs not safe",
                 "state {state:?}, fault {:?}, drives {:?}, spindle {}, haptic {haptic}",
                 safety.fault(),
-                outputs.axes,
+                outputs.joints,
                 outputs.spindle_rpm
             );
         }
@@ -91,7 +91,11 @@ impl Checks {
         } else {
             [0; 6]
         };
-        let joints = inputs.axes.iter().zip(limits(&inputs.axes)).zip(ignored);
+        let joints = inputs
+            .joints
+            .iter()
+            .zip(limits(&inputs.joints))
+            .zip(ignored);
         let bad = joints
             .take(machine.joint_count())
             .any(|((axis, limits), ignored)| limits & !ignored != 0 || !axis.drive_ready);
@@ -101,11 +105,11 @@ impl Checks {
                 "limit or drive ignored",
                 "drives on in {:?} with {:?}",
                 bench.controller().safety().state(),
-                &inputs.axes
+                &inputs.joints
             );
         }
         for (joint, axis) in machine.config.joints.iter().enumerate() {
-            match (&axis.drive, outputs.axes[joint]) {
+            match (&axis.drive, outputs.joints[joint]) {
                 (_, DriveCommand::Off) => {
                     if on {
                         violated!(bench, "drive off", "joint {joint} alone is off");

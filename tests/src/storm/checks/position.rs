@@ -5,7 +5,7 @@ use super::super::episode::{JOINTS, joint_of};
 use super::super::units::{class, joint_unit};
 use super::following::distance;
 use super::{Cause, CheckResult, Checks, PERIOD, PreviousPeriod, bounds, jump_threshold};
-use haptimill_firmware::config::{Drive, EncoderAxis, JointAxis};
+use haptimill_firmware::config::{Drive, EncoderSettings, JointSettings};
 use haptimill_hil_sim::fault::{Channel, FaultKind};
 use haptimill_protocol::message::State;
 
@@ -63,7 +63,7 @@ impl EncoderRecord {
                     | FaultKind::EncoderSwapped { .. }
                     | FaultKind::EncoderNoise { .. }
             );
-        if let Some(joint) = kind.axis().and_then(joint_of)
+        if let Some(joint) = kind.joint().and_then(joint_of)
             && encoder
         {
             self.suspect[joint] = true;
@@ -111,7 +111,7 @@ impl EncoderRecord {
 
     /// Returns whether a fault was injected into the encoder of this device during homing.
     pub(super) fn has_homing_fault(&self, kind: &FaultKind) -> bool {
-        kind.axis()
+        kind.joint()
             .and_then(joint_of)
             .is_some_and(|joint| self.homing_fault[joint])
     }
@@ -135,7 +135,7 @@ struct ErrorBounds {
 }
 
 /// Returns the size of a count in mm or degrees.
-fn size_of_count(encoder: &EncoderAxis, unit: f64) -> f64 {
+fn size_of_count(encoder: &EncoderSettings, unit: f64) -> f64 {
     encoder.per_count.unsigned_abs() as f64 / f64::from(1 << 24) / unit
 }
 
@@ -146,7 +146,7 @@ fn size_of_count(encoder: &EncoderAxis, unit: f64) -> f64 {
 /// efforts from an eighth of the drive's limit on, for four periods. The position is off by twice
 /// the error of the loop: the joint moves as far as its count moves the other way. Friction and a
 /// load that the law does not know slow the growth down, for which half as much is added.
-fn runaway_error(limits: &JointAxis, unit: f64) -> f64 {
+fn runaway_error(limits: &JointSettings, unit: f64) -> f64 {
     let Drive::Torque { limit, .. } = &limits.drive else {
         return 0.0;
     };
@@ -170,7 +170,7 @@ pub(super) fn is_position_known(bench: &StormBench) -> bool {
 impl Checks {
     /// Returns the injected faults of a joint since it was homed.
     fn faults_of(&self, joint: usize) -> impl Iterator<Item = &FaultKind> {
-        let of_joint = move |kind: &&FaultKind| kind.axis() == Some(JOINTS[joint]);
+        let of_joint = move |kind: &&FaultKind| kind.joint() == Some(JOINTS[joint]);
         self.injected.iter().filter(of_joint)
     }
 
@@ -328,11 +328,11 @@ impl Checks {
         joint: usize,
         measured: f64,
     ) -> CheckResult {
-        if bench.rig.inputs().axes[joint].index_pulses != self.previous.index_pulses[joint] {
+        if bench.rig.inputs().joints[joint].index_pulses != self.previous.index_pulses[joint] {
             self.position.index_pulses[joint] += 1;
         }
         let actual = bench.latched.motor[joint];
-        let counts = bench.rig.inputs().axes[joint].counts;
+        let counts = bench.rig.inputs().joints[joint].counts;
         if let Some(machine) = bench.controller().machine()
             && let Some(encoder) = &machine.config.joints[joint].encoder
         {

@@ -5,7 +5,7 @@ use crate::storm::checks::Violation;
 use crate::storm::command;
 use crate::storm::rng::Rng;
 use haptimill_firmware::config::{
-    Config, Drive, GantryAxis, Home, JointAxis, PoseAxis, SwitchHome,
+    Config, Drive, GantryAxis, Home, JointSettings, PoseAxis, SwitchHome,
 };
 use haptimill_kinematics::Model;
 use haptimill_protocol::message::{CONFIG_CHUNK, Command, ConfigChunk};
@@ -147,7 +147,7 @@ fn mutate_coordinate(axis: &mut PoseAxis, word: i32, rng: &mut Rng) {
     }
 }
 
-fn mutate_joint(axis: &mut JointAxis, (word, half, wide): (i32, u16, i64), rng: &mut Rng) {
+fn mutate_joint(axis: &mut JointSettings, (word, half, wide): (i32, u16, i64), rng: &mut Rng) {
     let number = rng.below(24);
     if let (3..=4 | 6..=8 | 10..=13, Some(encoder)) = (number, &mut axis.encoder) {
         match number {

@@ -101,7 +101,7 @@ impl Player {
                     return self.steps(periods);
                 }
                 self.checks.record_fault(&FaultKind::Push {
-                    axis: JOINTS[*joint].to_string(),
+                    joint: JOINTS[*joint].to_string(),
                     effort: *effort,
                 });
                 for period in 0..periods {
@@ -181,7 +181,10 @@ impl Player {
     fn inject_fault(&mut self, kind: &FaultKind) {
         self.checks.record_fault(kind);
         match kind {
-            FaultKind::EncoderSlip { axis, counts } => {
+            FaultKind::EncoderSlip {
+                joint: axis,
+                counts,
+            } => {
                 if let Some(joint) = joint_of(axis)
                     && joint < self.bench.axes
                 {

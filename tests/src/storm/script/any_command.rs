@@ -41,7 +41,7 @@ pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
         ],
         25 => vec![
             (
-                Stimulus::InjectFault(FaultKind::DriveTripped { axis }),
+                Stimulus::InjectFault(FaultKind::DriveTripped { joint: axis }),
                 periods(rng),
             ),
             (Stimulus::ClearFaults, 10),
@@ -50,7 +50,7 @@ pub(super) fn stimuli(kind: MachineKind, rng: &mut Rng) -> Steps {
             let number = joint_of(&axis).unwrap_or_default() as u8;
             let switch = rng.choose(&[Switch::LimitLow, Switch::LimitHigh]);
             let stuck = FaultKind::SwitchStuck {
-                axis,
+                joint: axis,
                 switch,
                 active: true,
             };

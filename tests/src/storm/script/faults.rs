@@ -24,30 +24,33 @@ pub(super) fn single_fault(kind: MachineKind, rng: &mut Rng) -> (Stimulus, u32) 
         19
     }) {
         0 => FaultKind::EncoderStuck {
-            axis,
+            joint: axis,
             channel,
             level,
         },
-        1 => FaultKind::EncoderSwapped { axis },
+        1 => FaultKind::EncoderSwapped { joint: axis },
         2 | 3 => {
             let size = rng.log_uniform(1.0, 6000.0) as i32;
             let counts = if rng.chance(0.5) { size } else { -size };
-            FaultKind::EncoderSlip { axis, counts }
+            FaultKind::EncoderSlip {
+                joint: axis,
+                counts,
+            }
         }
         4 => FaultKind::EncoderNoise {
-            axis,
+            joint: axis,
             per_second: rng.log_uniform(0.5, 50_000.0),
         },
-        5 => FaultKind::IndexMissing { axis },
-        6 => FaultKind::DriveDead { axis },
-        7 => FaultKind::DriveTripped { axis },
+        5 => FaultKind::IndexMissing { joint: axis },
+        6 => FaultKind::DriveDead { joint: axis },
+        7 => FaultKind::DriveTripped { joint: axis },
         8 => FaultKind::DriveWeak {
-            axis,
+            joint: axis,
             gain: rng.choose(&[0.02, 0.1, 0.3, 0.7, 1.5, 3.0]),
         },
-        9 => FaultKind::DriveReversed { axis },
+        9 => FaultKind::DriveReversed { joint: axis },
         10 => FaultKind::JointJammed {
-            axis,
+            joint: axis,
             effort: rng
                 .chance(0.6)
                 .then(|| rng.log_uniform(effort * 0.02, effort)),
@@ -63,10 +66,13 @@ pub(super) fn single_fault(kind: MachineKind, rng: &mut Rng) -> (Stimulus, u32) 
                 let effort = effort.signum() * most * rng.uniform(0.5, 1.3);
                 return (Stimulus::RampLoad(joint, effort), over);
             }
-            FaultKind::Push { axis, effort }
+            FaultKind::Push {
+                joint: axis,
+                effort,
+            }
         }
         12 => FaultKind::SwitchStuck {
-            axis,
+            joint: axis,
             switch: rng.choose(&[Switch::Home, Switch::LimitLow, Switch::LimitHigh]),
             active: rng.chance(0.8),
         },
@@ -117,7 +123,7 @@ pub(super) fn fault_sequence(kind: MachineKind, rng: &mut Rng) -> Steps {
     let slip = |rng: &mut Rng, most| {
         let size = rng.log_uniform(1.0, most) as i32;
         FaultKind::EncoderSlip {
-            axis: axis.clone(),
+            joint: axis.clone(),
             counts: if rng.chance(0.5) { size } else { -size },
         }
     };
@@ -138,10 +144,10 @@ pub(super) fn fault_sequence(kind: MachineKind, rng: &mut Rng) -> Steps {
                 (single_jog(rng), rng.uniform(50.0, 2500.0) as u32),
                 (
                     Stimulus::InjectFault(if rng.chance(0.6) {
-                        FaultKind::EncoderSwapped { axis }
+                        FaultKind::EncoderSwapped { joint: axis }
                     } else {
                         FaultKind::EncoderStuck {
-                            axis,
+                            joint: axis,
                             channel: rng.choose(&[Channel::A, Channel::B]),
                             level: rng.choose(&[Level::Low, Level::High]),
                         }
@@ -168,16 +174,16 @@ pub(super) fn fault_sequence(kind: MachineKind, rng: &mut Rng) -> Steps {
                 let kind = match rng.below(4) {
                     0 => slip(rng, 1000.0),
                     1 => FaultKind::EncoderNoise {
-                        axis: axis.clone(),
+                        joint: axis.clone(),
                         per_second: rng.log_uniform(1.0, 200.0),
                     },
                     2 => FaultKind::EncoderStuck {
-                        axis: axis.clone(),
+                        joint: axis.clone(),
                         channel,
                         level: rng.choose(&[Level::Low, Level::High]),
                     },
                     _ => FaultKind::Push {
-                        axis: axis.clone(),
+                        joint: axis.clone(),
                         effort: push(rng),
                     },
                 };
@@ -199,7 +205,7 @@ pub(super) fn fault_sequence(kind: MachineKind, rng: &mut Rng) -> Steps {
             ),
             (
                 Stimulus::InjectFault(FaultKind::Push {
-                    axis,
+                    joint: axis,
                     effort: push(rng) * 0.3,
                 }),
                 rng.uniform(5.0, 300.0) as u32,

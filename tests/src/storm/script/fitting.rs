@@ -83,10 +83,16 @@ pub(super) fn own_stimuli(name: &'static str, theme: Theme, rng: &mut Rng) -> St
         4 if faulty => {
             let switch = rng.choose(&[Switch::Home, Switch::LimitLow, Switch::LimitHigh]);
             let kind = match rng.below(3) {
-                0 => FaultKind::SwitchInverted { axis, switch },
-                1 => FaultKind::SwitchMissing { axis, switch },
+                0 => FaultKind::SwitchInverted {
+                    joint: axis,
+                    switch,
+                },
+                1 => FaultKind::SwitchMissing {
+                    joint: axis,
+                    switch,
+                },
                 _ => FaultKind::SwitchBounces {
-                    axis,
+                    joint: axis,
                     switch,
                     ms: rng.log_uniform(0.1, 50.0),
                 },
@@ -149,7 +155,10 @@ fn off_a_limit_switch(axis: String, rng: &mut Rng) -> Steps {
         (Stimulus::WaitIdle, 6000),
         (Stimulus::Send(Command::Disable), 100),
         (
-            Stimulus::InjectFault(FaultKind::Push { axis, effort }),
+            Stimulus::InjectFault(FaultKind::Push {
+                joint: axis,
+                effort,
+            }),
             rng.uniform(3000.0, 20_000.0) as u32,
         ),
         (Stimulus::ClearFaults, periods(rng)),

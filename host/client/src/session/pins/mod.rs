@@ -192,12 +192,12 @@ impl PinLine {
             self.outputs.transmit.clear();
             self.controller
                 .tick(&period.inputs, &mut self.outputs, &mut ());
-            if self.outputs.axes[..record::JOINTS] != period.commands {
+            if self.outputs.joints[..record::JOINTS] != period.commands {
                 return Err(format!(
                     "control period {}: the board commands {:?}, and the controller in this process {:?}",
                     period.inputs.period,
                     period.commands,
-                    &self.outputs.axes[..record::JOINTS]
+                    &self.outputs.joints[..record::JOINTS]
                 ));
             }
             self.snapshot = self.controller.snapshot(&period.inputs);

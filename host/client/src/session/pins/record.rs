@@ -47,7 +47,7 @@ impl Period {
             // The record has room for no more bytes than the inputs.
             let _ = inputs.received.push(byte);
         }
-        for (axis, seen) in inputs.axes.iter_mut().enumerate() {
+        for (axis, seen) in inputs.joints.iter_mut().enumerate() {
             seen.drive_ready = words[2] >> (8 + axis) & 1 != 0;
             if axis < JOINTS {
                 seen.home = words[2] >> axis & 1 != 0;
