@@ -1,7 +1,8 @@
 //! Finding the reference: one transaction for all joints.
 //!
 //! The operator sets the joints to their presets before power-on, within
-//! [`EncoderSettings::search`]. Motion after that is known from the counters ([`crate::joint::power_on_counts`]).
+//! [`EncoderSettings::search`]. Motion after that is known from the counters
+//! ([`crate::joint::power_on_counts`]).
 //!
 //! Joints of a parallel arm that home one by one can leave the workspace, so the *pose* moves. The
 //! machine names for each joint the coordinate that moves in its search, and the pose rates

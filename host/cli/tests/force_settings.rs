@@ -54,5 +54,5 @@ fn force_settings_of_a_run_end_with_it() {
         serde_json::json!(["z"]),
         "{after:#}"
     );
-    assert_eq!(after["loops"]["z"]["desired_n"], 4.0, "{after:#}");
+    assert_eq!(after["loops"]["z"]["setpoint_n"], 4.0, "{after:#}");
 }

@@ -124,7 +124,6 @@ pub struct ForceControl {
     #[serde(skip_serializing)]
     pub axes: Vec<WorkAxis>,
     /// f_d, N.
-    #[serde(rename(serialize = "desired_n"))]
     pub setpoint_n: f64,
     /// K_A, N s^2/mm.
     #[serde(rename(serialize = "mass"))]

@@ -129,7 +129,7 @@ fn check(
 /// Returns the key of a parameter of the controller.
 const fn key(parameter: ForceParameter) -> &'static str {
     match parameter {
-        ForceParameter::SetpointTooSmall | ForceParameter::SetpointTooLarge => "desired_n",
+        ForceParameter::SetpointTooSmall | ForceParameter::SetpointTooLarge => "setpoint_n",
         ForceParameter::DampingTooSmall | ForceParameter::DampingTooLarge => "damping_n_s_per_mm",
         ForceParameter::MassTooSmall | ForceParameter::MassTooLarge => "mass_n_s2_per_mm",
         ForceParameter::Limit => "limit_mm",
@@ -217,7 +217,7 @@ fn read_axis<'d, 'i>(
     }
     let newtons = section.value(force_axis::newtons_per_volt);
     let sign = section.value(force_axis::sign);
-    let setpoint = section.value(force_axis::desired_n);
+    let setpoint = section.value(force_axis::setpoint_n);
     let mass = section.value(force_axis::mass_n_s2_per_mm);
     let damping = section.value(force_axis::damping_n_s_per_mm);
     let limit = section.value(force_axis::limit_mm);

@@ -67,6 +67,9 @@ const FORMAT_2: &[Renamed] = &[
     ),
 ];
 
+/// Names that a file of format 2 may still have.
+const IN_FORMAT_2: &[Renamed] = &[renamed("force.axis.desired_n", "force.axis.setpoint_n")];
+
 const fn renamed(from: &'static str, to: &'static str) -> Renamed {
     Renamed { from, to }
 }
@@ -102,6 +105,7 @@ pub fn migrate(file: &str, text: &str) -> Result<Migrated, Problems> {
     if from < 2 || !states_format {
         to_format_2(&mut edited, &mut changes);
     }
+    rename_all(&mut edited, IN_FORMAT_2, &mut changes);
     rename_role(&mut edited, &mut changes);
     if from < FORMAT {
         set_format(&mut edited);
@@ -128,13 +132,17 @@ fn rename_role(edited: &mut DocumentMut, changes: &mut Vec<String>) {
 
 /// Format 2 has an explicit geometry of the simulated machine, and terms of the glossary.
 fn to_format_2(edited: &mut DocumentMut, changes: &mut Vec<String>) {
-    for renamed in FORMAT_2 {
+    rename_all(edited, FORMAT_2, changes);
+    remove_laws_of_step_drives(edited, changes);
+    add_geometry(edited, changes);
+}
+
+fn rename_all(edited: &mut DocumentMut, names: &[Renamed], changes: &mut Vec<String>) {
+    for renamed in names {
         if rename(edited.as_table_mut(), renamed) {
             changes.push(format!("{} became {}", renamed.from, renamed.to));
         }
     }
-    remove_laws_of_step_drives(edited, changes);
-    add_geometry(edited, changes);
 }
 
 /// Removes the servo loops of step drives, which format 1 required and the controller did not use.

@@ -76,6 +76,20 @@ fn the_old_role_of_a_machine_is_renamed() {
     }
 }
 
+/// Files of both formats had another name of the force setpoint.
+#[test]
+fn the_old_force_setpoint_is_renamed() {
+    let today = include_str!("../../../machines/h4.toml");
+    let old = today.replace("\nsetpoint_n = ", "\ndesired_n = ");
+    assert_ne!(old, today);
+    let migrated = migrate("old.toml", &old).unwrap_or_else(|problems| panic!("\n{problems}"));
+    assert_eq!(migrated.text, today);
+    assert_eq!(
+        migrated.changes,
+        ["force.axis.desired_n became force.axis.setpoint_n"]
+    );
+}
+
 #[test]
 fn old_fragments_migrate_to_those_of_today() {
     let machine = include_str!("../../../machines/h4.toml");

@@ -320,7 +320,7 @@ force_axis "force.axis" "The force loop of x, y or z." {
     newtons_per_volt = real(1e-3, 4000.0, "N/V").is("scale of the channel")
         .bounded("at most 0.5 N per code");
     sign = plus_minus().is("sign of the channel; the force on the tool counts");
-    desired_n = real(-2048.0, 2048.0, "N").is("force setpoint f_d")
+    setpoint_n = real(-2048.0, 2048.0, "N").is("force setpoint f_d")
         .bounded("magnitude 0.5 to three quarters of the sensor range");
     mass_n_s2_per_mm = real(0.0, 65_535.0, "N s^2/mm").is("virtual mass K_A")
         .bounded("by damping, period and sensor range");

@@ -33,7 +33,7 @@ pub struct Row {
 
 impl Row {
     /// Names of the columns of [`Row::to_csv`].
-    pub const HEAD: &str = "time_s,state,master_x_mm,master_y_mm,master_z_mm,engaged,age_ms,\
+    pub const HEAD: &str = "time_s,state,master_x_mm,master_y_mm,master_z_mm,clutch,age_ms,\
         commanded_x_mm,commanded_y_mm,commanded_z_mm,tool_x_mm,tool_y_mm,tool_z_mm,\
         force_x_n,force_y_n,force_z_n,feedback_x_n,feedback_y_n,feedback_z_n,\
         feedback_law_x_n,feedback_law_y_n,feedback_law_z_n,\

@@ -79,7 +79,7 @@ impl ForceArgs {
     #[must_use]
     pub fn choice(&self) -> ForceLoopChanges {
         ForceLoopChanges {
-            desired_n: self.force_setpoint,
+            setpoint_n: self.force_setpoint,
             mass: self.virtual_mass,
             damping: self.virtual_damping,
             ..ForceLoopChanges::default()
@@ -209,8 +209,8 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
         print_line!("{what:<14}{x:>10.3}{y:>10.3}{z:>10.3}  {unit}");
     };
     print_line!("{:<14}{:>10}{:>10}{:>10}", "", "x", "y", "z");
-    row("force, high", "N", newtons(force.high));
-    row("force, low", "N", newtons(force.low));
+    row("peak force", "N", newtons(force.high));
+    row("opposite end", "N", newtons(force.low));
     row("displacement", "mm", millimetres(force.displacement));
     row("f_d", "N", newtons(loops.map(|x| x.setpoint)));
     row(
@@ -226,7 +226,7 @@ fn show(session: &mut Session<PortLine>, json: bool) -> Result<(), CliError> {
     row("limit", "mm", millimetres(loops.map(|x| x.limit)));
     row("rate limit", "mm/s", millimetres(loops.map(|x| x.rate)));
     let [x, y, z] = loops.map(|settings| enable_condition_name(settings.enable_condition));
-    print_line!("{:<14}x {x}, y {y}, z {z}", "enabled");
+    print_line!("{:<14}x {x}, y {y}, z {z}", "enable if");
     let axes: Vec<&str> = axes_under_control(&force);
     let axes = if axes.is_empty() {
         "none".to_string()
@@ -265,7 +265,7 @@ fn enable_condition_name(enable_condition: EnableCondition) -> &'static str {
 /// The settings of a loop as JSON, with the key names of the machine file.
 fn loop_to_json(settings: &ForceLoop) -> serde_json::Value {
     serde_json::json!({
-        "desired_n": f64::from(settings.setpoint) / 65_536.0,
+        "setpoint_n": f64::from(settings.setpoint) / 65_536.0,
         "mass_n_s2_per_mm": f64::from(settings.mass) / 65_536.0,
         "damping_n_s_per_mm": f64::from(settings.damping) / 65_536.0,
         "limit_mm": f64::from(settings.limit) / 1_048_576.0,

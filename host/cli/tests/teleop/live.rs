@@ -250,7 +250,7 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
         std::thread::sleep(std::time::Duration::from_millis(200));
     }
     window.expect_text("Run free");
-    window.press_expect(b"\x1b[6~", "Run engaged");
+    window.press_expect(b"\x1b[6~", "Run clutch pressed");
     window.expect_text("Run free");
     window.press_expect(b" ", "running -> on hold");
     window.press_expect(b"g", "on hold -> running");
@@ -273,7 +273,7 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
     let machine = SimServer::on_tcp(&[]);
     let mut window = open(&["--port", &machine.port, "--speed", "2"]);
     window.expect_text("idle -> running");
-    window.press_expect(b"++d", "engaged");
+    window.press_expect(b"++d", "clutch pressed");
     window.close();
     // The machine is at standstill with a valid position.
     let begun = std::time::Instant::now();

@@ -12,7 +12,7 @@ use haptimill_protocol::message::{Command, Event, Telemetry};
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ForceLoopChanges {
     /// f_d, N.
-    pub desired_n: Option<f64>,
+    pub setpoint_n: Option<f64>,
     /// K_A, N s^2/mm.
     pub mass: Option<f64>,
     /// K_V, N s/mm.
@@ -33,7 +33,7 @@ impl ForceLoopChanges {
         let gain = |gain: f64| to_u32(gain * PER_EFFORT);
         let length = |length: f64| to_i32(length * PER_MM);
         ForceLoop {
-            setpoint: self.desired_n.map_or(default.setpoint, force),
+            setpoint: self.setpoint_n.map_or(default.setpoint, force),
             mass: self.mass.map_or(default.mass, gain),
             damping: self.damping.map_or(default.damping, gain),
             limit: self.limit_mm.map_or(default.limit, length),

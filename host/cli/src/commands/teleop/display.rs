@@ -93,10 +93,10 @@ impl Display {
         // Standard error may be closed.
         let _ = write!(
             std::io::stderr(),
-            "\r{:7.2} s {:?} {} tool{} mm  force{} N  feedback{} N \x1b[K",
+            "\r{:7.2} s {:?} clutch {} tool{} mm  force{} N  feedback{} N \x1b[K",
             row.time_s,
             row.state,
-            if row.clutch { "engaged" } else { "free   " },
+            if row.clutch { "pressed" } else { "free   " },
             three(&row.tool, 8, 3),
             three(&row.tool_force, 5, 1),
             three(&row.master_force.force, 5, 2)

@@ -60,7 +60,7 @@ const GROUPS: &[Group] = &[
     Group {
         caption: "Age of the newest master sample, and whether the enabling switch is pressed (1)",
         y_label: "ms",
-        lines: &[("age_ms", "age, ms"), ("engaged", "engaged")],
+        lines: &[("age_ms", "age, ms"), ("clutch", "clutch")],
     },
 ];
 
