@@ -13,18 +13,19 @@
 //!
 //! A line `a` is a tier: angle, distance, positions of the wheel. `n NAME` names the facet of the
 //! position before it, and those after it up to the next name. `G` begins a note. A tier may go on
-//! in the next line. A semicolon begins a comment. A facet of angle 0 with a negative distance is
-//! the culet, as is one of angle -0.
+//! in the next line. A semicolon outside of a note begins a comment. A facet of angle 0 with a
+//! negative distance is the culet, as is one of angle -0.
 
-use crate::design::{Design, Position, Tier};
+use crate::design::{Design, Position, RawTier};
 use crate::problem::Problems;
+use std::collections::BTreeMap;
 
 /// Reads a file.
 pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
     let mut reader = Reader {
         design: Design::empty(),
         tier: None,
-        has_gear: false,
+        first: BTreeMap::new(),
         problems,
     };
     for (number, line) in text.lines().enumerate() {
@@ -33,14 +34,13 @@ pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
     let ends_in_tier = reader.tier.is_some();
     reader.end_tier();
     let Reader {
-        mut design,
-        has_gear,
-        ..
+        mut design, first, ..
     } = reader;
     if ends_in_tier {
         design.check_end(text, problems);
     }
-    if !has_gear {
+    if !first.contains_key("g") {
+        design.is_gear_refused = true;
         let what = "the index wheel is missing";
         problems.report(0, None, what, "write a line `g 96 0.0` before the facets");
     }
@@ -57,8 +57,9 @@ pub fn read(text: &str, problems: &mut Problems) -> Option<Design> {
 
 struct Reader<'a> {
     design: Design,
-    tier: Option<Tier>,
-    has_gear: bool,
+    tier: Option<RawTier>,
+    /// Lines of the settings, by keyword.
+    first: BTreeMap<&'static str, usize>,
     problems: &'a mut Problems,
 }
 
@@ -94,6 +95,9 @@ impl Reader<'_> {
             "g" => self.gear(number, rest),
             "y" => self.symmetry(number, rest),
             "I" => {
+                if self.is_again(number, "I", "the refractive index") {
+                    return;
+                }
                 let mut words = words(rest);
                 if let Some(value) = self.number(number, words.next(), "I") {
                     let design = &mut self.design;
@@ -108,6 +112,7 @@ impl Reader<'_> {
             }
             "a" => {
                 self.end_tier();
+                let rest = without_comment(rest);
                 let mut tokens = rest.split_whitespace();
                 let angle = self.number(number, tokens.next(), "the angle of a facet");
                 let distance = self.number(number, tokens.next(), "the distance of a facet");
@@ -118,11 +123,11 @@ impl Reader<'_> {
                     } else {
                         (angle, distance)
                     };
-                    self.tier = Some(Tier {
+                    self.tier = Some(RawTier {
                         line: number,
                         angle_deg,
                         distance,
-                        ..Tier::default()
+                        ..RawTier::default()
                     });
                     self.positions(number, after_words(rest, 2));
                 }
@@ -145,9 +150,24 @@ impl Reader<'_> {
         }
     }
 
+    /// Whether a setting is written again, which is reported. The second one would replace the
+    /// first.
+    fn is_again(&mut self, line: usize, key: &'static str, what: &str) -> bool {
+        let Some(first) = self.first.get(key) else {
+            self.first.insert(key, line);
+            return false;
+        };
+        let what = format!("{what} is already in line {first}");
+        let remedy = "write it once, before the facets: it holds for all of them";
+        self.problems.report(line, None, what, remedy);
+        true
+    }
+
     fn gear(&mut self, line: usize, rest: &str) {
+        if self.is_again(line, "g", "the index wheel") {
+            return;
+        }
         let mut words = words(rest);
-        self.has_gear = true;
         if !self.design.facets.is_empty() || self.tier.is_some() {
             let what = "the index wheel changes after a facet";
             self.problems
@@ -166,6 +186,9 @@ impl Reader<'_> {
     }
 
     fn symmetry(&mut self, line: usize, rest: &str) {
+        if self.is_again(line, "y", "the symmetry") {
+            return;
+        }
         let mut words = words(rest);
         let order = self.number(line, words.next(), "y");
         let mirror = match words.next() {
@@ -203,7 +226,7 @@ impl Reader<'_> {
         let Some(mut tier) = self.tier.take() else {
             return;
         };
-        let mut rest = text.trim_start();
+        let mut rest = without_comment(text).trim_start();
         while !rest.is_empty() {
             let word = rest.split_whitespace().next().unwrap_or_default();
             let after = rest[word.len()..].trim_start();
@@ -227,7 +250,6 @@ impl Reader<'_> {
                     rest = after[name.len()..].trim_start();
                     continue;
                 }
-                _ if word.starts_with(';') => break,
                 _ => {
                     if let Some(index) = self.number(line, Some(word), "a position of the wheel") {
                         tier.indices.push(Position {
@@ -292,6 +314,23 @@ impl Reader<'_> {
 fn words(text: &str) -> impl Iterator<Item = &str> {
     let comment = text.find(';').unwrap_or(text.len());
     text[..comment].split_whitespace()
+}
+
+/// A line of a tier without its comment. A semicolon in the note is part of the note, which `G`
+/// begins if it is no name.
+fn without_comment(text: &str) -> &str {
+    let is_in_note = |at: usize| {
+        let mut before = "";
+        text[..at].split_whitespace().any(|word| {
+            let begins = word == "G" && before != "n";
+            before = word;
+            begins
+        })
+    };
+    match text.find(';') {
+        Some(at) if !is_in_note(at) => &text[..at],
+        _ => text,
+    }
 }
 
 /// The text behind this many words.

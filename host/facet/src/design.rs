@@ -3,8 +3,10 @@
 mod end;
 mod sides;
 mod symmetry;
+mod tiers;
 
 pub use symmetry::Symmetry;
+pub use tiers::Tier;
 
 use crate::MAX_FACETS;
 use crate::problem::{Problem, Problems};
@@ -95,7 +97,7 @@ pub(crate) struct Position {
 
 /// A tier as it is in a file: facets of one angle and distance.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Tier {
+pub(crate) struct RawTier {
     pub line: usize,
     /// Negative below the girdle; -0 is the culet.
     pub angle_deg: f64,
@@ -103,6 +105,15 @@ pub(crate) struct Tier {
     pub indices: Vec<Position>,
     pub note: String,
     pub preform: bool,
+}
+
+/// A row of a list at which the stone is turned over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Transfer {
+    /// Number of the facet behind it.
+    pub before: usize,
+    /// Line of the file, from 1.
+    pub line: usize,
 }
 
 /// A design.
@@ -124,16 +135,15 @@ pub struct Design {
     pub refractive_index: f64,
     /// Whether distances are in mm; otherwise the size of the stone gives their unit.
     pub is_in_mm: bool,
-    /// The list has a row for the transfer, before the facet of this number; `None` for a format
-    /// without such rows.
-    pub transfer: Option<Vec<usize>>,
+    /// The transfers of a list; `None` for a format without such rows.
+    pub transfer: Option<Vec<Transfer>>,
     /// Facets in the order of the cut.
     pub facets: Vec<Facet>,
     /// What a cutter should look at; the design can be cut. In the order of the file.
     pub notices: Vec<Problem>,
     /// Line of the gear in the file, from 1; 0 if there is none.
     pub(crate) gear_line: usize,
-    /// The file has an impossible gear, which was reported: `gear` is not of the file.
+    /// The file has no gear or an impossible one, which was reported: `gear` is not of the file.
     pub(crate) is_gear_refused: bool,
     /// A facet beyond the largest number was reported.
     pub(crate) is_full: bool,
@@ -194,11 +204,12 @@ impl Design {
         [sin * x, sin * y, up]
     }
 
-    /// Adds the facets of a tier, as far as they are valid.
-    pub(crate) fn add(&mut self, tier: Tier, problems: &mut Problems) {
+    /// Adds the facets of a tier, as far as they are valid. Whether all are.
+    pub(crate) fn add(&mut self, tier: RawTier, problems: &mut Problems) -> bool {
+        let mut is_whole = true;
         let number = self.facets.last().map_or(0, |last| last.tier + 1);
         if self.is_full {
-            return;
+            return false;
         }
         let first_name = tier.indices.iter().find_map(|at| at.name.clone());
         let mut name = first_name.unwrap_or_else(|| (number + 1).to_string());
@@ -212,7 +223,7 @@ impl Design {
                 what,
                 "write -90 to 90; below the girdle it is negative",
             );
-            return;
+            return false;
         }
         if !tier.distance.is_finite() || tier.distance.abs() > 1e4 {
             let what = format!("a distance of {} is impossible", tier.distance);
@@ -222,7 +233,7 @@ impl Design {
                 what,
                 "write the distance of its plane",
             );
-            return;
+            return false;
         }
         let below = tier.angle_deg.is_sign_negative();
         // A girdle is cut from the side on which the stone is.
@@ -252,17 +263,19 @@ impl Design {
                 _ => index + teeth,
             };
             let full = format!("{name}@{index}");
-            if !(0.0..=teeth).contains(&index) {
+            // Without a gear the wheel is not known.
+            if self.gear_line > 0 && !(0.0..=teeth).contains(&index) {
                 let what = format!("index {index} is off the wheel of {} teeth", self.gear);
                 let remedy = format!("write 0 to {}, or another gear", self.gear);
                 problems.report(line, Some(&full), what, remedy);
+                is_whole = false;
                 continue;
             }
             if self.facets.len() == MAX_FACETS {
                 let what = format!("the design has more than {MAX_FACETS} facets");
                 problems.report(tier.line, Some(&full), what, "remove some");
                 self.is_full = true;
-                return;
+                return false;
             }
             self.facets.push(Facet {
                 name: full,
@@ -276,6 +289,7 @@ impl Design {
                 note: tier.note.clone(),
             });
         }
+        is_whole
     }
 
     /// Sets the gear of the wheel; negative where its numbers run clockwise.

@@ -9,10 +9,11 @@ use std::collections::BTreeMap;
 /// Tag of the faces of the rough.
 pub const ROUGH: usize = usize::MAX;
 
-/// Vertices nearer than this are one meet point, mm: the tolerance of meet points. Designs are
-/// written with five to eight decimals, which alone move a vertex by some micrometres where facets
-/// meet at shallow angles; and a stone whose depths are off by a few has other short edges there.
-const MEET_MM: f64 = 0.02;
+/// Vertices nearer than this are one meet point, mm: the bound of a meet point of a good stone.
+/// Designs are written with five to eight decimals, which alone move a vertex by some micrometres
+/// where facets meet at shallow angles; and a stone whose depths are off by a few has other short
+/// edges there.
+pub const MEET_MM: f64 = 0.02;
 
 /// A face of a preform that is no larger is a rounding of the distances of the design, mm^2.
 const LEAST_AREA_MM2: f64 = 1e-3;
@@ -59,6 +60,10 @@ pub struct Gem {
     pub meets: Vec<MeetPoint>,
 }
 
+/// Facets of a meet point whose triples give its gain. No stone of a cutter has more; of more in
+/// one point these many are taken, evenly. The triples of 1899 facets take minutes.
+const GAIN_FACETS: usize = 128;
+
 /// Sides of the rough.
 const SIDES: usize = 64;
 
@@ -79,38 +84,67 @@ const EITHER: &str = "check both distances, remove one of them, or name it prefo
 struct Trials {
     /// The rough.
     block: Polyhedron,
-    /// Numbers of the facets that stay without those of a line.
-    kept: BTreeMap<Option<usize>, Vec<usize>>,
+    /// Areas of the facets that stay without those of a line, by number, mm^2.
+    kept: BTreeMap<Option<usize>, BTreeMap<usize, f64>>,
 }
 
 impl Trials {
-    /// Whether a facet stays on the stone without the facets of a line.
-    fn keeps(&mut self, gem: &Gem, without: Option<usize>, number: usize) -> bool {
-        let kept = self.kept.entry(without).or_insert_with(|| {
+    /// The facets that stay on the stone without the facets of a line.
+    fn kept(&mut self, gem: &Gem, without: Option<usize>) -> &BTreeMap<usize, f64> {
+        self.kept.entry(without).or_insert_with(|| {
             let mut body = self.block.clone();
             for (number, facet) in gem.design.facets.iter().enumerate() {
                 if Some(facet.line) != without {
                     body.cut(gem.plane(number), number);
                 }
             }
-            body.faces().iter().map(|face| face.tag).collect()
-        });
-        kept.contains(&number)
+            let faces = body.faces().iter();
+            faces.map(|face| (face.tag, body.area(face))).collect()
+        })
     }
 
-    /// The facet that cuts another one away: without the facets of its line the other one stays.
-    /// Of these the one that is nearest to it.
+    /// Whether a facet stays on the stone that is cut whole.
+    fn keeps(&mut self, gem: &Gem, number: usize) -> bool {
+        self.kept(gem, None).contains_key(&number)
+    }
+
+    /// The facet that cuts another one away: without the facets of its line the other one stays. A
+    /// lost facet may stay without one of several lines; then the line is at fault without which
+    /// most lost facets stay, or, of equal ones, that without which this one is largest. Of its
+    /// facets the one that is nearest to the lost one.
     fn culprit<'g>(&mut self, gem: &'g Gem, lost: usize) -> Option<&'g Facet> {
         let facets = &gem.design.facets;
         let mut lines: Vec<usize> = facets.iter().map(|facet| facet.line).collect();
         lines.dedup();
         let own = facets[lost].line;
-        if lines.len() * facets.len() > TRIAL_CUTS || self.keeps(gem, None, lost) {
+        if lines.len() * facets.len() > TRIAL_CUTS || self.keeps(gem, lost) {
             return None;
         }
-        let line = lines
-            .into_iter()
-            .find(|&line| line != own && self.keeps(gem, Some(line), lost))?;
+        let whole = self.kept(gem, None);
+        let is_lost = |(number, facet): &(usize, &Facet)| {
+            facet.stage != Stage::Preform && !whole.contains_key(number)
+        };
+        let all_lost: Vec<usize> = facets
+            .iter()
+            .enumerate()
+            .filter(is_lost)
+            .map(|it| it.0)
+            .collect();
+        let mut best: Option<(usize, f64, usize)> = None;
+        for line in lines.into_iter().filter(|line| *line != own) {
+            let kept = self.kept(gem, Some(line));
+            let Some(&area) = kept.get(&lost) else {
+                continue;
+            };
+            let count = all_lost
+                .iter()
+                .filter(|other| kept.contains_key(other))
+                .count();
+            if best.is_none_or(|(most, largest, _)| (count, area) > (most, largest)) {
+                best = Some((count, area, line));
+            }
+        }
+        let (_, _, line) = best?;
         let normal = gem.design.normal(&facets[lost]);
         let near = |facet: &&Facet| dot(gem.design.normal(facet), normal);
         let of_line = facets.iter().filter(|facet| facet.line == line);
@@ -283,7 +317,7 @@ impl Gem {
                     } else if let Some(by) = trials.culprit(self, number) {
                         remedy = EITHER;
                         wholly(by)
-                    } else if trials.keeps(self, None, number) {
+                    } else if trials.keeps(self, number) {
                         // The rough does not reach there: it is too small, and reported.
                         continue;
                     } else {
@@ -396,11 +430,12 @@ fn meet_points(body: &Polyhedron) -> Vec<MeetPoint> {
 ///
 /// A triple counts if its vertex can appear on the stone: three facets that are off become a vertex
 /// when the other facets of the point lie a little deeper. Every triple of the point can, so the
-/// largest of all triples is the bound.
+/// largest of all triples is the bound. Of more than [`GAIN_FACETS`] facets these many are taken.
 fn gain(body: &Polyhedron, facets: &[usize]) -> f64 {
-    let normals: Vec<Vector> = facets
-        .iter()
-        .filter_map(|tag| body.faces().iter().find(|face| face.tag == *tag))
+    let count = facets.len().min(GAIN_FACETS);
+    let normals: Vec<Vector> = (0..count)
+        .map(|number| facets[number * facets.len() / count])
+        .filter_map(|tag| body.faces().iter().find(|face| face.tag == tag))
         .map(|face| face.plane.normal)
         .collect();
     let mut most = 0.0_f64;

@@ -7,6 +7,7 @@
 //! does.
 
 mod mount;
+mod program;
 
 pub use mount::Mount;
 
@@ -17,6 +18,7 @@ use core::fmt::Write as _;
 use haptimill_hil_sim::polyhedron::{Plane, Polyhedron, area_vector};
 use haptimill_hil_sim::vector::{Vector, dot, length, minus, times};
 use mount::{IndexWords, RADIAN};
+use program::plain;
 use serde::{Deserialize, Deserializer};
 
 /// Reads a name into one line.
@@ -338,61 +340,6 @@ impl Job {
         format!("G21 G90\nG0 Z{:.4}\nG0 X{inner:.4} Y0", self.retracted_mm)
     }
 
-    /// The whole job as one part program. For each lap, and for the transfer, spindle and coolant
-    /// stop and the program pauses. By force it is for a controller that holds the force: the first
-    /// pause says so, and a comment has the force of each facet.
-    #[must_use]
-    pub fn program(&self, title: &str, coolant: Coolant) -> String {
-        let has_force = self.settings.mode.has_force();
-        let mut text = format!("({})\n", plain(title));
-        if has_force {
-            text.push_str(
-                "(ground by force: the depths are reached under force control of the height only)\n\
-                 (without it the stone is fed at up to 0.15 mm/s whatever the force)\n",
-            );
-        }
-        let mut side = None;
-        for pass in &self.passes {
-            let mut tasks = Vec::new();
-            if side.is_none() && has_force {
-                tasks.push("ground by force: put the height under force control".to_string());
-            }
-            if side.is_some() {
-                text.push_str("M5\n");
-                if coolant != Coolant::None {
-                    text.push_str("M9\n");
-                }
-            }
-            if side.is_some_and(|side| side != pass.mount.side) {
-                tasks.push("transfer: turn the stone over on a new dop".to_string());
-            }
-            side = Some(pass.mount.side);
-            let lap = plain(&self.settings.laps[pass.lap].name);
-            tasks.push(format!("put on lap {lap}"));
-            let _ = writeln!(text, "M0 (MSG, {})", tasks.join("; "));
-            for (number, operation) in pass.operations.iter().enumerate() {
-                if has_force {
-                    let _ = writeln!(text, "(force {:.2} N)", operation.force_n);
-                }
-                for line in operation.grind.lines().chain(operation.retract.lines()) {
-                    let _ = writeln!(text, "{line}");
-                    let starts = line.ends_with(" M3") || line.ends_with(" M4");
-                    match coolant {
-                        Coolant::Flood if starts && number == 0 => text.push_str("M8\n"),
-                        Coolant::Mist if starts && number == 0 => text.push_str("M7\n"),
-                        _ => {}
-                    }
-                }
-            }
-        }
-        text.push_str("M5\n");
-        if coolant != Coolant::None {
-            text.push_str("M9\n");
-        }
-        text.push_str("M30\n");
-        text
-    }
-
     /// The rough as it sits on the dop for a mount, in the frame of the tip.
     #[must_use]
     pub fn mounted(stone: &Polyhedron, mount: &Mount) -> Polyhedron {
@@ -402,11 +349,6 @@ impl Job {
 
 /// Distance of the stone from the lap at which the feed begins, mm.
 const APPROACH_MM: f64 = 0.05;
-
-/// Text for a comment of a part program: of one line, without parentheses.
-fn plain(text: &str) -> String {
-    one_line(text).replace(['(', ')'], " ")
-}
 
 /// Area of a section in its plane, mm^2.
 fn area_mm2(section: &[Vector], plane: &Plane) -> f64 {

@@ -24,10 +24,10 @@ mod run;
 pub mod thesis;
 
 pub use calibrate::{ArmLengths, Reading, calibrate};
-pub use design::{Design, Facet, Side, Stage, Symmetry};
-pub use gem::{Gem, MeetPoint, ROUGH, Rough};
+pub use design::{Design, Facet, Side, Stage, Symmetry, Tier, Transfer};
+pub use gem::{Gem, MEET_MM, MeetPoint, ROUGH, Rough};
 pub use job::{Coolant, Job, JobSettings, Lap, Mode, Mount, Operation, Pass, in_design};
-pub use measure::{FacetResult, Measured, MeetResult};
+pub use measure::{ANGLE_DEG, FacetResult, Measured, MeetResult};
 pub use page::report;
 pub use problem::{Problem, Refused};
 pub use reach::{check_machine, coolant, index_wraps, most_force_n};
@@ -80,9 +80,13 @@ fn is_utf16(text: &[u8]) -> bool {
 }
 
 /// The text of a file of GemCad: UTF-8 with or without a mark, or Latin-1; lines end in LF, CRLF or
-/// CR.
+/// CR, and the file may end in the control character with which DOS ended its text files.
 fn latin(text: &[u8]) -> String {
     let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
+    let mut text = text;
+    while let Some(before) = text.strip_suffix(b"\x1a") {
+        text = before;
+    }
     let text = match core::str::from_utf8(text) {
         Ok(text) => text.to_string(),
         Err(_) => text.iter().map(|byte| char::from(*byte)).collect(),

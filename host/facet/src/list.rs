@@ -22,7 +22,7 @@
 //!
 //! Depths are distances of the planes from the origin in mm.
 
-use crate::design::{Design, Position, Tier};
+use crate::design::{Design, Position, RawTier, Transfer};
 use crate::problem::{Problems, one_line};
 use serde::Deserialize;
 use toml::Spanned;
@@ -75,9 +75,10 @@ fn empty() -> Design {
     }
 }
 
-fn turn_over(design: &mut Design) {
-    let at = design.facets.len();
-    design.transfer.get_or_insert_default().push(at);
+fn turn_over(design: &mut Design, line: usize) {
+    let before = design.facets.len();
+    let transfer = Transfer { before, line };
+    design.transfer.get_or_insert_default().push(transfer);
 }
 
 /// Reads a TOML list.
@@ -113,6 +114,7 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
     if let Some(index) = raw.refractive_index {
         design.set_refractive_index(*index.get_ref(), line(index.span().start), problems);
     }
+    let mut is_refused = false;
     for facet in raw.facet {
         let at = line(facet.span().start);
         let mut facet = facet.into_inner();
@@ -123,7 +125,7 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
                 let remedy = "write them as a facet of its own";
                 problems.report(at, facet.name.as_deref(), what, remedy);
             }
-            turn_over(&mut design);
+            turn_over(&mut design, at);
             continue;
         }
         let (Some(angle_deg), Some(index), Some(distance)) =
@@ -136,6 +138,7 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
                 what,
                 "write all three, or transfer = true",
             );
+            is_refused = true;
             continue;
         };
         let indices = match index {
@@ -145,8 +148,9 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
         if indices.is_empty() {
             let what = "the list of indices is empty";
             problems.report(at, facet.name.as_deref(), what, "write an index");
+            is_refused = true;
         }
-        let tier = Tier {
+        let tier = RawTier {
             line: at,
             angle_deg,
             distance,
@@ -161,9 +165,13 @@ pub fn read_toml(text: &str, problems: &mut Problems) -> Option<Design> {
             note: facet.note,
             preform: facet.preform,
         };
-        design.add(tier, problems);
+        is_refused |= !design.add(tier, problems);
     }
-    if design.facets.is_empty() {
+    // Which side the facets that were refused are on is not known.
+    if is_refused {
+        design.transfer = None;
+    }
+    if design.facets.is_empty() && !is_refused {
         problems.report(
             0,
             None,
@@ -186,7 +194,14 @@ const WRITE_ROW: &str = "write angle,index,depth,name,note or transfer; separate
                          and write 12.5 with a point";
 
 /// Settings of a CSV list.
-const SETTINGS: [&str; 5] = ["title", "gear", "reference", "refractive_index", "symmetry"];
+const SETTINGS: [&str; 6] = [
+    "title",
+    "gear",
+    "reference",
+    "refractive_index",
+    "symmetry",
+    "mirror",
+];
 
 /// Reads a CSV list, whose lines end in LF, CRLF or CR.
 pub fn read_csv(text: &str, problems: &mut Problems) -> Option<Design> {
@@ -213,6 +228,7 @@ pub fn read_csv(text: &str, problems: &mut Problems) -> Option<Design> {
         design.transfer = None;
     }
     if !settings.iter().any(|(key, _)| key == "gear") {
+        design.is_gear_refused = true;
         problems.report(
             0,
             None,
@@ -266,7 +282,7 @@ impl CsvReader<'_> {
                     let remedy = "write the transfer and the facet as two rows";
                     self.problems.report(at, None, what, remedy);
                 }
-                turn_over(&mut self.design);
+                turn_over(&mut self.design, at);
             }
             // The row of titles.
             [first, ..] if is_first && first.starts_with(is_letter) => {
@@ -328,7 +344,7 @@ impl CsvReader<'_> {
         let distance = self.number("depth", cells[2], name, at);
         let (angle_deg, index, distance) = (angle_deg?, index?, distance?);
         let note = cells.get(4).copied().unwrap_or_default().to_string();
-        let tier = Tier {
+        let tier = RawTier {
             line: at,
             angle_deg,
             distance,
@@ -340,8 +356,7 @@ impl CsvReader<'_> {
             preform: note.to_ascii_lowercase().starts_with("preform"),
             note,
         };
-        self.design.add(tier, self.problems);
-        Some(())
+        self.design.add(tier, self.problems).then_some(())
     }
 
     fn number(&mut self, of: &str, cell: &str, name: Option<&str>, at: usize) -> Option<f64> {
@@ -354,9 +369,10 @@ impl CsvReader<'_> {
         value
     }
 
-    /// A setting in a comment; other comments have no meaning. It is written once, before the rows:
-    /// it holds for all of them.
+    /// A setting in a comment, in any case; other comments have no meaning. It is written once,
+    /// before the rows: it holds for all of them.
     fn setting(&mut self, key: &str, value: &str, line: usize) {
+        let key = &*key.to_ascii_lowercase();
         if !SETTINGS.contains(&key) {
             return;
         }
@@ -377,6 +393,17 @@ impl CsvReader<'_> {
             design.title = value.to_string();
             return;
         }
+        if key == "mirror" {
+            match &*value.to_ascii_lowercase() {
+                "true" => design.symmetry.mirror = true,
+                "false" => design.symmetry.mirror = false,
+                _ => {
+                    let what = format!("\"{value}\" is neither true nor false for the mirror");
+                    problems.report(line, None, what, "write `# mirror = true`");
+                }
+            }
+            return;
+        }
         let Ok(number) = value.parse::<f64>() else {
             let what = format!("\"{value}\" is no number for {key}");
             problems.report(line, None, what, "write a decimal number");
@@ -386,7 +413,7 @@ impl CsvReader<'_> {
             "gear" => design.set_gear(number, line, problems),
             "reference" => design.set_reference(number, line, problems),
             "refractive_index" => design.set_refractive_index(number, line, problems),
-            _ => design.set_symmetry(number, false, line, problems),
+            _ => design.set_symmetry(number, design.symmetry.mirror, line, problems),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The measured stone: facet by facet and point by point against the design.
 
 use crate::design::Stage;
-use crate::gem::Gem;
+use crate::gem::{Gem, MEET_MM};
 use crate::job::{angle_between, angles};
 use haptimill_hil_sim::polyhedron::{Face, Polyhedron};
 use haptimill_hil_sim::process::grinding::Ground;
@@ -55,6 +55,10 @@ pub struct Measured {
     /// Part of the rough that became the stone.
     pub yield_part: f64,
 }
+
+/// Largest angle between a facet of a good stone and its design, degrees. That of a meet point is
+/// [`MEET_MM`].
+pub const ANGLE_DEG: f64 = 0.02;
 
 /// A face belongs to a facet whose normal is nearer than this, degrees.
 const NEAR_DEG: f64 = 1.0;
@@ -119,6 +123,34 @@ impl Measured {
     #[must_use]
     pub fn is_design(&self) -> bool {
         self.missing.is_empty() && self.strange == 0
+    }
+
+    /// The facet with the largest angle error and the meet point with the largest error, if they
+    /// are beyond [`ANGLE_DEG`] and [`MEET_MM`]; `None` if both are within.
+    #[must_use]
+    pub fn beyond(&self, gem: &Gem) -> Option<String> {
+        let name = |facet: &usize| gem.design.facets[*facet].name.as_str();
+        let mut parts = Vec::new();
+        let facets = self.facets.iter();
+        let worst = facets.max_by(|a, b| a.error_deg.total_cmp(&b.error_deg));
+        if let Some(worst) = worst.filter(|it| it.error_deg > ANGLE_DEG) {
+            parts.push(format!(
+                "the angle of facet {} is off by {:.4} deg, and {ANGLE_DEG} deg is the most",
+                name(&worst.facet),
+                worst.error_deg
+            ));
+        }
+        let meets = self.meets.iter();
+        let worst = meets.max_by(|a, b| a.error_mm.total_cmp(&b.error_mm));
+        if let Some(worst) = worst.filter(|it| it.error_mm > MEET_MM) {
+            let facets = gem.meets[worst.meet].facets.iter().map(name);
+            parts.push(format!(
+                "the meet point of {} is off by {:.4} mm, and {MEET_MM} mm is the most",
+                facets.collect::<Vec<_>>().join(", "),
+                worst.error_mm
+            ));
+        }
+        (!parts.is_empty()).then(|| parts.join("; "))
     }
 
     /// Largest angle between a facet and its design, degrees.

@@ -1,8 +1,12 @@
-//! The report of a stone: a page with the stone in 3D, the facets against the design, and the job.
+//! The report of a stone: a page with the stone in 3D, the design with its pictures, the facets
+//! against the design, and the job.
+
+mod design;
 
 use crate::forces;
-use crate::gem::Gem;
+use crate::gem::{Gem, MEET_MM};
 use crate::job::Job;
+use crate::measure::ANGLE_DEG;
 use crate::run::Cutting;
 use core::fmt::Write as _;
 use haptimill_hil_sim::polyhedron::Polyhedron;
@@ -13,11 +17,11 @@ padding:0 16px;color:#1d2733}h1{font-size:24px}h2{font-size:18px;margin-top:32px
 table{border-collapse:collapse;font-size:13px}td,th{padding:2px 10px;text-align:right;\
 border-bottom:1px solid #e3e6ea}td:first-child,th:first-child{text-align:left}\
 .sum{display:flex;flex-wrap:wrap;gap:24px}.sum div{min-width:120px}.sum b{display:block;\
-font-size:20px}.over{color:#a3191f;font-weight:600}";
-
-/// Bounds of a good stone.
-const ANGLE_DEG: f64 = 0.02;
-const MEET_MM: f64 = 0.02;
+font-size:20px}.over{color:#a3191f;font-weight:600}.views{display:flex;flex-wrap:wrap;\
+gap:20px;align-items:flex-end}figure{margin:0;text-align:center;font-size:13px}\
+svg text{font:11px system-ui,sans-serif;text-anchor:middle;dominant-baseline:central}\
+.tiers{width:100%}.tiers td,.tiers th{text-align:left;vertical-align:top}\
+.tiers th[colspan]{padding-top:12px;color:#4a5a6a}.remark{margin:4px 0;color:#4a5a6a}";
 
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
@@ -37,6 +41,9 @@ pub fn report(gem: &Gem, job: &Job, cutting: &Cutting, other: Option<(&Job, &Cut
     };
     let mut body = String::new();
     let _ = write!(body, "<h1>{}</h1>", escape(title));
+    for remark in &design.remarks {
+        let _ = write!(body, "<p class=remark>{}</p>", escape(remark));
+    }
     let seconds: f64 = cutting.operations.iter().map(|it| it.seconds).sum();
     let _ = write!(
         body,
@@ -56,6 +63,7 @@ pub fn report(gem: &Gem, job: &Job, cutting: &Cutting, other: Option<(&Job, &Cut
     problems(&mut body, gem, cutting);
     lost(&mut body, gem, cutting);
     let _ = write!(body, "<h2>The stone</h2>{}", scene(gem, cutting).fragment());
+    design::section(&mut body, gem);
     facets(&mut body, gem, cutting);
     meets(&mut body, gem, cutting);
     forces::stages(&mut body, (job, cutting));
@@ -180,10 +188,6 @@ fn scene(gem: &Gem, cutting: &Cutting) -> Scene {
     let plain = triangles(stone, |_| 0.0).0;
     let mut errors = Layer::new("depth errors", "#9db8d2", mesh).with_values(values, scale);
     errors.visible = false;
-    let rough = Layer {
-        visible: false,
-        ..Layer::new("rough", "#b9a27a", edges(&gem.rough_body(), 1.0))
-    };
     Scene {
         layers: vec![
             // The first one of two equal faces is seen: the errors, where they are shown.
@@ -194,7 +198,8 @@ fn scene(gem: &Gem, cutting: &Cutting) -> Scene {
                 visible: false,
                 ..Layer::new("design", "#a3191f", edges(&gem.body, 1.0))
             },
-            rough,
+            // The rough is in the pictures of the design: the viewer would print its size for that
+            // of the stone.
         ],
         view: Some([-35.0, 28.0]),
         ..Scene::default()

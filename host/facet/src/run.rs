@@ -517,7 +517,7 @@ impl Bench<'_> {
             return Ok(());
         }
         let changes = ForceLoopChanges {
-            desired_n: Some(force_n),
+            setpoint_n: Some(force_n),
             ..ForceLoopChanges::default()
         };
         self.session

@@ -200,6 +200,15 @@ fn a_stone_is_cut_by_force() {
     assert!(cutting.measured.worst_depth_mm() < 0.005);
 }
 
+/// By the feed of the lap, with the force held.
+#[test]
+fn a_stone_is_cut_by_both() {
+    let (gem, cutting) = stone(Mode::Both, &RunOptions::default());
+    check(&gem, &cutting);
+    assert_eq!(cutting.measured.beyond(&gem), None);
+    assert!(cutting.measured.worst_depth_mm() < 0.005);
+}
+
 /// A whole example of 6 mm by force, as docs/faceting.md measures it.
 #[test]
 fn an_example_is_cut_by_force() {

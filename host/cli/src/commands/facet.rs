@@ -122,6 +122,15 @@ fn check(args: &CheckArgs) -> Result<(), CliError> {
         args.design.design.display(),
         gem.design.gear
     );
+    for tier in gem.design.tiers() {
+        print_line!(
+            "{:<11} {:<8} {:>6.2} deg  {}",
+            tier.stage.name(),
+            tier.name,
+            tier.angle_deg,
+            tier.index_text()
+        );
+    }
     print_line!(
         "size        {:.3} x {:.3} x {:.3} mm, {:.3} mm^3, {:.1} % of the rough of {:.3} x {:.3} mm",
         ends(0),
@@ -174,16 +183,16 @@ fn keep_inputs(design: &DesignArgs, args: &JobArgs, out: &Path) -> Result<(), Cl
     Ok(())
 }
 
-/// Notice on a program that is ground by force.
-const BY_FORCE: &str = "notice: the program is for a controller that holds the force of the height; \
-                        without force control it feeds the stone at up to 0.15 mm/s";
-
 fn plan(args: &PlanArgs) -> Result<(), CliError> {
     keep_inputs(&args.design, &args.job, &args.out)?;
     let (gem, job, machine) = planned(&args.design, &args.job)?;
-    let text = job.program(&gem.design.title, coolant(&machine));
+    let text = job.program(&gem, coolant(&machine));
     if job.settings.mode.has_force() {
-        eprintln!("{BY_FORCE}");
+        eprintln!(
+            "notice: the program is for a controller that holds the force of the height; without \
+             force control it feeds the stone at up to {} mm/s",
+            job.most_feed_mm_s()
+        );
     }
     if args.out.as_os_str() == "-" {
         print_line!("{}", text.trim_end());

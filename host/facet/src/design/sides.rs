@@ -79,18 +79,16 @@ impl Design {
             return;
         };
         for next in &transfers {
-            if !stated.contains(next) {
+            if !stated.iter().any(|it| it.before == *next) {
                 let facet = &self.facets[*next];
                 let what = "is on the other side of the girdle, and no transfer is before it";
                 let remedy = "add a row `transfer` before it";
                 problems.report(facet.line, Some(&facet.name), what, remedy);
             }
         }
-        for at in stated.iter().filter(|at| !transfers.contains(at)) {
-            let line = self.facets.get(*at).or(self.facets.last());
-            let line = line.map_or(0, |facet| facet.line);
+        for it in stated.iter().filter(|it| !transfers.contains(&it.before)) {
             let what = "the transfer is not between two sides of the girdle";
-            problems.report(line, None, what, "remove it, or move it");
+            problems.report(it.line, None, what, "remove it, or move it");
         }
     }
 

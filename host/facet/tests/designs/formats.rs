@@ -27,6 +27,75 @@ fn odd_files_of_gemcad_are_read() {
     assert_eq!(read("latin.asc", &bytes).unwrap().title, "Gr\u{fc}n");
 }
 
+/// The end of a text file of DOS is no line, and a comment may follow a word without a space. A
+/// semicolon in a note is part of the note, also where a facet has the name G.
+#[test]
+fn ends_of_dos_and_glued_comments_are_read() {
+    let plain = small();
+    let dos = SMALL.replace('\n', "\r\n") + "\u{1a}";
+    assert_eq!(read("dos.asc", dos.as_bytes()).unwrap(), plain);
+    let cut = SMALL.replace("\nF end\n", "") + "\u{1a}";
+    assert_eq!(read("dos.asc", cut.as_bytes()).unwrap().notices.len(), 1);
+    for (from, to) in [
+        ("n C 16 32 48", "n C 16 32 48;the crown"),
+        ("n G 16 32 48", "n G 16 32 48;G is a name"),
+        ("n C 16 32 48", "n C 16 32;first\n48;c"),
+        ("0.3 0 n T", "0.3 0 n T;c"),
+        ("0.3 0 n T", "0.3;c\n0;c\nn T"),
+    ] {
+        let text = SMALL.replace(from, to);
+        let design = read("glued.asc", text.as_bytes()).unwrap_or_else(|it| panic!("{to}: {it}"));
+        let facets = |design: &haptimill_facet::Design| {
+            let facets = design.facets.iter();
+            let facets = facets.map(|it| (it.name.clone(), it.index, it.note.clone()));
+            facets.collect::<Vec<_>>()
+        };
+        let named = to != "0.3;c\n0;c\nn T";
+        if named {
+            assert_eq!(facets(&design), facets(&plain), "{to}");
+        }
+        assert_eq!(design.facets.len(), plain.facets.len());
+    }
+    let note = SMALL.replace("to a point", "to; a point");
+    assert_eq!(
+        read("note.asc", note.as_bytes()).unwrap().facets[4].note,
+        "to; a point"
+    );
+}
+
+/// Settings of a list are those of TOML, in any case.
+#[test]
+fn settings_of_a_csv_list_are_read_in_any_case() {
+    let list = |settings: &str| {
+        format!(
+            "{settings}-90,0,1,G\n-90,16,1,G\n-90,32,1,G\n-90,48,1,G\n-0,0,0.4,P\ntransfer\n\
+             0,0,0.4,T\n"
+        )
+    };
+    let settings = "# Gear = 64\n# MIRROR = True\n# Symmetry = 4\n# Title = A\n";
+    let design = read("a.csv", list(settings).as_bytes()).unwrap_or_else(|it| panic!("{it}"));
+    assert_eq!((design.gear, design.symmetry.order), (64, 4));
+    assert!(design.symmetry.mirror);
+    assert_eq!(design.title, "A");
+    let settings = "# gear = 64\n# symmetry = 4\n# mirror = false\n";
+    assert!(
+        !read("a.csv", list(settings).as_bytes())
+            .unwrap()
+            .symmetry
+            .mirror
+    );
+    let found = problem("a.csv", &list("# gear = 64\n# mirror = yes\n"));
+    assert!(
+        found.starts_with("a.csv:2: \"yes\" is neither true nor false"),
+        "{found}"
+    );
+    let found = problem("a.csv", &list("# gear = 64\n# Gear = 96\n"));
+    assert!(
+        found.starts_with("a.csv:2: the setting gear is already in line 1"),
+        "{found}"
+    );
+}
+
 /// What files of cutters have beside that: a culet of negative distance, the facets of the crown
 /// first, several names in a tier, names that are numbers, half teeth, a wheel whose numbers run
 /// clockwise, old line ends, footnotes in between.

@@ -127,6 +127,76 @@ fn a_stone_with_small_errors_has_its_meet_points() {
     assert!(measured.worst_meet_mm() > 0.02 && measured.worst_meet_mm() < 6.0);
 }
 
+/// A stone is out of tolerance when a facet is off by more than 0.02 degrees, or a meet point by
+/// more than 0.02 mm. The worst one is named.
+#[test]
+fn a_stone_out_of_tolerance_names_its_worst_facet_and_point() {
+    let gem = Gem::new("small.asc", small(), 2.5, None).unwrap();
+    // The table is tilted about y, and higher.
+    let stone = |tilt_deg: f64, higher_mm: f64| {
+        let mut stone = gem.rough_body();
+        for number in 0..gem.design.facets.len() {
+            let mut plane = gem.plane(number);
+            if number == 12 {
+                let (sin, cos) = tilt_deg.to_radians().sin_cos();
+                plane.normal = [sin, 0.0, cos];
+                plane.distance += higher_mm;
+            }
+            stone.cut(plane, number);
+        }
+        Measured::new(&gem, &stone, &[])
+    };
+    assert_eq!(stone(0.0, 0.0).beyond(&gem), None);
+    assert_eq!(stone(0.0199, 0.0).beyond(&gem), None);
+    let expected = "the angle of facet T@0 is off by 0.0201 deg, and 0.02 deg is the most";
+    assert_eq!(stone(0.0201, 0.0).beyond(&gem).as_deref(), Some(expected));
+    // Its corners move by a depth along the crown.
+    let gain = stone(0.0, 0.01).worst_meet_mm() / 0.01;
+    assert!(gain > 1.0, "{gain}");
+    assert_eq!(stone(0.0, 0.0199 / gain).beyond(&gem), None);
+    let found = stone(0.0, 0.0201 / gain).beyond(&gem).unwrap();
+    assert!(found.starts_with("the meet point of C@"), "{found}");
+    assert!(
+        found.ends_with("T@0 is off by 0.0201 mm, and 0.02 mm is the most"),
+        "{found}"
+    );
+    let both = stone(0.03, 0.05).beyond(&gem).unwrap();
+    assert!(
+        both.contains("0.0300 deg") && both.contains("mm is the most"),
+        "{both}"
+    );
+}
+
+/// A culet of very many facets is a design in some seconds: the gain of a point is found from a
+/// part of them.
+#[test]
+fn a_culet_of_very_many_facets_is_cut_in_seconds() {
+    let count = 900;
+    let positions = |count: u32| {
+        let index = |at: u32| format!(" {:.5}", 120.0 * f64::from(at) / f64::from(count));
+        (0..count).map(index).collect::<String>()
+    };
+    let text = format!(
+        "g 120 0\na -90 1{}\na -45 0.72{}\na 0 0.3 0 n T\nF\n",
+        positions(60),
+        positions(count)
+    );
+    let started = std::time::Instant::now();
+    let design = read("cone.asc", text.as_bytes()).unwrap();
+    let gem = Gem::new("cone.asc", design, 6.0, None).unwrap();
+    let most = gem
+        .meets
+        .iter()
+        .map(|meet| meet.facets.len())
+        .max()
+        .unwrap();
+    assert!(most > 800, "{most} facets in a point");
+    let gain = gem.meets.iter().map(|meet| meet.gain).fold(0.0, f64::max);
+    assert!(gain > 10.0, "{gain}");
+    println!("gain {gain} in {:.1?}", started.elapsed());
+    assert!(started.elapsed().as_secs() < 60);
+}
+
 fn count(gem: &Gem, stage: Stage) -> usize {
     gem.design
         .facets

@@ -130,13 +130,14 @@ fn the_program_pauses_with_the_lap_at_a_standstill() {
         (Mode::Feed, Coolant::None, ""),
         (Mode::Feed, Coolant::Mist, "M7"),
         (Mode::Force, Coolant::Flood, "M8"),
+        (Mode::Both, Coolant::None, ""),
     ] {
         let settings = counter_clockwise(JobSettings {
             mode,
             ..JobSettings::default()
         });
         let job = Job::new(&gem, settings).unwrap();
-        let text = job.program("Title (small)", coolant);
+        let text = job.program(&gem, coolant);
         let (mut lap, mut wet, mut pauses, mut cuts) = (false, false, Vec::new(), 0);
         for line in text.lines() {
             match line.split_whitespace().last().unwrap() {
@@ -164,11 +165,21 @@ fn the_program_pauses_with_the_lap_at_a_standstill() {
         let over = pauses.iter().filter(|pause| pause.contains("transfer"));
         assert_eq!(over.count(), 1);
         let says_force = |text: &str| text.contains("force");
-        assert_eq!(says_force(pauses[0]), mode == Mode::Force);
-        assert_eq!(
-            says_force(text.lines().nth(1).unwrap()),
-            mode == Mode::Force
-        );
+        assert_eq!(says_force(pauses[0]), mode.has_force());
+        let (header, _) = text.split_once("M0 (MSG").unwrap();
+        assert_eq!(says_force(header), mode.has_force());
+        // The limit of the feed without force control is that of the strokes.
+        let limit = match mode {
+            Mode::Feed => "",
+            Mode::Force => "fed at up to 0.15 mm/s whatever",
+            Mode::Both => "fed at up to 0.08 mm/s whatever",
+        };
+        assert!(header.contains(limit), "{header}");
+        let over = pauses.iter().filter(|pause| {
+            pause
+                .contains("turn the stone over on a new dop about the axis through index 64 and 32")
+        });
+        assert_eq!(over.count(), 1);
         assert!(!says_force(pauses[1]));
     }
     assert_eq!(coolant(&machine("", "")), Coolant::None);
@@ -321,7 +332,7 @@ fn names_add_nothing_to_the_program() {
         let mut settings = JobSettings::default();
         settings.laps[2].name = lap.to_string();
         let job = Job::new(&gem, settings).unwrap();
-        let program = job.program("Title", Coolant::None);
+        let program = job.program(&gem, Coolant::None);
         let blocks: Vec<String> = program
             .lines()
             .filter(|line| !line.starts_with('(') || line.matches(')').count() > 1)
@@ -342,6 +353,117 @@ fn names_add_nothing_to_the_program() {
                 spark_out_s = 1\npreston_mm2_n = 1";
     let lap: haptimill_facet::Lap = toml::from_str(laps).unwrap();
     assert_eq!(lap.name, "a b");
+}
+
+/// By feed and by both no stroke is faster than the program says.
+#[test]
+fn the_stated_feed_is_that_of_the_strokes() {
+    let gem = Gem::new("small.asc", small(), 2.5, None).unwrap();
+    for mode in [Mode::Both, Mode::Force] {
+        let mut settings = JobSettings {
+            mode,
+            ..JobSettings::default()
+        };
+        settings.laps[0].feed_mm_s = 0.05;
+        let stroke_s = settings.sweep_mm / settings.sweep_mm_s;
+        let job = Job::new(&gem, settings).unwrap();
+        let mut most = 0.0_f64;
+        for operation in job.passes.iter().flat_map(|pass| &pass.operations) {
+            let strokes = operation
+                .grind
+                .lines()
+                .filter(|line| line.starts_with("G1"));
+            let words = strokes.flat_map(str::split_whitespace);
+            let heights: Vec<f64> = words
+                .filter_map(|word| word.strip_prefix('Z')?.parse().ok())
+                .collect();
+            for pair in heights.windows(2) {
+                most = most.max((pair[0] - pair[1]) / stroke_s);
+            }
+        }
+        let stated = job.most_feed_mm_s();
+        assert!(
+            most < stated + 1e-4 && most > 0.5 * stated,
+            "{mode:?}: {most}, {stated}"
+        );
+        let expected = if mode == Mode::Both { 0.05 } else { 0.15 };
+        assert_eq!(stated, expected);
+    }
+}
+
+/// The comments of a program have the design, the rough on the dop, and each tier with its note
+/// before its facets.
+#[test]
+fn the_program_has_what_the_cutter_must_know() {
+    let text = SMALL
+        .replace("H Small", "H\nF Use (quartz) only")
+        .replace("to a point", "to a (sharp) point");
+    let design = read("small.asc", text.as_bytes()).unwrap();
+    let gem = Gem::new("small.asc", design, 2.5, None).unwrap();
+    let job = Job::new(&gem, JobSettings::default()).unwrap();
+    let program = job.program(&gem, Coolant::None);
+    let place = |what: &str| {
+        let found = program.find(what);
+        found.unwrap_or_else(|| panic!("{what}\n{}", &program[..2000]))
+    };
+    // A design without a title has the name of its file.
+    assert!(
+        program.starts_with("(design small.asc)\n"),
+        "{}",
+        &program[..200]
+    );
+    place("(remark: Use quartz only)\n");
+    place("(index wheel of 64 teeth; refractive index 1.54; symmetry 4-fold, mirror-image)\n");
+    assert!(
+        place("(tier P, pavilion: angle 45.00 deg, index 0-16-32-48 of 64)") < place("(facet P@0")
+    );
+    assert!(place("(note: to a sharp point)") < place("(facet P@0"));
+    // The pavilion points to the lap: its end of the rough is beyond the tip.
+    let half = 0.5 * gem.rough.height_mm;
+    let [beyond, behind] = [half - gem.rough_middle_mm, half + gem.rough_middle_mm];
+    assert!(beyond > behind);
+    let header = program.split("M0").next().unwrap().replace(")\n(", " ");
+    let expected = format!(
+        "rough of {:.3} mm diameter and {:.3} mm height, centred on the axis of the dop; its ends \
+         are {beyond:.3} mm beyond the tip, on the side of the lap, and {behind:.3} mm behind it; \
+         the tip is the origin of the design",
+        gem.rough.diameter_mm, gem.rough.height_mm
+    );
+    assert!(header.contains(&expected), "{header}");
+    // Turned over, the culet is behind the tip; the facet of index 64 keeps C180.
+    let over = program.replace(")\n(", " ");
+    let culet = gem.body.reach([0.0, 0.0, -1.0]);
+    let expected = format!(
+        "the new dop holds the pavilion; index 64 stays where it was, at C180; the lower end of \
+         the stone is {culet:.3} mm behind the tip"
+    );
+    assert!(over.contains(&expected));
+    for name in ["P@0", "C@0"] {
+        let (_, facet) = program.split_once(&format!("(facet {name}")).unwrap();
+        let index = facet
+            .lines()
+            .find_map(|line| line.strip_prefix("G0 C"))
+            .unwrap();
+        let angle = facet
+            .lines()
+            .find_map(|line| line.strip_prefix("G0 A"))
+            .unwrap();
+        // The other branch has C0 and a negative angle.
+        let is_at = (index == "180.000000" && !angle.starts_with('-'))
+            || (index.trim_start_matches('-') == "0.000000" && angle.starts_with('-'));
+        assert!(is_at, "{name}: C{index} A{angle}");
+    }
+    // Notes of any length are comments that senders take.
+    let design = read(
+        "small.asc",
+        SMALL.replace("to a point", &"x".repeat(900)).as_bytes(),
+    );
+    let gem = Gem::new("small.asc", design.unwrap(), 2.5, None).unwrap();
+    let program = job.program(&gem, Coolant::None);
+    assert!(program.lines().all(|line| line.len() <= 256));
+    let (_, note) = program.split_once("(note").unwrap();
+    let (note, _) = note.split_once("(facet").unwrap();
+    assert_eq!(note.matches('x').count(), 900);
 }
 
 /// A preform that stays on the stone is ground on all laps, with a notice; one that is cut away is

@@ -5,6 +5,7 @@ mod gems;
 mod jobs;
 mod notices;
 mod refusals;
+mod report;
 
 use haptimill_facet::{Gem, Rough, read};
 

@@ -217,6 +217,146 @@ fn a_facet_that_is_cut_away_names_the_other_one() {
     assert!(!refused.contains("misses"), "{refused}");
 }
 
+/// The oval of four angles has its table so low that it cuts the facets of the upper crown away.
+/// Some of them would stay without a facet of the lower crown, too; the table is at fault.
+#[test]
+fn a_table_that_is_too_low_is_named_by_each_lost_facet() {
+    let mut text = String::from("GemCad 5.0\ng 96 0.0\ny 2 y\nI 1.54\nH Oval\n");
+    let tiers: [(&str, f64, [f64; 4]); 4] = [
+        (
+            "G",
+            -90.0,
+            [1.289_859_85, 1.215_329_50, 1.101_351_09, 1.013_045_69],
+        ),
+        (
+            "P",
+            -43.0,
+            [1.036_682_19, 0.993_914_41, 0.930_080_49, 0.882_159_62],
+        ),
+        (
+            "C",
+            45.0,
+            [1.055_044_65, 1.009_833_10, 0.942_198_02, 0.891_280_42],
+        ),
+        (
+            "D",
+            30.0,
+            [0.915_319_40, 0.889_455_70, 0.851_538_93, 0.823_674_93],
+        ),
+    ];
+    for (name, angle, distances) in tiers {
+        for (at, distance) in distances.iter().enumerate() {
+            let index = 3 + 6 * at;
+            let (back, half) = (96 - index, 48 - index);
+            let over = 48 + index;
+            text += &format!("a {angle} {distance} {index} n {name}{at} {back} {half} {over}\n");
+        }
+    }
+    text += "a 0 0.45 96 n T\nF end\n";
+    let design = read("oval.asc", text.as_bytes()).unwrap_or_else(|it| panic!("{it}"));
+    let refused = Gem::new("oval.asc", design, 6.0, None).unwrap_err();
+    assert!(refused.problems.len() >= 4, "{refused}");
+    for problem in &refused.problems {
+        let is_upper = problem
+            .facet
+            .as_deref()
+            .is_some_and(|name| name.starts_with('D'));
+        let by_table = problem.what == "is wholly cut away by facet T@96 of line 22";
+        assert!(is_upper && by_table, "{refused}");
+    }
+}
+
+/// A refused facet of a list is the only problem: which side it is on is not known, so the transfer
+/// beside it is not at fault. A transfer that is at fault is named by its own line.
+#[test]
+fn a_refused_facet_of_a_list_is_the_only_problem() {
+    let one = |name: &str, text: &str, expected: &str| {
+        let refused = problem(name, text);
+        assert!(refused.starts_with(expected), "{refused}");
+        assert_eq!(refused.lines().count(), 1, "{refused}");
+    };
+    let head = "# gear = 64\n-90,0,1,G\n-90,16,1,G\n-90,32,1,G\n-90,48,1,G\n";
+    let list = format!("{head}-0,0,0.4,P\ntransfer\n95,0,0.4,T\n");
+    one(
+        "a.csv",
+        &list,
+        "a.csv:8: facet T: an angle of 95 deg is impossible",
+    );
+    let list = format!("{head}-0,0,0.4,P\ntransfer\n0,65,0.4,T\n");
+    one(
+        "a.csv",
+        &list,
+        "a.csv:8: facet T@65: index 65 is off the wheel",
+    );
+    let facet = |angle: &str, index: &str, depth: &str| {
+        format!("[[facet]]\nangle = {angle}\nindex = {index}\ndepth = {depth}\n")
+    };
+    let toml = |table: &str| {
+        let girdle = facet("-90", "[0, 16, 32, 48]", "1");
+        let culet = facet("-0.0", "0", "0.4");
+        format!("gear = 64\n{girdle}{culet}[[facet]]\ntransfer = true\n{table}")
+    };
+    let angle = "a.toml:12: facet 3: an angle of 95 deg";
+    one("a.toml", &toml(&facet("95", "0", "0.4")), angle);
+    one(
+        "a.toml",
+        &toml(&facet("0", "[]", "0.4")),
+        "a.toml:12: the list of indices is empty",
+    );
+    one(
+        "a.toml",
+        &toml("[[facet]]\nangle = 0\nindex = 0\n"),
+        "a.toml:12: angle, index or depth",
+    );
+    let list = format!("{head}\ntransfer\n-0,0,0.4,P\ntransfer\n0,0,0.4,T\n");
+    one(
+        "a.csv",
+        &list,
+        "a.csv:7: the transfer is not between two sides",
+    );
+}
+
+/// Without a gear the wheel is not known: neither the symmetry nor the positions are a problem.
+#[test]
+fn a_missing_gear_is_the_only_problem() {
+    for (name, text, expected) in [
+        (
+            "a.csv",
+            LIST.replace("# gear = 64\n", ""),
+            "a.csv: the index wheel is missing",
+        ),
+        (
+            "small.asc",
+            SMALL.replace("g 64 0.0\n", ""),
+            "small.asc: the index wheel is missing",
+        ),
+        (
+            "small.asc",
+            SMALL.replace("g 64 0.0\n", "").replace(" 48", " 100"),
+            "small.asc: the index wheel is missing",
+        ),
+    ] {
+        let refused = problem(name, &text);
+        assert!(refused.starts_with(expected), "{refused}");
+        assert_eq!(refused.lines().count(), 1, "{refused}");
+    }
+}
+
+/// A second line of a setting would replace the first one.
+#[test]
+fn a_setting_of_a_gemcad_file_is_written_once() {
+    for (line, what) in [
+        ("g 96 0.0", "the index wheel is already in line 2"),
+        ("y 2 n", "the symmetry is already in line 3"),
+        ("I 1.76", "the refractive index is already in line 4"),
+    ] {
+        let refused = problem("small.asc", &SMALL.replace("H Small", line));
+        let expected = format!("small.asc:5: {what}; write it once, before the facets");
+        assert!(refused.starts_with(&expected), "{refused}");
+        assert_eq!(refused.lines().count(), 1, "{refused}");
+    }
+}
+
 /// An impossible gear is the only problem: the wheel is not compared with the symmetry.
 #[test]
 fn an_impossible_gear_is_refused_once() {

@@ -10,6 +10,9 @@ Check a gem design. It is cut, plane by plane, out of its rough; a facet that ca
 refused by line and name, as is a design that does not close or is larger than the rough, and a \
 facet that the machine cannot reach.
 
+It prints the tiers with angle and positions of the wheel, the size of the stone, and its meet \
+points. --json has every facet.
+
 Designs are GemCad ASCII files (.asc), or lists of facets (.toml, .csv) with depths in mm; \
 docs/faceting.md has both formats.";
 
@@ -19,7 +22,8 @@ stone is turned over. The folder of results gets
   report.html  the stone in 3D, facets and meet points against the design, times and forces
   stone.json   the same figures
   job.ngc      the job as one part program
-A stone that lacks facets of the design, or has other faces, is an error (exit code 6).
+A stone that lacks facets of the design, has other faces, or is out of tolerance (0.02 degrees for \
+a facet, 0.02 mm for a meet point) is an error (exit code 6); the files are written.
 
 With --by feed the feed of the lap moves the stone to its depth. With --by force the stone \
 complies above the force of the lap, and reaches its depth as material is removed. --by both does \
@@ -28,7 +32,7 @@ both.";
 /// Commands of `haptimill facet`.
 #[derive(Debug, Clone, Subcommand)]
 pub enum FacetCommand {
-    /// Check a gem design, and print its facets, size and meet points
+    /// Check a gem design, and print its tiers, size and meet points
     #[command(long_about = CHECK_LONG)]
     Check(CheckArgs),
     /// Write the job of a design as a part program

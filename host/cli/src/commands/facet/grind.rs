@@ -69,10 +69,7 @@ pub(super) fn grind(args: &RunArgs) -> Result<(), CliError> {
     }
     output::save(&dir.join(REPORT), report(&gem, &job, &cutting, beside))?;
     output::save(&dir.join(FIGURES), format!("{figures:#}\n"))?;
-    output::save(
-        &dir.join(PROGRAM),
-        job.program(&gem.design.title, coolant(&machine)),
-    )?;
+    output::save(&dir.join(PROGRAM), job.program(&gem, coolant(&machine)))?;
     let path = dir.join(REPORT);
     let end = ended(&gem, [Some(&cutting), second.as_ref()], &path);
     if args.json {
@@ -88,22 +85,30 @@ pub(super) fn grind(args: &RunArgs) -> Result<(), CliError> {
     end
 }
 
-/// The error of a job that ended before its last facet, or of a stone that is not the design. Its
-/// report is written.
+/// The error of a job that ended before its last facet, of a stone that is not the design, or of
+/// one that is out of tolerance. Its report is written.
 fn ended(gem: &Gem, cuttings: [Option<&Cutting>; 2], report: &Path) -> Result<(), CliError> {
     let all = cuttings.into_iter().flatten();
     if let Some(error) = all.clone().find_map(|it| it.stopped.clone()) {
         return Err(error.into());
     }
-    let mut wrong = all.filter(|it| !it.measured.is_design());
-    wrong.next().map_or(Ok(()), |cutting| {
+    let file = &gem.file;
+    if let Some(cutting) = all.clone().find(|it| !it.measured.is_design()) {
         let measured = &cutting.measured;
         let what = format!(
-            "{}: the stone is not the design: {} facets are missing, and {} faces are not facets; \
-             {} shows them; check the machine file and the disturbances",
-            gem.file,
+            "{file}: the stone is not the design: {} facets are missing, and {} faces are not \
+             facets; {} shows them; check the machine file and the disturbances",
             measured.missing.len(),
             measured.strange,
+            report.display()
+        );
+        return Err(CliError::new(Exit::Fault, what));
+    }
+    let beyond = all.clone().find_map(|it| it.measured.beyond(gem));
+    beyond.map_or(Ok(()), |beyond| {
+        let what = format!(
+            "{file}: the stone is out of tolerance: {beyond}; {} shows all errors; check the \
+             machine file and the disturbances, or cut a smaller stone",
             report.display()
         );
         Err(CliError::new(Exit::Fault, what))
