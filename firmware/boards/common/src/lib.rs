@@ -3,6 +3,9 @@
 #![no_std]
 
 pub mod config_store;
+pub mod counter;
+pub mod lamp;
+pub mod link;
 pub mod reset_cause;
 pub mod step_samples;
 pub mod step_words;
