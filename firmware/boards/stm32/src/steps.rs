@@ -91,7 +91,7 @@ pub struct Batch {
 impl Batch {
     fn samples(&self) -> &'static Samples {
         // SAFETY: see `Words`; the buffer was filled, and is not free before the next one was sent.
-        unsafe { &(&*WORDS.0.get())[self.buffer] }
+        unsafe { &*(&raw const (*WORDS.0.get())[self.buffer]) }
     }
 }
 

@@ -1,28 +1,18 @@
 //! The board: an STM32F427 with a crystal of 8 MHz, the line to the host, and wires to its pins.
 //!
-//! rigless has no wires from pins to timers, and no request of a timer at a DMA controller
-//! (its documentation lists both). [`Board`] adds those that the image uses: update of TIM8 to stream
-//! 1 of DMA2, and the pins of the encoders and of the emergency stop to their timers.
+//! rigless has no wires from pins to timers. [`Board::drive`] has those of the encoders and of the
+//! emergency stop.
 
+use crate::chip::{Chip, UPDATE};
 use rigless::chip::uart::TcpPeer;
 use rigless::device::Level;
 use rigless::machine::{self, Crystal, HostWire, Target, armv7m};
 use rigless::snapshot::Store;
-use rigless::soc::stm32f427::Stm32f427;
 use rigless::soc::stm32f427::generated::{gpioa, tim2};
-use rigless::soc::stm32f427::peripherals::dma::{Dma, Wire};
 use rigless::soc::stm32f427::peripherals::gpio::Pin;
 use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::time::VirtualNanos;
 use std::num::{NonZeroU32, NonZeroU64};
-
-/// Update of TIM8: channel 7 of stream 1 (RM0090, table 44).
-static REQUESTS: [Wire; 1] = [Wire {
-    instance: "TIM8",
-    request: 0,
-    channel: 7,
-    streams: &[1],
-}];
 
 /// Ports by their letters, as rigless numbers them.
 pub const A: usize = 0;
@@ -78,7 +68,7 @@ pub const EMERGENCY_STOP: (usize, u8) = (C, 6);
 #[derive(Debug)]
 pub struct Board {
     /// The chip.
-    pub mcu: Stm32f427,
+    pub chip: Chip,
 }
 
 // Nothing here is kept in snapshots.
@@ -87,16 +77,16 @@ impl Store for Board {}
 impl Board {
     /// The board, with the line to the host at a port of this computer.
     pub fn new(port: Option<u16>, crystal_hz: u64) -> Result<Self, String> {
-        let mut mcu = Stm32f427::new().map_err(|error| error.to_string())?;
+        let mut chip = Chip::new()?;
+        let mcu = &mut chip.mcu;
         mcu.rcc
             .attach_crystals(Crystal(crystal_hz).0, Crystal::NONE.0);
         mcu.set_supply(3300);
-        mcu.dma[1] = Dma::new(&REQUESTS, &[], true);
         if let Some(port) = port {
             let host = TcpPeer::listen(port).map_err(|error| format!("port {port}: {error}"))?;
             mcu.usart[USART3].attach(host);
         }
-        Ok(Self { mcu })
+        Ok(Self { chip })
     }
 
     /// Drives all inputs as closed contacts do, and the encoders low.
@@ -115,20 +105,19 @@ impl Board {
     pub fn drive(&mut self, at: VirtualNanos, (port, pin): (usize, u8), high: bool) {
         let level = if high { Level::High } else { Level::Low };
         let Some(place) = Pin::new(pin) else { return };
-        self.mcu.drive_port(at, port, |gpio, registers, context| {
-            gpio.drive(place, Some(level), registers, context);
-        });
+        self.chip
+            .mcu
+            .drive_port(at, port, |gpio, registers, context| {
+                gpio.drive(place, Some(level), registers, context);
+            });
         if (port, pin) == EMERGENCY_STOP {
-            let channel = Channel::new(1).expect("a channel");
-            self.mcu
-                .drive_advanced_timer(at, TIM8, |timer, registers, context| {
-                    timer.drive_input(channel, level, registers, context);
-                });
+            self.drive_gate(at, high);
         }
         for (pins, timer) in ENCODERS {
             if let Some(channel) = pins.iter().position(|it| *it == (port, pin)) {
                 let channel = Channel::new(channel as u8 + 1).expect("a channel");
-                self.mcu
+                self.chip
+                    .mcu
                     .drive_timer(at, timer, |timer, registers, context| {
                         timer.drive_input(channel, level, registers, context);
                     });
@@ -136,15 +125,40 @@ impl Board {
         }
     }
 
+    /// Lets the gate of TIM8 see an edge of the emergency stop's level. The emulator takes the level of
+    /// a gate at its edges only, the chip at all times.
+    pub fn drive_gate(&mut self, at: VirtualNanos, high: bool) {
+        let level = if high { Level::High } else { Level::Low };
+        let channel = Channel::new(1).expect("a channel");
+        self.chip
+            .mcu
+            .drive_advanced_timer(at, TIM8, |timer, registers, context| {
+                timer.drive_input(channel, level, registers, context);
+            });
+    }
+
+    /// Acknowledges the requests of TIM8 that the DMA has served; whether there were any.
+    pub fn acknowledge(&mut self, at: VirtualNanos) -> bool {
+        let served = core::mem::take(&mut self.chip.dma2.served) > 0;
+        if served {
+            self.chip
+                .mcu
+                .drive_advanced_timer(at, TIM8, |timer, registers, context| {
+                    timer.acknowledge(UPDATE, registers, context);
+                });
+        }
+        served
+    }
+
     /// Levels that a port drives.
     pub fn outputs(&mut self, port: usize) -> u16 {
-        let (_, registers) = self.mcu.port(port);
+        let (_, registers) = self.chip.mcu.port(port);
         registers.get(gpioa::Register::Odr) as u16
     }
 
     /// Captured index of an encoder.
     pub fn index(&mut self, encoder: usize) -> u32 {
-        let (_, registers) = self.mcu.timer(ENCODERS[encoder].1);
+        let (_, registers) = self.chip.mcu.timer(ENCODERS[encoder].1);
         registers.get(tim2::Register::Ccr3) as u32
     }
 }
@@ -163,11 +177,11 @@ impl machine::Board for Board {
     }
 
     fn mcu(&mut self, target: usize) -> Option<&mut dyn rigless::mcu::Mcu> {
-        (target == 0).then_some(&mut self.mcu)
+        (target == 0).then_some(&mut self.chip)
     }
 
     fn targets(&mut self) -> Vec<Target<'_>> {
-        let lines = u32::from(rigless::mcu::Operate::cpu(&self.mcu).interrupt_lines);
+        let lines = u32::from(rigless::mcu::Operate::cpu(&self.chip).interrupt_lines);
         let core = armv7m::Core {
             variant: armv7m::Variant::M4,
             clock_hz: NonZeroU64::new(168_000_000).expect("not zero"),
@@ -178,11 +192,11 @@ impl machine::Board for Board {
             boot: "flash",
         }
         .spec_with_parts(
-            &rigless::cpu::armv7m::windows(rigless::mcu::Mcu::bus(&self.mcu)),
+            &rigless::cpu::armv7m::windows(rigless::mcu::Mcu::bus(&self.chip)),
             armv7m::Fpu::FpV4Sp,
             armv7m::MpuRegions::Eight,
         );
-        vec![Target::new(MCU, &mut self.mcu, core)]
+        vec![Target::new(MCU, &mut self.chip, core)]
     }
 
     fn hosts(&self) -> Vec<HostWire> {

@@ -3,6 +3,7 @@
 //! `serve` is for a host program at the other end of the line; `check` needs none.
 
 mod board;
+mod chip;
 
 use board::{B, Board, D, E, EMERGENCY_STOP, ENCODERS};
 use rigless::emulator::{AccessKind, Driver, Host, Settled, Start, Stop, run};
@@ -14,9 +15,10 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const HELP: &str = "usage: haptimill-stm32-emulated check IMAGE
-       haptimill-stm32-emulated serve IMAGE PORT MILLISECONDS FILE.vcd [STOP_AT_MS]
+       haptimill-stm32-emulated serve IMAGE PORT MILLISECONDS FILE.vcd [STEPS]
 `check` looks at the control period, the step clock, the encoders and the emergency stop.
-`serve` waits for a host at tcp:127.0.0.1:PORT and writes the pins at the end.";
+`serve` waits for a host at tcp:127.0.0.1:PORT and writes the pins at the end. The emergency stop
+opens after STEPS steps of joint x, and is closed again 50 ms later.";
 
 /// Step and direction pins of joints 0 to 4 at port E.
 const STEPS: [(u8, u8); 5] = [(4, 10), (5, 12), (6, 14), (7, 15), (8, 2)];
@@ -56,11 +58,16 @@ impl Lines {
     }
 }
 
+/// Time for which the emergency stop is open, ns.
+const CLOSED_AFTER: u64 = 50_000_000;
+
 /// A change of an input.
 type Action = (u64, (usize, u8), bool);
 
 struct Bench {
     started: bool,
+    /// Looks at the captured index counts.
+    with_encoders: bool,
     until: u64,
     /// Changes of inputs, the next one last.
     actions: Vec<Action>,
@@ -71,16 +78,29 @@ struct Bench {
     indices: [Vec<u32>; 4],
     /// Times at which the interrupt of the control period began.
     periods: Vec<u64>,
+    /// Steps of joint x after which the emergency stop opens.
+    stop_after: Option<usize>,
+    steps: usize,
+    /// Time at which it was opened, and whether it is closed again.
+    stopped: Option<u64>,
+    closed: bool,
+    /// Time at which the gate of TIM8 gets its second edge.
+    gate: Option<u64>,
 }
 
 /// Status of TIM1, which the interrupt of the control period writes first.
 const TIM1_STATUS: u64 = 0x4001_0010;
+/// Registers of the ports.
+const PORTS: std::ops::Range<u64> = 0x4002_0000..0x4002_2000;
+/// Mode of TIM8, whose gate is the emergency stop.
+const TIM8_SLAVE: u64 = 0x4001_0408;
 
 impl Bench {
     fn new(until: u64, mut actions: Vec<Action>) -> Self {
         actions.sort_by(|a, b| b.0.cmp(&a.0));
         Self {
             started: false,
+            with_encoders: false,
             until,
             actions,
             port_b: Lines::default(),
@@ -88,6 +108,11 @@ impl Bench {
             port_e: Lines::default(),
             indices: Default::default(),
             periods: Vec::new(),
+            stop_after: None,
+            steps: 0,
+            stopped: None,
+            closed: false,
+            gate: None,
         }
     }
 
@@ -98,11 +123,18 @@ impl Bench {
 
 impl Driver<Board> for Bench {
     fn on_settled(&mut self, session: &mut Session<Board>, _: &mut dyn Host, settled: Settled) {
+        let mut written = false;
         let at = match settled {
             Settled::Access { access, .. } => {
                 if access.address == TIM1_STATUS && access.kind == AccessKind::Write {
                     self.periods.push(access.virtual_time.0);
                 }
+                if access.address == TIM8_SLAVE && access.kind == AccessKind::Write {
+                    let at = access.virtual_time;
+                    session.board_mut().drive_gate(at, true);
+                    self.gate = Some(at.0 + 5_000);
+                }
+                written = access.kind == AccessKind::Write && PORTS.contains(&access.address);
                 access.virtual_time
             }
             Settled::Stop(stop) => stop.at,
@@ -113,9 +145,38 @@ impl Driver<Board> for Bench {
             self.started = true;
             board.rest(at);
         }
-        self.port_b.note(at.0, board.outputs(B));
-        self.port_d.note(at.0, board.outputs(D));
-        self.port_e.note(at.0, board.outputs(E));
+        let moved = board.acknowledge(at);
+        if self.gate.is_some_and(|gate| at.0 >= gate) {
+            self.gate = None;
+            board.drive_gate(at, false);
+        }
+        // Only the DMA and writes of the core change an output.
+        if moved || written {
+            let levels = board.outputs(E);
+            let rising = levels & !self.port_e.levels;
+            self.steps += usize::from(rising >> STEPS[0].0 & 1);
+            self.port_e.note(at.0, levels);
+            if self.stop_after.is_some_and(|steps| self.steps == steps) {
+                self.stop_after = None;
+                self.stopped = Some(at.0);
+                board.drive(at, EMERGENCY_STOP, true);
+            }
+        }
+        if self
+            .stopped
+            .is_some_and(|stopped| at.0 >= stopped + CLOSED_AFTER)
+            && !self.closed
+        {
+            self.closed = true;
+            board.drive(at, EMERGENCY_STOP, false);
+        }
+        if written {
+            self.port_b.note(at.0, board.outputs(B));
+            self.port_d.note(at.0, board.outputs(D));
+        }
+        if !self.with_encoders {
+            return;
+        }
         for (encoder, seen) in self.indices.iter_mut().enumerate() {
             let now = board.index(encoder);
             if seen.last().copied().unwrap_or(0) != now {
@@ -188,16 +249,32 @@ fn number(word: &str) -> Result<u64, String> {
 /// Serves a host, and writes the pins.
 fn serve(image: &str, port: &str, until: &str, vcd: &str, rest: &[&str]) -> Result<(), String> {
     let until = number(until)? * 1_000_000;
-    let mut actions = Vec::new();
-    if let [stop] = rest {
-        actions.push((number(stop)? * 1_000_000, EMERGENCY_STOP, true));
+    let mut bench = Bench::new(until, Vec::new());
+    if let [steps] = rest {
+        bench.stop_after = Some(number(steps)? as usize);
     }
     let board = Board::new(Some(number(port)? as u16), 8_000_000)?;
-    let (bench, after) = emulate(image, board, Bench::new(until, actions))?;
+    let (bench, after) = emulate(image, board, bench)?;
     for gap in &after.gaps {
         println!("{gap}");
     }
     println!("resets {}", after.resets);
+    println!("{}", computation(&bench));
+    if let Some(stopped) = bench.stopped {
+        let lines = STEPS.iter().flat_map(|(step, _)| bench.port_e.edges(*step));
+        let rises = lines.filter(|edge| edge.1).map(|edge| edge.0);
+        let first_after = rises.filter(|at| *at > stopped);
+        let within: Vec<u64> = first_after
+            .map(|at| at - stopped)
+            .filter(|ns| *ns < CLOSED_AFTER)
+            .collect();
+        let drives = bench.port_b.edges(ENABLE);
+        let off = drives.iter().find(|edge| !edge.1 && edge.0 > stopped);
+        println!(
+            "emergency stop at {stopped} ns: steps in the 50 ms after it, in ns: {within:?}; drives off after {:?} ns",
+            off.map(|edge| edge.0 - stopped)
+        );
+    }
     for (joint, (step, direction)) in STEPS.iter().enumerate() {
         let steps = bench.port_e.edges(*step);
         let rising: Vec<u64> = steps.iter().filter(|it| it.1).map(|it| it.0).collect();
@@ -216,6 +293,27 @@ fn serve(image: &str, port: &str, until: &str, vcd: &str, rest: &[&str]) -> Resu
         println!("joint {}: {} steps, sum {sum}", NAMES[joint], rising.len());
     }
     std::fs::write(vcd, dump(&bench)).map_err(|error| format!("{vcd}: {error}"))
+}
+
+/// Instructions from the start of a control period to its end, by the time of the emulator: 4 ns
+/// each.
+fn computation(bench: &Bench) -> String {
+    let ends = bench.port_b.edges(PUMP);
+    let taken = ends.iter().filter_map(|(end, _)| {
+        let next = bench.periods.partition_point(|start| start <= end);
+        Some((end - bench.periods.get(next.checked_sub(1)?)?) / 4)
+    });
+    let mut taken: Vec<u64> = taken.collect();
+    taken.sort_unstable();
+    let at = |part: usize| taken.get(taken.len() * part / 1000).copied().unwrap_or(0);
+    let most = taken.last().copied().unwrap_or(0);
+    format!(
+        "{} periods begun, {} completed; instructions of a period: median {}, 99.9 % {}, most {most}",
+        bench.periods.len(),
+        ends.len(),
+        at(500),
+        at(999)
+    )
 }
 
 /// Step, direction and enable lines as a value change dump.
@@ -296,7 +394,9 @@ fn check(image: &str) -> Result<(), String> {
         actions.push((at, pins[2], true));
     }
     let board = Board::new(None, 8_000_000)?;
-    let (bench, after) = emulate(image, board, Bench::new(40 * MS, actions))?;
+    let mut bench = Bench::new(40 * MS, actions);
+    bench.with_encoders = true;
+    let (bench, after) = emulate(image, board, bench)?;
     for gap in &after.gaps {
         println!("{gap}");
     }
