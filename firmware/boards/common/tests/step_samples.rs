@@ -29,8 +29,8 @@ const LINES: [Lines; 3] = [
     },
 ];
 
-/// A port that obeys words as the register of the chip does: bits of the upper half reset pins, bits
-/// of the lower half set them, and setting wins.
+/// A port that obeys words as the register of the chip does: bits of the upper half reset pins,
+/// bits of the lower half set them, and setting wins.
 #[derive(Default)]
 struct Port {
     levels: u32,

@@ -66,8 +66,8 @@ pub fn start_watchdog() {
     write(IWDG, KEY, UNLOCK);
     write(IWDG, DIVIDER, 0);
     write(IWDG, RELOAD, WATCHDOG_COUNTS);
-    // The values arrive within six cycles of its oscillator. Its own values at reset are 512 ms, and
-    // stay if they do not.
+    // The values arrive within six cycles of its oscillator. Its own values at reset are 512 ms,
+    // and stay if they do not.
     wait(IWDG, STATUS, 0b11, 0, 20_000);
     feed_watchdog();
 }

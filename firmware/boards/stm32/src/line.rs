@@ -1,8 +1,7 @@
 //! Line to the host: USART3, 1 Mbaud, 8 data bits, no parity. Its interrupt takes and sends single
 //! bytes, more urgently than the control period.
 
-use crate::interrupts;
-use crate::registers::{USART3, read, write};
+use crate::registers::{USART3, USART3_INTERRUPT, read, write};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use cortex_m::peripheral::NVIC;
@@ -53,8 +52,8 @@ pub fn start(nvic: &mut NVIC) -> Line {
     write(USART3, CONTROL, ENABLED);
     // SAFETY: the wire is in place; no critical section depends on priorities.
     unsafe {
-        nvic.set_priority(interrupts::USART3, PRIORITY);
-        NVIC::unmask(interrupts::USART3);
+        nvic.set_priority(USART3_INTERRUPT, PRIORITY);
+        NVIC::unmask(USART3_INTERRUPT);
     }
     Line(bytes)
 }
@@ -86,14 +85,15 @@ impl Line {
 
 /// Handler of the USART.
 pub extern "C" fn serve() {
-    // SAFETY: only this interrupt uses the wire while it is enabled, and it does not preempt itself.
+    // SAFETY: only this interrupt uses the wire while it is enabled, and it does not preempt
+    // itself.
     let Some(wire) = (unsafe { &mut *PLACES.wire.get() }) else {
         return;
     };
     let status = read(USART3, STATUS);
     if status & (RECEIVED | OVERRUN) != 0 {
-        // Reading it ends the flags of errors, too. A byte with a wrong frame goes on: the frames of
-        // the protocol have a check.
+        // Reading it ends the flags of errors, too. A byte with a wrong frame goes on: the frames
+        // of the protocol have a check.
         let byte = read(USART3, DATA) as u8;
         if status & RECEIVED != 0 {
             wire.receiver.push(byte);

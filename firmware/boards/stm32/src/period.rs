@@ -6,15 +6,15 @@
 
 use crate::clocks::{CYCLES_PER_US, PERIOD_CYCLES, PERIOD_US, cycles};
 use crate::encoders::Encoders;
+use crate::ending;
 use crate::line::Line;
 use crate::pins::{self, JOINTS, Levels};
 use crate::registers::timer::{
     CONTROL, COUNT, ENABLES, EVENTS, OVERFLOW_ONLY, PRESCALER, RELOAD, RUN, STATUS, UPDATE,
     UPDATE_INTERRUPT, UPDATED,
 };
-use crate::registers::{TIM1, read, write};
+use crate::registers::{TIM1, TIM1_UPDATE_INTERRUPT, read, write};
 use crate::steps::{Batch, Engine, Filler, requirements};
-use crate::{ending, interrupts};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -106,14 +106,14 @@ pub fn start(scb: &mut SCB, nvic: &mut NVIC, line: Line) {
         });
         // The interrupt may interrupt PendSV.
         scb.set_priority(SystemHandler::PendSV, COMPUTATION);
-        nvic.set_priority(interrupts::TIM1_UPDATE, URGENT);
-        NVIC::unmask(interrupts::TIM1_UPDATE);
+        nvic.set_priority(TIM1_UPDATE_INTERRUPT, URGENT);
+        NVIC::unmask(TIM1_UPDATE_INTERRUPT);
     }
     write(TIM1, CONTROL, OVERFLOW_ONLY | RUN);
 }
 
-/// Creates the data, out of line: the compiler makes a copy on the stack, which is free again before
-/// the first control period.
+/// Creates the data, out of line: the compiler makes a copy on the stack, which is free again
+/// before the first control period.
 #[inline(never)]
 fn put(place: &mut MaybeUninit<Back>, line: Line) {
     place.write(Back {

@@ -199,8 +199,8 @@ pub fn start_spindle() {
     SPINDLE_SPEED.connect(SPINDLE_FUNCTION, PULL_NONE);
 }
 
-/// Levels of the inputs. Bits: home switches from 0, limit switches from 5 and 10, alarm 15, digital
-/// inputs from 16, emergency stop 31.
+/// Levels of the inputs. Bits: home switches from 0, limit switches from 5 and 10, alarm 15,
+/// digital inputs from 16, emergency stop 31.
 #[derive(Clone, Copy)]
 pub struct Levels(u32);
 

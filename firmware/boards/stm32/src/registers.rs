@@ -1,5 +1,7 @@
 //! Memory-mapped registers of the STM32F407 (RM0090).
 
+use cortex_m::interrupt::InterruptNumber;
+
 /// Timers in encoder mode.
 pub const TIM2: usize = 0x4000_0000;
 pub const TIM3: usize = 0x4000_0400;
@@ -29,6 +31,22 @@ pub const FLASH: usize = 0x4002_3C00;
 pub const DMA2: usize = 0x4002_6400;
 /// What stands still while a debugger halts the core.
 pub const DBGMCU: usize = 0xE004_2000;
+
+/// An interrupt by its number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Interrupt(pub u16);
+
+// SAFETY: the numbers are those of the chip and do not change.
+unsafe impl InterruptNumber for Interrupt {
+    fn number(self) -> u16 {
+        self.0
+    }
+}
+
+/// Update of TIM1.
+pub const TIM1_UPDATE_INTERRUPT: Interrupt = Interrupt(25);
+/// USART3.
+pub const USART3_INTERRUPT: Interrupt = Interrupt(39);
 
 /// Registers of a timer.
 pub mod timer {

@@ -7,13 +7,13 @@
 //! two periods.
 //!
 //! The DMA changes its buffers [`LEAD`] slots after TIM1 has begun a control period. In between
-//! [`Engine::begin`] names the buffer that is next: the words that [`Filler::fill`] made, or, after a
-//! missed period, words without steps. Words are therefore never sent twice.
+//! [`Engine::begin`] names the buffer that is next: the words that [`Filler::fill`] made, or, after
+//! a missed period, words without steps. Words are therefore never sent twice.
 //!
 //! The emergency stop is the gate of TIM8: while its circuit is open the timer stands, no word is
-//! sent, and no line changes. [`Engine::begin`] then finds the DMA at another word than expected. It
-//! counts the steps of the words that were sent, and starts the timer again when the circuit has been
-//! closed for a while. The same happens when the processor was late.
+//! sent, and no line changes. [`Engine::begin`] then finds the DMA at another word than expected.
+//! It counts the steps of the words that were sent, and starts the timer again when the circuit has
+//! been closed for a while. The same happens when the processor was late.
 
 use crate::clocks::{CYCLES_PER_US, PERIOD_CYCLES, PERIOD_US};
 use crate::encoders::ENCODERS;
@@ -140,8 +140,8 @@ impl Filler {
     }
 }
 
-/// Widths of the pulses of a machine, in slots; and the joints that this board cannot drive, one bit
-/// each.
+/// Widths of the pulses of a machine, in slots; and the joints that this board cannot drive, one
+/// bit each.
 pub fn requirements(machine: Option<&Machine>) -> ([u32; JOINTS], u8) {
     let mut widths = [1; JOINTS];
     let mut wrong = 0;

@@ -125,8 +125,8 @@ impl Board {
         }
     }
 
-    /// Lets the gate of TIM8 see an edge of the emergency stop's level. The emulator takes the level of
-    /// a gate at its edges only, the chip at all times.
+    /// Lets the gate of TIM8 see an edge of the emergency stop's level. The emulator takes the
+    /// level of a gate at its edges only, the chip at all times.
     pub fn drive_gate(&mut self, at: VirtualNanos, high: bool) {
         let level = if high { Level::High } else { Level::Low };
         let channel = Channel::new(1).expect("a channel");

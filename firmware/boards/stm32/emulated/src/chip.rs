@@ -1,8 +1,8 @@
 //! The chip: rigless's STM32F427 with the request of TIM8's update at DMA2.
 //!
 //! rigless models the timers and the DMA controllers, but leaves out the rows of the timers in the
-//! table of requests, and nothing acknowledges a timer's request (its documentation says so). Here a
-//! transfer to the destination acknowledges it, as the chip does.
+//! table of requests, and nothing acknowledges a timer's request (its documentation says so). Here
+//! a transfer to the destination acknowledges it, as the chip does.
 
 use rigless::device::{
     Device, DeviceContext, ErasedDevice, Level, RegisterFile, RequestChange, ResetCause,

@@ -15,10 +15,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const HELP: &str = "usage: haptimill-stm32-emulated check IMAGE
-       haptimill-stm32-emulated serve IMAGE PORT MILLISECONDS FILE.vcd [STEPS]
+       haptimill-stm32-emulated serve IMAGE PORT MILLISECONDS FILE.vcd [STEPS [OPEN_US] | turn]
 `check` looks at the control period, the step clock, the encoders and the emergency stop.
 `serve` waits for a host at tcp:127.0.0.1:PORT and writes the pins at the end. The emergency stop
-opens after STEPS steps of joint x, and is closed again 50 ms later.";
+opens after STEPS steps of joint x for OPEN_US [default: 50000]. With `turn` each encoder has
+300 counts more after 30 ms.";
 
 /// Step and direction pins of joints 0 to 4 at port E.
 const STEPS: [(u8, u8); 5] = [(4, 10), (5, 12), (6, 14), (7, 15), (8, 2)];
@@ -58,8 +59,7 @@ impl Lines {
     }
 }
 
-/// Time for which the emergency stop is open, ns.
-const CLOSED_AFTER: u64 = 50_000_000;
+const MS: u64 = 1_000_000;
 
 /// A change of an input.
 type Action = (u64, (usize, u8), bool);
@@ -81,6 +81,8 @@ struct Bench {
     /// Steps of joint x after which the emergency stop opens.
     stop_after: Option<usize>,
     steps: usize,
+    /// Time for which it is open, ns.
+    open: u64,
     /// Time at which it was opened, and whether it is closed again.
     stopped: Option<u64>,
     closed: bool,
@@ -110,6 +112,7 @@ impl Bench {
             periods: Vec::new(),
             stop_after: None,
             steps: 0,
+            open: 50 * MS,
             stopped: None,
             closed: false,
             gate: None,
@@ -164,7 +167,7 @@ impl Driver<Board> for Bench {
         }
         if self
             .stopped
-            .is_some_and(|stopped| at.0 >= stopped + CLOSED_AFTER)
+            .is_some_and(|stopped| at.0 >= stopped + self.open)
             && !self.closed
         {
             self.closed = true;
@@ -249,8 +252,15 @@ fn number(word: &str) -> Result<u64, String> {
 /// Serves a host, and writes the pins.
 fn serve(image: &str, port: &str, until: &str, vcd: &str, rest: &[&str]) -> Result<(), String> {
     let until = number(until)? * 1_000_000;
-    let mut bench = Bench::new(until, Vec::new());
-    if let [steps] = rest {
+    let actions = if rest == ["turn"] {
+        turns()
+    } else {
+        Vec::new()
+    };
+    let mut bench = Bench::new(until, actions);
+    if let [steps] = rest
+        && *steps != "turn"
+    {
         bench.stop_after = Some(number(steps)? as usize);
     }
     let board = Board::new(Some(number(port)? as u16), 8_000_000)?;
@@ -266,7 +276,7 @@ fn serve(image: &str, port: &str, until: &str, vcd: &str, rest: &[&str]) -> Resu
         let first_after = rises.filter(|at| *at > stopped);
         let within: Vec<u64> = first_after
             .map(|at| at - stopped)
-            .filter(|ns| *ns < CLOSED_AFTER)
+            .filter(|ns| *ns < 50 * MS)
             .collect();
         let drives = bench.port_b.edges(ENABLE);
         let off = drives.iter().find(|edge| !edge.1 && edge.0 > stopped);
@@ -368,11 +378,9 @@ fn spacings(times: impl Iterator<Item = u64>) -> Vec<u64> {
     times.windows(2).map(|pair| pair[1] - pair[0]).collect()
 }
 
-/// Checks that need no host.
-fn check(image: &str) -> Result<(), String> {
-    const MS: u64 = 1_000_000;
-    // Encoder k turns forwards by 400 counts, 4 us a count, from 20 ms on, then back by 100 counts.
-    // The index is high at count 200.
+/// Encoder k turns forwards by 400 counts, 4 us a count, from 20 ms on, then back by 100 counts.
+/// Its index is high at count 200, and at the end.
+fn turns() -> Vec<Action> {
     let mut actions: Vec<Action> = Vec::new();
     let phases = [(false, false), (true, false), (true, true), (false, true)];
     for (encoder, (pins, _)) in ENCODERS.iter().enumerate() {
@@ -393,8 +401,13 @@ fn check(image: &str) -> Result<(), String> {
         }
         actions.push((at, pins[2], true));
     }
+    actions
+}
+
+/// Checks that need no host.
+fn check(image: &str) -> Result<(), String> {
     let board = Board::new(None, 8_000_000)?;
-    let mut bench = Bench::new(40 * MS, actions);
+    let mut bench = Bench::new(40 * MS, turns());
     bench.with_encoders = true;
     let (bench, after) = emulate(image, board, bench)?;
     for gap in &after.gaps {
