@@ -7,7 +7,9 @@ use crate::chip::{Chip, UPDATE};
 use rigless::chip::uart::TcpPeer;
 use rigless::device::Level;
 use rigless::machine::{self, Crystal, HostWire, Target, armv7m};
+use rigless::mcu::Operate as _;
 use rigless::snapshot::Store;
+use rigless::soc::Width;
 use rigless::soc::stm32f427::generated::{gpioa, tim2};
 use rigless::soc::stm32f427::peripherals::gpio::Pin;
 use rigless::soc::stm32f427::peripherals::tim::Channel;
@@ -148,6 +150,13 @@ impl Board {
                 });
         }
         served
+    }
+
+    /// Stops the timer of the control period, as a broken program would.
+    pub fn stop_periods(&mut self, at: VirtualNanos) {
+        const TIM1_CONTROL: u64 = 0x4001_0000;
+        let written = self.chip.write(at, TIM1_CONTROL, Width::W32, 0);
+        written.expect("the timer has a clock");
     }
 
     /// Levels that a port drives.

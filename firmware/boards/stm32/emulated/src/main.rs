@@ -78,6 +78,8 @@ struct Bench {
     indices: [Vec<u32>; 4],
     /// Times at which the interrupt of the control period began.
     periods: Vec<u64>,
+    /// Time at which the timer of the control period is stopped.
+    hang_at: Option<u64>,
     /// Steps of joint x after which the emergency stop opens.
     stop_after: Option<usize>,
     steps: usize,
@@ -110,6 +112,7 @@ impl Bench {
             port_e: Lines::default(),
             indices: Default::default(),
             periods: Vec::new(),
+            hang_at: None,
             stop_after: None,
             steps: 0,
             open: 50 * MS,
@@ -147,6 +150,10 @@ impl Driver<Board> for Bench {
         if !self.started {
             self.started = true;
             board.rest(at);
+        }
+        if self.hang_at.is_some_and(|hang| at.0 >= hang) {
+            self.hang_at = None;
+            board.stop_periods(at);
         }
         let moved = board.acknowledge(at);
         if self.gate.is_some_and(|gate| at.0 >= gate) {
@@ -258,10 +265,13 @@ fn serve(image: &str, port: &str, until: &str, vcd: &str, rest: &[&str]) -> Resu
         Vec::new()
     };
     let mut bench = Bench::new(until, actions);
-    if let [steps] = rest
+    if let [steps, open @ ..] = rest
         && *steps != "turn"
     {
         bench.stop_after = Some(number(steps)? as usize);
+        if let [open] = open {
+            bench.open = number(open)? * 1000;
+        }
     }
     let board = Board::new(Some(number(port)? as u16), 8_000_000)?;
     let (bench, after) = emulate(image, board, bench)?;
@@ -454,5 +464,28 @@ fn check(image: &str) -> Result<(), String> {
         on.len() > 5 && on[5] - on[4] > 800 && on[4] - on[3] < 400,
         "without a crystal the LED flashes five times, then pauses",
     )?;
-    require(after.resets == 0, "and the chip is not reset")
+    require(after.resets == 0, "and the chip is not reset")?;
+
+    // The emergency stop is open: without the step clock the emulator is faster.
+    let board = Board::new(None, 8_000_000)?;
+    let mut bench = Bench::new(2_500 * MS, vec![(MS / 2, EMERGENCY_STOP, true)]);
+    bench.hang_at = Some(20 * MS);
+    let (bench, after) = emulate(image, board, bench)?;
+    let last = bench.periods.iter().rfind(|at| **at < 21 * MS);
+    let last = last.copied().unwrap_or(0);
+    let next = bench.periods.iter().find(|at| **at > last);
+    let gap = next.map_or(0, |next| (next - last) / MS);
+    let flashes = bench.port_d.edges(LED);
+    let on: Vec<u64> = flashes
+        .iter()
+        .filter(|it| it.1)
+        .map(|it| it.0 / MS)
+        .collect();
+    println!("the timer stops at 20 ms: next control period {gap} ms later, LED on at {on:?} ms");
+    require(after.resets == 1, "the watchdog resets the chip once")?;
+    require((15..30).contains(&gap), "20 ms after the last period")?;
+    require(
+        on.len() >= 3 && on[1] - on[0] < 400 && on[2] - on[1] > 800,
+        "the LED then flashes twice, then pauses",
+    )
 }
