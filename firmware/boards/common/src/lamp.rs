@@ -33,7 +33,7 @@ impl Lamp {
     pub const fn update(&mut self, now: u32) -> Option<bool> {
         let milliseconds = if self.phase == 2 * self.flashes {
             PAUSE_MS
-        } else if self.phase % 2 == 0 {
+        } else if self.phase.is_multiple_of(2) {
             FLASH_MS
         } else {
             DARK_MS
@@ -43,6 +43,6 @@ impl Lamp {
         }
         self.since = now;
         self.phase = (self.phase + 1) % (2 * self.flashes + 1);
-        Some(self.phase < 2 * self.flashes && self.phase % 2 == 0)
+        Some(self.phase < 2 * self.flashes && self.phase.is_multiple_of(2))
     }
 }
