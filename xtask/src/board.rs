@@ -31,7 +31,7 @@ const FOR_SPEED: [&str; 2] = [
 ];
 
 /// All boards.
-pub const BOARDS: &[Board] = &[MPS2, PICO2];
+pub const BOARDS: &[Board] = &[MPS2, PICO2, STM32];
 
 const MPS2: Board = Board {
     name: "mps2",
@@ -67,6 +67,19 @@ const PICO2: Board = Board {
     has_uf2: true,
     flash: 384 * 1024,
     ram: 384 * 1024,
+};
+
+/// The stack has 64 KiB of its own, which the sections do not contain.
+const STM32: Board = Board {
+    name: "stm32",
+    folder: "firmware/boards/stm32",
+    target: "thumbv7em-none-eabihf",
+    binary: "haptimill-stm32",
+    others: &[],
+    options: &[],
+    has_uf2: false,
+    flash: 384 * 1024,
+    ram: 128 * 1024,
 };
 
 /// Debian's toolchain, which includes the sources of the core library.

@@ -36,7 +36,7 @@ Developer tasks of the project.
                                    import circles, commit subjects and figures that do not agree
   cargo xtask structure            count lines, import circles, long comments and glossary terms
   cargo xtask structure FOLDER     the same for the sources below FOLDER
-  cargo xtask board NAME           build the image of a board (mps2, pico2), print its size, check it against the budget
+  cargo xtask board NAME           build the image of a board (mps2, pico2, stm32), print its size, check it against the budget
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
   cargo xtask board NAME --uart    as `board NAME`, with a UART as the line to the host (pico2)
   cargo xtask board NAME --image   build the image and print only its path

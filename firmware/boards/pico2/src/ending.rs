@@ -6,6 +6,7 @@ use crate::pins;
 use crate::registers::{PIO, PSM, WATCHDOG, read, set, write};
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering};
+use haptimill_board_common::lamp;
 use haptimill_board_common::reset_cause::{Cause, ENDED, RUNNING};
 
 /// Time without a completed control period after which the chip is reset, us. The period in which a
@@ -66,39 +67,19 @@ fn end(cause: Cause, place: u32) -> ! {
 
 /// The LED: the cause of the last reset as a number of flashes, then a pause. One flash a second
 /// means normal operation after power-on.
-pub struct Lamp {
-    flashes: u32,
-    /// Present phase: two a flash, on and off, then the pause.
-    phase: u32,
-    /// Cycle at which the phase began.
-    since: u32,
-}
+pub struct Lamp(lamp::Lamp);
 
 impl Lamp {
     /// The LED is off.
     pub const fn new(cause: Cause) -> Self {
-        let flashes = cause as u32;
-        Self {
-            flashes,
-            phase: 2 * flashes,
-            since: 0,
-        }
+        Self(lamp::Lamp::new(cause as u32, CYCLES_PER_US * 1000))
     }
 
     /// Switches the LED when it is time.
     pub fn update(&mut self) {
-        let milliseconds = match self.phase {
-            phase if phase == 2 * self.flashes => 700,
-            phase if phase % 2 == 0 => 100,
-            _ => 200,
-        };
-        let now = cycles();
-        if now.wrapping_sub(self.since) < milliseconds * 1000 * CYCLES_PER_US {
-            return;
+        if let Some(on) = self.0.update(cycles()) {
+            pins::light(on);
         }
-        self.since = now;
-        self.phase = (self.phase + 1) % (2 * self.flashes + 1);
-        pins::light(self.phase < 2 * self.flashes && self.phase % 2 == 0);
     }
 }
 
