@@ -45,6 +45,26 @@ fn washers(count: usize) -> Vec<u8> {
     text.into_bytes()
 }
 
+/// A DXF of a circle of 50 units as a program traces it from a picture: a polyline of 4,000
+/// vertices that are off by up to 0.02 units.
+fn traced_circle() -> Vec<u8> {
+    const COUNT: usize = 4_000;
+    let mut state = 1_u64;
+    let mut text = format!("0\nSECTION\n2\nENTITIES\n0\nLWPOLYLINE\n8\n0\n90\n{COUNT}\n70\n1\n");
+    for k in 0..COUNT {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        let noise = (state >> 11) as f64 / (1_u64 << 53) as f64 * 0.04 - 0.02;
+        let angle = k as f64 / COUNT as f64 * std::f64::consts::TAU;
+        let (sin, cos) = angle.sin_cos();
+        let radius = 50.0 + noise;
+        text += &format!("10\n{:.6}\n20\n{:.6}\n", radius * cos, radius * sin);
+    }
+    text += "0\nENDSEC\n0\nEOF\n";
+    text.into_bytes()
+}
+
 fn drawing(bytes: &[u8]) -> Drawing {
     read(bytes, &ReadOptions::default()).expect("readable")
 }
@@ -93,9 +113,11 @@ fn benchmarks(criterion: &mut Criterion) {
     };
     picture.select_layers(&layer).expect("the layer is there");
     let washers = drawing(&washers(400));
+    let traced = drawing(&traced_circle());
     for (name, drawing, tool_mm) in [
         ("the picture of the plate", &picture, 0.3),
         ("400 washers", &washers, 1.0),
+        ("a traced circle", &traced, 2.0),
     ] {
         group.throughput(Throughput::Elements(drawing.paths.len() as u64));
         for clearing in [Clearing::Contour, Clearing::Zigzag, Clearing::OneWay] {

@@ -11,7 +11,9 @@ struct Ends {
 
 impl Ends {
     fn square(&self, at: Point) -> [i64; 2] {
-        at.map(|value| (value / self.cell).floor() as i64)
+        // The squares beside the farthest one have numbers, too.
+        const FARTHEST: f64 = 1e18;
+        at.map(|value| (value / self.cell).floor().clamp(-FARTHEST, FARTHEST) as i64)
     }
 
     /// The earliest path with a free end within the tolerance; `true` if that is its last point.

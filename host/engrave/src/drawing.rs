@@ -102,6 +102,8 @@ pub struct Drawing {
     pub paths: Vec<Path>,
     /// Points of the drawing (DXF POINT) with their entity.
     pub points: Vec<(Point, usize)>,
+    /// Layers that are off, frozen or hidden, or of which an entity is: they may draw nothing.
+    pub hidden_layers: Vec<String>,
     /// What was left out or assumed, one sentence each.
     pub notices: Vec<String>,
     /// Mistakes that do not stop the reading, so that a person sees all of them at once.
@@ -115,6 +117,17 @@ pub struct LayerChoice {
     pub only: Vec<String>,
     /// Not these.
     pub without: Vec<String>,
+}
+
+/// A number for a message: a large or tiny one with an exponent instead of hundreds of digits.
+#[must_use]
+pub fn short(value: f64) -> String {
+    let is_tiny = value != 0.0 && value.abs() < 1e-9;
+    if value.abs() < 1e9 && !is_tiny {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
 }
 
 /// Whether two names have the same letters, in either case.
@@ -189,7 +202,7 @@ impl Drawing {
     /// Keeps the chosen layers, with their problems. That something is left out is noted.
     ///
     /// # Errors
-    /// A chosen layer that the drawing does not have.
+    /// A chosen layer that the drawing does not have, or that shows nothing.
     pub fn select_layers(&mut self, choice: &LayerChoice) -> Result<(), Problem> {
         let of_entities = self.entities.iter().map(|one| one.layer.as_str());
         let of_problems = self.problems.iter().filter_map(|one| one.layer.as_deref());
@@ -199,8 +212,21 @@ impl Drawing {
         let mut names: Vec<&str> = of_entities.chain(of_problems).chain(outer).collect();
         names.sort_unstable();
         names.dedup();
-        for requested in choice.only.iter().chain(&choice.without) {
-            if !names.iter().any(|name| is_same_name(name, requested)) {
+        let is_only = choice.only.iter().map(|one| (one, true));
+        let is_without = choice.without.iter().map(|one| (one, false));
+        for (requested, is_chosen) in is_only.chain(is_without) {
+            if names.iter().any(|name| is_same_name(name, requested)) {
+                continue;
+            }
+            let mut hidden = self.hidden_layers.iter();
+            let is_hidden = hidden.any(|name| is_same_name(name, requested));
+            if is_hidden && is_chosen {
+                return Err(Problem::general(
+                    format!("layer {requested} is off, frozen or hidden: nothing of it is drawn"),
+                    "switch it on in the drawing program",
+                ));
+            }
+            if !is_hidden {
                 return Err(Problem::general(
                     format!("the drawing has no layer {requested}"),
                     format!("its layers are {}", names.join(", ")),

@@ -171,3 +171,162 @@ fn capitals_have_their_height_and_bottoms_their_descenders() {
         }
     }
 }
+
+/// Reads an SVG with the font of the tests.
+fn svg(content: &str) -> Drawing {
+    let page = "xmlns=\"http://www.w3.org/2000/svg\" width=\"100mm\" height=\"100mm\" \
+                viewBox=\"0 0 100 100\"";
+    with_font(format!("<svg {page}>{content}</svg>").as_bytes())
+}
+
+/// Properties that the outlines do not follow are refused or noted by name, in an attribute, a
+/// style, a style sheet, and on an element around the text. Their usual values are not.
+#[test]
+fn properties_of_svg_text_are_not_dropped() {
+    let cases = [
+        ("letter-spacing", "2px", "0px", true),
+        ("word-spacing", "3", "normal", true),
+        ("baseline-shift", "super", "baseline", true),
+        ("writing-mode", "tb-rl", "lr-tb", true),
+        ("dominant-baseline", "middle", "auto", true),
+        ("alignment-baseline", "hanging", "baseline", true),
+        ("text-transform", "uppercase", "none", true),
+        ("font-variant", "small-caps", "normal", true),
+        ("direction", "rtl", "ltr", true),
+        ("inline-size", "50", "0", true),
+        ("shape-inside", "url(#r)", "none", true),
+        ("text-decoration", "underline", "none", false),
+        ("font-stretch", "condensed", "normal", false),
+    ];
+    for (name, value, usual, is_refused) in cases {
+        let ways = |value: &str| {
+            [
+                format!("<text id=\"t\" style=\"{name}:{value}\">LL</text>"),
+                format!("<text id=\"t\">L<tspan style=\"{name}:{value}\">L</tspan></text>"),
+                format!("<g {name}=\"{value}\"><text id=\"t\">LL</text></g>"),
+                format!("<style>text {{ {name}: {value} }}</style><text id=\"t\">LL</text>"),
+            ]
+        };
+        for content in ways(value) {
+            let drawing = svg(&content);
+            let problems: Vec<String> = drawing.problems.iter().map(ToString::to_string).collect();
+            let said = if is_refused {
+                &problems
+            } else {
+                &drawing.notices
+            };
+            let named = said.iter().any(|one| {
+                one.contains(name) && one.contains("id t")
+                    || one.contains(name) && one.contains("handle t")
+            });
+            assert!(named, "{content}: {said:?}");
+            assert_eq!(drawing.paths.is_empty(), is_refused, "{content}");
+        }
+        for content in ways(usual) {
+            let drawing = svg(&content);
+            assert!(
+                drawing.problems.is_empty(),
+                "{content}: {:?}",
+                drawing.problems
+            );
+            assert!(
+                !drawing.notices.join(" ").contains(name),
+                "{:?}",
+                drawing.notices
+            );
+            assert_eq!(drawing.paths.len(), 2, "{content}");
+        }
+    }
+    // The shorthand counts where no nearer element states a size.
+    let short = svg("<text style=\"font:italic 20px serif\">L</text>");
+    assert!(
+        short.problems[0].message.contains("shorthand font"),
+        "{:?}",
+        short.problems
+    );
+    let sized = svg("<g style=\"font:20px serif\"><text font-size=\"10\">L</text></g>");
+    assert!(sized.problems.is_empty(), "{:?}", sized.problems);
+}
+
+/// Text that is not visible is left out by name, with and without a font. A part without display
+/// takes no space; a part that is only not visible is refused.
+#[test]
+fn hidden_text_is_left_out() {
+    for content in [
+        "<text id=\"t\" visibility=\"hidden\">L</text>",
+        "<g style=\"visibility:hidden\"><text id=\"t\">L</text></g>",
+        "<text id=\"t\" style=\"display:none\">L</text>",
+        "<text id=\"t\"><tspan style=\"display:none\">L</tspan></text>",
+    ] {
+        let content = format!("<rect width=\"5\" height=\"5\"/>{content}");
+        let plain = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"9mm\" height=\"9mm\">{content}</svg>"
+        );
+        let plain = read(plain.as_bytes(), &ReadOptions::default()).unwrap();
+        for drawing in [svg(&content), plain] {
+            assert!(
+                drawing.problems.is_empty(),
+                "{content}: {:?}",
+                drawing.problems
+            );
+            assert_eq!(drawing.paths.len(), 1, "{content}");
+            let notices = drawing.notices.join("\n");
+            assert!(notices.contains("handle t"), "{content}: {notices}");
+        }
+    }
+    let part = svg("<text id=\"t\"><tspan style=\"display:none\">L</tspan>L</text>");
+    assert_eq!(part.paths.len(), 1);
+    assert!(
+        part.notices.join("\n").contains("display none"),
+        "{:?}",
+        part.notices
+    );
+    let mixed = svg("<text id=\"t\"><tspan visibility=\"hidden\">L</tspan>L</text>");
+    assert!(
+        mixed.problems[0].message.contains("not visible"),
+        "{:?}",
+        mixed.problems
+    );
+    let shown = svg("<g visibility=\"hidden\"><text visibility=\"visible\">L</text></g>");
+    assert_eq!(shown.paths.len(), 1);
+}
+
+/// Filters, patterns and wide strokes are not cut, each with a notice.
+#[test]
+fn what_is_painted_and_not_cut_is_noted() {
+    let defs = "<defs><filter id=\"f\"/><pattern id=\"p\"/></defs>";
+    let rect = |more: &str| format!("{defs}<rect id=\"r\" width=\"5\" height=\"5\" {more}/>");
+    for (more, expected) in [
+        ("filter=\"url(#f)\"", "cut without their filter"),
+        ("style=\"fill:url(#p)\"", "cut without their pattern"),
+        ("style=\"fill:url('#p')\"", "cut without their pattern"),
+        (
+            "stroke=\"red\" stroke-width=\"3\"",
+            "strokes wider than 1 mm",
+        ),
+        (
+            "stroke=\"red\" style=\"stroke-width:2mm\" transform=\"scale(2)\"",
+            "strokes wider",
+        ),
+    ] {
+        let drawing = svg(&rect(more));
+        assert_eq!(drawing.paths.len(), 1);
+        let notice = drawing.notices.iter().find(|one| one.starts_with(expected));
+        assert!(
+            notice.is_some_and(|one| one.contains("rect handle r")),
+            "{:?}",
+            drawing.notices
+        );
+    }
+    for more in [
+        "filter=\"none\"",
+        "stroke=\"red\"",
+        "stroke-width=\"3\"",
+        "fill=\"red\"",
+    ] {
+        let notices = svg(&rect(more)).notices.join("\n");
+        for what in ["filter", "pattern", "wider"] {
+            assert!(!notices.contains(what), "{notices}");
+        }
+    }
+}

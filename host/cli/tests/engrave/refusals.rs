@@ -97,6 +97,11 @@ fn wrong_depths_and_heights_are_refused() {
         (["--depth", "-1"], 2, "depth"),
         (["--tool", "-1"], 2, "tool"),
         (["--lift", "-1"], 2, "--lift -1: it must be above 0"),
+        (["--scale", "-1"], 2, "--scale -1: it must be above 0"),
+        (["--unit", "-1"], 2, "write mm, cm, m, inch"),
+        (["--tabs", "-1"], 2, "--tabs"),
+        (["--lead", "-1"], 2, "--lead -1: it must be above 0"),
+        (["--feed", "-1e300"], 2, "--feed -1e300: it must be above 0"),
     ] {
         let ran = Command::new(env!("CARGO_BIN_EXE_haptimill"))
             .args(["engrave", &plate(), "--skip-text", "-o", "part.ngc"])
@@ -188,6 +193,16 @@ fn options_that_do_nothing_are_refused() {
         let text = result.to_string();
         assert!(text.contains(expected), "{command:?}: {text}");
     }
+    for (option, value) in [("--tab-width", "0"), ("--tab-height", "-1")] {
+        let command = [&plate, "--skip-text", "--tabs", "4", option, value];
+        let (code, result) = folder.run(&command);
+        assert_eq!(code, 2, "{command:?}: {result}");
+        let expected = format!("{option} {value}: it must be above 0");
+        assert!(
+            result.to_string().contains(&expected),
+            "{command:?}: {result}"
+        );
+    }
     assert!(!folder.0.join("plate.ngc").exists());
     let frame = [&plate, "--layer", "FRAME", "--side", "outside", "--tabs"];
     let notices = |count| {
@@ -202,4 +217,55 @@ fn options_that_do_nothing_are_refused() {
         "{many}"
     );
     assert!(many.contains("use fewer or narrower tabs"), "{many}");
+}
+
+/// An output that is an input, or the other output, is refused before anything is written.
+#[test]
+fn inputs_are_not_overwritten() {
+    let folder = Folder::new("overwrite");
+    let text = std::fs::read_to_string(plate()).unwrap();
+    let machine = super::root().join("machines/engraver.toml");
+    let machine = std::fs::read_to_string(machine).unwrap();
+    let files = [("k.dxf", &text), ("same.ngc", &text), ("e.toml", &machine)];
+    for (name, text) in files {
+        folder.write(name, text);
+    }
+    let cases: [(&[&str], &str); 7] = [
+        (
+            &["k.dxf", "-o", "k.dxf"],
+            "the drawing would be overwritten",
+        ),
+        (
+            &["k.dxf", "-o", "./k.dxf"],
+            "the drawing would be overwritten",
+        ),
+        (&["same.ngc"], "the drawing would be overwritten"),
+        (
+            &["k.dxf", "--preview", "k.dxf"],
+            "another file with --preview",
+        ),
+        (
+            &["k.dxf", "--machine", "e.toml", "-o", "e.toml"],
+            "the machine file would be overwritten",
+        ),
+        (&["k.dxf", "-o", "x", "--preview", "x"], "are the same file"),
+        (
+            &["k.dxf", "-o", "x", "--preview", "./x"],
+            "are the same file",
+        ),
+    ];
+    for (arguments, expected) in cases {
+        let command = [arguments, &["--skip-text"]].concat();
+        let (code, result) = folder.run(&command);
+        assert_eq!(code, 2, "{command:?}: {result}");
+        assert!(
+            result.to_string().contains(expected),
+            "{command:?}: {result}"
+        );
+        for (name, text) in files {
+            assert_eq!(&std::fs::read_to_string(folder.0.join(name)).unwrap(), text);
+        }
+    }
+    let written = std::fs::read_dir(&folder.0).unwrap().count();
+    assert_eq!(written, files.len());
 }

@@ -1,7 +1,7 @@
 //! Whether a job is within the area of a machine.
 
 use super::Job;
-use crate::drawing::{Drawing, Problem};
+use crate::drawing::{Drawing, Problem, short};
 use crate::geometry::Point;
 use crate::toolpath::PathStep;
 
@@ -58,6 +58,15 @@ pub fn check_pocket(
     check(reaches, drawing, area, name)
 }
 
+/// A coordinate for a message.
+fn place(value: f64) -> String {
+    if value.abs() < 1e9 {
+        format!("{value:.3}")
+    } else {
+        short(value)
+    }
+}
+
 /// One problem for each entity with a reach outside of the area.
 fn check(
     reaches: impl Iterator<Item = (usize, Corners)>,
@@ -75,12 +84,12 @@ fn check(
             problems.push(Problem::of(
                 &drawing.entities[entity],
                 format!(
-                    "the tool runs from {:.3}, {:.3} to {:.3}, {:.3}, outside of {name}: {}, {} \
+                    "the tool runs from {}, {} to {}, {}, outside of {name}: {}, {} \
                      to {}, {}",
-                    bounds[0][0],
-                    bounds[0][1],
-                    bounds[1][0],
-                    bounds[1][1],
+                    place(bounds[0][0]),
+                    place(bounds[0][1]),
+                    place(bounds[1][0]),
+                    place(bounds[1][1]),
                     low[0],
                     low[1],
                     high[0],

@@ -8,7 +8,7 @@ mod tabs;
 pub use area::{check_area, check_pocket};
 pub use options::{Operation, Options, Ordering, Side};
 
-use crate::drawing::{Drawing, Problem};
+use crate::drawing::{Drawing, Problem, short};
 use crate::geometry::{Path, Point, distance};
 use crate::order::edges::Condition;
 use crate::order::{Effort, order_paths};
@@ -145,10 +145,10 @@ fn time(cuts: &[Cut], options: &Options) -> f64 {
 }
 
 /// Refuses a pocket of more rows than memory and time allow.
-fn check_rows(region: &Region, options: &Options) -> Result<(), Problem> {
+fn check_rows(paths: &[Path], options: &Options) -> Result<(), Problem> {
     const MOST: f64 = 1e6;
-    let loops = region.loops();
-    let boxes = loops.iter().filter_map(Path::bounds);
+    let closed = paths.iter().filter(|path| path.closed);
+    let boxes = closed.filter_map(Path::bounds);
     // A row ends at two contours; each contour has at most as many as it is wide.
     let width: f64 = boxes
         .map(|[low, high]| (high[0] - low[0]).hypot(high[1] - low[1]))
@@ -161,8 +161,10 @@ fn check_rows(region: &Region, options: &Options) -> Result<(), Problem> {
     }
     Err(Problem::general(
         format!(
-            "rows {spacing} mm apart through contours of {width:.1} mm together, in {passes} \
-             passes, are {rows:.0} rows"
+            "rows {} mm apart through contours of {width:.1} mm together, in {passes} \
+             passes, are {} rows",
+            short(spacing),
+            short(rows.ceil())
         ),
         format!(
             "at most {MOST} rows are planned: use a wider tool, a larger --overlap, or fewer passes"
@@ -174,8 +176,10 @@ fn pocket(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     if drawing.paths.is_empty() {
         return Err(nothing("contours to clear"));
     }
-    let region = Region::of(drawing, &chained(drawing, options))?;
-    check_rows(&region, options).map_err(|problem| vec![problem])?;
+    let paths = chained(drawing, options);
+    // Before the region, because its search for crossings takes long in a large drawing.
+    check_rows(&paths, options).map_err(|problem| vec![problem])?;
+    let region = Region::of(drawing, &paths)?;
     let mut job = Job::default();
     let reached = region.inset(options.tool_mm / 2.0);
     note_lost(&region, &reached, drawing, options, &mut job)?;
@@ -202,6 +206,7 @@ fn cleared(region: &Region, reached: &Region, options: &Options, job: &mut Job) 
         allowance_mm: options.finish_mm,
         spacing_mm: options.tool_mm * options.overlap,
         angle_deg: options.angle_deg,
+        conventional: options.conventional,
     };
     let strands = clear(region, &clearing, options.reference);
     let depths = options.depths();
@@ -288,11 +293,14 @@ fn cut_strand(strand: &Strand, above: f64, z: f64, slope: Option<f64>) -> Cut {
 fn drill_once(holes: &mut Vec<Path>, drawing: &Drawing, job: &mut Job) {
     /// Nearer than this, mm, two holes are one.
     const SAME: f64 = 1e-3;
+    /// The squares beside the farthest one have numbers, too.
+    const FARTHEST: f64 = 1e18;
     let mut kept: HashMap<[i64; 2], Vec<Point>> = HashMap::new();
     let mut again = Vec::new();
     holes.retain(|hole| {
         let Some(at) = hole.start() else { return false };
-        let [column, row] = at.map(|value| (value / SAME).floor() as i64);
+        let [column, row] =
+            at.map(|value| (value / SAME).floor().clamp(-FARTHEST, FARTHEST) as i64);
         let mut near = (column - 1..=column + 1)
             .flat_map(|x| (row - 1..=row + 1).map(move |y| [x, y]))
             .filter_map(|square| kept.get(&square))
@@ -328,20 +336,31 @@ fn drill(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
         .iter()
         .map(|&(at, entity)| point(at, entity))
         .collect();
-    let mut others = 0;
+    let mut others: Vec<usize> = Vec::new();
     for path in &drawing.paths {
         match drawing.circle_centre(path) {
             Some(centre) => holes.push(point(centre, path.entity)),
-            None => others += 1,
+            None => others.push(path.entity),
         }
     }
     if holes.is_empty() {
         return Err(nothing("points or circles to drill"));
     }
     drill_once(&mut holes, drawing, &mut job);
-    if others > 0 {
+    others.dedup();
+    if !others.is_empty() {
+        let shown = others
+            .iter()
+            .take(3)
+            .map(|&one| drawing.entities[one].to_string());
+        let shown: Vec<String> = shown.collect();
+        let more = match others.len() {
+            0..=3 => String::new(),
+            count => format!("; and {} more", count - 3),
+        };
         job.notices.push(format!(
-            "{others} paths are neither points nor circles: not drilled"
+            "not drilled, neither points nor circles: {}{more}",
+            shown.join("; ")
         ));
     }
     let depths = levels(options.depth_mm, options.step_mm);

@@ -1,6 +1,6 @@
 //! Options of a job.
 
-use crate::drawing::Problem;
+use crate::drawing::{Problem, short};
 use crate::geometry::Point;
 use crate::shape::Clearing;
 use crate::times::Speeds;
@@ -126,7 +126,7 @@ impl Options {
         for (name, value, most) in positive {
             if !(value > 0.0 && value <= most) {
                 return Err(Problem::general(
-                    format!("the {name} is {value}"),
+                    format!("the {name} is {}", short(value)),
                     format!("it must be above 0 and at most {most}"),
                 ));
             }

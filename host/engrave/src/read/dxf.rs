@@ -262,7 +262,7 @@ impl<'a> Reader<'a, '_> {
             self.skip_parts(kind, pairs)?;
             return Ok(None);
         }
-        if kind == "SEQEND" || kind == "VERTEX" {
+        if kind == "SEQEND" {
             return Ok(None);
         }
         if record.has_height() {
@@ -277,7 +277,15 @@ impl<'a> Reader<'a, '_> {
                 line,
                 pairs: &head,
             };
-            entity::polyline(&head, &vertices, self.tolerance(Affine::IDENTITY))
+            let is_high = vertices.iter().any(|(line, pairs)| {
+                let (kind, line) = ("VERTEX", *line);
+                Record { kind, line, pairs }.has_height()
+            });
+            let read = entity::polyline(&head, &vertices, self.tolerance(Affine::IDENTITY));
+            if is_high && !head.has_height() && matches!(read, Ok(Read::Shapes(_))) {
+                self.flattened += 1;
+            }
+            read
         } else {
             entity::read(&record, self.options, self.tolerance(Affine::IDENTITY))
         };
@@ -324,6 +332,10 @@ impl<'a> Reader<'a, '_> {
         self.check_clips();
         self.note_unit();
         let drawing = &mut self.drawing;
+        let hidden = self.layers.iter().filter(|(_, layer)| layer.hidden);
+        drawing
+            .hidden_layers
+            .extend(hidden.map(|(name, _)| name.clone()));
         let left_out = self.left_out.iter();
         let left_out = left_out.map(|(reason, all)| (format!("left out, {reason}"), all));
         let changed = self.changed.iter().map(|(note, all)| (note.clone(), all));

@@ -20,13 +20,19 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::str::FromStr;
 use style::{Paint, Styles};
-use svgtypes::Transform;
+use svgtypes::{Length, LengthUnit, Transform};
 
 /// Deepest nesting of elements and references.
 const DEPTH: usize = 64;
 
 /// Reason why a part of a path is left out.
 const DOTS: &str = "parts of them have no length";
+
+/// Reason why an element is left out.
+const HIDDEN: &str = "it is not visible";
+
+/// Strokes wider than this, mm, have a notice. The strokes of most drawings are thinner.
+const WIDE: f64 = 1.0;
 
 const REPAIR: &str = "repair or delete the element in the drawing program";
 
@@ -158,6 +164,21 @@ impl<'a> Reader<'a, '_> {
         self.noted.entry(what).or_default().push(entity);
     }
 
+    /// Keeps the names of the layers that a hidden element is or holds, or else of its own layer:
+    /// a choice of them is no mistake in the name.
+    fn hide_layers(&mut self, node: Node<'a, 'a>, layer: &str) {
+        let groups = node.descendants().filter(|one| match self.layered {
+            true => is_layer(*one),
+            false => *one == node && one.tag_name().name() == "g" && layer.is_empty(),
+        });
+        let mut names: Vec<String> = groups
+            .filter_map(|one| group_label(one).map(str::to_string))
+            .collect();
+        names.push(layer.to_string());
+        names.retain(|name| !name.is_empty());
+        self.drawing.hidden_layers.append(&mut names);
+    }
+
     /// How an element is painted, by its own properties and those of its ancestors.
     fn paint(&mut self, node: Node) -> Paint {
         let mut chain = Vec::new();
@@ -176,6 +197,15 @@ impl<'a> Reader<'a, '_> {
             }
             if let Some(value) = property("fill") {
                 paint.unfilled = value == "none";
+                let id = value
+                    .strip_prefix("url(")
+                    .and_then(|rest| rest.split(')').next());
+                let id = id.map(|id| id.trim_matches(['"', '\'', ' ']).trim_start_matches('#'));
+                let target = id.and_then(|id| self.ids.get(id));
+                paint.patterned = target.is_some_and(|one| one.tag_name().name() == "pattern");
+            }
+            if let Some(value) = property("stroke-width") {
+                paint.width = stroke_width(value);
             }
             if let Some(value) = property("stroke") {
                 paint.stroked = value != "none";
@@ -258,11 +288,16 @@ impl<'a> Reader<'a, '_> {
         }
         if self.styles.property(node, "display") == Some("none") {
             self.leave_out("it is hidden (display none)", node, layer);
+            self.hide_layers(node, layer);
             return Ok(());
         }
         let opacity = self.styles.property(node, "opacity");
         if opacity.is_some_and(|text| text.trim_end_matches('%').parse() == Ok(0.0)) {
             self.note("cut although they are transparent".into(), node, layer);
+        }
+        let filter = self.styles.property(node, "filter");
+        if filter.is_some_and(|value| value != "none") {
+            self.note("cut without their filter".into(), node, layer);
         }
         let map = match self.transform(node) {
             Ok(own) => map * own,
@@ -352,7 +387,8 @@ impl<'a> Reader<'a, '_> {
         }
         let paint = self.paint(node);
         if paint.hidden {
-            self.leave_out("it is not visible", node, layer);
+            self.leave_out(HIDDEN, node, layer);
+            self.hide_layers(node, layer);
             return Ok(());
         }
         if paint.dashed {
@@ -360,6 +396,15 @@ impl<'a> Reader<'a, '_> {
         }
         if paint.marked && matches!(name, "path" | "line" | "polyline" | "polygon") {
             self.note("left out, their markers (arrow heads)".into(), node, layer);
+        }
+        if paint.patterned {
+            let what = "cut without their pattern: its shapes are left out";
+            self.note(what.into(), node, layer);
+        }
+        let width = paint.width.unwrap_or(1.0) * map.determinant().abs().sqrt();
+        if paint.stroked && width > WIDE {
+            let what = format!("strokes wider than {WIDE} mm are cut along their middle");
+            self.note(what, node, layer);
         }
         if paint.unfilled && !paint.stroked {
             self.note(
@@ -465,6 +510,16 @@ impl<'a> Reader<'a, '_> {
             return Ok(());
         }
         self.element(target, map, layer, depth + 1)
+    }
+}
+
+/// Width of a stroke in user units; `None` for a part of the page.
+fn stroke_width(value: &str) -> Option<f64> {
+    let length = Length::from_str(value).ok()?;
+    match length.unit {
+        LengthUnit::None | LengthUnit::Px => Some(length.number),
+        LengthUnit::Percent => None,
+        unit => Some(length.number * page::unit_mm(unit) / page::PIXEL_MM),
     }
 }
 

@@ -70,7 +70,13 @@ pub struct ClearOptions {
     pub spacing_mm: f64,
     /// Angle of the rows, degrees.
     pub angle_deg: f64,
+    /// Whether contours run with the material that stays on the left of the tool: conventional
+    /// milling.
+    pub conventional: bool,
 }
+
+/// Rings before it from which a ring is tried, if the one around it does not give it.
+const TRIES: usize = 4;
 
 /// Clearance by which a link may leave the region of the tool's centre, mm.
 const LINK_MARGIN: f64 = 0.002;
@@ -82,22 +88,42 @@ pub fn clear(region: &Region, options: &ClearOptions, reference: Point) -> Vec<S
     let inside = region.inset(radius);
     let guard = region.inset(radius - LINK_MARGIN);
     let allowed = |a: Point, b: Point| !guard.is_left_between(a, b);
+    let contours = |region: &Region| -> Vec<Path> {
+        let loops = region.loops().into_iter();
+        if options.conventional {
+            loops.map(|one| one.reversed()).collect()
+        } else {
+            loops.collect()
+        }
+    };
     match options.clearing {
         Clearing::Contour => {
             // Rings a radius apart would leave the point in the middle of the last one.
             let spacing = options.spacing_mm.min(0.495 * options.tool_mm);
             let mut levels = Vec::new();
+            let mut rings: Vec<Region> = Vec::new();
             let mut ring = inside;
             while !ring.is_empty() {
-                levels.push(ring.loops());
-                ring = region.inset(radius + spacing * levels.len() as f64);
+                levels.push(contours(&ring));
+                // An inset of an inset is that of the sum. From the first contour the time of each
+                // ring would grow with its distance, because the offsets of more and more segments
+                // cross each other.
+                rings.push(ring);
+                let from = |back: usize| {
+                    let distance = spacing * back as f64;
+                    let outer = rings.get(rings.len().checked_sub(back)?)?;
+                    let next = outer.inset(distance);
+                    next.is_inset_of(outer, distance).then_some(next)
+                };
+                let next = (1..=rings.len().min(TRIES)).find_map(from);
+                ring = next.unwrap_or_else(|| region.inset(radius + spacing * rings.len() as f64));
             }
             let strands = spirals(levels, options.tool_mm, &allowed);
             in_short_order(strands, reference)
         }
         Clearing::Zigzag | Clearing::OneWay => {
             let turn = kurbo::Affine::rotate(-options.angle_deg.to_radians());
-            let contours = inside.loops();
+            let contours = contours(&inside);
             let turned = if options.angle_deg == 0.0 {
                 None
             } else {

@@ -6,6 +6,7 @@ mod leads;
 mod orders;
 mod refusals;
 mod surfaces;
+mod walls;
 
 use common::dxf;
 use haptimill_engrave::drawing::Drawing;

@@ -65,6 +65,15 @@ fn a_slot_that_is_too_narrow_beside_another_contour_is_noted() {
 
 #[test]
 fn a_job_outside_of_the_area_is_refused_with_its_entity() {
+    // A large number is short.
+    let mut huge = drawing(&dxf("0 LINE\n8 0\n10 0\n20 0\n11 1\n21 1"));
+    for vertex in &mut huge.paths[0].vertices {
+        vertex.at[0] *= 1e12;
+    }
+    let job = plan(&huge, &Options::default()).unwrap();
+    let problems = check_area(&job, &huge, [[0.0; 2], [110.0, 250.0]], "the area").unwrap_err();
+    assert!(problems[0].message.contains("1e12"), "{:?}", problems[0]);
+    assert!(problems[0].message.len() < 200, "{:?}", problems[0]);
     let text = dxf(&squares(&[[0.0, 0.0, 10.0], [105.0, 0.0, 10.0]]));
     let drawing = drawing(&text);
     let job = plan(&drawing, &Options::default()).unwrap();
@@ -242,6 +251,10 @@ fn more_rows_than_memory_holds_are_refused() {
             ..pocket()
         },
         Options {
+            overlap: 1e-300,
+            ..pocket()
+        },
+        Options {
             overlap: 1e-6,
             ..pocket()
         },
@@ -255,6 +268,7 @@ fn more_rows_than_memory_holds_are_refused() {
     ] {
         let message = problem(&text, &options);
         assert!(message.contains("rows"), "{message}");
+        assert!(message.len() < 250, "{message}");
     }
     // Few rows in each of many pockets.
     let many: Vec<[f64; 3]> = (0..2_000)

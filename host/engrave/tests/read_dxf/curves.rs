@@ -1,6 +1,6 @@
 //! Entities as paths: lines, arcs, polylines, other curves, their units and sides.
 
-use super::{draw, ends, mistake, near};
+use super::{distance, draw, ends, mistake, near};
 use crate::common::{dxf, sections};
 use haptimill_engrave::read::{ReadOptions, read};
 
@@ -211,5 +211,64 @@ fn line_ends_and_blanks_do_not_matter() {
         format!("\u{feff}{text}"),
     ] {
         assert_eq!(draw(&other).paths, expected);
+    }
+}
+
+/// A segment that is less high than the tolerance is a line where its radius is beyond the limit. A
+/// higher one with such a radius is refused, and a shorter radius stays an arc.
+#[test]
+fn a_nearly_straight_segment_is_a_line() {
+    let segment = |x: f64, bulge: f64| {
+        dxf(&format!(
+            "0 LWPOLYLINE\n5 A\n8 0\n90 2\n70 0\n10 5\n20 5\n42 {bulge}\n10 {x}\n20 5"
+        ))
+    };
+    for bulge in [3e-6, -3e-6, 1e-5] {
+        assert_eq!(draw(&segment(105.0, bulge)).paths[0].vertices[0].bulge, 0.0);
+    }
+    let bulge = 1e-3;
+    assert_eq!(
+        draw(&segment(105.0, bulge)).paths[0].vertices[0].bulge,
+        bulge
+    );
+    let problem = mistake(segment(100_005.0, 3e-6));
+    assert!(problem.message.contains("radius"), "{problem}");
+}
+
+/// Arcs by chords of 0.01 mm, the number rounded up (thesis 3.1.3.2): at 5 mm/s all radii have 500
+/// chords a second, and a circle with a radius of 10 mm takes 12.566 s. The ends of the chords as
+/// whole steps of 0.005 mm from the origin stay within a step of the arc.
+#[test]
+fn arcs_have_the_chords_of_the_thesis() {
+    const CHORD: f64 = 0.01;
+    const STEP: f64 = 0.005;
+    let arc = |from: f64, to: f64| format!("0 ARC\n8 0\n10 3\n20 4\n40 10\n50 {from}\n51 {to}");
+    let bulge = "0 LWPOLYLINE\n8 0\n90 2\n70 0\n10 40\n20 20\n42 1\n10 35\n20 35";
+    for (entity, count, time) in [
+        ("0 CIRCLE\n8 0\n10 3\n20 4\n40 10".to_string(), 6284, 12.566),
+        (arc(0.0, 90.0), 1571, 3.142),
+        (bulge.to_string(), 2484, 4.967),
+        (arc(0.0, 220.0), 3840, 7.679),
+    ] {
+        let drawing = draw(&dxf(&entity));
+        let path = &drawing.paths[0];
+        let length = path.length();
+        let chords = (length / CHORD).ceil();
+        assert_eq!(chords, f64::from(count), "{entity}");
+        assert!((length / 5.0 - time).abs() < 1e-3, "{entity}");
+        assert!((chords / (length / 5.0) - 500.0).abs() < 0.1, "{entity}");
+        let arc = path.segment(0).arc().unwrap();
+        // The segments of a path have the same length here.
+        let each = length / path.segment_count() as f64;
+        let mut before = path.start().unwrap();
+        for k in 0..=count {
+            let along = f64::from(k) * length / chords;
+            let index = ((along / each) as usize).min(path.segment_count() - 1);
+            let at = path.segment(index).point(along / each - index as f64);
+            assert!(distance(before, at) <= CHORD, "{entity} {k}");
+            let stepped = at.map(|one| (one / STEP).round() * STEP);
+            assert!((distance(stepped, arc.centre) - arc.radius).abs() < STEP);
+            before = at;
+        }
     }
 }

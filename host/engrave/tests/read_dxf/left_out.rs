@@ -2,6 +2,7 @@
 
 use super::draw;
 use crate::common::{dxf, sections};
+use haptimill_engrave::drawing::LayerChoice;
 
 /// Only the section ENTITIES is drawn; look-alikes elsewhere are not.
 #[test]
@@ -162,4 +163,67 @@ fn the_measurement_is_the_unit_where_none_is_stated() {
         assert!(notices.contains(said), "{said} in {notices}");
         assert_eq!(notices.contains("unit"), !said.is_empty(), "{notices}");
     }
+}
+
+/// The Z of the vertices of a POLYLINE is noted as that of a LINE is, and a vertex outside of one
+/// is named.
+#[test]
+fn heights_and_stray_vertices_are_noted() {
+    let polyline = |z: f64| {
+        format!(
+            "0 POLYLINE\n8 0\n66 1\n0 VERTEX\n8 0\n10 0\n20 0\n30 {z}
+            0 VERTEX\n8 0\n10 5\n20 0\n30 {z}\n0 SEQEND"
+        )
+    };
+    let notices = draw(&dxf(&polyline(2.0))).notices.join("\n");
+    assert!(
+        notices.contains("1 entities have a Z other than 0"),
+        "{notices}"
+    );
+    let notices = draw(&dxf(&polyline(0.0))).notices.join("\n");
+    assert!(!notices.contains("Z other than 0"), "{notices}");
+    let line = "0 LINE\n8 0\n10 1\n20 2\n11 3\n21 4\n0 VERTEX\n5 2F\n8 Top\n10 9\n20 9";
+    let drawing = draw(&dxf(line));
+    assert_eq!(drawing.paths.len(), 1);
+    let notices = drawing.notices.join("\n");
+    let stray = "VERTEX is outside of a POLYLINE: line 17: VERTEX handle 2F on layer Top";
+    assert!(notices.contains(stray), "{notices}");
+}
+
+/// A chosen layer that is off is no mistake in its name.
+#[test]
+fn a_chosen_layer_that_is_off_is_named_as_such() {
+    let text = sections(&[
+        (
+            "TABLES",
+            "0 TABLE\n2 LAYER\n0 LAYER\n2 Off\n70 0\n62 -7\n0 ENDTAB",
+        ),
+        (
+            "ENTITIES",
+            "0 LINE\n8 Off\n10 0\n20 0\n11 1\n21 1
+            0 LINE\n8 Ghost\n60 1\n10 0\n20 0\n11 1\n21 1
+            0 LINE\n8 On\n10 0\n20 0\n11 1\n21 1",
+        ),
+    ]);
+    let choose = |only: &[&str], without: &[&str]| {
+        let names = |all: &[&str]| all.iter().map(|one| (*one).to_string()).collect();
+        let choice = LayerChoice {
+            only: names(only),
+            without: names(without),
+        };
+        draw(&text).select_layers(&choice)
+    };
+    for layer in ["OFF", "ghost"] {
+        let problem = choose(&[layer], &[]).unwrap_err().to_string();
+        let expected = format!("layer {layer} is off, frozen or hidden");
+        assert!(problem.contains(&expected), "{problem}");
+        assert!(problem.contains("switch it on"), "{problem}");
+        assert!(choose(&[], &[layer]).is_ok());
+    }
+    let problem = choose(&["None"], &[]).unwrap_err().to_string();
+    assert!(
+        problem.contains("the drawing has no layer None"),
+        "{problem}"
+    );
+    assert!(choose(&["on"], &[]).is_ok());
 }

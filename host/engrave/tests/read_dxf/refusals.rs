@@ -140,3 +140,16 @@ fn numbers_that_are_none_name_the_entity() {
         assert!(!problem.remedy.is_empty());
     }
 }
+
+/// A message has large numbers with an exponent.
+#[test]
+fn large_numbers_are_short() {
+    for entity in [
+        "0 LINE\n8 0\n10 1e300\n20 0\n11 1\n21 1",
+        "0 CIRCLE\n8 0\n10 0\n20 0\n40 1e300",
+    ] {
+        let problem = mistake(dxf(entity));
+        assert!(problem.message.contains("1e300"), "{problem}");
+        assert!(problem.message.len() < 150, "{problem}");
+    }
+}

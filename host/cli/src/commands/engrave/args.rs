@@ -1,13 +1,14 @@
 //! Arguments of `haptimill engrave`.
 
-use super::super::{CliError, Exit};
+use super::super::{CliError, Exit, output};
 use clap::{Args, ValueEnum};
+use haptimill_engrave::drawing::short;
 use haptimill_engrave::geometry::Point;
 use haptimill_engrave::job::{Operation, Options, Ordering, Side};
 use haptimill_engrave::shape::Clearing;
 use haptimill_engrave::times::Speeds;
 use haptimill_engrave::toolpath::Tabs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 const LONG: &str = "\
 Write the part program that engraves a drawing.
@@ -187,7 +188,7 @@ pub struct EngraveArgs {
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     pub lead: Option<f64>,
     /// Holding tabs on each closed contour
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub tabs: Option<usize>,
     /// Width of a tab, mm
     #[arg(
@@ -223,10 +224,15 @@ pub struct EngraveArgs {
     #[arg(long, value_name = "NAME")]
     pub without_layer: Vec<String>,
     /// Unit of the drawing: mm, cm, inch, pt, or millimetres per unit [default: the file's]
-    #[arg(long, value_name = "UNIT", value_parser = unit)]
+    #[arg(long, value_name = "UNIT", value_parser = unit, allow_hyphen_values = true)]
     pub unit: Option<f64>,
     /// Factor of the drawing's size
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(
+        long,
+        value_name = "FACTOR",
+        default_value_t = 1.0,
+        allow_negative_numbers = true
+    )]
     pub scale: f64,
     /// Which point of the drawing comes to --at
     #[arg(long, value_enum, default_value_t = OriginName::Drawing)]
@@ -277,6 +283,19 @@ fn place(text: &str) -> Result<Place, String> {
         Some(Place([number(x)?, number(y)?]))
     });
     parsed.ok_or_else(|| "write X,Y in mm, as 10,20".to_string())
+}
+
+/// Whether two files that need not exist have the same folder and name. A device is no file.
+fn is_same_place(one: &Path, other: &Path) -> bool {
+    let place = |path: &Path| {
+        let folder = path
+            .parent()
+            .filter(|folder| !folder.as_os_str().is_empty());
+        let folder = folder.unwrap_or(Path::new(".")).canonicalize().ok()?;
+        Some(folder.join(path.file_name()?))
+    };
+    let is_device = one.exists() && !one.is_file();
+    !is_device && place(one).is_some_and(|one| place(other) == Some(one))
 }
 
 fn unit(text: &str) -> Result<f64, String> {
@@ -342,15 +361,21 @@ impl EngraveArgs {
     /// Refuses options that make no job, or contradict each other.
     pub(super) fn check(&self) -> Result<(), CliError> {
         let usage = |what: String| Err(CliError::new(Exit::Usage, what));
+        let with_tabs = |value| self.tabs.map(|_| value);
         let positive = [
-            ("--feed", self.feed),
-            ("--plunge", self.plunge),
-            ("--lift", self.lift),
-            ("--scale", self.scale),
+            ("--feed", Some(self.feed)),
+            ("--plunge", Some(self.plunge)),
+            ("--lift", Some(self.lift)),
+            ("--scale", Some(self.scale)),
+            ("--lead", self.lead),
+            ("--tab-width", with_tabs(self.tab_width)),
+            ("--tab-height", with_tabs(self.tab_height)),
         ];
         for (option, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return usage(format!("{option} {value}: it must be above 0"));
+            if let Some(value) = value
+                && !(value > 0.0 && value.is_finite())
+            {
+                return usage(format!("{option} {}: it must be above 0", short(value)));
             }
         }
         if !(self.finish >= 0.0 && self.join >= 0.0 && self.speed >= 0.0) {
@@ -421,6 +446,42 @@ impl EngraveArgs {
                 .check()
                 .map_err(|what| CliError::new(Exit::Usage, what)),
         }
+    }
+
+    /// Refuses outputs that are inputs of the command, or each other.
+    pub(super) fn keep_inputs(&self) -> Result<(), CliError> {
+        let inputs = [
+            (Some(&self.drawing), "drawing"),
+            (self.font.as_ref(), "font"),
+            (self.machine.as_ref(), "machine file"),
+        ];
+        let out = self.out();
+        for (input, what) in inputs {
+            let Some(input) = input else { continue };
+            output::refuse_overwrite(input, &out, what)?;
+            if let Some(preview) = &self.preview {
+                output::refuse_overwrite(input, preview, what).map_err(|_| {
+                    let file = preview.display();
+                    let what = format!(
+                        "{file}: the {what} would be overwritten; name another file with --preview"
+                    );
+                    CliError::new(Exit::Usage, what)
+                })?;
+            }
+        }
+        let Some(preview) = &self.preview else {
+            return Ok(());
+        };
+        let is_same = is_same_place(&out, preview)
+            || output::refuse_overwrite(&out, preview, "program").is_err();
+        if is_same {
+            let what = format!(
+                "{}: the program and the preview are the same file; name another file with --preview",
+                preview.display()
+            );
+            return Err(CliError::new(Exit::Usage, what));
+        }
+        Ok(())
     }
 
     /// The part program to write.

@@ -187,6 +187,7 @@ fn check_height(machine: &MachineFile, args: &EngraveArgs) -> Result<(), CliErro
 /// See [`Exit`].
 pub fn run(args: EngraveArgs) -> Result<(), CliError> {
     args.check()?;
+    args.keep_inputs()?;
     let machine = match &args.machine {
         Some(path) => MachineFile::load(path)?,
         None => MachineFile::parse(ENGRAVER.0, ENGRAVER.1)?,

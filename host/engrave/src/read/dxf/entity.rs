@@ -4,7 +4,7 @@ use super::pairs::Pair;
 use super::record::{Insert, Read, Record, Shapes};
 use super::text;
 use crate::curves::{TOLERANCE, fit_ellipse, map_path};
-use crate::drawing::Problem;
+use crate::drawing::{Problem, short};
 use crate::geometry::{Path, Point, Segment, Vertex, distance};
 use crate::read::nurbs::Nurbs;
 use crate::read::{ENTITY_LIMIT, ReadOptions};
@@ -56,6 +56,7 @@ pub fn read(record: &Record, options: &ReadOptions, tolerance: f64) -> Result<Re
         "TEXT" | "MTEXT" | "ATTRIB" => return text::read(record, options, tolerance),
         // The text of a definition shows only where a block is inserted, as ATTRIB.
         "ATTDEF" => return Ok(Read::Shapes(Shapes::default())),
+        "VERTEX" => return Ok(Read::LeftOut("VERTEX is outside of a POLYLINE".into())),
         kind => return Ok(Read::LeftOut(format!("{kind} is not a path"))),
     };
     Ok(shapes(paths))
@@ -77,6 +78,7 @@ fn radius(record: &Record) -> Result<f64, Problem> {
     if radius > 0.0 && radius <= RADIUS_LIMIT {
         return Ok(radius);
     }
+    let radius = short(radius);
     let what = format!("its radius is {radius}; it must be above 0 and at most {RADIUS_LIMIT}");
     Err(record.refuse(what, "repair or delete the entity"))
 }
@@ -120,7 +122,7 @@ fn arc(record: &Record) -> Result<Path, Problem> {
 }
 
 /// Checks the bulges of segments and makes the path. A segment that is less high than a part of the
-/// tolerance (0.0001 mm) is a line.
+/// tolerance (0.0001 mm) is a line, one with a radius beyond the limit below the whole tolerance.
 fn bulged(
     record: &Record,
     mut vertices: Vec<Vertex>,
@@ -161,7 +163,12 @@ fn bulged(
     for index in 0..path.segment_count() {
         let segment = path.segment(index);
         let height = segment.bulge.abs() * distance(segment.from, segment.to) / 2.0;
-        if height < FLAT * tolerance && segment.bulge.abs() < ROUND {
+        // A longer segment within the tolerance is a line where its arc is too large to compute.
+        let is_huge = segment
+            .arc()
+            .is_some_and(|arc| arc.radius > RADIUS_LIMIT || !arc.radius.is_finite());
+        if height < FLAT * tolerance && segment.bulge.abs() < ROUND || height < tolerance && is_huge
+        {
             path.vertices[index].bulge = 0.0;
         }
     }
@@ -300,6 +307,7 @@ fn ellipse(record: &Record, tolerance: f64) -> Result<Path, Problem> {
     let ratio = record.need(40)?;
     // Some programs write the shorter axis first, with a ratio above 1.
     if ratio <= 0.0 {
+        let ratio = short(ratio);
         let what = format!("the ratio {ratio} of its axes is not above 0");
         return Err(record.refuse(what, "repair or delete the entity"));
     }
@@ -415,7 +423,7 @@ fn insert(record: &Record) -> Result<Insert, Problem> {
     let at = record.point(10, 20)?;
     let scale = [record.or(41, 1.0)?, record.or(42, 1.0)?];
     if scale.contains(&0.0) {
-        let what = format!("its scale is {} x {}", scale[0], scale[1]);
+        let what = format!("its scale is {} x {}", short(scale[0]), short(scale[1]));
         return Err(record.refuse(what, "repair or delete the block reference"));
     }
     let angle = record.or(50, 0.0)?.to_radians();

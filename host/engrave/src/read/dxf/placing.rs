@@ -60,6 +60,11 @@ impl<'a> Reader<'a, '_> {
         let is_dashed = linetype.is_some_and(|name| self.is_dashed(name));
         if item.hidden || layer.is_some_and(|layer| layer.hidden) {
             self.hidden += 1;
+            // The names of hidden layers are added at the end.
+            let is_shown = layer.is_none_or(|layer| !layer.hidden);
+            if is_shown && !self.drawing.hidden_layers.contains(&entity.layer) {
+                self.drawing.hidden_layers.push(entity.layer);
+            }
             return Ok(());
         }
         let fitted = match (&item.read, &item.curve) {

@@ -2,7 +2,7 @@
 
 use super::mtext::Notes;
 use super::pairs::Pair;
-use crate::drawing::{Entity, Problem};
+use crate::drawing::{Entity, Problem, short};
 use crate::geometry::{Path, Point};
 use crate::read::COORDINATE_LIMIT;
 use kurbo::Affine;
@@ -73,7 +73,8 @@ impl<'a> Record<'_, 'a> {
         }
         let what = format!(
             "the point {}, {} is farther than {COORDINATE_LIMIT} from the origin",
-            at[0], at[1]
+            short(at[0]),
+            short(at[1])
         );
         Err(Problem::of(
             &self.entity(),

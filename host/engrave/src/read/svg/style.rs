@@ -11,16 +11,30 @@ pub struct Paint {
     pub unfilled: bool,
     pub stroked: bool,
     pub dashed: bool,
+    /// Whether its fill is a pattern.
+    pub patterned: bool,
+    /// Width of its stroke in user units, if one is stated.
+    pub width: Option<f64>,
     /// Markers at its vertices, as arrow heads.
     pub marked: bool,
 }
 
-/// Properties that matter to a path; others of a style sheet are not kept.
-const PROPERTIES: [&str; 21] = [
+/// Properties that matter to a path or a text; others of a style sheet are not kept.
+const PROPERTIES: [&str; 37] = [
+    "alignment-baseline",
+    "baseline-shift",
     "clip-path",
+    "direction",
     "display",
+    "dominant-baseline",
     "fill",
+    "filter",
+    "font",
     "font-size",
+    "font-stretch",
+    "font-variant",
+    "inline-size",
+    "letter-spacing",
     "marker",
     "marker-end",
     "marker-mid",
@@ -30,14 +44,20 @@ const PROPERTIES: [&str; 21] = [
     "opacity",
     "rotate",
     "scale",
+    "shape-inside",
     "stroke",
     "stroke-dasharray",
+    "stroke-width",
     "text-anchor",
+    "text-decoration",
+    "text-transform",
     "transform",
     "transform-box",
     "transform-origin",
     "translate",
     "visibility",
+    "word-spacing",
+    "writing-mode",
 ];
 
 /// The style sheets of a document.
