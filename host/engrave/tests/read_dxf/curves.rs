@@ -246,7 +246,7 @@ fn arcs_have_the_chords_of_the_thesis() {
     let bulge = "0 LWPOLYLINE\n8 0\n90 2\n70 0\n10 40\n20 20\n42 1\n10 35\n20 35";
     for (entity, count, time) in [
         ("0 CIRCLE\n8 0\n10 3\n20 4\n40 10".to_string(), 6284, 12.566),
-        (arc(0.0, 90.0), 1571, 3.142),
+        (arc(0.0, 90.0), 1571, 15.708 / 5.0),
         (bulge.to_string(), 2484, 4.967),
         (arc(0.0, 220.0), 3840, 7.679),
     ] {
