@@ -1,7 +1,7 @@
 //! `haptimill facet`: a stone that is not the design or is out of tolerance, the figures of its
 //! report, outputs that are inputs, and the calibration.
 
-use super::scene::{TestFolder, haptimill};
+use super::scene::{SimServer, TestFolder, haptimill};
 
 /// A list of five facets for one lap.
 const DESIGN: &str = "# gear = 64\n-90,0,1,G\n-90,16,1,G\n-90,32,1,G\n-90,48,1,G\n-0,0,0.4,P\n\
@@ -278,4 +278,43 @@ fn inputs_are_not_overwritten() {
     assert_eq!(run.code, 2, "{}", run.err);
     assert!(run.err.contains("would be overwritten"), "{}", run.err);
     assert_eq!(std::fs::read_to_string(&laps).unwrap(), LAPS);
+}
+
+/// Jogs have the coordinates of the machine: the lift moves with the height and holds it while the
+/// arm tilts, the slide follows the tip.
+#[test]
+fn jogs_move_height_angle_and_index() {
+    let machine = ["--machine", "machines/facet.toml"];
+    let served = SimServer::on_tcp(&machine);
+    let run = |words: &[&str]| served.run_ok(&[words, &machine].concat());
+    run(&["home"]);
+    let value = |status: &serde_json::Value, list: &str, name: &str| {
+        status[list][name]
+            .as_f64()
+            .unwrap_or_else(|| panic!("{name}: {status:#}"))
+    };
+    let before = served.status();
+    let jog = ["jog", "--by", "height=-3", "angle=20", "index=-45"];
+    run(&[&jog[..], &["--feed", "600"]].concat());
+    let after = served.status();
+    for (name, by) in [("height", -3.0), ("angle", 20.0), ("index", -45.0)] {
+        let moved = value(&after, "commanded", name) - value(&before, "commanded", name);
+        assert!((moved - by).abs() < 1e-3, "{name}: {moved}");
+    }
+    // L3 = 0.24 mm and L4 = 1.66 mm, with theta2 = 180 degrees at the angle 0.
+    let (sine, cosine) = 200.0_f64.to_radians().sin_cos();
+    let slide = 0.24 * (cosine + 1.0) + 1.66 * sine;
+    let lift = -3.0 + 0.24 * sine - 1.66 * (cosine + 1.0);
+    for (name, by) in [("lap_x", slide), ("d1", lift)] {
+        let moved = value(&after, "joints", name) - value(&before, "joints", name);
+        assert!((moved - by).abs() < 5e-3, "{name}: {moved} {by}");
+    }
+    let refused = served
+        .run(&[&["jog", "d1=5"][..], &machine].concat())
+        .expect_code(2);
+    assert!(
+        refused
+            .err
+            .contains("height (or Z), angle (or A), index (or C)")
+    );
 }

@@ -249,9 +249,9 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
         window.press(b"d");
         std::thread::sleep(std::time::Duration::from_millis(200));
     }
-    window.expect_text("Run free");
+    window.expect_text("Run clutch free");
     window.press_expect(b"\x1b[6~", "Run clutch pressed");
-    window.expect_text("Run free");
+    window.expect_text("Run clutch free");
     window.press_expect(b" ", "running -> on hold");
     window.press_expect(b"g", "on hold -> running");
     window.press(b"q");

@@ -145,8 +145,8 @@ const FEW: Nearness = Nearness {
 /// The shortest result of the local searches with different neighbours.
 fn search(pieces: Pieces<'_>, used: &[usize], reference: Point, effort: Effort) -> Vec<Placed> {
     let trials: &[Nearness] = match used.len() {
-        0..=2_000 => &[ALL_AROUND, NEAREST],
-        2_001..=10_000 => &[ALL_AROUND],
+        0..=1_000 => &[ALL_AROUND, NEAREST],
+        1_001..=10_000 => &[ALL_AROUND],
         10_001..=20_000 => &[NEAREST],
         _ => &[FEW],
     };
