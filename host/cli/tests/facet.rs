@@ -293,10 +293,11 @@ fn jogs_move_height_angle_and_index() {
             .as_f64()
             .unwrap_or_else(|| panic!("{name}: {status:#}"))
     };
-    let before = served.status();
+    let status = || run(&["status", "--json"]).json();
+    let before = status();
     let jog = ["jog", "--by", "height=-3", "angle=20", "index=-45"];
     run(&[&jog[..], &["--feed", "600"]].concat());
-    let after = served.status();
+    let after = status();
     for (name, by) in [("height", -3.0), ("angle", 20.0), ("index", -45.0)] {
         let moved = value(&after, "commanded", name) - value(&before, "commanded", name);
         assert!((moved - by).abs() < 1e-3, "{name}: {moved}");
