@@ -36,7 +36,7 @@ fn run_until_failure(board: Board, words: &[&str; 3]) -> (String, Duration) {
     let off = |bench: &Bench<Remote>| {
         let outputs = bench.rig.outputs();
         let off = |axis: &DriveCommand| *axis == DriveCommand::Off;
-        outputs.axes.iter().all(off) && outputs.spindle_rpm == 0
+        outputs.joints.iter().all(off) && outputs.spindle_rpm == 0
     };
     assert!(!off(&bench), "the drives are not on by period {PERIOD}");
     while bench.rig.inputs().period < u64::from(PERIOD) + 10 {

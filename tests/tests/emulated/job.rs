@@ -318,7 +318,7 @@ fn run_until_failure(
         if let Some(reason) = haptimill_hil_sim::Control::failure(rig.control()) {
             assert!(
                 rig.outputs()
-                    .axes
+                    .joints
                     .iter()
                     .all(|axis| *axis == DriveCommand::Off)
             );

@@ -337,7 +337,7 @@ fn a_period_with_too_many_instructions_misses_the_next_ones() {
     assert!(late, "{status:?}");
     assert_eq!(status.state, State::Fault);
     // The machine braked along its path: the drives are on, and it is at standstill.
-    let outputs = bench.rig.outputs().axes;
+    let outputs = bench.rig.outputs().joints;
     assert!(outputs[..5].iter().all(|axis| *axis != DriveCommand::Off));
     let before = bench.rig.truth().pose;
     bench.steps(500);
