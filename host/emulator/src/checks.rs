@@ -107,7 +107,7 @@ fn first_difference(periods: &[Period], period_us: u16) -> Option<u64> {
         next += 1;
         outputs.transmit.clear();
         controller.tick(&period.inputs, &mut outputs, &mut ());
-        if outputs.axes[..JOINTS] != period.commands {
+        if outputs.joints[..JOINTS] != period.commands {
             return Some(number);
         }
     }
@@ -208,7 +208,7 @@ impl Checks {
         let at_rest = periods.iter().rev().take(4).all(|it| !has_pulses(it));
         let last = periods.last().filter(|_| at_rest);
         let miscounted = last.map_or_else(Vec::new, |last| {
-            let counts = names.iter().zip(&last.inputs.axes).zip(board.steps);
+            let counts = names.iter().zip(&last.inputs.joints).zip(board.steps);
             counts
                 .map(|((name, axis), pins)| ((*name).to_string(), i64::from(axis.steps), pins))
                 .filter(|(_, counted, pins)| counted != pins)

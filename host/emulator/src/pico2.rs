@@ -245,7 +245,7 @@ impl Pico2 {
         let mut outputs = Outputs::default();
         if self.is_enabled() {
             let on = DriveCommand::Steps(StepSegment::default());
-            outputs.axes[..self.plant.axes()].fill(on);
+            outputs.joints[..self.plant.axes()].fill(on);
         }
         self.plant.advance(&outputs);
         self.drive_inputs();
@@ -320,9 +320,9 @@ impl Pico2 {
         };
         set(EMERGENCY_STOP, inputs.emergency_stop || self.emergency_stop);
         for joint in 0..JOINTS {
-            set(FIRST_HOME + joint as u32, inputs.axes[joint].home);
+            set(FIRST_HOME + joint as u32, inputs.joints[joint].home);
         }
-        let alarm = inputs.axes[..self.plant.axes()]
+        let alarm = inputs.joints[..self.plant.axes()]
             .iter()
             .any(|axis| !axis.drive_ready);
         set(ALARM, self.alarm || alarm && !inputs.emergency_stop);

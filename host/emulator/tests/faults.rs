@@ -49,7 +49,7 @@ fn fault(board: &Pico2, period_us: u16) -> Option<Fault> {
     for period in &board.periods {
         outputs.transmit.clear();
         controller.tick(&period.inputs, &mut outputs, &mut ());
-        assert_eq!(outputs.axes[..period.commands.len()], period.commands);
+        assert_eq!(outputs.joints[..period.commands.len()], period.commands);
     }
     controller.safety().fault()
 }
@@ -196,7 +196,7 @@ fn inputs_that_chatter_do_not_reach_the_controller() {
     steps(&mut session, 5);
     let board = session.line_mut();
     for period in &board.periods[first..] {
-        let axes = &period.inputs.axes[..3];
+        let axes = &period.inputs.joints[..3];
         assert!(axes.iter().all(|axis| !axis.home && axis.drive_ready));
     }
     assert_ne!(board.steps, [0; 5], "the joint moves");
@@ -209,7 +209,7 @@ fn inputs_that_chatter_do_not_reach_the_controller() {
     board.set_alarm(true);
     steps(&mut session, 10);
     let periods = &session.line_mut().periods[first..];
-    assert!(periods.iter().any(|it| !it.inputs.axes[0].drive_ready));
+    assert!(periods.iter().any(|it| !it.inputs.joints[0].drive_ready));
 }
 
 /// The image with a UART: noise between the frames does not disturb the session.

@@ -163,7 +163,7 @@ fn a_stop_that_one_joint_does_not_see_stops_all() {
             last.inputs.emergency_stop,
             "{after_edge} cycles after an edge"
         );
-        let counted = last.inputs.axes[..JOINTS].iter();
+        let counted = last.inputs.joints[..JOINTS].iter();
         let counted: Vec<i64> = counted.map(|axis| axis.steps.into()).collect();
         assert_eq!(counted, board.steps, "{after_edge} cycles after an edge");
         // The control period in which it was, and the one that finds it.
@@ -208,7 +208,7 @@ fn last_edge_after_the_pin(before_edges: &[u64]) -> u64 {
         }
         let board = session.line_mut();
         let last = board.periods.last().expect("control periods");
-        let counted: Vec<i64> = last.inputs.axes[..JOINTS]
+        let counted: Vec<i64> = last.inputs.joints[..JOINTS]
             .iter()
             .map(|axis| axis.steps.into())
             .collect();
