@@ -236,8 +236,8 @@ const fn arc_sines() -> [ArcSine; 92] {
     table
 }
 
-/// Angle of a point on the unit circle, from its sine and cosine in Q30. It needs no division, so
-/// it takes half the time of [`atan2`].
+/// Angle of a point on the unit circle, from its sine and cosine in Q30. Unlike [`atan2`] it needs
+/// no reciprocal.
 ///
 /// Error at most 1.25 raw units where sine and cosine are those of an angle, rounded to their unit.
 /// The result for a vector of another length is not an angle of it.

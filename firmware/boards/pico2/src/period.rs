@@ -177,12 +177,12 @@ fn latch(front: &Front, back: &mut Back, levels: Levels) {
     inputs.time_ns = (front.period as u32).wrapping_mul(u32::from(PERIOD_US) * 1000);
     let broken = front.engine.lost() | back.wrong;
     for joint in 0..JOINTS {
-        let axis = &mut inputs.joints[joint];
-        axis.steps = front.engine.emitted(joint);
-        axis.home = levels.home(joint);
+        let input = &mut inputs.joints[joint];
+        input.steps = front.engine.emitted(joint);
+        input.home = levels.home(joint);
     }
-    for (joint, axis) in inputs.joints.iter_mut().enumerate() {
-        axis.drive_ready = levels.drives_ready() && broken >> joint & 1 == 0;
+    for (joint, input) in inputs.joints.iter_mut().enumerate() {
+        input.drive_ready = levels.drives_ready() && broken >> joint & 1 == 0;
     }
     inputs.digital = levels.digital();
     inputs.emergency_stop = levels.emergency_stop() || front.engine.is_stopped();

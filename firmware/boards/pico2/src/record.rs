@@ -44,13 +44,13 @@ pub fn write(inputs: &Inputs, outputs: &Outputs, cycles: &Cycles, glitches: u32)
     let pair = |low: u16, high: u16| u32::from(low) | u32::from(high) << 16;
     words[1] = pair(inputs.missed, inputs.transmit_room);
     let bits = |bit: fn(&haptimill_firmware::io::JointInputs) -> bool| {
-        let axes = inputs.joints.iter().enumerate();
-        axes.fold(0, |all, (axis, inputs)| {
-            all | u32::from(bit(inputs)) << axis
+        let joints = inputs.joints.iter().enumerate();
+        joints.fold(0, |all, (joint, inputs)| {
+            all | u32::from(bit(inputs)) << joint
         })
     };
-    words[2] = bits(|axis| axis.home)
-        | bits(|axis| axis.drive_ready) << 8
+    words[2] = bits(|input| input.home)
+        | bits(|input| input.drive_ready) << 8
         | u32::from(inputs.emergency_stop) << 16
         | u32::from(inputs.out_of_band_stop) << 17
         | u32::from(last_cause()) << 24;

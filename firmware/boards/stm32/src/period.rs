@@ -199,15 +199,15 @@ fn latch(front: &mut Front, back: &mut Back, levels: Levels) {
     inputs.time_ns = front.time_ns();
     front.encoders.latch(&mut inputs.joints, inputs.time_ns);
     for joint in 0..JOINTS {
-        let axis = &mut inputs.joints[joint];
-        axis.steps = front.engine.emitted(joint);
-        axis.home = levels.home(joint);
-        axis.limit_low = levels.limit_low(joint);
-        axis.limit_high = levels.limit_high(joint);
+        let input = &mut inputs.joints[joint];
+        input.steps = front.engine.emitted(joint);
+        input.home = levels.home(joint);
+        input.limit_low = levels.limit_low(joint);
+        input.limit_high = levels.limit_high(joint);
     }
     let broken = front.engine.lost() | back.wrong;
-    for (joint, axis) in inputs.joints.iter_mut().enumerate() {
-        axis.drive_ready = levels.drives_ready() && broken >> joint & 1 == 0;
+    for (joint, input) in inputs.joints.iter_mut().enumerate() {
+        input.drive_ready = levels.drives_ready() && broken >> joint & 1 == 0;
     }
     inputs.digital = levels.digital();
     inputs.emergency_stop = levels.emergency_stop() || front.engine.is_stopped();
