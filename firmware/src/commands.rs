@@ -35,7 +35,7 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         | Command::MoveOff { .. }
             if core.job.stale_commands =>
         {
-            Err(Refusal::State(core.safety.state()))
+            Err(Refusal::RecentStop)
         }
         // The server takes batches apart, one setpoint a period.
         Command::Setpoints(_) | Command::Ping => Ok(()),

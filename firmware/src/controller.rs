@@ -1,20 +1,21 @@
 //! The controller: one function, called once per control period.
 //!
-//! Data flows down the stages once. Nothing flows up except what is measured in the next period.
+//! The stages run once per control period, in this order. A stage uses the results of the stages
+//! before it and the state that the previous period left.
 //!
 //! | stage | what it does | where |
 //! | --- | --- | --- |
 //! | receive | at most one request or setpoint | `comm/server.rs` |
 //! | measure | encoder counts to joint positions, force samples to tool force | `machine.rs` |
-//! | supervise | every fault check, most serious first; reactions to named inputs | `faults.rs`, `reactions.rs` |
-//! | command | one request; a refused one changes nothing | `commands.rs` |
+//! | supervise | fault checks in a fixed order; reactions to named inputs | `faults.rs`, `reactions.rs` |
+//! | command | one request or setpoint; a refused one changes nothing | `commands.rs` |
 //! | interpolate | the commanded pose of this period | `modes.rs` |
 //! | comply | compliant displacement of force control | `machine/compliance.rs` |
-//! | solve | inverse kinematics: reference pose to joint motion | `machine.rs` |
+//! | solve | volumetric compensation and inverse kinematics: reference to joint motion | `machine.rs` |
 //! | servo | position loops and step generation | `machine.rs` |
 //! | render | force feedback to the haptic arm | `machine/masters.rs` |
-//! | report | replies, events, telemetry | `comm/server.rs` |
-//! | interlock | safe outputs unless the state allows motion; named outputs | here, `reactions.rs` |
+//! | report | answers, events, telemetry | `comm/server.rs` |
+//! | interlock | drives, haptic arm and spindle off with the drives; named outputs | here, `reactions.rs` |
 
 use crate::comm::server::{Incoming, Server};
 use crate::comm::telemetry;
@@ -31,8 +32,8 @@ use crate::{commands, modes, reactions};
 use haptimill_protocol::link::Identity;
 use haptimill_protocol::message::{Event, Fault, Refusal, State};
 
-/// Time after an out-of-band stop in which commands sent before it may still arrive, microseconds:
-/// longer than the link waits before it resends.
+/// Time after an out-of-band stop in which commands that start motion are refused, microseconds. It
+/// is longer than the resend time of the link, so a command that was sent before the stop has arrived.
 const STALE_COMMANDS_US: u64 = 450_000;
 
 /// The controller. A board calls [`Controller::tick`] once per control period.
@@ -120,7 +121,7 @@ impl Controller {
 
     #[inline(never)]
     fn welcome(&mut self) {
-        // Another host may take over only after the heartbeat stop has begun.
+        // Another host may take over an active machine only while it decelerates for a fault.
         let busy = self.core.safety.active() && self.core.safety.pending().is_none();
         let machine = self.core.machine.as_ref();
         let identity = Identity {
@@ -182,7 +183,7 @@ impl Core {
         }
     }
 
-    /// The window after an out-of-band stop in which commands sent before it are refused.
+    /// After an out-of-band stop, commands that start motion are refused for [`STALE_COMMANDS_US`].
     #[inline]
     fn track_out_of_band_stop(&mut self, stop: bool) {
         if stop {
@@ -196,8 +197,8 @@ impl Core {
         }
     }
 
-    /// A new session counts its own epochs. Its sources are reset as soon as the machine is at
-    /// standstill.
+    /// A new session counts its own epochs. The sources and overrides are reset as soon as the
+    /// machine is not active.
     #[inline]
     fn start_session(&mut self, begun: bool) {
         if begun {
@@ -247,30 +248,26 @@ impl Core {
         machine.comply(frozen, self.safety.state() == State::Homing);
     }
 
-    /// Inverse kinematics of the reference, and the limits that apply to its result.
+    /// Volumetric compensation and inverse kinematics of the reference, and the limits that apply
+    /// to the result.
     #[inline]
     fn solve(&mut self) {
         let Some(machine) = &mut self.machine else {
             return;
         };
-        let known = self.safety.homed() && self.safety.position_kept();
+        let is_homed = self.safety.homed() && self.safety.position_kept();
         let fade = match self.safety.state() {
-            State::Fault => Fade::Held,
+            State::Fault => Fade::Frozen,
             State::Homing => Fade::Out,
-            _ => {
-                if known {
-                    Fade::In
-                } else {
-                    Fade::Out
-                }
-            }
+            _ if is_homed => Fade::In,
+            _ => Fade::Out,
         };
         machine.fade_compensation(self.safety.drives_on(), fade);
         if self.safety.drives_on() {
             if let Err(error) = machine.solve() {
                 self.safety.raise(Fault::Pose(error));
             }
-            machine.follow_gantries(known);
+            machine.follow_gantries(is_homed);
             if let Some(joint) = machine.joint_beyond_rate() {
                 self.safety.raise(Fault::JointRate {
                     setpoint: machine.motion.program.reached(),
@@ -285,7 +282,8 @@ impl Core {
         }
     }
 
-    /// Position loops and step generation; the first saturation of each joint is reported.
+    /// Position loops and step generation. The first saturation of each joint since enable or job
+    /// start is an event.
     #[inline]
     fn servo(&mut self, outputs: &mut Outputs) {
         outputs.spindle_rpm = self.spindle_rpm();

@@ -1,4 +1,5 @@
-//! Stage *supervise*: every fault check of a control period, most serious first.
+//! Stage *supervise*: the fault checks of measurement and link, in a fixed order. An immediate fault
+//! replaces a pending controlled one, so the order does not decide which of the two stops the machine.
 
 use crate::comm::server::Server;
 use crate::core::Core;

@@ -6,7 +6,7 @@
 //!
 //! The arithmetic is integer or fixed-point. The exception is the 6 x 6 statics of the haptic arm:
 //! they use f32, and only operations that every target rounds alike. The same inputs therefore give
-//! the same bits on every target.
+//! bit-identical outputs on every target.
 #![no_std]
 // The control cycle has no float, except in tests and in the statics of the haptic arm.
 #![cfg_attr(not(test), deny(clippy::float_arithmetic))]

@@ -89,7 +89,7 @@ pub enum Fade {
     /// The position is not known: no compensation.
     Out,
     /// Nothing may move: the part of the correction in effect stays.
-    Held,
+    Frozen,
 }
 
 /// Values derived from the configuration.
@@ -246,7 +246,7 @@ impl Compensation {
                 }
             }
             Fade::In | Fade::Out => self.faded = self.faded.saturating_sub(1),
-            Fade::Held => {}
+            Fade::Frozen => {}
         }
     }
 

@@ -151,7 +151,7 @@ proptest! {
     fn any_reading_gives_a_pose_or_an_error(slides: [i32; 3], turns: [i32; 3], leans: [i32; 3]) {
         let arm = HapticArm::new(&arm::reference());
         let legs = core::array::from_fn(|j| haptimill_kinematics::haptic_arm::LegReading {
-            slide: Length(slides[j]), turn: Angle(turns[j]), lean: Angle(leans[j]),
+            slide: Length(slides[j]), turn: Angle(turns[j]), hinge: Angle(leans[j]),
         });
         if let Ok(pose) = arm.pose(&legs) {
             orthonormal(&pose)?;

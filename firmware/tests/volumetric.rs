@@ -317,7 +317,7 @@ fn permission() {
     }
     assert_eq!(compensation.percent(), 50);
     for _ in 0..2500 {
-        compensation.advance(Fade::Held);
+        compensation.advance(Fade::Frozen);
     }
     assert_eq!(compensation.percent(), 50);
 }

@@ -1,9 +1,9 @@
 //! Developer tasks of the project. `cargo xtask help` lists them.
 
 mod board;
-mod circles;
 mod clients;
 mod commits;
+mod cycles;
 mod emulator;
 mod figures;
 mod gcode;
@@ -33,8 +33,8 @@ Developer tasks of the project.
   cargo xtask test --native-only   the same without boards and emulated runs; lists what it skipped
   cargo xtask keys                 rewrite the tables of docs/machine-files.md from the table of keys
   cargo xtask lint                 list lines over 100 columns, general code that names a machine,
-                                   import circles, commit subjects and figures that do not agree
-  cargo xtask structure            count lines, import circles, long comments and glossary terms
+                                   dependency cycles, commit subjects and figures that do not agree
+  cargo xtask structure            count lines, dependency cycles, long comments and glossary terms
   cargo xtask structure FOLDER     the same for the sources below FOLDER
   cargo xtask board NAME           build the image of a board (mps2, pico2, stm32), print its size, check it against the budget
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
@@ -167,7 +167,7 @@ fn main() -> ExitCode {
         ["test", "--native-only"] => test_natively(),
         ["lint"] => lint(&root())
             .and(names::lint(&root()))
-            .and(circles::lint(&root()))
+            .and(cycles::lint(&root()))
             .and(commits::lint(&root()))
             .and(figures::lint(&root())),
         ["structure"] => structure::structure(&root()),

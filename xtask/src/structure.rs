@@ -3,7 +3,7 @@
 //! `cargo xtask structure [FOLDER]` counts them in the sources below FOLDER, by default those of
 //! this repository, so that states of the repository can be compared.
 
-use crate::{circles, lint};
+use crate::{cycles, lint};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -12,8 +12,8 @@ struct Row {
     name: String,
     /// Lines of the sources, and of tests, benchmarks and examples.
     lines: [usize; 2],
-    /// Files of the largest import circle; 1 for none.
-    circle: usize,
+    /// Files of the largest dependency cycle; 1 for none.
+    cycle: usize,
     /// Longest file of the sources.
     longest: usize,
 }
@@ -32,12 +32,12 @@ pub fn structure(root: &Path) -> Result<(), String> {
         let folder = manifest.parent().unwrap_or(root);
         rows.extend(row(root, folder)?);
     }
-    println!("| crate | lines | of tests | longest file | largest import circle |");
+    println!("| crate | lines | of tests | longest file | largest dependency cycle |");
     println!("| --- | ---: | ---: | ---: | ---: |");
     for row in &rows {
         println!(
             "| `{}` | {} | {} | {} | {} |",
-            row.name, row.lines[0], row.lines[1], row.longest, row.circle
+            row.name, row.lines[0], row.lines[1], row.longest, row.cycle
         );
     }
     let total = |part: usize| rows.iter().map(|row| row.lines[part]).sum::<usize>();
@@ -48,7 +48,7 @@ pub fn structure(root: &Path) -> Result<(), String> {
         total(0),
         total(1),
         most(|row| row.longest),
-        most(|row| row.circle)
+        most(|row| row.cycle)
     );
     println!();
     println!("Comment lines over 100 columns: {}", long_comments(root)?);
@@ -70,7 +70,7 @@ fn row(root: &Path, folder: &Path) -> Result<Option<Row>, String> {
             .display()
             .to_string(),
         lines: [0; 2],
-        circle: 1,
+        cycle: 1,
         longest: 0,
     };
     for path in files(&sources)? {
@@ -89,7 +89,7 @@ fn row(root: &Path, folder: &Path) -> Result<Option<Row>, String> {
         }
     }
     for start in starts.iter().filter(|start| start.is_file()) {
-        row.circle = row.circle.max(circles::largest(start)?);
+        row.cycle = row.cycle.max(cycles::largest(start)?);
     }
     Ok(Some(row))
 }

@@ -53,7 +53,7 @@ fn readings([x, y, z]: [f64; 3], turn: f64) -> [LegReading; 3] {
         LegReading {
             slide: Length(libm::round((q[2] - 200.0 * cosine) * 1_048_576.0) as i32),
             turn: angle(libm::atan2(q[1], q[0])),
-            lean: angle(libm::atan2(sine, cosine)),
+            hinge: angle(libm::atan2(sine, cosine)),
         }
     })
 }

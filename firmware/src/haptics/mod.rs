@@ -288,7 +288,7 @@ impl Haptic {
             readings[index] = LegReading {
                 slide: Length(values[0]),
                 turn: Angle(values[1]),
-                lean: Angle(values[2]),
+                hinge: Angle(values[2]),
             };
         }
         Ok(readings)

@@ -2,7 +2,7 @@
 //! ((C42) in docs/control.md).
 //!
 //! The integrator removes the static error that a constant disturbance leaves: K_I times the
-//! integral of the error. While the joint moves, its value drains into an estimate of the friction
+//! integral of the error. While the joint moves, it is transferred to an estimate of the friction
 //! that the configuration does not contain. The estimate acts on the side of the commanded rate and
 //! changes its sign with the friction at a reversal. The integrator alone leaves a spike there.
 //!
@@ -44,7 +44,7 @@ pub struct DisturbanceLimits {
 pub struct Disturbance {
     /// K_I times the period, 1/s^2, Q20; 0 without an integrator.
     ki_period: u32,
-    /// Part of the integrator that drains into the friction estimate in a period, Q32; 0 without
+    /// Part of the integrator that is transferred to the friction estimate in a period, Q32; 0 without
     /// adaptation.
     drain: u32,
     dead_band: u32,

@@ -33,7 +33,7 @@ impl Machine {
             })
     }
 
-    /// Switches the drives on; the commanded position becomes the measured one.
+    /// Switches the drives on; the measured position becomes the commanded one.
     pub fn enable(&mut self) -> Result<(), PoseError> {
         let measured = self.measured;
         self.set_joints(&measured)?;
@@ -82,7 +82,7 @@ impl Machine {
 
     /// One period in which the rotors of step motors lock. Each rotor moves to the nearest detent,
     /// by two full steps at most, and oscillates there; its encoder counts that. When all have
-    /// locked, the commanded position becomes the measured one, and steps count from there. For a
+    /// locked, the measured position becomes the commanded one, and steps count from there. For a
     /// motor without an encoder the time elapses without a check.
     ///
     /// # Errors

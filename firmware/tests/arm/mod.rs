@@ -114,7 +114,7 @@ pub fn reading(leg: [f64; 3]) -> LegReading {
     LegReading {
         slide: Length(libm::round(leg[0] * PER_MM) as i32),
         turn: Angle(libm::round(leg[1] * PER_RADIAN) as i64 as i32),
-        lean: Angle(libm::round(leg[2] * PER_RADIAN) as i64 as i32),
+        hinge: Angle(libm::round(leg[2] * PER_RADIAN) as i64 as i32),
     }
 }
 

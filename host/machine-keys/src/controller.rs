@@ -115,7 +115,7 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .named("following_error_mm").rotary("following_error_deg", real(0.0, 30.0, "deg"))
         .bounded("above 0, at most one motor turn").only(super::ENCODER);
     following_error_lag_ms = real(0.0, 1000.0, "ms")
-        .is("the limit of the following error grows by this time of travel").only(super::ENCODER);
+        .is("this time multiplied by the commanded rate is added to the limit of the following error").only(super::ENCODER);
     encoder_stuck = real(0.0, 100.0, "mm").is("commanded motion without a count that is an encoder fault")
         .named("encoder_stuck_mm").rotary("encoder_stuck_deg", real(0.0, 30.0, "deg"))
         .bounded("at least 4 counts").only(super::ENCODER);
@@ -202,7 +202,8 @@ joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)."
         .bounded("above 0, K_D times the period below 1");
     ki = real(0.0, 1.6e7, "1/s^3").is("K_I, integral gain").or(0.0).bounded("below K_P K_D / 4");
     friction_adaptation_ms = real(0.0, 60_000.0, "ms")
-        .is("time in which the integrator of a moving joint drains into its friction estimate; 0 is none")
+        .is("time constant with which the integrator of a moving joint is transferred to its friction \
+             estimate; 0: no adaptation")
         .or(0.0).bounded("needs ki");
     rate_filter_ms = real(0.0, 60.0, "ms").is("filter of the rate of the error").or(0.0)
         .bounded("to 50 for the controller");
@@ -214,7 +215,8 @@ joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)."
     coulomb = real(0.0, 32_000.0, "N").is("Coulomb friction that is compensated")
         .named("coulomb_n").rotary("coulomb_n_m", real(0.0, 32_000.0, "N m")).or(0.0);
     coulomb_rate = real(0.001, 2000.0, "mm/s")
-        .is("rate from which the friction compensation is in full").named("coulomb_rate_mm_s")
+        .is("rate v_k of (C18): the friction compensation is tanh(1) = 76 % there, and full from five \
+             times this rate").named("coulomb_rate_mm_s")
         .rotary("coulomb_rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES);
 }
 
@@ -225,8 +227,8 @@ planner "planner" "How the planner joins the blocks of a program." {
     corner_tolerance_deg = real(0.0, 1.0, "deg").is("the same for rotary coordinates");
     curvature_step = real(0.0, 1.0, "")
         .is("change of the acceleration where a line meets an arc, as a fraction of its limit");
-    longest_span_ms = real(1.0, 1000.0, "ms").is("longest time between setpoints during motion");
-    shortest_span_ms = real(0.2, 1000.0, "ms").is("shortest time between setpoints")
+    longest_span_ms = real(1.0, 1000.0, "ms").is("longest segment duration, the time between two setpoints, during motion");
+    shortest_span_ms = real(0.2, 1000.0, "ms").is("shortest segment duration")
         .bounded("at most the longest");
 }
 

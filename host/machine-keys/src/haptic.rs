@@ -7,7 +7,7 @@ sections! {
 follow "follow" "Motion of the tool by a remote master; optional." {
     scale = real(0.1, 2.0, "")
         .is("position scale G_P: motion of the tool per motion of the master");
-    gain_per_s = whole(10, 500, "1/s").is("two stages of 1/gain with which the tool follows");
+    gain_per_s = whole(10, 500, "1/s").is("gain k of (C2): the tool follows through two first-order stages of 1/k");
     stale_ms = whole(5, 1000, "ms").is("largest age of the newest master pose");
 }
 
@@ -39,7 +39,7 @@ range "haptic.range" "Ranges of the joints of a leg." {
     slide_high_mm = real(-800.0, 800.0, "mm").is("upper end of the slide d");
     turn_low_deg = real(-179.0, 179.0, "deg").is("lower end of theta3, the turn about the slide");
     turn_high_deg = real(-179.0, 179.0, "deg").is("upper end of theta3");
-    hinge_low_deg = real(-179.0, 179.0, "deg").is("lower end of theta4, the lean of the link");
+    hinge_low_deg = real(-179.0, 179.0, "deg").is("lower end of theta4, the angle of the link");
     hinge_high_deg = real(-179.0, 179.0, "deg").is("upper end of theta4");
 }
 
@@ -83,8 +83,8 @@ fixture "haptic.fixture" "Virtual fixtures." {
 passivity "haptic.passivity" "The passivity observer and controller." {
     surplus_n_mm = real(0.0, 100.0, "N mm")
         .is("largest energy surplus, without the energy of the virtual fixtures");
-    deficit_n_mm = real(0.01, 100.0, "N mm").is("energy deficit at which the damping is in full");
-    damping_n_s_per_mm = real(0.0, 0.5, "N s/mm").is("damping of the passivity controller");
+    deficit_n_mm = real(0.01, 100.0, "N mm").is("energy deficit E_d of (C26)");
+    damping_n_s_per_mm = real(0.0, 0.5, "N s/mm").is("damping B_h of the passivity controller, below (C26)");
 }
 
 }

@@ -37,6 +37,8 @@ pub enum PoseError {
 pub enum Refusal {
     /// The command is not allowed in this state.
     State(State),
+    /// The command starts motion, and an out-of-band stop was received in the last 450 ms.
+    RecentStop,
     /// No configuration is active.
     NotConfigured,
     /// The machine must be homed first.

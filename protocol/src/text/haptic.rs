@@ -8,8 +8,8 @@ use core::fmt::{Formatter, Result};
 const fn sensor(index: u8) -> &'static str {
     match index {
         0 => "slide",
-        1 => "turn (theta3)",
-        _ => "lean (theta4)",
+        1 => "rotation theta3",
+        _ => "link angle theta4",
     }
 }
 

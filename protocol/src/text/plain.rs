@@ -75,13 +75,13 @@ impl Display for HomingProblem {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
         f.write_str(match self {
             Self::NoIndex => "no index pulse within the search distance; check the encoder and the preset",
-            Self::NoSwitch => "the home switch did not come within its largest travel; check that it is connected, its active level in the machine file, that the joint moves towards it (`direction` of its drive), and that nothing blocks it",
+            Self::NoSwitch => "the home switch did not become active within its largest travel; check that it is connected, its active level in the machine file, that the joint moves towards it (`direction` of its drive), and that nothing blocks it",
             Self::Stalled => "the joint did not follow; remove what blocks it",
             Self::Implausible => "the reference is too far from the preset; set the joints up at their presets by hand",
             Self::Workspace => "the search would leave the workspace; set the joints up at their presets by hand",
             Self::Stopped => "homing was stopped",
             Self::SwitchStuck => "the home switch stays active where it must be released; check its wiring, its active level in the machine file, that it is not stuck, and that the joint was not farther behind it than `release_mm`; then try again",
-            Self::SwitchUnsteady => "the home switch came at two different places; check that it is tight and its cable, that back_off_mm is longer than its play, and that the motor has not lost steps",
+            Self::SwitchUnsteady => "the home switch became active at two different positions; check that it is tight and its cable, that back_off_mm is longer than its play, and that the motor has not lost steps",
             Self::LimitStuck => "the limit switch did not open while the joint moved off it by a sixteenth of its stroke; check that the joint moves, that the switch is not stuck, its active level, and that the switches of the two ends are not exchanged; then try again or move it off by hand",
         })
     }

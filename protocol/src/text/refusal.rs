@@ -55,6 +55,9 @@ impl Describe for Refusal {
                     State::Idle => "",
                 })
             }
+            Self::RecentStop => {
+                f.write_str("not possible within 450 ms after a stop; send the command again")
+            }
             Self::NotConfigured => f.write_str(
                 "the controller has no configuration; `haptimill home` and `haptimill enable` \
                  send the machine file (--machine FILE, or else the built-in one)",

@@ -125,7 +125,7 @@ impl Describe for Fault {
             Self::LostHost { silent_ms } => write!(
                 f,
                 "nothing was received from the host for {silent_ms} ms; \
-                 the machine decelerated along its path, check the cable and reset"
+                 the machine decelerated along its path; check the cable and reset"
             ),
             Self::Configuration => write!(
                 f,
@@ -135,7 +135,7 @@ impl Describe for Fault {
             Self::MissedPeriods { missed } => write!(
                 f,
                 "the controller missed control periods, {missed} of them in a row; \
-                 its computations take longer than a period, report this"
+                 its computations take longer than a period; report this"
             ),
             Self::Homing {
                 joint,
@@ -152,13 +152,13 @@ impl Describe for Fault {
                 problem.describe(axes, f)?;
                 f.write_str(
                     "; the machine decelerated along its path and keeps its compliant \
-                     displacement, remove the cause and reset",
+                     displacement; remove the cause and reset",
                 )
             }
             Self::Master(problem) => {
                 problem.describe(axes, f)?;
                 f.write_str(
-                    "; its motors are off and the machine decelerated, remove the cause and reset",
+                    "; its motors are off and the machine decelerated; remove the cause and reset",
                 )
             }
             Self::NotLocked { joint, by } => {
@@ -178,7 +178,7 @@ impl Describe for Fault {
             Self::ProbeContact { input } => write!(
                 f,
                 "{} had a contact while no probing was commanded; the machine decelerated along \
-                 its path, reset and move it off",
+                 its path; reset and move it off",
                 axes.input(input)
             ),
             Self::Racking { joint, by } => {

@@ -55,7 +55,7 @@ fn equal_outputs(name: &str, program: &Path) {
         let replayed = replayed.unwrap_or_else(|difference| panic!("{name}, {port}: {difference}"));
         assert_eq!(replayed.records, native.records());
         println!(
-            "{name}: {} control periods, the same bits natively and on {port}; {:.1} times real time",
+            "{name}: {} control periods, bit-identical natively and on {port}; {:.1} times real time",
             native.records(),
             seconds / took
         );

@@ -37,7 +37,7 @@ pub struct HapticGeometry {
     pub platform_radius: Length,
     /// L: length of the links, 10 to 400 mm.
     pub link: Length,
-    /// theta2: inward lean of the slides, below 80 degrees.
+    /// theta2: inward inclination of the slides, below 80 degrees.
     pub tilt: Angle,
     /// Vector from the platform's centre to the tip, in the frame of the platform; each part up to
     /// 400 mm.
@@ -79,7 +79,7 @@ pub struct LegReading {
     /// theta3.
     pub turn: Angle,
     /// theta4.
-    pub lean: Angle,
+    pub hinge: Angle,
 }
 
 /// Reason why the readings give no pose.
@@ -110,7 +110,7 @@ pub struct LegPose {
     /// The normal of the plane of link and slide, Q30: M_j of (3.41).
     pub normal: Vector,
     /// sin and cos of theta4, Q30.
-    pub lean: (i32, i32),
+    pub hinge: (i32, i32),
 }
 
 /// Pose of the handle.
@@ -283,7 +283,7 @@ impl Stand {
     #[inline(always)]
     fn leg(&self, reading: &LegReading, length: i32, pose: &mut LegPose) {
         let (s3, c3) = sin_cos(reading.turn);
-        let (s4, c4) = sin_cos(reading.lean);
+        let (s4, c4) = sin_cos(reading.hinge);
         let direction = [product_q30(c3, s4), product_q30(s3, s4), c4];
         for axis in 0..3 {
             let row = self.rows[axis];
@@ -295,7 +295,7 @@ impl Stand {
             pose.joint[axis] = self.base[axis].wrapping_add(joint);
             pose.normal[axis] = round_q30(dot(row, [s3, c3.wrapping_neg(), 0]));
         }
-        pose.lean = (s4, c4);
+        pose.hinge = (s4, c4);
     }
 }
 

@@ -135,7 +135,7 @@ impl HapticArm {
         let length = self.link_length().0 as f32 * MILLIMETRE;
         let mut efforts = Efforts::default();
         for (index, (effort, leg)) in efforts.iter_mut().zip(&pose.legs).enumerate() {
-            let (sine, cosine) = leg.lean;
+            let (sine, cosine) = leg.hinge;
             effort[0] = -(cosine as f32 * Q30) * pushes[2 * index];
             effort[1] = -(sine as f32 * Q30) * length * pushes[2 * index + 1];
         }

@@ -42,7 +42,7 @@ Exit codes:
   4  the part program exceeds a limit of the machine; nothing moved
   5  the port cannot be opened, is in use, or the connection is lost
   6  the machine latched a fault; in the simulator also: steps were lost, or the
-     part is not the drawing or design
+     part differs from the drawing or design
   7  stopped by the user; the machine decelerated along its path
   8  the controller refused a command in its state or configuration;
      `trace diff` and `replay`: there is a difference

@@ -34,7 +34,7 @@ The joint moves at constant rates in both directions, and with sines on top of a
 Effort and motion come from the telemetry of the controller.
 
 Joints with step drives, a home switch and no encoder: the largest rate and acceleration without lost \
-steps, and rates at which a resonance loses them. Each test moves the joint, and homes: lost steps \
+steps, and rates at which a resonance causes lost steps. Each test moves the joint, and homes: lost steps \
 shift the count at which the switch trips. 70 % of the limits are proposed.
 
 With --lost-motion each joint comes to the same place from below and from above, five times, and a \

@@ -20,7 +20,7 @@ Move pose coordinates at a rate for a time, or by a distance.
 
 Rates are in mm/s and degrees/s: `haptimill jog x=5 b=-2 --for 1.5`. AXIS is the name of a pose \
 coordinate in the machine file, or its letter in part programs; a wrong name lists those of the \
-machine. The controller clips the motion to the soft limits. It stops the machine when it receives \
+machine. The controller stops the motion at the soft limits. It stops the machine when it receives \
 nothing from this command for --deadline milliseconds. Ctrl-C stops.
 
 `haptimill jog --by x=5` moves by a distance instead, in mm and degrees, along a straight line at \

@@ -96,7 +96,7 @@ Examples:
   haptimill run part.ngc --force x,z --force-setpoint 5
       with force control of x and z: a compliant displacement above 5 N
   haptimill scenario run all
-      run the experiments of four theses and compare them with their figures
+      run the twelve experiments of the H-4 mill and compare them with the thesis
   haptimill sim serve --listen tcp:127.0.0.1:7000
       serve the simulated machine on a TCP port
   haptimill home --port tcp:localhost:7000
@@ -188,7 +188,7 @@ enum Command {
     Facet(facet::FacetCommand),
     /// Print the status of the machine
     Status(simple::SimpleArgs),
-    /// Switch the drives on; the commanded position becomes the measured one, nothing moves
+    /// Switch the drives on; the measured position becomes the commanded one, so nothing moves
     Enable(simple::SimpleArgs),
     /// Switch the drives off, from standstill
     Disable(simple::SimpleArgs),
@@ -202,7 +202,7 @@ enum Command {
     /// Fade the volumetric compensation in or out; it is on after the configuration
     Compensation(simple::CompensationArgs),
     Override(operate::OverrideArgs),
-    /// Hold a job that another process runs, along its path
+    /// Decelerate a job that another process runs along its path, and hold it
     Hold(operate::OperateArgs),
     /// End the hold or the pause of a job that another process runs
     Resume(operate::OperateArgs),

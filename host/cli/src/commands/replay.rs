@@ -68,7 +68,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), CliError> {
             if !args.json {
                 let seconds = equal.periods as f64 * recording.period_s();
                 print_line!(
-                    "the same bits in {} control periods ({seconds:.1} s, {:.0} times real time), {} \
+                    "bit-identical in {} control periods ({seconds:.1} s, {:.0} times real time), {} \
                      of them with a record",
                     equal.periods,
                     seconds / took_s.max(1e-9),

@@ -35,7 +35,7 @@ pub enum ScenarioCommand {
 #[derive(Debug, Clone, Args)]
 #[command(about = "Run one experiment, or all", long_about = RUN)]
 pub struct RunArgs {
-    /// Name of an experiment, or `all`
+    /// Name of an experiment, or `all` (e1 to e12)
     #[arg(value_name = "NAME")]
     pub name: String,
     #[command(flatten)]

@@ -26,7 +26,7 @@ command.";
 #[derive(Debug, Clone, Args)]
 #[command(about = "Serve a page with the live view of the machine: watch, jog, run, hold, stop",
           long_about = LONG,
-          after_help = "`haptimill serve --help` has details; docs/web.md describes the page.")]
+          after_help = "docs/web.md describes the page.")]
 pub struct ServeArgs {
     /// Address of the page, IP:PORT; port 0 takes a free one
     #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:8765")]

@@ -46,7 +46,7 @@ fn circle_replays_equal_with_the_hash_of_the_summary() {
 
     let ran = haptimill(&["replay", &trace]).expect_code(0);
     assert!(
-        ran.out.starts_with("the same bits in ") && ran.out.contains("times real time"),
+        ran.out.starts_with("bit-identical in ") && ran.out.contains("times real time"),
         "{}",
         ran.out
     );

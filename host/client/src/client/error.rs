@@ -90,7 +90,7 @@ impl fmt::Display for ClientError {
             }
             Self::Stalled { line } => write!(
                 f,
-                "the line is too bad: the controller answers, but messages are not delivered ({line}); \
+                "the line has too many errors: the controller answers, but messages are not delivered ({line}); \
                  check cable, shield and speed"
             ),
         }
@@ -141,7 +141,7 @@ impl fmt::Display for RequestError {
                 }
                 Ok(())
             }
-            Self::Withdrawn => f.write_str("withdrawn because of an out of band stop"),
+            Self::Withdrawn => f.write_str("withdrawn because of an out-of-band stop"),
             Self::Lost(error) => error.fmt(f),
         }
     }

@@ -313,7 +313,7 @@ impl JobRun {
                 let since = *self.idle_since_us.get_or_insert(session.now_us);
                 if session.now_us - since > IDLE_US {
                     let what = "the controller is idle, and the end of the job was not received: \
-                        the line is too slow or too bad";
+                        the line is too slow or has too many errors";
                     return Err(Error::new(ErrorKind::Port, what));
                 }
             } else {

@@ -92,7 +92,7 @@ pub enum By {
     Feed,
     /// By force to the depth
     Force,
-    /// By feed, with the force held
+    /// By feed; above the force of the lap the stone complies
     Both,
 }
 

@@ -14,7 +14,7 @@ Lists every problem with its line, the value, the allowed range and the remedy. 
 
 The poses of the controller and of the simulated machine are compared at the presets and over a grid \
 of the soft limits, from the same joint positions. A difference above 0.01 mm or degrees is a \
-warning: the errors of [plant.geometry] are there on purpose. Above 10 mm or degrees the simulated \
+warning: errors of [plant.geometry] may be intended. Above 10 mm or degrees the simulated \
 machine is another one, which is a problem.";
 
 /// Arguments of `haptimill machine check`.

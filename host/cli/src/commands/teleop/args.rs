@@ -29,7 +29,7 @@ The machine is the built-in one in the simulator, or behind --port. With a scrip
 everything runs in virtual time, and every run is bit-identical.
 
 Commands are read from standard input, one per line, unless the master is a script: hold, resume, \
-stop, end, reset-master, gp=SCALE. If the newest master sample is older than stale_ms (50), the \
+stop, end, reset-master, gp=SCALE. If the newest master pose is older than stale_ms (50), the \
 machine decelerates along its path and holds. `resume` continues from the present poses of master \
 and tool. Ctrl-C stops.
 
@@ -77,7 +77,7 @@ pub struct TeleopArgs {
     /// [default: that of the machine file]
     #[arg(long, value_name = "SCALE", value_parser = parse_scale)]
     pub scale: Option<f64>,
-    /// Largest age of the newest master sample before the machine holds, ms; must exceed the delay
+    /// Largest age of the newest master pose before the machine holds, ms; must exceed the delay
     /// from the arm to the machine [default: that of the machine file, 50]
     #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u16).range(5..=1000))]
     pub stale: Option<u16>,

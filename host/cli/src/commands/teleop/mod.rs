@@ -130,7 +130,7 @@ fn check_delay(delay: u16, stale: u16) -> Result<(), CliError> {
         _ => "a shorter --delay".to_string(),
     };
     let what = format!(
-        "--delay {delay}: every master sample is too old when it arrives, because --stale is \
+        "--delay {delay}: every master pose is too old when it arrives, because --stale is \
          {stale} ms, and the tool would never move; give {remedy}"
     );
     Err(CliError::new(Exit::Usage, what))

@@ -1,12 +1,12 @@
-//! Import circles: files of a crate that import each other in a loop.
+//! Dependency cycles: files of a crate that import each other in a loop.
 //!
-//! Cargo forbids circles between crates. Within a crate a pair of files may import each other, a
-//! larger circle may not: none of its files can be read alone. An import is a path to an item of
+//! Cargo forbids cycles between crates. Within a crate a pair of files may import each other, a
+//! larger cycle may not: none of its files can be read alone. An import is a path to an item of
 //! another file. A re-export hands a name on and is no import, and neither is a path of a module
 //! into its own folder, which is a part of it. Tests and the contents of macro calls do not count.
 //!
 //! A module with its folder is also checked as a whole: modules beside each other, each with all
-//! files of its folder, may form pairs and no larger circle. A file deep in one folder that imports
+//! files of its folder, may form pairs and no larger cycle. A file deep in one folder that imports
 //! from a module above it is found in this way.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -14,7 +14,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use syn::visit::Visit;
 
-/// Most files of a circle.
+/// Most files of a cycle.
 const MOST_FILES: usize = 2;
 
 /// Longest chain of re-exports that is followed.
@@ -51,7 +51,7 @@ struct Crate {
 ///
 /// # Errors
 ///
-/// Returns the number of circles of more than two files, or the file that cannot be read.
+/// Returns the number of cycles of more than two files, or the file that cannot be read.
 pub fn lint(root: &Path) -> Result<(), String> {
     let mut manifests = Vec::new();
     super::lint::list(root, &["Cargo.toml"], &mut manifests)?;
@@ -64,8 +64,8 @@ pub fn lint(root: &Path) -> Result<(), String> {
             if !start.is_file() {
                 continue;
             }
-            for circle in circles(&start)? {
-                let files: Vec<String> = circle
+            for cycle in cycles(&start)? {
+                let files: Vec<String> = cycle
                     .iter()
                     .map(|file| {
                         file.strip_prefix(root)
@@ -75,7 +75,7 @@ pub fn lint(root: &Path) -> Result<(), String> {
                     })
                     .collect();
                 println!(
-                    "import circle of {} files: {}",
+                    "dependency cycle of {} files: {}",
                     files.len(),
                     files.join(", ")
                 );
@@ -86,37 +86,37 @@ pub fn lint(root: &Path) -> Result<(), String> {
     match count {
         0 => Ok(()),
         count => Err(format!(
-            "{count} import circles have more than {MOST_FILES} files; move the shared definition \
+            "{count} dependency cycles have more than {MOST_FILES} files; move the shared definition \
              to a file of its own"
         )),
     }
 }
 
-/// Returns the circles of more than two files of the crate with this first file.
-fn circles(start: &Path) -> Result<Vec<Vec<PathBuf>>, String> {
-    let mut found = all_circles(start)?;
+/// Returns the cycles of more than two files of the crate with this first file.
+fn cycles(start: &Path) -> Result<Vec<Vec<PathBuf>>, String> {
+    let mut found = all_cycles(start)?;
     found.retain(|files| files.len() > MOST_FILES);
     Ok(found.into_iter().collect())
 }
 
-/// Returns the number of files of the largest circle of a crate; 1 where there is none.
+/// Returns the number of files of the largest cycle of a crate; 1 where there is none.
 ///
 /// # Errors
 ///
 /// Returns the file that cannot be read.
 pub fn largest(start: &Path) -> Result<usize, String> {
-    let circles = all_circles(start)?;
-    Ok(circles.iter().map(Vec::len).max().unwrap_or(1))
+    let cycles = all_cycles(start)?;
+    Ok(cycles.iter().map(Vec::len).max().unwrap_or(1))
 }
 
 /// Returns the files that import each other, and the modules that do so with their folders. A file
-/// or module in no circle is one by itself.
-fn all_circles(start: &Path) -> Result<BTreeSet<Vec<PathBuf>>, String> {
+/// or module in no cycle is one by itself.
+fn all_cycles(start: &Path) -> Result<BTreeSet<Vec<PathBuf>>, String> {
     let mut krate = Crate::default();
     krate.read(start, start.parent().unwrap_or(start), Vec::new())?;
     let edges = [krate.edges(), krate.contracted_edges()];
-    let circles = edges.iter().flat_map(|edges| components(edges));
-    Ok(circles
+    let cycles = edges.iter().flat_map(|edges| components(edges));
+    Ok(cycles
         .map(|files| {
             let paths = files.into_iter().map(|file| krate.files[file].clone());
             paths.collect()
@@ -406,14 +406,14 @@ fn components(edges: &[BTreeSet<usize>]) -> Vec<Vec<usize>> {
 
 #[cfg(test)]
 mod tests {
-    use super::circles;
+    use super::cycles;
     use std::fs;
     use std::path::Path;
 
-    /// Writes a crate of these files and returns the names of the files of each circle.
+    /// Writes a crate of these files and returns the names of the files of each cycle.
     fn found(files: &[(&str, &str)]) -> Vec<Vec<String>> {
         let folder = std::env::temp_dir().join(format!(
-            "haptimill-circles-{}-{}",
+            "haptimill-cycles-{}-{}",
             std::process::id(),
             files.len()
         ));
@@ -422,7 +422,7 @@ mod tests {
             fs::create_dir_all(path.parent().unwrap_or(Path::new("."))).expect("a folder");
             fs::write(path, text).expect("a file");
         }
-        let circles = circles(&folder.join("lib.rs")).expect("sources");
+        let cycles = cycles(&folder.join("lib.rs")).expect("sources");
         fs::remove_dir_all(&folder).expect("the folder");
         let name = |path: &std::path::PathBuf| {
             path.strip_prefix(&folder)
@@ -430,14 +430,14 @@ mod tests {
                 .display()
                 .to_string()
         };
-        circles
+        cycles
             .iter()
-            .map(|circle| circle.iter().map(name).collect())
+            .map(|cycle| cycle.iter().map(name).collect())
             .collect()
     }
 
     #[test]
-    fn a_circle_of_three_is_found_through_a_reexport() {
+    fn a_cycle_of_three_is_found_through_a_reexport() {
         let files = [
             ("lib.rs", "mod a; mod b; mod c;"),
             ("a.rs", "use crate::b::B; pub struct A(B);"),
@@ -450,9 +450,9 @@ mod tests {
         assert_eq!(found(&files), [["a.rs", "b.rs", "c.rs"]]);
     }
 
-    /// The files `d/deep.rs`, `a.rs` and `b.rs` alone are in no circle: `b.rs` imports `d/mod.rs`.
+    /// The files `d/deep.rs`, `a.rs` and `b.rs` alone are in no cycle: `b.rs` imports `d/mod.rs`.
     #[test]
-    fn a_circle_through_a_folder_is_found() {
+    fn a_cycle_through_a_folder_is_found() {
         let files = [
             ("lib.rs", "mod a; mod b; mod d;"),
             ("e.rs", ""),
