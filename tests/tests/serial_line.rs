@@ -235,7 +235,7 @@ fn commands_sent_before_a_stop_do_not_restart_the_machine() {
         bench
             .take_answers()
             .iter()
-            .any(|(_, answer)| *answer == Err(Refusal::State(State::Hold)))
+            .any(|(_, answer)| *answer == Err(Refusal::RecentStop))
     );
     bench.ask(Command::Hold).expect("holds");
     bench.ask(Command::Resume).expect("now");
