@@ -1,8 +1,8 @@
 //! Shared code of the whole-system tests and benchmarks: a simulated machine with a host that sends
 //! one command at a time.
 
+pub mod fuzz;
 pub mod job;
-pub mod storm;
 
 use haptimill_firmware::controller::Controller;
 use haptimill_hil_sim::config::PlantConfig;

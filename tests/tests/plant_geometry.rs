@@ -9,7 +9,7 @@ use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::tool_axis;
 use haptimill_machine_file::scale::per_unit;
 use haptimill_math::Coordinate;
-use haptimill_tests::storm::rng::Rng;
+use haptimill_tests::fuzz::rng::Rng;
 use std::path::Path;
 
 /// Poses that are tried on each machine.

@@ -6,24 +6,24 @@ mod commits;
 mod cycles;
 mod emulator;
 mod figures;
+mod fuzz;
 mod gcode;
 mod lint;
+mod mutations;
 mod names;
-mod planted;
 mod provide;
 mod release;
-mod storm;
 mod structure;
 mod uf2;
 
 use board::Board;
+use fuzz::{fuzz, short_fuzz};
 use lint::lint;
 use provide::provide;
 use std::env;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::time::Instant;
-use storm::{short_storm, storm};
 
 const HELP: &str = "\
 Developer tasks of the project.
@@ -50,8 +50,8 @@ Developer tasks of the project.
   cargo xtask machines             run every machine file in the simulator and rewrite docs/machines.md
   cargo xtask machines FILE        run one file of machines/ and print what it does
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
-  cargo xtask storm [OPTION ...]   run random episodes against all checks, by seed (docs/storm.md; --help lists the options)
-  cargo xtask storm --planted      plant bugs into a copy of the sources and show that the storm finds each
+  cargo xtask fuzz [OPTION ...]    run random episodes against all checks, by seed (docs/fuzzing.md; --help lists the options)
+  cargo xtask fuzz --mutations     apply mutations to a copy of the sources and show that the fuzz test finds each
   cargo xtask bench                run all benchmarks (criterion); results in target/criterion
   cargo xtask gcode FILE ...       compare the motion of part programs with LinuxCNC's rs274 (docs/gcode.md)
   cargo xtask gcode --throughput   compare the time of `run --check` with that of rs274
@@ -190,7 +190,7 @@ fn main() -> ExitCode {
         ["log", program, ref more @ ..] => log(program, more),
         ["bench"] => run(BENCH),
         ["keys"] => run(KEYS),
-        ["storm", ref options @ ..] => storm(options),
+        ["fuzz", ref options @ ..] => fuzz(options),
         ["gcode", ref options @ ..] => gcode::gcode(options),
         ["senders"] => clients::senders(&root()),
         ["browser"] => clients::browser(&root()),
@@ -255,7 +255,7 @@ fn test() -> Result<(), String> {
     run(TESTS)?;
     // Controller and simulated machine take turns: a test keeps one processor busy.
     emulated("emulated runs", "--test-threads=2", &[])?;
-    short_storm()?;
+    short_fuzz()?;
     emulator::emulator(&root(), emulator::Task::Test)
 }
 
@@ -263,7 +263,7 @@ fn test() -> Result<(), String> {
 fn test_natively() -> Result<(), String> {
     run(CHECKS)?;
     run(TESTS)?;
-    short_storm()?;
+    short_fuzz()?;
     println!(
         "SKIPPED  boards and emulated runs (--native-only): the controller was not tested on a chip"
     );

@@ -61,15 +61,15 @@ const EXCEPTIONS: &[(&str, &str)] = &[
         "the command of that calibration",
     ),
     ("firmware/checks/src/", "checks of the reference machine"),
-    // Three quarters of the episodes of the storm are on the H-4 machines.
-    ("tests/src/storm/machines.rs", "list of machine files"),
+    // Three quarters of the episodes of the fuzz test are on the H-4 machines.
+    ("tests/src/fuzz/machines.rs", "list of machine files"),
     (
-        "tests/src/storm/reference.rs",
+        "tests/src/fuzz/reference.rs",
         "reference of the H-4 machines",
     ),
-    ("tests/src/storm/episode.rs", "joints of the H-4 machines"),
-    ("tests/src/storm/script/", "scripts of the H-4 machines"),
-    ("tests/src/bin/storm.rs", "option for the H-4 machines"),
+    ("tests/src/fuzz/episode.rs", "joints of the H-4 machines"),
+    ("tests/src/fuzz/script/", "scripts of the H-4 machines"),
+    ("tests/src/bin/fuzz.rs", "option for the H-4 machines"),
     (
         "firmware/boards/mps2/src/bin/checks.rs",
         "checks of the reference machine",
@@ -85,9 +85,9 @@ const WORDS: &[(&str, &str)] = &[
     ("host/machine-keys/src/plant.rs", "slide"),
     ("host/machine-keys/src/plant.rs", "slides"),
     // The driven side of a screw, and the choice of the H-4 machines.
-    ("tests/src/storm/", "slide"),
-    ("tests/src/storm/", "slides"),
-    ("tests/src/storm/", "h4"),
+    ("tests/src/fuzz/", "slide"),
+    ("tests/src/fuzz/", "slides"),
+    ("tests/src/fuzz/", "h4"),
     // The angles of the haptic arm.
     ("host/machine-keys/src/plant.rs", "theta1"),
     ("host/machine-keys/src/plant.rs", "theta2"),
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_planted_name_is_found() {
+    fn a_name_in_general_code_is_found() {
         let names = scara();
         for (line, word) in [
             ("if machine.code == \"scara\" {", "scara"),
@@ -406,9 +406,9 @@ mod tests {
         }
     }
 
-    /// A violation that is planted into a copy of the tree is found, and only there.
+    /// A violation that is added to a copy of the tree is found, and only there.
     #[test]
-    fn a_planted_file_fails_the_lint() {
+    fn an_added_file_fails_the_lint() {
         let folder = std::env::temp_dir().join(format!("haptimill-names-{}", std::process::id()));
         let write = |name: &str, text: &str| {
             let path = folder.join(name);

@@ -24,8 +24,8 @@ fn places() -> impl Iterator<Item = &'static str> {
 /// A period in which the drives are on.
 const PERIOD: u32 = 4000;
 
-/// Enables the drives of an image with a planted failure and waits for it. Returns the reason, and
-/// the duration of the step that noticed it.
+/// Enables the drives of an image with an injected failure and waits for it. Returns the reason,
+/// and the duration of the step that noticed it.
 fn run_until_failure(board: Board, words: &[&str; 3]) -> (String, Duration) {
     let control = remote(board, &image("faults"), words);
     let mut bench: Bench<Remote> = Bench::with(&RigOptions::default(), control);
