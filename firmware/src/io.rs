@@ -74,9 +74,9 @@ pub struct LegInputs {
 pub struct HapticInputs {
     /// The legs.
     pub legs: [LegInputs; LEGS],
-    /// The clutch on the handle is pressed. While it is released, the handle moves without the
-    /// tool.
-    pub clutch: bool,
+    /// The enabling switch on the handle is pressed. While it is released, the handle moves without
+    /// the tool.
+    pub enabling_switch: bool,
     /// The amplifiers report that they are healthy.
     pub drives_ready: bool,
 }

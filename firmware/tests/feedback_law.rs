@@ -200,7 +200,7 @@ proptest! {
         let frame = |m: M, tip: [f64; 3]| HandleFrame {
             tip: tip.map(|x| (x * MM) as i32),
             axes: transposed(m).map(|column| column.map(|x| libm::round(x * f64::from(1 << 30)) as i32)),
-            clutch: true,
+            enabling_switch: true,
         };
         let angle = |radians: f64| Coordinate(libm::round(radians / std::f64::consts::TAU * 4_294_967_296.0) as i32);
         let rest = [Coordinate((12.0 * MM) as i32), Coordinate((-7.0 * MM) as i32), Coordinate(0), angle(theta), angle(alpha)];
@@ -232,7 +232,7 @@ proptest! {
     /// No sample of a remote master makes it panic.
     #[test]
     fn any_master_sample_is_accepted(tip: [i32; 3], rate: [i32; 3], axes: [[i16; 3]; 2], age: u32, scale in 410_u16..8192, rest: i32) {
-        let master = MasterPose { tip, rate, axes, clutch: true };
+        let master = MasterPose { tip, rate, axes, enabling_switch: true };
         let mut lead = MasterMapping::new(scale);
         lead.follow(&HandleFrame::of(&master, age, 5000), 0b11111, |_| Coordinate(rest));
         let other = MasterPose { tip: tip.map(|x| !x), ..master };

@@ -46,7 +46,7 @@ fn rig(code: i16, faults: &[&str]) -> Rig<Remembers> {
     };
     let mut rig = Rig::new(&config(), &options, control).expect("fine");
     let arm = rig.plant_mut().haptic_mut().expect("has one");
-    arm.set_clutch(true);
+    arm.set_enabling_switch(true);
     arm.set_trajectory(Trajectory::Strokes(vec![Stroke {
         at_s: 0.05,
         to_mm: [8.0, 5.0, -6.0],
@@ -68,7 +68,7 @@ fn the_controller_measures_the_motion_of_the_hand() {
     let rig = run(rig(0, &[]), 1.0);
     let seen = &rig.control().seen;
     assert_eq!(seen[0].legs[0].counts, [0; 3]);
-    assert!(seen[0].clutch && seen[0].drives_ready);
+    assert!(seen[0].enabling_switch && seen[0].drives_ready);
     let last = seen.last().expect("some");
     let truth = rig.plant().haptic().expect("has one").truth();
     assert!((truth.tip[0] - 8.0).abs() < 1.0, "{:?}", truth.tip);

@@ -325,10 +325,10 @@ fn a_live_hand_moves_to_its_target() {
         arm.live(Live {
             place_mm: [0.0, place, 0.0],
             velocity_mm_s: [0.0, moving, 0.0],
-            clutch: period > 100,
+            enabling_switch: period > 100,
         });
         arm.advance(&HapticOutputs::default(), true);
-        assert_eq!(arm.inputs().clutch, period > 100);
+        assert_eq!(arm.inputs().enabling_switch, period > 100);
     }
     assert!(
         (arm.truth().tip[1] - 15.0).abs() < 0.5,

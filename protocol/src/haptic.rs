@@ -20,8 +20,8 @@ pub struct MasterPose {
     pub rate: [i32; COMPONENTS],
     /// Directions of the x and z axes of the handle, 32767 for 1.
     pub axes: [[i16; COMPONENTS]; 2],
-    /// The clutch is pressed.
-    pub clutch: bool,
+    /// The enabling switch is pressed.
+    pub enabling_switch: bool,
 }
 
 /// State of a master, from the controller of its arm.

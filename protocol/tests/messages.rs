@@ -32,7 +32,7 @@ const HAPTICS: MasterPose = MasterPose {
     tip: [i32::MIN; COMPONENTS],
     rate: [i32::MIN; COMPONENTS],
     axes: [[i16::MIN; COMPONENTS]; 2],
-    clutch: true,
+    enabling_switch: true,
 };
 
 #[test]

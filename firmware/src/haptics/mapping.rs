@@ -1,7 +1,8 @@
 //! Master-to-tool mapping: docs/control.md (3.1)-(3.8) without a division by zero.
 //!
-//! When the master starts to lead (the clutch is pressed, a coordinate is assigned to it, the scale
-//! changes), the positions of master and tool are latched for each coordinate. From then on
+//! When the master starts to lead (the enabling switch is pressed, a coordinate is assigned to
+//! it, the scale changes), the positions of master and tool are latched for each coordinate. From
+//! then on
 //!
 //! ```text
 //! X_sd = G_P (X_m - X_mr) + X_sr          R_sd = (R_m R_mr^T) R_sr
@@ -40,8 +41,8 @@ pub struct HandleFrame {
     pub tip: Vector,
     /// n, o and a, Q30.
     pub axes: [Vector; 3],
-    /// The clutch is pressed.
-    pub clutch: bool,
+    /// The enabling switch is pressed.
+    pub enabling_switch: bool,
 }
 
 impl HandleFrame {
@@ -64,7 +65,7 @@ impl HandleFrame {
         Self {
             tip: [on(0), on(1), on(2)],
             axes: [n, [product(1, 2), product(2, 0), product(0, 1)], a],
-            clutch: master.clutch,
+            enabling_switch: master.enabling_switch,
         }
     }
 }

@@ -134,7 +134,7 @@ pub struct Haptic {
     moved: [i32; COMPONENTS],
     /// 2^-28 mm/s.
     rates: [i64; COMPONENTS],
-    clutch: bool,
+    enabling_switch: bool,
     ready: bool,
     /// Blend factor of the force feedback, 2^-16.
     blend: i32,
@@ -151,7 +151,7 @@ pub struct Haptic {
 }
 
 impl_digest!(Haptic { fields { arm, sensors, motors, illegal_most, smoothing, step, periods_per_second, blend_step, feel_periods }, nested {}, skip {
-    law, fixtures, passivity, dampers, shares, operator_power, zero, illegal, pose, tip, moved, rates, clutch, ready, blend, remote, force, feedback, fixture, enabled, problem, latched, fresh
+    law, fixtures, passivity, dampers, shares, operator_power, zero, illegal, pose, tip, moved, rates, enabling_switch, ready, blend, remote, force, feedback, fixture, enabled, problem, latched, fresh
 } });
 
 impl Haptic {
@@ -198,7 +198,7 @@ impl Haptic {
             tip: [0; COMPONENTS],
             moved: [0; COMPONENTS],
             rates: [0; COMPONENTS],
-            clutch: false,
+            enabling_switch: false,
             ready: false,
             blend: 0,
             remote: RemoteMaster::default(),
@@ -232,7 +232,7 @@ impl Haptic {
 
     /// Runs the *measure* stage.
     pub fn measure(&mut self, inputs: &HapticInputs) {
-        self.clutch = inputs.clutch;
+        self.enabling_switch = inputs.enabling_switch;
         self.ready = inputs.drives_ready;
         self.moved = [0; COMPONENTS];
         let known = self.pose.is_some();
@@ -350,7 +350,7 @@ impl Haptic {
         Some(HandleFrame {
             tip: pose.tip,
             axes: pose.axes,
-            clutch: self.clutch,
+            enabling_switch: self.enabling_switch,
         })
     }
 
@@ -528,7 +528,9 @@ impl Haptic {
                 tip: self.tip,
                 rate: self.rates().map(|rate| rate.0 >> 8),
                 axes: self.axes(),
-                clutch: self.clutch && self.problem.is_none() && self.pose.is_some(),
+                enabling_switch: self.enabling_switch
+                    && self.problem.is_none()
+                    && self.pose.is_some(),
             },
             force: short(&self.force),
             feedback: short(&self.feedback),

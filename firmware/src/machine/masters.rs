@@ -121,7 +121,7 @@ impl Machine {
         }
     }
 
-    /// Moves the coordinates whose source is the master, while its clutch is held.
+    /// Moves the coordinates whose source is the master, while its enabling switch is pressed.
     #[inline]
     pub fn advance_master(&mut self) -> Leading {
         if HAPTICS {
@@ -139,7 +139,7 @@ impl Machine {
         let late = remote && age > self.masters.stale;
         let frame = self
             .master()
-            .filter(|frame| frame.clutch && !late && mask != 0);
+            .filter(|frame| frame.enabling_switch && !late && mask != 0);
         let Some(frame) = frame else {
             let led = self.masters.mapping.is_active();
             self.release_master();
@@ -187,7 +187,7 @@ impl Machine {
         let leading = if here {
             self.masters.mapping.is_active()
         } else {
-            arm.frame().is_some_and(|frame| frame.clutch)
+            arm.frame().is_some_and(|frame| frame.enabling_switch)
         };
         // A sensor that is invalid or not tared gives no force feedback.
         let tool = self

@@ -43,7 +43,7 @@ pub(super) fn take_force(words: &mut Reader<'_>) -> ForceSample {
 }
 
 pub(super) fn put_haptic(words: &mut Writer<'_>, haptic: &HapticInputs) {
-    words.put(u32::from(haptic.clutch) | u32::from(haptic.drives_ready) << 1);
+    words.put(u32::from(haptic.enabling_switch) | u32::from(haptic.drives_ready) << 1);
     for leg in &haptic.legs {
         words.put_vector(&leg.counts);
         let [first, second, third] = leg.illegal.map(u32::from);
@@ -54,7 +54,7 @@ pub(super) fn put_haptic(words: &mut Writer<'_>, haptic: &HapticInputs) {
 #[inline(always)]
 pub(super) fn take_haptic(words: &mut Reader<'_>, haptic: &mut HapticInputs) {
     let bits = words.take();
-    haptic.clutch = bits & 1 != 0;
+    haptic.enabling_switch = bits & 1 != 0;
     haptic.drives_ready = bits & 2 != 0;
     for leg in &mut haptic.legs {
         let [x, y, z, pair, third] = words.take_all();

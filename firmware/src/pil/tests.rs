@@ -24,9 +24,9 @@ prop_compose! {
 }
 
 prop_compose! {
-    fn haptic()(counts: [[i32; 3]; 3], illegal: [[u16; 3]; 3], clutch: bool, drives_ready: bool) -> HapticInputs {
+    fn haptic()(counts: [[i32; 3]; 3], illegal: [[u16; 3]; 3], enabling_switch: bool, drives_ready: bool) -> HapticInputs {
         let legs = core::array::from_fn(|leg| LegInputs { counts: counts[leg], illegal: illegal[leg] });
-        HapticInputs { legs, clutch, drives_ready }
+        HapticInputs { legs, enabling_switch, drives_ready }
     }
 }
 

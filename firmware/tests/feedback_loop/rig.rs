@@ -149,13 +149,13 @@ pub fn run(case: &Case) -> CaseResult {
             haptic: Some(haptic()),
             ..reference::master()
         });
-        master.inputs.haptic.clutch = true;
+        master.inputs.haptic.enabling_switch = true;
         master
     });
     mill.tare();
     mill.master(0);
     mill.start_job();
-    mill.inputs.haptic.clutch = true;
+    mill.inputs.haptic.enabling_switch = true;
     mill.steps(10);
     let surface = mill.at(0).0 - 10.0;
 

@@ -1,4 +1,4 @@
-//! Following a master: clutch, scale, orientation, holds and stops, change of sources, the
+//! Following a master: enabling switch, scale, orientation, holds and stops, change of sources, the
 //! workspace boundary, and a remote master.
 
 use super::bench::Bench;
@@ -9,7 +9,7 @@ use haptimill_protocol::haptic::MasterPose;
 use haptimill_protocol::message::{Command, Event, Refusal, Request, Source, State};
 
 #[test]
-fn tool_follows_the_master_and_the_clutch() {
+fn tool_follows_the_master_and_the_enabling_switch() {
     let mut bench = Bench::ready(mill());
     bench.master(0);
     bench.master(1);
@@ -19,7 +19,7 @@ fn tool_follows_the_master_and_the_clutch() {
     bench.lead([5.0, 0.0, 0.0], 2000);
     assert_eq!(bench.at(0).0, start[0]);
     // It holds it, where it is now, and moves: the tool follows, z does not.
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     let mut jump_check = JumpCheck::at(&bench);
     for way in [[-12.0, 4.0, 3.0], [0.0; 3], [20.0, -9.0, 0.0], [0.0; 3]] {
         jump_check.lead(&mut bench, way, 5000);
@@ -39,16 +39,16 @@ fn tool_follows_the_master_and_the_clutch() {
         bench.at(1)
     );
     assert_eq!(bench.at(2).0, start[2]);
-    // The clutch during a motion: released, moved back, pressed again there.
+    // The enabling switch during a motion: released, moved back, pressed again there.
     for _ in 0..5 {
         bench.lead([1.0, 0.0, 0.0], 500);
     }
     let mut jump_check = JumpCheck::at(&bench);
-    bench.inputs.haptic.clutch = false;
+    bench.inputs.haptic.enabling_switch = false;
     jump_check.lead(&mut bench, [-8.0, 0.0, 0.0], 4000);
     let rest = bench.at(0);
     assert_eq!(rest.1, 0.0);
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     for _ in 0..1000 {
         bench.step();
         jump_check.check(&bench);
@@ -93,7 +93,7 @@ fn orientation_follows_the_handle() {
     }
     let start = [3, 4].map(|k| f64::from(bench.commanded()[k]) / 4_294_967_296.0 * 360.0);
     bench.start_job();
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     bench.steps(10);
     // By 8 degrees about y, then 5 about x: theta about Y by as much, alpha about X against it
     // (docs/control.md (3.20)-(3.22)).
@@ -131,7 +131,7 @@ fn every_stop_ends_following_until_a_command() {
     let mut bench = Bench::ready(mill());
     bench.master(0);
     bench.start_job();
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     bench.lead([-5.0, 0.0, 0.0], 2500);
     bench
         .link
@@ -169,7 +169,7 @@ fn every_stop_ends_following_until_a_command() {
 fn sources_change_in_motion() {
     let mut bench = Bench::ready(mill());
     bench.start_job();
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     bench.steps(10);
     let mut jump_check = JumpCheck::at(&bench);
     let sources = [
@@ -214,7 +214,7 @@ fn jog_takes_over_only_at_standstill() {
     let mut bench = Bench::ready(mill());
     bench.master(0);
     bench.start_job();
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     bench.lead([-5.0, 0.0, 0.0], 2500);
     assert_eq!(bench.ask(Command::Hold), Ok(()));
     let mut jump_check = JumpCheck::at(&bench);
@@ -251,7 +251,7 @@ fn a_refused_source_keeps_the_offset_of_the_master() {
     let mut bench = Bench::ready(mill());
     bench.master(0);
     bench.start_job();
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     let begin = bench.at(0).0;
     bench.lead([-5.0, 0.0, 0.0], 2500);
     let source = Source::Jog;
@@ -277,15 +277,15 @@ fn master_is_blocked_at_the_workspace_boundary() {
     bench.master(1);
     bench.master(2);
     bench.start_job();
-    bench.inputs.haptic.clutch = true;
-    // G_P of 2 and repeated strokes of the clutch, towards soft limit and edge of the workspace.
+    bench.inputs.haptic.enabling_switch = true;
+    // G_P of 2 and repeated indexing, towards soft limit and edge of the workspace.
     assert_eq!(bench.ask(Command::PositionScale { scale: 8192 }), Ok(()));
     let mut jump_check = JumpCheck::at(&bench);
     for _ in 0..4 {
-        bench.inputs.haptic.clutch = true;
+        bench.inputs.haptic.enabling_switch = true;
         jump_check.lead(&mut bench, [0.0, 35.0, 30.0], 5000);
         bench.steps(3000);
-        bench.inputs.haptic.clutch = false;
+        bench.inputs.haptic.enabling_switch = false;
         bench.steps(200);
         bench.lead([0.0, -35.0, -30.0], 3000);
         jump_check = JumpCheck::at(&bench);
@@ -298,7 +298,7 @@ fn master_is_blocked_at_the_workspace_boundary() {
         assert!((limits.low..=limits.high).contains(&place));
     }
     // And back.
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     let far = bench.at(1).0;
     bench.lead([0.0, -10.0, -5.0], 3000);
     bench.steps(3000);
@@ -326,7 +326,7 @@ fn silent_remote_master_holds_the_job() {
             tip: [(x * 1_048_576.0) as i32, 0, 0],
             rate: [(rate * 4096.0) as i32, 0, 0],
             axes: [[32767, 0, 0], [0, 0, 32767]],
-            clutch: true,
+            enabling_switch: true,
         };
         bench.say(Command::MasterPose {
             epoch,

@@ -18,7 +18,7 @@ fn wrong_arm_encoder_switches_the_arm_off_and_stops() {
             let mut bench = Bench::ready(mill());
             bench.master(0);
             bench.start_job();
-            bench.inputs.haptic.clutch = true;
+            bench.inputs.haptic.enabling_switch = true;
             bench.lead([2.0, 0.0, 0.0], 1000);
             assert!(bench.outputs.haptic.enabled);
             bench.lie = Some((1, sensor, lie));

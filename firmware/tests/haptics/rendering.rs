@@ -13,7 +13,7 @@ use haptimill_protocol::message::{Command, Refusal};
 fn master_arm_renders_the_remote_force() {
     let mut bench = Bench::ready(reference::master());
     assert_eq!(bench.ask(Command::MasterTelemetry { every: 20 }), Ok(()));
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     bench.steps(600);
     let mut last = bench.force();
     let mut steps = 0;
@@ -68,7 +68,7 @@ fn master_arm_renders_the_remote_force() {
     bench.steps(1500);
     assert!(bench.force()[0].abs() < 0.01);
     let master = bench.master_report.expect("telemetry of the master");
-    assert!(master.pose.clutch && master.enabled && master.problem.is_none());
+    assert!(master.pose.enabling_switch && master.enabled && master.problem.is_none());
     assert!(
         (f64::from(master.pose.tip[2]) / 1_048_576.0 - 600.0).abs() < 0.05,
         "{master:?}"
@@ -174,7 +174,7 @@ fn force_is_rendered_in_its_sample_period() {
     bench.tare();
     bench.master(0);
     bench.start_job();
-    bench.inputs.haptic.clutch = true;
+    bench.inputs.haptic.enabling_switch = true;
     bench.steps(1500);
     let before = bench.outputs.haptic.currents;
     // 5 N in x: 410 codes.
@@ -193,7 +193,7 @@ fn force_is_rendered_in_its_sample_period() {
         bench.force()[0]
     );
     // Lifted, the handle is free; nothing jumps.
-    bench.inputs.haptic.clutch = false;
+    bench.inputs.haptic.enabling_switch = false;
     let mut last = bench.force()[0];
     for _ in 0..1000 {
         bench.step();

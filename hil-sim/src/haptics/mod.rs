@@ -116,7 +116,7 @@ pub struct HapticArm {
     period_ns: u64,
     time_ns: u64,
     powered: bool,
-    clutch: bool,
+    enabling_switch: bool,
     /// Number of periods without motion and without any commanded or intended motion.
     idle: u32,
     truth: HapticGroundTruth,
@@ -190,7 +190,7 @@ impl HapticArm {
             period_ns,
             time_ns: 0,
             powered: true,
-            clutch: false,
+            enabling_switch: false,
             idle: 0,
             truth: HapticGroundTruth::default(),
             config: config.clone(),
@@ -252,7 +252,7 @@ impl HapticArm {
     /// becomes a live one.
     pub fn live(&mut self, live: Live) {
         self.idle = 0;
-        self.clutch = live.clutch;
+        self.enabling_switch = live.enabling_switch;
         if let Some(operator) = &mut self.around.operator {
             if matches!(operator.trajectory(), Trajectory::Live(_)) {
                 operator.live(live);
@@ -263,8 +263,8 @@ impl HapticArm {
     }
 
     /// Presses or releases the enabling switch on the handle.
-    pub const fn set_clutch(&mut self, clutch: bool) {
-        self.clutch = clutch;
+    pub const fn set_enabling_switch(&mut self, enabling_switch: bool) {
+        self.enabling_switch = enabling_switch;
     }
 
     /// The operator model.
@@ -346,7 +346,7 @@ impl HapticArm {
     pub fn inputs(&self) -> HapticInputs {
         HapticInputs {
             legs: core::array::from_fn(|leg| self.sensors.leg(leg)),
-            clutch: self.clutch,
+            enabling_switch: self.enabling_switch,
             drives_ready: self.motors.ready() && self.powered,
         }
     }

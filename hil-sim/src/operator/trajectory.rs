@@ -67,7 +67,7 @@ pub struct Live {
     /// Velocity of the position, mm/s.
     pub velocity_mm_s: [f64; 3],
     /// The enabling switch on the handle is pressed.
-    pub clutch: bool,
+    pub enabling_switch: bool,
 }
 
 /// Desired motion at one time.

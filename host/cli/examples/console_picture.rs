@@ -31,7 +31,7 @@ mod linux {
     /// Size of a cell, pixels.
     const CELL: (u32, u32) = (9, 18);
 
-    /// Operator model: motion along x in both directions with the clutch pressed.
+    /// Operator model: motion along x in both directions with the enabling switch pressed.
     fn operator_script() -> String {
         let strokes: String = (0..20)
             .map(|index| {
@@ -126,7 +126,7 @@ mod linux {
                 "examples/e8-teleop.ngc",
             ],
         )?;
-        terminal.press_expect(b"w", "clutch pressed");
+        terminal.press_expect(b"w", "enabling switch pressed");
         terminal.press(RIGHT);
         terminal.press(RIGHT);
         // In the middle of its motion.

@@ -44,7 +44,7 @@ mod built {
                 (value["z_mm"].as_f64().unwrap() - tip).abs() < 1e-6,
                 "{value}"
             );
-            held += u64::from(value["master_clutch"] == true);
+            held += u64::from(value["master_enabling_switch"] == true);
             seen += 1;
         }
         assert!(seen > 1000 && held > 500 && held < seen, "{held} of {seen}");

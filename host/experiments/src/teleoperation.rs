@@ -80,7 +80,7 @@ pub fn begin<C: Control>(
     }
     session.line_mut().begin_haptic_trace();
     let arm = arm(session)?;
-    arm.set_clutch(true);
+    arm.set_enabling_switch(true);
     arm.set_trajectory(settings.operator.clone());
     Ok(())
 }
@@ -94,7 +94,7 @@ pub fn end<C: Control>(
     session: &mut Session<SimLine<C>>,
 ) -> Result<Option<HapticTrace>, Error> {
     let record = session.line_mut().end_haptic_trace();
-    arm(session)?.set_clutch(false);
+    arm(session)?.set_enabling_switch(false);
     if settings.fixture_mm_s.is_some() {
         for upper in [false, true] {
             session.ask(Command::VirtualFixture {

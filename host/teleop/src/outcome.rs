@@ -18,7 +18,7 @@ pub struct Row {
     /// Directions of the x and z axes of the master's handle, in the frame of its base.
     pub axes: [[f64; COMPONENTS]; 2],
     /// The enabling switch is pressed.
-    pub clutch: bool,
+    pub enabling_switch: bool,
     /// Age of the sample, ms.
     pub age_ms: f64,
     /// Commanded position of the tool.
@@ -33,7 +33,8 @@ pub struct Row {
 
 impl Row {
     /// Names of the columns of [`Row::to_csv`].
-    pub const HEAD: &str = "time_s,state,master_x_mm,master_y_mm,master_z_mm,clutch,age_ms,\
+    pub const HEAD: &str = "time_s,state,master_x_mm,master_y_mm,master_z_mm,\
+        enabling_switch,age_ms,\
         commanded_x_mm,commanded_y_mm,commanded_z_mm,tool_x_mm,tool_y_mm,tool_z_mm,\
         force_x_n,force_y_n,force_z_n,feedback_x_n,feedback_y_n,feedback_z_n,\
         feedback_law_x_n,feedback_law_y_n,feedback_law_z_n,\
@@ -51,7 +52,12 @@ impl Row {
         }
         let mut text = format!("{:.4},{:?}", self.time_s, self.state);
         add(&mut text, &self.master);
-        let _ = write!(text, ",{},{:.1}", u8::from(self.clutch), self.age_ms);
+        let _ = write!(
+            text,
+            ",{},{:.1}",
+            u8::from(self.enabling_switch),
+            self.age_ms
+        );
         for values in [
             &self.commanded,
             &self.tool,

@@ -263,7 +263,7 @@ impl ScriptedOperator {
             arm.set_trajectory(strokes);
         }
         while let Some(button) = self.buttons.pop_if(|button| time_s >= button.at_s) {
-            arm.set_clutch(button.held);
+            arm.set_enabling_switch(button.held);
         }
     }
 }

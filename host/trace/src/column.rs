@@ -41,7 +41,7 @@ enum Field {
     PathRate,
     Spindle,
     Flag(u8),
-    Clutch,
+    EnablingSwitch,
     /// Component of an axis of the handle: 0 for its x axis, 1 for its z axis.
     Direction(usize, usize),
     Input(usize),
@@ -122,7 +122,7 @@ impl Column {
                 let direction = f64::from(record.haptic.axes[row][component]);
                 Value::Real(direction / f64::from(i16::MAX), 6)
             }
-            Field::Clutch => Value::Flag(record.haptic_flags & flag::CLUTCH_CLOSED != 0),
+            Field::EnablingSwitch => Value::Flag(record.haptic_flags & flag::ENABLING_SWITCH != 0),
             Field::Input(input) => Value::Flag(record.io.inputs >> input & 1 != 0),
             Field::Output(output) => Value::Flag(record.io.outputs >> output & 1 != 0),
             Field::Analog(output, index, full_scale) => {
@@ -248,7 +248,12 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
             |record| &record.haptic.tip,
             1.0 / MM,
         ));
-        all.push(Column::plain("master_clutch", "master", "", Field::Clutch));
+        all.push(Column::plain(
+            "master_enabling_switch",
+            "master",
+            "",
+            Field::EnablingSwitch,
+        ));
         for (row, handle_axis) in [(0, 'x'), (1, 'z')] {
             for (component, name) in ["x", "y", "z"].iter().enumerate() {
                 let name = format!("{name}_master_axis_{handle_axis}");

@@ -184,7 +184,7 @@ pub mod flag {
     /// on request.
     pub const HAPTIC_KNOWN: u32 = 1;
     /// Flag of the haptic arm: the button on the handle is pressed.
-    pub const CLUTCH_CLOSED: u32 = 2;
+    pub const ENABLING_SWITCH: u32 = 2;
 }
 
 pub use haptimill_firmware::snapshot::Axes;

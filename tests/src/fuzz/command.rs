@@ -130,7 +130,7 @@ pub fn any_master(rng: &mut Rng) -> MasterPose {
                 core::array::from_fn(|_| rng.bits() as i16),
             ]
         },
-        clutch: rng.chance(0.7),
+        enabling_switch: rng.chance(0.7),
     }
 }
 

@@ -165,7 +165,7 @@ pub enum Stimulus {
         /// `at_preset` of [`Command::Activate`].
         preset: bool,
     },
-    /// The operator moves the tip of the haptic arm: mm from home, clutch held or not.
+    /// The operator moves the tip of the haptic arm: mm from home, enabling switch pressed or not.
     MoveMaster([f64; 3], bool),
     /// A remote master sends its pose for the duration of the step: seed, age in ms.
     RemoteMaster(u64, u8),

@@ -11,7 +11,8 @@ const TITLE: &str = "Master: forces";
 /// Stiffness of the virtual fixture in machines/haptic-arm.toml, N/mm.
 const STIFFNESS: f64 = 0.35;
 
-/// Operator model: motion both ways along x for the duration of a test, with the clutch pressed.
+/// Operator model: motion both ways along x for the duration of a test, with the enabling switch
+/// pressed.
 fn oscillating_operator() -> String {
     let strokes: String = (0..30)
         .map(|index| {
@@ -67,7 +68,7 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
     let terminal = console(&arguments, Keyboard::Plain);
     terminal.expect_state("DISABLED");
     terminal.press_expect(b"w", TITLE);
-    terminal.expect_text("clutch released; motors off");
+    terminal.expect_text("enabling switch released; motors off");
     terminal.escape();
     terminal.wait_until("closed", |text| !text.contains(TITLE));
     // All other panels remain on 80 columns and 24 rows.
@@ -154,7 +155,7 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     let served = SimServer::on_tcp(&["--machine", &machine_file, "--operator", &operator]);
     let arguments = ["--machine", &machine_file, "--port", &served.port, &program];
     let terminal = homed(&arguments, Keyboard::Plain);
-    terminal.press_expect(b"w", "clutch pressed, leads no coordinate");
+    terminal.press_expect(b"w", "enabling switch pressed, leads no coordinate");
     terminal.press(RIGHT);
     terminal.press(RIGHT);
     // Near the middle of the operator trajectory.
@@ -209,7 +210,7 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     terminal.press_expect(b"m", "x: master");
     terminal.escape();
     run(&terminal);
-    terminal.press_expect(b"w", "clutch pressed, leads x");
+    terminal.press_expect(b"w", "enabling switch pressed, leads x");
     terminal.escape();
     let first = commanded_x(&terminal);
     terminal.wait_until("x driven", |_| (commanded_x(&terminal) - first).abs() > 2.0);

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
 
-/// Moves by 40 mm in 10 s with the clutch pressed.
+/// Moves by 40 mm in 10 s with the enabling switch pressed.
 const SLOWLY_AWAY: &str = "
 [[button]]
 at_s = 0.3
@@ -161,7 +161,7 @@ fn line_that_is_not_text_is_refused_and_stop_still_works() {
     assert!(ran.out.contains(what) && ran.err.contains(what), "{ran:?}");
 }
 
-/// A master that is no device, and one that is lost while its clutch is released.
+/// A master that is no device, and one that is lost while its enabling switch is released.
 #[cfg(unix)]
 #[test]
 fn wrong_device_is_refused_and_a_lost_one_is_reported() {
@@ -249,9 +249,9 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
         window.press(b"d");
         std::thread::sleep(std::time::Duration::from_millis(200));
     }
-    window.expect_text("Run clutch free");
-    window.press_expect(b"\x1b[6~", "Run clutch pressed");
-    window.expect_text("Run clutch free");
+    window.expect_text("Run switch released");
+    window.press_expect(b"\x1b[6~", "Run switch pressed");
+    window.expect_text("Run switch released");
     window.press_expect(b" ", "running -> on hold");
     window.press_expect(b"g", "on hold -> running");
     window.press(b"q");
@@ -273,7 +273,7 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
     let machine = SimServer::on_tcp(&[]);
     let mut window = open(&["--port", &machine.port, "--speed", "2"]);
     window.expect_text("idle -> running");
-    window.press_expect(b"++d", "clutch pressed");
+    window.press_expect(b"++d", "switch pressed");
     window.close();
     // The machine is at standstill with a valid position.
     let begun = std::time::Instant::now();
@@ -329,7 +329,7 @@ fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
         "csv",
         &trace,
         "--columns",
-        "z_master_mm,master_clutch",
+        "z_master_mm,master_enabling_switch",
     ])
     .expect_code(0);
     assert!(
@@ -341,9 +341,9 @@ fn haptic_arm_of_a_machine_on_a_port_is_recorded() {
     );
 }
 
-/// The clutch was released, so the machine did not hold. The loss is still reported.
+/// The enabling switch was released, so the machine did not hold. The loss is still reported.
 #[test]
-fn lost_arm_with_open_clutch_is_reported() {
+fn lost_arm_with_released_enabling_switch_is_reported() {
     let folder = TestFolder::new();
     let machine = SimServer::on_tcp(&[]);
     let mut arm = SimServer::on_tcp(&["--machine", "machines/haptic-master.toml"]);

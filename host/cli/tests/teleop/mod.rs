@@ -16,7 +16,7 @@ use std::path::Path;
 /// Axis units per millimetre.
 const MM: f64 = (1 << 20) as f64;
 
-/// Moves by 40 mm in about 4 s with the clutch pressed.
+/// Moves by 40 mm in about 4 s with the enabling switch pressed.
 const AWAY: &str = "
 [[button]]
 at_s = 0.3
@@ -89,8 +89,8 @@ fn expect_within_limits(read_records: &[Record]) {
     }
 }
 
-/// Checks that the fed-back force changes by at most 0.05 N per period: at contact, at the clutch,
-/// at commands, and when the link is lost and restored.
+/// Checks that the fed-back force changes by at most 0.05 N per period: at contact, at the enabling
+/// switch, at commands, and when the link is lost and restored.
 fn expect_no_force_step(master: &[Record]) {
     let step = master
         .windows(2)
@@ -152,8 +152,8 @@ fn readme_command_cuts_feeds_back_force_and_is_bit_identical() {
     println!("no delay: {latency}");
     // The arm's recording has the reported values of the master.
     let trace = folder.path("one/master.hmr");
-    let columns =
-        "time_s,?_master_mm,master_clutch,?_master_force_n,?_master_feedback_n,?_master_fixture_n";
+    let columns = "time_s,?_master_mm,master_enabling_switch,?_master_force_n,\
+                   ?_master_feedback_n,?_master_fixture_n";
     let ran = haptimill(&[
         "trace",
         "csv",

@@ -83,13 +83,13 @@ fn teleoperated_slot_replays_equal_and_a_changed_arm_count_is_detected() {
     for trace in &traces {
         let said = replays(trace.to_str().unwrap());
         assert!(number(&said, "records") > 50_000.0);
-        // The clutch was pressed, and the motors of the arm had torque.
+        // The enabling switch was pressed, and the motors of the arm had torque.
         let recording = Recording::open(trace).unwrap();
         let mut led = 0_u64;
         let mut pushed = 0_u64;
         for period in recording.read_periods().unwrap() {
             let period: Period = period.unwrap();
-            led += u64::from(period.inputs.haptic.clutch);
+            led += u64::from(period.inputs.haptic.enabling_switch);
             let currents = period.outputs.haptic.currents;
             pushed += u64::from(currents.iter().flatten().any(|current| *current != 0));
         }
@@ -104,7 +104,7 @@ fn teleoperated_slot_replays_equal_and_a_changed_arm_count_is_detected() {
     let mut flipped = 0;
     for period in recording.read_periods().unwrap() {
         let mut period: Period = period.unwrap();
-        pressed += u32::from(period.inputs.haptic.clutch);
+        pressed += u32::from(period.inputs.haptic.enabling_switch);
         if pressed == 5000 && flipped == 0 {
             flipped = period.inputs.period;
             period.inputs.haptic.legs[1].counts[0] ^= 1;

@@ -375,8 +375,8 @@ impl JobRecording {
                 axes: master.pose.axes,
             };
             record.haptic_flags = flag::HAPTIC_KNOWN;
-            if master.pose.clutch {
-                record.haptic_flags |= flag::CLUTCH_CLOSED;
+            if master.pose.enabling_switch {
+                record.haptic_flags |= flag::ENABLING_SWITCH;
             }
         }
         copy(&mut record.commanded, &telemetry.commanded);
@@ -450,8 +450,8 @@ impl JobRecording {
             ..Record::default()
         };
         record.set_snapshot(seen.inputs.period, &snapshot);
-        if seen.inputs.haptic.clutch {
-            record.haptic_flags |= flag::CLUTCH_CLOSED;
+        if seen.inputs.haptic.enabling_switch {
+            record.haptic_flags |= flag::ENABLING_SWITCH;
         }
         for (set, flag) in [
             (seen.has_force, flag::FORCE),

@@ -131,7 +131,7 @@ impl<D: Device> MasterDevice for VirtualHandle<D> {
             tip: self.tip.map(|position| (position * PER_MM).round() as i32),
             rate: velocity.map(|velocity| (velocity * mm_s).round() as i32),
             axes: [[i16::MAX, 0, 0], [0, 0, i16::MAX]],
-            clutch: motion.is_enabled,
+            enabling_switch: motion.is_enabled,
         };
         Ok(Some(MasterSample { pose, age_us: 0 }))
     }

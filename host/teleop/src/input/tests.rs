@@ -81,7 +81,7 @@ fn a_key_is_a_step_and_the_enabling_switch_times_out() {
         (mm[0] - 0.2).abs() < 1e-5 && (mm[2] + 2.0).abs() < 1e-5,
         "{mm:?}"
     );
-    assert!(!last.clutch && received[5].pose.clutch);
+    assert!(!last.enabling_switch && received[5].pose.enabling_switch);
     assert!(
         received
             .iter()
@@ -126,7 +126,7 @@ fn sticks_move_the_handle_while_the_button_is_pressed() {
     assert!(
         released
             .iter()
-            .all(|sample| !sample.pose.clutch && sample.pose.rate == [0; 3])
+            .all(|sample| !sample.pose.enabling_switch && sample.pose.rate == [0; 3])
     );
     assert_eq!(handle.next_command(), Some(OperatorCommand::Resume));
     // Unplugged: no more samples.

@@ -113,7 +113,7 @@ impl<L: JobLine> Teleop<'_, L> {
                 .pose
                 .axes
                 .map(|axis| axis.map(|part| f64::from(part) / f64::from(i16::MAX))),
-            clutch: self.sample.pose.clutch,
+            enabling_switch: self.sample.pose.enabling_switch,
             age_ms: self
                 .sampled_us
                 .map_or(0.0, |at| now_us.saturating_sub(at) as f64 / 1000.0),

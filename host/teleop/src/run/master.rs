@@ -26,7 +26,7 @@ impl<L: JobLine> Teleop<'_, L> {
             return;
         }
         let mut pose = self.sample.pose;
-        pose.clutch &= !self.is_ending;
+        pose.enabling_switch &= !self.is_ending;
         let age_ms = self.sample.age_us / 1000;
         let is_stale = age_ms >= u64::from(self.options.stale_ms);
         let client = self.session.client_mut();
@@ -45,7 +45,7 @@ impl<L: JobLine> Teleop<'_, L> {
 
     /// Reports stale samples, and a link to the master that is lost or back.
     pub(super) fn report_master(&mut self, report: &mut Report<'_>) {
-        if self.stale.count > 0 && self.sample.pose.clutch && !self.stale.is_reported {
+        if self.stale.count > 0 && self.sample.pose.enabling_switch && !self.stale.is_reported {
             self.stale.is_reported = true;
             let what = format!(
                 "the samples of the master are {} ms old, and the machine rejects samples of {} ms and more; {}",

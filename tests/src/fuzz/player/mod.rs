@@ -242,7 +242,7 @@ impl Player {
                     0,
                 ],
                 axes: [[32_767, 0, 0], [0, 0, 32_767]],
-                clutch: true,
+                enabling_switch: true,
             }
         };
         let pose = Command::MasterPose {

@@ -129,15 +129,15 @@ impl Player {
                 mutations,
                 preset,
             } => self.reconfigure(*seed, *mutations, *preset)?,
-            Stimulus::MoveMaster(to, clutch) => {
+            Stimulus::MoveMaster(to, enabling_switch) => {
                 self.checks.causes.push(Cause::MasterLeads);
                 if let Some(arm) = self.bench.rig.plant_mut().haptic_mut() {
                     arm.set_trajectory(Trajectory::Live(Live {
                         place_mm: *to,
                         velocity_mm_s: [0.0; 3],
-                        clutch: *clutch,
+                        enabling_switch: *enabling_switch,
                     }));
-                    arm.set_clutch(*clutch);
+                    arm.set_enabling_switch(*enabling_switch);
                 }
             }
             Stimulus::RemoteMaster(seed, age_ms) => {

@@ -18,11 +18,12 @@ Teleoperate the machine: the tool follows a master device, and the cutting force
 --master is the master device:
   sim               a simulated haptic arm on a simulated board of its own, with an operator model
                     that runs the script examples/teleop.toml
-  script:FILE       the same with another script: trajectory, clutch, commands
+  script:FILE       the same with another script: trajectory, enabling switch, commands
   PORT              a haptic arm: a serial port or tcp:HOST:PORT with a controller whose machine
                     file has role = \"master\"
-  joystick[:PATH]   a game controller (Linux) [/dev/input/js0]; the first button is the clutch
-  mouse3d:PATH      a 3D mouse (Linux, /dev/input/event*); the first button is the clutch
+  joystick[:PATH]   a game controller (Linux) [/dev/input/js0]; its first button is the enabling
+                    switch
+  mouse3d:PATH      a 3D mouse (Linux, /dev/input/event*); its first button is the enabling switch
   keyboard          arrows or wasd move x and y, r and f (page up and down) move z, + and - change
                     the step; space holds, g resumes, q ends
 The machine is the built-in one in the simulator, or behind --port. With a script and the simulator \

@@ -93,10 +93,14 @@ impl Display {
         // Standard error may be closed.
         let _ = write!(
             std::io::stderr(),
-            "\r{:7.2} s {:?} clutch {} tool{} mm  force{} N  feedback{} N \x1b[K",
+            "\r{:7.2} s {:?} switch {} tool{} mm  force{} N  feedback{} N \x1b[K",
             row.time_s,
             row.state,
-            if row.clutch { "pressed" } else { "free   " },
+            if row.enabling_switch {
+                "pressed "
+            } else {
+                "released"
+            },
             three(&row.tool, 8, 3),
             three(&row.tool_force, 5, 1),
             three(&row.master_force.force, 5, 2)

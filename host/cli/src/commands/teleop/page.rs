@@ -60,7 +60,10 @@ const GROUPS: &[Group] = &[
     Group {
         caption: "Age of the newest master sample, and whether the enabling switch is pressed (1)",
         y_label: "ms",
-        lines: &[("age_ms", "age, ms"), ("clutch", "clutch")],
+        lines: &[
+            ("age_ms", "age, ms"),
+            ("enabling_switch", "enabling switch"),
+        ],
     },
 ];
 

@@ -40,8 +40,8 @@ pub(super) fn fresh(view: &ViewModel, arm: &ArmView) -> Style {
     }
 }
 
-/// Clutch, axes that follow the master, and motors.
-fn clutch_status(view: &ViewModel, report: &MasterTelemetry) -> String {
+/// Enabling switch (by this name), coordinates that follow the master, and motors.
+fn switch_status(view: &ViewModel, report: &MasterTelemetry, name: &str) -> String {
     let running = view
         .telemetry
         .as_ref()
@@ -54,13 +54,13 @@ fn clutch_status(view: &ViewModel, report: &MasterTelemetry) -> String {
         .filter(|(_, source)| **source == Source::Master)
         .map(|(axis, _)| axis.name.as_str())
         .collect();
-    let clutch = match (report.pose.clutch, driven.is_empty()) {
-        (false, _) => "clutch released".to_string(),
-        (true, false) if running => format!("clutch pressed, leads {}", driven.join(" ")),
-        (true, _) => "clutch pressed, leads no coordinate".to_string(),
+    let switch = match (report.pose.enabling_switch, driven.is_empty()) {
+        (false, _) => format!("{name} released"),
+        (true, false) if running => format!("{name} pressed, leads {}", driven.join(" ")),
+        (true, _) => format!("{name} pressed, leads no coordinate"),
     };
     let motors = if report.enabled { "on" } else { "off" };
-    format!(" {clutch}; motors {motors}")
+    format!(" {switch}; motors {motors}")
 }
 
 /// Energy balance of the passivity observer.
@@ -257,9 +257,13 @@ pub(super) fn overlay(
         match &arm.report {
             Some(report) => {
                 rows.extend(
-                    wrapped(&(clutch_status(view, report) + &energy(report)), width, 1)
-                        .into_iter()
-                        .map(|row| Line::styled(row, style)),
+                    wrapped(
+                        &(switch_status(view, report, "enabling switch") + &energy(report)),
+                        width,
+                        1,
+                    )
+                    .into_iter()
+                    .map(|row| Line::styled(row, style)),
                 );
                 if let Some(problem) = &arm.problem {
                     let text = format!(" {problem}");
@@ -366,7 +370,7 @@ pub(super) fn panel(view: &ViewModel, width: u16) -> Option<Vec<Line<'static>>> 
     rows.push(match &arm.problem {
         Some(problem) => Line::styled(format!(" {problem}"), style_of(Severity::Warning)),
         None => {
-            let (status, energy) = (clutch_status(view, report), energy(report));
+            let (status, energy) = (switch_status(view, report, "switch"), energy(report));
             let fits = status.chars().count() + energy.chars().count() <= usize::from(width);
             Line::styled(if fits { status + &energy } else { status }, style)
         }
