@@ -78,9 +78,9 @@ pub(crate) fn execute(core: &mut Core, server: &mut Server, inputs: &Inputs) {
         }
         Command::Jog {
             epoch,
-            deadline_ms,
+            timeout_ms,
             rates,
-        } => motion::jog(core, epoch, deadline_ms, &rates),
+        } => motion::jog(core, epoch, timeout_ms, &rates),
         Command::JogCancel { epoch } => motion::cancel_jog(core, epoch),
         Command::Source { coordinate, source } => motion::choose_source(core, coordinate, source),
         Command::Override { percent } => motion::set_override(core, percent),

@@ -330,7 +330,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Any jog stays within soft limits, reach, rate, acceleration and jerk, and is at standstill
-    /// after its deadline.
+    /// after its timeout.
     #[test]
     fn jog_keeps_all_limits(commands in prop::collection::vec((-60.0_f64..60.0, -60.0_f64..60.0, -60.0_f64..60.0, 1_u32..4000), 1..8)) {
         let config = h4();
@@ -353,7 +353,7 @@ proptest! {
         for _ in 0..2500 {
             let _ = jog.advance(&ball);
         }
-        prop_assert!(jog.is_at_standstill(), "at rest after the deadline");
+        prop_assert!(jog.is_at_standstill(), "at rest after the timeout");
         for path in &paths {
             path.assert_consistent();
             let (acceleration, jerk) = path.dynamics(0, usize::MAX);

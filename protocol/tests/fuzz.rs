@@ -202,7 +202,7 @@ fn write_corpus() {
         },
         Command::Jog {
             epoch: 3,
-            deadline_ms: 200,
+            timeout_ms: 200,
             rates: [0, 4096].into_iter().collect(),
         },
         Command::EmergencyStop,

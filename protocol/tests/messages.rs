@@ -69,7 +69,7 @@ fn every_request_fits_a_frame() {
         Command::JobEnd { count: u32::MAX },
         Command::Jog {
             epoch: u16::MAX,
-            deadline_ms: u16::MAX,
+            timeout_ms: u16::MAX,
             rates: values(),
         },
         Command::Source {

@@ -204,7 +204,7 @@ fn after_a_force_fault_the_tool_stays_and_can_be_jogged() {
     bench
         .ask(Command::Jog {
             epoch: 1,
-            deadline_ms: 1000,
+            timeout_ms: 1000,
             rates,
         })
         .expect("jogged");

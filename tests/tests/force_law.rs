@@ -261,7 +261,7 @@ fn a_tare_needs_standstill_and_a_job_needs_a_tare() {
     bench
         .ask(Command::Jog {
             epoch: 1,
-            deadline_ms: 100,
+            timeout_ms: 100,
             rates,
         })
         .expect("jogged");

@@ -1,11 +1,11 @@
-//! Jogs: deadlines, epochs and limits.
+//! Jogs: timeouts, epochs and limits.
 
 use crate::setup;
 use haptimill_protocol::message::{Command, Event, Refusal, State};
 use setup::{commanded, jog, ready, state, step_smoothly};
 
 #[test]
-fn a_jog_ends_at_its_deadline() {
+fn a_jog_ends_at_its_timeout() {
     let mut bench = ready();
     let before = commanded(&bench);
     bench.ask(jog(1, 100, &[(0, 10.0)])).expect("jogs");
@@ -15,7 +15,7 @@ fn a_jog_ends_at_its_deadline() {
         moving_for += usize::from(state(&bench) == State::Jog);
     }
     assert_eq!(state(&bench), State::Idle);
-    // 100 ms deadline, and 90 ms from 10 mm/s at 200 mm/s^2 and 5000 mm/s^3.
+    // 100 ms timeout, and 90 ms from 10 mm/s at 200 mm/s^2 and 5000 mm/s^3.
     assert!((500..=1000).contains(&moving_for), "{moving_for} periods");
     assert!(commanded(&bench)[0] > before[0]);
     assert_eq!(commanded(&bench)[1..], before[1..]);

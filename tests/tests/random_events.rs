@@ -121,7 +121,7 @@ fn command() -> impl Strategy<Value = Command> {
         1 => (any::<u32>(), rates()).prop_map(|(job, pose)| Command::JobStart { job, pose }),
         1 => (0_u32..70).prop_map(|count| Command::JobEnd { count }),
         6 => (small.clone(), 1_u16..1100, rates())
-            .prop_map(|(epoch, deadline_ms, rates)| Command::Jog { epoch, deadline_ms, rates }),
+            .prop_map(|(epoch, timeout_ms, rates)| Command::Jog { epoch, timeout_ms, rates }),
         1 => small.prop_map(|epoch| Command::JogCancel { epoch }),
         4 => (0_u8..7, prop_oneof![Just(Source::Program), Just(Source::Jog), Just(Source::Hold)])
             .prop_map(|(coordinate, source)| Command::Source { coordinate, source }),

@@ -311,7 +311,7 @@ fn a_second_host_is_refused_in_motion_and_accepted_at_standstill() {
     bench
         .ask(Command::Jog {
             epoch: 9,
-            deadline_ms: 10,
+            timeout_ms: 10,
             rates: [100; 5].into_iter().collect(),
         })
         .expect("jogs");
@@ -327,7 +327,7 @@ fn a_second_host_is_refused_in_motion_and_accepted_at_standstill() {
     bench
         .ask(Command::Jog {
             epoch: 1,
-            deadline_ms: 10,
+            timeout_ms: 10,
             rates: [100; 5].into_iter().collect(),
         })
         .expect("counts its own epochs");

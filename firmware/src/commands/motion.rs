@@ -6,12 +6,12 @@ use crate::core::Core;
 use crate::haptics::mapping::LED;
 use haptimill_protocol::message::{AxisValues, MAX_AXES, Pace, RATE_SHIFT, Refusal, Source, State};
 
-pub(super) fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisValues) -> Done {
+pub(super) fn jog(core: &mut Core, epoch: u16, timeout_ms: u16, rates: &AxisValues) -> Done {
     if !core.safety.homed() {
         return Err(Refusal::NotHomed);
     }
     settled(core)?;
-    if !(1..=1000).contains(&deadline_ms) {
+    if !(1..=1000).contains(&timeout_ms) {
         return Err(Refusal::Range);
     }
     // Epochs wrap around: one is older when it lies less than half the range behind.
@@ -44,7 +44,7 @@ pub(super) fn jog(core: &mut Core, epoch: u16, deadline_ms: u16, rates: &AxisVal
     machine
         .motion
         .jog
-        .set_rates(&commanded, u32::from(deadline_ms) * 1000 / period_us);
+        .set_rates(&commanded, u32::from(timeout_ms) * 1000 / period_us);
     core.job.jog_epoch = Some(epoch);
     core.job.jog_cancelled = false;
     Ok(())

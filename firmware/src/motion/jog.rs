@@ -1,9 +1,10 @@
 //! Motion at commanded rates: jogging, and the index search of homing.
 //!
 //! Each pose coordinate has a [`Ramp`] for its rate, which bounds acceleration and jerk for all
-//! targets. A jog decelerates at its deadline. A coordinate decelerates so that it stops before its
-//! soft limit. All coordinates decelerate together before a pose that the machine cannot reach. The
-//! stopping point is checked in every control period, so the limits suffice for every stop.
+//! targets. A jog decelerates when its timeout ends. A coordinate decelerates so that it stops
+//! before its soft limit. All coordinates decelerate together before a pose that the machine cannot
+//! reach. The stopping point is checked in every control period, so the limits suffice for every
+//! stop.
 //!
 //! Units: 2^-20 axis units (per control period) inside, axis units per second outside.
 
@@ -95,7 +96,7 @@ pub struct Jog {
     planned: Option<Steps>,
     /// Coordinate that its soft limit stops, in the planned steps.
     at_limit: Option<u8>,
-    /// Control periods up to the deadline of the present targets.
+    /// Control periods left of the jog timeout.
     periods_left: u32,
     /// Soft limits are enforced. Homing disables them, because its coordinates are not yet valid.
     limited: bool,

@@ -7,7 +7,7 @@
 //! | Homing | moving | found, failed, stop |
 //! | Run | moving | last setpoint, hold, stop, fault |
 //! | Hold | decelerating along the path, then holding | resume, stop |
-//! | Jog | moving | deadline, cancel, stop |
+//! | Jog | moving | jog timeout, cancel, stop |
 //! | Fault (latched) | off, or holding | reset |
 //! | EmergencyStop (latched) | off | reset |
 //!

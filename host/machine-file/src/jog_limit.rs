@@ -1,4 +1,4 @@
-//! Why a jog ended before its deadline: the soft limit, or what lies beyond the pose.
+//! Why a jog ended before its timeout: the soft limit, or what lies beyond the pose.
 
 use crate::model::Model;
 use crate::place::unit;

@@ -546,7 +546,7 @@ function create(root, scene) {
   }
 
   // After a slow picture the renderer rests as long as the picture took. Otherwise the timers of
-  // the page are late, and a held jog button repeats its press too late for the dead-man time.
+  // the page are late, and a held jog button repeats its press too late for the jog timeout.
   function draw() {
     if (drawing) {
       again = true;

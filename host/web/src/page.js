@@ -4,7 +4,7 @@
 const at = id => document.getElementById(id);
 const token = new URLSearchParams(location.hash.slice(1)).get('token');
 const LONGEST = 8 * 1024 * 1024;
-// A jog button repeats its press four times within the shortest usual dead-man time, 200 ms.
+// A jog button repeats its press four times within the shortest usual jog timeout, 200 ms.
 const REPEAT_MS = 50;
 // Points of the done path at most; beyond, every second one is left out.
 const MOST_DONE = 20000;

@@ -11,7 +11,7 @@ const [folder, command] = process.argv.slice(2);
 const { chromium } = require(path.resolve(folder, 'node_modules', 'playwright-core'));
 
 const LIMIT_MS = 120000;
-const DEAD_MAN_MS = 200;
+const JOG_TIMEOUT_MS = 200;
 const pictures = path.resolve(folder, 'pictures');
 fs.mkdirSync(pictures, { recursive: true });
 const programs = fs.mkdtempSync(path.join(require('os').tmpdir(), 'haptimill-browser-'));
@@ -138,7 +138,8 @@ async function run() {
     const closed = Date.now();
     await wait('the end of its jog', state => state.state === 'idle');
     const took = Date.now() - closed;
-    console.log(`a closed page: idle after ${took} ms (dead-man ${DEAD_MAN_MS} ms, report 50 ms)`);
+    console.log(`a closed page: idle after ${took} ms ` +
+      `(jog timeout ${JOG_TIMEOUT_MS} ms, report 50 ms)`);
     assert(took < 2000, 'the jog of a closed page ended');
 
     // Back to the start of the program, which cuts the stock.

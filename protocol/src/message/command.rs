@@ -73,13 +73,13 @@ pub enum Command {
     Stop,
     /// Drives off and brakes on at once; latched.
     EmergencyStop,
-    /// Moves at a rate until the deadline; each jog replaces the one before.
+    /// Moves at a rate until the timeout; each jog replaces the one before.
     Jog {
         /// Epoch. Only the newest epoch of the session is accepted. [`Command::JogCancel`], and any
         /// stop or hold, ends an epoch for good.
         epoch: u16,
-        /// Deadline after receipt, 1 to 1000 ms: then the machine stops.
-        deadline_ms: u16,
+        /// Time after receipt at which the machine stops, 1 to 1000 ms.
+        timeout_ms: u16,
         /// Rate of each pose coordinate (see [`RATE_SHIFT`]).
         ///
         /// [`RATE_SHIFT`]: super::RATE_SHIFT

@@ -211,7 +211,7 @@ pub fn any(rng: &mut Rng) -> Command {
         }),
         16..=19 => Command::Jog {
             epoch: half(rng),
-            deadline_ms: half(rng),
+            timeout_ms: half(rng),
             rates: values(rng),
         },
         20 => Command::JogCancel { epoch: half(rng) },
@@ -289,12 +289,12 @@ pub fn refused(rng: &mut Rng) -> Command {
         },
         3 => Command::Jog {
             epoch: 0x4000_u16.wrapping_add(rng.bits() as u16 & 0xFFF),
-            deadline_ms: rng.choose(&[0, 1001, 0xFFFF]),
+            timeout_ms: rng.choose(&[0, 1001, 0xFFFF]),
             rates: (0..5).map(|_| 4096).collect(),
         },
         4 => Command::Jog {
             epoch: 0x4000_u16.wrapping_add(rng.bits() as u16 & 0xFFF),
-            deadline_ms: 100,
+            timeout_ms: 100,
             rates: (0..4).map(|_| 4096).collect(),
         },
         5 => Command::ForceMask {

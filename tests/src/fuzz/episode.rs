@@ -117,13 +117,13 @@ pub enum Stimulus {
     Jog {
         /// Parts of the maximum rates.
         rates: [f64; 5],
-        /// Deadline, ms.
-        deadline_ms: u16,
+        /// Timeout, ms.
+        timeout_ms: u16,
         /// Periods from one jog to the next.
         every: u16,
         /// Increment of the epoch before the first jog.
         epoch: i16,
-        /// The host cancels at the end; else the deadline ends the motion.
+        /// The host cancels at the end; else the timeout ends the motion.
         cancel: bool,
     },
     /// A jog of an old or cancelled epoch.

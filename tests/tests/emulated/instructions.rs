@@ -328,7 +328,7 @@ fn a_jog_period_stays_within_its_instructions() {
             let rates = rates.into_iter().chain(angles).map(|rate| rate as i32);
             let jog = Say::Jog {
                 epoch,
-                deadline_ms: 1000,
+                timeout_ms: 1000,
                 rates: rates.collect(),
             };
             bench.ask(jog).expect("jogs");

@@ -77,7 +77,7 @@ fn an_open_door_stops_motion_and_spindle() {
     let rates: AxisValues = [0, 0, 4096].into_iter().collect();
     let jog = |epoch| Command::Jog {
         epoch,
-        deadline_ms: 1000,
+        timeout_ms: 1000,
         rates: rates.clone(),
     };
     assert_eq!(bench.ask(jog(1)), Ok(()));

@@ -159,7 +159,7 @@ fn a_jog_probes_too() {
     for _ in 0..60 {
         let jog = Command::Jog {
             epoch: 1,
-            deadline_ms: 300,
+            timeout_ms: 300,
             rates: rates.clone(),
         };
         if let Err(refusal) = bench.ask(jog) {

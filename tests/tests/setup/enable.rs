@@ -70,7 +70,7 @@ pub fn emergency_stop_and_enable(bench: &mut Bench, periods: usize) {
     enabled.expect("enabled");
 }
 
-/// A jog in x until its deadline.
+/// A jog in x until its timeout.
 pub fn jog_in_x(bench: &mut Bench, epoch: u16, rate: f64, ms: u16) {
     bench.ask(jog(epoch, ms, &[(0, rate)])).expect("jogs");
     bench.steps(usize::from(ms) * 5 + 1500);

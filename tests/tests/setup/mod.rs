@@ -257,10 +257,10 @@ pub fn rates(of: &[(usize, f64)]) -> AxisValues {
 }
 
 /// Returns a jog of some coordinates, mm/s or degrees/s.
-pub fn jog(epoch: u16, deadline_ms: u16, of: &[(usize, f64)]) -> Command {
+pub fn jog(epoch: u16, timeout_ms: u16, of: &[(usize, f64)]) -> Command {
     Command::Jog {
         epoch,
-        deadline_ms,
+        timeout_ms,
         rates: rates(of),
     }
 }

@@ -14,8 +14,8 @@ stop (drives off). Each key sends a command over the port. None replaces the eme
 of the machine.
 
 A jog ends when its key is released. A terminal with the kitty keyboard protocol reports the \
-release; on other terminals the jog ends --dead-man milliseconds after the last press or repeat. \
-When the console is left, or its terminal is closed, the machine decelerates and stops.
+release; on other terminals the jog ends --jog-timeout milliseconds after the last press or \
+repeat. When the console is left, or its terminal is closed, the machine decelerates and stops.
 
 --stock, --operator, --seed and --fault are for the built-in simulator, which runs in real time.";
 
@@ -37,9 +37,9 @@ pub struct ConsoleArgs {
     /// Time to wait for the first answer of the controller
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = seconds)]
     pub timeout: f64,
-    /// Dead-man time: a jog ends this long after the last press or repeat of its key
+    /// Jog timeout: a jog ends this long after the last press or repeat of its key
     #[arg(long, value_name = "MS", default_value_t = 200, value_parser = clap::value_parser!(u16).range(50..=1000))]
-    pub dead_man: u16,
+    pub jog_timeout: u16,
     /// Folder for recordings (console-TIME.csv)
     #[arg(long, value_name = "DIR", default_value = ".")]
     pub out: PathBuf,

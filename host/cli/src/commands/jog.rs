@@ -1,4 +1,4 @@
-//! `haptimill jog`: moves at a rate for a time, with a deadline for the next command.
+//! `haptimill jog`: moves at a rate for a time, with a timeout for the next command.
 
 use super::args::{BoardArg, ConnectArgs, seconds};
 use super::board::file_of;
@@ -21,7 +21,7 @@ Move pose coordinates at a rate for a time, or by a distance.
 Rates are in mm/s and degrees/s: `haptimill jog x=5 b=-2 --for 1.5`. AXIS is the name of a pose \
 coordinate in the machine file, or its letter in part programs; a wrong name lists those of the \
 machine. The controller stops the motion at the soft limits. It stops the machine when it receives \
-nothing from this command for --deadline milliseconds. Ctrl-C stops.
+nothing from this command for --jog-timeout milliseconds. Ctrl-C stops.
 
 `haptimill jog --by x=5` moves by a distance instead, in mm and degrees, along a straight line at \
 --feed. The machine must be homed. A move beyond a soft limit is refused.";
@@ -49,9 +49,9 @@ pub struct JogArgs {
     #[arg(long = "for", value_name = "SECONDS", default_value_t = 1.0, conflicts_with = "by",
           value_parser = seconds)]
     pub duration: f64,
-    /// Deadline: the controller stops the machine when it receives nothing for this long
+    /// Jog timeout: the controller stops the machine when it receives nothing for this long
     #[arg(long, value_name = "MS", default_value_t = 200, value_parser = clap::value_parser!(u16).range(1..=1000))]
-    pub deadline: u16,
+    pub jog_timeout: u16,
     #[command(flatten)]
     #[allow(missing_docs)]
     pub machine: BoardArg,
@@ -89,7 +89,7 @@ impl FromStr for AxisRate {
     }
 }
 
-/// Time between two jog commands as a fraction of the deadline: two may be lost before the machine
+/// Time between two jog commands as a fraction of the timeout: two may be lost before the machine
 /// stops.
 const REPEAT: f64 = 0.3;
 
@@ -111,7 +111,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
     let first = session.events.len();
     let begun = session.now_us();
     let end = begun + (args.duration * 1e6) as u64;
-    let repeat = (f64::from(args.deadline) * 1000.0 * REPEAT) as u64;
+    let repeat = (f64::from(args.jog_timeout) * 1000.0 * REPEAT) as u64;
     let mut next = begun;
     if !args.json {
         print_line!("jogging for {} s; Ctrl-C stops", args.duration);
@@ -122,7 +122,7 @@ pub fn run(args: JogArgs) -> Result<(), CliError> {
             let lost = |error| CliError::new(Exit::Port, error);
             session
                 .client_mut()
-                .jog(rates.clone(), args.deadline)
+                .jog(rates.clone(), args.jog_timeout)
                 .map_err(lost)?;
         }
         session.step()?;

@@ -12,7 +12,7 @@ Serve a page with the live view of the machine: state, positions, feed, messages
 and the executed path in 3D; jog, home, run, hold, resume, stop. Several viewers see the same \
 state; one of them commands. The command prints the address of the page.
 
-A jog lasts while its button is held. It ends --dead-man milliseconds after the last message of \
+A jog lasts while its button is held. It ends --jog-timeout milliseconds after the last message of \
 the page: also when the connection drops. A running program continues without viewers.
 
 On a loopback address (127.0.0.1, the default) every user of this computer may open the page. On \
@@ -46,9 +46,9 @@ pub struct ServeArgs {
     /// Time to wait for the first answer of the controller
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = seconds)]
     pub timeout: f64,
-    /// Dead-man time: a jog ends this long after the last message of the page
+    /// Jog timeout: a jog ends this long after the last message of the page
     #[arg(long, value_name = "MS", default_value_t = 200, value_parser = clap::value_parser!(u16).range(100..=1000))]
-    pub dead_man: u16,
+    pub jog_timeout: u16,
     #[command(flatten)]
     #[allow(missing_docs)]
     pub stock: StockArg,

@@ -97,7 +97,7 @@ impl RequestedLoop {
 
 /// Settings from the command line.
 pub(super) struct Settings {
-    pub(super) dead_man_ms: u16,
+    pub(super) jog_timeout_ms: u16,
     pub(super) folder: PathBuf,
     /// Program offered first.
     pub(super) program: Option<PathBuf>,
@@ -195,7 +195,7 @@ impl App {
         Ok(Self {
             model: Model::new(&machine),
             jobs: Jobs::new(settings.program.clone()),
-            jogging: Jogging::new(&limits, settings.dead_man_ms),
+            jogging: Jogging::new(&limits, settings.jog_timeout_ms),
             settings,
             session,
             static_info,
@@ -430,7 +430,7 @@ impl App {
             JogCommand::Cancel => {
                 self.session.client_mut().cancel_jog();
             }
-            JogCommand::Move { rates, deadline_ms } if self.is_ready() => {
+            JogCommand::Move { rates, timeout_ms } if self.is_ready() => {
                 let rates = rates
                     .iter()
                     .zip(&self.static_info.pose)
@@ -439,7 +439,7 @@ impl App {
                     })
                     .collect();
                 // Without a session there is no motion to keep alive.
-                let _ = self.session.client_mut().jog(rates, deadline_ms);
+                let _ = self.session.client_mut().jog(rates, timeout_ms);
             }
             JogCommand::Move { .. } => {}
         }

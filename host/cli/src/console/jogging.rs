@@ -1,9 +1,9 @@
 //! Jog keys: which keys are held, how long each press counts, and the resulting jog command.
 //!
 //! A terminal reports that a key is pressed and repeats the report while it is held; most terminals
-//! never report the release. Every press therefore counts for the *dead-man time* and no longer:
+//! never report the release. Every press therefore counts for the *jog timeout* and no longer:
 //! when presses cease, for whatever reason, the motion ends. The command to the controller carries
-//! the remaining time as its deadline, so the motion also ends there if this process or the line
+//! the remaining time as its timeout, so the motion also ends there if this process or the line
 //! fails.
 //!
 //! Some terminals report releases (the kitty keyboard protocol). A key whose release was seen once
@@ -18,8 +18,8 @@
 
 use haptimill_protocol::message::MAX_AXES;
 
-/// Default dead-man time, milliseconds.
-pub const DEAD_MAN_MS: u16 = 200;
+/// Default jog timeout, milliseconds.
+pub const JOG_TIMEOUT_MS: u16 = 200;
 
 /// Time for which the first press of a key with release reports counts: keyboards begin to repeat
 /// within 660 ms.
@@ -34,8 +34,8 @@ pub const RATES: [f64; 8] = [0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0];
 /// Selectable steps, mm and deg.
 pub const STEPS: [f64; 5] = [0.001, 0.01, 0.1, 1.0, 10.0];
 
-/// Commands per dead-man time: two may be lost before the machine stops.
-const COMMANDS_PER_DEAD_MAN: u64 = 3;
+/// Commands per jog timeout: two may be lost before the machine stops.
+const COMMANDS_PER_TIMEOUT: u64 = 3;
 
 /// Effect of a jog key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -66,8 +66,8 @@ pub enum JogCommand {
     Move {
         /// Rate of each pose coordinate, mm/s or deg/s.
         rates: [f64; MAX_AXES],
-        /// Deadline of the jog at the controller, ms.
-        deadline_ms: u16,
+        /// Timeout of the jog at the controller, ms.
+        timeout_ms: u16,
     },
     /// End the jog now.
     Cancel,
@@ -85,7 +85,7 @@ pub struct Jogging {
     mode: Mode,
     rate: usize,
     step: usize,
-    dead_man_us: u64,
+    jog_timeout_us: u64,
     /// Largest rate of each pose coordinate, mm/s or deg/s.
     limits: [f64; MAX_AXES],
     held: [Option<HeldKey>; MAX_AXES],
@@ -102,7 +102,7 @@ pub struct Jogging {
 impl Jogging {
     /// No key is held. `limits` are the largest rates of the pose coordinates.
     #[must_use]
-    pub fn new(limits: &[f64], dead_man_ms: u16) -> Self {
+    pub fn new(limits: &[f64], jog_timeout_ms: u16) -> Self {
         let mut all = [0.0; MAX_AXES];
         for (slot, limit) in all.iter_mut().zip(limits) {
             *slot = *limit;
@@ -111,7 +111,7 @@ impl Jogging {
             mode: Mode::Continuous,
             rate: 4,
             step: 2,
-            dead_man_us: u64::from(dead_man_ms) * 1000,
+            jog_timeout_us: u64::from(jog_timeout_ms) * 1000,
             limits: all,
             held: [None; MAX_AXES],
             reports_release: [[false; 2]; MAX_AXES],
@@ -147,10 +147,10 @@ impl Jogging {
         STEPS[self.step]
     }
 
-    /// Dead-man time, ms.
+    /// Jog timeout, ms.
     #[must_use]
-    pub const fn dead_man_ms(&self) -> u64 {
-        self.dead_man_us / 1000
+    pub const fn jog_timeout_ms(&self) -> u64 {
+        self.jog_timeout_us / 1000
     }
 
     /// A release of some key was reported.
@@ -199,7 +199,7 @@ impl Jogging {
         self.ignore_until_us = now_us + LOCKOUT_US;
     }
 
-    /// Releases all keys; the next press counts at once, for the dead-man time. For buttons whose
+    /// Releases all keys; the next press counts at once, for the jog timeout. For buttons whose
     /// holder reports every release.
     pub fn release(&mut self) {
         for held in &mut self.held {
@@ -230,7 +230,7 @@ impl Jogging {
                     // Only the key pressed last repeats; a release of the others would be reported.
                     for held in self.held.iter_mut().flatten() {
                         if held.until_us > now_us {
-                            held.until_us = held.until_us.max(now_us + self.dead_man_us);
+                            held.until_us = held.until_us.max(now_us + self.jog_timeout_us);
                         }
                     }
                 }
@@ -248,9 +248,9 @@ impl Jogging {
                     }
                 }
                 let counts = if reports_release && !active {
-                    FIRST_PRESS_US.max(self.dead_man_us)
+                    FIRST_PRESS_US.max(self.jog_timeout_us)
                 } else {
-                    self.dead_man_us
+                    self.jog_timeout_us
                 };
                 self.held[axis] = Some(HeldKey {
                     up,
@@ -277,7 +277,7 @@ impl Jogging {
         }
         if left_us == 0 {
             let moved = self.commanded.take().is_some();
-            // An expired deadline needs no command; a release does.
+            // An expired timeout needs no command; a release does.
             let cancel = std::mem::take(&mut self.cancel) && moved;
             return if cancel {
                 JogCommand::Cancel
@@ -290,11 +290,11 @@ impl Jogging {
         }
         self.cancel = false;
         self.commanded = Some(rates);
-        self.due_us = now_us + self.dead_man_us / COMMANDS_PER_DEAD_MAN;
-        let deadline_ms = left_us.min(self.dead_man_us).div_ceil(1000).max(1);
+        self.due_us = now_us + self.jog_timeout_us / COMMANDS_PER_TIMEOUT;
+        let timeout_ms = left_us.min(self.jog_timeout_us).div_ceil(1000).max(1);
         JogCommand::Move {
             rates,
-            deadline_ms: deadline_ms as u16,
+            timeout_ms: timeout_ms as u16,
         }
     }
 }
@@ -307,7 +307,7 @@ mod tests {
     const MS: u64 = 1000;
 
     fn jogging() -> Jogging {
-        Jogging::new(&[50.0, 50.0, 50.0, 30.0, 30.0], DEAD_MAN_MS)
+        Jogging::new(&[50.0, 50.0, 50.0, 30.0, 30.0], JOG_TIMEOUT_MS)
     }
 
     fn is_commanding(jogging: &mut Jogging, now_us: u64) -> bool {
@@ -316,19 +316,19 @@ mod tests {
     }
 
     #[test]
-    fn press_counts_for_the_dead_man_time() {
+    fn press_counts_for_the_jog_timeout() {
         let mut jogging = jogging();
         assert!(jogging.handle_key(0, true, KeyPhase::Press, 0));
-        let JogCommand::Move { rates, deadline_ms } = jogging.command(0) else {
+        let JogCommand::Move { rates, timeout_ms } = jogging.command(0) else {
             panic!()
         };
-        assert_eq!((rates[0], rates[1], deadline_ms), (5.0, 0.0, 200));
+        assert_eq!((rates[0], rates[1], timeout_ms), (5.0, 0.0, 200));
         // The command is repeated with the remaining time before it expires.
         assert_eq!(jogging.command(60 * MS), JogCommand::None);
-        let JogCommand::Move { deadline_ms, .. } = jogging.command(70 * MS) else {
+        let JogCommand::Move { timeout_ms, .. } = jogging.command(70 * MS) else {
             panic!()
         };
-        assert_eq!(deadline_ms, 130);
+        assert_eq!(timeout_ms, 130);
         assert!(is_commanding(&mut jogging, 199 * MS));
         assert!(!is_commanding(&mut jogging, 200 * MS));
         // Repeats keep the jog alive, however many there are.
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_button_is_released_the_next_press_counts_for_the_dead_man_time_only() {
+    fn after_a_button_is_released_the_next_press_counts_for_the_jog_timeout_only() {
         let mut jogging = jogging();
         jogging.handle_key(0, true, KeyPhase::Press, 0);
         jogging.command(0);
@@ -412,7 +412,7 @@ mod tests {
             ..ProptestConfig::default()
         })]
 
-        /// For any key sequence, the commanded motion ends within the dead-man time of the last
+        /// For any key sequence, the commanded motion ends within the jog timeout of the last
         /// press, or within the first-press time where releases are reported; no motion is
         /// commanded while no key counts.
         #[test]
@@ -427,9 +427,9 @@ mod tests {
             for (wait, axis, up, kind) in events {
                 for _ in 0..wait {
                     now += MS;
-                    if let JogCommand::Move { deadline_ms, .. } = jogging.command(now) {
-                        ends = now + u64::from(deadline_ms) * MS;
-                        prop_assert!(u64::from(deadline_ms) <= jogging.dead_man_ms());
+                    if let JogCommand::Move { timeout_ms, .. } = jogging.command(now) {
+                        ends = now + u64::from(timeout_ms) * MS;
+                        prop_assert!(u64::from(timeout_ms) <= jogging.jog_timeout_ms());
                         prop_assert!(ends <= last + FIRST_PRESS_US + MS);
                     }
                 }
@@ -444,7 +444,7 @@ mod tests {
                     }
                 }
                 if !jogging.has_release_events() {
-                    prop_assert!(ends <= last + DEAD_MAN_MS as u64 * MS + MS);
+                    prop_assert!(ends <= last + JOG_TIMEOUT_MS as u64 * MS + MS);
                 }
             }
         }

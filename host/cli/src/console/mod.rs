@@ -7,7 +7,7 @@
 //! | file | contents |
 //! | --- | --- |
 //! | `keys.rs` | key table |
-//! | `jogging.rs` | jog keys, dead-man time, key releases |
+//! | `jogging.rs` | jog keys, jog timeout, key releases |
 //! | `app.rs`, `events.rs` | application state and session; messages of the controller |
 //! | `input.rs` | key input to commands |
 //! | `jobs.rs` | part programs, steps, move to the home pose |
@@ -134,7 +134,7 @@ fn open_app(args: ConsoleArgs, needs_terminal: bool) -> Result<App, CliError> {
         Box::new(PortLine::closed(&args.port.port, baud))
     };
     let settings = Settings {
-        dead_man_ms: args.dead_man,
+        jog_timeout_ms: args.jog_timeout,
         folder: args.out,
         program: args.program,
         stock,

@@ -168,7 +168,7 @@ impl App {
                 mode: self.jogging.mode(),
                 rate: self.jogging.rate(),
                 step: self.jogging.step(),
-                dead_man_ms: self.jogging.dead_man_ms(),
+                jog_timeout_ms: self.jogging.jog_timeout_ms(),
                 has_release_events: self.jogging.has_release_events(),
                 held: self.jogging.held(now_us),
             },

@@ -291,7 +291,7 @@ pub(super) struct JogView {
     pub(super) mode: Mode,
     pub(super) rate: f64,
     pub(super) step: f64,
-    pub(super) dead_man_ms: u64,
+    pub(super) jog_timeout_ms: u64,
     pub(super) has_release_events: bool,
     pub(super) held: [Option<(bool, u64)>; MAX_AXES],
 }

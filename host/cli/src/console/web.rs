@@ -1,7 +1,7 @@
 //! `haptimill serve`: the application state of the console behind a page.
 //!
 //! The page of `haptimill-web` gives commands in place of keys, and the view model becomes JSON.
-//! The dead-man time of the jog keys holds for the buttons: the page repeats a press while its
+//! The jog timeout of the keys holds for the buttons: the page repeats a press while its
 //! button is held.
 
 mod values;
@@ -84,7 +84,7 @@ pub fn run(args: ServeArgs) -> Result<(), CliError> {
             machine: args.machine,
             port: args.port,
             timeout: args.timeout,
-            dead_man: args.dead_man,
+            jog_timeout: args.jog_timeout,
             out: PathBuf::from("."),
             stock: args.stock,
             operator: args.operator,
@@ -420,7 +420,7 @@ impl Web {
                 "text": program.text,
             })),
             "stopping": view.stopping,
-            "jog": {"rate": view.jog.rate, "dead_man_ms": view.jog.dead_man_ms,
+            "jog": {"rate": view.jog.rate, "jog_timeout_ms": view.jog.jog_timeout_ms,
                     "held": view.jog.held.map(|held| held.map(|(up, _)| up))},
             "question": question(&view.overlay, &view.static_info.joints),
             "problems": problems(&view.overlay),

@@ -65,7 +65,7 @@ fn closing_the_terminal_during_a_program_stops_the_machine_along_its_path() {
 }
 
 #[test]
-fn killing_the_console_during_a_jog_stops_the_machine_by_the_deadline() {
+fn killing_the_console_during_a_jog_stops_the_machine_by_the_jog_timeout() {
     let machine = Machine::start();
     let mut terminal = homed(&["--port", &machine.port], Keyboard::Plain);
     hold_down(&terminal, RIGHT, Duration::from_millis(400));
@@ -81,7 +81,7 @@ fn killing_the_console_during_a_jog_stops_the_machine_by_the_deadline() {
     let stood = moves.next_back().unwrap()[1]
         .at
         .saturating_duration_since(killed);
-    // Deadline of the last command and 63 ms of deceleration; the rest is margin for a busy
+    // Timeout of the last command and 63 ms of deceleration; the rest is margin for a busy
     // computer.
     assert!(stood < Duration::from_millis(200 + 63 + 500), "{stood:?}");
 }

@@ -17,7 +17,7 @@ fn at(terminal: &Terminal, axis: &str) -> f64 {
 }
 
 #[test]
-fn every_axis_jogs_both_ways_and_stops_after_the_dead_man_time() {
+fn every_axis_jogs_both_ways_and_stops_after_the_jog_timeout() {
     let terminal = homed(&[], Keyboard::Plain);
     for (axis, up, down) in [
         ("x", RIGHT, LEFT),
@@ -90,7 +90,7 @@ fn held_key_keeps_jogging_and_release_stops_at_once() {
     terminal.press(b"\x1b[1;1:3C");
     machine.wait_for_standstill(Duration::from_millis(300));
     terminal.expect_text("ends on release");
-    // Longer than the dead-man time without a repeat, as before a keyboard starts to repeat.
+    // Longer than the jog timeout without a repeat, as before a keyboard starts to repeat.
     terminal.press(b"\x1b[1;1:1C");
     let started = Instant::now();
     std::thread::sleep(Duration::from_millis(450));

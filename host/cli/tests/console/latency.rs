@@ -2,7 +2,7 @@
 //! pseudo-terminal, the real program and a TCP port, measured at the machine.
 //!
 //! `cargo test -p haptimill --release --test all latency -- --nocapture --test-threads 1`
-//! prints the distributions. Only the bound of the dead-man time is asserted; the rest depends on
+//! prints the distributions. Only the bound of the jog timeout is asserted; the rest depends on
 //! the computer.
 
 use super::machine::{Machine, Sample};
@@ -123,10 +123,10 @@ fn report(which: &str, end: &str, presses: &[Press]) {
 #[test]
 fn latency_of_a_keyboard_without_release_reports() {
     let presses = measure(Keyboard::Plain, RIGHT, RIGHT, None);
-    report("presses only, dead-man 200 ms", "last press", &presses);
+    report("presses only, jog timeout 200 ms", "last press", &presses);
     assert_eq!(presses.len(), REPEATS);
     for press in &presses {
-        // The dead-man time is the bound, with half a second of margin for a busy computer.
+        // The jog timeout is the bound, with half a second of margin for a busy computer.
         assert!(press.end_to_commanded < 200.0 + DECELERATION_MS + 500.0);
         // The motion is no shorter: repeats in time keep it alive.
         assert!(press.end_to_commanded > 150.0, "{}", press.end_to_commanded);

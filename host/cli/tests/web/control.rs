@@ -40,8 +40,8 @@ fn one_viewer_commands_and_every_viewer_stops() {
 }
 
 #[test]
-fn a_dropped_connection_ends_a_jog_within_the_dead_man_time() {
-    let served = serve(&["--dead-man", "200"]);
+fn a_dropped_connection_ends_a_jog_within_the_jog_timeout() {
+    let served = serve(&["--jog-timeout", "200"]);
     let mut watcher = Viewer::open(&served.address);
     let mut viewer = Viewer::open(&served.address);
     viewer.home();

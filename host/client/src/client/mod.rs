@@ -254,16 +254,16 @@ impl Client {
     }
 
     /// Moves at these rates (axis units per second divided by 2^8, one per pose coordinate) for at
-    /// most `deadline_ms`. To keep moving, callers must repeat it in time. Only the newest jog
+    /// most `timeout_ms`. To keep moving, callers must repeat it in time. Only the newest jog
     /// counts; nothing is queued.
     ///
     /// # Errors
     ///
     /// [`ClientError::Closed`] when no session is open.
-    pub fn jog(&mut self, rates: AxisValues, deadline_ms: u16) -> Result<(), ClientError> {
+    pub fn jog(&mut self, rates: AxisValues, timeout_ms: u16) -> Result<(), ClientError> {
         let command = Command::Jog {
             epoch: self.jog_epoch,
-            deadline_ms,
+            timeout_ms,
             rates,
         };
         self.link

@@ -63,7 +63,7 @@ impl Checks {
     fn check_accepted(&mut self, bench: &FuzzBench, command: &Command) -> CheckResult {
         match command {
             Command::Jog {
-                epoch, deadline_ms, ..
+                epoch, timeout_ms, ..
             } => {
                 let age = self.jog_epoch.age(*epoch);
                 if age > 0 || (age == 0 && self.jog_epoch.cancelled) {
@@ -76,10 +76,10 @@ impl Checks {
                     );
                 }
                 self.jog_epoch.take(*epoch, false);
-                if !(1..=1000).contains(deadline_ms) {
-                    violated!(bench, "range", "a jog for {deadline_ms} ms was accepted");
+                if !(1..=1000).contains(timeout_ms) {
+                    violated!(bench, "range", "a jog for {timeout_ms} ms was accepted");
                 }
-                let until = bench.period + u64::from(*deadline_ms) * 5;
+                let until = bench.period + u64::from(*timeout_ms) * 5;
                 self.timeouts.jog_until = self.timeouts.jog_until.max(until);
             }
             Command::JogCancel { epoch } if self.jog_epoch.age(*epoch) <= 0 => {

@@ -1,4 +1,4 @@
-//! Timeouts: heartbeat, jog deadline, missed periods, hold and feed override.
+//! Timeouts: heartbeat, jog timeout, missed periods, hold and feed override.
 
 use super::super::bench::{FuzzBench, name};
 use super::answers::JogEpoch;
@@ -60,7 +60,7 @@ impl Checks {
         };
         self.check_missed_periods(bench, machine)?;
         self.check_heartbeat(bench, machine)?;
-        self.check_jog_deadline(bench)?;
+        self.check_jog_timeout(bench)?;
         self.check_hold(bench, machine)?;
         self.check_override(bench, machine)?;
         Ok(())
@@ -108,11 +108,11 @@ impl Checks {
         Ok(())
     }
 
-    fn check_jog_deadline(&mut self, bench: &FuzzBench) -> CheckResult {
+    fn check_jog_timeout(&mut self, bench: &FuzzBench) -> CheckResult {
         // The controller may have accepted jogs of an abandoned session without an answer.
         for request in &bench.abandoned {
-            if let Command::Jog { deadline_ms, .. } = request.command {
-                let until = bench.period + u64::from(deadline_ms.min(1000)) * 5;
+            if let Command::Jog { timeout_ms, .. } = request.command {
+                let until = bench.period + u64::from(timeout_ms.min(1000)) * 5;
                 self.timeouts.jog_until = self.timeouts.jog_until.max(until);
             }
         }
@@ -127,8 +127,8 @@ impl Checks {
         {
             violated!(
                 bench,
-                "dead-man",
-                "still jogging {} periods after the last deadline",
+                "jog timeout",
+                "still jogging {} periods after the last timeout",
                 bench.period - self.timeouts.jog_until
             );
         }

@@ -27,7 +27,7 @@ type Answer = Option<Result<(), Refusal>>;
 /// Sends jogs at an interval.
 struct JogSender {
     rates: AxisValues,
-    deadline_ms: u16,
+    timeout_ms: u16,
     every: u32,
     since: u32,
 }
@@ -210,7 +210,7 @@ impl Player {
             sender.since = 0;
             let jog = Command::Jog {
                 epoch: self.epoch,
-                deadline_ms: sender.deadline_ms,
+                timeout_ms: sender.timeout_ms,
                 rates: sender.rates.clone(),
             };
             self.bench.send(&jog);

@@ -24,7 +24,7 @@ impl Player {
             Stimulus::Job(plan) => self.begin_job(plan),
             Stimulus::Jog {
                 rates,
-                deadline_ms,
+                timeout_ms,
                 every,
                 epoch,
                 cancel,
@@ -36,7 +36,7 @@ impl Player {
                         .zip(rates)
                         .map(|(limit, part)| (f64::from(limit.rate.0) * part / 256.0) as i32)
                         .collect(),
-                    deadline_ms: *deadline_ms,
+                    timeout_ms: *timeout_ms,
                     every: u32::from(*every),
                     since: u32::from(*every),
                 });
@@ -56,7 +56,7 @@ impl Player {
                 for back in [0_u16, 1, 100] {
                     let jog = Command::Jog {
                         epoch: self.epoch.wrapping_sub(back),
-                        deadline_ms: 100,
+                        timeout_ms: 100,
                         rates: rates.clone(),
                     };
                     self.bench.send(&jog);

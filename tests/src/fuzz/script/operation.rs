@@ -7,7 +7,7 @@ use super::super::units::unit;
 use super::{Steps, periods};
 use haptimill_protocol::message::{Command, Source};
 
-/// Returns a jog of one coordinate that is sent once, with a deadline of a second.
+/// Returns a jog of one coordinate that is sent once, with a timeout of a second.
 pub(super) fn single_jog(rng: &mut Rng) -> Stimulus {
     let axis = rng.index(5);
     let unit = unit(axis);
@@ -16,7 +16,7 @@ pub(super) fn single_jog(rng: &mut Rng) -> Stimulus {
     rates[axis] = (speed * unit / 256.0) as i32;
     Stimulus::Send(Command::Jog {
         epoch: 1000 + rng.below(20_000) as u16,
-        deadline_ms: 1000,
+        timeout_ms: 1000,
         rates: rates.into_iter().collect(),
     })
 }
@@ -63,7 +63,7 @@ pub(super) fn jog(rng: &mut Rng) -> Stimulus {
     }
     Stimulus::Jog {
         rates,
-        deadline_ms: rng.choose(&[60, 150, 300, 1000]),
+        timeout_ms: rng.choose(&[60, 150, 300, 1000]),
         every: rng.choose(&[50, 200, 250]),
         epoch: 1,
         cancel: rng.chance(0.6),

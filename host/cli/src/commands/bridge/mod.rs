@@ -30,8 +30,8 @@ The first line on standard output is the path of the pseudo-terminal; --link mak
 to it. Open it with any baud rate. Blocks are those of docs/gcode.md. A refused block is answered \
 with an error number after a [MSG:...] that names the cause. G38 and M66 are refused.
 
-Jog buttons of a sender that sends $J= with a distance move that distance: there is no dead-man \
-time. Ctrl-C stops the machine and ends the command.";
+Jog buttons of a sender that sends $J= with a distance move that distance: there is no jog \
+timeout. Ctrl-C stops the machine and ends the command.";
 
 /// Bridges.
 #[derive(Debug, Clone, Subcommand)]

@@ -339,10 +339,10 @@ fn jog_rows(view: &ViewModel) -> Vec<Line<'static>> {
     let ends = match (jog.mode, jog.has_release_events) {
         (Mode::Step, _) => " one step per press; Space stops".to_string(),
         (Mode::Continuous, true) => {
-            format!(" ends on release or after {} ms", jog.dead_man_ms)
+            format!(" ends on release or after {} ms", jog.jog_timeout_ms)
         }
         (Mode::Continuous, false) => {
-            format!(" ends {} ms after the last key", jog.dead_man_ms)
+            format!(" ends {} ms after the last key", jog.jog_timeout_ms)
         }
     };
     let name = |index: usize| {
@@ -379,7 +379,7 @@ pub(super) fn jog_line(view: &ViewModel) -> Paragraph<'static> {
         Some(program) if program.is_running => {
             format!("{:.0} % L{}", 100.0 * done(view), program.line)
         }
-        _ => format!("dm {} ms", view.jog.dead_man_ms),
+        _ => format!("timeout {} ms", view.jog.jog_timeout_ms),
     };
     Paragraph::new(format!(
         " jog {what}  feed {} %  {program}",

@@ -246,13 +246,13 @@ impl Responder {
             Command::JobEnd { count } => self.count = Some(count),
             Command::Stop => self.drop_job(),
             Command::Jog {
-                epoch, deadline_ms, ..
+                epoch, timeout_ms, ..
             } => {
                 if epoch <= self.cancelled || epoch < self.epoch {
                     return Err(Refusal::OldEpoch);
                 }
                 self.epoch = epoch;
-                self.jog_left = u64::from(deadline_ms) * 5;
+                self.jog_left = u64::from(timeout_ms) * 5;
                 self.jogs.push((self.period, epoch));
             }
             Command::JogCancel { epoch } => {
