@@ -315,7 +315,7 @@ fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) 
     machine.check_inputs(true)?;
     let commanded = machine.commanded_values();
     if pose.len() != commanded.len() {
-        return Err(Refusal::AxisCount);
+        return Err(Refusal::CoordinateCount);
     }
     if let Some(coordinate) = pose
         .iter()

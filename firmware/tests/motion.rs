@@ -56,7 +56,7 @@ fn invalid_setpoints_are_refused_without_effect() {
     );
     let mut short = setpoint(0.1, 0.0, 100);
     short.pose.pop();
-    assert_eq!(refused(&mut program, &short), Refusal::AxisCount);
+    assert_eq!(refused(&mut program, &short), Refusal::CoordinateCount);
     let pause = Setpoint {
         action: Action::Pause,
         ..setpoint(0.1, 1.0, 500)

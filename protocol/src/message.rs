@@ -30,7 +30,7 @@ pub use state::State;
 
 use heapless::Vec;
 
-/// Largest number of axes (pose coordinates, or joints) of a machine.
+/// Largest number of pose coordinates, and of joints, of a machine.
 pub const MAX_AXES: usize = 6;
 
 /// Version of this protocol; both endpoints must have the same.

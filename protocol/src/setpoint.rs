@@ -49,8 +49,8 @@ pub struct Setpoint {
 pub enum SetpointError {
     /// The segment duration is zero.
     NoTime,
-    /// The number of coordinates, rates or residuals is not that of the axes.
-    AxisCount,
+    /// The number of positions, rates or residuals is not that of the coordinates.
+    CoordinateCount,
 }
 
 impl core::fmt::Display for SetpointError {
@@ -59,8 +59,8 @@ impl core::fmt::Display for SetpointError {
             Self::NoTime => {
                 f.write_str("a setpoint must be at least one period after the one before")
             }
-            Self::AxisCount => {
-                f.write_str("a setpoint must have one coordinate and one rate for each axis")
+            Self::CoordinateCount => {
+                f.write_str("a setpoint must have one position and one rate for each coordinate")
             }
         }
     }
@@ -285,11 +285,11 @@ impl SetpointCoder {
     ///
     /// # Errors
     ///
-    /// [`SetpointError`] when the setpoint takes no time or has the wrong number of axes; the coder
-    /// is then unchanged.
+    /// [`SetpointError`] when the setpoint takes no time or has the wrong number of coordinates; the
+    /// coder is then unchanged.
     pub fn encode(&mut self, setpoint: &Setpoint) -> Result<SetpointDelta, SetpointError> {
         if setpoint.pose.len() != self.axes || setpoint.rates.len() != self.axes {
-            return Err(SetpointError::AxisCount);
+            return Err(SetpointError::CoordinateCount);
         }
         let (span, ratio) = self.span(setpoint.periods)?;
         let mut delta = SetpointDelta {
@@ -322,7 +322,7 @@ impl SetpointCoder {
     /// the coder is then unchanged.
     pub fn decode(&mut self, delta: &SetpointDelta) -> Result<Setpoint, SetpointError> {
         if delta.residuals.len() != 2 * delta.moved.count_ones() as usize {
-            return Err(SetpointError::AxisCount);
+            return Err(SetpointError::CoordinateCount);
         }
         let mut setpoint = Setpoint::default();
         let mut residuals = delta.residuals.iter().copied();
@@ -346,7 +346,7 @@ impl SetpointCoder {
         setpoint: &mut Setpoint,
     ) -> Result<(), SetpointError> {
         if u32::from(moved) >> self.axes != 0 {
-            return Err(SetpointError::AxisCount);
+            return Err(SetpointError::CoordinateCount);
         }
         let (span, ratio) = self.span(periods)?;
         setpoint.periods = periods;
@@ -358,8 +358,8 @@ impl SetpointCoder {
             let mut rate = 0;
             let mut pose_residual = 0;
             if moved & 1 != 0 {
-                pose_residual = residual().ok_or(SetpointError::AxisCount)?;
-                rate = residual().ok_or(SetpointError::AxisCount)?;
+                pose_residual = residual().ok_or(SetpointError::CoordinateCount)?;
+                rate = residual().ok_or(SetpointError::CoordinateCount)?;
                 pose = pose.wrapping_add(pose_residual);
             }
             moved >>= 1;

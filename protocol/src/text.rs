@@ -1,8 +1,8 @@
 //! Refusals, faults and events as sentences, with the remedy where there is one.
 //!
-//! `Display` of these types names axes by number, from 1, and omits amounts, because it does not
-//! know the axis units. [`AxesText::describe`] knows the machine: it adds axis names, and amounts
-//! in millimetres or degrees.
+//! `Display` of these types names joints and coordinates by number, from 1, and omits amounts,
+//! because it does not know the axis units. [`AxesText::describe`] knows the machine: it adds their
+//! names, and amounts in millimetres or degrees.
 //!
 //! ```
 //! use haptimill_protocol::message::Fault;
@@ -12,7 +12,7 @@
 //! let fault = Fault::SoftLimit { coordinate: 4 };
 //! assert_eq!(
 //!     fault.to_string(),
-//!     "axis 5 left its soft limits; reset, then jog it back"
+//!     "coordinate 5 left its soft limits; reset, then jog it back"
 //! );
 //! let fault = Fault::FollowingError { joint: 0, error: -(3 << 20), limit: 1 << 20 };
 //! assert_eq!(
@@ -118,6 +118,19 @@ impl<'a> AxesText<'a> {
 }
 
 impl AxesText<'_> {
+    const fn joint(&self, index: u8) -> Named<'_> {
+        Named(self.joints, "joint", index)
+    }
+
+    const fn coordinate(&self, index: u8) -> Named<'_> {
+        Named(self.pose, "coordinate", index)
+    }
+
+    /// An axis of force control: x, y or z, the first three coordinates.
+    const fn axis(&self, index: u8) -> Named<'_> {
+        Named(self.pose, "axis", index)
+    }
+
     const fn input(&self, index: u8) -> NamedChannel<'_> {
         NamedChannel(self.inputs, "input", index)
     }
@@ -191,14 +204,14 @@ impl Display for Amount {
     }
 }
 
-/// Displays an axis by its name, or by its number from 1.
-struct Named<'a>(&'a [AxisText<'a>], u8);
+/// Displays a joint, a coordinate or an axis by its name, or by what it is and its number from 1.
+struct Named<'a>(&'a [AxisText<'a>], &'static str, u8);
 
 impl Display for Named<'_> {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        match self.0.get(usize::from(self.1)) {
+        match self.0.get(usize::from(self.2)) {
             Some(axis) => f.write_str(axis.name),
-            None => write!(f, "axis {}", u32::from(self.1) + 1),
+            None => write!(f, "{} {}", self.1, u32::from(self.2) + 1),
         }
     }
 }
@@ -258,7 +271,7 @@ mod tests {
     #[test]
     fn names_are_used_where_they_are_known() {
         let slide = [AxisText {
-            name: "joint 1",
+            name: "l1",
             kind: AxisKind::Linear,
         }];
         let axes = AxesText {
@@ -275,13 +288,13 @@ mod tests {
         };
         assert_eq!(
             axes.describe(&refusal).to_string(),
-            "setpoint 12: joint 1 would leave its stroke by 0.500 mm; \
+            "setpoint 12: l1 would leave its stroke by 0.500 mm; \
              move the workpiece towards the middle of the workspace"
         );
         assert!(
             refusal
                 .to_string()
-                .starts_with("setpoint 12: axis 1 would leave its stroke;")
+                .starts_with("setpoint 12: joint 1 would leave its stroke;")
         );
     }
 }

@@ -23,7 +23,7 @@ pub(super) fn jog(core: &mut Core, epoch: u16, timeout_ms: u16, rates: &AxisValu
     let state = core.safety.state();
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;
     if rates.len() != machine.axes() {
-        return Err(Refusal::AxisCount);
+        return Err(Refusal::CoordinateCount);
     }
     let beside_program =
         matches!(state, State::Run | State::Hold) && machine.motion.has_jog_source();

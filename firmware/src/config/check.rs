@@ -45,7 +45,7 @@ impl Config {
         )?;
         let axes = self.model.descriptor().axes();
         let counts = self.pose.len() == axes && self.joints.len() >= axes && axes <= MAX_AXES;
-        require(counts, ConfigField::AxisCount, None)?;
+        require(counts, ConfigField::CoordinateCount, None)?;
         self.check_geometry()?;
         let has_axes = self.model.descriptor().has_force_axes();
         require(self.force.is_none() || has_axes, ConfigField::Force, None)?;
@@ -169,7 +169,7 @@ impl Config {
         let joints = joints.take(machine.axes());
         let kinds = pose.eq(machine.pose.iter().map(|axis| axis.kind))
             && joints.eq(machine.joints.iter().map(|axis| axis.kind));
-        require(kinds, ConfigField::AxisCount, None)
+        require(kinds, ConfigField::CoordinateCount, None)
     }
 
     /// Whether a coordinate that wraps around, if it `wraps`, is a joint of the same name that does
@@ -257,7 +257,7 @@ impl Config {
     fn check_gantry(&self, index: usize, axis: &JointSettings) -> Check {
         let axes = self.model.descriptor().axes();
         let Some(gantry) = &axis.gantry else {
-            return require(index < axes, ConfigField::AxisCount, Some(index));
+            return require(index < axes, ConfigField::CoordinateCount, Some(index));
         };
         let first = usize::from(gantry.of);
         let seconds = self.joints.iter().filter_map(|axis| axis.gantry.as_ref());

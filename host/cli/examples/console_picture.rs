@@ -137,7 +137,7 @@ mod linux {
         terminal.escape();
         run(&terminal);
         terminal.expect_state("HOLD");
-        terminal.press_expect(b"a", "Axis sources:");
+        terminal.press_expect(b"a", "Coordinate sources:");
         terminal.press_expect(b"m", "x: master");
         terminal.escape();
         terminal.press(RESUME);

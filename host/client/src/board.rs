@@ -78,7 +78,7 @@ impl Chosen {
             Decision::Unknown(what) => {
                 session.clear_axes();
                 if welcome.config_crc != 0 {
-                    session.notify(format!("axes are not shown: {what}"));
+                    session.notify(format!("coordinates and joints are not shown: {what}"));
                 }
                 Ok(None)
             }

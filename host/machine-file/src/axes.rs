@@ -38,7 +38,7 @@ const KINDS: [(&str, AxisKind); 2] = [("linear", AxisKind::Linear), ("rotary", A
 
 /// Reads name and kind, which must be those of the model at this place.
 fn read_identity(section: &Section<'_, '_>, place: Option<(&str, AxisKind)>) -> (String, AxisKind) {
-    let name = section.text("name", "name the axis").unwrap_or_default();
+    let name = section.text("name", "write the name").unwrap_or_default();
     let kind = section.choice(joint::kind, &KINDS);
     let Some((expected_name, expected_kind)) = place else {
         let kind = kind.unwrap_or(AxisKind::Linear);
@@ -46,7 +46,7 @@ fn read_identity(section: &Section<'_, '_>, place: Option<(&str, AxisKind)>) -> 
         return (name.to_string(), kind);
     };
     if !name.is_empty() && name != expected_name {
-        let what = format!("\"{name}\" is not the axis of the model at this place");
+        let what = format!("\"{name}\" is not the name of the model at this place");
         section.report("name", what, format!("write \"{expected_name}\""));
     }
     if kind.is_some_and(|kind| kind.is_rotary() != expected_kind.is_rotary()) {
@@ -77,12 +77,12 @@ fn read_limits(
     let wrap = joint::wrap.name;
     if kind.is_rotary() && section.has(wrap) && section.flag(wrap) == Some(true) {
         if !kind.is_circular() {
-            let what = "has no meaning: the axis counts its turns and has limits";
+            let what = "has no meaning here: turns are counted, and have limits";
             section.report(wrap, what, "remove it");
         }
         for key in [low_key, high_key] {
             if section.has(section.key(key).name) {
-                let what = "is a limit of an axis that wraps around";
+                let what = "is a limit, and with `wrap` there is none";
                 section.refuse(key, what, "remove it, or `wrap`");
             }
         }

@@ -112,7 +112,7 @@ pub(super) fn check_by_controller(document: &Document<'_>, root: &DeTable<'_>, c
             "stopping",
             format!(
                 "from its full rate {} would decelerate with more than four times its acceleration",
-                name.unwrap_or("an axis")
+                name.unwrap_or("a coordinate")
             ),
             "raise time_ms, lower ramp_ms or raise the acceleration",
         );

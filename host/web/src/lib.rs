@@ -119,7 +119,7 @@ pub enum OperatorCommand {
     /// A jog button is pressed, or still held.
     Jog {
         /// Index of the pose coordinate.
-        axis: usize,
+        coordinate: usize,
         /// Direction.
         up: bool,
         /// Still held since an earlier press.

@@ -127,18 +127,18 @@ function rows(body, count, columns, make) {
   }
 }
 
-function makeJog(row, axis) {
+function makeJog(row, coordinate) {
   for (const up of [false, true]) {
     const button = document.createElement('button');
     button.className = 'jog';
     button.textContent = up ? '+' : '\u2212';
-    button.dataset.axis = axis;
+    button.dataset.coordinate = coordinate;
     button.dataset.up = up;
     button.onpointerdown = event => {
       if (event.button !== 0) return;
       event.preventDefault();
       button.setPointerCapture(event.pointerId);
-      beginJog(button, axis, up);
+      beginJog(button, coordinate, up);
     };
     for (const end of ['pointerup', 'pointercancel', 'lostpointercapture']) {
       button.addEventListener(end, endJog);
@@ -148,11 +148,12 @@ function makeJog(row, axis) {
   }
 }
 
-function beginJog(button, axis, up) {
+function beginJog(button, coordinate, up) {
   endJog();
-  send({ command: 'jog', axis, up, repeat: false });
+  send({ command: 'jog', coordinate, up, repeat: false });
   button.classList.add('held');
-  const timer = setInterval(() => send({ command: 'jog', axis, up, repeat: true }), REPEAT_MS);
+  const timer = setInterval(
+    () => send({ command: 'jog', coordinate, up, repeat: true }), REPEAT_MS);
   held = { button, timer };
 }
 

@@ -114,7 +114,7 @@ async function run() {
 
     // A jog lasts as long as its button is held.
     const before = seen.state.pose[0].actual;
-    const plus = page.locator('.jog[data-axis="0"][data-up="true"]');
+    const plus = page.locator('.jog[data-coordinate="0"][data-up="true"]');
     await plus.hover();
     await page.mouse.down();
     await sleep(800);
@@ -129,7 +129,7 @@ async function run() {
     await page.waitForSelector('#ask:not([hidden])');
     await page.click('#ask .yes');
     await second.page.waitForFunction(() => !document.getElementById('run').disabled);
-    await second.page.locator('.jog[data-axis="0"][data-up="false"]').hover();
+    await second.page.locator('.jog[data-coordinate="0"][data-up="false"]').hover();
     const jogs = seen.jogs;
     await second.page.mouse.down();
     await wait('the jog of the second viewer', () => seen.jogs > jogs);

@@ -396,11 +396,11 @@ fn one_viewer_commands_and_every_viewer_stops() {
     served.wait_for("end", |command| *command == OperatorCommand::ControlEnded);
     first.command("reset");
     first.wait_for_refusal("take control first");
-    let jog = json!({"command": "jog", "axis": 1, "up": false, "repeat": false});
+    let jog = json!({"command": "jog", "coordinate": 1, "up": false, "repeat": false});
     second.next();
     second.send(jog.clone());
     let moved = OperatorCommand::Jog {
-        axis: 1,
+        coordinate: 1,
         up: false,
         repeat: false,
     };

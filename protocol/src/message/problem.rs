@@ -45,8 +45,8 @@ pub enum Refusal {
     NotHomed,
     /// A value is out of its range.
     Range,
-    /// The number of values is not the number of axes.
-    AxisCount,
+    /// The number of values is not the number of coordinates of the pose.
+    CoordinateCount,
     /// Setpoints must come in order; another one was expected.
     OutOfOrder {
         /// Number of the setpoint that was expected.
@@ -229,7 +229,7 @@ pub struct ConfigProblem {
 pub enum ConfigField {
     Encoding,
     Period,
-    AxisCount,
+    CoordinateCount,
     Geometry,
     Stroke,
     SoftLimit,

@@ -85,7 +85,7 @@ fn wrong_setpoints_are_refused_and_change_nothing() {
         rates: [0].into_iter().collect(),
         ..good
     };
-    assert_eq!(coder.encode(&short), Err(SetpointError::AxisCount));
+    assert_eq!(coder.encode(&short), Err(SetpointError::CoordinateCount));
     assert_eq!(coder, before);
 }
 

@@ -1,6 +1,6 @@
 //! Sentences of force control.
 
-use super::{AxesText, Describe, Named};
+use super::{AxesText, Describe};
 use crate::force::{ForceParameter, ForceProblem, ForceRefusal, TareRefusal};
 use core::fmt::{Display, Formatter, Result};
 
@@ -77,7 +77,7 @@ impl Describe for ForceRefusal {
 
 impl Describe for ForceProblem {
     fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
-        let name = |component| Named(axes.pose, component);
+        let name = |component| axes.axis(component);
         match *self {
             Self::Silent => f.write_str(
                 "the force sensor delivers no new samples; check its converter and its cable",
@@ -128,7 +128,7 @@ impl Describe for ForceProblem {
 
 impl Describe for TareRefusal {
     fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
-        let name = |component| Named(axes.pose, component);
+        let name = |component| axes.axis(component);
         match *self {
             Self::Silent => f.write_str("samples were missing; check converter and cable"),
             Self::Moving { component, spread } => write!(

@@ -92,7 +92,7 @@ impl Display for ConfigField {
         f.write_str(match self {
             Self::Encoding => "encoding",
             Self::Period => "control period",
-            Self::AxisCount => "number of axes",
+            Self::CoordinateCount => "number of coordinates or joints",
             Self::Geometry => "geometry",
             Self::Stroke => "stroke",
             Self::SoftLimit => "soft limits",

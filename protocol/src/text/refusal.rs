@@ -1,6 +1,6 @@
 //! Sentences of refused poses, commands and configurations.
 
-use super::{Amount, AxesText, AxisKind, Describe, Named, amount};
+use super::{Amount, AxesText, AxisKind, Describe, amount};
 use crate::message::{ConfigField, ConfigProblem, Fault, InputProblem, PoseError, Refusal, State};
 use core::fmt::{Formatter, Result};
 
@@ -11,7 +11,7 @@ impl Describe for PoseError {
                 "no joint positions give this pose; move the workpiece or shorten the path",
             ),
             Self::OutOfStroke { joint, by } => {
-                let name = Named(axes.joints, joint);
+                let name = axes.joint(joint);
                 write!(f, "{name} would leave its stroke")?;
                 if let Some(by) = amount(axes.joints, joint, by) {
                     write!(f, " by {by}")?;
@@ -64,8 +64,8 @@ impl Describe for Refusal {
             ),
             Self::NotHomed => f.write_str("the machine is not homed; home it first"),
             Self::Range => f.write_str("a value of the command is out of its range"),
-            Self::AxisCount => {
-                f.write_str("the number of values is not the number of axes of the machine")
+            Self::CoordinateCount => {
+                f.write_str("the number of values is not the number of coordinates of the pose")
             }
             Self::OutOfOrder { expected } => write!(f, "setpoint {expected} was expected next"),
             Self::QueueFull => f.write_str("the setpoint queue is full"),
@@ -85,14 +85,14 @@ impl Describe for Refusal {
                 f,
                 "setpoint {setpoint}: {} would leave its soft limits; \
                  move the workpiece or change the program",
-                Named(axes.pose, coordinate)
+                axes.coordinate(coordinate)
             ),
             Self::Setpoint { setpoint } => write!(f, "setpoint {setpoint} cannot be decoded"),
             Self::StartPose { coordinate } => write!(
                 f,
                 "the job does not start at the present pose: {} differs; \
                  start again from the present pose",
-                Named(axes.pose, coordinate)
+                axes.coordinate(coordinate)
             ),
             Self::OldEpoch => f.write_str("this jog was cancelled"),
             Self::ConfigCheck => {
@@ -109,7 +109,7 @@ impl Describe for Refusal {
                  and configure the controller with it",
             ),
             Self::Force { axis, refusal } => {
-                write!(f, "force loop of {}: ", Named(axes.pose, axis))?;
+                write!(f, "force loop of {}: ", axes.axis(axis))?;
                 refusal.describe(axes, f)
             }
             Self::NotTared => f.write_str(
@@ -169,7 +169,7 @@ pub(super) fn write_joint_rate(
     limit: i32,
     f: &mut Formatter<'_>,
 ) -> Result {
-    write!(f, "{} would move", Named(axes.joints, joint))?;
+    write!(f, "{} would move", axes.joint(joint))?;
     match (
         amount(axes.joints, joint, rate),
         amount(axes.joints, joint, limit),
@@ -181,7 +181,7 @@ pub(super) fn write_joint_rate(
 
 impl Describe for InputProblem {
     fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
-        let named = |joint| Named(axes.joints, joint);
+        let named = |joint| axes.joint(joint);
         match *self {
             Self::EmergencyStop => f.write_str("the emergency stop is pressed; release it first"),
             Self::LimitSwitch { joint } => write!(
@@ -255,12 +255,12 @@ impl Describe for ConfigProblem {
         {
             write!(f, ", entry {}", u32::from(axis) + 1)?;
         } else if let Some(axis) = self.axis {
-            let list = if self.is_of_pose() {
-                axes.pose
+            let named = if self.is_of_pose() {
+                axes.coordinate(axis)
             } else {
-                axes.joints
+                axes.joint(axis)
             };
-            write!(f, " of {}", Named(list, axis))?;
+            write!(f, " of {named}")?;
         }
         f.write_str("; correct the machine file")
     }

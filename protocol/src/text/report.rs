@@ -1,7 +1,7 @@
 //! Sentences of faults and events.
 
 use super::refusal::write_joint_rate;
-use super::{AxesText, Describe, Named, amount};
+use super::{AxesText, Describe, amount};
 use crate::message::{Event, Fault, HomingProblem, State};
 use core::fmt::{Formatter, Result};
 
@@ -15,7 +15,7 @@ const PRESET: &str =
 
 impl Describe for Fault {
     fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
-        let named = |joint| Named(axes.joints, joint);
+        let named = |joint| axes.joint(joint);
         match *self {
             Self::FollowingError {
                 joint,
@@ -36,7 +36,7 @@ impl Describe for Fault {
                 write!(
                     f,
                     "{} left its soft limits; reset, then jog it back",
-                    Named(axes.pose, coordinate)
+                    axes.coordinate(coordinate)
                 )
             }
             Self::JointRate {
@@ -246,18 +246,14 @@ impl Describe for Event {
             ),
             Self::Homed => f.write_str("all joints are homed"),
             Self::ReferenceShift { joint, by } => {
-                write!(
-                    f,
-                    "homing shifted the reference of {}",
-                    Named(axes.joints, joint)
-                )?;
+                write!(f, "homing shifted the reference of {}", axes.joint(joint))?;
                 if let Some(by) = amount(axes.joints, joint, by) {
                     write!(f, " by {by}")?;
                 }
                 f.write_str(": steps were lost, or the switch is not exact")
             }
             Self::Squared { joint, by } => {
-                let name = Named(axes.joints, joint);
+                let name = axes.joint(joint);
                 write!(f, "homing squared the gantry: {name} was moved")?;
                 if let Some(by) = amount(axes.joints, joint, by) {
                     write!(f, " by {by}")?;
@@ -272,12 +268,12 @@ impl Describe for Event {
                 f,
                 "the jog of {} ended at its soft limit, at a stroke or at the edge of the workspace; \
                  jog it the other way",
-                Named(axes.pose, coordinate)
+                axes.coordinate(coordinate)
             ),
             Self::Saturated { joint } => write!(
                 f,
                 "the drive of {} is saturated: the commanded effort exceeds its limit",
-                Named(axes.joints, joint)
+                axes.joint(joint)
             ),
             Self::Tared => f.write_str("the force sensor has a new zero"),
             Self::TareRefused(refusal) => {
@@ -296,20 +292,20 @@ impl Describe for Event {
             Self::MasterLimited { coordinate } => write!(
                 f,
                 "the master commands {} beyond a limit of the machine; the tool waits there",
-                Named(axes.pose, coordinate)
+                axes.coordinate(coordinate)
             ),
             Self::ComplianceLimited { axis } => write!(
                 f,
                 "the compliant displacement of {} is limited: \
                  by its own limit, a soft limit or the edge of the workspace",
-                Named(axes.pose, axis)
+                axes.axis(axis)
             ),
             Self::ProbedAt {
                 coordinate,
                 measured,
                 ..
             } => {
-                write!(f, "{} was", Named(axes.pose, coordinate))?;
+                write!(f, "{} was", axes.coordinate(coordinate))?;
                 match amount(axes.pose, coordinate, measured) {
                     Some(at) => write!(f, " at {at} at the contact"),
                     None => f.write_str(" measured at the contact"),
@@ -336,7 +332,7 @@ impl Describe for Event {
             Self::MovedOff { joint } => write!(
                 f,
                 "{} is off its limit switch; home the machine",
-                Named(axes.joints, joint)
+                axes.joint(joint)
             ),
             Self::OutputsSafe => f.write_str("the outputs have their safe values"),
             Self::OutputRefused { output, problem } => write!(
@@ -345,11 +341,7 @@ impl Describe for Event {
                 axes.output(output)
             ),
             Self::ForceSettings { axis, .. } => {
-                write!(
-                    f,
-                    "settings of the force loop of {}",
-                    Named(axes.pose, axis)
-                )
+                write!(f, "settings of the force loop of {}", axes.axis(axis))
             }
         }
     }

@@ -31,7 +31,7 @@ impl Interpolator {
         let number = self.accepted;
         let bad = Refusal::Setpoint { setpoint: number };
         if setpoint.pose.len() != self.axes || setpoint.rates.len() != self.axes {
-            return Err(Refusal::AxisCount);
+            return Err(Refusal::CoordinateCount);
         }
         if self.total.is_some_and(|total| number >= total) {
             return Err(Refusal::OutOfOrder { expected: number });

@@ -18,10 +18,10 @@ use std::str::FromStr;
 const LONG: &str = "\
 Move pose coordinates at a rate for a time, or by a distance.
 
-Rates are in mm/s and degrees/s: `haptimill jog x=5 b=-2 --for 1.5`. AXIS is the name of a pose \
-coordinate in the machine file, or its letter in part programs; a wrong name lists those of the \
-machine. The controller stops the motion at the soft limits. It stops the machine when it receives \
-nothing from this command for --jog-timeout milliseconds. Ctrl-C stops.
+Rates are in mm/s and degrees/s: `haptimill jog x=5 b=-2 --for 1.5`. COORDINATE is the name of a \
+pose coordinate in the machine file, or its letter in part programs; a wrong name lists those of \
+the machine. The controller stops the motion at the soft limits. It stops the machine when it \
+receives nothing from this command for --jog-timeout milliseconds. Ctrl-C stops.
 
 `haptimill jog --by x=5` moves by a distance instead, in mm and degrees, along a straight line at \
 --feed. The machine must be homed. A move beyond a soft limit is refused.";
@@ -33,15 +33,15 @@ nothing from this command for --jog-timeout milliseconds. Ctrl-C stops.
 pub struct JogArgs {
     /// Pose coordinates and rates, mm/s or deg/s
     #[arg(
-        value_name = "AXIS=RATE",
+        value_name = "COORDINATE=RATE",
         required_unless_present = "by",
         conflicts_with = "by",
         allow_negative_numbers = true
     )]
-    pub axes: Vec<AxisRate>,
+    pub coordinates: Vec<CoordinateValue>,
     /// Move by distances in mm or degrees instead, as x=5, or x=5 y=-2 without quotes
-    #[arg(long, value_name = "AXIS=DISTANCE", num_args = 1.., allow_negative_numbers = true)]
-    pub by: Vec<AxisRate>,
+    #[arg(long, value_name = "COORDINATE=DISTANCE", num_args = 1.., allow_negative_numbers = true)]
+    pub by: Vec<CoordinateValue>,
     /// With --by: feed in mm/min (deg/min where only rotary coordinates move)
     #[arg(long, value_name = "FEED", default_value_t = 300.0, requires = "by")]
     pub feed: f64,
@@ -63,26 +63,26 @@ pub struct JogArgs {
     pub json: bool,
 }
 
-/// A pose coordinate and its rate.
+/// A pose coordinate and its rate, distance or position.
 #[derive(Debug, Clone, PartialEq)]
-pub struct AxisRate {
+pub struct CoordinateValue {
     /// Name of the coordinate, as in the machine file, or its letter in part programs; in lower
     /// case.
-    pub axis: String,
-    /// Rate, mm/s or deg/s; finite.
-    pub rate: f64,
+    pub coordinate: String,
+    /// Value, mm or deg, or per second; finite.
+    pub value: f64,
 }
 
-impl FromStr for AxisRate {
+impl FromStr for CoordinateValue {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
         let remedy = "write a coordinate and a number, each pair as a word of its own: x=5 y=-2";
-        let (axis, rate) = text.split_once('=').ok_or(remedy)?;
-        match rate.trim().parse::<f64>() {
-            Ok(rate) if rate.is_finite() && !axis.trim().is_empty() => Ok(Self {
-                axis: axis.trim().to_lowercase(),
-                rate,
+        let (coordinate, value) = text.split_once('=').ok_or(remedy)?;
+        match value.trim().parse::<f64>() {
+            Ok(value) if value.is_finite() && !coordinate.trim().is_empty() => Ok(Self {
+                coordinate: coordinate.trim().to_lowercase(),
+                value,
             }),
             _ => Err(remedy.to_string()),
         }
@@ -200,7 +200,7 @@ fn move_by(args: &JogArgs, chosen: &Chosen) -> Result<(), CliError> {
     print_status(&mut session, args.json)
 }
 
-/// Refuses a distance that ends outside the soft limits of its axis.
+/// Refuses a distance that ends outside the soft limits of its coordinate.
 ///
 /// # Errors
 /// [`Exit::Refused`].
@@ -235,11 +235,11 @@ pub(super) fn check_feed(feed: f64) -> Result<(), CliError> {
 }
 
 /// Distances of all pose coordinates, mm and degrees.
-fn distances(given: &[AxisRate], machine: &MachineFile) -> Result<Vec<f64>, CliError> {
+fn distances(given: &[CoordinateValue], machine: &MachineFile) -> Result<Vec<f64>, CliError> {
     check_has_tool(machine)?;
     let mut distances = vec![0.0; machine.pose.len()];
     for command in given {
-        let index = axis_index(machine, &command.axis)?;
+        let index = coordinate_index(machine, &command.coordinate)?;
         let axis = &machine.pose[index];
         let usage = |what: String| CliError::new(Exit::Usage, what);
         if distances[index] != 0.0 {
@@ -251,11 +251,14 @@ fn distances(given: &[AxisRate], machine: &MachineFile) -> Result<Vec<f64>, CliE
             AxisKind::Rotary => 180.0,
             AxisKind::Linear | AxisKind::MultiTurn => 1e6,
         };
-        if command.rate.abs() >= most {
-            let what = format!("{}={}: write less than {most}", command.axis, command.rate);
+        if command.value.abs() >= most {
+            let what = format!(
+                "{}={}: write less than {most}",
+                command.coordinate, command.value
+            );
             return Err(usage(what));
         }
-        distances[index] = command.rate;
+        distances[index] = command.value;
     }
     Ok(distances)
 }
@@ -263,9 +266,9 @@ fn distances(given: &[AxisRate], machine: &MachineFile) -> Result<Vec<f64>, CliE
 /// Rates of all pose coordinates, mm/s and deg/s.
 fn asked_rates(args: &JogArgs, machine: &MachineFile) -> Result<Coordinates, CliError> {
     let mut rates = Coordinates::default();
-    for command in &args.axes {
-        if let Some(rate) = rates.get_mut(axis_index(machine, &command.axis)?) {
-            *rate = command.rate;
+    for command in &args.coordinates {
+        if let Some(rate) = rates.get_mut(coordinate_index(machine, &command.coordinate)?) {
+            *rate = command.value;
         }
     }
     Ok(rates)
@@ -277,8 +280,8 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
     let usage = |what: String| CliError::new(Exit::Usage, what);
     check_has_tool(machine)?;
     let mut given = vec![false; machine.pose.len()];
-    for command in &args.axes {
-        let index = axis_index(machine, &command.axis)?;
+    for command in &args.coordinates {
+        let index = coordinate_index(machine, &command.coordinate)?;
         let axis = &machine.pose[index];
         if std::mem::replace(&mut given[index], true) {
             return Err(usage(format!(
@@ -286,14 +289,14 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
                 axis.name
             )));
         }
-        if command.rate.abs() > axis.rate {
+        if command.value.abs() > axis.rate {
             return Err(usage(format!(
                 "{}={} exceeds the largest rate of the coordinate; write at most {}",
-                command.axis, command.rate, axis.rate
+                command.coordinate, command.value, axis.rate
             )));
         }
         rates[index] =
-            (command.rate * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32;
+            (command.value * per_unit(axis.kind) / f64::from(1 << RATE_SHIFT)).round() as i32;
     }
     Ok(rates.into_iter().collect())
 }
@@ -303,7 +306,7 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
 ///
 /// # Errors
 /// [`Exit::Usage`].
-pub(crate) fn axis_index(machine: &MachineFile, name: &str) -> Result<usize, CliError> {
+pub(crate) fn coordinate_index(machine: &MachineFile, name: &str) -> Result<usize, CliError> {
     let described = machine.config.model.descriptor().pose;
     let letters = described
         .iter()
@@ -339,10 +342,10 @@ mod tests {
     /// Two pairs in one word are refused with the way to write them.
     #[test]
     fn a_pair_is_a_word_of_its_own() {
-        let pair: AxisRate = "X=-2.5".parse().expect("a pair");
-        assert_eq!((pair.axis.as_str(), pair.rate), ("x", -2.5));
+        let pair: CoordinateValue = "X=-2.5".parse().expect("a pair");
+        assert_eq!((pair.coordinate.as_str(), pair.value), ("x", -2.5));
         for text in ["x=5,y=-3", "x=5 y=-3", "x", "=5", "x=inf"] {
-            let error = text.parse::<AxisRate>().expect_err(text);
+            let error = text.parse::<CoordinateValue>().expect_err(text);
             assert!(error.contains("x=5 y=-2"), "{error}");
         }
     }

@@ -62,8 +62,9 @@ pub struct TableArgs {
     /// Also check the strokes of the joints
     #[arg(long)]
     pub strokes: bool,
-    /// Compute the points of a grid instead of a table, as x=-100:100:50; one for each axis
-    #[arg(long, value_name = "AXIS=LOW:HIGH:STEP", allow_hyphen_values = true)]
+    /// Compute the points of a grid instead of a table, as x=-100:100:50; one for each
+    /// coordinate (or joint)
+    #[arg(long, value_name = "NAME=LOW:HIGH:STEP", allow_hyphen_values = true)]
     #[arg(conflicts_with = "input")]
     pub grid: Vec<GridColumn>,
     /// Table to read

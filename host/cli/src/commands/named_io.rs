@@ -1,7 +1,7 @@
 //! `haptimill output set` and `haptimill probe`: named outputs, and a probing move.
 
 use super::args::{BoardArg, ConnectArgs, seconds};
-use super::jog::AxisRate;
+use super::jog::CoordinateValue;
 use super::probe_cycle::{self, ProbeCycle};
 use super::probing::{Touch, find_input, probe_along};
 use super::simple::{open, print_status};
@@ -155,11 +155,11 @@ pub struct ProbeArgs {
     pub cycle: Option<ProbeCycle>,
     /// Pose coordinates and their positions, mm or deg, as z=-20
     #[arg(
-        value_name = "AXIS=POSITION",
+        value_name = "COORDINATE=POSITION",
         required = true,
         allow_negative_numbers = true
     )]
-    pub axes: Vec<AxisRate>,
+    pub coordinates: Vec<CoordinateValue>,
     /// Feed, mm/min (deg/min where only rotary coordinates move)
     #[arg(long, value_name = "FEED", default_value_t = 60.0)]
     pub feed: f64,
@@ -243,11 +243,11 @@ fn target(
     start: &AxisValues,
 ) -> Result<AxisValues, CliError> {
     let mut end = start.clone();
-    for command in &args.axes {
-        let index = super::jog::axis_index(machine, &command.axis)?;
-        let value = command.rate * per_unit(machine.pose[index].kind);
+    for command in &args.coordinates {
+        let index = super::jog::coordinate_index(machine, &command.coordinate)?;
+        let value = command.value * per_unit(machine.pose[index].kind);
         if !(f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&value) {
-            let what = format!("{}={} is out of range", command.axis, command.rate);
+            let what = format!("{}={} is out of range", command.coordinate, command.value);
             return Err(CliError::new(Exit::Usage, what));
         }
         end[index] = value.round() as i32;

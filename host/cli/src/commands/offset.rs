@@ -3,7 +3,7 @@
 use super::args::{BoardArg, ConnectArgs};
 use super::board::file_of;
 use super::exit::{CliError, Exit};
-use super::jog::{self, AxisRate};
+use super::jog::{self, CoordinateValue};
 use super::probe_cycle::{kept_beside, set_origin};
 use super::simple::open;
 use clap::{Args, Subcommand};
@@ -31,11 +31,11 @@ pub struct TouchArgs {
     pub system: String,
     /// Coordinates that the present position gets, mm or degrees
     #[arg(
-        value_name = "AXIS=VALUE",
+        value_name = "COORDINATE=VALUE",
         required = true,
         allow_negative_numbers = true
     )]
-    pub values: Vec<AxisRate>,
+    pub values: Vec<CoordinateValue>,
     #[command(flatten)]
     #[allow(missing_docs)]
     pub machine: BoardArg,
@@ -59,7 +59,7 @@ pub struct SetArgs {
     #[arg(value_name = "SYSTEM")]
     pub system: String,
     /// Origin in mm or degrees, as x=12.5; also rotation=DEGREES about z
-    #[arg(value_name = "AXIS=VALUE", required = true)]
+    #[arg(value_name = "COORDINATE=VALUE", required = true)]
     pub values: Vec<String>,
     /// Machine file; the offsets are in a file beside it
     #[arg(long, value_name = "FILE")]
@@ -100,8 +100,8 @@ fn touch(args: &TouchArgs) -> Result<(), CliError> {
     let here = session.model().to_engineering_units(&status.commanded);
     let mut places = Vec::new();
     for value in &args.values {
-        let axis = jog::axis_index(&machine, &value.axis)?;
-        places.push((axis, here[axis] - value.rate));
+        let axis = jog::coordinate_index(&machine, &value.coordinate)?;
+        places.push((axis, here[axis] - value.value));
     }
     set_origin(&machine, &file, &args.system, &places)?;
     print_line!("{} written", offsets_path(&file).display());
@@ -168,7 +168,7 @@ fn set(args: &SetArgs) -> Result<(), CliError> {
             .split_once('=')
             .and_then(|(name, value)| Some((name, value.parse::<f64>().ok()?)))
             .filter(|(_, value)| value.abs() <= 1e6)
-            .ok_or_else(|| usage(format!("{text}: write AXIS=VALUE, as x=12.5")))?;
+            .ok_or_else(|| usage(format!("{text}: write COORDINATE=VALUE, as x=12.5")))?;
         if name == "rotation" {
             system.rotation = value;
             continue;

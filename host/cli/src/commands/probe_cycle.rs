@@ -118,10 +118,13 @@ struct Centre {
 
 impl Prober<'_> {
     fn edge(&mut self, args: &EdgeArgs, file: Option<PathBuf>) -> Result<(), CliError> {
-        let axis = self.linear_axis(&args.axis.axis)?;
-        let distance = args.axis.rate;
+        let axis = self.linear_coordinate(&args.coordinate.coordinate)?;
+        let distance = args.coordinate.value;
         if distance == 0.0 {
-            let what = format!("{}=0: write the largest distance", args.axis.axis);
+            let what = format!(
+                "{}=0: write the largest distance",
+                args.coordinate.coordinate
+            );
             return Err(CliError::new(Exit::Usage, what));
         }
         let contact = self.touch(axis, distance)?;

@@ -6,7 +6,7 @@ use super::keys::{Action, Key};
 use super::recording::Recording;
 use super::view_model::{Confirm, LinkState, Overlay, Severity};
 use crate::commands::exit::{CliError, Exit};
-use crate::commands::jog::{AxisRate, axis_index};
+use crate::commands::jog::{CoordinateValue, coordinate_index};
 use crate::commands::probe_cycle::{kept_beside, set_origin};
 use crate::commands::run::overrides;
 use haptimill_machine_file::work_data::offsets_path;
@@ -40,7 +40,7 @@ impl App {
         let mut words = text.split(is_separator).filter(|word| !word.is_empty());
         let system = words
             .next()
-            .ok_or_else(|| usage("write a system and axes, as g54,x=0".to_string()))?;
+            .ok_or_else(|| usage("write a system and coordinates, as g54,x=0".to_string()))?;
         let homed = self
             .telemetry
             .as_ref()
@@ -50,12 +50,12 @@ impl App {
         let here = self.model.to_engineering_units(&pose);
         let mut origins = Vec::new();
         for word in words {
-            let value: AxisRate = word.parse().map_err(usage)?;
-            let axis = axis_index(&self.machine, &value.axis)?;
-            origins.push((axis, here[axis] - value.rate));
+            let value: CoordinateValue = word.parse().map_err(usage)?;
+            let axis = coordinate_index(&self.machine, &value.coordinate)?;
+            origins.push((axis, here[axis] - value.value));
         }
         if origins.is_empty() {
-            return Err(usage("name the axes, as g54,x=0,y=0".to_string()));
+            return Err(usage("name the coordinates, as g54,x=0,y=0".to_string()));
         }
         let file = kept_beside(&self.machine)?;
         set_origin(&self.machine, &file, system, &origins)?;
@@ -96,10 +96,10 @@ impl App {
         };
         if phase == KeyPhase::Release {
             // A release ends a jog whatever is open.
-            if let Some(Action::Jog { axis, up }) = key.action() {
+            if let Some(Action::Jog { coordinate, up }) = key.action() {
                 let now_us = self.now_us();
                 self.jogging
-                    .handle_key(usize::from(axis), up, phase, now_us);
+                    .handle_key(usize::from(coordinate), up, phase, now_us);
             }
             return;
         }
@@ -117,7 +117,9 @@ impl App {
         let last_scroll = self.last_scroll.load(Ordering::Relaxed);
         match std::mem::replace(&mut self.overlay, Overlay::None) {
             Overlay::None => match key.action() {
-                Some(Action::Jog { axis, up }) => self.jog_key(usize::from(axis), up, phase),
+                Some(Action::Jog { coordinate, up }) => {
+                    self.jog_key(usize::from(coordinate), up, phase)
+                }
                 Some(action) if phase == KeyPhase::Press => self.execute(action),
                 _ => {}
             },
@@ -133,7 +135,7 @@ impl App {
             Overlay::Confirm(confirm) => self.confirm_key(confirm, key),
             Overlay::Prompt { title, text } => self.prompt_key(title, &text, key),
             Overlay::Programs(picker) => self.picker_key(picker, key),
-            Overlay::Axes { selected } => self.axes_key(selected, key),
+            Overlay::Sources { selected } => self.sources_key(selected, key),
             Overlay::Force { selected } => self.force_key(selected, key),
             Overlay::Master { position, typed } => self.master_key(position, typed, key),
         }
@@ -183,7 +185,7 @@ impl App {
                 let text = format!("g54{axes}");
                 self.open(Overlay::Prompt { title: ZERO, text });
             }
-            Action::Axes => self.open(Overlay::Axes { selected: 0 }),
+            Action::Sources => self.open(Overlay::Sources { selected: 0 }),
             Action::Master => {
                 if let Some(overlay) = self.open_master_overlay() {
                     self.open(overlay);
@@ -447,10 +449,10 @@ impl App {
         self.overlay = Overlay::Prompt { title, text };
     }
 
-    fn axes_key(&mut self, selected: usize, key: Key) {
+    fn sources_key(&mut self, selected: usize, key: Key) {
         let last = self.machine.pose.len().saturating_sub(1);
         if let Some(selected) = move_selection(key, selected, last) {
-            return self.overlay = Overlay::Axes { selected };
+            return self.overlay = Overlay::Sources { selected };
         }
         let source = match key.code {
             KeyCode::Char('p') => Source::Program,
@@ -458,9 +460,9 @@ impl App {
             KeyCode::Char('j') => Source::Jog,
             KeyCode::Char('m') => Source::Master,
             KeyCode::Esc | KeyCode::Enter | KeyCode::Char('a' | 'q') => return,
-            _ => return self.overlay = Overlay::Axes { selected },
+            _ => return self.overlay = Overlay::Sources { selected },
         };
-        self.overlay = Overlay::Axes { selected };
+        self.overlay = Overlay::Sources { selected };
         let coordinate = selected as u8;
         self.request(
             Command::Source { coordinate, source },

@@ -35,7 +35,7 @@ pub enum Action {
     /// Move a pose coordinate.
     Jog {
         /// Index of the coordinate.
-        axis: u8,
+        coordinate: u8,
         /// Positive direction.
         up: bool,
     },
@@ -62,7 +62,7 @@ pub enum Action {
     /// Set a work offset from the present position.
     Zero,
     /// Select the source of each coordinate.
-    Axes,
+    Sources,
     /// Set the force loops.
     Force,
     /// Open the master panel.
@@ -149,8 +149,8 @@ const fn bind(
     }
 }
 
-const fn jog(keys: &'static [Key], name: &'static str, axis: u8, up: bool) -> Binding {
-    bind(keys, name, Action::Jog { axis, up }, "")
+const fn jog(keys: &'static [Key], name: &'static str, coordinate: u8, up: bool) -> Binding {
+    bind(keys, name, Action::Jog { coordinate, up }, "")
 }
 
 /// All keys. A jog key moves the pose coordinate of its index, whose name is in the machine file.
@@ -285,7 +285,7 @@ pub const BINDINGS: &[Binding] = &[
     bind(
         &[plain('a')],
         "a",
-        Action::Axes,
+        Action::Sources,
         "sources: source of each coordinate: program, hold, jog or master",
     ),
     bind(
@@ -333,14 +333,14 @@ pub const BINDINGS: &[Binding] = &[
 ];
 
 impl Binding {
-    /// Description of the action. `axes` are the names of the pose coordinates. None for a jog key
-    /// without an axis.
+    /// Description of the action. `names` are those of the pose coordinates. None for a jog key
+    /// without a coordinate.
     #[must_use]
-    pub fn describe(&self, axes: &[&str]) -> Option<String> {
-        let Action::Jog { axis, up } = self.action else {
+    pub fn describe(&self, names: &[&str]) -> Option<String> {
+        let Action::Jog { coordinate, up } = self.action else {
             return Some(self.description.to_string());
         };
-        let name = axes.get(usize::from(axis))?;
+        let name = names.get(usize::from(coordinate))?;
         Some(format!("jog {name} {}", if up { "up" } else { "down" }))
     }
 }
@@ -453,9 +453,13 @@ mod tests {
     fn documentation_contains_this_table() {
         let page = include_str!("../../../../docs/console.md");
         let machine = MachineFile::built_in().unwrap();
-        let mut axes: Vec<&str> = machine.pose.iter().map(|axis| axis.name.as_str()).collect();
-        axes.extend(["axis 4", "axis 5", "axis 6"].iter().skip(axes.len() - 3));
-        let table = markdown(&axes);
+        let mut names: Vec<&str> = machine.pose.iter().map(|axis| axis.name.as_str()).collect();
+        names.extend(
+            ["coordinate 4", "coordinate 5", "coordinate 6"]
+                .iter()
+                .skip(names.len() - 3),
+        );
+        let table = markdown(&names);
         assert!(page.contains(&table), "{table}");
     }
 

@@ -49,8 +49,9 @@ impl App {
         if !self.session.is_configured() && telemetry.state != State::EmergencyStop {
             return (
                 Severity::Warning,
-                "the controller has a different configuration: axis names and values may be wrong. \
-                 d disables the drives, e sends the machine file".to_string(),
+                "the controller has a different configuration: names and values may be wrong. \
+                 d disables the drives, e sends the machine file"
+                    .to_string(),
             );
         }
         match telemetry.state {

@@ -158,8 +158,8 @@ pub(super) enum Overlay {
         lines: Vec<String>,
         from: usize,
     },
-    /// Sources of the axes.
-    Axes {
+    /// Sources of the coordinates.
+    Sources {
         selected: usize,
     },
     /// Force loops.

@@ -210,19 +210,23 @@ impl Web {
                 }
             }
             OperatorCommand::JogRate { more } => app.jogging.select(more),
-            OperatorCommand::Jog { axis, .. } if axis >= app.machine.pose.len() => {
+            OperatorCommand::Jog { coordinate, .. } if coordinate >= app.machine.pose.len() => {
                 let what = format!(
-                    "jog: there is no coordinate {axis}; the machine has {}, from 0 on",
+                    "jog: there is no coordinate {coordinate}; the machine has {}, from 0 on",
                     app.machine.pose.len()
                 );
                 app.notify(Severity::Warning, what);
             }
-            OperatorCommand::Jog { axis, up, repeat } if app.overlay == Overlay::None => {
+            OperatorCommand::Jog {
+                coordinate,
+                up,
+                repeat,
+            } if app.overlay == Overlay::None => {
                 let phase = match repeat {
                     true => KeyPhase::Repeat,
                     false => KeyPhase::Press,
                 };
-                app.jog_key(axis, up, phase);
+                app.jog_key(coordinate, up, phase);
             }
             OperatorCommand::Jog { .. } => {}
             OperatorCommand::JogEnd => app.jogging.release(),

@@ -135,7 +135,7 @@ fn feedback_fixture_and_scale_are_set_and_range_errors_reported() {
     terminal.escape();
     terminal.wait_until("closed", |text| !text.contains(TITLE));
     // A master may drive an axis of this machine.
-    terminal.press_expect(b"a", "Axis sources:");
+    terminal.press_expect(b"a", "Coordinate sources:");
     terminal.press_expect(b"m", "x: master");
     terminal.escape();
     // Another console has the values of the machine file, marked as unknown.
@@ -206,7 +206,7 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     });
     terminal.escape();
     // The master drives x while a program runs.
-    terminal.press_expect(b"a", "Axis sources:");
+    terminal.press_expect(b"a", "Coordinate sources:");
     terminal.press_expect(b"m", "x: master");
     terminal.escape();
     run(&terminal);
@@ -216,7 +216,7 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     terminal.wait_until("x driven", |_| (commanded_x(&terminal) - first).abs() > 2.0);
     terminal.press(STOP);
     terminal.expect_state("IDLE");
-    terminal.press_expect(b"a", "Axis sources:");
+    terminal.press_expect(b"a", "Coordinate sources:");
     terminal.press_expect(b"p", "x: program");
 }
 
@@ -248,7 +248,7 @@ fn machine_without_a_master_reports_it() {
     assert!(!terminal.text().contains(TITLE), "{}", terminal.text());
     terminal.press(b"e");
     terminal.expect_state("IDLE");
-    terminal.press_expect(b"a", "Axis sources:");
+    terminal.press_expect(b"a", "Coordinate sources:");
     terminal.press_expect(b"m", "source: the machine has no master");
 }
 

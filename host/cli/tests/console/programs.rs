@@ -284,7 +284,7 @@ fn program_error_is_reported_with_its_line() {
 fn axis_sources_and_force_control_are_set_from_the_screen() {
     let served = SimServer::on_tcp(&[]);
     let terminal = homed(&["--port", &served.port], Keyboard::Plain);
-    terminal.press_expect(b"a", "Axis sources:");
+    terminal.press_expect(b"a", "Coordinate sources:");
     terminal.press(DOWN);
     terminal.press_expect(b"h", "y: hold");
     terminal.escape();

@@ -386,7 +386,7 @@ what = \"end\"
         "/dev/none: no 3D mouse there",
     );
     refused(
-        &["--master", "sim", "--axes", "x,w"],
+        &["--master", "sim", "--coordinates", "x,w"],
         2,
         "there is no coordinate 'w'; this machine has x, y, z, theta, alpha",
     );

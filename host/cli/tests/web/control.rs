@@ -47,7 +47,7 @@ fn a_dropped_connection_ends_a_jog_within_the_jog_timeout() {
     viewer.home();
     watcher.wait_for_state("idle");
     // A command that answers an old state moves nothing.
-    let late = json!({"command": "jog", "axis": 0, "up": true, "repeat": false, "t": 0});
+    let late = json!({"command": "jog", "coordinate": 0, "up": true, "repeat": false, "t": 0});
     viewer.socket.send(Message::text(late.to_string())).unwrap();
     viewer.wait("refusal", |viewer| !viewer.refused.is_empty());
     assert_eq!(viewer.refused, ["the connection is slow: nothing was done"]);
@@ -55,11 +55,11 @@ fn a_dropped_connection_ends_a_jog_within_the_jog_timeout() {
     let begin = viewer.actual(0);
     let jog = |viewer: &mut Viewer| {
         viewer.next();
-        viewer.send(json!({"command": "jog", "axis": 0, "up": true, "repeat": false}));
+        viewer.send(json!({"command": "jog", "coordinate": 0, "up": true, "repeat": false}));
         let until = Instant::now() + Duration::from_secs(1);
         while Instant::now() < until {
             viewer.next();
-            viewer.send(json!({"command": "jog", "axis": 0, "up": true, "repeat": true}));
+            viewer.send(json!({"command": "jog", "coordinate": 0, "up": true, "repeat": true}));
         }
     };
     // Silence: the connection is open, as a half-open one seems to be.
@@ -145,7 +145,7 @@ fn a_program_is_uploaded_run_held_and_ends_without_its_viewer() {
     }
     viewer.command("run");
     viewer.wait("question", |viewer| viewer.state["question"].is_string());
-    viewer.send(json!({"command": "jog", "axis": 17, "up": true, "repeat": false}));
+    viewer.send(json!({"command": "jog", "coordinate": 17, "up": true, "repeat": false}));
     viewer.wait("message", |viewer| {
         has_message(viewer, "there is no coordinate 17")
     });

@@ -37,7 +37,7 @@ type Report<'r> = dyn FnMut(Option<&Row>, Option<&str>) + 'r;
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TeleopOptions {
     /// Pose coordinates that the master moves.
-    pub axes: Vec<u8>,
+    pub coordinates: Vec<u8>,
     /// G_P; that of the machine file when it is not given.
     pub scale: Option<f64>,
     /// Time between two reports of the machine, microseconds.
@@ -298,9 +298,9 @@ impl<'a, L: JobLine> Teleop<'a, L> {
             let scale = scale(commanded).map_err(|what| Error::new(ErrorKind::Usage, what))?;
             self.session.ask(Command::PositionScale { scale })?;
         }
-        for axis in &self.options.axes {
+        for coordinate in &self.options.coordinates {
             self.session.ask(Command::Source {
-                coordinate: *axis,
+                coordinate: *coordinate,
                 source: Source::Master,
             })?;
         }
@@ -349,9 +349,9 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         };
         self.session.ask(Command::Telemetry { every: 0 })?;
         if status.state == State::Idle {
-            for axis in &self.options.axes {
+            for coordinate in &self.options.coordinates {
                 self.session.ask(Command::Source {
-                    coordinate: *axis,
+                    coordinate: *coordinate,
                     source: Source::Program,
                 })?;
             }

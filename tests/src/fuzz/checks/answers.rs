@@ -43,7 +43,7 @@ impl Checks {
                 Err(refusal) if matches!(answer.command, Command::Setpoints(_)) => {
                     let wrong = matches!(
                         refusal,
-                        Refusal::OutOfOrder { .. } | Refusal::QueueFull | Refusal::AxisCount
+                        Refusal::OutOfOrder { .. } | Refusal::QueueFull | Refusal::CoordinateCount
                     );
                     if wrong
                         && self.theme.is_healthy()

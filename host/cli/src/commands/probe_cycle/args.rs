@@ -1,7 +1,7 @@
 //! Arguments of the probing cycles.
 
 use crate::commands::args::{BoardArg, ConnectArgs};
-use crate::commands::jog::AxisRate;
+use crate::commands::jog::CoordinateValue;
 use clap::{Args, Subcommand};
 
 /// A probing cycle.
@@ -71,9 +71,9 @@ pub struct ZeroArgs {
                   the contact and the radius of the ball."
 )]
 pub struct EdgeArgs {
-    /// Axis and largest distance with its sign, mm, as x=10 or z=-20
-    #[arg(value_name = "AXIS=DISTANCE", allow_negative_numbers = true)]
-    pub axis: AxisRate,
+    /// Coordinate and largest distance with its sign, mm, as x=10 or z=-20
+    #[arg(value_name = "COORDINATE=DISTANCE", allow_negative_numbers = true)]
+    pub coordinate: CoordinateValue,
     /// Radius of the ball of the probe along the axis, mm; 0 if the tip itself touches, as along Z
     /// with a tool that was measured with its tip
     #[arg(long, value_name = "MM")]

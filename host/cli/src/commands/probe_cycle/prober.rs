@@ -1,7 +1,7 @@
 //! Moves and touches of which a probing cycle is made.
 
 use super::args::CycleArgs;
-use crate::commands::jog::axis_index;
+use crate::commands::jog::coordinate_index;
 use crate::commands::probing::probe_along;
 use crate::commands::{CliError, Exit};
 use haptimill_client::session::{NoObserver, PortLine, Session, plan_straight_move};
@@ -120,13 +120,13 @@ impl Prober<'_> {
         found
     }
 
-    /// Index of a linear axis by name or letter.
-    pub(super) fn linear_axis(&self, name: &str) -> Result<usize, CliError> {
-        let axis = axis_index(&self.machine, name)?;
+    /// Index of a linear coordinate by name or letter.
+    pub(super) fn linear_coordinate(&self, name: &str) -> Result<usize, CliError> {
+        let axis = coordinate_index(&self.machine, name)?;
         if self.machine.pose[axis].kind == AxisKind::Linear {
             return Ok(axis);
         }
-        let what = format!("{name} is a rotary axis; probe along a linear one");
+        let what = format!("{name} is a rotary coordinate; probe along a linear one");
         Err(CliError::new(Exit::Usage, what))
     }
 

@@ -66,14 +66,14 @@ pub struct TeleopArgs {
     /// Baud rate of the arm's serial port [default: 115200]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
     pub master_baud: Option<u32>,
-    /// Axes that follow the master, by their names in the machine file
+    /// Coordinates that follow the master, by their names in the machine file
     #[arg(
         long,
-        value_name = "AXES",
+        value_name = "COORDINATES",
         value_delimiter = ',',
         default_value = "x,y,z"
     )]
-    pub axes: Vec<String>,
+    pub coordinates: Vec<String>,
     /// Position scale G_P: displacement of the tool per displacement of the master, 0.1 to 2
     /// [default: that of the machine file]
     #[arg(long, value_name = "SCALE", value_parser = parse_scale)]
@@ -184,24 +184,26 @@ impl TeleopArgs {
     }
 
     /// Indices of the pose coordinates that follow the master.
-    pub(super) fn followed_axes(&self, machine: &MachineFile) -> Result<Vec<u8>, CliError> {
+    pub(super) fn followed_coordinates(&self, machine: &MachineFile) -> Result<Vec<u8>, CliError> {
         let names: Vec<&str> = machine.pose.iter().map(|axis| axis.name.as_str()).collect();
-        let mut axes = Vec::new();
-        for axis in &self.axes {
-            let axis = axis.trim().to_lowercase();
-            let found = names.iter().position(|name| name.to_lowercase() == axis);
+        let mut coordinates = Vec::new();
+        for coordinate in &self.coordinates {
+            let coordinate = coordinate.trim().to_lowercase();
+            let found = names
+                .iter()
+                .position(|name| name.to_lowercase() == coordinate);
             let Some(index) = found else {
                 let what = format!(
-                    "there is no coordinate '{axis}'; this machine has {}",
+                    "there is no coordinate '{coordinate}'; this machine has {}",
                     names.join(", ")
                 );
                 return Err(CliError::new(Exit::Usage, what));
             };
-            if !axes.contains(&(index as u8)) {
-                axes.push(index as u8);
+            if !coordinates.contains(&(index as u8)) {
+                coordinates.push(index as u8);
             }
         }
-        Ok(axes)
+        Ok(coordinates)
     }
 
     /// The machine file of the haptic arm.

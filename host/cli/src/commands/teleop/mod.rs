@@ -37,7 +37,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
     args.check()?;
     let chosen = args.machine.load()?;
     let machine = load_follower(&args, &chosen.file)?;
-    let axes = args.followed_axes(&machine)?;
+    let coordinates = args.followed_coordinates(&machine)?;
     // Mistakes in the arguments of the master are reported before the machine moves.
     let script = match &args.master {
         MasterSpec::Script(None) => Some(Script::parse("examples/teleop.toml", BUILT_IN)?),
@@ -50,7 +50,7 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
     let stock = args.stock.load(&machine)?;
     let port = &args.port;
     let options = TeleopOptions {
-        axes,
+        coordinates,
         scale: args.scale,
         every_us: args.report_interval_us(&port.port, port.baud, MACHINE_REPORT_BYTES),
         duration_s: args.duration.or(script.as_ref().map(Script::end_s)),

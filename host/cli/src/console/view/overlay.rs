@@ -103,10 +103,10 @@ fn content(view: &ViewModel, width: usize) -> Option<Content<'_>> {
             let (rows, row) = picker_rows(picker, width);
             return Some(("Part program", rows, Visible::With(row)));
         }
-        Overlay::Axes { selected } => (
-            "Axis sources: changes from and to jog need standstill",
+        Overlay::Sources { selected } => (
+            "Coordinate sources: changes from and to jog need standstill",
             list(
-                axis_rows(view),
+                source_rows(view),
                 *selected,
                 "arrows select; p program, h hold, j jog, m master; Esc closes",
             ),
@@ -219,7 +219,7 @@ fn list(rows: Vec<String>, selected: usize, help: &'static str) -> Vec<Line<'sta
     rows.chain([Line::raw(help)]).collect()
 }
 
-/// The key table with the axis names of the machine file.
+/// The key table with the names of coordinates of the machine file.
 fn key_rows(view: &ViewModel, width: usize) -> Vec<Line<'static>> {
     let pose = view.static_info.pose.iter();
     let axes: Vec<&str> = pose.map(|axis| axis.name.as_str()).collect();
@@ -271,7 +271,7 @@ fn notice_rows(confirm: &Confirm, width: usize) -> Vec<String> {
 }
 
 /// One row per pose coordinate: its source.
-fn axis_rows(view: &ViewModel) -> Vec<String> {
+fn source_rows(view: &ViewModel) -> Vec<String> {
     let axes = view.static_info.pose.iter().zip(&view.sources);
     axes.map(|(axis, source)| {
         let text = match source {
