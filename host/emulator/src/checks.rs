@@ -35,6 +35,11 @@ pub struct Checks {
     pub miscounted: Vec<(String, i64, i64)>,
     /// Cycles of the control periods with pulses.
     pub cycles: Cycles,
+    /// Cycles from the start of a control period to the end of its work, all handlers included: the
+    /// largest number while a drive was on.
+    pub busy: u32,
+    /// Cycles of a control period.
+    pub available: u32,
     /// The stack.
     pub stack: Stack,
 }
@@ -82,9 +87,13 @@ fn has_pulses(period: &Period) -> bool {
     period.commands.iter().any(steps)
 }
 
+/// Whether a drive is on.
+fn is_on(period: &Period) -> bool {
+    period.commands.iter().any(|it| *it != DriveCommand::Off)
+}
+
 /// Missed periods while a drive was on, or while all were off.
 fn missed(periods: &[Period], enabled: bool) -> u64 {
-    let is_on = |period: &Period| period.commands.iter().any(|it| *it != DriveCommand::Off);
     let pairs = periods.iter().zip(periods.iter().skip(1));
     pairs
         .filter(|(before, _)| is_on(before) == enabled)
@@ -204,6 +213,8 @@ impl Checks {
             .iter()
             .filter(|it| has_pulses(it))
             .for_each(|period| cycles.add(period));
+        let on = periods.iter().filter(|period| is_on(period));
+        let busy = on.map(|period| period.busy).max().unwrap_or(0);
         // The count of a moving board is one of an earlier moment.
         let at_rest = periods.iter().rev().take(4).all(|it| !has_pulses(it));
         let last = periods.last().filter(|_| at_rest);
@@ -222,8 +233,16 @@ impl Checks {
             differing: first_difference(periods, machine.config.period_us),
             miscounted,
             cycles,
+            busy,
+            available: u32::from(machine.config.period_us) * (CLOCK_HZ / 1_000_000) as u32,
             stack,
         }
+    }
+
+    /// Part of the control period that is left in the worst one, %; negative if it ended too late.
+    #[must_use]
+    pub fn margin_percent(&self) -> f64 {
+        100.0 - 100.0 * f64::from(self.busy) / f64::from(self.available)
     }
 
     /// No fault was found.
@@ -280,6 +299,13 @@ impl fmt::Display for Checks {
             self.cycles.mean(),
             self.cycles.worst,
             self.cycles.worst_stages[STAGES]
+        )?;
+        writeln!(
+            out,
+            "the worst control period with a drive on: {} of {} cycles with all handlers, {:.1} % left",
+            self.busy,
+            self.available,
+            self.margin_percent()
         )?;
         let names = Stage::ALL.iter().map(|stage| stage.name());
         for (stage, name) in names.chain(["words for the PIO"]).enumerate() {

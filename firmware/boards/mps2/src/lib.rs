@@ -4,7 +4,7 @@
 //! QEMU's machines `mps2-an386` (Cortex-M4F) and `mps2-an500` (Cortex-M7) run the same image. The
 //! host is connected to UART0, as on any board. The machine is at the other end of two named pipes,
 //! which semihosting reads and writes ([`haptimill_firmware::pil`] documents the data). All memory
-//! accesses and instructions that need `unsafe` are in this crate.
+//! accesses and instructions that need `unsafe` are in this crate and in `haptimill_board_cortex`.
 //!
 //! | image | feature | content |
 //! | --- | --- | --- |

@@ -4,18 +4,7 @@
 /// Value of an unused word of the stack.
 const PAINT: u32 = 0xCCCC_CCCC;
 
-unsafe extern "C" {
-    static _stack_start: u32;
-    static _stack_end: u32;
-}
-
-fn bounds() -> (usize, usize) {
-    // The linker's symbols stand for their addresses; their contents are not read.
-    (
-        &raw const _stack_end as usize,
-        &raw const _stack_start as usize,
-    )
-}
+use haptimill_board_cortex::guard::stack as bounds;
 
 /// Returns the largest number of stack bytes that were used.
 #[must_use]

@@ -5,12 +5,11 @@
 //! and depends only on its inputs.
 
 use crate::counter::StageCounter;
-use core::cell::UnsafeCell;
-use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::SCB;
 use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m_rt::exception;
+use haptimill_board_cortex::shared::Shared;
 use haptimill_firmware::comm::rx_ring::Waiting;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
@@ -31,46 +30,30 @@ pub struct Period {
     pub counter: StageCounter,
 }
 
-/// Zeros before the start, so that the image does not contain them: storage, and whether it was
-/// initialised.
-struct Shared {
-    started: AtomicBool,
-    place: UnsafeCell<MaybeUninit<Period>>,
-}
+// The handler runs only when `run` has pended it. `with` is not active then, because both belong to
+// the main program.
+static PERIOD: Shared<Period> = Shared::new();
+/// `start` was called.
+static STARTED: AtomicBool = AtomicBool::new(false);
 
-// SAFETY: the handler runs only when `run` has pended it. `with` is not active then, because both
-// belong to the main program.
-unsafe impl Sync for Shared {}
-
-static PERIOD: Shared = Shared {
-    started: AtomicBool::new(false),
-    place: UnsafeCell::new(MaybeUninit::zeroed()),
-};
-
-impl Shared {
-    /// Returns the period, if `start` was called.
-    ///
-    /// # Safety
-    /// No other code may use the period meanwhile: the main program and the handler take turns.
-    #[allow(
-        clippy::mut_from_ref,
-        reason = "that is what the cell is for; see Safety"
-    )]
-    unsafe fn get(&self) -> Option<&mut Period> {
-        if !self.started.load(Ordering::Relaxed) {
-            return None;
-        }
-        // SAFETY: it was initialised before `started` was set; the caller guarantees the rest.
-        Some(unsafe { (*self.place.get()).assume_init_mut() })
+/// Returns the period, if `start` was called.
+///
+/// # Safety
+/// No other code may use the period meanwhile: the main program and the handler take turns.
+unsafe fn period() -> Option<&'static mut Period> {
+    if !STARTED.load(Ordering::Relaxed) {
+        return None;
     }
+    // SAFETY: it was written before `STARTED` was set; the caller guarantees the rest.
+    Some(unsafe { PERIOD.get() })
 }
 
 /// Initialises the period. The receive interrupt gets a higher priority than the period.
 pub fn start(scb: &mut SCB, waiting: Waiting<'static>) {
     // SAFETY: nothing depends on priorities yet.
     unsafe { scb.set_priority(SystemHandler::SysTick, 0x80) };
-    // SAFETY: the handler has not been pended yet, and does nothing before `started` is set.
-    let place = unsafe { &mut *PERIOD.place.get() };
+    // SAFETY: the handler has not been pended yet, and does nothing before `STARTED` is set.
+    let place = unsafe { PERIOD.place() };
     place.write(Period {
         controller: None,
         waiting: Some(waiting),
@@ -78,7 +61,7 @@ pub fn start(scb: &mut SCB, waiting: Waiting<'static>) {
         outputs: Outputs::default(),
         counter: StageCounter::default(),
     });
-    PERIOD.started.store(true, Ordering::Relaxed);
+    STARTED.store(true, Ordering::Relaxed);
 }
 
 /// Starts a run with a new controller.
@@ -98,7 +81,7 @@ fn put(place: &mut Option<Controller>, period_us: u16) {
 pub fn with<T>(look: impl FnOnce(&mut Period) -> T) -> Option<T> {
     // SAFETY: the main program is one thread. The closure can call `with` again only by recursion,
     // which this crate does not have. The handler is not pending.
-    unsafe { PERIOD.get() }.map(look)
+    unsafe { period() }.map(look)
 }
 
 /// Runs one control period in its handler.
@@ -128,8 +111,8 @@ pub fn report(period: &Period, snapshot: &mut Snapshot, frame: &mut [u32; FROM_B
 
 #[exception]
 fn SysTick() {
-    // SAFETY: see `Shared`.
-    let Some(period) = (unsafe { PERIOD.get() }) else {
+    // SAFETY: see `PERIOD`.
+    let Some(period) = (unsafe { period() }) else {
         return;
     };
     // Keeps the address opaque: built into every function called from here, a field far from the

@@ -4,10 +4,10 @@
 use crate::clocks::{CYCLES_PER_US, cycles};
 use crate::pins;
 use crate::registers::{PIO, PSM, WATCHDOG, read, set, write};
-use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering};
 use haptimill_board_common::lamp;
 use haptimill_board_common::reset_cause::{Cause, ENDED, RUNNING};
+use haptimill_board_cortex::{fault_handler, faults};
 
 /// Time without a completed control period after which the chip is reset, us. The period in which a
 /// configuration is activated takes 3 ms.
@@ -91,66 +91,9 @@ fn panicked(info: &core::panic::PanicInfo<'_>) -> ! {
     )
 }
 
-/// Sets the limit of the stack: below it are no data, but the addresses answer.
-pub fn guard_stack() {
-    unsafe extern "C" {
-        static _stack_end: u32;
-    }
-    let limit = &raw const _stack_end as usize;
-    // SAFETY: the stack pointer is above the limit.
-    unsafe { core::arch::asm!("msr msplim, {}", in(reg) limit) };
-}
-
-/// Bytes of the stack of the fault handler.
-const FAULT_STACK_BYTES: usize = 512;
-
-/// Stack of the fault handler, because the main stack may be the cause.
-#[repr(C, align(8))]
-struct FaultStack(UnsafeCell<[u8; FAULT_STACK_BYTES]>);
-
-// SAFETY: only the handler below uses it, and it never returns.
-unsafe impl Sync for FaultStack {}
-
-static FAULT_STACK: FaultStack = FaultStack(UnsafeCell::new([0; FAULT_STACK_BYTES]));
-
-/// Handler of all processor faults and unexpected interrupts.
-///
-/// # Safety
-/// Only the processor may call it.
-#[unsafe(naked)]
-#[unsafe(no_mangle)]
-unsafe extern "C" fn HardFault() -> ! {
-    core::arch::naked_asm!(
-        "mrs r0, msp",
-        "movs r1, #0",
-        "msr msplim, r1",
-        "movw r1, #:lower16:{stack}",
-        "movt r1, #:upper16:{stack}",
-        "add r1, r1, #{bytes}",
-        "msr msp, r1",
-        "b {report}",
-        stack = sym FAULT_STACK,
-        bytes = const FAULT_STACK_BYTES,
-        report = sym report,
-    )
-}
+fault_handler!(report, 512);
 
 /// Reports a fault; `frame` is the stack pointer at its entry.
 extern "C" fn report(frame: usize) -> ! {
-    unsafe extern "C" {
-        static _stack_start: u32;
-        static _stack_end: u32;
-    }
-    let (low, high) = (
-        &raw const _stack_end as usize,
-        &raw const _stack_start as usize,
-    );
-    // The address of the fault is the seventh word of the frame, if the frame was stacked.
-    let place = if frame >= low && frame + 32 <= high {
-        // SAFETY: it lies within the stack.
-        unsafe { ((frame + 24) as *const u32).read_volatile() }
-    } else {
-        0
-    };
-    end(Cause::Fault, place)
+    end(Cause::Fault, faults::address(frame))
 }

@@ -12,7 +12,8 @@
 //! | [`ending`] | panic, processor fault, watchdog, and what the LED shows of them |
 //! | [`record`] | last control period, for a debugger or an emulator |
 //!
-//! All memory accesses and instructions that need `unsafe` are in this crate.
+//! All memory accesses and instructions that need `unsafe` are in this crate and in
+//! `haptimill_board_cortex`.
 #![no_std]
 #![no_main]
 
@@ -37,9 +38,11 @@ use uart as line;
 #[cfg(not(feature = "uart"))]
 use usb as line;
 
+use haptimill_board_cortex::guard::limit_stack;
+
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    ending::guard_stack();
+    limit_stack();
     let cause = ending::take_cause();
     clocks::start();
     pins::start();

@@ -13,12 +13,12 @@ use crate::pins::{self, JOINTS, Levels};
 use crate::record::{self, Cycles};
 use crate::registers::{SYSTICK, read, write};
 use crate::steps::{Batch, Engine, Filler, requirements};
-use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::SCB;
 use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m_rt::exception;
+use haptimill_board_cortex::shared::Shared;
 use haptimill_drivers::input_filter::InputFilter;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
@@ -46,32 +46,12 @@ struct Back {
     wrong: u8,
     /// Changes of the inputs that the noise filter suppressed.
     glitches: u32,
+    /// Count of the cycle counter at the start of the period.
+    start: u32,
 }
 
-/// Data of the handlers, set up before they run.
-struct Shared<T>(UnsafeCell<MaybeUninit<T>>);
-
-// SAFETY: `start` writes it before SysTick is enabled. From then on only SysTick uses `FRONT`, and
-// `BACK` belongs to PendSV while `BUSY` is set and to SysTick otherwise.
-unsafe impl<T> Sync for Shared<T> {}
-
-impl<T> Shared<T> {
-    const fn new() -> Self {
-        Self(UnsafeCell::new(MaybeUninit::uninit()))
-    }
-
-    /// # Safety
-    /// See `Sync`: the caller owns the data now, and `start` has written it.
-    #[allow(
-        clippy::mut_from_ref,
-        reason = "that is what the cell is for; see Safety"
-    )]
-    unsafe fn get(&self) -> &mut T {
-        // SAFETY: the caller guarantees it.
-        unsafe { (*self.0.get()).assume_init_mut() }
-    }
-}
-
+// `start` writes both before SysTick is enabled. From then on only SysTick uses `FRONT`, and `BACK`
+// belongs to PendSV while `BUSY` is set and to SysTick otherwise.
 static FRONT: Shared<Front> = Shared::new();
 static BACK: Shared<Back> = Shared::new();
 /// PendSV computes.
@@ -90,8 +70,8 @@ pub fn start(line: InPeriod, bytes: Bytes) {
     write(SYSTICK, 0x0, 0b101);
     // SAFETY: no handler runs yet, and this function runs once.
     unsafe {
-        put(&mut *BACK.0.get(), bytes);
-        (*FRONT.0.get()).write(Front {
+        put(BACK.place(), bytes);
+        FRONT.place().write(Front {
             engine: Engine::start(),
             line,
             filter: Levels::read().filter(),
@@ -119,6 +99,7 @@ fn put(place: &mut MaybeUninit<Back>, bytes: Bytes) {
         batch: None,
         wrong: 0,
         glitches: 0,
+        start: 0,
     });
 }
 
@@ -131,6 +112,7 @@ fn elapsed() -> u32 {
 #[exception]
 fn SysTick() {
     let late = elapsed();
+    let start = cycles().wrapping_sub(late);
     // SAFETY: only this handler uses it.
     let front = unsafe { FRONT.get() };
     let busy = BUSY.load(Ordering::Acquire);
@@ -148,6 +130,7 @@ fn SysTick() {
             back.glitches = front.filter.all_glitches();
             front.missed = 0;
             back.buffer = front.engine.free();
+            back.start = start;
             BUSY.store(true, Ordering::Release);
             SCB::set_pendsv();
         }
@@ -210,7 +193,13 @@ fn PendSV() {
     back.wrong = wrong;
     back.batch = Some(filler.fill(back.buffer, &outputs.joints, &widths));
     profile.end(cycles());
-    record::write(&back.inputs, &back.outputs, &profile, back.glitches);
+    record::write(
+        &back.inputs,
+        &back.outputs,
+        &profile,
+        back.glitches,
+        back.start,
+    );
     ending::feed_watchdog();
     pins::pump();
     BUSY.store(false, Ordering::Release);

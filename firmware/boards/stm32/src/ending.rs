@@ -5,10 +5,10 @@ use crate::clocks::cycles;
 use crate::registers::{DBGMCU, IWDG, RCC, change, read, wait, write};
 use crate::{pins, steps};
 use core::cell::UnsafeCell;
-use cortex_m::peripheral::scb::Exception;
 use cortex_m::peripheral::{MPU, SCB};
 use haptimill_board_common::lamp::Lamp;
 use haptimill_board_common::reset_cause::{Cause, ENDED, RUNNING};
+use haptimill_board_cortex::{fault_handler, faults, guard};
 
 /// Flashes of the LED of a board without a crystal or a clock of 8 MHz. Other numbers are those of
 /// [`Cause`].
@@ -104,90 +104,15 @@ fn panicked(info: &core::panic::PanicInfo<'_>) -> ! {
     )
 }
 
-/// Enables the handlers of bus, memory and usage faults, and closes the addresses below the stack.
-/// Without handlers of their own a fault that cannot be stacked locks the processor up.
+/// Closes the addresses below the stack, and enables the handlers of all faults.
 pub fn watch(scb: &mut SCB, mpu: &mut MPU) {
-    scb.enable(Exception::BusFault);
-    scb.enable(Exception::MemoryManagement);
-    scb.enable(Exception::UsageFault);
-    // SAFETY: nothing lies in the closed region. All other memory keeps its access rules.
-    unsafe {
-        mpu.rbar.write(BELOW_STACK | REGION_VALID);
-        mpu.rasr.write(REGION_32_MIB | REGION_ON);
-        mpu.ctrl.write(OTHERS_AS_BEFORE | PROTECTION_ON);
-    }
-    cortex_m::asm::dsb();
-    cortex_m::asm::isb();
+    // SAFETY: the chip reserves the 32 MiB below the core-coupled memory.
+    unsafe { guard::close_below_stack(scb, mpu, 0x0E00_0000, 25) };
 }
 
-/// The 32 MiB below the core-coupled memory, which the chip reserves.
-const BELOW_STACK: u32 = 0x0E00_0000;
-/// The region number (0) is written together with its address.
-const REGION_VALID: u32 = 1 << 4;
-/// 2^(24 + 1) bytes, no access: all other fields are zero.
-const REGION_32_MIB: u32 = 24 << 1;
-const REGION_ON: u32 = 1;
-/// Memory outside of all regions keeps the processor's default rules.
-const OTHERS_AS_BEFORE: u32 = 1 << 2;
-const PROTECTION_ON: u32 = 1;
-
-/// Bytes of the stack of the fault handler.
-const FAULT_STACK_BYTES: usize = 512;
-
-/// Stack of the fault handler, because the main stack may be the cause.
-#[repr(C, align(8))]
-struct FaultStack(UnsafeCell<[u8; FAULT_STACK_BYTES]>);
-
-// SAFETY: only the handler below uses it, and it never returns.
-unsafe impl Sync for FaultStack {}
-
-static FAULT_STACK: FaultStack = FaultStack(UnsafeCell::new([0; FAULT_STACK_BYTES]));
-
-/// Handler of all processor faults and unexpected exceptions.
-///
-/// # Safety
-/// Only the processor may call it.
-#[unsafe(naked)]
-#[unsafe(no_mangle)]
-unsafe extern "C" fn HardFault() -> ! {
-    core::arch::naked_asm!(
-        "mrs r0, msp",
-        "movw r1, #:lower16:{stack}",
-        "movt r1, #:upper16:{stack}",
-        "add r1, r1, #{bytes}",
-        "msr msp, r1",
-        "b {report}",
-        stack = sym FAULT_STACK,
-        bytes = const FAULT_STACK_BYTES,
-        report = sym report,
-    )
-}
-
-core::arch::global_asm!(
-    ".global BusFault",
-    ".thumb_set BusFault, HardFault",
-    ".global MemoryManagement",
-    ".thumb_set MemoryManagement, HardFault",
-    ".global UsageFault",
-    ".thumb_set UsageFault, HardFault",
-);
+fault_handler!(report, 512, all);
 
 /// Reports a fault; `frame` is the stack pointer at its entry.
 extern "C" fn report(frame: usize) -> ! {
-    unsafe extern "C" {
-        static _stack_start: u32;
-        static _stack_end: u32;
-    }
-    let (low, high) = (
-        &raw const _stack_end as usize,
-        &raw const _stack_start as usize,
-    );
-    // The address of the fault is the seventh word of the frame, if the frame was stacked.
-    let place = if frame >= low && frame + 32 <= high {
-        // SAFETY: it lies within the stack.
-        unsafe { ((frame + 24) as *const u32).read_volatile() }
-    } else {
-        0
-    };
-    end(Cause::Fault, place)
+    end(Cause::Fault, faults::address(frame))
 }

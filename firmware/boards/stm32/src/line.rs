@@ -2,10 +2,9 @@
 //! bytes, more urgently than the control period.
 
 use crate::registers::{USART3, USART3_INTERRUPT, read, write};
-use core::cell::UnsafeCell;
-use core::mem::MaybeUninit;
 use cortex_m::peripheral::NVIC;
 use haptimill_board_common::link::{Bytes, Rings, Wire};
+use haptimill_board_cortex::shared::Shared;
 
 const STATUS: usize = 0x0;
 const DATA: usize = 0x4;
@@ -25,19 +24,10 @@ const BAUD: u32 = 2 << 4 | 10;
 /// More urgent than the control period, less than a fault.
 const PRIORITY: u8 = 0x40;
 
-struct Places {
-    rings: UnsafeCell<MaybeUninit<Rings>>,
-    wire: UnsafeCell<Option<Wire<'static>>>,
-}
-
-// SAFETY: `start` writes both, once, before the interrupt is enabled. From then on only the
-// interrupt uses the wire, and the ends of the rings are made for two contexts.
-unsafe impl Sync for Places {}
-
-static PLACES: Places = Places {
-    rings: UnsafeCell::new(MaybeUninit::uninit()),
-    wire: UnsafeCell::new(None),
-};
+// `start` writes both, once, before the interrupt is enabled. From then on only the interrupt uses
+// the wire, and the ends of the rings are made for two contexts.
+static RINGS: Shared<Rings> = Shared::new();
+static WIRE: Shared<Wire<'static>> = Shared::new();
 
 /// The controller's end of the line.
 pub struct Line(Bytes<'static>);
@@ -45,9 +35,9 @@ pub struct Line(Bytes<'static>);
 /// Starts the line. Only `main` calls it, once.
 pub fn start(nvic: &mut NVIC) -> Line {
     // SAFETY: called once, and the interrupt is not enabled yet: these are the only references.
-    let (rings, place) = unsafe { (&mut *PLACES.rings.get(), &mut *PLACES.wire.get()) };
+    let (rings, place) = unsafe { (RINGS.place(), WIRE.place()) };
     let (wire, bytes) = rings.write(Rings::new()).split();
-    *place = Some(wire);
+    place.write(wire);
     write(USART3, DIVIDER, BAUD);
     write(USART3, CONTROL, ENABLED);
     // SAFETY: the wire is in place; no critical section depends on priorities.
@@ -85,11 +75,9 @@ impl Line {
 
 /// Handler of the USART.
 pub extern "C" fn serve() {
-    // SAFETY: only this interrupt uses the wire while it is enabled, and it does not preempt
-    // itself.
-    let Some(wire) = (unsafe { &mut *PLACES.wire.get() }) else {
-        return;
-    };
+    // SAFETY: `start` wrote the wire before it enabled this interrupt, which alone uses it and does
+    // not preempt itself.
+    let wire = unsafe { WIRE.get() };
     let status = read(USART3, STATUS);
     if status & (RECEIVED | OVERRUN) != 0 {
         // Reading it ends the flags of errors, too. A byte with a wrong frame goes on: the frames

@@ -11,8 +11,10 @@
 //! | [`line`] | line to the host: USART3 |
 //! | [`ending`] | panic, processor fault, watchdog, and what the LED shows of them |
 //! | [`interrupts`] | table of the interrupts |
+//! | [`record`] | last control period, for a debugger or an emulator |
 //!
-//! All memory accesses and instructions that need `unsafe` are in this crate.
+//! All memory accesses and instructions that need `unsafe` are in this crate and in
+//! `haptimill_board_cortex`.
 #![no_std]
 #![no_main]
 
@@ -23,6 +25,7 @@ mod interrupts;
 mod line;
 mod period;
 mod pins;
+mod record;
 mod registers;
 mod steps;
 

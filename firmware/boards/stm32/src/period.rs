@@ -9,18 +9,19 @@ use crate::encoders::Encoders;
 use crate::ending;
 use crate::line::Line;
 use crate::pins::{self, JOINTS, Levels};
+use crate::record;
 use crate::registers::timer::{
     CONTROL, COUNT, ENABLES, EVENTS, OVERFLOW_ONLY, PRESCALER, RELOAD, RUN, STATUS, UPDATE,
     UPDATE_INTERRUPT, UPDATED,
 };
 use crate::registers::{TIM1, TIM1_UPDATE_INTERRUPT, read, write};
 use crate::steps::{Batch, Engine, Filler, requirements};
-use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::exception;
+use haptimill_board_cortex::shared::Shared;
 use haptimill_drivers::input_filter::InputFilter;
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
@@ -53,32 +54,14 @@ struct Back {
     batch: Option<Batch>,
     /// Joints that this board cannot drive, one bit each.
     wrong: u8,
+    /// Changes of the inputs that the noise filter suppressed.
+    glitches: u32,
+    /// Cycle at which the period began.
+    start: u32,
 }
 
-/// Data of the handlers, set up before they run.
-struct Shared<T>(UnsafeCell<MaybeUninit<T>>);
-
-// SAFETY: `start` writes it before the interrupt is enabled. From then on only the interrupt uses
-// `FRONT`, and `BACK` belongs to PendSV while `BUSY` is set and to the interrupt otherwise.
-unsafe impl<T> Sync for Shared<T> {}
-
-impl<T> Shared<T> {
-    const fn new() -> Self {
-        Self(UnsafeCell::new(MaybeUninit::uninit()))
-    }
-
-    /// # Safety
-    /// See `Sync`: the caller owns the data now, and `start` has written it.
-    #[allow(
-        clippy::mut_from_ref,
-        reason = "that is what the cell is for; see Safety"
-    )]
-    unsafe fn get(&self) -> &mut T {
-        // SAFETY: the caller guarantees it.
-        unsafe { (*self.0.get()).assume_init_mut() }
-    }
-}
-
+// `start` writes both before the interrupt is enabled. From then on only the interrupt uses `FRONT`, and `BACK`
+// belongs to PendSV while `BUSY` is set and to the interrupt otherwise.
 static FRONT: Shared<Front> = Shared::new();
 static BACK: Shared<Back> = Shared::new();
 /// PendSV computes.
@@ -95,8 +78,8 @@ pub fn start(scb: &mut SCB, nvic: &mut NVIC, line: Line) {
     write(TIM1, ENABLES, UPDATE_INTERRUPT);
     // SAFETY: no handler runs yet, and this function runs once.
     unsafe {
-        put(&mut *BACK.0.get(), line);
-        (*FRONT.0.get()).write(Front {
+        put(BACK.place(), line);
+        FRONT.place().write(Front {
             engine: Engine::start(),
             encoders: Encoders::start(),
             filter: Levels::read().filter(),
@@ -125,6 +108,8 @@ fn put(place: &mut MaybeUninit<Back>, line: Line) {
         buffer: 0,
         batch: None,
         wrong: 0,
+        glitches: 0,
+        start: 0,
     });
 }
 
@@ -148,7 +133,9 @@ pub extern "C" fn begin() {
             apply(front, &back.outputs);
             latch(front, back, levels);
             front.missed = 0;
+            back.glitches = front.filter.all_glitches();
             back.buffer = front.engine.free();
+            back.start = front.last;
             BUSY.store(true, Ordering::Release);
             SCB::set_pendsv();
         }
@@ -232,6 +219,8 @@ fn PendSV() {
     let (widths, wrong) = requirements(controller.machine());
     back.wrong = wrong;
     back.batch = Some(back.filler.fill(back.buffer, outputs, &widths));
+    let busy = cycles().wrapping_sub(back.start);
+    record::write(&back.inputs, &back.outputs, back.glitches, busy);
     ending::feed_watchdog();
     pins::pump();
     BUSY.store(false, Ordering::Release);

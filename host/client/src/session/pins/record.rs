@@ -1,12 +1,11 @@
 //! The record of the last control period that an image keeps in its RAM, where its stack begins.
-//! Its layout is in `firmware/boards/pico2/src/record.rs`.
+//! Its layout is in [`haptimill_board_common::period_record`].
 
 use haptimill_firmware::io::{DriveCommand, Inputs, StepSegment};
 use haptimill_firmware::profiler::STAGES;
 
-pub use haptimill_board_common::PERIOD_RECORD_WORDS as WORDS;
-/// Joints of the board.
-pub const JOINTS: usize = 5;
+use haptimill_board_common::period_record::{BUSY, GLITCHES, STAGE_WORDS, STEP_WORDS};
+pub use haptimill_board_common::period_record::{JOINTS, WORDS};
 
 /// A control period of a board.
 #[derive(Debug, Clone)]
@@ -23,6 +22,8 @@ pub struct Period {
     pub cause: u8,
     /// Changes of inputs that the noise filter suppressed.
     pub glitches: u32,
+    /// Cycles from the start of the period to the end of its work, all handlers included.
+    pub busy: u32,
 }
 
 impl Period {
@@ -69,14 +70,15 @@ impl Period {
         Self {
             inputs,
             commands,
-            stages: core::array::from_fn(|stage| words[48 + stage]),
-            words: words[59],
+            stages: core::array::from_fn(|stage| words[STAGE_WORDS.0 + stage]),
+            words: words[STEP_WORDS],
             cause: (words[2] >> 24) as u8,
-            glitches: words[60],
+            glitches: words[GLITCHES],
+            busy: words[BUSY],
         }
     }
 
-    /// Cycles of the whole period handler.
+    /// Cycles of the controller and of the words for the PIO.
     #[must_use]
     pub fn cycles(&self) -> u32 {
         self.stages.iter().sum::<u32>() + self.words
