@@ -17,11 +17,48 @@ pub struct Board {
     others: &'static [(&'static str, &'static str, &'static [&'static str])],
     /// Features of the product image that one can choose: `cargo xtask board NAME --FEATURE`.
     pub options: &'static [&'static str],
+    /// Control periods of the images of a release besides the one that a build has without
+    /// `--period`, us; empty if the board has one period only.
+    pub periods: &'static [&'static str],
     /// Its boot ROM takes UF2 files.
     pub has_uf2: bool,
     /// Largest flash and static RAM of an image, bytes.
     flash: u64,
     ram: u64,
+}
+
+/// What one can choose of a product image.
+#[derive(Clone, Copy, Default)]
+pub struct Variant<'a> {
+    /// A feature.
+    pub option: Option<&'a str>,
+    /// The control period, us; the build script of the board knows which there are.
+    pub period_us: Option<&'a str>,
+}
+
+impl<'a> Variant<'a> {
+    /// Reads `--OPTION` and `--period US`; `None` for other words.
+    pub fn of(words: &[&'a str]) -> Option<Self> {
+        let mut variant = Self::default();
+        let mut words = words.iter();
+        while let Some(word) = words.next() {
+            match word.strip_prefix("--")? {
+                "period" if variant.period_us.is_none() => {
+                    variant.period_us = words.next().copied()
+                }
+                option if variant.option.is_none() => variant.option = Some(option),
+                _ => return None,
+            }
+        }
+        Some(variant)
+    }
+
+    /// What the names of its files end with.
+    pub fn suffix(&self) -> String {
+        let option = self.option.map(|option| format!("-{option}"));
+        let period = self.period_us.map(|period| format!("-{period}us"));
+        option.into_iter().chain(period).collect()
+    }
 }
 
 /// Optimises the controller and the link for speed.
@@ -51,10 +88,17 @@ const MPS2: Board = Board {
         ("logging", "defmt", &[]),
     ],
     options: &[],
+    periods: &[],
     has_uf2: false,
     flash: 256 * 1024,
     ram: 64 * 1024,
 };
+
+/// Control period of the Pico 2 that leaves 30 % with five joints at 1,000,000 steps/s each, us
+/// (docs/hardware/pico2.md).
+pub const FIVE_JOINTS_US: &str = "320";
+/// The variable of the environment with the control period of an image.
+const PERIOD_VARIABLE: &str = "HAPTIMILL_PERIOD_US";
 
 /// The whole image is copied into the RAM, code and constants too.
 const PICO2: Board = Board {
@@ -64,6 +108,7 @@ const PICO2: Board = Board {
     binary: "haptimill-pico2",
     others: &[],
     options: &["uart"],
+    periods: &[FIVE_JOINTS_US],
     has_uf2: true,
     flash: 384 * 1024,
     ram: 384 * 1024,
@@ -77,6 +122,7 @@ const STM32: Board = Board {
     binary: "haptimill-stm32",
     others: &[],
     options: &[],
+    periods: &[],
     has_uf2: false,
     flash: 384 * 1024,
     ram: 128 * 1024,
@@ -242,20 +288,34 @@ impl Board {
 
     /// Builds the product image.
     pub fn build(&self, root: &Path, quiet: bool) -> Result<PathBuf, String> {
-        self.cargo(root, quiet, self.binary, &[])
+        self.cargo(root, quiet, self.binary, &[], None)
     }
 
-    /// Builds the product image with an option; its name ends with that of the option.
+    /// Builds a variant of the product image; its name ends with what differs.
     ///
     /// # Errors
-    /// The board has no such option, or the image cannot be built.
-    pub fn build_with(&self, root: &Path, quiet: bool, option: &str) -> Result<PathBuf, String> {
-        if !self.options.contains(&option) {
-            return Err(format!("the board {} has no option '{option}'", self.name));
+    /// The board has no such option or control period, or the image cannot be built.
+    pub fn build_variant(
+        &self,
+        root: &Path,
+        quiet: bool,
+        variant: &Variant<'_>,
+    ) -> Result<PathBuf, String> {
+        let mut arguments = Vec::new();
+        if let Some(option) = variant.option {
+            if !self.options.contains(&option) {
+                return Err(format!("the board {} has no option '{option}'", self.name));
+            }
+            arguments.extend(["--features", option]);
         }
-        let built = self.cargo(root, quiet, self.binary, &["--features", option])?;
-        let image = built.with_file_name(format!("{}-{option}", self.binary));
-        fs::copy(&built, &image).map_err(|error| format!("{}: {error}", image.display()))?;
+        if variant.period_us.is_some() && self.periods.is_empty() {
+            return Err(format!("the board {} has one control period", self.name));
+        }
+        let built = self.cargo(root, quiet, self.binary, &arguments, variant.period_us)?;
+        let image = built.with_file_name(format!("{}{}", self.binary, variant.suffix()));
+        if image != built {
+            fs::copy(&built, &image).map_err(|error| format!("{}: {error}", image.display()))?;
+        }
         Ok(image)
     }
 
@@ -293,7 +353,7 @@ impl Board {
         match self.others.iter().find(|(other, ..)| *other == name) {
             Some((_, feature, more)) => {
                 let words = [&["--features", feature][..], more].concat();
-                self.cargo(root, true, name, &words)
+                self.cargo(root, true, name, &words, None)
             }
             None if name == self.binary => self.build(root, true),
             None => {
@@ -314,6 +374,7 @@ impl Board {
         quiet: bool,
         binary: &str,
         more: &[&str],
+        period_us: Option<&str>,
     ) -> Result<PathBuf, String> {
         let toolchain = self.toolchain().ok_or_else(|| {
             format!(
@@ -342,6 +403,10 @@ impl Board {
         if quiet {
             cargo.arg("--quiet");
         }
+        match period_us {
+            Some(period) => cargo.env(PERIOD_VARIABLE, period),
+            None => cargo.env_remove(PERIOD_VARIABLE),
+        };
         match cargo.status() {
             Ok(status) if status.success() => Ok(self.image(root, binary)),
             Ok(status) => Err(format!(
@@ -358,7 +423,8 @@ impl Board {
         let folder = root.join(self.folder);
         let status = crate::cargo()
             .current_dir(&folder)
-            .args(["fmt", "--check"])
+            // With the code that boards share, which the main workspace leaves out, too.
+            .args(["fmt", "--all", "--check"])
             .status();
         match status {
             Ok(status) if status.success() => Ok(()),

@@ -1,6 +1,7 @@
 //! The emulator of boards with an RP2350: takes the pinned packages from the registry, applies the
 //! project's repairs, and tests them.
 
+use crate::board::Variant;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -13,8 +14,11 @@ const FOLDER: &str = "host/emulator";
 
 /// Board whose image runs in the emulator.
 const BOARD: &str = "pico2";
-/// Option of the board whose image is tested, too.
-const UART: &str = "uart";
+/// Variant of the image that is tested, too.
+const UART: Variant<'_> = Variant {
+    option: Some("uart"),
+    period_us: None,
+};
 
 /// What is done with the repaired emulator.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -38,7 +42,7 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     let mut cargo = crate::cargo();
     cargo.current_dir(&folder);
     if task != Task::Build {
-        let image = board.uf2(&board.build_with(root, true, UART)?)?;
+        let image = board.uf2(&board.build_variant(root, true, &UART)?)?;
         cargo.env("HAPTIMILL_UART_IMAGE", image);
     }
     // Last: the path of the ELF file then has the image that the board has without options.
@@ -62,6 +66,30 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
         println!("{}", image.display());
     }
     Ok(())
+}
+
+/// Measures how much of a control period is left in the worst one, with an image that has this
+/// period, in us.
+///
+/// # Errors
+/// As [`emulator`]; or less is left than the test requires.
+pub fn margin(root: &Path, period_us: &str) -> Result<(), String> {
+    let folder = root.join(FOLDER);
+    repair(root, &folder)?;
+    let board = crate::named(BOARD)?;
+    let variant = Variant {
+        option: None,
+        period_us: Some(period_us),
+    };
+    let image = board.uf2(&board.build_variant(root, true, &variant)?)?;
+    let mut cargo = crate::cargo();
+    cargo
+        .current_dir(&folder)
+        .env("HAPTIMILL_IMAGE", image)
+        .env("HAPTIMILL_PERIOD_US", period_us)
+        .args(["test", "--release", "--locked", "--test", "margin", "--"])
+        .args(["--nocapture", "--test-threads=1", "--include-ignored"]);
+    succeed(&mut cargo)
 }
 
 /// Puts the repaired sources into `target/patched/`, unless they are there already.

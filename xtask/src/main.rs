@@ -39,6 +39,7 @@ Developer tasks of the project.
   cargo xtask board NAME           build the image of a board (mps2, pico2, stm32), print its size, check it against the budget
   cargo xtask board NAME --uf2     build the image, check boot block, vectors and memory map, write it as UF2 (pico2)
   cargo xtask board NAME --uart    as `board NAME`, with a UART as the line to the host (pico2)
+  cargo xtask board NAME --period US   as `board NAME`, with another control period (pico2); also after --uart
   cargo xtask board NAME --image   build the image and print only its path
   cargo xtask board NAME --image OTHER   the same with another image of the board (mps2: haptics, faults, checks, logging)
   cargo xtask images               build the images that one can flash, named after the commit, with checksums, in target/images
@@ -47,6 +48,8 @@ Developer tasks of the project.
                                    and run the image of the Pico 2 with a simulated mill
   cargo xtask emulator --build     build the emulator and the image, for `haptimill run --port emu:pico2`
   cargo xtask emulator --long      as `emulator`, with homing, a part program, and five joints at 1,000,000 steps/s
+  cargo xtask emulator --period US measure the worst control period of the image with this control period,
+                                   with three and with five joints at 1,000,000 steps/s
   cargo xtask machines             run every machine file in the simulator and rewrite docs/machines.md
   cargo xtask machines FILE        run one file of machines/ and print what it does
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
@@ -172,16 +175,19 @@ fn main() -> ExitCode {
             .and(figures::lint(&root())),
         ["structure"] => structure::structure(&root()),
         ["structure", folder] => structure::structure(Path::new(folder)),
-        ["board", name] => board(name, None),
-        ["board", name, "--uart"] => board(name, Some("uart")),
         ["board", name, "--uf2"] => uf2(name),
         ["board", name, "--image"] => image(name, None),
         ["board", name, "--image", other] => image(name, Some(other)),
+        ["board", name, ref choice @ ..] if let Some(variant) = board::Variant::of(choice) => {
+            board(name, &variant)
+        }
         ["images"] => images(),
         ["instructions"] => instructions(),
         ["emulator"] => emulator::emulator(&root(), emulator::Task::Test),
         ["emulator", "--build"] => emulator::emulator(&root(), emulator::Task::Build),
-        ["emulator", "--long"] => emulator::emulator(&root(), emulator::Task::LongTest),
+        ["emulator", "--long"] => emulator::emulator(&root(), emulator::Task::LongTest)
+            .and_then(|()| emulator::margin(&root(), board::FIVE_JOINTS_US)),
+        ["emulator", "--period", period] => emulator::margin(&root(), period),
         ["machines"] => run(&[machines(&[("HAPTIMILL_WRITE", "1")])]),
         ["machines", file] => {
             let name = file.trim_start_matches("machines/");
@@ -278,13 +284,10 @@ fn named(name: &str) -> Result<&'static Board, String> {
     })
 }
 
-/// Builds the product image of a board, or the one with an option, and prints its size.
-fn board(name: &str, option: Option<&str>) -> Result<(), String> {
+/// Builds the product image of a board, or a variant of it, and prints its size.
+fn board(name: &str, variant: &board::Variant<'_>) -> Result<(), String> {
     let board = named(name)?;
-    let image = match option {
-        Some(option) => board.build_with(&root(), false, option)?,
-        None => board.build(&root(), false)?,
-    };
+    let image = board.build_variant(&root(), false, variant)?;
     board.measure(&image)?;
     println!("{}", image.display());
     if board.has_uf2 {

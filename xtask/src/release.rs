@@ -1,6 +1,6 @@
 //! Images of a release: one folder with the files that users copy onto boards, and their checksums.
 
-use crate::board::BOARDS;
+use crate::board::{BOARDS, Variant};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -24,15 +24,19 @@ pub fn images(root: &Path) -> Result<Vec<PathBuf>, String> {
     fs::create_dir_all(&folder).map_err(problem)?;
     let mut names = Vec::new();
     for board in BOARDS.iter().filter(|board| board.has_uf2) {
-        let mut images = vec![(board.name.to_string(), board.build(root, true)?)];
-        for option in board.options {
-            let name = format!("{}-{option}", board.name);
-            images.push((name, board.build_with(root, true, option)?));
-        }
-        for (name, image) in images {
+        let options = board.options.iter().map(|option| Variant {
+            option: Some(option),
+            period_us: None,
+        });
+        let periods = board.periods.iter().map(|period| Variant {
+            option: None,
+            period_us: Some(period),
+        });
+        for variant in options.chain(periods).chain([Variant::default()]) {
+            let image = board.build_variant(root, true, &variant)?;
             board.measure(&image)?;
             let uf2 = board.uf2(&image)?;
-            let name = format!("haptimill-{name}-{commit}.uf2");
+            let name = format!("haptimill-{}{}-{commit}.uf2", board.name, variant.suffix());
             let target = folder.join(&name);
             fs::copy(&uf2, &target).map_err(|error| format!("{}: {error}", target.display()))?;
             names.push(name);

@@ -4,8 +4,11 @@ use crate::registers::{
     CLOCKS, DWT, PLL_SYS, PLL_USB, RESETS, TICKS, WATCHDOG, XOSC, clear, read, set, write,
 };
 
-/// Control period, us. The period of the machine file must be the same.
-pub const PERIOD_US: u16 = 200;
+/// Control period, us: one of those in `build.rs`. The period of the machine file must be the same.
+pub const PERIOD_US: u16 = match u16::from_str_radix(env!("HAPTIMILL_PERIOD_US"), 10) {
+    Ok(period) => period,
+    Err(_) => panic!("build.rs gives a number"),
+};
 /// Cycles in a microsecond.
 pub const CYCLES_PER_US: u32 = 150;
 /// Cycles of a control period.

@@ -32,8 +32,8 @@ const PERIOD_TICKS: u32 = TICKS_PER_US * PERIOD_US as u32;
 const LEAD: u32 = 750;
 /// Cycles after SysTick at which the hand-over is too late.
 const TOO_LATE: u32 = 500;
-/// Periods with a closed emergency stop after which the state machines start again.
-const CLOSED: u16 = 50;
+/// Periods with a closed emergency stop after which the state machines start again: 10 ms.
+const CLOSED: u16 = 10_000 / PERIOD_US;
 
 /// Buffers: of this period, the one before, and the next one.
 const BUFFERS: usize = 3;

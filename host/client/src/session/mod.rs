@@ -423,6 +423,9 @@ impl<L: Line> Session<L> {
         if let Some(board) = self.line.board() {
             board.check_drives(machine)?;
         }
+        if let Some(welcome) = self.client.controller() {
+            startup::check_period(&self.line.name(), welcome, machine)?;
+        }
         let (bytes, crc) = machine
             .encoded()
             .map_err(|error| Error::new(ErrorKind::Internal, error))?;

@@ -127,6 +127,27 @@ impl Startup {
     }
 }
 
+/// Checks that a controller has the control period of a machine: its image has a fixed one.
+///
+/// # Errors
+/// The periods differ.
+pub(super) fn check_period(
+    line: &str,
+    welcome: &Welcome,
+    machine: &MachineFile,
+) -> Result<(), Error> {
+    let (board, file) = (welcome.period_us, machine.config.period_us);
+    if board == file {
+        return Ok(());
+    }
+    let name = &machine.file;
+    let what = format!(
+        "{line}: the control period of the board is {board} us, and {name} has period_us = {file}; \
+         set it to {board}, or write an image with a period of {file} us into the board"
+    );
+    Err(Error::new(ErrorKind::BadInput, what))
+}
+
 fn encode(machine: &MachineFile) -> Result<Vec<u8>, Error> {
     let encoded = machine.encoded();
     encoded
@@ -342,6 +363,7 @@ impl<L: Line> Session<L> {
         if let Some(board) = self.line.board() {
             board.check_drives(&startup.file)?;
         }
+        check_period(&name, welcome, &startup.file)?;
         let mut tickets = vec![self.client.configure(&startup.config, false)];
         for command in &startup.commands {
             tickets.push(self.client.request(command.clone()));

@@ -312,3 +312,25 @@ fn a_machine_that_the_board_cannot_drive_is_not_configured() {
     session.configure(&mill).unwrap();
     assert_eq!(session.machine_name(), "mill3");
 }
+
+/// A machine file for an image with another control period is refused before it is sent.
+#[test]
+fn a_machine_with_another_control_period_is_not_configured() {
+    let board = MachineFile::built_in().unwrap();
+    let slower = board.text.replace("period_us = 200", "period_us = 400");
+    let slower = MachineFile::parse("slower.toml", &slower).unwrap();
+    let line = || SimLine::new(rig(&board, None, None, Vec::new()).unwrap());
+    let mut session = Session::new(line(), &slower, Options::default(), Arc::default());
+    session.connect(1).unwrap();
+    let refused = session.configure(&slower).unwrap_err();
+    assert_eq!(refused.kind, ErrorKind::BadInput);
+    let text = "simulator: the control period of the board is 200 us, and slower.toml has \
+                period_us = 400; set it to 200, or write an image with a period of 400 us into the \
+                board";
+    assert_eq!(refused.message, text);
+    let startup = Startup::new(&slower, None, Vec::new()).unwrap();
+    let mut session =
+        Session::new(line(), &slower, Options::default(), Arc::default()).with_startup(startup);
+    assert_eq!(session.connect(1).unwrap_err().message, text);
+    assert_eq!(session.machine_name(), "");
+}

@@ -39,6 +39,60 @@ pub fn five() -> MachineFile {
         .unwrap_or_else(|error| panic!("{error}"))
 }
 
+/// Control period of the image, us.
+pub fn period_us() -> u16 {
+    std::env::var("HAPTIMILL_PERIOD_US").map_or(200, |period| {
+        period
+            .parse()
+            .unwrap_or_else(|_| panic!("HAPTIMILL_PERIOD_US is '{period}'"))
+    })
+}
+
+/// A machine with the control period of the image. All of them are multiples of the shorter step of
+/// the simulated machine.
+fn in_period(name: &str, text: &str) -> MachineFile {
+    let text = text.replacen(
+        "period_us = 200",
+        &format!("period_us = {}", period_us()),
+        1,
+    );
+    let text = text.replacen("substep_us = 20", "substep_us = 10", 1);
+    MachineFile::parse(name, &text).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// The machine of [`five`] with the control period of the image.
+pub fn five_in_period() -> MachineFile {
+    in_period("five.toml", include_str!("../five.toml"))
+}
+
+/// A mill whose three joints search their switches together, and move, at 1,000,000 steps/s each,
+/// with the control period of the image.
+pub fn three_in_period() -> MachineFile {
+    let text = include_str!("../mill3-short.toml");
+    let changes = [
+        ("home_order = ", "# home_order = "),
+        ("steps_per_turn = 3200 ", "steps_per_turn = 100000 "),
+        ("microsteps = 16\n", "microsteps = 500\n"),
+        ("pulse_us = 2.5", "pulse_us = 0.4"),
+        ("setup_us = 5.0", "setup_us = 0.4"),
+        ("hold_us = 5.0", "hold_us = 0.4"),
+        ("pulse_ns = 2500.0", "pulse_ns = 400.0"),
+        ("_ns = 1000.0", "_ns = 200.0"),
+        ("_ns = 5000.0", "_ns = 200.0"),
+        ("\nrate_mm_s = 20.0 ", "\nrate_mm_s = 50.0 "),
+        ("rate_mm_s = 40.0", "rate_mm_s = 50.0"),
+        (
+            "\nrate_mm_s = 50.0\nacceleration_mm_s2 = 1000",
+            "\nrate_mm_s = 55.0\nacceleration_mm_s2 = 4000",
+        ),
+    ];
+    let change = |text: String, (from, to): &(&str, &str)| {
+        assert!(text.contains(from), "mill3-short.toml has no '{from}'");
+        text.replace(from, to)
+    };
+    in_period("three.toml", &changes.iter().fold(text.to_string(), change))
+}
+
 /// A board with this image whose pins are wired to a machine.
 pub fn board_with(image: &[u8], machine: &MachineFile) -> Pico2 {
     let config = machine.plant().expect("the file has a plant");

@@ -1,0 +1,77 @@
+//! How much of the control period is left in the worst one, with three and with five joints at
+//! 1,000,000 steps/s each: the search of the switches, and moves of all joints after it.
+//! `cargo xtask emulator --margin` runs it with an image of each control period.
+
+mod common;
+
+use common::{enabled, five_in_period, period_us, three_in_period};
+use haptimill_client::session::{NoObserver, find_home_pose, plan_straight_move};
+use haptimill_emulator::checks::Checks;
+use haptimill_firmware::io::DriveCommand;
+use haptimill_machine_file::MachineFile;
+
+/// Edges that must be compared with five joints.
+const EDGES: u64 = 1_000_000;
+
+/// Homes a machine, moves all its coordinates by these, mm or degrees, and back; prints the checks,
+/// which must pass.
+fn run(machine: &MachineFile, by: &[f64]) -> Checks {
+    let mut session = enabled(machine);
+    let model = session.model().clone();
+    let home = find_home_pose(machine, &model).expect("a home pose");
+    session
+        .go_home(machine, &home)
+        .expect("the joints find their switches");
+    let mut engineering = model.to_engineering_units(&home);
+    for (value, by) in engineering.iter_mut().zip(by) {
+        *value += by;
+    }
+    let away = model.to_axis_units(&engineering);
+    for (job, from, to) in [(2, &home, &away), (3, &away, &home)] {
+        let plan = plan_straight_move(machine, &model, from, to, None).expect("a move");
+        let end = session
+            .run_job(job, from.clone(), plan.setpoints, &mut NoObserver)
+            .expect("the move begins");
+        session.check_completed(&end).expect("the move is complete");
+    }
+    // The pulses of the last control periods leave.
+    for _ in 0..20 {
+        session.step().expect("the line works");
+    }
+    let mut board = session.into_line();
+    let joints = machine.config.joints.len();
+    let full = i16::try_from(period_us()).expect("a period") - 2;
+    let at_once = board.periods.iter().filter(|period| {
+        period.commands[..joints]
+            .iter()
+            .all(|command| match command {
+                DriveCommand::Steps(segment) => segment.count.abs() >= full,
+                _ => false,
+            })
+    });
+    println!(
+        "{joints} joints, control period {} us: {} periods with {full} steps of each joint or more",
+        period_us(),
+        at_once.count()
+    );
+    let checks = Checks::of(&mut board, machine);
+    println!("{checks}");
+    println!("{} edges compared", checks.pulses.compared());
+    assert!(checks.passed());
+    checks
+}
+
+/// The image without options leaves this with three joints, and the one for five joints with five.
+#[test]
+#[ignore = "takes minutes: cargo xtask emulator --margin"]
+fn three_joints_at_a_million_steps_per_second_each() {
+    let checks = run(&three_in_period(), &[6.0, 6.0, -6.0]);
+    assert_eq!(checks.missed_enabled, 0);
+}
+
+#[test]
+#[ignore = "takes minutes: cargo xtask emulator --margin"]
+fn five_joints_at_a_million_steps_per_second_each() {
+    let checks = run(&five_in_period(), &[6.0, 6.0, -6.0, 5.0, 20.0]);
+    assert!(checks.pulses.compared() >= EDGES);
+}
