@@ -33,7 +33,8 @@ use haptimill_protocol::link::Identity;
 use haptimill_protocol::message::{Event, Fault, Refusal, State};
 
 /// Time after an out-of-band stop in which commands that start motion are refused, microseconds. It
-/// is longer than the resend time of the link, so a command that was sent before the stop has arrived.
+/// is longer than the resend time of the link, so a command that was sent before the stop has
+/// arrived.
 const STALE_COMMANDS_US: u64 = 450_000;
 
 /// The controller. A board calls [`Controller::tick`] once per control period.

@@ -1,5 +1,6 @@
-//! Stage *supervise*: the fault checks of measurement and link, in a fixed order. An immediate fault
-//! replaces a pending controlled one, so the order does not decide which of the two stops the machine.
+//! Stage *supervise*: the fault checks of measurement and link, in a fixed order. An immediate
+//! fault replaces a pending controlled one, so the order does not decide which of the two stops the
+//! machine.
 
 use crate::comm::server::Server;
 use crate::core::Core;

@@ -285,8 +285,8 @@ impl SetpointCoder {
     ///
     /// # Errors
     ///
-    /// [`SetpointError`] when the setpoint takes no time or has the wrong number of coordinates; the
-    /// coder is then unchanged.
+    /// [`SetpointError`] when the setpoint takes no time or has the wrong number of coordinates;
+    /// the coder is then unchanged.
     pub fn encode(&mut self, setpoint: &Setpoint) -> Result<SetpointDelta, SetpointError> {
         if setpoint.pose.len() != self.axes || setpoint.rates.len() != self.axes {
             return Err(SetpointError::CoordinateCount);

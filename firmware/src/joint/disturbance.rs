@@ -44,8 +44,8 @@ pub struct DisturbanceLimits {
 pub struct Disturbance {
     /// K_I times the period, 1/s^2, Q20; 0 without an integrator.
     ki_period: u32,
-    /// Part of the integrator that is transferred to the friction estimate in a period, Q32; 0 without
-    /// adaptation.
+    /// Part of the integrator that is transferred to the friction estimate in a period, Q32; 0
+    /// without adaptation.
     drain: u32,
     dead_band: u32,
     /// [`SIDE_CHANGE_US`] in control periods.

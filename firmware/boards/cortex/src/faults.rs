@@ -46,8 +46,8 @@ macro_rules! lift_stack_limit {
     };
 }
 
-/// Defines `HardFault`, which calls `report`, an `extern "C" fn(usize) -> !`, with the stack pointer
-/// at its entry. `report` runs on a stack of `bytes` bytes.
+/// Defines `HardFault`, which calls `report`, an `extern "C" fn(usize) -> !`, with the stack
+/// pointer at its entry. `report` runs on a stack of `bytes` bytes.
 ///
 /// With `all` the faults of bus, memory and instructions have the same handler. The linker script
 /// must not define theirs then.

@@ -32,8 +32,8 @@ pub fn limit_stack() {
 /// the 2^`log2_bytes` bytes from `address` on, a multiple of that size.
 ///
 /// A stack that has left its memory cannot take the frame of the fault either. For these handlers
-/// this is a second fault, which becomes a `HardFault`, and that one is entered. A `HardFault` whose
-/// frame cannot be stacked locks the processor up instead.
+/// this is a second fault, which becomes a `HardFault`, and that one is entered. A `HardFault`
+/// whose frame cannot be stacked locks the processor up instead.
 ///
 /// # Safety
 /// Nothing of the image lies in the closed addresses. All other memory keeps its access rules.

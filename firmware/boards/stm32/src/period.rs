@@ -60,8 +60,8 @@ struct Back {
     start: u32,
 }
 
-// `start` writes both before the interrupt is enabled. From then on only the interrupt uses `FRONT`, and `BACK`
-// belongs to PendSV while `BUSY` is set and to the interrupt otherwise.
+// `start` writes both before the interrupt is enabled. From then on only the interrupt uses
+// `FRONT`, and `BACK` belongs to PendSV while `BUSY` is set and to the interrupt otherwise.
 static FRONT: Shared<Front> = Shared::new();
 static BACK: Shared<Back> = Shared::new();
 /// PendSV computes.

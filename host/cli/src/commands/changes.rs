@@ -14,8 +14,8 @@ const DOWN_FEED: f64 = 300.0;
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct ChangeArgs {
     /// Begin with line N: the lines before it set modes, offsets and tools, and move nothing. The
-    /// command shows the approach and asks for confirmation: up to the highest Z before line N, over
-    /// the start of line N, spindle on, down at feed
+    /// command shows the approach and asks for confirmation: up to the highest Z before line N,
+    /// over the start of line N, spindle on, down at feed
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub from_line: Option<u32>,
     /// With --from-line: do not ask

@@ -96,7 +96,7 @@ Examples:
   haptimill run part.ngc --force x,z --force-setpoint 5
       with force control of x and z: a compliant displacement above 5 N
   haptimill scenario run all
-      run the twelve experiments of the H-4 mill and compare them with the thesis
+      run the experiments e1 to e12 and compare the results with the thesis
   haptimill sim serve --listen tcp:127.0.0.1:7000
       serve the simulated machine on a TCP port
   haptimill home --port tcp:localhost:7000
