@@ -1,4 +1,5 @@
-//! The fuzz test: one seed of each theme, repeatability, and the resolution of its references.
+//! Fuzz test of the controller: one seed of each theme, repeatability, and the resolution of its
+//! references.
 
 use haptimill_protocol::message::{Action, Pace};
 use haptimill_protocol::setpoint::Setpoint;
