@@ -6,6 +6,7 @@ use std::collections::HashMap;
 /// Ends of open paths by the square of a grid that they are in.
 struct Ends {
     cell: f64,
+    /// The last of the file first, so that the earliest ones are at the end of a list.
     squares: HashMap<[i64; 2], Vec<(usize, bool)>>,
 }
 
@@ -32,7 +33,7 @@ impl Ends {
                 };
                 let mut taken = 0;
                 let mut scanned = 0;
-                for &(index, last) in &*ends {
+                for &(index, last) in ends.iter().rev() {
                     scanned += 1;
                     let Some(path) = &paths[index] else {
                         taken += 1;
@@ -40,17 +41,20 @@ impl Ends {
                     };
                     let end = if last { path.end() } else { path.start() };
                     if end.is_some_and(|end| distance(end, at) <= tolerance) {
-                        // The ends of a square are in the order of the paths, the start of a path
-                        // before its end: directions are kept if possible.
+                        // The ends of a square are visited in the order of the paths, the start of a
+                        // path before its end: directions are kept if possible.
                         if best.is_none_or(|best| (index, last) < best) {
                             best = Some((index, last));
                         }
                         break;
                     }
                 }
-                // Ends of many paths may be in one square: those of joined paths go.
+                // Ends of many paths may be in one square: those of joined paths go. Only the visited
+                // ones are moved, so that this costs no more than the visit.
                 if 2 * taken > scanned {
-                    ends.retain(|&(index, _)| paths[index].is_some());
+                    let visited = ends.split_off(ends.len() - scanned);
+                    let left = visited.into_iter();
+                    ends.extend(left.filter(|&(index, _)| paths[index].is_some()));
                 }
             }
         }
@@ -66,11 +70,11 @@ pub fn chain(paths: Vec<Path>, tolerance: f64) -> Vec<Path> {
         cell: tolerance.max(1e-9) * 2.0,
         squares: HashMap::new(),
     };
-    for (index, path) in paths.iter().enumerate() {
+    for (index, path) in paths.iter().enumerate().rev() {
         if path.closed {
             continue;
         }
-        for (at, last) in [(path.start(), false), (path.end(), true)] {
+        for (at, last) in [(path.end(), true), (path.start(), false)] {
             if let Some(at) = at {
                 let square = ends.square(at);
                 ends.squares.entry(square).or_default().push((index, last));

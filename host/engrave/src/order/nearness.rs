@@ -29,13 +29,12 @@ impl Nearness {
             let end = end as usize;
             let is_other = |other: usize| other / 2 != end / 2;
             tree.nearest(at, self.nearest, &is_other, &mut found);
-            let quadrant = |other: usize| (ends[other][0] > at[0], ends[other][1] > at[1]);
-            for sides in [(false, false), (false, true), (true, false), (true, true)] {
+            for quadrant in [[false, false], [false, true], [true, false], [true, true]] {
                 if self.per_quadrant == 0 {
                     break;
                 }
-                let is_there = |other: usize| is_other(other) && quadrant(other) == sides;
-                tree.nearest(at, self.per_quadrant, &is_there, &mut more);
+                let quadrant = Some(quadrant);
+                tree.nearest_in(quadrant, at, self.per_quadrant, &is_other, &mut more);
                 more.retain(|one| !found[..self.nearest.min(found.len())].contains(one));
                 found.append(&mut more);
             }

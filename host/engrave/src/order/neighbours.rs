@@ -23,14 +23,27 @@ pub struct Neighbours {
     points: Vec<(Point, u32)>,
     /// Splits; the halves of node k are the nodes 2 k + 1 and 2 k + 2.
     splits: Vec<Split>,
+    /// Low and high corner of the points of each split. Only searches in a quadrant read them.
+    boxes: Vec<[Point; 2]>,
     /// Place of each point in `points`.
     places: Vec<u32>,
+}
+
+/// A quadrant about a point: whether it is on the side of larger x, and of larger y. The axes
+/// belong to the sides of smaller values.
+pub type Quadrant = [bool; 2];
+
+/// Whether a point is in a quadrant about another.
+pub fn is_in(quadrant: Quadrant, about: Point, at: Point) -> bool {
+    (0..2).all(|axis| (at[axis] > about[axis]) == quadrant[axis])
 }
 
 /// A query and what it found so far.
 struct Query<'q> {
     at: Point,
     count: usize,
+    /// Only points in this quadrant about `at`.
+    quadrant: Option<Quadrant>,
     allowed: &'q dyn Fn(usize) -> bool,
     /// Squares of distances, nearest first.
     out: &'q mut Vec<(f64, u32)>,
@@ -43,6 +56,7 @@ impl Neighbours {
         let mut tree = Self {
             points: indexed,
             splits: Vec::new(),
+            boxes: Vec::new(),
             places: vec![0; points.len()],
         };
         tree.split(0, 0, points.len());
@@ -75,8 +89,10 @@ impl Neighbours {
         let split = Split { axis, at, left };
         if self.splits.len() <= node {
             self.splits.resize(node + 1, split);
+            self.boxes.resize(node + 1, [low, high]);
         }
         self.splits[node] = split;
+        self.boxes[node] = [low, high];
         self.split(2 * node + 1, from, from + half);
         self.split(2 * node + 2, from + half, to);
     }
@@ -110,10 +126,24 @@ impl Neighbours {
         allowed: &dyn Fn(usize) -> bool,
         out: &mut Vec<(f64, u32)>,
     ) {
+        self.nearest_in(None, at, count, allowed, out);
+    }
+
+    /// The same among the points in a quadrant about `at`, if there is one. `allowed` alone would
+    /// do, but the search would then visit all points where the quadrant is empty.
+    pub fn nearest_in(
+        &self,
+        quadrant: Option<Quadrant>,
+        at: Point,
+        count: usize,
+        allowed: &dyn Fn(usize) -> bool,
+        out: &mut Vec<(f64, u32)>,
+    ) {
         out.clear();
         let mut query = Query {
             at,
             count,
+            quadrant,
             allowed,
             out,
         };
@@ -132,7 +162,7 @@ impl Neighbours {
             return;
         }
         let Split { axis, at, left } = self.splits[node];
-        if left == 0 {
+        if left == 0 || query.excludes(&self.boxes[node]) {
             return;
         }
         let half = from + (to - from) / 2;
@@ -153,6 +183,19 @@ impl Neighbours {
 }
 
 impl Query<'_> {
+    /// Whether a box has no part in the quadrant.
+    fn excludes(&self, [low, high]: &[Point; 2]) -> bool {
+        self.quadrant.is_some_and(|quadrant| {
+            (0..2).any(|axis| {
+                if quadrant[axis] {
+                    high[axis] <= self.at[axis]
+                } else {
+                    low[axis] > self.at[axis]
+                }
+            })
+        })
+    }
+
     /// Whether a point at this square of a distance can be among the nearest.
     fn reaches(&self, square: f64) -> bool {
         self.out.len() < self.count || self.out.last().is_some_and(|last| square < last.0)
@@ -161,7 +204,11 @@ impl Query<'_> {
     fn offer(&mut self, at: Point, index: u32) {
         let (x, y) = (at[0] - self.at[0], at[1] - self.at[1]);
         let square = x * x + y * y;
-        if self.reaches(square) && (self.allowed)(index as usize) {
+        let is_there = |quadrant| is_in(quadrant, self.at, at);
+        if self.reaches(square)
+            && (self.allowed)(index as usize)
+            && self.quadrant.is_none_or(is_there)
+        {
             let place = self.out.partition_point(|&(other, _)| other <= square);
             self.out.insert(place, (square, index));
             self.out.truncate(self.count);
@@ -207,6 +254,39 @@ mod tests {
                 prop_assert!((one.0 - all).abs() < 1e-12);
                 prop_assert!((distance(points[one.1 as usize], at) - all).abs() < 1e-12);
             }
+            for quadrant in [[false, false], [false, true], [true, false], [true, true]] {
+                let allowed = |index: usize| index % 3 != 1;
+                let is_there = |index: usize| is_in(quadrant, at, points[index]);
+                tree.nearest_in(Some(quadrant), at, count, &allowed, &mut found);
+                let mut all = Vec::new();
+                tree.nearest(at, count, &|index| allowed(index) && is_there(index), &mut all);
+                let offs = |all: &[(f64, u32)]| all.iter().map(|one| one.0).collect::<Vec<_>>();
+                prop_assert_eq!(offs(&found), offs(&all));
+                prop_assert!(found.iter().all(|one| is_there(one.1 as usize)));
+            }
+        }
+    }
+
+    /// A search in quadrants that are empty does not visit all points: 40,000 points in one place
+    /// and on a line, each with four searches.
+    #[test]
+    fn empty_quadrants_are_searched_soon() {
+        for step in [0.0, 0.001] {
+            let points: Vec<Point> = (0..40_000).map(|k| [5.0, f64::from(k) * step]).collect();
+            let tree = Neighbours::new(&points);
+            let mut found = Vec::new();
+            let visits = std::cell::Cell::new(0_usize);
+            for &at in &points {
+                for quadrant in [[false, false], [false, true], [true, false], [true, true]] {
+                    let allowed = |_| {
+                        visits.set(visits.get() + 1);
+                        true
+                    };
+                    tree.nearest_in(Some(quadrant), at, 2, &allowed, &mut found);
+                    assert!(!quadrant[0] || found.is_empty());
+                }
+            }
+            assert!(visits.get() < 50 * points.len(), "{}", visits.get());
         }
     }
 }
