@@ -44,6 +44,8 @@ pub struct Job {
     pub links: usize,
     /// Tabs of the contours.
     pub tabs: Vec<Tab>,
+    /// Entities beside which a contour of the tool may be wrong.
+    pub doubtful: Vec<usize>,
     /// What the person should know.
     pub notices: Vec<String>,
 }
@@ -59,6 +61,7 @@ pub fn plan(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
         Operation::Pocket => pocket(drawing, options)?,
         Operation::Drill => return drill(drawing, options),
     };
+    note_doubtful(drawing, &mut job);
     if let Some(&(_, first)) = drawing.points.first() {
         let more = match drawing.points.len() {
             1 => String::new(),
@@ -131,6 +134,20 @@ fn note_lost(
     }
 }
 
+/// Notes the entities of which a contour may be wrong.
+fn note_doubtful(drawing: &Drawing, job: &mut Job) {
+    job.doubtful.sort_unstable();
+    job.doubtful.dedup();
+    let all = job.doubtful.iter();
+    job.notices.extend(all.into_iter().map(|&entity| {
+        format!(
+            "{}: a contour of the tool beside it may be wrong, because every way to compute it \
+             failed its check; look at it with --preview, or use another diameter with --tool",
+            drawing.entities[entity]
+        )
+    }));
+}
+
 fn measured(cuts: &[Cut], name: &str, options: &Options) -> Candidate {
     Candidate {
         name: name.into(),
@@ -182,6 +199,7 @@ fn pocket(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     let region = Region::of(drawing, &paths)?;
     let mut job = Job::default();
     let reached = region.inset(options.tool_mm / 2.0);
+    job.doubtful.extend(reached.doubtful());
     note_lost(&region, &reached, drawing, options, &mut job)?;
     let one_way = Options {
         clearing: Clearing::OneWay,
@@ -208,7 +226,7 @@ fn cleared(region: &Region, reached: &Region, options: &Options, job: &mut Job) 
         angle_deg: options.angle_deg,
         conventional: options.conventional,
     };
-    let strands = clear(region, &clearing, options.reference);
+    let strands = clear(region, &clearing, options.reference, &mut job.doubtful);
     let depths = options.depths();
     let mut cuts = Vec::new();
     let mut above = 0.0;
@@ -239,6 +257,7 @@ fn cleared(region: &Region, reached: &Region, options: &Options, job: &mut Job) 
             ..options.depths()
         };
         let rough = region.inset(options.tool_mm / 2.0 + options.finish_mm);
+        job.doubtful.extend(rough.doubtful());
         let waste = Waste {
             region: reached,
             enclosed: true,
@@ -390,4 +409,37 @@ fn drill(drawing: &Drawing, options: &Options) -> Result<Job, Vec<Problem>> {
     let chosen = measured(&job.toolpath.cuts, "shortest found", options);
     job.candidates.push(chosen);
     Ok(job)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drawing::Entity;
+
+    #[test]
+    fn contours_that_may_be_wrong_are_named_once() {
+        let mut drawing = Drawing::default();
+        for handle in ["A1", "A2"] {
+            drawing.add_entity(Entity {
+                kind: "LWPOLYLINE".into(),
+                handle: Some(handle.into()),
+                layer: "Cut".into(),
+                ..Entity::default()
+            });
+        }
+        let mut job = Job {
+            doubtful: vec![1, 1, 1],
+            ..Job::default()
+        };
+        note_doubtful(&drawing, &mut job);
+        assert_eq!(job.notices.len(), 1);
+        let notice = &job.notices[0];
+        for part in [
+            "LWPOLYLINE handle A2 on layer Cut",
+            "may be wrong",
+            "--preview",
+        ] {
+            assert!(notice.contains(part), "{part}: {notice}");
+        }
+    }
 }

@@ -41,6 +41,8 @@ pub(super) fn outline(drawing: &Drawing, options: &Options) -> Result<Job, Vec<P
         |region: &Region| -> Vec<Path> { region.loops().into_iter().map(direct).collect() };
     let rough =
         (options.finish_mm > 0.0).then(|| region.inset(sign * (radius + options.finish_mm)));
+    let contours = rough.iter().chain([&finished]);
+    job.doubtful.extend(contours.flat_map(Region::doubtful));
     let mut passes: Vec<Vec<Path>> = rough.iter().map(directed).collect();
     let loops = directed(&finished);
     // All passes leave their tabs at the same places, those of the last one.

@@ -81,12 +81,19 @@ const TRIES: usize = 4;
 /// Clearance by which a link may leave the region of the tool's centre, mm.
 const LINK_MARGIN: f64 = 0.002;
 
-/// Paths of the tool's centre that clear a region, in their order from `reference`.
+/// Paths of the tool's centre that clear a region, in their order from `reference`. Adds the entities
+/// whose contours may be wrong to `doubtful`.
 #[must_use]
-pub fn clear(region: &Region, options: &ClearOptions, reference: Point) -> Vec<Strand> {
+pub fn clear(
+    region: &Region,
+    options: &ClearOptions,
+    reference: Point,
+    doubtful: &mut Vec<usize>,
+) -> Vec<Strand> {
     let radius = options.tool_mm / 2.0 + options.allowance_mm;
     let inside = region.inset(radius);
     let guard = region.inset(radius - LINK_MARGIN);
+    doubtful.extend([&inside, &guard].into_iter().flat_map(Region::doubtful));
     let allowed = |a: Point, b: Point| !guard.is_left_between(a, b);
     let contours = |region: &Region| -> Vec<Path> {
         let loops = region.loops().into_iter();
@@ -113,10 +120,11 @@ pub fn clear(region: &Region, options: &ClearOptions, reference: Point) -> Vec<S
                     let distance = spacing * back as f64;
                     let outer = rings.get(rings.len().checked_sub(back)?)?;
                     let next = outer.inset(distance);
-                    next.is_inset_of(outer, distance).then_some(next)
+                    next.doubtful().is_empty().then_some(next)
                 };
                 let next = (1..=rings.len().min(TRIES)).find_map(from);
                 ring = next.unwrap_or_else(|| region.inset(radius + spacing * rings.len() as f64));
+                doubtful.extend(ring.doubtful());
             }
             let strands = spirals(levels, options.tool_mm, &allowed);
             in_short_order(strands, reference)
@@ -129,6 +137,7 @@ pub fn clear(region: &Region, options: &ClearOptions, reference: Point) -> Vec<S
             } else {
                 Some(region.turned(turn).inset(radius))
             };
+            doubtful.extend(turned.iter().flat_map(Region::doubtful));
             let rows = turned.as_ref().unwrap_or(&inside).rows(options.spacing_mm);
             let start = crate::curves::map_point(turn, reference);
             let rows = arrange(&rows, options.clearing, start);

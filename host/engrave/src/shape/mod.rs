@@ -2,6 +2,8 @@
 
 pub mod clear;
 mod crossing;
+mod duplicates;
+mod meeting;
 pub mod region;
 
 pub use clear::{Clearing, Strand};

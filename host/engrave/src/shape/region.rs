@@ -15,10 +15,18 @@ const SAME: f64 = 1e-5;
 /// no short segment is lost; none of them is right for all contours of thousands of segments.
 const MEETS: [f64; 6] = [1e-8, 1e-5, 1e-6, 1e-7, 1e-9, 1e-10];
 
+/// Largest error of an offset that passes its check, mm.
+const EXACT: f64 = 1e-3;
+
+/// Whether a region can be the inset of another by a distance.
+type Check<'c> = &'c dyn Fn(&Region, &Region, f64) -> bool;
+
 /// Material between outer boundaries and islands. Boundaries run counter-clockwise, islands
 /// clockwise, so the material is on the left.
 pub struct Region {
     shape: Shape<f64>,
+    /// Entities at which it may be wrong, because every way to compute it failed its check.
+    doubtful: Vec<usize>,
 }
 
 /// The library's polyline of a path. Its arcs reach half a turn, so longer ones are halved.
@@ -53,6 +61,14 @@ fn path_of(polyline: &Polyline<f64>) -> Path {
         closed: true,
         entity,
     }
+}
+
+/// Points along a path, at most `step` apart, mm.
+fn along(path: &Path, step: f64) -> impl Iterator<Item = Point> {
+    path.segments().flat_map(move |segment| {
+        let count = (segment.length() / step).ceil().clamp(1.0, 4096.0);
+        (0..count as usize).map(move |k| segment.point(k as f64 / count))
+    })
 }
 
 impl Region {
@@ -93,10 +109,10 @@ impl Region {
             }
             loops.push(polyline);
         }
-        find_crossings(drawing, &loops, &mut problems);
+        super::meeting::find(drawing, &loops, &mut problems);
         if !problems.is_empty() {
             // They are often the cause of the others.
-            let mut all = duplicates(drawing);
+            let mut all = super::duplicates::find(drawing, SAME);
             all.append(&mut problems);
             return Err(all);
         }
@@ -123,42 +139,112 @@ impl Region {
                 one.invert_direction_mut();
             }
         }
+        Self::from_loops(loops)
+    }
+
+    fn from_loops(loops: impl IntoIterator<Item = Polyline<f64>>) -> Self {
         Self {
             shape: Shape::from_plines(loops),
+            doubtful: Vec::new(),
         }
+    }
+
+    /// Entities at which the region may be wrong, see [`Self::inset`].
+    #[must_use]
+    pub fn doubtful(&self) -> &[usize] {
+        &self.doubtful
     }
 
     /// The region made smaller by a distance all around, mm; larger if it is negative. Outside
-    /// corners of a larger region are round. Islands and gaps that vanish are left out.
+    /// corners of a larger region are round. Islands and gaps that vanish are left out. Where every
+    /// way to compute it fails its check, it is [`Self::doubtful`].
     #[must_use]
     pub fn inset(&self, distance: f64) -> Self {
         if distance == 0.0 {
-            return Self {
-                shape: self.shape.clone(),
-            };
+            return Self::from_loops(self.polylines().cloned());
         }
-        let first = self.inset_with(distance, MEETS[0]);
-        if distance < 0.0 || first.is_inset_of(self, distance) {
-            return first;
-        }
-        self.inset_again(distance).unwrap_or(first)
+        self.inset_checked(distance, &Self::is_inset_of)
     }
 
-    /// The inset in another way than [`Self::inset`] tries first, if it can be the right one.
-    fn inset_again(&self, distance: f64) -> Option<Self> {
-        /// Parts of the distance that are the first of two steps.
-        const PARTS: [f64; 6] = [0.37, 0.71, 0.11, 0.53, 0.89, 0.03];
+    /// The inset by the first way whose result passes a check.
+    fn inset_checked(&self, distance: f64, check: Check) -> Self {
+        let first = self.inset_with(distance, MEETS[0]);
+        if check(&first, self, distance) {
+            return first;
+        }
+        if let Some(other) = self.inset_again(distance, check) {
+            return other;
+        }
+        // The parts of a region become smaller apart from each other.
+        let parts = self.parts();
+        if distance > 0.0 && parts.len() > 1 {
+            let parts = parts.iter().map(|part| part.inset_checked(distance, check));
+            let parts: Vec<Self> = parts.collect();
+            let all = Self::from_loops(parts.iter().flat_map(Self::polylines).cloned());
+            let doubtful = parts.into_iter().flat_map(|part| part.doubtful).collect();
+            return Self { doubtful, ..all };
+        }
+        let doubtful = self.suspects(&first, distance);
+        Self { doubtful, ..first }
+    }
+
+    /// Each boundary with the islands in it.
+    fn parts(&self) -> Vec<Self> {
+        let of_boundary = |one: &IndexedPolyline<f64>| vec![one.polyline.clone()];
+        let mut parts: Vec<_> = self.shape.ccw_plines.iter().map(of_boundary).collect();
+        for island in &self.shape.cw_plines {
+            let at = island.polyline.at(0);
+            if let Some(part) = self.part_of([at.x, at.y]) {
+                parts[part].push(island.polyline.clone());
+            }
+        }
+        parts.into_iter().map(Self::from_loops).collect()
+    }
+
+    /// Entities whose loops in a wrong inset are not beside this region, or else the one of the
+    /// contour with the most segments, as which the library's mistakes are known.
+    fn suspects(&self, wrong: &Self, distance: f64) -> Vec<usize> {
+        let loops = wrong.loops().into_iter();
+        let far =
+            loops.filter(|path| !self.is_beside(path, distance.abs() + EXACT, distance.abs()));
+        let mut suspects: Vec<usize> = far.map(|path| path.entity).collect();
+        if suspects.is_empty() {
+            let largest = self.polylines().max_by_key(|one| one.vertex_count());
+            suspects.extend(largest.map(|one| path_of(one).entity));
+        }
+        suspects.sort_unstable();
+        suspects.dedup();
+        suspects
+    }
+
+    /// The inset in another way than [`Self::inset`] tries first, if its result passes the check: with
+    /// other limits, or in steps, which become longer as the outline becomes smoother.
+    fn inset_again(&self, distance: f64, check: Check) -> Option<Self> {
+        /// Part of a step that failed that is tried next.
+        const SHORTER: f64 = 0.37;
+        /// Shortest step, as a part of the distance.
+        const SHORTEST: f64 = 0.005;
+        const TRIES: usize = 40;
         let right = |from: &Self, distance: f64| {
             let all = MEETS.into_iter();
             let mut all = all.map(|meets| from.inset_with(distance, meets));
-            all.find(|one| one.is_inset_of(from, distance))
+            all.find(|one| check(one, from, distance))
         };
-        right(self, distance).or_else(|| {
-            PARTS.into_iter().find_map(|part| {
-                let first = right(self, part * distance)?;
-                right(&first, (1.0 - part) * distance)
-            })
-        })
+        let (mut last, mut left, mut step): (Option<Self>, f64, f64) = (None, 1.0, 1.0);
+        for _ in 0..TRIES {
+            let part = step.min(left);
+            if let Some(next) = right(last.as_ref().unwrap_or(self), part * distance) {
+                last = Some(next);
+                left -= part;
+                step = 2.0 * part;
+            } else {
+                step = SHORTER * part;
+            }
+            if left <= 0.0 || step < SHORTEST {
+                break;
+            }
+        }
+        last.filter(|last| left <= 0.0 && check(last, self, distance))
     }
 
     /// The inset with crossings that are one if they are nearer than `meets`, mm.
@@ -169,26 +255,64 @@ impl Region {
         };
         Self {
             shape: self.shape.parallel_offset(distance, &options),
+            doubtful: Vec::new(),
         }
+        .without_slivers(distance)
     }
 
-    /// Whether this can be the inset of `outer` by a distance, mm. The library loses parts of some
-    /// contours of very many segments, or closes them by a wrong straight line.
+    /// The result of an offset without the thin loops that the library leaves beside the right ones.
+    fn without_slivers(self, distance: f64) -> Self {
+        let width = |one: &Polyline<f64>| one.area().abs() / one.path_length();
+        let is_thin = |one: &Polyline<f64>| width(one) < EXACT;
+        // Islands grow to at least twice the distance, as boundaries do where the region grows.
+        let is_grown = |one: &Polyline<f64>| {
+            (one.orientation() == PlineOrientation::Clockwise) == (distance > 0.0)
+        };
+        let is_wrong = |one: &Polyline<f64>| is_grown(one) && width(one) < distance.abs() / 4.0;
+        if !self.polylines().any(|one| is_thin(one) || is_wrong(one)) {
+            return self;
+        }
+        let all = || self.polylines().filter(|one| !is_wrong(one));
+        let thick = Self::from_loops(all().filter(|one| !is_thin(one)).cloned());
+        // A thin loop beside no other is the way through a slot of the width of the tool.
+        let is_way = |one: &Polyline<f64>| !thick.is_beside(&path_of(one), EXACT, EXACT);
+        Self::from_loops(all().filter(|one| !is_thin(one) || is_way(one)).cloned())
+    }
+
+    /// Whether this can be the inset of `outer` by a distance, mm; a region around it if that is
+    /// negative. The library loses parts of some contours of very many segments, or closes them by a
+    /// wrong straight line.
     #[must_use]
     pub fn is_inset_of(&self, outer: &Self, distance: f64) -> bool {
-        const EXACT: f64 = 1e-3;
         // The area changes with the length of the boundaries. They become shorter, except around
-        // islands: by a full turn each.
-        let lost = outer.area() - self.area();
-        let turns = std::f64::consts::PI * distance * distance * outer.shape.cw_plines.len() as f64;
+        // islands: by a full turn each. Where the region grows, the rest of the plane becomes
+        // smaller, and the boundaries are around islands of that.
+        let (lost, islands, found) = if distance > 0.0 {
+            let lost = outer.area() - self.area();
+            (lost, &outer.shape.cw_plines, &self.shape.cw_plines)
+        } else {
+            let lost = self.area() - outer.area();
+            (lost, &outer.shape.ccw_plines, &self.shape.ccw_plines)
+        };
+        // Islands merge or vanish; none becomes two.
+        if found.len() > islands.len() {
+            return false;
+        }
+        let distance = distance.abs();
+        let turns = std::f64::consts::PI * distance * distance * islands.len() as f64;
         let most = outer.length() * distance + turns;
         let least = self.length() * distance - turns;
         let slack = EXACT * (outer.length() + distance);
         if lost > most + slack || lost < least - slack {
             return false;
         }
+        // No nearer: the tool would cut what stays.
+        let is_right = |at| {
+            let off = outer.distance_within(at, distance + EXACT);
+            off.is_some_and(|off| off >= distance - EXACT)
+        };
         let mut loops = self.polylines().map(path_of);
-        loops.all(|path| outer.is_beside(&path, distance + EXACT, distance))
+        loops.all(|path| along(&path, distance).all(is_right))
     }
 
     /// Length of all boundaries, mm.
@@ -206,9 +330,7 @@ impl Region {
     pub fn turned(&self, map: kurbo::Affine) -> Self {
         let tolerance = crate::curves::TOLERANCE;
         let image = |path: &Path| polyline(&crate::curves::map_path(map, path, tolerance));
-        Self {
-            shape: Shape::from_plines(self.loops().iter().map(image)),
-        }
+        Self::from_loops(self.loops().iter().map(image))
     }
 
     /// Whether nothing is left.
@@ -322,11 +444,7 @@ impl Region {
     /// Whether the boundaries are within a distance of all of a path, looked at every `step`, mm.
     #[must_use]
     pub fn is_beside(&self, path: &Path, limit: f64, step: f64) -> bool {
-        let mut points = path.segments().flat_map(|segment| {
-            let count = (segment.length() / step).ceil().clamp(1.0, 4096.0);
-            (0..count as usize).map(move |k| segment.point(k as f64 / count))
-        });
-        points.all(|at| self.distance_within(at, limit).is_some())
+        along(path, step).all(|at| self.distance_within(at, limit).is_some())
     }
 
     /// The point of a loop of this region that a tool leaves farthest away, where its centre runs
@@ -408,70 +526,48 @@ impl Region {
     }
 }
 
-/// Names the entities of which each line and arc is drawn before.
-fn duplicates(drawing: &Drawing) -> Vec<Problem> {
-    let key = |segment: &Segment| {
-        let place = |at: Point| at.map(|value| (value / SAME).round() as i64);
-        let (a, b) = (place(segment.from), place(segment.to));
-        [a.min(b), a.max(b), place(segment.point(0.5))]
-    };
-    let mut first = std::collections::HashMap::new();
-    let mut out = Vec::new();
-    for path in &drawing.paths {
-        let keys: Vec<_> = path.segments().map(|one| key(&one)).collect();
-        let before = keys.iter().map(|one| first.get(one).copied());
-        let before: Option<Vec<usize>> = before.collect();
-        let entity = before.and_then(|all| all.first().copied());
-        if let Some(entity) = entity.filter(|&entity| entity != path.entity) {
-            out.push(Problem::of(
-                drawing.entity(path),
-                format!("it is a duplicate of {}", drawing.entities[entity]),
-                "delete it in the drawing program",
-            ));
-        }
-        for one in keys {
-            first.entry(one).or_insert(path.entity);
-        }
-    }
-    out
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// Finds loops that cross or cover each other.
-fn find_crossings(drawing: &Drawing, loops: &[Polyline<f64>], problems: &mut Vec<Problem>) {
-    let mut order: Vec<(usize, _)> = loops
-        .iter()
-        .enumerate()
-        .filter_map(|(k, one)| Some((k, one.extents()?)))
-        .collect();
-    order.sort_by(|a, b| a.1.min_x.total_cmp(&b.1.min_x));
-    for (place, (index, one)) in order.iter().enumerate() {
-        for (other, two) in &order[place + 1..] {
-            if two.min_x > one.max_x {
-                break;
-            }
-            if two.min_y > one.max_y || two.max_y < one.min_y {
-                continue;
-            }
-            let meets = loops[*index].find_intersects(&loops[*other]);
-            let at = meets.basic_intersects.first().map(|one| one.point);
-            let at = at.or_else(|| meets.overlapping_intersects.first().map(|one| one.point1));
-            if let Some(at) = at {
-                let entity = |index: usize| {
-                    let entity = loops[index].get_userdata_values().next().unwrap_or(0);
-                    &drawing.entities[entity as usize]
-                };
-                let what = format!(
-                    "its contour meets that of {} at {:.3}, {:.3}",
-                    entity(*other),
-                    at.x,
-                    at.y
-                );
-                problems.push(Problem::of(
-                    entity(*index),
-                    what,
-                    "unite the contours in the drawing program, or choose layers with --layer",
-                ));
-            }
+    fn square(entity: usize, at: f64, side: f64) -> Polyline<f64> {
+        let corners = [
+            [at, at],
+            [at + side, at],
+            [at + side, at + side],
+            [at, at + side],
+        ];
+        polyline(&Path::polygon(&corners, entity))
+    }
+
+    /// Where no way passes its check, the region says at which entities; other parts are right.
+    #[test]
+    fn an_inset_that_fails_every_check_is_doubtful() {
+        let region = Region::from_loops([square(3, 0.0, 10.0), square(4, 20.0, 10.0)]);
+        assert_eq!(region.inset(1.0).doubtful(), [] as [usize; 0]);
+        let is_wrong = |one: &Region| one.loops().iter().any(|path| path.entity == 4);
+        let check = |one: &Region, outer: &Region, distance: f64| {
+            !is_wrong(one) && one.is_inset_of(outer, distance)
+        };
+        let inset = region.inset_checked(1.0, &check);
+        assert_eq!(inset.doubtful(), [4]);
+        assert_eq!(inset.loops().len(), 2);
+        // A region that grows has no separate parts.
+        let never = |_: &Region, _: &Region, _: f64| false;
+        assert_eq!(region.inset_checked(-1.0, &never).doubtful().len(), 1);
+    }
+
+    /// The check finds a contour at a wrong distance, a lost one, and one on the wrong side.
+    #[test]
+    fn a_wrong_offset_fails_its_check() {
+        let region = Region::from_loops([square(0, 0.0, 10.0), square(1, 20.0, 10.0)]);
+        for distance in [1.0, -1.0] {
+            let right = region.inset(distance);
+            assert!(right.is_inset_of(&region, distance));
+            assert!(!region.inset(0.9 * distance).is_inset_of(&region, distance));
+            assert!(!region.inset(-distance).is_inset_of(&region, distance));
+            let first = right.polylines().take(1).cloned();
+            assert!(!Region::from_loops(first).is_inset_of(&region, distance));
         }
     }
 }

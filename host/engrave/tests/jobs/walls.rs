@@ -57,15 +57,15 @@ fn the_walls_of_a_pocket_are_cut_in_the_direction_asked_for() {
     }
 }
 
-/// A circle of `count` vertices that are off by up to 0.02 mm, as a program traces a picture.
-fn traced(radius: f64, count: usize) -> String {
+/// A circle of `count` vertices that are off by up to `most` mm, as a program traces a picture.
+fn traced(radius: f64, count: usize, most: f64) -> String {
     let mut state = 1_u64;
     let mut text = format!("0 LWPOLYLINE\n5 A\n8 0\n90 {count}\n70 1\n");
     for k in 0..count {
         state = state
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);
-        let noise = (state >> 11) as f64 / (1_u64 << 53) as f64 * 0.04 - 0.02;
+        let noise = (state >> 11) as f64 / (1_u64 << 53) as f64 * 2.0 * most - most;
         let (sin, cos) = (k as f64 / count as f64 * std::f64::consts::TAU).sin_cos();
         let off = radius + noise;
         text += &format!("10 {:.6}\n20 {:.6}\n", off * cos, off * sin);
@@ -77,7 +77,7 @@ fn traced(radius: f64, count: usize) -> String {
 /// all made from the first contour took minutes.
 #[test]
 fn a_traced_contour_is_cleared_soon() {
-    let drawing = drawing(&dxf(&traced(50.0, 4_000)));
+    let drawing = drawing(&dxf(&traced(50.0, 4_000, 0.02)));
     for clearing in [Clearing::Contour, Clearing::Zigzag] {
         let options = Options {
             tool_mm: 2.0,
@@ -104,6 +104,32 @@ fn a_traced_contour_is_cleared_soon() {
     let problems = plan(&drawing, &options).unwrap_err();
     assert!(problems[0].message.contains("rows"), "{problems:?}");
     assert!(begin.elapsed() < Duration::from_millis(100));
+}
+
+/// The contours beside an outline of thousands of vertices are round about it on both sides. At
+/// first the library makes tens of wrong loops here.
+#[test]
+fn contours_beside_a_traced_outline_are_right() {
+    let drawing = drawing(&dxf(&traced(40.0, 6_000, 0.01)));
+    for (side, sign) in [(Side::Outside, 1.0), (Side::Inside, -1.0)] {
+        for tool_mm in [2.0, 6.0] {
+            let options = Options {
+                side,
+                tool_mm,
+                ..Options::default()
+            };
+            let job = plan(&drawing, &options).unwrap();
+            assert_eq!(job.notices, [] as [String; 0]);
+            assert_eq!(job.toolpath.cuts.len(), 1, "{side:?} {tool_mm}");
+            let radius = 40.0 + sign * tool_mm / 2.0;
+            let places = super::contours::places(&job);
+            let off = places
+                .iter()
+                .map(|([x, y], _)| (x.hypot(*y) - radius).abs());
+            let off = off.fold(0.0, f64::max);
+            assert!(off < 0.05, "{side:?} {tool_mm} {off}");
+        }
+    }
 }
 
 /// Paths that are no holes are named, three of them and the number of the others.
