@@ -102,7 +102,8 @@ pub struct Drawing {
     pub paths: Vec<Path>,
     /// Points of the drawing (DXF POINT) with their entity.
     pub points: Vec<(Point, usize)>,
-    /// Layers that are off, frozen or hidden, or of which an entity is: they may draw nothing.
+    /// Layers that are off, frozen, hidden or not plotted, or of which an entity is: they may draw
+    /// nothing.
     pub hidden_layers: Vec<String>,
     /// What was left out or assumed, one sentence each.
     pub notices: Vec<String>,
@@ -222,8 +223,11 @@ impl Drawing {
             let is_hidden = hidden.any(|name| is_same_name(name, requested));
             if is_hidden && is_chosen {
                 return Err(Problem::general(
-                    format!("layer {requested} is off, frozen or hidden: nothing of it is drawn"),
-                    "switch it on in the drawing program",
+                    format!(
+                        "layer {requested} is off, frozen, hidden or not plotted: nothing of it is \
+                         drawn"
+                    ),
+                    "switch it on, or let it plot, in the drawing program",
                 ));
             }
             if !is_hidden {

@@ -200,6 +200,51 @@ fn what_is_left_out_is_reported() {
     assert_eq!(drawing.paths.len(), 1);
 }
 
+/// A chosen layer that is hidden, or all of whose elements are, is no mistake in its name: those of
+/// Inkscape, with the layers in it, and groups where there are none.
+#[test]
+fn a_chosen_layer_that_is_hidden_is_named_as_such() {
+    let layer = |name: &str, more: &str, content: &str| {
+        format!("<g inkscape:groupmode=\"layer\" inkscape:label=\"{name}\" {more}>{content}</g>")
+    };
+    let hidden = "style=\"display:none\"";
+    let line = "<line x2=\"5\"/>";
+    let inner = layer("Inner", "", line);
+    let layered = layer("Off", hidden, &inner)
+        + &layer("Ghost", "", "<line visibility=\"hidden\" x2=\"5\"/>")
+        + &layer("On", "", line);
+    let group =
+        |id: &str, more: &str, content: &str| format!("<g id=\"{id}\" {more}>{content}</g>");
+    let grouped = group("Off", hidden, &group("Inner", "", line))
+        + &group("Ghost", "", "<line visibility=\"hidden\" x2=\"5\"/>")
+        + &group("On", "", &(group("Deep", hidden, line) + line));
+    let choose = |content: &str, name: &str| {
+        let choice = LayerChoice {
+            only: vec![name.into()],
+            without: Vec::new(),
+        };
+        let mut drawing = draw(content);
+        let problem = drawing.select_layers(&choice).err();
+        problem.map_or_else(String::new, |one| one.to_string())
+    };
+    for (content, layer, part) in [
+        (&layered, "off", "not plotted"),
+        (&layered, "Inner", "not plotted"),
+        (&layered, "Ghost", "not plotted"),
+        (&layered, "None", "the drawing has no layer None"),
+        (&grouped, "Off", "not plotted"),
+        (&grouped, "Ghost", "not plotted"),
+        // Groups within groups are no layers.
+        (&grouped, "Inner", "the drawing has no layer Inner"),
+        (&grouped, "Deep", "the drawing has no layer Deep"),
+    ] {
+        let problem = choose(content, layer);
+        assert!(problem.contains(part), "{layer}: {problem}");
+    }
+    assert_eq!(choose(&layered, "On"), "");
+    assert_eq!(choose(&grouped, "On"), "");
+}
+
 /// The frame of a nested `svg` hides what is beyond it, at any place and in any direction.
 #[test]
 fn a_frame_that_hides_a_part_is_refused() {

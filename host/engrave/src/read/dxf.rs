@@ -36,11 +36,42 @@ struct Item<'a> {
     curve: Option<Vec<Pair<'a>>>,
 }
 
+/// Entities that a notice is about: the first ones, and how many there are.
+#[derive(Default)]
+struct Named {
+    count: usize,
+    shown: Vec<Entity>,
+}
+
+impl Named {
+    /// Entities that a notice names.
+    const SHOWN: usize = 3;
+
+    fn add(&mut self, entity: &Entity) {
+        self.count += 1;
+        if self.shown.len() < Self::SHOWN {
+            self.shown.push(entity.clone());
+        }
+    }
+
+    fn text(&self) -> String {
+        let shown: Vec<String> = self.shown.iter().map(ToString::to_string).collect();
+        let more = match self.count - shown.len() {
+            0 => String::new(),
+            count => format!("; and {count} more"),
+        };
+        format!("{}{more}", shown.join("; "))
+    }
+}
+
 #[derive(Default)]
 struct DrawingBlock<'a> {
     base: Point,
     items: Vec<Item<'a>>,
 }
+
+/// Note on entities with a height.
+const FLATTENED: &str = "with a Z other than 0, their projection on the plane is cut";
 
 struct Reader<'a, 'o> {
     pairs: Pairs<'a>,
@@ -55,13 +86,9 @@ struct Reader<'a, 'o> {
     unit: Option<i64>,
     metric: Option<i64>,
     drawing: Drawing,
-    left_out: BTreeMap<String, Vec<Entity>>,
+    left_out: BTreeMap<String, Named>,
     /// Entities that are drawn in another way than they ask for.
-    changed: BTreeMap<String, Vec<Entity>>,
-    hidden: usize,
-    paper: usize,
-    /// Whether the file stated Z coordinates other than 0.
-    flattened: usize,
+    changed: BTreeMap<String, Named>,
     /// Entities placed so far, with those that draw nothing.
     placed: usize,
     /// Lines and layers of problems that are reported.
@@ -86,9 +113,6 @@ pub fn read(bytes: &[u8], options: &ReadOptions) -> Result<Drawing, Problem> {
         drawing: Drawing::default(),
         left_out: BTreeMap::new(),
         changed: BTreeMap::new(),
-        hidden: 0,
-        paper: 0,
-        flattened: 0,
         placed: 0,
         reported: HashSet::new(),
         endless: HashSet::new(),
@@ -242,6 +266,16 @@ impl<'a> Reader<'a, '_> {
         ))
     }
 
+    /// Notes that an entity is left out.
+    fn leave_out(&mut self, reason: &str, entity: &Entity) {
+        self.left_out.entry(reason.into()).or_default().add(entity);
+    }
+
+    /// Notes that an entity is drawn in another way than it asks for.
+    fn change(&mut self, how: &str, entity: &Entity) {
+        self.changed.entry(how.into()).or_default().add(entity);
+    }
+
     /// Reads one entity; `None` for parts of others that are read with them.
     fn entity(
         &mut self,
@@ -258,16 +292,14 @@ impl<'a> Reader<'a, '_> {
             .map(|pair| pair.text().trim().to_uppercase())
             .filter(|name| name != "BYLAYER");
         if record.integer(67).is_ok_and(|value| value == Some(1)) {
-            self.paper += 1;
+            self.leave_out("it is in paper space", &entity);
             self.skip_parts(kind, pairs)?;
             return Ok(None);
         }
         if kind == "SEQEND" {
             return Ok(None);
         }
-        if record.has_height() {
-            self.flattened += 1;
-        }
+        let mut is_high = record.has_height();
         let read = if kind == "POLYLINE" {
             let head: Vec<Pair> = pairs.clone();
             let mut vertices = Vec::new();
@@ -277,18 +309,19 @@ impl<'a> Reader<'a, '_> {
                 line,
                 pairs: &head,
             };
-            let is_high = vertices.iter().any(|(line, pairs)| {
-                let (kind, line) = ("VERTEX", *line);
-                Record { kind, line, pairs }.has_height()
-            });
             let read = entity::polyline(&head, &vertices, self.tolerance(Affine::IDENTITY));
-            if is_high && !head.has_height() && matches!(read, Ok(Read::Shapes(_))) {
-                self.flattened += 1;
-            }
+            is_high |= matches!(read, Ok(Read::Shapes(_)))
+                && vertices.iter().any(|(line, pairs)| {
+                    let (kind, line) = ("VERTEX", *line);
+                    Record { kind, line, pairs }.has_height()
+                });
             read
         } else {
             entity::read(&record, self.options, self.tolerance(Affine::IDENTITY))
         };
+        if is_high {
+            self.change(FLATTENED, &entity);
+        }
         Ok(Some(Item {
             entity,
             hidden,
@@ -340,29 +373,9 @@ impl<'a> Reader<'a, '_> {
         let left_out = left_out.map(|(reason, all)| (format!("left out, {reason}"), all));
         let changed = self.changed.iter().map(|(note, all)| (note.clone(), all));
         for (what, entities) in left_out.chain(changed) {
-            let shown: Vec<String> = entities.iter().take(3).map(ToString::to_string).collect();
-            let more = match entities.len() {
-                0..=3 => String::new(),
-                count => format!("; and {} more", count - 3),
-            };
-            drawing
-                .notices
-                .push(format!("{what}: {}{more}", shown.join("; ")));
+            let entities = entities.text();
+            drawing.notices.push(format!("{what}: {entities}"));
         }
-        let mut count = |count: usize, what: &str| {
-            if count > 0 {
-                drawing.notices.push(format!("{count} entities {what}"));
-            }
-        };
-        count(
-            self.hidden,
-            "left out: they are invisible, or their layer is off or frozen",
-        );
-        count(self.paper, "left out: they are in paper space");
-        count(
-            self.flattened,
-            "have a Z other than 0: their projection on the plane is used",
-        );
         if scale != 1.0 {
             drawing.transform(Affine::scale(scale));
         }

@@ -12,8 +12,16 @@ use text::Font;
 /// Largest number of entities after blocks are expanded.
 pub const ENTITY_LIMIT: usize = 4_000_000;
 
-/// Largest coordinate, mm.
+/// Largest coordinate of a drawing that stays where it is: units of a DXF, mm of an SVG.
 pub const COORDINATE_LIMIT: f64 = 1e6;
+
+/// Largest coordinate of one that is moved to the origin. Coordinates of surveys reach 1e10 mm, where
+/// the resolution of numbers is 2e-6 mm.
+pub const FAR_LIMIT: f64 = 1e10;
+
+/// What is to be done about points that are too far away.
+const FAR_REMEDY: &str =
+    "move the whole drawing with --origin lower-left, or move or delete the entity";
 
 /// What the caller states about a drawing.
 #[derive(Default)]
@@ -27,6 +35,8 @@ pub struct ReadOptions<'a> {
     pub font: Option<&'a Font<'a>>,
     /// Whether text without a font is left out with a notice instead of being a problem.
     pub skip_text: bool,
+    /// Whether the drawing is moved to the origin afterwards, so that it may be far from it.
+    pub moved: bool,
     /// Whether elements with a clip path or a mask are cut whole, with a notice, instead of being
     /// problems.
     pub ignore_clips: bool,

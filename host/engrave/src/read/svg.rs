@@ -10,7 +10,7 @@ mod shape;
 mod style;
 mod text;
 
-use super::{COORDINATE_LIMIT, ENTITY_LIMIT, ReadOptions};
+use super::{COORDINATE_LIMIT, ENTITY_LIMIT, FAR_LIMIT, FAR_REMEDY, ReadOptions};
 use crate::drawing::{Drawing, Entity, Problem};
 use crate::geometry::{Path, Point};
 use encoding_rs::{Encoding, UTF_8};
@@ -463,13 +463,18 @@ impl<'a> Reader<'a, '_> {
         if paths.len() < count {
             self.leave_out(DOTS, node, layer);
         }
-        let finite = |at: Point| at.iter().all(|value| value.abs() <= COORDINATE_LIMIT);
+        let limit = match self.options.moved {
+            true => FAR_LIMIT,
+            false => COORDINATE_LIMIT,
+        };
+        let finite = |at: Point| at.iter().all(|value| value.abs() <= limit);
         let inside = paths
             .iter()
             .all(|path| path.vertices.iter().all(|vertex| finite(vertex.at)));
         if !inside {
-            let what = format!("a point is farther than {COORDINATE_LIMIT} mm from the origin");
-            self.problem(node, layer, what);
+            let what = format!("a point is farther than {limit:e} mm from the origin");
+            let problem = Problem::of(&self.entity(node, layer), what, FAR_REMEDY);
+            self.drawing.problems.push(problem);
             return;
         }
         let index = self.drawing.add_entity(self.entity(node, layer));

@@ -49,8 +49,8 @@ fn what_is_left_out_is_reported() {
     for part in [
         "HATCH handle 2A on layer Fill",
         "DIMENSION handle 2B on layer Notes",
-        "off or frozen",
-        "paper space",
+        "off or frozen: line 25: LINE on layer Off",
+        "in paper space: line 53: LINE on layer 0",
         "no length: line",
         "handle 2C",
         "Z other than 0",
@@ -177,7 +177,7 @@ fn heights_and_stray_vertices_are_noted() {
     };
     let notices = draw(&dxf(&polyline(2.0))).notices.join("\n");
     assert!(
-        notices.contains("1 entities have a Z other than 0"),
+        notices.contains("Z other than 0, their projection on the plane is cut: line 5: POLYLINE"),
         "{notices}"
     );
     let notices = draw(&dxf(&polyline(0.0))).notices.join("\n");
@@ -215,7 +215,7 @@ fn a_chosen_layer_that_is_off_is_named_as_such() {
     };
     for layer in ["OFF", "ghost"] {
         let problem = choose(&[layer], &[]).unwrap_err().to_string();
-        let expected = format!("layer {layer} is off, frozen or hidden");
+        let expected = format!("layer {layer} is off, frozen, hidden or not plotted");
         assert!(problem.contains(&expected), "{problem}");
         assert!(problem.contains("switch it on"), "{problem}");
         assert!(choose(&[], &[layer]).is_ok());
@@ -226,4 +226,64 @@ fn a_chosen_layer_that_is_off_is_named_as_such() {
         "{problem}"
     );
     assert!(choose(&["on"], &[]).is_ok());
+}
+
+/// What CAD programs show and do not plot is not cut, and is named: layers with a plot flag of 0,
+/// and Defpoints, also in blocks. A choice of such a layer is no mistake in its name.
+#[test]
+fn layers_that_are_not_plotted_are_left_out_by_name() {
+    let text = sections(&[
+        (
+            "TABLES",
+            "0 TABLE\n2 LAYER
+            0 LAYER\n2 Guides\n70 0\n62 7\n290 0
+            0 LAYER\n2 Cut\n70 0\n62 7\n290 1
+            0 ENDTAB",
+        ),
+        (
+            "BLOCKS",
+            "0 BLOCK\n2 B\n10 0\n20 0
+            0 LINE\n8 0\n10 0\n20 0\n11 1\n21 0
+            0 LINE\n8 Cut\n10 0\n20 1\n11 1\n21 1
+            0 ENDBLK",
+        ),
+        (
+            "ENTITIES",
+            "0 LINE\n5 A1\n8 GUIDES\n10 0\n20 0\n11 5\n21 5
+            0 POINT\n5 A2\n8 DefPoints\n10 0\n20 0
+            0 LINE\n5 A3\n8 Cut\n10 3\n20 0\n11 5\n21 0
+            0 INSERT\n5 A4\n8 Guides\n2 B\n10 10\n20 10",
+        ),
+    ]);
+    let drawing = draw(&text);
+    assert!(drawing.points.is_empty());
+    let layers: Vec<&str> = drawing
+        .paths
+        .iter()
+        .map(|path| drawing.entity(path).layer.as_str())
+        .collect();
+    assert_eq!(layers, ["Cut", "Cut"]);
+    let notice = |what: &str| {
+        let found = drawing.notices.iter().find(|one| one.contains(what));
+        found.unwrap_or_else(|| panic!("{what}: {:?}", drawing.notices))
+    };
+    let flag = notice("its layer is not plotted");
+    // The line of the block on layer 0 is on the layer of its reference.
+    for part in [
+        "left out",
+        "handle A1 on layer GUIDES",
+        "INSERT B handle A4",
+    ] {
+        assert!(flag.contains(part), "{part}: {flag}");
+    }
+    let points = notice("layer Defpoints is not plotted");
+    assert!(points.contains("POINT handle A2"), "{points}");
+    for layer in ["Guides", "defpoints"] {
+        let choice = LayerChoice {
+            only: vec![layer.into()],
+            without: Vec::new(),
+        };
+        let problem = draw(&text).select_layers(&choice).unwrap_err().to_string();
+        assert!(problem.contains("not plotted"), "{problem}");
+    }
 }

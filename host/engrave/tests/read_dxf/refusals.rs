@@ -1,7 +1,8 @@
 //! Files that are refused, with the line and the entity.
 
 use super::{draw, mistake};
-use crate::common::dxf;
+use crate::common::{dxf, sections};
+use haptimill_engrave::drawing::Drawing;
 use haptimill_engrave::read::{ReadOptions, read};
 
 #[test]
@@ -152,4 +153,72 @@ fn large_numbers_are_short() {
         assert!(problem.message.contains("1e300"), "{problem}");
         assert!(problem.message.len() < 150, "{problem}");
     }
+}
+
+/// Points far from the origin, as those of a survey, are refused by entity, also in blocks: the
+/// remedy is to move the drawing. One that is moved is read to the last micrometre.
+#[test]
+fn a_drawing_far_from_the_origin_is_read_if_it_is_moved() {
+    let at = |x: f64, y: f64| {
+        sections(&[
+            (
+                "BLOCKS",
+                "0 BLOCK\n2 B\n10 0\n20 0
+                0 CIRCLE\n5 B1\n8 Cut\n10 3\n20 4\n40 2
+                0 ENDBLK",
+            ),
+            (
+                "ENTITIES",
+                &format!(
+                    "0 LWPOLYLINE\n5 A1\n8 Cut\n90 3\n70 1\n10 {x}\n20 {y}\n42 0.5\n10 {}\n20 {y}
+                    10 {x}\n20 {}\n0 INSERT\n5 A2\n8 0\n2 B\n10 {x}\n20 {y}",
+                    x + 9.0,
+                    y + 7.0
+                ),
+            ),
+        ])
+    };
+    let far = at(501_234.5, 5_401_234.25);
+    let problems = read(far.as_bytes(), &ReadOptions::default())
+        .unwrap()
+        .problems;
+    assert_eq!(problems.len(), 2, "{problems:?}");
+    for (problem, handle) in problems.iter().zip(["A1", "B1"]) {
+        assert!(
+            problem.message.contains("farther than 1000000"),
+            "{problem}"
+        );
+        assert!(
+            problem.message.contains(&format!("handle {handle}")),
+            "{problem}"
+        );
+        assert!(problem.remedy.contains("--origin lower-left"), "{problem}");
+    }
+    let moved = ReadOptions {
+        moved: true,
+        ..ReadOptions::default()
+    };
+    let (near, far) = (draw(&at(0.0, 0.0)), read(far.as_bytes(), &moved).unwrap());
+    assert_eq!(far.problems, []);
+    let vertices = |drawing: &Drawing| -> Vec<_> {
+        let all = drawing.paths.iter().flat_map(|path| path.vertices.clone());
+        all.collect()
+    };
+    let (near, far) = (vertices(&near), vertices(&far));
+    assert_eq!(near.len(), far.len());
+    for (a, b) in near.iter().zip(&far) {
+        let off = [
+            b.at[0] - 501_234.5 - a.at[0],
+            b.at[1] - 5_401_234.25 - a.at[1],
+        ];
+        assert!(off[0].hypot(off[1]) < 1e-8, "{off:?}");
+        assert!((a.bulge - b.bulge).abs() < 1e-12);
+    }
+    // Beyond all surveys.
+    let text = dxf("0 LINE\n5 3F\n8 Cut\n10 1e11\n20 0\n11 1\n21 0");
+    let problems = read(text.as_bytes(), &moved).unwrap().problems;
+    assert!(
+        problems[0].message.contains("farther than 1e10"),
+        "{problems:?}"
+    );
 }

@@ -80,6 +80,7 @@ fn load(args: &EngraveArgs) -> Result<Drawing, CliError> {
         scale: Some(args.scale),
         font: font.as_ref(),
         skip_text: args.skip_text,
+        moved: args.origin != OriginName::Drawing,
         ignore_clips: args.ignore_clips,
     };
     let refused = |problems: &[Problem]| refuse(&args.drawing, Exit::BadInput, problems);

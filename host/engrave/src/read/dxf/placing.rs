@@ -4,8 +4,9 @@ use super::entity;
 use super::record::{Insert, Read, Record};
 use super::{Item, Reader};
 use crate::curves::{map_path, map_point};
-use crate::drawing::{Entity, Problem};
-use crate::read::ENTITY_LIMIT;
+use crate::drawing::{Entity, Problem, short};
+use crate::geometry::{Path, Point};
+use crate::read::{COORDINATE_LIMIT, ENTITY_LIMIT, FAR_REMEDY};
 use kurbo::Affine;
 
 /// Deepest nesting of blocks.
@@ -27,6 +28,15 @@ fn without_chain(entity: &Entity) -> Entity {
         kind,
         ..entity.clone()
     }
+}
+
+fn too_far(entity: &Entity, at: Point) -> Problem {
+    let what = format!(
+        "the point {}, {} is farther than {COORDINATE_LIMIT} from the origin",
+        short(at[0]),
+        short(at[1])
+    );
+    Problem::of(entity, what, FAR_REMEDY)
 }
 
 impl<'a> Reader<'a, '_> {
@@ -58,13 +68,22 @@ impl<'a> Reader<'a, '_> {
         let linetype = item.linetype.as_ref();
         let linetype = linetype.or(layer.and_then(|layer| layer.linetype.as_ref()));
         let is_dashed = linetype.is_some_and(|name| self.is_dashed(name));
-        if item.hidden || layer.is_some_and(|layer| layer.hidden) {
-            self.hidden += 1;
+        let is_shown = layer.is_none_or(|layer| !layer.hidden);
+        if item.hidden || !is_shown {
+            self.leave_out("it is invisible, or its layer is off or frozen", &entity);
             // The names of hidden layers are added at the end.
-            let is_shown = layer.is_none_or(|layer| !layer.hidden);
             if is_shown && !self.drawing.hidden_layers.contains(&entity.layer) {
                 self.drawing.hidden_layers.push(entity.layer);
             }
+            return Ok(());
+        }
+        // The entities of a block have layers of their own.
+        let is_reference = matches!(item.read, Read::Insert(_));
+        if !is_reference && let Some(reason) = self.unplotted(&entity.layer) {
+            if !self.drawing.hidden_layers.contains(&entity.layer) {
+                self.drawing.hidden_layers.push(entity.layer.clone());
+            }
+            self.leave_out(reason, &entity);
             return Ok(());
         }
         let fitted = match (&item.read, &item.curve) {
@@ -78,10 +97,7 @@ impl<'a> Reader<'a, '_> {
         match fitted.as_ref().unwrap_or(&item.read) {
             Read::Refused(problem) => self.report(problem, &entity),
             Read::LeftOut(reason) => {
-                self.left_out
-                    .entry(reason.clone())
-                    .or_default()
-                    .push(entity);
+                self.leave_out(reason, &entity);
             }
             Read::Shapes(shapes) => {
                 let is_text = matches!(item.entity.kind.as_str(), "TEXT" | "MTEXT" | "ATTRIB");
@@ -93,22 +109,34 @@ impl<'a> Reader<'a, '_> {
                 let dashed = (is_dashed && !is_text && !shapes.paths.is_empty())
                     .then(|| "dashed lines are cut whole".to_string());
                 for note in notes.chain(dashed) {
-                    self.changed.entry(note).or_default().push(entity.clone());
+                    self.change(&note, &entity);
+                }
+                let tolerance = self.tolerance(Affine::IDENTITY);
+                let placed = |path: &Path| match map == Affine::IDENTITY {
+                    true => path.clone(),
+                    false => map_path(map, path, tolerance),
+                };
+                let mut paths: Vec<Path> = shapes.paths.iter().map(placed).collect();
+                let points = shapes.points.iter().map(|&at| map_point(map, at));
+                let points: Vec<Point> = points.collect();
+                let vertices = paths.iter().flat_map(|path| &path.vertices);
+                let mut all = vertices
+                    .map(|vertex| vertex.at)
+                    .chain(points.iter().copied());
+                let is_far = |at: &Point| at.iter().any(|value| value.abs() > COORDINATE_LIMIT);
+                if !self.options.moved
+                    && let Some(at) = all.find(is_far)
+                {
+                    self.report(&too_far(&entity, at), &entity);
+                    return Ok(());
                 }
                 let index = self.drawing.add_entity(entity);
-                let tolerance = self.tolerance(Affine::IDENTITY);
-                for path in &shapes.paths {
-                    let mut path = if map == Affine::IDENTITY {
-                        path.clone()
-                    } else {
-                        map_path(map, path, tolerance)
-                    };
+                for path in &mut paths {
                     path.entity = index;
-                    self.drawing.paths.push(path);
                 }
-                for &at in &shapes.points {
-                    self.drawing.points.push((map_point(map, at), index));
-                }
+                self.drawing.paths.append(&mut paths);
+                let points = points.into_iter().map(|at| (at, index));
+                self.drawing.points.extend(points);
             }
             Read::Insert(insert) => self.insert(insert, &entity, map, names)?,
         }

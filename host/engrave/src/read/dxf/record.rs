@@ -4,7 +4,7 @@ use super::mtext::Notes;
 use super::pairs::Pair;
 use crate::drawing::{Entity, Problem, short};
 use crate::geometry::{Path, Point};
-use crate::read::COORDINATE_LIMIT;
+use crate::read::FAR_LIMIT;
 use kurbo::Affine;
 
 /// The pairs of an entity.
@@ -68,11 +68,11 @@ impl<'a> Record<'_, 'a> {
     }
 
     pub fn within(&self, at: Point) -> Result<Point, Problem> {
-        if at.iter().all(|value| value.abs() <= COORDINATE_LIMIT) {
+        if at.iter().all(|value| value.abs() <= FAR_LIMIT) {
             return Ok(at);
         }
         let what = format!(
-            "the point {}, {} is farther than {COORDINATE_LIMIT} from the origin",
+            "the point {}, {} is farther than {FAR_LIMIT:e} from the origin",
             short(at[0]),
             short(at[1])
         );

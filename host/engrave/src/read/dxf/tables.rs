@@ -4,10 +4,16 @@ use super::Reader;
 use super::pairs::Pair;
 use crate::drawing::Problem;
 
+/// The layer on which CAD programs keep the points of dimensions. They never plot it, whatever its
+/// flag is.
+const DEFPOINTS: &str = "DEFPOINTS";
+
 /// A layer of the tables.
 #[derive(Default, Clone)]
 pub(super) struct Layer {
     pub(super) hidden: bool,
+    /// Whether its plot flag is 0: it is on the screen and never on paper.
+    pub(super) unplotted: bool,
     pub(super) linetype: Option<String>,
 }
 
@@ -19,9 +25,26 @@ impl Reader<'_, '_> {
             let hidden = number(62).is_some_and(|colour| colour < 0)
                 || number(70).is_some_and(|flags| flags & 1 != 0);
             let linetype = value(6).map(|pair| pair.text().trim().to_uppercase());
+            let layer = Layer {
+                hidden,
+                unplotted: number(290) == Some(0),
+                linetype,
+            };
             let name = name.text().trim().to_uppercase();
-            self.layers.insert(name, Layer { hidden, linetype });
+            self.layers.insert(name, layer);
         }
+    }
+
+    /// Why CAD programs do not plot the entities of a layer, if they do not.
+    pub(super) fn unplotted(&self, layer: &str) -> Option<&'static str> {
+        let name = layer.to_uppercase();
+        if name == DEFPOINTS {
+            return Some("layer Defpoints is not plotted");
+        }
+        let layer = self.layers.get(&name)?;
+        layer
+            .unplotted
+            .then_some("its layer is not plotted (its plot flag is 0)")
     }
 
     pub(super) fn linetype(&mut self, record: &[Pair]) {
