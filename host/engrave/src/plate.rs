@@ -3,6 +3,8 @@
 //! What should be cut is computed from the drawing by distances on the grid, independent of the
 //! offsets and paths of the job.
 
+mod room;
+
 use crate::curves::distance_to_segment;
 use crate::drawing::Drawing;
 use crate::geometry::{Path, Point};
@@ -238,16 +240,22 @@ impl Plate {
             }
             (Operation::Pocket, _) => {
                 let asked = self.inside(&chains);
-                // What a tool of this radius reaches.
-                let reached = |radius: f64| -> Vec<bool> {
-                    let centres = self.at_least(&asked, radius);
-                    let off = self.distances(&centres);
+                let outside: Vec<bool> = asked.iter().map(|one| !one).collect();
+                let off = self.distances(&outside);
+                // What a tool reaches with its centre at these points.
+                let reached = |centres: &[bool], radius: f64| -> Vec<bool> {
+                    let off = self.distances(centres);
                     let both = asked.iter().zip(off);
                     both.map(|(asked, off)| *asked && off <= radius).collect()
                 };
+                let centres: Vec<bool> = off.iter().map(|off| *off >= radius).collect();
+                let room = self.room(&asked, &off, &chains, radius);
+                let in_wide = reached(&room.wide, radius + self.cell);
+                let in_narrow = reached(&room.narrow, radius);
+                let either = in_wide.into_iter().zip(in_narrow);
                 Asked {
-                    reached: reached(radius),
-                    judged: reached(radius + self.cell),
+                    reached: reached(&centres, radius),
+                    judged: either.map(|(wide, narrow)| wide || narrow).collect(),
                     asked,
                     kept: None,
                 }
@@ -268,16 +276,19 @@ impl Plate {
                     .iter()
                     .map(|d| (d - radius).abs() <= self.cell)
                     .collect();
-                let wide: Vec<bool> = off.iter().map(|d| *d > radius + self.cell).collect();
-                let to_wide = self.distances(&wide);
-                let in_wide: Vec<bool> = on_path
-                    .iter()
-                    .zip(to_wide)
-                    .map(|(on_path, d)| *on_path && d <= NEAR * self.cell)
+                let free: Vec<bool> = kept.iter().map(|one| !one).collect();
+                let room = self.room(&free, &off, &chains, radius);
+                let to_wide = self.distances(&room.wide);
+                let to_narrow = self.distances(&room.narrow);
+                let has_room = |slot: usize| {
+                    to_wide[slot] <= NEAR * self.cell || to_narrow[slot] <= 1.5 * self.cell
+                };
+                let on_path_with_room: Vec<bool> = (0..on_path.len())
+                    .map(|slot| on_path[slot] && has_room(slot))
                     .collect();
                 Asked {
                     kept: Some(kept),
-                    judged: beside(&in_wide),
+                    judged: beside(&on_path_with_room),
                     ..Asked::same(beside(&on_path))
                 }
             }
@@ -432,8 +443,8 @@ impl Plate {
 struct Asked {
     asked: Vec<bool>,
     reached: Vec<bool>,
-    /// What the tool reaches for certain: by distances on the grid a slot may seem up to a cell
-    /// wider than it is.
+    /// What the tool reaches for certain: in wide places by distances on the grid, which may be up
+    /// to a cell too large, in narrow ones by distances from the contours.
     judged: Vec<bool>,
     /// What must stay, if that is not all the rest.
     kept: Option<Vec<bool>>,

@@ -60,7 +60,16 @@ fn an_uncut_channel_is_a_difference() {
         let job = plan(&square, &options).unwrap();
         let report = compared(&square, &job, &options, 0.1);
         assert!(!report.differs(), "{report:?}");
-        for (width, cell) in [(2.3, 0.05), (2.6, 0.05), (2.6, 0.1)] {
+        // A quarter of a cell wider than the tool, and wider ones.
+        let widths = [
+            (2.0125, 0.05),
+            (2.025, 0.1),
+            (2.05, 0.05),
+            (2.1, 0.1),
+            (2.15, 0.1),
+        ];
+        let wider = [(2.3, 0.05), (2.6, 0.05), (2.6, 0.1)];
+        for (width, cell) in widths.into_iter().chain(wider) {
             let report = compared(&with_channel(width), &job, &options, cell);
             assert!(
                 report.differs() && report.uncut_mm2 > 5.0,
