@@ -1,7 +1,9 @@
 //! The offline page that shows a job before it is cut.
 
+mod labels;
+
 use crate::drawing::Drawing;
-use crate::geometry::{Point, distance};
+use crate::geometry::Point;
 use crate::job::{Job, Options};
 use crate::plate::Plate;
 pub use crate::times::Speeds;
@@ -269,16 +271,6 @@ fn surface(drawing: &Drawing, job: &Job, options: &Options) -> Layer {
     )
 }
 
-/// Rising numbers in words: `1, 4-6, 9`.
-fn ranges(numbers: &[usize]) -> String {
-    let follows = |before: &usize, next: &usize| *next == before + 1;
-    let runs = numbers.chunk_by(follows).map(|run| match run {
-        [first, .., last] => format!("{first}-{last}"),
-        _ => run.iter().map(usize::to_string).collect(),
-    });
-    runs.collect::<Vec<_>>().join(", ")
-}
-
 /// The plan from above with numbered starts; the cuts have the width of the tool.
 #[must_use]
 pub fn plan(drawing: &Drawing, job: &Job, options: &Options) -> String {
@@ -298,7 +290,7 @@ pub fn plan(drawing: &Drawing, job: &Job, options: &Options) -> String {
     );
     let (mut wide, mut thin, mut air, mut numbers) =
         (String::new(), String::new(), String::new(), String::new());
-    let mut labels: Vec<(Point, Vec<usize>)> = Vec::new();
+    let mut starts: Vec<Point> = Vec::new();
     let mut at = options.reference;
     for (index, one) in job.toolpath.cuts.iter().enumerate() {
         let start = one.start;
@@ -326,24 +318,11 @@ pub fn plan(drawing: &Drawing, job: &Job, options: &Options) -> String {
                 -start[1],
                 0.35 * unit
             );
-            // Starts of several depths are at one place, where their numbers would cover each
-            // other.
-            let mut known = labels.iter_mut();
-            match known.find(|(place, _)| distance(*place, start) < 2.0 * unit) {
-                Some((_, at_place)) => at_place.push(index + 1),
-                None => labels.push((start, vec![index + 1])),
-            }
+            starts.push(start);
         }
     }
-    for (place, at_place) in labels {
-        let _ = writeln!(
-            numbers,
-            "<text x=\"{:.3}\" y=\"{:.3}\">{}</text>",
-            place[0] + 0.5 * unit,
-            -place[1] - 0.4 * unit,
-            ranges(&at_place)
-        );
-    }
+    let view = [[low[0], -high[1]], [low[0] + size[0], size[1] - high[1]]];
+    numbers.push_str(&labels::texts(&starts, view));
     let home = options.reference;
     let _ = writeln!(
         air,
@@ -357,12 +336,11 @@ pub fn plan(drawing: &Drawing, job: &Job, options: &Options) -> String {
          <g stroke=\"#2f6fb3\" stroke-width=\"{:.3}\">{thin}</g>\n\
          <g stroke=\"#e07b1a\" stroke-width=\"{:.3}\" stroke-dasharray=\"{:.3}\" \
          marker-end=\"url(#a)\">{air}</g></g>\n\
-         <g font-size=\"{:.3}\" fill=\"#111\">{numbers}</g></svg>\n",
+         <g fill=\"#111\">{numbers}</g></svg>\n",
         options.tool_mm,
         0.15 * unit,
         0.2 * unit,
-        0.8 * unit,
-        2.0 * unit
+        0.8 * unit
     );
     svg
 }

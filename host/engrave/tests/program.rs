@@ -1,5 +1,6 @@
 //! The part program and the page of a job: what they show is the planned tool path.
 
+use crate::common::dxf;
 use haptimill_engrave::drawing::{Drawing, LayerChoice};
 use haptimill_engrave::gcode::{Rates, program};
 use haptimill_engrave::geometry::Segment;
@@ -257,6 +258,58 @@ fn a_pen_has_no_spindle() {
     }
 }
 
+/// No label covers another: their boxes are as wide as the digits of common fonts.
+fn check_labels(labels: &[roxmltree::Node]) {
+    let corners = |label: &roxmltree::Node| {
+        let number = |name| -> f64 { label.attribute(name).unwrap().parse().unwrap() };
+        let (x, y, size) = (number("x"), number("y"), number("font-size"));
+        let width = 0.63 * size * label.text().unwrap().len() as f64;
+        [[x, y - 0.75 * size], [x + width, y + 0.2 * size]]
+    };
+    let boxes: Vec<[[f64; 2]; 2]> = labels.iter().map(corners).collect();
+    for (index, [low, high]) in boxes.iter().enumerate() {
+        for (other, [l, h]) in boxes[..index].iter().enumerate() {
+            let covers = (0..2).all(|axis| low[axis] < h[axis] && l[axis] < high[axis]);
+            let texts = [index, other].map(|one| labels[one].text().unwrap());
+            assert!(!covers, "{texts:?}: {low:?} {high:?} {l:?} {h:?}");
+        }
+    }
+}
+
+/// Labels of starts that are close to each other, in rows, in heaps, and in a narrow plan.
+#[test]
+fn labels_of_close_starts_do_not_cover_each_other() {
+    let dots = |place: &dyn Fn(usize) -> [f64; 2]| {
+        let line = |k| {
+            let [x, y] = place(k);
+            format!(
+                "0 LINE\n8 0\n10 {x:.4}\n20 {y:.4}\n11 {:.4}\n21 {y:.4}\n",
+                x + 0.1
+            )
+        };
+        dxf(&(0..290).map(line).collect::<String>())
+    };
+    let heap = |k: usize| {
+        let (angle, off) = (k as f64 * 2.4, (k as f64).sqrt() * 0.6);
+        [20.0 + off * angle.cos(), 20.0 + off * angle.sin()]
+    };
+    for text in [
+        dots(&|k| [10.0 + (k % 30) as f64 * 2.0, 10.0 + (k / 30) as f64 * 2.0]),
+        dots(&|k| [10.0 + k as f64 * 0.3, 10.0]),
+        dots(&heap),
+    ] {
+        let drawing = read(text.as_bytes(), &ReadOptions::default()).unwrap();
+        let options = Options::default();
+        let job = plan(&drawing, &options).unwrap();
+        let svg = picture(&drawing, &job, &options);
+        let svg = roxmltree::Document::parse(&svg).unwrap();
+        let is_label = |node: &roxmltree::Node| node.tag_name().name() == "text";
+        let labels: Vec<_> = svg.descendants().filter(is_label).collect();
+        assert!(labels.len() > 50, "{}", labels.len());
+        check_labels(&labels);
+    }
+}
+
 /// The plan has a number and a path for each start, and an air move to each and back.
 #[test]
 fn the_page_numbers_the_starts_and_shows_every_move() {
@@ -271,7 +324,7 @@ fn the_page_numbers_the_starts_and_shows_every_move() {
         // Each number once: alone, or in a range or a list of starts at one place.
         let parts = labels
             .iter()
-            .flat_map(|label| label.text().unwrap().split(", "));
+            .flat_map(|label| label.text().unwrap().trim_end_matches(',').split(", "));
         let mut numbers: Vec<usize> = parts
             .flat_map(|part| {
                 let (first, last) = part.split_once('-').unwrap_or((part, part));
@@ -280,15 +333,7 @@ fn the_page_numbers_the_starts_and_shows_every_move() {
             .collect();
         numbers.sort_unstable();
         assert_eq!(numbers, (1..=count).collect::<Vec<_>>());
-        let place = |label: &roxmltree::Node, name| -> f64 {
-            label.attribute(name).unwrap().parse().unwrap()
-        };
-        for (index, one) in labels.iter().enumerate() {
-            for other in &labels[..index] {
-                let off = |name| place(one, name) - place(other, name);
-                assert!(off("x").hypot(off("y")) > 0.5, "{one:?} covers {other:?}");
-            }
-        }
+        check_labels(&labels);
         let paths = svg
             .descendants()
             .filter(|node| node.attribute("d").is_some());
