@@ -220,6 +220,26 @@ pub fn tabs_of(path: &Path, tabs: &Tabs, tool_mm: f64) -> Vec<Tab> {
 mod tests {
     use super::*;
 
+    /// Least length that is cut between two neighbours of the tabs of a path, mm.
+    fn least_gap(path: &Path, tabs: Tabs, tool_mm: f64) -> f64 {
+        let way = Way::of(path);
+        let depths = Depths {
+            tabs: Some((tabs, tool_mm)),
+            levels: vec![-2.0],
+            slope: None,
+        };
+        let placed = tabs_of(path, &tabs, tool_mm);
+        assert_eq!(placed.len(), tabs.count);
+        let places: Vec<Point> = placed.iter().map(|tab| tab.at).collect();
+        let held = Held::new(path, &depths, &places);
+        let gap = |k: usize| {
+            let ([from, to], [next, end]) = (held.spans[k], held.spans[(k + 1) % tabs.count]);
+            let middles = [f64::midpoint(from, to), f64::midpoint(next, end)];
+            way.between(middles[0], middles[1]) - (to - from + end - next) / 2.0
+        };
+        (0..tabs.count).map(gap).fold(f64::INFINITY, f64::min)
+    }
+
     /// Tabs do not join at corners, where they are longer: around stars of any number of points.
     #[test]
     fn tabs_stay_apart_at_corners() {
@@ -233,34 +253,39 @@ mod tests {
                 };
                 let corners: Vec<Point> = (0..2 * points).map(corner).collect();
                 let path = Path::polygon(&corners, 0);
-                let way = Way::of(&path);
                 for count in 2..12 {
                     let tabs = Tabs {
                         count,
                         width_mm: 1.5,
                         height_mm: 1.0,
                     };
-                    if tabs.length(tool_mm) > 0.95 * way.total {
+                    if tabs.length(tool_mm) > 0.95 * path.length() {
                         continue;
                     }
-                    let depths = Depths {
-                        tabs: Some((tabs, tool_mm)),
-                        levels: vec![-2.0],
-                        slope: None,
-                    };
-                    let placed = tabs_of(&path, &tabs, tool_mm);
-                    assert_eq!(placed.len(), count);
-                    let places: Vec<Point> = placed.iter().map(|tab| tab.at).collect();
-                    let held = Held::new(&path, &depths, &places);
-                    for (k, [from, to]) in held.spans.iter().enumerate() {
-                        let [next, end] = held.spans[(k + 1) % count];
-                        let middles = [f64::midpoint(*from, *to), f64::midpoint(next, end)];
-                        let gap =
-                            way.between(middles[0], middles[1]) - (to - from + end - next) / 2.0;
-                        assert!(gap > -1e-6, "{points} {inner} {count} {gap}");
-                    }
+                    let gap = least_gap(&path, tabs, tool_mm);
+                    assert!(gap > -1e-6, "{points} {inner} {count} {gap}");
                 }
             }
+        }
+    }
+
+    /// Around small rectangles the best place of a tab by itself may be within the one before it:
+    /// by 0.6 to 1.0 mm here.
+    #[test]
+    fn tabs_that_would_join_are_moved_apart() {
+        for (width, height, count, width_mm) in [
+            (4.005, 9.332, 3, 2.21),
+            (13.588, 6.414, 7, 0.79),
+            (25.549, 7.111, 11, 1.07),
+        ] {
+            let corners = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]];
+            let tabs = Tabs {
+                count,
+                width_mm,
+                height_mm: 1.0,
+            };
+            let gap = least_gap(&Path::polygon(&corners, 0), tabs, 3.0);
+            assert!(gap > 0.2, "{width} x {height}: {gap}");
         }
     }
 }
