@@ -6,6 +6,7 @@ use crate::geometry::Point;
 use crate::order::edges::Ends;
 use crate::order::rows::Line;
 use crate::read::{ReadOptions, read};
+use serde::Deserialize;
 
 /// Figure 4.10: the lines of figure 4.8 in the order of the file; x and y of start and end.
 pub const FIGURE_4_10: [[f64; 4]; 4] = [
@@ -14,6 +15,49 @@ pub const FIGURE_4_10: [[f64; 4]; 4] = [
     [20.0, 20.0, 40.0, 10.0],
     [40.0, 25.0, 40.0, 20.0],
 ];
+
+/// A text as closed lines, by `host/engrave/letters.py`.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Text {
+    /// Its letters.
+    pub text: String,
+    /// Its font.
+    pub font: String,
+    /// Height of capitals, units of the font.
+    capital: f64,
+    /// x and y of the corners of each contour, units of the font.
+    contours: Vec<Vec<f64>>,
+}
+
+impl Text {
+    /// The texts of the thesis.
+    ///
+    /// # Errors
+    /// The mistake in the built-in data; none is known.
+    pub fn all() -> Result<Vec<Self>, String> {
+        #[derive(Deserialize)]
+        struct File {
+            text: Vec<Text>,
+        }
+        toml::from_str(include_str!("../../data/letters.toml"))
+            .map(|file: File| file.text)
+            .map_err(|error| format!("host/engrave/data/letters.toml: {error}"))
+    }
+
+    /// Its edges in the order of the text, with capitals of this height, mm. The first letter begins
+    /// at the origin.
+    #[must_use]
+    pub fn edges(&self, height: f64) -> Vec<Ends> {
+        let size = height / self.capital;
+        let corners = |contour: &Vec<f64>| -> Vec<Point> {
+            let pairs = contour.chunks_exact(2);
+            pairs.map(|at| [at[0] * size, at[1] * size]).collect()
+        };
+        let edges = self.contours.iter().flat_map(|one| polygon(&corners(one)));
+        edges.map(|[start, end]| Ends { start, end }).collect()
+    }
+}
 
 /// Corners of a rectangle, counter-clockwise from its lower left.
 #[must_use]
@@ -129,82 +173,6 @@ pub fn pockets() -> [Vec<Vec<Point>>; 3] {
         ],
         vec![h.to_vec()],
     ]
-}
-
-/// The block letters K, M, I, T, L in a line, 1 high, as edges in the order of the text. The first
-/// is at the origin.
-#[must_use]
-pub fn letters(height: f64) -> Vec<Ends> {
-    let all: [(f64, &[Point]); 5] = [
-        (
-            0.0,
-            &[
-                [0.0, 0.0],
-                [0.2, 0.0],
-                [0.2, 0.4],
-                [0.5, 0.0],
-                [0.75, 0.0],
-                [0.35, 0.5],
-                [0.75, 1.0],
-                [0.5, 1.0],
-                [0.2, 0.6],
-                [0.2, 1.0],
-                [0.0, 1.0],
-            ],
-        ),
-        (
-            0.9,
-            &[
-                [0.0, 0.0],
-                [0.2, 0.0],
-                [0.2, 0.6],
-                [0.45, 0.2],
-                [0.7, 0.6],
-                [0.7, 0.0],
-                [0.9, 0.0],
-                [0.9, 1.0],
-                [0.7, 1.0],
-                [0.45, 0.5],
-                [0.2, 1.0],
-                [0.0, 1.0],
-            ],
-        ),
-        (1.95, &[[0.0, 0.0], [0.2, 0.0], [0.2, 1.0], [0.0, 1.0]]),
-        (
-            2.3,
-            &[
-                [0.3, 0.0],
-                [0.5, 0.0],
-                [0.5, 0.8],
-                [0.8, 0.8],
-                [0.8, 1.0],
-                [0.0, 1.0],
-                [0.0, 0.8],
-                [0.3, 0.8],
-            ],
-        ),
-        (
-            3.25,
-            &[
-                [0.0, 0.0],
-                [0.6, 0.0],
-                [0.6, 0.2],
-                [0.2, 0.2],
-                [0.2, 1.0],
-                [0.0, 1.0],
-            ],
-        ),
-    ];
-    let place = |x: f64, corners: &[Point]| -> Vec<Point> {
-        let placed = corners
-            .iter()
-            .map(|at| [(at[0] + x) * height, at[1] * height]);
-        placed.collect()
-    };
-    all.iter()
-        .flat_map(|&(x, corners)| polygon(&place(x, corners)))
-        .map(|[start, end]| Ends { start, end })
-        .collect()
 }
 
 /// Lines as a drawing.

@@ -25,6 +25,9 @@ impl Stated {
 pub(super) struct CuttingTest {
     pub(super) figure: String,
     pub(super) job: String,
+    /// The text and the height of its letters; none for a picture.
+    pub(super) text: Option<String>,
+    pub(super) height_mm: Option<f64>,
     pub(super) plain_min: f64,
     pub(super) analysed_min: f64,
 }
@@ -33,7 +36,8 @@ pub(super) struct CuttingTest {
 #[serde(deny_unknown_fields)]
 pub(super) struct PaperJob {
     pub(super) figure: String,
-    /// Height of the letters; none for the five squares.
+    /// The text and the height of its letters; none for the five squares.
+    pub(super) text: Option<String>,
     pub(super) height_mm: Option<f64>,
     pub(super) plain_s: f64,
     pub(super) analysed_s: f64,
