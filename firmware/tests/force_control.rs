@@ -57,6 +57,8 @@ struct Rig {
     random: u64,
     turned: f64,
     rpm: i16,
+    /// Position of the tool in y, mm.
+    across: f64,
 }
 
 impl Rig {
@@ -72,6 +74,7 @@ impl Rig {
             random: 3,
             turned: 0.0,
             rpm: 5000,
+            across: 0.0,
         };
         rig.control.begin_tare();
         for _ in 0..300 {
@@ -113,7 +116,7 @@ impl Rig {
         };
         let position = [
             Coordinate((self.tool * MM) as i32),
-            Coordinate(0),
+            Coordinate((self.across * MM) as i32),
             Coordinate(0),
         ];
         self.control
@@ -248,6 +251,23 @@ fn wrong_sensor_sign_is_detected_in_the_first_contact() {
                 }
             }
         }
+    }
+}
+
+/// A cut along y at a rising feed pushes along x, and the tool complies there: that force grows as
+/// the tool moves along it, with a right sensor. Without the motion along y it would be a wrong sign.
+#[test]
+fn lateral_force_of_a_cut_is_no_wrong_sign() {
+    for (feed, is_wrong) in [(8.0, false), (0.0, true)] {
+        let mut rig = Rig::new(&config(1.0, &settings(1.0, 5.0, EnableCondition::Any)));
+        let mut reported = false;
+        for k in 0..(1.0 / STEP) as usize {
+            let part = (k as f64 * STEP / 0.5).min(1.0);
+            rig.across -= part * feed * STEP;
+            let problem = rig.period(16.0 * part, 0.0);
+            reported |= matches!(problem, Some(ForceProblem::WrongSign { component: 0 }));
+        }
+        assert_eq!(reported, is_wrong, "{feed} mm/s");
     }
 }
 

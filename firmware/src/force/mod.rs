@@ -210,6 +210,8 @@ impl ForceControl {
         };
         let mut found = self.conditioner.take(sample, unloaded);
         let forces = *self.conditioner.forces();
+        let [x, y, z] = self.axes.each_ref().map(|it| it.stability_monitor.extent());
+        let across = [y.max(z), z.max(x), x.max(y)];
         for (component, axis) in self.axes.iter_mut().enumerate() {
             axis.extremes = axis.peaks.push(forces[component]);
             let window = axis.peaks.window().samples();
@@ -229,6 +231,7 @@ impl ForceControl {
                     axis.extremes.peak(),
                     axis.compliance.law(),
                     is_displaced,
+                    across[component],
                 );
                 if component == 0 {
                     self.conditioner.set_rotation(rotation);

@@ -45,7 +45,9 @@
 //! gives no evidence and keeps its level. At level 0 the law is the equation alone.
 //!
 //! **Sign.** The same regression finds a sensor with the wrong sign: its force grows as the tool
-//! moves *along* it. The check runs until the first contact shows the right sign.
+//! moves *along* it. The check runs until the first contact shows the right sign. It does not judge
+//! a tool that moves mostly across this axis ([`ACROSS`]): the force of such a cut grows with the
+//! feed along the other axis, and the compliance along this one follows it.
 //!
 //! The delay must not exceed the configured one; otherwise the levels are too low.
 
@@ -79,6 +81,9 @@ const TOUCH: u8 = 16;
 
 /// Consecutive updates with a force that grows along itself that are a wrong sign.
 const WRONG_SIGN_PERIODS: u8 = 4;
+
+/// The sign is not judged while the tool moves more than this many times as far along another axis.
+const ACROSS: i32 = 4;
 
 /// Sign of the sensor, as far as it is known.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -116,6 +121,8 @@ pub struct StabilityMonitor {
     touch: u8,
     wrong: u8,
     sign: Sign,
+    /// Range of the measured position in the last revolution, 2^-20 mm.
+    extent: i32,
 }
 
 /// Range of the position in an interval.
@@ -165,6 +172,12 @@ impl StabilityMonitor {
         self.sign
     }
 
+    /// Range of the measured position in the last revolution, 2^-20 mm.
+    #[must_use]
+    pub const fn extent(&self) -> i32 {
+        self.extent
+    }
+
     /// Resets the contact; with `sign` the sensor must confirm its sign again.
     pub fn reset(&mut self, sign: bool) {
         *self = Self {
@@ -188,10 +201,10 @@ impl StabilityMonitor {
         self.quarters = [Reach::default(); 3];
     }
 
-    /// Updates the monitor, four times per revolution, with the peak force, the admittance law, and
-    /// whether the displacement differs from 0.
+    /// Updates the monitor, four times per revolution, with the peak force, the admittance law,
+    /// whether the displacement differs from 0, and the larger extent of the other axes.
     #[inline(never)]
-    pub fn update(&mut self, force: Force, law: &AdmittanceLaw, is_displaced: bool) {
+    pub fn update(&mut self, force: Force, law: &AdmittanceLaw, is_displaced: bool, across: i32) {
         let highest = law.highest();
         let setpoint = law.settings().setpoint;
         self.touch = if force.magnitude() >= setpoint.magnitude() / 2 {
@@ -206,6 +219,7 @@ impl StabilityMonitor {
         if reach.low > reach.high {
             return;
         }
+        self.extent = reach.high.saturating_sub(reach.low);
         let downward = force.0 < 0;
         let turned = downward != self.downward && force.magnitude() >= setpoint.magnitude() / 4;
         if turned {
@@ -236,7 +250,9 @@ impl StabilityMonitor {
         self.force_variance = smoothed(self.force_variance, more * more);
         self.covariance = smoothed(self.covariance, off * more);
         self.judge_stiffness(highest, (deepest, force.held().0));
-        if self.sign == Sign::Unknown {
+        if across > self.extent.saturating_mul(ACROSS) {
+            self.wrong = 0;
+        } else if self.sign == Sign::Unknown {
             self.judge_sign(force, setpoint);
         }
     }

@@ -208,6 +208,7 @@ pub fn run(contact: &Contact, mut trace: impl FnMut(f64, f64, f64, usize)) -> Co
                 peak,
                 compliance.law(),
                 compliance_motion.displacement.0 != 0,
+                0,
             );
         }
         trace(
