@@ -79,6 +79,7 @@ fn plant(criterion: &mut Criterion) {
         turns: 1e4,
         pace_mm_s: 5.0,
         ramp_s: 0.3,
+        quarters: [1.0; 4],
         press_n: 2.0,
     }));
     criterion.bench_function(

@@ -52,6 +52,7 @@ fn rig(code: i16, faults: &[&str]) -> Rig<Remembers> {
         to_mm: [8.0, 5.0, -6.0],
         pace_mm_s: 20.0,
         ramp_s: 0.1,
+        stop_s: 0.0,
     }]));
     rig
 }

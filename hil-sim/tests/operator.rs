@@ -71,6 +71,7 @@ fn stroke(at_s: f64, x: f64, pace_mm_s: f64) -> Stroke {
         to_mm: [x, 0.0, 0.0],
         pace_mm_s,
         ramp_s: 0.2,
+        stop_s: 0.0,
     }
 }
 
@@ -165,6 +166,7 @@ fn force_feedback_of_a_cut_slows_the_hand_without_oscillation() {
     let mut arm = led(Some(Rail::along(X)));
     arm.set_trajectory(Trajectory::Strokes(vec![Stroke {
         ramp_s: 2.0,
+        stop_s: 0.0,
         ..stroke(0.2, -60.0, 12.0)
     }]));
     let (mut tool, mut applied) = (0.0, Vec::new());
@@ -218,6 +220,7 @@ fn traced(part: &ReferencePart, turns: f64, press_n: f64, feedback: f64) -> Vec<
         turns,
         pace_mm_s: 6.0,
         ramp_s: 0.3,
+        quarters: [1.0; 4],
         press_n,
     }));
     run(&mut arm, 30.0, |_, truth| {
@@ -346,6 +349,7 @@ fn the_counters_give_the_joint_positions() {
         to_mm: [12.0, -9.0, 7.0],
         pace_mm_s: 20.0,
         ramp_s: 0.2,
+        stop_s: 0.0,
     }]));
     // A stuck channel, swapped channels, a slip: each on its own encoder.
     let stuck = EncoderCondition {

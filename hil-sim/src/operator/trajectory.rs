@@ -33,8 +33,26 @@ pub struct Stroke {
     pub to_mm: [f64; 3],
     /// Speed without resistance, mm/s.
     pub pace_mm_s: f64,
-    /// Time from standstill to that speed, and back, s.
+    /// Time from standstill to that speed, s.
     pub ramp_s: f64,
+    /// Time from that speed to standstill, s; 0 is `ramp_s`.
+    #[serde(default)]
+    pub stop_s: f64,
+}
+
+impl Stroke {
+    /// Acceleration and deceleration of the hand, mm/s^2.
+    fn accelerations(&self) -> (f64, f64) {
+        let stop_s = if self.stop_s > 0.0 {
+            self.stop_s
+        } else {
+            self.ramp_s
+        };
+        (
+            self.pace_mm_s / self.ramp_s.max(1e-3),
+            self.pace_mm_s / stop_s.max(1e-3),
+        )
+    }
 }
 
 /// One or more rounds along the edge of a part, with a light contact force.
@@ -52,10 +70,18 @@ pub struct Trace {
     pub turns: f64,
     /// Speed without resistance, mm/s.
     pub pace_mm_s: f64,
+    /// Parts of that speed in the four quarters of the path; an operator has slow places.
+    #[serde(default = "even")]
+    pub quarters: [f64; 4],
     /// Time from standstill to that speed, and back, s.
     pub ramp_s: f64,
     /// Contact force away from the centre, N; negative is towards it.
     pub press_n: f64,
+}
+
+/// The same speed in all quarters.
+const fn even() -> [f64; 4] {
+    [1.0; 4]
 }
 
 /// Externally set target of the tip.
@@ -101,11 +127,12 @@ pub struct Carried {
 }
 
 /// Speed for the remaining path: at most `limit`, slow enough to stop in time, and within the
-/// acceleration limit.
-fn paced(speed: f64, limit: f64, remaining: f64, acceleration: f64, dt: f64) -> f64 {
-    let stopping = libm::sqrt(2.0 * acceleration * remaining);
-    let change = acceleration * dt;
-    limit.clamp(speed - change, speed + change).min(stopping)
+/// limits of acceleration and deceleration.
+fn paced(speed: f64, limit: f64, remaining: f64, (up, down): (f64, f64), dt: f64) -> f64 {
+    let stopping = libm::sqrt(2.0 * down * remaining);
+    limit
+        .clamp(speed - down * dt, speed + up * dt)
+        .min(stopping)
 }
 
 impl Carried {
@@ -184,9 +211,8 @@ impl Carried {
                     self.index += 1;
                     return still;
                 }
-                let acceleration = stroke.pace_mm_s / stroke.ramp_s.max(1e-3);
                 let limit = stroke.pace_mm_s * pace;
-                self.speed = paced(self.speed, limit, remaining, acceleration, dt);
+                self.speed = paced(self.speed, limit, remaining, stroke.accelerations(), dt);
                 let along = times(unit_direction, 1.0 / remaining);
                 let step = (self.speed * dt).min(remaining).max(remaining.min(1e-9));
                 self.place = plus(self.place, times(along, step));
@@ -211,8 +237,11 @@ impl Carried {
         let done = remaining < 1e-6;
         if self.time >= trace.at_s && !done {
             let acceleration = trace.pace_mm_s / trace.ramp_s.max(1e-3);
-            let limit = trace.pace_mm_s * pace;
-            self.speed = paced(self.speed, limit, remaining, acceleration, dt);
+            let part = self.turned / (trace.turns.abs() * TAU);
+            let quarter = ((4.0 * part) as usize).min(3);
+            let limit = trace.pace_mm_s * trace.quarters[quarter] * pace;
+            let limits = (acceleration, acceleration);
+            self.speed = paced(self.speed, limit, remaining, limits, dt);
             let step = (self.speed * dt).min(remaining).max(remaining.min(1e-9));
             self.turned += step / trace.radius_mm;
         } else {
