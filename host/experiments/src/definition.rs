@@ -51,7 +51,8 @@ pub struct Experiment {
     pub setting: String,
     /// Figures and pages of the thesis.
     pub figures: String,
-    /// The cutting forces of the machine file are fitted to this experiment (docs/control.md 5.2).
+    /// The cutting forces of the machine file are fitted to this experiment (docs/control.md 5.2),
+    /// or the operator model is.
     #[serde(default)]
     pub fitted: bool,
     /// Passes, in order.

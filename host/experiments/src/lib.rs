@@ -6,15 +6,13 @@
 //! figures, the cut surface from above, and the table of [`Comparison`]s. E6, E8, E10 and E12 are
 //! teleoperated by an operator model at the haptic arm.
 //!
-//! All experiments use one machine file with one plant. The scale of the cutting forces is the one
-//! exception: the thesis does not state the forces on the incline, and they need about twice the
-//! coefficients P1 (docs/control.md 5.2). The pages show the scale. No band is fitted to a result;
-//! a result outside its band is shown with the reason.
+//! All experiments use one machine file with one plant. No band is fitted to a result; a result
+//! outside its band is shown with the reason.
 //!
-//! Forces and geometry are those of a fitted cutting model: docs/control.md 5.2 fits P1 to the
-//! forces of E1, E2 and E9. That a run reproduces these forces shows that the simulator implements
-//! the model, not that the model is the machine of the thesis. E3 to E5, E7 and E11 were not
-//! fitted.
+//! Forces and geometry are those of a cutting model that is fitted to the forces of E1, E2 and E7
+//! (docs/control.md 5.2); the operator is fitted to E6 and E8. That a run reproduces these shows
+//! that the simulator implements the model, not that the model is the machine of the thesis. E3 to
+//! E5 and E9 to E12 are held out.
 
 mod comparison;
 mod definition;

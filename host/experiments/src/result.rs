@@ -16,7 +16,7 @@ pub struct ExperimentResult {
     pub name: String,
     /// Title of the experiment.
     pub title: String,
-    /// The cutting forces are fitted to it; the others are held out.
+    /// The cutting forces or the operator are fitted to it; the others are held out.
     pub fitted: bool,
     /// Why it was not run; the rest is empty then.
     pub not_run: Option<String>,
