@@ -131,7 +131,7 @@ fn the_engraver_repeats_the_analysis_of_its_thesis() {
     ] {
         assert!(table.contains(part), "{part}: {table}");
     }
-    // The letters that stand in save nothing: no verdict hides that.
+    // Of the texts, in other fonts than those of the thesis, one saves as much: no verdict hides that.
     let rows: serde_json::Value =
         serde_json::from_str(&folder.read("engraver/engraver/summary.json")).expect("JSON");
     let rows = rows.as_array().expect("rows");
@@ -139,11 +139,18 @@ fn the_engraver_repeats_the_analysis_of_its_thesis() {
         rows.iter()
             .filter(move |row| row["what"].as_str().is_some_and(|what| what.contains(part)))
     };
-    assert_eq!(of("KMITL").count(), 6);
-    assert!(
-        of("KMITL").all(|row| row["verdict"] == "differs"),
-        "{table}"
-    );
+    let verdicts: Vec<&str> = of("DejaVu")
+        .filter_map(|row| row["verdict"].as_str())
+        .collect();
+    let expected = [
+        "differs",
+        "differs",
+        "same-kind",
+        "differs",
+        "differs",
+        "differs",
+    ];
+    assert_eq!(verdicts, expected, "{table}");
     // The simulated tool follows the drawing, and saves the time that the rules of the thesis give.
     assert_eq!(of("simulated tool").count(), 2);
     assert!(
