@@ -4,11 +4,10 @@
 mod common;
 
 use common::{board, enabled, five, mill, session};
-use haptimill_client::session::pins::record::{JOINTS, Period};
+use haptimill_client::session::pins::record::JOINTS;
 use haptimill_client::session::{Homing, Session};
 use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
-use haptimill_firmware::io::DriveCommand;
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Command;
 
@@ -67,35 +66,6 @@ fn the_pulses_of_a_search_are_those_of_the_native_controller() {
         session.step().expect("the line works");
     }
     assert_passed(&mut session.into_line(), &machine, (2, 1000), 0);
-}
-
-/// Five joints search their switches together at 1,000,000 steps/s each, which is what the step
-/// planner and the board can emit; the loop is closed by the switches.
-#[test]
-#[ignore = "takes minutes: cargo xtask emulator --long"]
-fn five_joints_move_at_a_million_steps_per_second_each() {
-    let machine = five();
-    let mut session = enabled(&machine);
-    session.home().expect("the joints find their switches");
-    // The pulses of the last control periods leave.
-    for _ in 0..20 {
-        session.step().expect("the line works");
-    }
-    let mut board = session.into_line();
-    let full = |period: &&Period| {
-        period.commands.iter().all(|command| match command {
-            DriveCommand::Steps(segment) => segment.count.unsigned_abs() >= 199,
-            _ => false,
-        })
-    };
-    let at_once = board.periods.iter().filter(full).count();
-    println!("{at_once} control periods with 199 or 200 steps of each joint");
-    // The longest control periods of this machine end too late.
-    assert_passed(&mut board, &machine, (4, 100_000), 7);
-    assert!(at_once > 300);
-    let edges: u64 = Checks::of(&mut board, &machine).pulses.compared();
-    println!("{edges} edges compared");
-    assert!(edges >= 1_000_000);
 }
 
 /// The level of the pin of the emergency stop ends the pulses within 2 us, also shortly before the
