@@ -255,7 +255,8 @@ fn wrong_sensor_sign_is_detected_in_the_first_contact() {
 }
 
 /// A cut along y at a rising feed pushes along x, and the tool complies there: that force grows as
-/// the tool moves along it, with a right sensor. Without the motion along y it would be a wrong sign.
+/// the tool moves along it, with a right sensor. Without the motion along y it would be a wrong
+/// sign.
 #[test]
 fn lateral_force_of_a_cut_is_no_wrong_sign() {
     for (feed, is_wrong) in [(8.0, false), (0.0, true)] {

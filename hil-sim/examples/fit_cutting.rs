@@ -4,14 +4,14 @@
 //!
 //! No other experiment enters: E3 to E6 and E8 to E12 are held out. The model is the static one of
 //! docs/control.md 5.1 in a slot, with the chip thickness h = f_t sin(Psi) sin(kappa) and the onset
-//! of the edge force over one edge radius. A result costs the logarithm of its squared distance from
-//! its band (kept a margin inside; a row that the model cannot reach must not move the others), and
-//! a small part of the squared distance from a stated value. The search (Nelder and Mead) starts from several points, which a
-//! fixed sequence gives: same input, same fit.
+//! of the edge force over one edge radius. A result costs the logarithm of its squared distance
+//! from its band (kept a margin inside; a row that the model cannot reach must not move the
+//! others), and a small part of the squared distance from a stated value. The search (Nelder and
+//! Mead) starts from several points, which a fixed sequence gives: same input, same fit.
 //!
 //! Physical limits: no coefficient is negative; the edge force along the cut is the friction of the
-//! radial one, of polyethylene on steel ([`FRICTION`]), and there is none along the edge; the radius
-//! of the edge is at least that of a sharp mill.
+//! radial one, of polyethylene on steel ([`FRICTION`]), and there is none along the edge; the
+//! radius of the edge is at least that of a sharp mill.
 //!
 //! Units: mm, N, mm/s, N/mm^2 and N/mm.
 

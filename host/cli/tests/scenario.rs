@@ -131,7 +131,8 @@ fn the_engraver_repeats_the_analysis_of_its_thesis() {
     ] {
         assert!(table.contains(part), "{part}: {table}");
     }
-    // Of the texts, in other fonts than those of the thesis, one saves as much: no verdict hides that.
+    // Of the texts, in other fonts than those of the thesis, one saves as much: no verdict hides
+    // that.
     let rows: serde_json::Value =
         serde_json::from_str(&folder.read("engraver/engraver/summary.json")).expect("JSON");
     let rows = rows.as_array().expect("rows");

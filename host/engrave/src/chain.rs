@@ -41,16 +41,16 @@ impl Ends {
                     };
                     let end = if last { path.end() } else { path.start() };
                     if end.is_some_and(|end| distance(end, at) <= tolerance) {
-                        // The ends of a square are visited in the order of the paths, the start of a
-                        // path before its end: directions are kept if possible.
+                        // The ends of a square are visited in the order of the paths, the start of
+                        // a path before its end: directions are kept if possible.
                         if best.is_none_or(|best| (index, last) < best) {
                             best = Some((index, last));
                         }
                         break;
                     }
                 }
-                // Ends of many paths may be in one square: those of joined paths go. Only the visited
-                // ones are moved, so that this costs no more than the visit.
+                // Ends of many paths may be in one square: those of joined paths go. Only the
+                // visited ones are moved, so that this costs no more than the visit.
                 if 2 * taken > scanned {
                     let visited = ends.split_off(ends.len() - scanned);
                     let left = visited.into_iter();

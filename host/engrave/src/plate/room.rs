@@ -8,8 +8,8 @@ use cavalier_contours::static_aabb2d_index::{StaticAABB2DIndex, StaticAABB2DInde
 /// Points along a side of a cell at which the room is measured.
 const FINER: usize = 8;
 
-/// Room beyond the radius of the tool that counts, cells. With [`FINER`] a slot that is a quarter of
-/// a cell wider than the tool has such a point in each row of cells.
+/// Room beyond the radius of the tool that counts, cells. With [`FINER`] a slot that is a quarter
+/// of a cell wider than the tool has such a point in each row of cells.
 const MARGIN: f64 = 1.0 / 20.0;
 
 /// Cells around a place with much room in which no other is looked for.

@@ -15,8 +15,8 @@ pub const ENTITY_LIMIT: usize = 4_000_000;
 /// Largest coordinate of a drawing that stays where it is: units of a DXF, mm of an SVG.
 pub const COORDINATE_LIMIT: f64 = 1e6;
 
-/// Largest coordinate of one that is moved to the origin. Coordinates of surveys reach 1e10 mm, where
-/// the resolution of numbers is 2e-6 mm.
+/// Largest coordinate of one that is moved to the origin. Coordinates of surveys reach 1e10 mm,
+/// where the resolution of numbers is 2e-6 mm.
 pub const FAR_LIMIT: f64 = 1e10;
 
 /// What is to be done about points that are too far away.

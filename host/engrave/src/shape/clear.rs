@@ -81,8 +81,8 @@ const TRIES: usize = 4;
 /// Clearance by which a link may leave the region of the tool's centre, mm.
 const LINK_MARGIN: f64 = 0.002;
 
-/// Paths of the tool's centre that clear a region, in their order from `reference`. Adds the entities
-/// whose contours may be wrong to `doubtful`.
+/// Paths of the tool's centre that clear a region, in their order from `reference`. Adds the
+/// entities whose contours may be wrong to `doubtful`.
 #[must_use]
 pub fn clear(
     region: &Region,

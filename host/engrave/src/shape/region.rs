@@ -217,8 +217,8 @@ impl Region {
         suspects
     }
 
-    /// The inset in another way than [`Self::inset`] tries first, if its result passes the check: with
-    /// other limits, or in steps, which become longer as the outline becomes smoother.
+    /// The inset in another way than [`Self::inset`] tries first, if its result passes the check:
+    /// with other limits, or in steps, which become longer as the outline becomes smoother.
     fn inset_again(&self, distance: f64, check: Check) -> Option<Self> {
         /// Part of a step that failed that is tried next.
         const SHORTER: f64 = 0.37;
@@ -260,7 +260,8 @@ impl Region {
         .without_slivers(distance)
     }
 
-    /// The result of an offset without the thin loops that the library leaves beside the right ones.
+    /// The result of an offset without the thin loops that the library leaves beside the right
+    /// ones.
     fn without_slivers(self, distance: f64) -> Self {
         let width = |one: &Polyline<f64>| one.area().abs() / one.path_length();
         let is_thin = |one: &Polyline<f64>| width(one) < EXACT;
@@ -280,8 +281,8 @@ impl Region {
     }
 
     /// Whether this can be the inset of `outer` by a distance, mm; a region around it if that is
-    /// negative. The library loses parts of some contours of very many segments, or closes them by a
-    /// wrong straight line.
+    /// negative. The library loses parts of some contours of very many segments, or closes them by
+    /// a wrong straight line.
     #[must_use]
     pub fn is_inset_of(&self, outer: &Self, distance: f64) -> bool {
         // The area changes with the length of the boundaries. They become shorter, except around

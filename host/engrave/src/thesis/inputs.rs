@@ -45,8 +45,8 @@ impl Text {
             .map_err(|error| format!("host/engrave/data/letters.toml: {error}"))
     }
 
-    /// Its edges in the order of the text, with capitals of this height, mm. The first letter begins
-    /// at the origin.
+    /// Its edges in the order of the text, with capitals of this height, mm. The first letter
+    /// begins at the origin.
     #[must_use]
     pub fn edges(&self, height: f64) -> Vec<Ends> {
         let size = height / self.capital;
