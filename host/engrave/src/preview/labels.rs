@@ -135,11 +135,11 @@ pub fn texts(starts: &[Point], view: [Point; 2]) -> String {
         if distance(near, label.start) > size {
             let _ = writeln!(
                 out,
-                "<line x1=\"{x:.3}\" y1=\"{y:.3}\" x2=\"{:.3}\" y2=\"{:.3}\" stroke=\"#111\" \
+                "<line x1=\"{x:.3}\" y1=\"{y:.3}\" x2=\"{:.3}\" y2=\"{:.3}\" stroke=\"#666\" \
                  stroke-width=\"{:.3}\"/>",
                 near[0],
                 near[1],
-                0.05 * unit
+                0.15 * unit
             );
         }
         for (row, line) in rows(&label.lines) {
