@@ -96,11 +96,8 @@ fn every_problem_names_its_line() {
             "[[plant.joint]]\nname = \"l1\"",
             "[[plant.joint]]\nname = \"slide\"",
         ),
-        ("material = \"P1\"", "material = \"wood\""),
-        (
-            "material = \"P1\"",
-            "material = { tangential = 60.5, radial = 82.6, axial = 32.1 }",
-        ),
+        ("material = { tangential = 88.0", "material = { tang = 88.0"),
+        (", tangential_edge = 0.298", ""),
         ("force_scale = 1.0", "force_scale = -1.0"),
         ("relief_mm = 0.15", "releif_mm = 0.15"),
         ("time_constant_s = 0.001", "time_constant_s = 2"),
