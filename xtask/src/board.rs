@@ -94,8 +94,10 @@ const MPS2: Board = Board {
     ram: 64 * 1024,
 };
 
-/// Control period of the Pico 2 that leaves 30 % with five joints at 1,000,000 steps/s each, us
-/// (docs/hardware/pico2.md).
+/// Control periods of the Pico 2 that leave 30 % with three and with five joints at 1,000,000
+/// steps/s each, us (docs/hardware/pico2.md).
+const THREE_JOINTS_US: &str = "250";
+/// With five joints.
 pub const FIVE_JOINTS_US: &str = "320";
 /// The variable of the environment with the control period of an image.
 const PERIOD_VARIABLE: &str = "HAPTIMILL_PERIOD_US";
@@ -108,7 +110,7 @@ const PICO2: Board = Board {
     binary: "haptimill-pico2",
     others: &[],
     options: &["uart"],
-    periods: &[FIVE_JOINTS_US],
+    periods: &[THREE_JOINTS_US, FIVE_JOINTS_US],
     has_uf2: true,
     flash: 384 * 1024,
     ram: 384 * 1024,

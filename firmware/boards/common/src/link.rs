@@ -3,9 +3,8 @@
 use haptimill_firmware::comm::rx_ring::{RING_BYTES, ReceiveRing, Receiver, Waiting};
 use heapless::spsc::{Consumer, Producer, Queue};
 
-/// Bytes of the transmit ring; one stays free. With a power of two a place in the ring takes no
-/// division, and a byte is placed in the worst control period, too.
-const TRANSMIT_RING: usize = 256;
+/// Bytes of the transmit ring; one stays free.
+const TRANSMIT_RING: usize = 257;
 
 /// Both rings.
 #[derive(Default)]
