@@ -4,7 +4,7 @@
 //! emergency stop.
 
 use crate::chip::{Chip, UPDATE};
-use rigless::chip::uart::TcpPeer;
+use rigless::chip::uart::{Peer, TcpPeer};
 use rigless::device::Level;
 use rigless::machine::{self, Crystal, HostWire, Target, armv7m};
 use rigless::mcu::Operate as _;
@@ -89,6 +89,11 @@ impl Board {
             mcu.usart[USART3].attach(host);
         }
         Ok(Self { chip })
+    }
+
+    /// Attaches the line to the host.
+    pub fn attach(&mut self, host: impl Peer) {
+        self.chip.mcu.usart[USART3].attach(host);
     }
 
     /// Drives all inputs as closed contacts do, and the encoders low.

@@ -4,6 +4,8 @@
 
 mod board;
 mod chip;
+mod scenes;
+mod wired;
 
 use board::{B, Board, D, E, EMERGENCY_STOP, ENCODERS};
 use rigless::emulator::{AccessKind, Driver, Host, Settled, Start, Stop, run};
@@ -15,8 +17,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const HELP: &str = "usage: haptimill-stm32-emulated check IMAGE
+       haptimill-stm32-emulated run IMAGE [SCENE ...]
        haptimill-stm32-emulated serve IMAGE PORT MILLISECONDS FILE.vcd [STEPS [OPEN_US] | turn]
 `check` looks at the control period, the step clock, the encoders and the emergency stop.
+`run` has a simulated mill at the pins. Its scenes: `program` homes it, runs a part program, and
+compares every pulse edge; `inputs` moves the other inputs.
 `serve` waits for a host at tcp:127.0.0.1:PORT and writes the pins at the end. The emergency stop
 opens after STEPS steps of joint x for OPEN_US [default: 50000]. With `turn` each encoder has
 300 counts more after 30 ms.";
@@ -31,7 +36,7 @@ const LED: u8 = 12;
 
 /// Recorded lines: a time in ns, and the levels of all of them.
 #[derive(Default)]
-struct Lines {
+pub struct Lines {
     levels: u16,
     changes: Vec<(u64, u16)>,
 }
@@ -240,6 +245,8 @@ fn main() -> ExitCode {
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let result = match words[..] {
         ["check", image] => check(image),
+        ["run", image] => scenes::run(image, &scenes::ALL),
+        ["run", image, ref names @ ..] => scenes::run(image, names),
         ["serve", image, port, until, vcd, ref rest @ ..] => serve(image, port, until, vcd, rest),
         _ => Err(HELP.to_string()),
     };
