@@ -48,6 +48,8 @@ pub struct PlateReport {
     pub asked_mm2: f64,
     /// Part of it that the tool cannot reach, such as inside corners, mm^2.
     pub unreachable_mm2: f64,
+    /// Area that is compared, without the band along edges, mm^2.
+    pub judged_mm2: f64,
     /// Reachable area that is not cut to half of the depth, mm^2.
     pub uncut_mm2: f64,
     /// Area that is cut although it should stay, mm^2.
@@ -69,6 +71,12 @@ impl PlateReport {
     #[must_use]
     pub fn differs(&self) -> bool {
         self.largest_patch_mm2 > UNRESOLVED * self.cell_mm * self.cell_mm
+    }
+
+    /// Whether less than half of the reachable area was compared: the grid is coarse for the tool.
+    #[must_use]
+    pub fn is_coarse(&self) -> bool {
+        self.judged_mm2 < 0.5 * (self.asked_mm2 - self.unreachable_mm2)
     }
 }
 
@@ -410,6 +418,7 @@ impl Plate {
                 0.0
             };
             if core[slot] {
+                report.judged_mm2 += area;
                 let deep = if tabbed[slot] {
                     above
                 } else {
@@ -544,6 +553,10 @@ mod tests {
             "{report:?}"
         );
         assert!((report.mean_depth_mm - 0.5).abs() < 1e-6);
+        assert!(report.judged_mm2 > 4.0 && !report.is_coarse(), "{report:?}");
+        // On a grid that is coarse for the tool, next to nothing of the slot is beyond the band.
+        let report = Plate::new([[0.0, 0.0], [10.0, 10.0]], 0.4).compare(&drawing, &options, &[]);
+        assert!(report.judged_mm2 < 0.1 && report.is_coarse(), "{report:?}");
         // The same cut 0.3 mm aside.
         let mut plate = Plate::new([[0.0, 0.0], [10.0, 10.0]], 0.05);
         plate.sweep(0.5, [2.0, 5.3, -0.5], [8.0, 5.3, -0.5]);

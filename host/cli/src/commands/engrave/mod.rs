@@ -358,6 +358,14 @@ fn print_surface(cut: &cut::Cut) {
         "            {uncut_mm2:.2} mm2 uncut, {over_cut_mm2:.2} mm2 over-cut (beyond {band_mm:.3} \
          mm of the edges)"
     );
+    if cut.surface.is_coarse() {
+        print_line!(
+            "            compared at points {:.3} mm apart, which is coarse for this tool: {:.0} mm2 were \
+             compared; engrave a smaller part of the drawing to compare more",
+            cut.surface.cell_mm,
+            cut.surface.judged_mm2
+        );
+    }
     print_line!(
         "depth       {:.3} mm asked for; {:.3} least, {:.3} mean, {:.3} greatest",
         cut.surface.depth_mm,
