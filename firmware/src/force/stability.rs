@@ -46,7 +46,7 @@
 //!
 //! **Sign.** The same regression finds a sensor with the wrong sign: its force grows as the tool
 //! moves *along* it. The check runs until the first contact shows the right sign. It does not judge
-//! a tool that moves mostly across this axis ([`ACROSS`]): the force of such a cut grows with the
+//! a tool that moves mostly across this axis (`ACROSS`): the force of such a cut grows with the
 //! feed along the other axis, and the compliance along this one follows it.
 //!
 //! The delay must not exceed the configured one; otherwise the levels are too low.
