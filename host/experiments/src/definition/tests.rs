@@ -47,7 +47,7 @@ fn a_mistake_is_refused_with_file_and_key() {
         refusal(move |text: &str| text.replacen(from, to, 1))
     };
     let message = replaced("setpoint_n = 5.0", "setpoint_n = \"5\"");
-    assert!(message.starts_with("e8.toml:16:14: "), "{message}");
+    assert!(message.starts_with("e8.toml:18:14: "), "{message}");
     let message = replaced("setpoint_n", "setpoint");
     assert!(message.contains("unknown field `setpoint`"), "{message}");
     for (from, to, expected) in [
