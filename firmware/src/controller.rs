@@ -7,15 +7,15 @@
 //! | --- | --- | --- |
 //! | receive | at most one request or setpoint | `comm/server.rs` |
 //! | measure | encoder counts to joint positions, force samples to tool force | `machine.rs` |
-//! | supervise | fault checks in a fixed order; reactions to named inputs | `faults.rs`, `reactions.rs` |
+//! | supervise | fault checks in a fixed order; named inputs | `faults.rs`, `reactions.rs` |
 //! | command | one request or setpoint; a refused one changes nothing | `commands.rs` |
 //! | interpolate | the commanded pose of this period | `modes.rs` |
 //! | comply | compliant displacement of force control | `machine/compliance.rs` |
-//! | solve | volumetric compensation and inverse kinematics: reference to joint motion | `machine.rs` |
+//! | solve | volumetric compensation, inverse kinematics: joint motion | `machine.rs` |
 //! | servo | position loops and step generation | `machine.rs` |
 //! | render | force feedback to the haptic arm | `machine/masters.rs` |
 //! | report | answers, events, telemetry | `comm/server.rs` |
-//! | interlock | drives, haptic arm and spindle off with the drives; named outputs | here, `reactions.rs` |
+//! | interlock | outputs off while the drives are off; named outputs | here, `reactions.rs` |
 
 use crate::comm::server::{Incoming, Server};
 use crate::comm::telemetry;

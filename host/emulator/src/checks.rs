@@ -259,21 +259,7 @@ impl Checks {
 impl fmt::Display for Checks {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for axis in &self.pulses.axes {
-            writeln!(
-                out,
-                "{}: {} pulses, {} edges compared, {} faults, largest error {} fs; sum {}, \
-                 commanded {}",
-                axis.name,
-                axis.pulses,
-                axis.compared,
-                axis.fault_count,
-                axis.largest_error,
-                axis.count,
-                axis.commanded.unwrap_or(0)
-            )?;
-            for fault in axis.faults.iter().take(5) {
-                writeln!(out, "  {fault:?}")?;
-            }
+            writeln!(out, "{axis}")?;
         }
         for (name, counted, pins) in &self.miscounted {
             writeln!(

@@ -3,7 +3,7 @@
 //! What should be cut is computed from the drawing by distances on the grid, independent of the
 //! offsets and paths of the job.
 
-mod room;
+mod clearance;
 
 use crate::curves::distance_to_segment;
 use crate::drawing::Drawing;
@@ -19,8 +19,8 @@ const CELLS: f64 = 4e6;
 const BAND: f64 = 2.0;
 
 /// Distance, cells, within which the way of the tool's centre beside a contour has points farther
-/// from the contour, where the tool has room: the way is known within a cell on either side, and in
-/// a right-angled corner the distance grows more slowly.
+/// from the contour, where the tool has clearance: the way is known within a cell on either side,
+/// and in a right-angled corner the distance grows more slowly.
 const NEAR: f64 = 4.0;
 
 /// Cells of the largest patch that a comparison may find wrong: the grid places the fillets of
@@ -257,9 +257,9 @@ impl Plate {
                     both.map(|(asked, off)| *asked && off <= radius).collect()
                 };
                 let centres: Vec<bool> = off.iter().map(|off| *off >= radius).collect();
-                let room = self.room(&asked, &off, &chains, radius);
-                let in_wide = reached(&room.wide, radius + self.cell);
-                let in_narrow = reached(&room.narrow, radius);
+                let clearance = self.clearance(&asked, &off, &chains, radius);
+                let in_wide = reached(&clearance.wide, radius + self.cell);
+                let in_narrow = reached(&clearance.narrow, radius);
                 let either = in_wide.into_iter().zip(in_narrow);
                 Asked {
                     reached: reached(&centres, radius),
@@ -285,18 +285,18 @@ impl Plate {
                     .map(|d| (d - radius).abs() <= self.cell)
                     .collect();
                 let free: Vec<bool> = kept.iter().map(|one| !one).collect();
-                let room = self.room(&free, &off, &chains, radius);
-                let to_wide = self.distances(&room.wide);
-                let to_narrow = self.distances(&room.narrow);
-                let has_room = |slot: usize| {
+                let clearance = self.clearance(&free, &off, &chains, radius);
+                let to_wide = self.distances(&clearance.wide);
+                let to_narrow = self.distances(&clearance.narrow);
+                let is_clear = |slot: usize| {
                     to_wide[slot] <= NEAR * self.cell || to_narrow[slot] <= 1.5 * self.cell
                 };
-                let on_path_with_room: Vec<bool> = (0..on_path.len())
-                    .map(|slot| on_path[slot] && has_room(slot))
+                let on_clear_path: Vec<bool> = (0..on_path.len())
+                    .map(|slot| on_path[slot] && is_clear(slot))
                     .collect();
                 Asked {
                     kept: Some(kept),
-                    judged: beside(&on_path_with_room),
+                    judged: beside(&on_clear_path),
                     ..Asked::same(beside(&on_path))
                 }
             }

@@ -46,7 +46,7 @@ fn read_identity(section: &Section<'_, '_>, place: Option<(&str, AxisKind)>) -> 
         return (name.to_string(), kind);
     };
     if !name.is_empty() && name != expected_name {
-        let what = format!("\"{name}\" is not the name of the model at this place");
+        let what = format!("\"{name}\" is not the coordinate of the model at this place");
         section.report("name", what, format!("write \"{expected_name}\""));
     }
     if kind.is_some_and(|kind| kind.is_rotary() != expected_kind.is_rotary()) {

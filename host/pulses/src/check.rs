@@ -145,6 +145,27 @@ pub struct AxisReport {
     pub faults: Vec<Fault>,
 }
 
+/// A line of numbers, and a line for each of the first five faults.
+impl fmt::Display for AxisReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            out,
+            "{}: {} pulses, {} edges compared, {} faults, largest error {} fs; sum {}, commanded {}",
+            self.name,
+            self.pulses,
+            self.compared,
+            self.fault_count,
+            self.largest_error,
+            self.count,
+            self.commanded.unwrap_or(0)
+        )?;
+        for fault in self.faults.iter().take(5) {
+            write!(out, "\n  {fault:?}")?;
+        }
+        Ok(())
+    }
+}
+
 impl AxisReport {
     fn add(&mut self, kind: FaultKind, time: i64, amount: i64, period: Option<u64>) {
         self.fault_count += 1;

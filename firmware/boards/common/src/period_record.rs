@@ -4,9 +4,9 @@
 //! | words | |
 //! | --- | --- |
 //! | 0 | number of the period, lower half; the board writes it last |
-//! | 1 | missed periods; from bit 16 room of the transmitter |
-//! | 2 | home switches; from bit 8 drives that are ready; bit 16 emergency stop, bit 17 out-of-band |
-//! | | stop; from bit 24 cause of the last reset, as the flashes of the LED |
+//! | 1 | missed periods; from bit 16 free bytes of the transmitter |
+//! | 2 | home switches; from bit 8 drives that are ready; bit 16 emergency stop |
+//! | | bit 17 out-of-band stop; from bit 24 cause of the last reset, as the flashes of the LED |
 //! | 3 | digital inputs; from bit 16 digital outputs |
 //! | 4 | received bytes; from bit 16 bytes that wait |
 //! | 5 | lost bytes; from bit 16 spindle speed |

@@ -1,5 +1,5 @@
-//! The [record](haptimill_board_common::period_record) of the last control period, with the cycles of
-//! its stages. It is the first object of the RAM after the stack (`image.x`).
+//! The [record](haptimill_board_common::period_record) of the last control period, with the cycles
+//! of its stages. It is the first object of the RAM after the stack (`image.x`).
 
 use crate::clocks::cycles;
 use crate::ending::last_cause;

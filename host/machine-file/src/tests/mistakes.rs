@@ -97,6 +97,11 @@ fn every_problem_names_its_line() {
             "[[plant.joint]]\nname = \"slide\"",
         ),
         ("material = { tangential = 88.0", "material = { tang = 88.0"),
+        (
+            "material = { tangential = 88.0, radial = 22.6, axial = 0.93, tangential_edge = 0.298, \
+             radial_edge = 1.49, axial_edge = 0.0 }",
+            "material = \"wood\"",
+        ),
         (", tangential_edge = 0.298", ""),
         ("force_scale = 1.0", "force_scale = -1.0"),
         ("relief_mm = 0.15", "releif_mm = 0.15"),

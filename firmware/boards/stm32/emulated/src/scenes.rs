@@ -220,19 +220,7 @@ fn compare(periods: &[Period], finished: &Finished, machine: &MachineFile) -> Re
     let report = check(&capture, &axes, Some(&enable), &rules(machine)?);
     let mut compared = 0;
     for axis in &report.axes {
-        println!(
-            "{}: {} pulses, {} edges compared, {} faults, largest error {} fs; sum {}, commanded {}",
-            axis.name,
-            axis.pulses,
-            axis.compared,
-            axis.fault_count,
-            axis.largest_error,
-            axis.count,
-            axis.commanded.unwrap_or(0)
-        );
-        for fault in axis.faults.iter().take(5) {
-            println!("  {fault:?}");
-        }
+        println!("{axis}");
         compared += axis.compared;
         require(axis.compared == 2 * axis.pulses, "all edges were compared")?;
         require(axis.commanded == Some(axis.count), "the count is exact")?;
