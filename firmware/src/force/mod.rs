@@ -210,9 +210,8 @@ impl ForceControl {
         };
         let mut found = self.conditioner.take(sample, unloaded);
         let forces = *self.conditioner.forces();
-        let [x, y, z] = self.axes.each_ref().map(|it| it.stability_monitor.extent());
-        let across = [y.max(z), z.max(x), x.max(y)];
-        for (component, axis) in self.axes.iter_mut().enumerate() {
+        for component in 0..COMPONENTS {
+            let axis = &mut self.axes[component];
             axis.extremes = axis.peaks.push(forces[component]);
             let window = axis.peaks.window().samples();
             if self.toothless_update > 0 && u32::from(axis.until_look) == window {
@@ -227,17 +226,20 @@ impl ForceControl {
                     periods => periods,
                 };
                 let is_displaced = axis.compliance.displacement() != Displacement::default();
+                let across = self.extent_across(component);
+                let axis = &mut self.axes[component];
                 axis.stability_monitor.update(
                     axis.extremes.peak(),
                     axis.compliance.law(),
                     is_displaced,
-                    across[component],
+                    across,
                 );
                 if component == 0 {
                     self.conditioner.set_rotation(rotation);
                 }
             }
-            if axis.stability_monitor.sign() == Sign::Wrong && self.mask & (1 << component) != 0 {
+            let sign = self.axes[component].stability_monitor.sign();
+            if sign == Sign::Wrong && self.mask & (1 << component) != 0 {
                 found = found.or(Some(ForceProblem::WrongSign {
                     component: component as u8,
                 }));
@@ -247,6 +249,14 @@ impl ForceControl {
             found = found.or(Some(ForceProblem::SlowSpindle { rpm: self.rpm }));
         }
         self.condition = found;
+    }
+
+    /// Larger range of the measured position in the last revolution along the two axes other than
+    /// this one, 2^-20 mm.
+    fn extent_across(&self, component: usize) -> i32 {
+        let others = (0..COMPONENTS).filter(|&other| other != component);
+        let extents = others.map(|other| self.axes[other].stability_monitor.extent());
+        extents.max().unwrap_or(0)
     }
 
     /// Adapts the window to another spindle speed. A stopped spindle keeps its window, as does a

@@ -250,10 +250,12 @@ impl StabilityMonitor {
         self.force_variance = smoothed(self.force_variance, more * more);
         self.covariance = smoothed(self.covariance, off * more);
         self.judge_stiffness(highest, (deepest, force.held().0));
-        if across > self.extent.saturating_mul(ACROSS) {
-            self.wrong = 0;
-        } else if self.sign == Sign::Unknown {
-            self.judge_sign(force, setpoint);
+        if self.sign == Sign::Unknown {
+            if across > self.extent.saturating_mul(ACROSS) {
+                self.wrong = 0;
+            } else {
+                self.judge_sign(force, setpoint);
+            }
         }
     }
 
