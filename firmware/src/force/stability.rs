@@ -54,7 +54,6 @@
 use super::admittance::{AdmittanceLaw, ONSET};
 use haptimill_math::Coordinate;
 use haptimill_math::force::Force;
-use haptimill_math::scale::product;
 
 /// Weight of an update: 2^-5, a memory of 32 updates (8 revolutions).
 const MEMORY: u32 = 5;
@@ -247,9 +246,9 @@ impl StabilityMonitor {
         self.mean_position += (position - self.mean_position) >> MEMORY;
         self.mean_force += (seen - self.mean_force) >> MEMORY;
         // Products below 2^48; sums below 2^49.
-        self.position_variance = smoothed(self.position_variance, product(off, off));
-        self.force_variance = smoothed(self.force_variance, product(more, more));
-        self.covariance = smoothed(self.covariance, product(off, more));
+        self.position_variance = smoothed(self.position_variance, off * off);
+        self.force_variance = smoothed(self.force_variance, more * more);
+        self.covariance = smoothed(self.covariance, off * more);
         self.judge_stiffness(highest, (deepest, force.held().0));
         if self.sign == Sign::Unknown {
             if across > self.extent.saturating_mul(ACROSS) {
@@ -277,7 +276,7 @@ impl StabilityMonitor {
             self.force_variance >> shift,
         );
         let both = self.covariance >> shift;
-        product(both, both) >= product(position, force) >> 1
+        both * both >= (position * force) >> 1
     }
 
     fn judge_stiffness(&mut self, highest: usize, now: (i32, i32)) {
@@ -308,7 +307,7 @@ impl StabilityMonitor {
         let change = (i64::from(now.1) - i64::from(self.shown.1)).abs();
         // Softest contact of this level; half of its force: below 2^24 * 2^21.
         let softest = i64::from(ONSET) << (self.level - 1);
-        if change < product(displacement_change.min(WIDEST), softest) >> 13 {
+        if change < (displacement_change.min(WIDEST) * softest) >> 13 {
             self.level -= 1;
         }
         self.calm = 0;
@@ -340,8 +339,8 @@ fn smoothed(mean: i64, square: i64) -> i64 {
 /// Fall of the force (as a covariance) of a contact of stiffness [`ONSET`] at this variance of the
 /// position: `variance * ONSET / 2^12`, for a variance below 2^49.
 fn stiff(variance: i64) -> i64 {
-    let high = product(variance >> 24, i64::from(ONSET));
-    let low = product(variance & 0xff_ffff, i64::from(ONSET));
+    let high = (variance >> 24) * i64::from(ONSET);
+    let low = (variance & 0xff_ffff) * i64::from(ONSET);
     // high * 2^24 / 2^12 is below 2^51; both products below 2^38.
     (high << 12) + (low >> 12)
 }

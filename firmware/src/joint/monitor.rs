@@ -20,6 +20,7 @@
 
 use crate::config::{Drive, EncoderSettings, JointSettings};
 use crate::joint::reversals::Reversals;
+use haptimill_math::scale::product;
 use haptimill_math::{Coordinate, Effort, Rate};
 use haptimill_protocol::message::Fault;
 
@@ -426,13 +427,13 @@ impl JointMonitor {
         let growth = i64::from(along) - i64::from(last_count.reference);
         last_count.impulse += (growth - i64::from(holds)).max(0);
         if last_count.impulse == 0 {
-            // The impulse is within any limit, and a limit costs a division.
             return None;
         }
         let rate = (magnitude(encoder.following) * 25 / 2) >> 8;
         let momentum = (i64::from(config.law.inertia) * rate) >> 20;
-        let limit = momentum * 1_000_000 / i64::from(sample.period_us.max(1));
-        (last_count.impulse > limit).then_some(Fault::EncoderStuck { joint })
+        // In effort units times microseconds: the quotient of the limit would cost a division.
+        let impulse = product(last_count.impulse, i64::from(sample.period_us.max(1)));
+        (impulse > product(momentum, 1_000_000)).then_some(Fault::EncoderStuck { joint })
     }
 
     /// Commanded motion that was not measured, or was measured with the opposite sign.
