@@ -42,7 +42,7 @@ proptest! {
         let most = f64::from(acceleration) * 2e-4 * f64::from(MM);
         for (target, periods) in targets {
             for _ in 0..periods {
-                let (low, high) = tracker.envelope(target.map(Coordinate), &limits);
+                let within = tracker.envelope(target.map(Coordinate), 0, &limits);
                 tracker.advance(target.map(Coordinate), &limits);
                 let mut commanded = PoseCommand::default();
                 tracker.write_to(0, &limits, &mut commanded);
@@ -55,7 +55,8 @@ proptest! {
                 let way = f64::from(commanded.pose.0[0].0) - f64::from(before.pose.0[0].0);
                 let mean = (f64::from(commanded.rates[0].0) + f64::from(before.rates[0].0)) / 2.0 * 2e-4;
                 prop_assert!((way - mean).abs() <= 1.6, "{way} {mean}");
-                prop_assert!((low..=high).contains(&i64::from(commanded.pose.0[0].0)));
+                prop_assert!((within.low..=within.high).contains(&i64::from(commanded.pose.0[0].0)));
+                prop_assert!(i64::from(commanded.rates[0].0).abs() <= within.rate);
                 before = commanded;
             }
         }
@@ -87,11 +88,11 @@ proptest! {
         for _ in 0..periods {
             tracker.advance(Some(Coordinate(target)), &limits);
         }
-        let (low, high) = tracker.envelope(None, &limits);
+        let within = tracker.envelope(None, 0, &limits);
         let rest = tracker.standstill_position(&limits);
         for _ in 0..2_000_000 {
             tracker.advance(None, &limits);
-            prop_assert!((low..=high).contains(&i64::from(tracker.place().0)));
+            prop_assert!((within.low..=within.high).contains(&i64::from(tracker.place().0)));
             if tracker.is_at_standstill() { break; }
         }
         prop_assert!(tracker.is_at_standstill());

@@ -29,7 +29,7 @@ use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, Source};
 use interpolator::{Interpolator, Progress};
 use jog::Jog;
-use tracker::{Tracker, TrackerLimits};
+use tracker::{Tracker, TrackerEnvelope, TrackerLimits};
 
 /// Commanded pose, with its rates and accelerations.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -434,6 +434,11 @@ impl Motion {
         let jog = self.jog.stopping(jog_continues)?;
         let mut envelope =
             StoppingEnvelope::at(&self.commanded.pose).with_wrapping(self.jog.wrapping());
+        let extend = |envelope: &mut StoppingEnvelope, axis, by: &TrackerEnvelope| {
+            envelope.reach(axis, by.low);
+            envelope.reach(axis, by.high);
+            envelope.extend_rate(axis, by.rate);
+        };
         let mut allowed = true;
         for axis in 0..self.axes {
             let (tracker, bounds) = (&self.trackers[axis], &self.bounds[axis]);
@@ -441,31 +446,33 @@ impl Motion {
                 Source::Program => {
                     envelope.take(axis, &program, self.offsets[axis]);
                     if HAPTICS && !tracker.is_at_standstill() {
-                        let (low, high) = tracker.envelope(None, bounds);
+                        let offset = tracker.envelope(None, self.load, bounds);
                         let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
-                        envelope.reach(axis, of(program.low.0[axis], low));
-                        envelope.reach(axis, of(program.high.0[axis], high));
+                        envelope.reach(axis, of(program.low.0[axis], offset.low));
+                        envelope.reach(axis, of(program.high.0[axis], offset.high));
                         let own = i64::from(program.rates[axis].0);
-                        envelope.extend_rate(axis, own + tracker.peak(None, self.load, bounds));
+                        envelope.extend_rate(axis, own + offset.rate);
                     }
                     allowed &= self.offsets[axis] == 0 || self.jog.allows(axis, &envelope);
                 }
                 Source::Jog => envelope.take(axis, &jog, 0),
                 Source::Master if HAPTICS => {
                     let target = self.targets[axis].filter(|_| master_may_lead);
-                    let (low, high) = tracker.envelope(target, bounds);
                     // A tracker at standstill keeps its position exactly.
                     if target.is_some() || !tracker.is_at_standstill() {
-                        envelope.reach(axis, low);
-                        envelope.reach(axis, high);
-                        envelope.extend_rate(axis, tracker.peak(target, self.load, bounds));
+                        extend(
+                            &mut envelope,
+                            axis,
+                            &tracker.envelope(target, self.load, bounds),
+                        );
                     }
                 }
                 Source::Hold if HAPTICS && !tracker.is_at_standstill() => {
-                    let (low, high) = tracker.envelope(None, bounds);
-                    envelope.reach(axis, low);
-                    envelope.reach(axis, high);
-                    envelope.extend_rate(axis, tracker.peak(None, self.load, bounds));
+                    extend(
+                        &mut envelope,
+                        axis,
+                        &tracker.envelope(None, self.load, bounds),
+                    );
                 }
                 Source::Hold | Source::Master => {}
             }

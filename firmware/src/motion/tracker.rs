@@ -67,6 +67,17 @@ pub struct Tracker {
     filtered_target: i64,
 }
 
+/// Bounds of a tracker up to its standstill.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TrackerEnvelope {
+    /// Lowest position, axis units.
+    pub low: i64,
+    /// Highest position, axis units.
+    pub high: i64,
+    /// Largest magnitude of the rate, axis units per second.
+    pub rate: i64,
+}
+
 impl_digest!(TrackerLimits { fields { step, inverse, whole, rate, pull, bend, far, twice, shift, low, high, wraps, periods_per_second }, nested {}, skip {} });
 
 impl TrackerLimits {
@@ -184,10 +195,15 @@ impl Tracker {
         ))
     }
 
-    /// Bounds of the position, axis units, if it continues towards a target for one period (or
-    /// decelerates now without one) and decelerates then.
+    /// Bounds of position and rate if it continues towards a target for one period (or decelerates
+    /// now without one) and decelerates then, given the load of the joints in the period before.
     #[must_use]
-    pub fn envelope(&self, target: Option<Coordinate>, limits: &TrackerLimits) -> (i64, i64) {
+    pub fn envelope(
+        &self,
+        target: Option<Coordinate>,
+        load: u32,
+        limits: &TrackerLimits,
+    ) -> TrackerEnvelope {
         let mut next = *self;
         if target.is_some() {
             next.advance(target, limits);
@@ -199,18 +215,15 @@ impl Tracker {
         ];
         let least = ends.iter().fold(i64::MAX, |least, end| least.min(*end));
         let most = ends.iter().fold(i64::MIN, |most, end| most.max(*end));
-        (least >> FRACTION, (most >> FRACTION) + 1)
-    }
-
-    /// Largest magnitude of the rate, axis units per second, if it continues towards a target for
-    /// one period (or decelerates now without one) and decelerates then.
-    #[must_use]
-    pub fn peak(&self, target: Option<Coordinate>, load: u32, limits: &TrackerLimits) -> i64 {
-        let mut next = *self;
-        if target.is_some() {
+        if target.is_some() && load > SLOWED_LOAD {
+            next = *self;
             next.advance_under(target, load, limits);
         }
-        limits.per_second(self.rate.abs().max(next.rate.abs())) + 1
+        TrackerEnvelope {
+            low: least >> FRACTION,
+            high: (most >> FRACTION) + 1,
+            rate: limits.per_second(self.rate.abs().max(next.rate.abs())) + 1,
+        }
     }
 
     /// Advances one control period as [`Tracker::advance`], given the load of the joints in the
