@@ -51,6 +51,7 @@ fn rig(code: i16, faults: &[&str]) -> Rig<Remembers> {
         at_s: 0.05,
         to_mm: [8.0, 5.0, -6.0],
         pace_mm_s: 20.0,
+        quarters: [1.0; 4],
         ramp_s: 0.1,
         stop_s: 0.0,
     }]));

@@ -70,6 +70,7 @@ fn stroke(at_s: f64, x: f64, pace_mm_s: f64) -> Stroke {
         at_s,
         to_mm: [x, 0.0, 0.0],
         pace_mm_s,
+        quarters: [1.0; 4],
         ramp_s: 0.2,
         stop_s: 0.0,
     }
@@ -105,6 +106,39 @@ fn a_moving_wall_slows_the_hand_as_stated() {
             truth.tip[1].abs() < 0.05 && truth.tip[2].abs() < 0.05,
             "{:?}",
             truth.tip
+        );
+    }
+}
+
+/// Without a force the hand keeps the stated part of its pace in each quarter of a line, also after
+/// another line.
+#[test]
+fn the_hand_is_slow_where_its_quarters_say() {
+    let mut arm = led(None);
+    let quarters = [0.3, 0.6, 1.0, 0.4];
+    let second = Stroke {
+        quarters,
+        ramp_s: 0.02,
+        ..stroke(0.0, 20.0, 20.0)
+    };
+    let strokes = vec![stroke(0.0, -20.0, 40.0), second];
+    arm.set_trajectory(Trajectory::Strokes(strokes));
+    let course = run(&mut arm, 5.0, free);
+    let turn = |a: &usize, b: &usize| course[*a].tip[0].total_cmp(&course[*b].tip[0]);
+    let begin = (0..course.len()).min_by(turn).expect("has periods");
+    for (quarter, part) in quarters.into_iter().enumerate() {
+        // The second half of each quarter, 10 mm long: the hand has settled.
+        let passes = |x: f64| {
+            let passed = course[begin..].iter().position(|truth| truth.tip[0] > x);
+            passed.expect("passes") as f64 * PERIOD
+        };
+        let from = -20.0 + 10.0 * quarter as f64 + 4.0;
+        let speed = 4.0 / (passes(from + 4.0) - passes(from));
+        // The friction of the arm slows the hand by some tenths.
+        let kept = speed / (20.0 * part);
+        assert!(
+            (0.75..1.05).contains(&kept),
+            "quarter {quarter}: {speed} mm/s"
         );
     }
 }
@@ -348,6 +382,7 @@ fn the_counters_give_the_joint_positions() {
         at_s: 0.0,
         to_mm: [12.0, -9.0, 7.0],
         pace_mm_s: 20.0,
+        quarters: [1.0; 4],
         ramp_s: 0.2,
         stop_s: 0.0,
     }]));

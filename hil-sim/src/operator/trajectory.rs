@@ -33,6 +33,9 @@ pub struct Stroke {
     pub to_mm: [f64; 3],
     /// Speed without resistance, mm/s.
     pub pace_mm_s: f64,
+    /// Parts of that speed in the four quarters of the line; an operator has slow places.
+    #[serde(default = "even")]
+    pub quarters: [f64; 4],
     /// Time from standstill to that speed, s.
     pub ramp_s: f64,
     /// Time from that speed to standstill, s; 0 is `ramp_s`.
@@ -118,6 +121,8 @@ pub struct Carried {
     time: f64,
     /// Number of completed strokes.
     index: usize,
+    /// Start of the present stroke, mm.
+    start: Vector,
     /// Desired position, mm.
     place: Vector,
     speed: f64,
@@ -135,6 +140,12 @@ fn paced(speed: f64, limit: f64, remaining: f64, (up, down): (f64, f64), dt: f64
         .min(stopping)
 }
 
+/// Quarter of a path that a part of it, 0 to 1, is in.
+const fn quarter(part: f64) -> usize {
+    let quarter = (4.0 * part) as usize;
+    if quarter > 3 { 3 } else { quarter }
+}
+
 impl Carried {
     /// Starts a trajectory with the tip at a position.
     pub fn new(trajectory: Trajectory, tip: Vector) -> Self {
@@ -148,6 +159,7 @@ impl Carried {
             trajectory,
             time: 0.0,
             index: 0,
+            start: tip,
             place: tip,
             speed: 0.0,
             angle,
@@ -207,11 +219,14 @@ impl Carried {
                 let remaining = length(unit_direction);
                 if remaining < 1e-6 {
                     self.place = stroke.to_mm;
+                    self.start = self.place;
                     self.speed = 0.0;
                     self.index += 1;
                     return still;
                 }
-                let limit = stroke.pace_mm_s * pace;
+                let whole = length(minus(stroke.to_mm, self.start));
+                let part = 1.0 - (remaining / whole).min(1.0);
+                let limit = stroke.pace_mm_s * stroke.quarters[quarter(part)] * pace;
                 self.speed = paced(self.speed, limit, remaining, stroke.accelerations(), dt);
                 let along = times(unit_direction, 1.0 / remaining);
                 let step = (self.speed * dt).min(remaining).max(remaining.min(1e-9));
@@ -238,8 +253,7 @@ impl Carried {
         if self.time >= trace.at_s && !done {
             let acceleration = trace.pace_mm_s / trace.ramp_s.max(1e-3);
             let part = self.turned / (trace.turns.abs() * TAU);
-            let quarter = ((4.0 * part) as usize).min(3);
-            let limit = trace.pace_mm_s * trace.quarters[quarter] * pace;
+            let limit = trace.pace_mm_s * trace.quarters[quarter(part)] * pace;
             let limits = (acceleration, acceleration);
             self.speed = paced(self.speed, limit, remaining, limits, dt);
             let step = (self.speed * dt).min(remaining).max(remaining.min(1e-9));

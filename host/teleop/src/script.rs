@@ -146,6 +146,7 @@ fn stroke(at_s: f64, section: &Section<'_, '_>) -> Stroke {
         at_s,
         to_mm: section.numbers("to_mm", real(-1000.0, 1000.0, "mm")),
         pace_mm_s: section.number("pace_mm_s", real(0.001, 500.0, "mm/s")),
+        quarters: [1.0; 4],
         ramp_s: section.number("ramp_s", times()),
         stop_s: 0.0,
     }
