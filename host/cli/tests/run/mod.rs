@@ -11,12 +11,18 @@ use serde_json::Value;
 use std::path::Path;
 use std::time::Duration;
 
+/// Aim for the largest tool error.
+const AIM_MM: f64 = 0.005;
+
 /// Runs a program of examples/ into `out` and returns its summary.
 fn job(folder: &TestFolder, out: &str, program: &str, more: &[&str]) -> Value {
-    let program = format!("examples/{program}");
+    run_file(folder, out, &format!("examples/{program}"), more)
+}
+
+fn run_file(folder: &TestFolder, out: &str, program: &str, more: &[&str]) -> Value {
     let ran = haptimill(
         &[
-            &["run", &program, "--json", "--out", &folder.path(out)],
+            &["run", program, "--json", "--out", &folder.path(out)],
             more,
         ]
         .concat(),
@@ -32,9 +38,10 @@ fn job(folder: &TestFolder, out: &str, program: &str, more: &[&str]) -> Value {
     summary
 }
 
-/// Checks the summary of a completed job and its accuracy.
+/// Checks the summary of a completed job and its accuracy. The aim for the largest error is 5 um;
+/// the programs that miss it have a bound of their own (docs/figures.md).
 #[track_caller]
-fn expect_small_errors(summary: &Value) {
+fn expect_small_errors(summary: &Value, largest_mm: f64) {
     println!(
         "{}: {:.2} s, {:.1} mm, tool {:.4} mm rms, {:.4} mm largest, slide {:.4} mm; {} setpoints of {:.1} bytes ({:.1} with all that is said besides)",
         summary["program"],
@@ -51,7 +58,10 @@ fn expect_small_errors(summary: &Value) {
         number(summary, "tool_error_rms_mm") <= 0.0015,
         "{summary:#}"
     );
-    assert!(number(summary, "tool_error_max_mm") <= 0.010, "{summary:#}");
+    assert!(
+        number(summary, "tool_error_max_mm") <= largest_mm,
+        "{summary:#}"
+    );
     // An error of exactly 0 would mean that nothing was measured.
     assert!(number(summary, "tool_error_rms_mm") > 0.0005, "{summary:#}");
     assert!(number(summary, "following_error_max_mm") > 0.0 && number(summary, "setpoints") > 10.0);
@@ -67,7 +77,7 @@ fn expect_small_errors(summary: &Value) {
 fn slot_writes_all_files_bit_identically() {
     let folder = TestFolder::new();
     let first = job(&folder, "first", "e7-slot.ngc", &[]);
-    expect_small_errors(&first);
+    expect_small_errors(&first, 0.0055);
     // 2 mm down, 30 mm along, 4 mm up, 30 mm back, 2 mm down.
     assert!(
         (number(&first, "path_length_mm") - 68.0).abs() < 0.01,
@@ -154,7 +164,7 @@ fn slot_writes_all_files_bit_identically() {
         std::fs::read(folder.path("again/recording.hmr")).unwrap()
     );
     let other = job(&folder, "other", "e7-slot.ngc", &["--seed", "2"]);
-    expect_small_errors(&other);
+    expect_small_errors(&other, 0.010);
     assert_ne!(other["trace_sha256"], first["trace_sha256"]);
 }
 
@@ -162,14 +172,14 @@ fn slot_writes_all_files_bit_identically() {
 fn pocket_and_circle_keep_their_tolerances() {
     let folder = TestFolder::new();
     let pocket = job(&folder, "pocket", "e9-pocket.ngc", &[]);
-    expect_small_errors(&pocket);
+    expect_small_errors(&pocket, AIM_MM);
     // All bytes from the host to the controller: setpoints, acknowledgements, keep-alive frames.
     assert!(
         number(&pocket, "line_bytes_per_setpoint") <= 22.5,
         "{pocket:#}"
     );
     let circle = job(&folder, "circle", "e11-circle.ngc", &[]);
-    expect_small_errors(&circle);
+    expect_small_errors(&circle, AIM_MM);
     // The columns of the trace are a circle of 30 mm.
     let text = folder.read("circle/trace.csv");
     let mut reader = csv::Reader::from_reader(text.as_bytes());
@@ -195,10 +205,20 @@ fn pocket_and_circle_keep_their_tolerances() {
 }
 
 #[test]
+fn a_circle_at_20_mm_s_keeps_its_tolerance() {
+    let folder = TestFolder::new();
+    let slow = std::fs::read_to_string(scene::root().join("examples/e11-circle.ngc")).unwrap();
+    let fast = slow.replace("F240", "F1200");
+    assert_ne!(fast, slow);
+    let program = folder.file("fast.ngc", &fast);
+    expect_small_errors(&run_file(&folder, "circle", &program, &[]), AIM_MM);
+}
+
+#[test]
 fn dome_streams_at_115200_baud_without_underrun() {
     let folder = TestFolder::new();
     let dome = job(&folder, "dome", "dome.ngc", &["--baud", "115200"]);
-    expect_small_errors(&dome);
+    expect_small_errors(&dome, 0.009);
     assert!(number(&dome, "setpoints") > 2000.0);
     assert!(number(&dome, "angle_error_max_deg") < 0.05, "{dome:#}");
     assert!(number(&dome, "line_bytes_per_setpoint") <= 24.0, "{dome:#}");
@@ -207,8 +227,8 @@ fn dome_streams_at_115200_baud_without_underrun() {
 #[test]
 fn feed_and_depth_sweeps_run() {
     let folder = TestFolder::new();
-    expect_small_errors(&job(&folder, "feed", "e1-feed-sweep.ngc", &[]));
-    expect_small_errors(&job(&folder, "depth", "e2-depth-sweep.ngc", &[]));
+    expect_small_errors(&job(&folder, "feed", "e1-feed-sweep.ngc", &[]), 0.010);
+    expect_small_errors(&job(&folder, "depth", "e2-depth-sweep.ngc", &[]), 0.010);
 }
 
 #[test]
