@@ -21,12 +21,29 @@ use std::sync::LazyLock;
 static WITHOUT_FORCE: LazyLock<PathBuf> = LazyLock::new(|| {
     let text = std::fs::read_to_string(root().join("machines/h4.toml")).expect("there");
     let section = |name: &str| text.find(&format!("\n[{name}]")).expect("there");
-    let file = results("without-force.toml");
-    std::fs::create_dir_all(results("")).expect("made");
     let without = text[..section("force")].to_string() + &text[section("plant")..];
-    std::fs::write(&file, without).expect("written");
-    file
+    written("without-force.toml", &without)
 });
+
+/// That file without integral action and adaptation of the friction: without disturbance observers.
+static WITHOUT_OBSERVERS: LazyLock<PathBuf> = LazyLock::new(|| {
+    let text = std::fs::read_to_string(&*WITHOUT_FORCE).expect("there");
+    let is_kept = |line: &&str| !line.starts_with("ki =") && !line.starts_with("friction_adapt");
+    let without: Vec<&str> = text.lines().filter(is_kept).collect();
+    assert_eq!(
+        text.lines().count(),
+        without.len() + 10,
+        "two keys of five joints"
+    );
+    written("without-observers.toml", &without.join("\n"))
+});
+
+fn written(name: &str, text: &str) -> PathBuf {
+    std::fs::create_dir_all(results("")).expect("made");
+    let file = results(name);
+    std::fs::write(&file, text).expect("written");
+    file
+}
 
 /// A job of the table of instructions. A period must not cost more than the ceilings, mean and
 /// worst. The goals are in the text of the table.
@@ -97,6 +114,7 @@ fn a_period_stays_within_its_instructions() {
     let helix = helix();
     let path = |path: PathBuf| path.display().to_string();
     let bare = || vec!["--machine".to_string(), path(WITHOUT_FORCE.clone())];
+    let plain = || vec!["--machine".to_string(), path(WITHOUT_OBSERVERS.clone())];
     let compliance = || {
         let block = path(root().join("examples/block.toml"));
         let words = ["--force", "x,z", "--force-setpoint", "5", "--stock", &block];
@@ -118,6 +136,13 @@ fn a_period_stays_within_its_instructions() {
             &dome,
             bare(),
             [8_500.0, 14_000.0],
+        ),
+        job(
+            "dome, 5 axes, a machine without a force sensor and without disturbance observers",
+            "dome-plain",
+            &dome,
+            plain(),
+            [8_000.0, 14_000.0],
         ),
         job(
             "E11 circle, a machine without a force sensor",
@@ -243,9 +268,13 @@ fn a_period_stays_within_its_instructions() {
     }
     assert!(beyond.is_empty(), "{beyond:#?}");
     // On the circle the correction moves z, which rests without it.
-    for (program, bare) in [("vmc-circle", "vmc-circle-bare"), ("vmc", "vmc-bare")] {
+    for (what, program, bare) in [
+        ("disturbance observers", "dome-bare", "dome-plain"),
+        ("volumetric compensation", "vmc-circle", "vmc-circle-bare"),
+        ("volumetric compensation", "vmc", "vmc-bare"),
+    ] {
         let [mean, worst] = [0, 1].map(|which| costs[program][which] - costs[bare][which]);
-        println!("volumetric compensation, {program}: {mean:.0} in the mean, {worst:.0} at worst");
+        println!("{what}, {program}: {mean:.0} in the mean, {worst:.0} at worst");
         assert!(mean <= 1_000.0 && worst <= 1_000.0, "{mean} {worst}");
     }
 }
