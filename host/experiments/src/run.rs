@@ -27,8 +27,8 @@ use haptimill_protocol::message::AxisValues;
 use haptimill_report::JobOutcome;
 use haptimill_trace::{Header, Recorder, Recording};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
 
 /// Control periods per row of the trace: 5 ms at 5 kHz.
 const TRACE_EVERY: u32 = 25;
@@ -227,18 +227,20 @@ fn run_job<C: Controlled>(
         std::fs::write(dir.join(TELEOPERATION_FILE), table).map_err(|error| output(&error))?;
     }
     let mut line = session.into_line();
-    let cutting = line
+    let settled = line
         .rig_mut()
         .plant_mut()
         .process_mut()
         .and_then(|process| process.cutting_mut())
         .ok_or_else(|| Error::new(ErrorKind::Internal, "the stock is missing"))?;
-    cutting.settle();
+    settled.settle();
     Ok(PassData {
         trace,
-        stock: cutting.workpiece().clone(),
+        stock: settled.workpiece().clone(),
+        cutting,
         summary,
         teleoperation: record,
+        shares: OnceLock::new(),
     })
 }
 
