@@ -19,6 +19,6 @@ pub struct PassData {
     pub summary: Summary,
     /// Record of master and tool of a teleoperated pass.
     pub teleoperation: Option<HapticTrace>,
-    /// Radial and tangential share of the force, once they are needed.
+    /// Radial, tangential and axial share of the force, once they are needed.
     pub(super) shares: OnceLock<Shares>,
 }

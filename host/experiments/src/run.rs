@@ -20,7 +20,6 @@ use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::Control as Controlled;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_machine_file::{MachineFile, stock};
-use haptimill_math::Length;
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_planner::Plan;
 use haptimill_protocol::message::AxisValues;
@@ -37,11 +36,6 @@ const TRACE_EVERY: u32 = 25;
 const TELEOPERATION_FILE: &str = "teleop.csv";
 const TELEOPERATION_EVERY: usize = 5;
 
-/// Largest compliant displacement under force control, mm. The 10 mm of the machine file suffice
-/// for the gains of the thesis (6 mm). With K_A 0.25, K_V 0.5 at 4 mm/s the displacement is 13 mm;
-/// at the limit the tool would press with 10 N, and the run would not show the effect of the gains.
-const COMPLIANCE_LIMIT_MM: i32 = 20;
-
 /// The machine with the force control of a pass; none when the machine has no force control.
 fn with_force_control(machine: &MachineFile, pass: &Pass) -> Option<MachineFile> {
     let mut machine = machine.clone();
@@ -53,7 +47,6 @@ fn with_force_control(machine: &MachineFile, pass: &Pass) -> Option<MachineFile>
             axis.setpoint = Force(scaled(control.setpoint_n) as i32);
             axis.mass = VirtualMass(scaled(control.virtual_mass));
             axis.damping = VirtualDamping(scaled(control.virtual_damping));
-            axis.limit = Length(COMPLIANCE_LIMIT_MM << 20);
         }
     }
     Some(machine)

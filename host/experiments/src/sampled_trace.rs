@@ -69,13 +69,11 @@ impl Sample {
     }
 }
 
-/// Tool and force of a control period.
+/// Tool and spindle in a control period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Period {
     /// True position of the tool, mm.
     pub tool: [f64; 3],
-    /// True force on the tool, N.
-    pub force: [f64; 3],
     /// Turns of the spindle.
     pub turns: f64,
 }
@@ -87,7 +85,7 @@ pub struct SampledTrace {
     pub source: ForceSource,
     /// The samples, in order of time.
     pub samples: Vec<Sample>,
-    /// All control periods, the cut within a revolution.
+    /// All control periods.
     pub periods: Vec<Period>,
     /// Duration of a control period, s.
     pub period_s: f64,
@@ -154,7 +152,6 @@ impl SampledTrace {
             let mm = |axis: usize| f64::from(record.tool[axis]) / MM;
             periods.push(Period {
                 tool: std::array::from_fn(mm),
-                force: newtons(record.true_force),
                 turns: f64::from(record.spindle_rpm) / 60.0 * period_s,
             });
             revolution.push(newtons(record.true_force));

@@ -74,7 +74,7 @@ const CAUSES: &[Cause] = &[
     cause("feedback", Needs::Operator, feedback),
     // Angle between the force and the direction opposite to the motion.
     cause("angle", Needs::Cut, angle),
-    // Radial and tangential share of the force within a revolution.
+    // Radial, tangential and axial share of the force within a revolution.
     cause("revolution", Needs::Cut, revolution),
 ];
 
@@ -473,24 +473,27 @@ fn revolution(context: &Context, row: &RowCurve, _: &Reason) -> CauseCurves {
     };
     let shares = shares(context.data);
     let share = |of: &[[f64; 3]], index: usize| of.get(index).map_or(f64::NAN, |f| f[axis]);
-    let total = |index: usize| trace.periods[index].force[axis];
+    let parts = [
+        ("radial", &shares.radial),
+        ("tangential", &shares.tangential),
+        ("axial", &shares.axial),
+    ];
+    // The angle of the spindle in these simulations is not that of the recording.
+    let sum = |index| parts.iter().map(|(_, of)| share(of, index)).sum();
+    let mut lines = vec![line("force", over_angle(&sum))];
+    for (label, of) in parts {
+        lines.push(line(label, over_angle(&|index| share(of, index))));
+    }
     let time = row.mark.map_or(f64::NAN, |mark| mark.0);
     CauseCurves {
         caption: format!(
             "Force on the tool within the revolution before {time:.2} s, and the shares of the \
-             radial and the tangential force in it"
+             radial, the tangential and the axial force"
         ),
         x_label: Some("angle of the spindle within the revolution, degrees"),
         y_label: format!("F{}, N", AXES[axis].to_lowercase()),
         x: (0.0, 360.0),
-        lines: vec![
-            line("force", over_angle(&total)),
-            line("radial", over_angle(&|index| share(&shares.radial, index))),
-            line(
-                "tangential",
-                over_angle(&|index| share(&shares.tangential, index)),
-            ),
-        ],
+        lines,
     }
 }
 

@@ -1,4 +1,5 @@
-//! Shares of the radial and the tangential force in the force of a cut, by a second simulation.
+//! Shares of the radial, the tangential and the axial force in the force of a cut, by simulations
+//! of each.
 //!
 //! The force is linear in the coefficients of the material. A cutter without all others that moves
 //! as the recorded tool therefore has the share of one of them.
@@ -17,11 +18,12 @@ const NONE: Coefficients = Coefficients {
     axial_edge: 0.0,
 };
 
-/// Radial and tangential share of the force in each control period, N.
+/// Shares of the force in each control period, N.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Shares {
     pub radial: Vec<[f64; 3]>,
     pub tangential: Vec<[f64; 3]>,
+    pub axial: Vec<[f64; 3]>,
 }
 
 /// Shares of all periods of a pass.
@@ -39,6 +41,11 @@ pub(super) fn shares(data: &PassData) -> &Shares {
             tangential: of(Coefficients {
                 tangential: material.tangential,
                 tangential_edge: material.tangential_edge,
+                ..NONE
+            }),
+            axial: of(Coefficients {
+                axial: material.axial,
+                axial_edge: material.axial_edge,
                 ..NONE
             }),
         }
@@ -80,7 +87,6 @@ mod tests {
         let top = config.workpiece.top_mm;
         let period = |n: u32| Period {
             tool: [-4.0 * 2e-4 * f64::from(n), 0.0, top - 2.0],
-            force: [0.0; 3],
             turns: 5000.0 / 60.0 * 2e-4,
         };
         (config, (0..1000).map(period).collect())

@@ -11,8 +11,9 @@ use crate::pass_data::PassData;
 /// A longer gap between samples separates two windows, s.
 const GAP_S: f64 = 0.05;
 
-/// Part of its range that a curve shows on either side of it.
+/// What a curve shows on either side of its windows: a part of their length, and at least this, s.
 const BESIDE: f64 = 0.08;
+const BESIDE_S: f64 = 2.0;
 
 /// What a curve shows beside a time that is a result: at least this much, s.
 const BESIDE_TIME_S: f64 = 0.5;
@@ -153,7 +154,8 @@ pub fn row_curve(
     );
     let stated = stated_value(&expected.thesis, &expected.band.unit).map(on_scale);
     let nearest = if value < band.0 { band.0 } else { band.1 };
-    let goal = stated.or(Some(nearest).filter(|end| end.is_finite()));
+    let goal = stated.filter(|stated| *stated != 0.0);
+    let goal = goal.or(Some(nearest).filter(|end| end.is_finite()));
 
     let name = measurement.quantity.as_deref();
     let default = match &context.pass.teleoperation {
@@ -178,7 +180,10 @@ pub fn row_curve(
     let y_label = match (magnitude, shape) {
         (_, Shape::Fraction) => "part of the time so far".to_string(),
         (_, Shape::Value) => format!("result, {}", expected.band.unit),
-        (true, _) => format!("magnitude: {label}"),
+        (true, _) => label.split_once(", ").map_or_else(
+            || label.clone(),
+            |(quantity, unit)| format!("|{quantity}|, {unit}"),
+        ),
         (false, _) => label,
     };
 
@@ -195,7 +200,7 @@ pub fn row_curve(
         is_displacement: matches!(name, Some("compliant_displacement" | "lag" | "tool_error"))
             && matches!(shape, Shape::At | Shape::Extreme(_)),
         band: [ALL, band],
-        x: widened(measured, BESIDE * (measured.1 - measured.0)),
+        x: widened(measured, BESIDE_S.max(BESIDE * (measured.1 - measured.0))),
         ..RowCurve::default()
     };
     let at_level = |row: &mut RowCurve, range: (f64, f64), mark: Point, base: f64| {

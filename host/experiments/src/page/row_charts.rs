@@ -116,10 +116,9 @@ fn result_chart(curve: &RowCurve, x_label: &str, id: &str) -> String {
 fn cause_chart(cause: &measures::CauseCurves, x_label: &str, id: &str) -> String {
     let points = cause.lines.iter().flat_map(|(_, points)| points);
     let shown = points.filter(|(x, y)| (cause.x.0..=cause.x.1).contains(x) && y.is_finite());
-    let (low, high) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |range, (_, y)| {
+    let (low, high) = shown.fold((0.0_f64, 0.0_f64), |range, (_, y)| {
         (range.0.min(*y), range.1.max(*y))
     });
-    let (low, high) = if low > high { (0.0, 1.0) } else { (low, high) };
     let margin = MARGIN * (high - low).max(1e-3);
     let lines = cause.lines.iter().zip(COLOURS);
     let lines = lines.map(|((label, points), colour)| {
