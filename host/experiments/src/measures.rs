@@ -5,6 +5,7 @@
 //! Positions of a teleoperated pass count from where master and tool are at that time.
 //! A measure is not a number when nothing can be measured; such a result is outside of every band.
 
+mod admittance;
 mod causes;
 mod context;
 mod laws;

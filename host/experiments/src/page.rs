@@ -93,8 +93,8 @@ fn comparisons(
         "</table><p class=\"sub\" style=\"margin:8px 2px\">Bands: <i>stated</i> by the thesis; \
          <i>derived</i> from its numbers; <i>own</i>: a requirement of this project; \
          <i>input</i>: the pace of the operator was chosen for it. Below a result \
-         outside its band: the measured quantity in the window of the result with the band, the \
-         value of the thesis where it states one, and the simulated value; beside it the cause.</p>",
+         outside its band: the measured quantity in the window of the result (grey beside it) with \
+         the band, the value of the thesis where it states one, and the simulated value; beside it the cause.</p>",
     );
 }
 
