@@ -25,6 +25,9 @@ pub struct Comparison {
     pub is_inside: bool,
     /// Why it is not.
     pub reason: Option<String>,
+    /// The result is an input: the pace of the operator was chosen for it.
+    #[serde(rename = "input", skip_serializing_if = "std::ops::Not::not")]
+    pub is_input: bool,
 }
 
 impl Comparison {
@@ -43,6 +46,7 @@ impl Comparison {
             unit: expected.band.unit.clone(),
             is_inside,
             reason: reason.filter(|_| !is_inside).map(str::to_string),
+            is_input: expected.input,
         }
     }
 }

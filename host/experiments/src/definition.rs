@@ -66,9 +66,23 @@ pub struct Experiment {
     pub windows: BTreeMap<String, Window>,
     /// Reasons for results outside their bands, by name.
     #[serde(default)]
-    pub reasons: BTreeMap<String, String>,
+    pub reasons: BTreeMap<String, Reason>,
     /// Expected results, in the order of the tables.
     pub expected: Vec<ExpectedResult>,
+}
+
+/// Reason for results outside their bands.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reason {
+    /// The reason, as pages and table show it.
+    pub text: String,
+    /// Curves that show it, by name: see [`super::measures`].
+    pub cause: Option<String>,
+    /// Force that the thesis states, over time: s and N, with straight lines between. The cause
+    /// `admittance` integrates it.
+    #[serde(default)]
+    pub stated_force: Vec<[f64; 2]>,
 }
 
 /// One run of a part program.
@@ -349,6 +363,9 @@ pub struct ExpectedResult {
     pub measure: Measurement,
     /// Key of the reason that is shown when the result is outside.
     pub reason: Option<String>,
+    /// The result is an input: the pace of the operator was chosen for it. It is counted apart.
+    #[serde(default)]
+    pub input: bool,
 }
 
 impl Experiment {
@@ -359,6 +376,15 @@ impl Experiment {
             None => Some(0),
             Some(name) => self.passes.iter().position(|pass| pass.name == *name),
         }
+    }
+
+    /// The reason of a result that is outside.
+    #[must_use]
+    pub fn reason_of(&self, expected: &ExpectedResult) -> Option<&Reason> {
+        expected
+            .reason
+            .as_ref()
+            .and_then(|key| self.reasons.get(key))
     }
 
     /// Whether it needs force control.

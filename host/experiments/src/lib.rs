@@ -7,7 +7,7 @@
 //! teleoperated by an operator model at the haptic arm.
 //!
 //! All experiments use one machine file with one plant. No band is fitted to a result; a result
-//! outside its band is shown with the reason.
+//! outside its band is shown with the reason, its curve and a curve of the cause.
 //!
 //! Forces and geometry are those of a cutting model that is fitted to the forces of E1, E2 and E7
 //! (docs/control.md 5.2); the operator is fitted to E6 and E8. That a run reproduces these shows

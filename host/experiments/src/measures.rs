@@ -5,12 +5,20 @@
 //! Positions of a teleoperated pass count from where master and tool are at that time.
 //! A measure is not a number when nothing can be measured; such a result is outside of every band.
 
+mod admittance;
+mod causes;
 mod context;
 mod laws;
+mod revolution;
+mod row_curve;
 mod statistics;
 mod surface;
 #[cfg(test)]
 mod tests;
+
+pub(super) use causes::{CauseCurves, cause_curves, check_cause};
+pub(super) use revolution::Shares;
+pub(super) use row_curve::{RowCurve, row_curve};
 
 use super::definition::{Experiment, Measurement, Pass};
 use super::pass_data::PassData;
@@ -26,6 +34,8 @@ const CIRCLE_MM: f64 = 15.0;
 /// A quantity of a sample.
 struct Quantity {
     name: &'static str,
+    /// Label with unit; `@` stands for the axis.
+    label: &'static str,
     /// It needs the key `axis`.
     has_axis: bool,
     programmed: Option<fn(&Sample, usize) -> f64>,
@@ -34,11 +44,13 @@ struct Quantity {
 
 const fn programmed(
     name: &'static str,
+    label: &'static str,
     has_axis: bool,
     value: fn(&Sample, usize) -> f64,
 ) -> Quantity {
     Quantity {
         name,
+        label,
         has_axis,
         programmed: Some(value),
         teleoperated: None,
@@ -47,11 +59,13 @@ const fn programmed(
 
 const fn teleoperated(
     name: &'static str,
+    label: &'static str,
     has_axis: bool,
     value: fn(&HapticTraceSample, usize) -> f64,
 ) -> Quantity {
     Quantity {
         name,
+        label,
         has_axis,
         programmed: None,
         teleoperated: Some(value),
@@ -66,49 +80,108 @@ fn following_error(sample: &HapticTraceSample, axis: usize) -> f64 {
 const QUANTITIES: &[Quantity] = &[
     Quantity {
         name: "peak_force",
+        label: "peak F@, N",
         has_axis: true,
         programmed: Some(|sample, axis| sample.peak_force[axis]),
         teleoperated: Some(|sample, axis| sample.high[axis]),
     },
     Quantity {
         name: "compliant_displacement",
+        label: "p_c in @, mm",
         has_axis: true,
         programmed: Some(|sample, axis| sample.compliant_displacement[axis]),
         teleoperated: Some(|sample, axis| sample.displacement[axis]),
     },
-    programmed("low_force", true, |sample, axis| sample.low_force[axis]),
-    programmed("tool_position", true, |sample, axis| sample.tool[axis]),
+    programmed("low_force", "low F@, N", true, |sample, axis| {
+        sample.low_force[axis]
+    }),
+    programmed(
+        "tool_position",
+        "@ of the tool, mm",
+        true,
+        |sample, axis| sample.tool[axis],
+    ),
     // By how much the tool is behind, towards the positive end, of the commanded position.
-    programmed("lag", true, Sample::tool_error),
-    programmed("tool_error_xy", false, |sample, _| {
+    programmed(
+        "lag",
+        "tool minus commanded @, mm",
+        true,
+        Sample::tool_error,
+    ),
+    programmed("tool_error_xy", "tool error, mm", false, |sample, _| {
         let error = |axis: usize| sample.tool_error(axis).abs();
         error(0).max(error(1))
     }),
-    teleoperated("tool_error", true, |sample, axis| {
-        sample.tool[axis] - sample.commanded[axis]
-    }),
-    teleoperated("following_error", true, following_error),
-    teleoperated("following_error_xy", false, |sample, _| {
-        following_error(sample, 0).max(following_error(sample, 1))
-    }),
+    teleoperated(
+        "tool_error",
+        "tool minus commanded @, mm",
+        true,
+        |sample, axis| sample.tool[axis] - sample.commanded[axis],
+    ),
+    teleoperated(
+        "following_error",
+        "tool error less p_c in @, mm",
+        true,
+        following_error,
+    ),
+    teleoperated(
+        "following_error_xy",
+        "tool error less p_c, mm",
+        false,
+        |sample, _| following_error(sample, 0).max(following_error(sample, 1)),
+    ),
     // Travels count towards the negative end.
-    teleoperated("tool_travel", true, |sample, axis| -sample.tool[axis]),
-    teleoperated("master_travel", true, |sample, axis| -sample.master[axis]),
-    teleoperated("master_position", true, |sample, axis| sample.master[axis]),
-    teleoperated("master_speed", true, |sample, axis| {
-        sample.velocity[axis].abs()
-    }),
-    teleoperated("rail_deviation", false, |sample, _| {
-        sample.master[1].abs().max(sample.master[2].abs())
-    }),
-    teleoperated("circle_deviation", false, |sample, _| {
-        let [x, y, _] = sample.master;
-        (((x + CIRCLE_MM).powi(2) + y.powi(2)).sqrt() - CIRCLE_MM).abs()
-    }),
-    teleoperated("feedback_force", true, |sample, axis| sample.feedback[axis]),
-    teleoperated("feedback_force_xy", false, |sample, _| {
-        sample.feedback[0].hypot(sample.feedback[1])
-    }),
+    teleoperated(
+        "tool_travel",
+        "travel of the tool in @, mm",
+        true,
+        |sample, axis| -sample.tool[axis],
+    ),
+    teleoperated(
+        "master_travel",
+        "travel of the hand in @, mm",
+        true,
+        |sample, axis| -sample.master[axis],
+    ),
+    teleoperated(
+        "master_position",
+        "@ of the hand, mm",
+        true,
+        |sample, axis| sample.master[axis],
+    ),
+    teleoperated(
+        "master_speed",
+        "speed of the hand in @, mm/s",
+        true,
+        |sample, axis| sample.velocity[axis].abs(),
+    ),
+    teleoperated(
+        "rail_deviation",
+        "distance from the rail, mm",
+        false,
+        |sample, _| sample.master[1].abs().max(sample.master[2].abs()),
+    ),
+    teleoperated(
+        "circle_deviation",
+        "distance from the circle, mm",
+        false,
+        |sample, _| {
+            let [x, y, _] = sample.master;
+            (((x + CIRCLE_MM).powi(2) + y.powi(2)).sqrt() - CIRCLE_MM).abs()
+        },
+    ),
+    teleoperated(
+        "feedback_force",
+        "force feedback in @, N",
+        true,
+        |sample, axis| sample.feedback[axis],
+    ),
+    teleoperated(
+        "feedback_force_xy",
+        "force feedback in X and Y, N",
+        false,
+        |sample, _| sample.feedback[0].hypot(sample.feedback[1]),
+    ),
 ];
 
 /// Key of a [`Measurement`] that a measure needs.
@@ -297,28 +370,29 @@ pub(super) fn evaluate(
     passes: &[PassData],
     measurement: &Measurement,
 ) -> f64 {
-    let single = |measurement: &Measurement| {
-        let index = experiment.pass_of(measurement);
-        let pass = index.and_then(|index| experiment.passes.get(index));
-        let data = index.and_then(|index| passes.get(index));
-        let measure = find(MEASURES, &measurement.name, |measure| measure.name);
-        let (Some(pass), Some(data), Some(measure)) = (pass, data, measure) else {
-            return f64::NAN;
-        };
-        (measure.evaluate)(&Context {
-            experiment,
-            pass,
-            data,
-            measurement,
-        })
+    let (less, over) = references(experiment, passes, measurement);
+    (single(experiment, passes, measurement) - less) / over
+}
+
+/// What is subtracted from a measure, and what divides it.
+fn references(
+    experiment: &Experiment,
+    passes: &[PassData],
+    measurement: &Measurement,
+) -> (f64, f64) {
+    let elsewhere = |at| single(experiment, passes, &measurement.moved_to(at));
+    let less = match &measurement.less[..] {
+        [] => 0.0,
+        less => worst(less.iter().map(elsewhere)),
     };
-    let elsewhere = |elsewhere| single(&measurement.moved_to(elsewhere));
-    let mut result = single(measurement);
-    if !measurement.less.is_empty() {
-        result -= worst(measurement.less.iter().map(elsewhere));
+    (less, measurement.over.as_ref().map_or(1.0, elsewhere))
+}
+
+/// A measure without its references.
+fn single(experiment: &Experiment, passes: &[PassData], measurement: &Measurement) -> f64 {
+    let measure = find(MEASURES, &measurement.name, |measure| measure.name);
+    match (Context::new(experiment, passes, measurement), measure) {
+        (Some(context), Some(measure)) => (measure.evaluate)(&context),
+        _ => f64::NAN,
     }
-    if let Some(over) = &measurement.over {
-        result /= elsewhere(over);
-    }
-    result
 }

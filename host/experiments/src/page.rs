@@ -1,6 +1,7 @@
 //! HTML pages: one for each experiment with the charts of the thesis's figures, and an index.
 
 mod charts;
+mod row_charts;
 
 use super::comparison::Comparison;
 use super::table::{band, counts, value, verdict};
@@ -10,7 +11,7 @@ use haptimill_report::markup::{END, escape, head, put};
 const MORE_STYLE: &str = "
 th{text-align:left;padding:7px 14px;border-bottom:1px solid #d5dae0;font-weight:600;color:#3b4754;font-size:13px}
 table.results td{padding:6px 14px}table.results td:first-child{color:#1d2733;width:auto}table.results td:nth-child(2){min-width:5em}
-td.n{white-space:nowrap}tr.out td{background:#fdf3e7}
+td.n{white-space:nowrap}tr.out td{background:#fdf3e7}tr.charts .card{margin:4px 0}table.results tr.charts td{padding:4px 6px}
 .in{color:#00704a;font-weight:600}.outside{color:#b04a00;font-weight:600}.why{display:block;color:#5b6875;font-size:13px;max-width:720px}
 .source{color:#7a8691;font-size:12px}h3{font-size:15px;margin:20px 0 8px;color:#3b4754}
 a{color:#0060a0;text-decoration:none}a:hover{text-decoration:underline}
@@ -36,7 +37,7 @@ pub fn page(experiment: &Experiment, data: &[PassData], result: &ExperimentResul
             escape(&experiment.figures)
         ),
     );
-    comparisons(&mut page, result);
+    comparisons(&mut page, experiment, data, result);
     // A single pass has these curves among its own charts.
     if experiment.needs_force_control() && data.len() > 1 {
         charts::compliance(&mut page, experiment, data);
@@ -65,7 +66,12 @@ pub fn page(experiment: &Experiment, data: &[PassData], result: &ExperimentResul
     page
 }
 
-fn comparisons(page: &mut String, result: &ExperimentResult) {
+fn comparisons(
+    page: &mut String,
+    experiment: &Experiment,
+    data: &[PassData],
+    result: &ExperimentResult,
+) {
     put(
         page,
         format_args!(
@@ -76,12 +82,19 @@ fn comparisons(page: &mut String, result: &ExperimentResult) {
             result.comparisons.len()
         ),
     );
-    for comparison in &result.comparisons {
+    let rows = result.comparisons.iter().zip(&experiment.expected);
+    for (number, (comparison, expected)) in (1..).zip(rows) {
         comparison_row(page, comparison);
+        if !comparison.is_inside {
+            row_charts::row(page, experiment, data, expected, number);
+        }
     }
     page.push_str(
         "</table><p class=\"sub\" style=\"margin:8px 2px\">Bands: <i>stated</i> by the thesis; \
-         <i>derived</i> from its numbers; <i>own</i>: a requirement of this project.</p>",
+         <i>derived</i> from its numbers; <i>own</i>: a requirement of this project; \
+         <i>input</i>: the pace of the operator was chosen for it. Below a result \
+         outside its band: the measured quantity in the window of the result (grey beside it) with \
+         the band, the value of the thesis where it states one, and the simulated value; beside it the cause.</p>",
     );
 }
 
@@ -100,11 +113,12 @@ fn comparison_row(page: &mut String, comparison: &Comparison) {
     };
     let band = band(&comparison.band, &comparison.unit);
     let (band, source) = band.rsplit_once(" (").unwrap_or((&band, ""));
+    let input = if comparison.is_input { ", input" } else { "" };
     put(
         page,
         format_args!(
             "<tr{row}><td>{}{reason}</td><td>{thesis}</td>\
-             <td class=\"n\">{} <span class=\"source\">{}</span></td>\
+             <td class=\"n\">{} <span class=\"source\">{}{input}</span></td>\
              <td class=\"n\">{} {}</td><td class=\"n {class}\">{}</td></tr>",
             escape(&comparison.name),
             escape(band),

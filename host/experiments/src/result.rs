@@ -73,9 +73,8 @@ impl ExperimentResult {
         });
         let comparisons = experiment.expected.iter().map(|expected| {
             let simulated = measures::evaluate(experiment, data, &expected.measure);
-            let reason = expected.reason.as_ref();
-            let reason = reason.and_then(|key| experiment.reasons.get(key));
-            Comparison::new(expected, simulated, reason.map(String::as_str))
+            let reason = experiment.reason_of(expected);
+            Comparison::new(expected, simulated, reason.map(|reason| &reason.text[..]))
         });
         Self {
             passes: passes.collect(),
@@ -108,11 +107,20 @@ impl ExperimentResult {
         inside.count()
     }
 
-    /// Results of a source: those inside their bands, and all.
+    /// Results that are no inputs, of a source: those inside their bands, and all.
     #[must_use]
     pub fn count_of(&self, source: ExpectedSource) -> (usize, usize) {
-        let of_source = |result: &&Comparison| result.band.source == source;
-        let results = || self.comparisons.iter().filter(of_source);
+        self.count(|result| result.band.source == source && !result.is_input)
+    }
+
+    /// Results that are inputs: those inside their bands, and all.
+    #[must_use]
+    pub fn count_of_inputs(&self) -> (usize, usize) {
+        self.count(|result| result.is_input)
+    }
+
+    fn count(&self, keep: impl Fn(&Comparison) -> bool) -> (usize, usize) {
+        let results = || self.comparisons.iter().filter(|result| keep(result));
         (
             results().filter(|result| result.is_inside).count(),
             results().count(),

@@ -20,15 +20,14 @@ use haptimill_hil_sim::remote::RemoteController;
 use haptimill_hil_sim::rig::Control as Controlled;
 use haptimill_machine_file::model::{Model, program_options, settings};
 use haptimill_machine_file::{MachineFile, stock};
-use haptimill_math::Length;
 use haptimill_math::force::{Force, VirtualDamping, VirtualMass};
 use haptimill_planner::Plan;
 use haptimill_protocol::message::AxisValues;
 use haptimill_report::JobOutcome;
 use haptimill_trace::{Header, Recorder, Recording};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
 
 /// Control periods per row of the trace: 5 ms at 5 kHz.
 const TRACE_EVERY: u32 = 25;
@@ -36,11 +35,6 @@ const TRACE_EVERY: u32 = 25;
 /// Table of master and tool of a teleoperated pass, and its milliseconds per row.
 const TELEOPERATION_FILE: &str = "teleop.csv";
 const TELEOPERATION_EVERY: usize = 5;
-
-/// Largest compliant displacement under force control, mm. The 10 mm of the machine file suffice
-/// for the gains of the thesis (6 mm). With K_A 0.25, K_V 0.5 at 4 mm/s the displacement is 13 mm;
-/// at the limit the tool would press with 10 N, and the run would not show the effect of the gains.
-const COMPLIANCE_LIMIT_MM: i32 = 20;
 
 /// The machine with the force control of a pass; none when the machine has no force control.
 fn with_force_control(machine: &MachineFile, pass: &Pass) -> Option<MachineFile> {
@@ -53,7 +47,6 @@ fn with_force_control(machine: &MachineFile, pass: &Pass) -> Option<MachineFile>
             axis.setpoint = Force(scaled(control.setpoint_n) as i32);
             axis.mass = VirtualMass(scaled(control.virtual_mass));
             axis.damping = VirtualDamping(scaled(control.virtual_damping));
-            axis.limit = Length(COMPLIANCE_LIMIT_MM << 20);
         }
     }
     Some(machine)
@@ -227,18 +220,20 @@ fn run_job<C: Controlled>(
         std::fs::write(dir.join(TELEOPERATION_FILE), table).map_err(|error| output(&error))?;
     }
     let mut line = session.into_line();
-    let cutting = line
+    let settled = line
         .rig_mut()
         .plant_mut()
         .process_mut()
         .and_then(|process| process.cutting_mut())
         .ok_or_else(|| Error::new(ErrorKind::Internal, "the stock is missing"))?;
-    cutting.settle();
+    settled.settle();
     Ok(PassData {
         trace,
-        stock: cutting.workpiece().clone(),
+        stock: settled.workpiece().clone(),
+        cutting,
         summary,
         teleoperation: record,
+        shares: OnceLock::new(),
     })
 }
 

@@ -53,6 +53,8 @@ pub struct Sample {
     pub peak_force: [f64; 3],
     /// Opposite end of the force in that revolution, N.
     pub low_force: [f64; 3],
+    /// True force on the tool of largest magnitude in the last revolution, with its sign, N.
+    pub true_force: [f64; 3],
     /// p_c, mm.
     pub compliant_displacement: [f64; 3],
     /// Integral of the peak force along x since the start, N s.
@@ -67,6 +69,15 @@ impl Sample {
     }
 }
 
+/// Tool and spindle in a control period.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Period {
+    /// True position of the tool, mm.
+    pub tool: [f64; 3],
+    /// Turns of the spindle.
+    pub turns: f64,
+}
+
 /// Samples of a pass, 1000 per second.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SampledTrace {
@@ -74,6 +85,12 @@ pub struct SampledTrace {
     pub source: ForceSource,
     /// The samples, in order of time.
     pub samples: Vec<Sample>,
+    /// All control periods.
+    pub periods: Vec<Period>,
+    /// Duration of a control period, s.
+    pub period_s: f64,
+    /// Time of the first control period, s.
+    pub first_period: f64,
 }
 
 /// Sliding window of the true force over one revolution.
@@ -125,15 +142,20 @@ impl SampledTrace {
             samples: VecDeque::new(),
         };
         let mut samples = Vec::new();
+        let mut periods = Vec::new();
         let mut impulse = 0.0;
         let mut before: Option<[i32; 3]> = None;
         let mut start = None;
         for (index, record) in (0_u64..).zip(recording.iter()?) {
             let record = record?;
             let newtons = |raw: [i32; 3]| raw.map(|value| f64::from(value) / NEWTON);
-            if source == ForceSource::TrueForce {
-                revolution.push(newtons(record.true_force));
-            } else {
+            let mm = |axis: usize| f64::from(record.tool[axis]) / MM;
+            periods.push(Period {
+                tool: std::array::from_fn(mm),
+                turns: f64::from(record.spindle_rpm) / 60.0 * period_s,
+            });
+            revolution.push(newtons(record.true_force));
+            if source == ForceSource::Controller {
                 impulse += f64::from(record.force.high[0]) / NEWTON * period_s;
             }
             if !record.has(flag::PROGRAMMED) || index % every != 0 {
@@ -146,11 +168,13 @@ impl SampledTrace {
             if is_moving[0] || is_moving[1] {
                 start.get_or_insert(time);
             }
+            let of_revolution = revolution.extremes();
             let (high, low) = match source {
                 ForceSource::Controller => (newtons(record.force.high), newtons(record.force.low)),
-                ForceSource::TrueForce => revolution.extremes(),
+                ForceSource::TrueForce => of_revolution,
             };
             let mut sample = sample(&record, time, is_moving, (high, low), impulse);
+            sample.true_force = of_revolution.0;
             for &axis in teleoperated {
                 sample.commanded[axis] = f64::from(record.commanded[axis]) / MM;
             }
@@ -160,7 +184,13 @@ impl SampledTrace {
         for sample in &mut samples {
             sample.time -= start;
         }
-        Ok(Self { source, samples })
+        Ok(Self {
+            source,
+            samples,
+            periods,
+            period_s,
+            first_period: -start,
+        })
     }
 
     /// Samples from one time until before another, s.
@@ -212,6 +242,7 @@ fn sample(
         is_moving,
         peak_force,
         low_force,
+        true_force: [0.0; 3],
         compliant_displacement: record.force.displacement.map(mm),
         impulse,
     }

@@ -101,17 +101,17 @@ pub fn table(results: &[ExperimentResult]) -> String {
 }
 
 /// Counts of the results inside their bands, a line each: stated and derived ones of the
-/// experiments of the fit and of the others, and all by their source. Each line ends with a line
-/// feed.
+/// experiments of the fit and of the others, those that are inputs, and all others by their source.
+/// Each line ends with a line feed.
 pub(super) fn counts(results: &[ExperimentResult]) -> String {
     let mut text = String::new();
     let not_run = results.iter().filter(|result| result.not_run.is_some());
+    let sum = |counts: &mut dyn Iterator<Item = (usize, usize)>| {
+        counts.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
+    };
     let of = |keep: &dyn Fn(&ExperimentResult) -> bool, source| {
-        let counts = results.iter().filter(|result| keep(result));
-        counts.fold((0, 0), |(inside, all), result| {
-            let of_one = result.count_of(source);
-            (inside + of_one.0, all + of_one.1)
-        })
+        let kept = results.iter().filter(|result| keep(result));
+        sum(&mut kept.map(|result| result.count_of(source)))
     };
     for (title, fitted) in [("fitted", true), ("held out of the fit", false)] {
         let [stated, derived] = [ExpectedSource::Stated, ExpectedSource::Derived]
@@ -123,6 +123,10 @@ pub(super) fn counts(results: &[ExperimentResult]) -> String {
                 stated.0, stated.1, derived.0, derived.1
             );
         }
+    }
+    let (inputs, all) = sum(&mut results.iter().map(ExperimentResult::count_of_inputs));
+    if all > 0 {
+        let _ = writeln!(text, "chosen by input: {inputs} of {all}");
     }
     let [stated, derived, own] = [
         ExpectedSource::Stated,

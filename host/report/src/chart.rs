@@ -34,6 +34,20 @@ pub struct Chart {
     pub backdrop: Option<Backdrop>,
 }
 
+/// A part of a chart, with shaded areas behind its lines and points on them.
+pub struct View<'a> {
+    /// Identifier of the element.
+    pub id: &'a str,
+    /// Range of the horizontal axis.
+    pub x: (f64, f64),
+    /// Range of the vertical axis.
+    pub y: (f64, f64),
+    /// Shaded areas: their ranges of x and y; ends outside of the axes are cut off.
+    pub shaded: Vec<[(f64, f64); 2]>,
+    /// Points and their colours.
+    pub points: Vec<((f64, f64), &'static str)>,
+}
+
 /// Image in the coordinates of a chart.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Backdrop {
@@ -49,6 +63,9 @@ pub struct Backdrop {
 pub const COLOURS: [&str; 6] = [
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
 ];
+
+/// Colour of a shaded area.
+pub const SHADED: &str = "#dcefe7";
 
 const LEFT: f64 = 68.0;
 const RIGHT: f64 = 14.0;
@@ -67,6 +84,10 @@ struct Scale {
 impl Scale {
     fn at(&self, value: f64) -> f64 {
         self.from + (value - self.low) / (self.high - self.low) * (self.to - self.from)
+    }
+
+    fn clamped(&self, value: f64) -> f64 {
+        self.at(value.clamp(self.low, self.high))
     }
 }
 
@@ -106,17 +127,23 @@ fn within(piece: &[(f64, f64)], x: (f64, f64), y: (f64, f64)) -> Vec<Vec<(f64, f
 impl Chart {
     /// The chart as an `<svg>` element.
     pub fn svg(&self) -> String {
-        self.element("", &[])
+        self.element("", &[], None)
+    }
+
+    /// A part of the chart as an `<svg>` element.
+    pub fn svg_of(&self, view: &View<'_>) -> String {
+        let id = format!("id=\"{}\" ", escape(view.id));
+        self.element(&id, &[], Some(view))
     }
 
     /// The chart as an `<svg>` element with more attributes; if there are `names`, the ticks of
     /// the vertical axis are at 0, 1, 2 and so on, and have these names.
-    fn element(&self, attributes: &str, names: &[String]) -> String {
-        let (_, y) = self.scales(LEFT);
+    fn element(&self, attributes: &str, names: &[String], view: Option<&View<'_>>) -> String {
+        let (_, y) = self.scales(LEFT, view);
         let labels = labels(&y, names);
         let widths = labels.iter().map(|(_, label)| width(label));
-        let (x, y) =
-            self.scales(widths.fold(LEFT, |left, width| left.max(width + LABEL_MARGIN).ceil()));
+        let left = widths.fold(LEFT, |left, width| left.max(width + LABEL_MARGIN).ceil());
+        let (x, y) = self.scales(left, view);
         let mut svg = format!(
             "<svg {attributes}viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{} against {}\">",
             self.width,
@@ -138,6 +165,19 @@ impl Chart {
                 ),
             );
         }
+        for [along, across] in view.iter().flat_map(|view| &view.shaded) {
+            let (left, right) = (x.clamped(along.0), x.clamped(along.1));
+            let (bottom, top) = (y.clamped(across.0), y.clamped(across.1));
+            put(
+                &mut svg,
+                format_args!(
+                    "<rect class=\"band\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{:.1}\" \
+                     height=\"{:.1}\" fill=\"{SHADED}\"/>",
+                    right - left,
+                    bottom - top
+                ),
+            );
+        }
         self.axes(&mut svg, &x, &y, names);
         for line in &self.lines {
             let mut path = String::new();
@@ -151,8 +191,8 @@ impl Chart {
                 }
             };
             for piece in &line.pieces {
-                if self.backdrop.is_some() {
-                    // The range is that of the image, not that of the lines.
+                if self.backdrop.is_some() || view.is_some() {
+                    // The range is not that of the lines.
                     for part in within(piece, (x.low, x.high), (y.low, y.high)) {
                         add(&part);
                     }
@@ -168,14 +208,24 @@ impl Chart {
                 ),
             );
         }
+        for ((px, py), colour) in view.iter().flat_map(|view| &view.points) {
+            put(
+                &mut svg,
+                format_args!(
+                    "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"4.5\" fill=\"{colour}\"/>",
+                    x.clamped(*px),
+                    y.clamped(*py)
+                ),
+            );
+        }
         self.legend(&mut svg);
         svg.push_str("</svg>");
         svg
     }
 
     /// Scales of both axes; the vertical axis is `left` from the left edge.
-    fn scales(&self, left: f64) -> (Scale, Scale) {
-        let (mut x, mut y) = self.ranges();
+    fn scales(&self, left: f64, view: Option<&View<'_>>) -> (Scale, Scale) {
+        let (mut x, mut y) = view.map_or_else(|| self.ranges(), |view| (view.x, view.y));
         let (plot_width, plot_height) = (self.width - left - RIGHT, self.height - TOP - BOTTOM);
         if self.equal {
             let per_pixel = ((x.1 - x.0) / plot_width).max((y.1 - y.0) / plot_height);
@@ -376,7 +426,7 @@ pub fn document(charts: &[(Chart, &[String])], width: f64, height: f64) -> Strin
     for (index, (chart, names)) in charts.iter().enumerate() {
         let y = height * index as f64;
         let place = format!("x=\"0\" y=\"{y}\" width=\"{width}\" height=\"{height}\" ");
-        svg += &chart.element(&place, names);
+        svg += &chart.element(&place, names, None);
         svg.push('\n');
     }
     svg += "</svg>\n";
@@ -467,9 +517,27 @@ mod tests {
     }
 
     #[test]
+    fn a_view_has_its_area_and_cuts_off_what_is_outside() {
+        let view = View {
+            id: "row",
+            x: (1e-4, 2e-4),
+            y: (0.0, 10.0),
+            shaded: vec![[(0.0, f64::INFINITY), (f64::NEG_INFINITY, 5.0)]],
+            points: vec![((1.5e-4, 5.0), COLOURS[1])],
+        };
+        let svg = chart([0.0, 20.0], false).svg_of(&view);
+        assert!(svg.starts_with("<svg id=\"row\""), "{svg}");
+        // The plot is 918 x 226 pixels from (68, 30) on; the line leaves it at the top.
+        let area = "<rect class=\"band\" x=\"68.0\" y=\"143.0\" width=\"918.0\" height=\"113.0\"";
+        assert!(svg.contains(area), "{svg}");
+        assert!(svg.contains("<circle cx=\"527.0\" cy=\"143.0\""), "{svg}");
+        assert!(!svg.contains("L986"), "{svg}");
+    }
+
+    #[test]
     fn names_are_at_whole_numbers_only() {
         let names = ["Disabled", "Idle", "Homing", "Run", "Jog"].map(str::to_string);
-        let svg = chart([1.0, 3.0], false).element("", &names);
+        let svg = chart([1.0, 3.0], false).element("", &names, None);
         let labels: Vec<&str> = tick_labels(&svg).iter().map(|(_, label)| *label).collect();
         assert_eq!(labels, ["Idle", "Homing", "Run"]);
     }

@@ -83,6 +83,10 @@ impl Experiment {
                 &format!("{place}: reason"),
             )?;
             let measure = &expected.measure;
+            if let (Some(reason), Some(pass)) = (self.reason_of(expected), self.pass_of(measure)) {
+                measures::check_cause(reason, &self.passes[pass])
+                    .map_err(|problem| format!("{place}: reason: {problem}"))?;
+            }
             let elsewhere = measure.less.iter().chain(&measure.over);
             let moved = elsewhere.map(|elsewhere| measure.moved_to(elsewhere));
             for measure in std::iter::once(measure.clone()).chain(moved) {

@@ -63,6 +63,12 @@ fn a_mistake_is_refused_with_file_and_key() {
              reason: \"retrun\" is not defined",
         ),
         (
+            "cause = \"revolution\"",
+            "cause = \"turn\"",
+            "e8.toml: expected \"peak Fy, largest magnitude\": reason: cause: there is no cause \
+             \"turn\"",
+        ),
+        (
             "name = \"event_time\", event = \"stop\"",
             "name = \"event_time\", event = \"end\"",
             "e8.toml: expected \"master completes its 30 mm at\": measure.event: \"end\" is \

@@ -1,7 +1,7 @@
 //! Selection of samples for a measure.
 
-use super::quantity;
 use super::statistics::Point;
+use super::{Quantity, quantity};
 use crate::definition::{Event, Experiment, Measurement, Pass, Window, WorkAxis};
 use crate::pass_data::PassData;
 use crate::sampled_trace::Sample;
@@ -32,7 +32,54 @@ pub(super) fn settled<T>(samples: &[T], time: impl Fn(&T) -> f64) -> &[T] {
     &samples[begin..end.max(begin)]
 }
 
-impl Context<'_> {
+impl<'a> Context<'a> {
+    /// A measurement in its pass; none if the pass was not run.
+    pub fn new(
+        experiment: &'a Experiment,
+        passes: &'a [PassData],
+        measurement: &'a Measurement,
+    ) -> Option<Self> {
+        let index = experiment.pass_of(measurement)?;
+        Some(Self {
+            experiment,
+            pass: experiment.passes.get(index)?,
+            data: passes.get(index)?,
+            measurement,
+        })
+    }
+
+    /// What is added to a time of the measures for the same time in the sampled trace, s. A
+    /// teleoperated pass is aligned by its largest force, which both records have from the
+    /// controller.
+    pub fn trace_offset(&self) -> f64 {
+        let Some(record) = &self.data.teleoperation else {
+            return 0.0;
+        };
+        let largest = |force: [f64; 3]| force.into_iter().map(f64::abs).fold(0.0, f64::max);
+        let first = |forces: &mut dyn Iterator<Item = (f64, f64)>| {
+            let largest = |best: (f64, f64), at: (f64, f64)| if at.1 > best.1 { at } else { best };
+            forces.fold((0.0, 0.0), largest).0
+        };
+        let trace = &self.data.trace.samples;
+        first(&mut trace.iter().map(|s| (s.time, largest(s.peak_force))))
+            - first(&mut record.samples.iter().map(|s| (s.time, largest(s.high))))
+    }
+
+    /// Time and quantity of all samples from one time to another.
+    pub fn curve(&self, quantity: &Quantity, from: f64, to: f64) -> Vec<Point> {
+        let axis = self.axis();
+        match (quantity.programmed, quantity.teleoperated) {
+            (_, Some(value)) if self.pass.teleoperation.is_some() => {
+                let samples = self.teleoperation().between(from, to).iter();
+                samples.map(|s| (s.time, value(s, axis))).collect()
+            }
+            (Some(value), _) => {
+                let samples = self.data.trace.between(from, to).iter();
+                samples.map(|s| (s.time, value(s, axis))).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
     pub fn axis(&self) -> usize {
         self.measurement.axis.map_or(0, WorkAxis::index)
     }

@@ -76,6 +76,11 @@ pub(super) fn feedback_ratio(context: &Context) -> f64 {
 /// Fraction of the samples of E11 with a clear motion along an axis in which the peak force is
 /// opposite to it. The speed is that of the circle x = -15 + 15 cos wt, y = -15 sin wt.
 pub(super) fn opposed_fraction(context: &Context) -> f64 {
+    mean(&opposed(context))
+}
+
+/// Time of these samples, and 1 where the force is opposite to the motion, else 0.
+pub(super) fn opposed(context: &Context) -> Vec<Point> {
     let axis = context.axis();
     let speed = |sample: &Sample| match axis {
         0 => CIRCLE_FEED / CIRCLE_MM * sample.commanded[1],
@@ -84,5 +89,5 @@ pub(super) fn opposed_fraction(context: &Context) -> f64 {
     let samples = context.programmed_samples();
     let fast = samples.iter().filter(|s| speed(s).abs() > CLEAR_SPEED);
     let opposed = fast.map(|s| (s.time, f64::from(s.peak_force[axis] * speed(s) < 0.0)));
-    mean(&opposed.collect::<Vec<Point>>())
+    opposed.collect()
 }

@@ -9,7 +9,7 @@ use haptimill_report::chart::{COLOURS, Chart, Line};
 use haptimill_report::markup::{card, escape, put};
 use haptimill_report::series::Columns;
 
-const GREY: &str = "#9aa5b1";
+pub(super) const GREY: &str = "#9aa5b1";
 /// Colour of the commanded position, and of the master where it is the reference.
 const REFERENCE: &str = "#b7c0ca";
 const AXES: [&str; 3] = ["X", "Y", "Z"];
@@ -17,9 +17,18 @@ const AXES: [&str; 3] = ["X", "Y", "Z"];
 const PROGRAM_TIME: &str = "time since the start of the path, s";
 const OPERATOR_TIME: &str = "time since the start of teleoperation, s";
 
+/// Label of the time of the measures of a pass.
+pub(super) const fn time_label(is_teleoperated: bool) -> &'static str {
+    if is_teleoperated {
+        OPERATOR_TIME
+    } else {
+        PROGRAM_TIME
+    }
+}
+
 /// Size of a chart as wide as the page, and of one half as wide.
 const WIDTH: f64 = 1120.0;
-const HALF: (f64, f64) = (560.0, 400.0);
+pub(super) const HALF: (f64, f64) = (560.0, 400.0);
 
 /// Margins of a chart, and its largest height without them, in pixels.
 const MARGINS: (f64, f64) = (82.0, 74.0);
@@ -28,7 +37,12 @@ const SURFACE_HEIGHT: f64 = 646.0;
 /// Spacing of the points of a drawn path, mm.
 const PATH_SPACING: f64 = 0.02;
 
-fn line(label: impl Into<String>, colour: &'static str, width: f64, points: Points) -> Line {
+pub(super) fn line(
+    label: impl Into<String>,
+    colour: &'static str,
+    width: f64,
+    points: Points,
+) -> Line {
     Line {
         label: label.into(),
         colour,
@@ -62,7 +76,12 @@ fn of_master(samples: &[HapticTraceSample], value: impl Fn(&HapticTraceSample) -
     over_time(samples, |sample| sample.time, value)
 }
 
-fn chart(x_label: &str, y_label: &str, lines: Vec<Line>, (width, height): (f64, f64)) -> Chart {
+pub(super) fn chart(
+    x_label: &str,
+    y_label: &str,
+    lines: Vec<Line>,
+    (width, height): (f64, f64),
+) -> Chart {
     Chart {
         x_label: x_label.into(),
         y_label: y_label.into(),
