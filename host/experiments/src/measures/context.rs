@@ -48,21 +48,26 @@ impl<'a> Context<'a> {
         })
     }
 
-    /// What is added to a time of the measures for the same time in the sampled trace, s. A
-    /// teleoperated pass is aligned by its largest force, which both records have from the
-    /// controller.
+    /// What is added to a time of the measures for the same time in the sampled trace, s. Both
+    /// records of a teleoperated pass have the forces of the controller: the time of the largest
+    /// one is that of the sample with the most similar forces.
     pub fn trace_offset(&self) -> f64 {
         let Some(record) = &self.data.teleoperation else {
             return 0.0;
         };
-        let largest = |force: [f64; 3]| force.into_iter().map(f64::abs).fold(0.0, f64::max);
-        let first = |forces: &mut dyn Iterator<Item = (f64, f64)>| {
-            let largest = |best: (f64, f64), at: (f64, f64)| if at.1 > best.1 { at } else { best };
-            forces.fold((0.0, 0.0), largest).0
+        let size = |force: [f64; 3]| force.into_iter().map(f64::abs).fold(0.0, f64::max);
+        // The force of a revolution is in several samples: the first one counts in both records.
+        let samples = record.samples.iter().rev();
+        let Some(largest) = samples.max_by(|a, b| size(a.high).total_cmp(&size(b.high))) else {
+            return 0.0;
         };
-        let trace = &self.data.trace.samples;
-        first(&mut trace.iter().map(|s| (s.time, largest(s.peak_force))))
-            - first(&mut record.samples.iter().map(|s| (s.time, largest(s.high))))
+        let difference = |sample: &Sample| {
+            let by = |axis: usize| sample.peak_force[axis] - largest.high[axis];
+            size([by(0), by(1), by(2)])
+        };
+        let trace = self.data.trace.samples.iter();
+        let same = trace.min_by(|a, b| difference(a).total_cmp(&difference(b)));
+        same.map_or(0.0, |same| same.time - largest.time)
     }
 
     /// Time and quantity of all samples from one time to another.
