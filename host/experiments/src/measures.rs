@@ -17,7 +17,6 @@ mod surface;
 mod tests;
 
 pub(super) use causes::{CauseCurves, cause_curves, check_cause};
-pub(super) use revolution::Shares;
 pub(super) use row_curve::{RowCurve, row_curve};
 
 use super::definition::{Experiment, Measurement, Pass};

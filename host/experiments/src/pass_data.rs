@@ -1,6 +1,5 @@
 //! Data of a completed pass.
 
-use super::measures::Shares;
 use super::sampled_trace::SampledTrace;
 use haptimill_client::session::HapticTrace;
 use haptimill_hil_sim::process::{CuttingConfig, Workpiece};
@@ -21,4 +20,12 @@ pub struct PassData {
     pub teleoperation: Option<HapticTrace>,
     /// Radial, tangential and axial share of the force, once they are needed.
     pub(super) shares: OnceLock<Shares>,
+}
+
+/// Shares of the force in each control period, N.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Shares {
+    pub radial: Vec<[f64; 3]>,
+    pub tangential: Vec<[f64; 3]>,
+    pub axial: Vec<[f64; 3]>,
 }

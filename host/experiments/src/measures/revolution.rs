@@ -4,7 +4,7 @@
 //! The force is linear in the coefficients of the material. A cutter without all others that moves
 //! as the recorded tool therefore has the share of one of them.
 
-use crate::pass_data::PassData;
+use crate::pass_data::{PassData, Shares};
 use crate::sampled_trace::Period;
 use haptimill_hil_sim::process::{Coefficients, Cutting, CuttingConfig, ToolPose};
 
@@ -17,14 +17,6 @@ const NONE: Coefficients = Coefficients {
     radial_edge: 0.0,
     axial_edge: 0.0,
 };
-
-/// Shares of the force in each control period, N.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Shares {
-    pub radial: Vec<[f64; 3]>,
-    pub tangential: Vec<[f64; 3]>,
-    pub axial: Vec<[f64; 3]>,
-}
 
 /// Shares of all periods of a pass.
 pub(super) fn shares(data: &PassData) -> &Shares {
