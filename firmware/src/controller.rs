@@ -6,7 +6,7 @@
 //! | stage | what it does | where |
 //! | --- | --- | --- |
 //! | receive | at most one request or setpoint | `comm/server.rs` |
-//! | measure | encoder counts to joint positions, force samples to tool force | `machine.rs` |
+//! | measure | encoder counts to joint positions, force samples to the force on the tool | `machine.rs` |
 //! | supervise | fault checks in a fixed order; named inputs | `faults.rs`, `reactions.rs` |
 //! | command | one request or setpoint; a refused one changes nothing | `commands.rs` |
 //! | interpolate | the commanded pose of this period | `modes.rs` |
@@ -15,7 +15,7 @@
 //! | servo | position loops and step generation | `machine.rs` |
 //! | render | force feedback to the haptic arm | `machine/masters.rs` |
 //! | report | answers, events, telemetry | `comm/server.rs` |
-//! | interlock | outputs off while the drives are off; named outputs | here, `reactions.rs` |
+//! | interlock | spindle and haptic arm off with the drives; named outputs | here, `reactions.rs` |
 
 use crate::comm::server::{Incoming, Server};
 use crate::comm::telemetry;
@@ -172,7 +172,7 @@ impl Controller {
 
 /// The stages that belong to the configured machine.
 impl Core {
-    /// Encoders to joint positions, force samples to tool force.
+    /// Encoders to joint positions, force samples to the force on the tool.
     #[inline]
     fn measure(&mut self, inputs: &Inputs) {
         let spindle_rpm = self.spindle_rpm();
@@ -198,8 +198,8 @@ impl Core {
         }
     }
 
-    /// A new session counts its own epochs. The sources and overrides are reset as soon as the
-    /// machine is not active.
+    /// A new session numbers its jogs and master poses anew. The source of each coordinate and the
+    /// overrides are reset as soon as the machine is not active.
     #[inline]
     fn start_session(&mut self, begun: bool) {
         if begun {

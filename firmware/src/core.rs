@@ -45,7 +45,7 @@ pub(crate) struct Job {
     pub master_epoch: Option<u16>,
     /// The newest epoch of the remote master has ended.
     pub master_cancelled: bool,
-    /// A session started, and the machine has not been at standstill since.
+    /// A session started, and the machine has been active since.
     pub new_session: bool,
     /// After an out-of-band stop: commands sent before it may still arrive and must not start
     /// motion.

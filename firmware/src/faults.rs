@@ -10,7 +10,7 @@ use crate::machine::Machine;
 use crate::safety::{keeps_position, suspected};
 use haptimill_protocol::message::{Event, Fault, State};
 
-/// Distance of the retraction after a force beyond its limit: microseconds of program time.
+/// Program time of the retraction after a force beyond its limit, microseconds.
 const RETRACT_US: u32 = 1_000_000;
 
 /// On-time periods that cancel one missed period. At 4, missing every other period would go

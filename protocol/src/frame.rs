@@ -6,8 +6,9 @@
 //! ```
 //!
 //! COBS leaves no zero in a frame, so a receiver that lost synchronisation recovers at the next
-//! zero. A frame costs 7 bytes in addition to payload and header: one of COBS (two above 254
-//! bytes), four of the CRC, and the zero.
+//! zero. A frame costs 6 bytes in addition to payload and header: one of COBS (two above 254
+//! bytes), four of the CRC, and the zero. `Hello`, `Welcome` and keep-alive frames also have a
+//! zero before them.
 //!
 //! The CRC-32 (ISO-HDLC) covers header and payload. It is combined with the session number, so a
 //! frame of another session fails its check without an extra byte. The check has 32 bits because

@@ -14,7 +14,7 @@
 //! After some faults the machine still follows its commands: lost host, missed periods, a soft
 //! limit, a joint rate, the force sensor or its force, the haptic arm, a probe. The machine then
 //! decelerates along the path first, the fault latches at standstill, and the drives hold. Any
-//! other fault takes the drives off in the same period.
+//! other fault commands the drives off in the same period.
 //!
 //! Every stop reports whether the position is kept. It is lost when an encoder or the configuration
 //! is invalid, when steps were lost, or when a joint is measured away from its command or outside

@@ -69,7 +69,7 @@ pub enum Command {
     Hold,
     /// Continues after [`Command::Hold`], a pause or an underrun stop.
     Resume,
-    /// Decelerates along the path, then drops the job; the position is kept.
+    /// Decelerates along the path, then aborts the job; the position is kept.
     Stop,
     /// Drives off and brakes on at once; latched.
     EmergencyStop,

@@ -160,7 +160,7 @@ pub enum Event {
     },
     /// Outputs went to their safe values: a fault, an emergency stop, or a silent host.
     OutputsSafe,
-    /// An action of the job could not set an output; the job is dropped.
+    /// An action of the job could not set an output; the job is aborted.
     OutputRefused {
         /// The output.
         output: u8,

@@ -25,7 +25,7 @@ static WITHOUT_FORCE: LazyLock<PathBuf> = LazyLock::new(|| {
     written("without-force.toml", &without)
 });
 
-/// That file without integral action and adaptation of the friction: without disturbance observers.
+/// That file without integral action and adaptation of the friction.
 static WITHOUT_OBSERVERS: LazyLock<PathBuf> = LazyLock::new(|| {
     let text = std::fs::read_to_string(&*WITHOUT_FORCE).expect("there");
     let is_kept = |line: &&str| !line.starts_with("ki =") && !line.starts_with("friction_adapt");
@@ -138,7 +138,7 @@ fn a_period_stays_within_its_instructions() {
             [8_500.0, 14_000.0],
         ),
         job(
-            "dome, 5 axes, a machine without a force sensor and without disturbance observers",
+            "dome, 5 axes, a machine without a force sensor and without integral action",
             "dome-plain",
             &dome,
             plain(),
@@ -267,10 +267,15 @@ fn a_period_stays_within_its_instructions() {
         println!("docs/instructions.md differs; `cargo xtask instructions` writes it anew");
     }
     assert!(beyond.is_empty(), "{beyond:#?}");
-    // The observers of five joints are above the aim of 1,000: 1,295 and 1,225. On the circle the
+    // The integrators of five joints are above the aim of 1,000: 1,295 and 1,225. On the circle the
     // correction moves z, which rests without it.
     for (what, program, bare, most) in [
-        ("disturbance observers", "dome-bare", "dome-plain", 1_330.0),
+        (
+            "integral action and friction adaptation",
+            "dome-bare",
+            "dome-plain",
+            1_330.0,
+        ),
         (
             "volumetric compensation",
             "vmc-circle",
@@ -410,10 +415,10 @@ factor has to be measured on that board. At one cycle an instruction and 168 MHz
 has 33,600.
 
 Budget of a period without the haptic arm, mean and worst: 8,000 and 14,000 without force control,
-12,000 and 18,000 with it; 1,000 more for the disturbance observers, and 1,000 more for volumetric
-compensation. The observers of five joints are above theirs: the tables of the dome with and without
-them differ by 1,295 and 1,225. A machine with a force sensor is above the budget while no axis is
-under force control, and so are jogs of several coordinates, which the test
+12,000 and 18,000 with it; 1,000 more for the integrators with friction adaptation, and 1,000 more
+for volumetric compensation. The integrators of five joints are above theirs: the tables of the dome
+with and without them differ by 1,295 and 1,225. A machine with a force sensor is above the budget
+while no axis is under force control, and so are jogs of several coordinates, which the test
 `a_jog_period_stays_within_its_instructions` bounds by what they take now.
 
 Without a force sensor the measured pose is computed on request: in periods with telemetry, and

@@ -13,9 +13,8 @@ Four keys work in every dialog: Space holds, Ctrl-R resumes, Ctrl-X stops, Ctrl-
 stop (drives off). Each key sends a command over the port. None replaces the emergency-stop button \
 of the machine.
 
-A jog ends when its key is released. A terminal with the kitty keyboard protocol reports the \
-release; on other terminals the jog ends --jog-timeout milliseconds after the last press or \
-repeat. When the console is left, or its terminal is closed, the machine decelerates and stops.
+A jog ends with the release of its key where the terminal reports it (kitty keyboard protocol). \
+On other terminals it ends --jog-timeout milliseconds after the last press or repeat. When the console is left, or its terminal is closed, the machine decelerates and stops.
 
 --stock, --operator, --seed and --fault are for the built-in simulator, which runs in real time.";
 

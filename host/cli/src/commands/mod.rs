@@ -192,10 +192,10 @@ enum Command {
     Enable(simple::SimpleArgs),
     /// Switch the drives off, from standstill
     Disable(simple::SimpleArgs),
-    /// Decelerate along the path and drop the job; the position is kept
+    /// Decelerate along the path and abort the job; the position is kept
     Stop(simple::StopArgs),
-    /// Move a joint off its limit switch, slowly and by a sixteenth of its stroke at most; a
-    /// latched fault of a limit switch is reset first
+    /// Move a joint off its limit switch, slowly; the switch must open within a sixteenth of the
+    /// stroke. A latched fault of a limit switch is reset first
     MoveOff(simple::MoveOffArgs),
     /// Clear a latched fault or emergency stop
     Reset(simple::SimpleArgs),

@@ -313,7 +313,7 @@ impl App {
                 "the machine is at standstill; the drives stay on and hold".to_string()
             }
             (LinkState::Ready, _) => {
-                "the machine decelerates along its path, the job is dropped, the drives stay on"
+                "the machine decelerates along its path, the job is aborted, the drives stay on"
                     .to_string()
             }
             _ => format!("no link: a moving machine stops after {ms} ms without the host"),

@@ -16,7 +16,7 @@ pub enum Action {
     Hold,
     /// Continue the job.
     Resume,
-    /// Decelerate; a job is dropped.
+    /// Decelerate; a job is aborted.
     Stop,
     /// Switch the drives off at once.
     Emergency,

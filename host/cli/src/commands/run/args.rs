@@ -136,8 +136,8 @@ pub struct RunArgs {
     /// 33600 in 200 us]
     #[arg(long, value_name = "INSTRUCTIONS", value_parser = clap::value_parser!(u32).range(1000..))]
     pub budget: Option<u32>,
-    /// Axes under force control, as x,z, or none; the force sensor is zeroed first [default: those
-    /// of the machine file]
+    /// Axes under force control, as x,z, or none; the force sensor is zeroed first [default: as
+    /// the controller has them: those of the machine file, or of the last `haptimill force set`]
     #[arg(long, value_name = "AXES", value_parser = parse_axes)]
     pub force: Option<ForceAxes>,
     #[command(flatten)]
