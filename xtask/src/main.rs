@@ -47,7 +47,8 @@ Developer tasks of the project.
   cargo xtask emulator             repair the emulator of the RP2350 (host/emulator), test the repairs,
                                    and run the image of the Pico 2 with a simulated mill
   cargo xtask emulator --build     build the emulator and the image, for `haptimill run --port emu:pico2`
-  cargo xtask emulator --long      as `emulator`, with homing, a part program, and five joints at 1,000,000 steps/s
+  cargo xtask emulator --long      as `emulator`, with homing and straight moves of three and five joints
+                                   at 1,000,000 steps/s
   cargo xtask emulator --period US measure the worst control period of the image with this control period,
                                    with three and with five joints at 1,000,000 steps/s
   cargo xtask machines             run every machine file in the simulator and rewrite docs/machines.md
