@@ -8,5 +8,6 @@ pub mod lamp;
 pub mod link;
 pub mod period_record;
 pub mod reset_cause;
+pub mod spindle;
 pub mod step_samples;
 pub mod step_words;

@@ -18,6 +18,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::SCB;
 use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m_rt::exception;
+use haptimill_board_common::spindle::SpindleLines;
 use haptimill_board_cortex::shared::Shared;
 use haptimill_drivers::input_filter::InputFilter;
 use haptimill_firmware::controller::Controller;
@@ -28,6 +29,7 @@ struct Front {
     engine: Engine,
     line: InPeriod,
     filter: InputFilter,
+    spindle: SpindleLines,
     period: u64,
     missed: u16,
 }
@@ -75,6 +77,7 @@ pub fn start(line: InPeriod, bytes: Bytes) {
             engine: Engine::start(),
             line,
             filter: Levels::read().filter(),
+            spindle: SpindleLines::new(),
             period: 0,
             missed: 0,
         });
@@ -148,7 +151,7 @@ fn apply(front: &mut Front, outputs: &Outputs) {
     if !on {
         front.engine.clear_lost_steps();
     }
-    pins::set_spindle(outputs.spindle_rpm);
+    pins::set_spindle(&mut front.spindle, outputs.spindle_rpm);
     pins::set_outputs(outputs.digital);
 }
 

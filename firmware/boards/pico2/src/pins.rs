@@ -19,6 +19,7 @@
 //! | GP28 | in | alarm of the drives |
 
 use crate::registers::{IO_BANK0, PADS_BANK0, PWM, SIO, read, write};
+use haptimill_board_common::spindle::SpindleLines;
 use haptimill_drivers::input_filter::InputFilter;
 
 /// Joints with a drive.
@@ -45,8 +46,6 @@ const FILTERED: u32 = 0x1F << FIRST_HOME | 1 << INPUTS[0] | 1 << INPUTS[1] | 1 <
 /// Control periods that a new level must last.
 const SAMPLES: u8 = 3;
 
-/// Spindle speed at a duty of 100 %, rev/min.
-const SPINDLE_FULL_RPM: u32 = 24_000;
 /// Counts of the PWM: 150 MHz / 15,000 = 10 kHz.
 const PWM_COUNTS: u32 = 15_000;
 /// Registers of the PWM slice of GP21, whose channel B it is.
@@ -165,16 +164,16 @@ pub fn pump() {
     write(SIO, 0x28, 1 << CHARGE_PUMP);
 }
 
-/// Sets the spindle: clockwise above 0.
-pub fn set_spindle(rpm: i16) {
-    let speed = u32::from(rpm.unsigned_abs()).min(SPINDLE_FULL_RPM);
-    drive(SPINDLE_CLOCKWISE, rpm > 0);
-    // The compare value of channel B; a value of all counts is always high.
-    write(
-        PWM,
-        SLICE + 0xC,
-        (speed * PWM_COUNTS / SPINDLE_FULL_RPM) << 16,
-    );
+/// Sets the spindle for a control period: clockwise above 0.
+pub fn set_spindle(lines: &mut SpindleLines, rpm: i16) {
+    let levels = lines.update(rpm, PWM_COUNTS);
+    drive(SPINDLE_CLOCKWISE, levels.is_clockwise);
+    set_duty(levels.duty);
+}
+
+/// Sets the compare value of channel B; a value of all counts is always high.
+fn set_duty(counts: u32) {
+    write(PWM, SLICE + 0xC, counts << 16);
 }
 
 /// Sets the digital outputs, channel `k` from bit `k`.
@@ -190,6 +189,6 @@ pub fn light(on: bool) {
 /// Switches everything off that moves.
 pub fn make_safe() {
     enable_drives(false);
-    set_spindle(0);
+    set_duty(0);
     set_outputs(0);
 }

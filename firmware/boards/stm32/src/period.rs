@@ -21,6 +21,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::scb::SystemHandler;
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_rt::exception;
+use haptimill_board_common::spindle::SpindleLines;
 use haptimill_board_cortex::shared::Shared;
 use haptimill_drivers::input_filter::InputFilter;
 use haptimill_firmware::controller::Controller;
@@ -35,6 +36,7 @@ struct Front {
     engine: Engine,
     encoders: Encoders,
     filter: InputFilter,
+    spindle: SpindleLines,
     /// Number of the present period.
     period: u64,
     missed: u16,
@@ -83,6 +85,7 @@ pub fn start(scb: &mut SCB, nvic: &mut NVIC, line: Line) {
             engine: Engine::start(),
             encoders: Encoders::start(),
             filter: Levels::read().filter(),
+            spindle: SpindleLines::new(),
             period: 0,
             missed: 0,
             last: cycles(),
@@ -174,7 +177,7 @@ fn apply(front: &mut Front, outputs: &Outputs) {
     if !on {
         front.engine.clear_lost_steps();
     }
-    pins::set_spindle(outputs.spindle_rpm);
+    pins::set_spindle(&mut front.spindle, outputs.spindle_rpm);
     pins::set_outputs(outputs.digital);
 }
 

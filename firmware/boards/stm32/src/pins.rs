@@ -29,6 +29,7 @@ use crate::registers::timer::{
     CHANNEL_1, CHANNEL_ENABLES, CHANNELS_1_2, CONTROL, EVENTS, PRESCALER, RELOAD, RUN, UPDATE,
 };
 use crate::registers::{GPIOA, GPIOB, GPIOC, GPIOD, GPIOE, TIM12, change, read, write};
+use haptimill_board_common::spindle::SpindleLines;
 use haptimill_board_common::step_samples::Lines;
 use haptimill_drivers::input_filter::InputFilter;
 
@@ -110,8 +111,6 @@ const SPINDLE_FUNCTION: u32 = 9;
 /// Control periods that a new level of a switch or the alarm must last.
 const SAMPLES: u8 = 3;
 
-/// Spindle speed at a duty of 100 %, rev/min.
-const SPINDLE_FULL_RPM: u32 = 24_000;
 /// Counts of the PWM: 84 MHz / 8,400 = 10 kHz.
 const PWM_COUNTS: u32 = 8_400;
 /// PWM mode 1 of channel 1, its compare value taken over at an update.
@@ -294,11 +293,11 @@ pub fn pump() {
 }
 
 /// Sets the spindle: clockwise above 0.
-pub fn set_spindle(rpm: i16) {
-    let speed = u32::from(rpm.unsigned_abs()).min(SPINDLE_FULL_RPM);
-    SPINDLE_CLOCKWISE.drive(rpm > 0);
+pub fn set_spindle(lines: &mut SpindleLines, rpm: i16) {
+    let levels = lines.update(rpm, PWM_COUNTS);
+    SPINDLE_CLOCKWISE.drive(levels.is_clockwise);
     // A compare value of all counts is always high.
-    write(TIM12, CHANNEL_1, speed * PWM_COUNTS / SPINDLE_FULL_RPM);
+    write(TIM12, CHANNEL_1, levels.duty);
 }
 
 /// Sets the digital outputs, channel `k` from bit `k`.
