@@ -3,6 +3,7 @@
 use crate::complex::Complex;
 use crate::edit::Change;
 use crate::identify::Identified;
+use crate::index_pulses::{IndexPulses, UNKNOWN};
 use crate::lost_steps::{StepLimits, Trial};
 use crate::servo_loop::Gains;
 use crate::switch_test::Skipped;
@@ -274,14 +275,80 @@ pub fn identification(
         card(&mut page, caption, &lost_steps(joint).svg());
         page.push_str("</div>");
     }
-    if !skipped.is_empty() {
-        page.push_str("<h2>Not measured</h2><ul>");
-        for joint in skipped {
-            let (name, reason) = (escape(&joint.name), escape(&joint.reason));
-            put(&mut page, format_args!("<li>{name}: {reason}</li>"));
-        }
-        page.push_str("</ul>");
+    not_measured(&mut page, skipped);
+    page.push_str(END);
+    page
+}
+
+fn not_measured(page: &mut String, skipped: &[Skipped]) {
+    if skipped.is_empty() {
+        return;
     }
+    page.push_str("<h2>Not measured</h2><ul>");
+    for joint in skipped {
+        let (name, reason) = (escape(&joint.name), escape(&joint.reason));
+        put(page, format_args!("<li>{name}: {reason}</li>"));
+    }
+    page.push_str("</ul>");
+}
+
+/// Distance of each pass from the mean, in both directions.
+fn passes(joint: &IndexPulses) -> Chart {
+    let size = joint.passes.len() as f64 / 200.0;
+    let numbered = joint.passes.iter().enumerate();
+    let points = |upwards: bool| -> Vec<(f64, f64)> {
+        let chosen = numbered.clone().filter(|(_, it)| it.upwards == upwards);
+        chosen
+            .map(|(number, it)| (number as f64 + 1.0, joint.deviation(it)))
+            .collect()
+    };
+    chart(
+        "pass",
+        "distance from the mean, counts".to_string(),
+        vec![
+            marks("upwards", 0, &points(true), size),
+            marks("downwards", 1, &points(false), size),
+        ],
+    )
+}
+
+/// The page of index pulses.
+#[must_use]
+pub fn index_pulses(
+    machine: &str,
+    date: &str,
+    joints: &[IndexPulses],
+    skipped: &[Skipped],
+    changes: &[Change],
+) -> String {
+    let title = format!("Index pulses of {machine}");
+    let mut page = head(&title, STYLE);
+    put(
+        &mut page,
+        format_args!(
+            "<h1>{}</h1><p class=\"sub\">{date}, by haptimill identify --index, from the shifts of \
+             repeated reference searches. {UNKNOWN}</p>",
+            escape(&title)
+        ),
+    );
+    table(&mut page, changes);
+    for joint in joints {
+        put(
+            &mut page,
+            format_args!(
+                "<h2>Joint {}</h2><p>{}</p><div class=\"pair\">",
+                escape(&joint.name),
+                escape(&joint.summary())
+            ),
+        );
+        card(
+            &mut page,
+            "Passes over the index pulse",
+            &passes(joint).svg(),
+        );
+        page.push_str("</div>");
+    }
+    not_measured(&mut page, skipped);
     page.push_str(END);
     page
 }
