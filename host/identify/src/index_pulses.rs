@@ -10,6 +10,10 @@
 //! searches in the other direction the controller gets soft limits that are nearer to the home
 //! pose, so that this lies in the other part of the range. The limits become narrower only. The
 //! index monitor is off in the test: it would refuse the pulses whose spread is to be found.
+//!
+//! A new configuration needs the drives off. Where a step motor without encoder would lose its
+//! position meanwhile, the controller keeps its configuration: the searches go in one direction,
+//! and the index monitor bounds the spread.
 
 use crate::identify::FRAME_BYTES;
 use crate::measure::count_of;
@@ -28,6 +32,9 @@ pub const TIMES: usize = 5;
 
 /// Time for which a search may last longer than the motion of 1.2 turns takes, and a stop, seconds.
 const REST: f64 = 1.0;
+
+/// Time between two telemetry frames, seconds. A scale with counts of 0.02 um needs less than 1 ms.
+const INTERVAL: f64 = 4e-4;
 
 /// Part of the room beside the home pose that the soft limits keep on the side which the search
 /// leaves. A quarter decides on the direction; a fifth of the other side is a sixth of the range.
@@ -76,6 +83,8 @@ pub struct IndexPulses {
     /// The places come from the presets. If not, the machine was homed before, and they come from
     /// the pulses in the machine file.
     pub from_presets: bool,
+    /// Why the passes are in one direction only, if they are.
+    pub one_way: &'static str,
     /// The passes, in their order.
     pub passes: Vec<Pass>,
 }
@@ -138,9 +147,9 @@ impl IndexPulses {
             "by the reference of the machine file, which stays"
         };
         let one_way = if up == 0 || down == 0 {
-            "; one direction only: there is no room for a search in the other one"
+            format!("; one direction only: {}", self.one_way)
         } else {
-            ""
+            String::new()
         };
         format!(
             "{}: index pulse at {:.4} {unit} {from} (machine file {:.4} {unit}), {up} passes \
@@ -241,6 +250,13 @@ fn turned(low: i32, high: i32, home: i32, reach: f64) -> Option<(i32, i32)> {
     Some((to_i32(limits.0), to_i32(limits.1)))
 }
 
+/// Whether the machine keeps its position while the drives are off, as they are for a new
+/// configuration. A step motor without encoder moves unseen then.
+fn keeps_position(machine: &MachineFile) -> bool {
+    let mut joints = machine.config.joints.iter();
+    joints.all(|joint| joint.encoder.is_some() || joint.keeps_position)
+}
+
 /// The searches in a session. The drives must be on.
 pub struct IndexTest<'a, L> {
     session: &'a mut Session<L>,
@@ -265,7 +281,7 @@ impl<'a, L: session::Line> IndexTest<'a, L> {
         // Half of the line for telemetry.
         let interval = line_rate.map_or(0.0, |rate| 2.0 * FRAME_BYTES / f64::from(rate.max(1)));
         let period = f64::from(machine.config.period_us) * 1e-6;
-        let every = (interval.max(1e-3) / period).round().clamp(1.0, 1000.0) as u16;
+        let every = (interval.max(INTERVAL) / period).round().clamp(1.0, 1000.0) as u16;
         session.keep_telemetry(every);
         Ok(Self {
             session,
@@ -334,10 +350,14 @@ impl<'a, L: session::Line> IndexTest<'a, L> {
         // Before the first search the pulse of the machine file is the reference.
         let mut places: Vec<f64> = found.iter().map(|it| it.before).collect();
         for is_turned in [false, true] {
-            let configuration = self.configuration(is_turned);
-            self.session.ask(Command::Disable)?;
-            self.session.configure(&configuration)?;
-            self.session.enable()?;
+            if keeps_position(self.machine) {
+                let configuration = self.configuration(is_turned);
+                self.session.ask(Command::Disable)?;
+                self.session.configure(&configuration)?;
+                self.session.enable()?;
+            } else if is_turned {
+                break;
+            }
             let way = if is_turned { "the other" } else { "one" };
             progress(&format!(
                 "index pulses: {TIMES} searches in {way} direction"
@@ -373,6 +393,12 @@ impl<'a, L: session::Line> IndexTest<'a, L> {
             before: f64::from(encoder.index.0) / units,
             slack_before: encoder.index_slack,
             from_presets,
+            one_way: if keeps_position(self.machine) {
+                "its coordinate has no limits, or no room for a search in the other one"
+            } else {
+                "a new configuration needs the drives off, and a step motor without encoder would \
+                 lose its position"
+            },
             passes: Vec::new(),
         })
     }
