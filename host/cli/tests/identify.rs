@@ -1,4 +1,4 @@
-//! `haptimill identify` on machines with step motors.
+//! `haptimill identify` on machines with step motors, with a dial gauge and with index pulses.
 
 use crate::scene;
 use haptimill_machine_file::MachineFile;
@@ -214,4 +214,71 @@ fn lost_motion_is_written_as_backlash() {
         "{ran:?}"
     );
     assert_ne!(std::fs::read_to_string(&file).unwrap(), text);
+}
+
+/// The index pulse of l1 is 0.7 mm off its place in the machine file.
+#[test]
+fn index_pulses_are_written_with_their_slack() {
+    let folder = TestFolder::new();
+    let out = folder.path("out");
+    let text = machine_text("h4.toml")
+        .replace("index_mm = 1136.2 ", "index_mm = 1135.5 ")
+        .replace("start_spread = 0.3", "start_spread = 0.0");
+    let file = folder.file("mine.toml", &text);
+    let identify = [
+        "identify",
+        "--index",
+        "--machine",
+        &file,
+        "--yes",
+        "--joint",
+        "l1",
+        "--out",
+        &out,
+    ];
+    let ran = haptimill(&[&identify[..], &["--json"]].concat()).expect_code(0);
+    assert!(ran.err.contains("joint l1: x -"), "{ran:?}");
+    let shown = ran.json();
+    let l1 = &shown["index_pulses"][0];
+    let found = l1["index"].as_f64().unwrap();
+    assert!((found - 1136.2).abs() < 0.001_3, "{shown}");
+    for passes in ["upwards", "downwards"] {
+        assert_eq!(l1[passes].as_array().unwrap().len(), 5, "{l1}");
+    }
+    assert_eq!(l1["slack_counts"], json!(1));
+    assert_eq!(shown["changes"].as_array().unwrap().len(), 2, "{shown}");
+    let written = std::fs::read_to_string(&file).unwrap();
+    assert!(written.contains("index_slack_counts = 1  # identified 20"));
+    assert_eq!(written.matches("; identified 20").count(), 1, "{written}");
+    let page = std::fs::read_to_string(folder.path("out/index.html")).unwrap();
+    for part in ["Joint l1", "Passes over the index pulse", "instrument"] {
+        assert!(page.contains(part), "{part}");
+    }
+    let data = std::fs::read_to_string(folder.path("out/index.toml")).unwrap();
+    assert!(data.contains("from_presets = true"), "{data}");
+}
+
+/// A machine without index pulses names its joints.
+#[test]
+fn joints_without_index_pulses_are_named() {
+    let folder = TestFolder::new();
+    let out = folder.path("out");
+    let run = |machine: &str, options: &[&str]| {
+        let file = folder.file(machine, machine_text(machine));
+        let identify = [
+            "identify",
+            "--index",
+            "--machine",
+            &file,
+            "--yes",
+            "--out",
+            &out,
+        ];
+        haptimill(&[&identify[..], options].concat())
+    };
+    let ran = run("mill3.toml", &[]).expect_code(3);
+    let line = "joint y: it has no encoder with an index pulse\n";
+    assert!(ran.err.contains(line), "{ran:?}");
+    let ran = run("h4.toml", &["--travel", "20", "--joint", "l1"]).expect_code(3);
+    assert!(ran.err.contains("joint l1: its searches move"), "{ran:?}");
 }

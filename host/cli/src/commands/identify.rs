@@ -4,7 +4,7 @@ use super::args::{BoardArg, ConnectArgs, PortArgs};
 use super::board::file_of;
 use super::run::results::ResultFolder;
 use super::simple::open;
-use super::{CliError, Exit, lost_motion, output};
+use super::{CliError, Exit, index_pulses, lost_motion, output};
 use crate::commands::interrupt;
 use clap::Args;
 use haptimill_client::client::Options as ClientOptions;
@@ -12,6 +12,7 @@ use haptimill_client::port::PortSpec;
 use haptimill_client::session::{self, Line, Session, SimLine};
 use haptimill_identify::edit::{self, Change};
 use haptimill_identify::identify::{Identification, Identified, Options, lines, torque_joints};
+use haptimill_identify::index_pulses::IndexJoint;
 use haptimill_identify::line::{Geometry, Line as Travel};
 use haptimill_identify::lost_steps::{Highest, StepLimits};
 use haptimill_identify::switch_test::{
@@ -39,6 +40,9 @@ shift the count at which the switch trips. 70 % of the limits are proposed.
 
 With --lost-motion each joint comes to the same place from below and from above, five times, and a \
 dial gauge is read: on the simulated machine by itself, on others by you.
+
+With --index the machine searches its index pulses five times in each direction. The places of the pulses, \
+relative to the presets at power-on, and their slack go into the machine file.
 
 The machine homes, then moves along the printed ranges. Nothing may be in these ranges, and the spindle \
 is at rest. The command asks before anything moves. Ctrl-C stops.
@@ -77,6 +81,9 @@ pub struct IdentifyArgs {
     /// simulated machine has a gauge; on others the command asks for readings
     #[arg(long)]
     pub lost_motion: bool,
+    /// Measure only the places of the index pulses and their slack, by repeated reference searches
+    #[arg(long, conflicts_with = "lost_motion")]
+    pub index: bool,
     /// Reading of the gauge, mm or degrees, in place of a question; give all, in the order of the
     /// motions
     #[arg(
@@ -132,6 +139,7 @@ pub(super) fn say(args: &IdentifyArgs, what: &str) {
 }
 
 /// What is measured.
+#[derive(Default)]
 struct Tasks {
     /// Lines of the torque joints.
     lines: Vec<Travel>,
@@ -139,6 +147,8 @@ struct Tasks {
     steps: Vec<StepJoint>,
     /// Joints whose lost motion is measured, in place of the others.
     gauged: Vec<usize>,
+    /// Joints whose index pulses are sought, in place of the others.
+    indexed: Vec<IndexJoint>,
     /// The other joints.
     skipped: Vec<Skipped>,
 }
@@ -206,7 +216,7 @@ pub fn run(args: IdentifyArgs) -> Result<(), CliError> {
     }
 }
 
-fn options(args: &IdentifyArgs) -> Options {
+pub(super) fn options(args: &IdentifyArgs) -> Options {
     let baud = match args.port.port {
         PortSpec::Serial(_) => Some(args.port.baud_or_default()),
         _ => args.port.baud,
@@ -232,10 +242,17 @@ fn plan(args: &IdentifyArgs, machine: &MachineFile) -> Result<Tasks, CliError> {
     if args.lost_motion {
         let (gauged, skipped) = lost_motion::plan(args, machine, &is_chosen)?;
         return Ok(Tasks {
-            lines: Vec::new(),
-            steps: Vec::new(),
             gauged,
             skipped,
+            ..Tasks::default()
+        });
+    }
+    if args.index {
+        let (indexed, skipped) = index_pulses::plan(args, machine, &is_chosen)?;
+        return Ok(Tasks {
+            indexed,
+            skipped,
+            ..Tasks::default()
         });
     }
     let options_of_steps = StepOptions {
@@ -275,8 +292,8 @@ fn plan(args: &IdentifyArgs, machine: &MachineFile) -> Result<Tasks, CliError> {
     Ok(Tasks {
         lines: torque,
         steps,
-        gauged: Vec::new(),
         skipped,
+        ..Tasks::default()
     })
 }
 
@@ -345,6 +362,9 @@ fn confirm(args: &IdentifyArgs, machine: &MachineFile, tasks: &Tasks) -> Result<
             machine.joints[*joint].name,
             moved(machine, &line)
         ));
+    }
+    for it in &tasks.indexed {
+        say(index_pulses::range(machine, it)?);
     }
     if !tasks.steps.is_empty() {
         say(
@@ -441,6 +461,9 @@ fn measure<L: Line>(
 ) -> Result<(), CliError> {
     if !tasks.gauged.is_empty() {
         return lost_motion::measure(args, machine, session, &tasks.gauged, &tasks.skipped);
+    }
+    if !tasks.indexed.is_empty() {
+        return index_pulses::measure(args, machine, session, (&tasks.indexed, &tasks.skipped));
     }
     session.enable()?;
     let found = move_and_measure(args, machine, session, tasks);

@@ -23,6 +23,7 @@ pub mod facet;
 pub mod flash;
 pub mod force;
 pub mod identify;
+mod index_pulses;
 
 pub(crate) mod interrupt;
 mod io_status;
