@@ -365,6 +365,20 @@ pub struct Tuned {
     pub gains: [Gains; 2],
     /// Coulomb friction, N or N m: size of the step of the load.
     pub coulomb: f64,
+    /// What the gains of the machine file miss of the requirement.
+    pub misses: Vec<String>,
+}
+
+impl Tuned {
+    /// Whether the gains of the machine file keep the requirement, as a sentence.
+    #[must_use]
+    pub fn verdict(&self) -> String {
+        if self.misses.is_empty() {
+            return "the gains of the machine file keep all requirements".to_string();
+        }
+        let misses = self.misses.join("; ");
+        format!("the gains of the machine file miss: {misses}")
+    }
 }
 
 /// Margins of both sets of gains as a line of text.
@@ -417,6 +431,10 @@ pub fn tuning(machine: &str, date: &str, joints: &[Tuned], changes: &[Change]) -
         for (name, text) in NAMES.iter().zip(margins(tuned)) {
             put(&mut page, format_args!("<p>{name}: {}</p>", escape(&text)));
         }
+        put(
+            &mut page,
+            format_args!("<p>{}</p>", escape(&tuned.verdict())),
+        );
         let both = |value: &dyn Fn(&Gains) -> Vec<(f64, f64)>| -> Vec<Line> {
             let curves = tuned.gains.iter().zip(NAMES).enumerate();
             curves
