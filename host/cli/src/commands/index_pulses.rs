@@ -1,6 +1,6 @@
 //! `haptimill identify --index`: places of the index pulses and their slack.
 
-use super::identify::{IdentifyArgs, finish, folder, options, save, say};
+use super::identify_args::{IdentifyArgs, finish, folder, options, save, say};
 use super::{CliError, Exit};
 use haptimill_client::session::{Line, Session, find_home_pose};
 use haptimill_identify::index_pulses::{

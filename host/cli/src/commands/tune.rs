@@ -1,7 +1,7 @@
 //! `haptimill tune`: gains from identified joints.
 
 use super::args::MachineArg;
-use super::identify::{folder, save, write};
+use super::identify_args::{folder, save, write};
 use super::{CliError, Exit};
 use clap::Args;
 use haptimill_firmware::config::{Drive, ServoConfig};
