@@ -302,10 +302,19 @@ fn passes(joint: &IndexPulses) -> Chart {
             .map(|(number, it)| (number as f64 + 1.0, joint.deviation(it)))
             .collect()
     };
+    // The proposed slack gives the scale: without it, rounding would fill the chart.
+    let last = joint.passes.len() as f64 + 1.0;
+    let deviations = joint.passes.iter().map(|it| joint.deviation(it));
+    let high = deviations.fold(f64::NEG_INFINITY, f64::max);
+    let middle = high - joint.spread() / 2.0;
+    let ends = [-0.5, 0.5].map(|part| middle + part * f64::from(joint.slack()));
+    let mut slack = line("slack", 2, 1.0, Vec::new());
+    slack.pieces = ends.map(|end| vec![(0.0, end), (last, end)]).to_vec();
     chart(
         "pass",
         "distance from the mean, counts".to_string(),
         vec![
+            slack,
             marks("upwards", 0, &points(true), size),
             marks("downwards", 1, &points(false), size),
         ],
