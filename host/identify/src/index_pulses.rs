@@ -410,6 +410,10 @@ impl<'a, L: session::Line> IndexTest<'a, L> {
         self.session.ask(Command::Telemetry { every: self.every })?;
         let searched = self.session.home();
         searched.map_err(|error| {
+            // A stop by the user, or a refusal, has its own remedy.
+            if error.kind != ErrorKind::Fault {
+                return error;
+            }
             let what = format!(
                 "{}; if no pulse came, check the wire of the index (Z) of this joint, and that the \
                  joint is free to move over 1.2 turns of its motor; if it is too far from its \
