@@ -10,6 +10,7 @@ use haptimill_identify::switch_test::Skipped;
 use haptimill_identify::{edit, page, record};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
+use haptimill_machine_file::scale::per_unit;
 use serde_json::{Value, json};
 
 /// The joints whose index pulses are sought, and the others with their reasons.
@@ -41,8 +42,14 @@ pub(super) fn plan(
 pub(super) fn range(machine: &MachineFile, joint: &IndexJoint) -> Result<String, CliError> {
     let model = Model::new(machine);
     let home = model.to_engineering_units(&find_home_pose(machine, &model)?);
-    let home = home.get(joint.coordinate).copied().unwrap_or_default();
-    let axis = &machine.pose[joint.coordinate];
+    let mut home = home.get(joint.coordinate).copied().unwrap_or_default();
+    let mut axis = &machine.pose[joint.coordinate];
+    let own = &machine.joints[joint.joint];
+    // A slide that turns a table is searched at the rate of the table.
+    if axis.kind.is_rotary() != own.kind.is_rotary() {
+        let preset = machine.config.joints[joint.joint].preset.0;
+        (axis, home) = (own, f64::from(preset) / per_unit(own.kind));
+    }
     let unit = if axis.kind.is_rotary() { "deg" } else { "mm" };
     Ok(format!(
         "  joint {}: {} {:.1} to {:.1} {unit}, {} searches for its index pulse at the rate of \
