@@ -1,4 +1,5 @@
-//! `haptimill identify` on machines with step motors.
+//! `haptimill identify` on machines with step motors, with a dial gauge and with index pulses, and
+//! `haptimill tune`.
 
 use crate::scene;
 use haptimill_machine_file::MachineFile;
@@ -214,4 +215,133 @@ fn lost_motion_is_written_as_backlash() {
         "{ran:?}"
     );
     assert_ne!(std::fs::read_to_string(&file).unwrap(), text);
+}
+
+/// The index pulse of l1 is 0.7 mm off its place in the machine file.
+#[test]
+fn index_pulses_are_written_with_their_slack() {
+    let folder = TestFolder::new();
+    let out = folder.path("out");
+    let text = machine_text("h4.toml")
+        .replace("index_mm = 1136.2 ", "index_mm = 1135.5 ")
+        .replace("start_spread = 0.3", "start_spread = 0.0");
+    let file = folder.file("mine.toml", &text);
+    let identify = [
+        "identify",
+        "--index",
+        "--machine",
+        &file,
+        "--yes",
+        "--joint",
+        "l1",
+        "--out",
+        &out,
+    ];
+    let ran = haptimill(&[&identify[..], &["--json"]].concat()).expect_code(0);
+    assert!(ran.err.contains("joint l1: x -"), "{ran:?}");
+    let shown = ran.json();
+    let l1 = &shown["index_pulses"][0];
+    let found = l1["index"].as_f64().unwrap();
+    assert!((found - 1136.2).abs() < 0.001_3, "{shown}");
+    for passes in ["upwards", "downwards"] {
+        assert_eq!(l1[passes].as_array().unwrap().len(), 5, "{l1}");
+    }
+    assert_eq!(l1["slack_counts"], json!(1));
+    assert_eq!(shown["changes"].as_array().unwrap().len(), 2, "{shown}");
+    let written = std::fs::read_to_string(&file).unwrap();
+    assert!(written.contains("index_slack_counts = 1  # identified 20"));
+    assert_eq!(written.matches("; identified 20").count(), 1, "{written}");
+    let page = std::fs::read_to_string(folder.path("out/index.html")).unwrap();
+    for part in ["Joint l1", "Passes over the index pulse", "instrument"] {
+        assert!(page.contains(part), "{part}");
+    }
+    let data = std::fs::read_to_string(folder.path("out/index.toml")).unwrap();
+    assert!(data.contains("from_presets = true"), "{data}");
+}
+
+/// A machine without index pulses names its joints.
+#[test]
+fn joints_without_index_pulses_are_named() {
+    let folder = TestFolder::new();
+    let out = folder.path("out");
+    let run = |machine: &str, options: &[&str]| {
+        let file = folder.file(machine, machine_text(machine));
+        let identify = [
+            "identify",
+            "--index",
+            "--machine",
+            &file,
+            "--yes",
+            "--out",
+            &out,
+        ];
+        haptimill(&[&identify[..], options].concat())
+    };
+    let ran = run("mill3.toml", &[]).expect_code(3);
+    let line = "joint y: it has no encoder with an index pulse\n";
+    assert!(ran.err.contains(line), "{ran:?}");
+    let ran = run("h4.toml", &["--travel", "20", "--joint", "l1"]).expect_code(3);
+    assert!(ran.err.contains("joint l1: its searches move"), "{ran:?}");
+}
+
+/// The table of the shipped H-4 arm, which is the fastest to identify, and its gains.
+#[test]
+fn tune_shows_margins_and_steps_before_and_after() {
+    let folder = TestFolder::new();
+    let out = folder.path("out");
+    let file = folder.file("mine.toml", machine_text("h4.toml"));
+    let tune = ["tune", "--machine", &file, "--out", &out];
+    let ran = haptimill(&tune).expect_code(3);
+    assert!(
+        ran.err.contains("run `haptimill identify` first"),
+        "{ran:?}"
+    );
+    let identify = [
+        "identify",
+        "--machine",
+        &file,
+        "--yes",
+        "--no-write",
+        "--joint",
+        "alpha",
+        "--out",
+        &out,
+    ];
+    haptimill(&identify).expect_code(0);
+    let ran = haptimill(&tune).expect_code(0);
+    println!("{}", ran.out);
+    let page = std::fs::read_to_string(folder.path("out/tune.html")).unwrap();
+    // The phase margin of the shipped table is 33 degrees.
+    let misses = "the gains of the machine file miss: phase margin ";
+    for text in [&ran.out, &page] {
+        assert_eq!(text.matches(" ms: gain margin ").count(), 2, "{text}");
+        assert_eq!(text.matches("), phase margin ").count(), 2, "{text}");
+        assert!(text.contains(misses), "{text}");
+    }
+    let parts = [
+        "<h2>Joint alpha</h2>",
+        "before: kp ",
+        "after: kp ",
+        "Step of the setpoint of 1 deg",
+        "Step of a load of ",
+    ];
+    for part in parts {
+        assert_eq!(page.matches(part).count(), 1, "{part}");
+    }
+    // Both steps have a curve before and one after.
+    assert!(page.matches("<svg").count() >= 3);
+    assert!(page.matches(">before<").count() >= 3 && page.matches(">after<").count() >= 3);
+    assert_eq!(
+        std::fs::read_to_string(&file).unwrap(),
+        machine_text("h4.toml")
+    );
+
+    // The proposed gains keep what tune requires, also when they are read from the machine file.
+    haptimill(&[&tune[..], &["--write"]].concat()).expect_code(0);
+    let ran = haptimill(&tune).expect_code(0);
+    let keeps = "the gains of the machine file keep all requirements";
+    assert!(ran.out.contains(keeps), "{}", ran.out);
+    let tight = [&tune[..], &["--phase-margin", "70"]].concat();
+    let ran = haptimill(&tight).expect_code(0);
+    assert!(ran.out.contains(misses), "{}", ran.out);
 }

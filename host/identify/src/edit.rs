@@ -2,6 +2,7 @@
 //! marked with the date.
 
 use crate::identify::Identified;
+use crate::index_pulses::IndexPulses;
 use crate::lost_motion::LostMotion;
 use crate::lost_steps::StepLimits;
 use crate::servo_loop::Gains;
@@ -147,6 +148,34 @@ pub fn with_lost_motion(
     edit(machine, &sections, &format!("identified {date}"))
 }
 
+/// The text of a machine file with places of index pulses and their slack, and what changed.
+///
+/// # Errors
+/// The new text is not a valid machine file.
+pub fn with_index_pulses(
+    machine: &MachineFile,
+    joints: &[IndexPulses],
+    date: &str,
+) -> Result<(String, Vec<Change>), Error> {
+    let sections = joints.iter().map(|joint| {
+        let key = if joint.kind.is_rotary() {
+            "index_deg"
+        } else {
+            "index_mm"
+        };
+        let place = joint.proposed().map(|place| (key, place));
+        let slack = ("index_slack_counts", f64::from(joint.slack()));
+        Section {
+            list: "joint",
+            axis: joint.name.as_str(),
+            name: None,
+            values: place.into_iter().chain([slack]).collect(),
+        }
+    });
+    let sections: Vec<Section<'_>> = sections.collect();
+    edit(machine, &sections, &format!("identified {date}"))
+}
+
 /// The text of a machine file with gains, and what changed.
 ///
 /// # Errors
@@ -251,7 +280,12 @@ fn set(table: &mut Table, key: &str, after: f64, mark: &str) -> Option<f64> {
     } else {
         format!("  # {kept}; {mark}")
     };
-    let mut new = Value::from(after);
+    // A machine file has counts as whole numbers.
+    let mut new = if key.ends_with("_counts") {
+        Value::from(after as i64)
+    } else {
+        Value::from(after)
+    };
     new.decor_mut().set_prefix(" ");
     new.decor_mut().set_suffix(suffix);
     table.insert(key, Item::Value(new));

@@ -74,7 +74,7 @@ fn slowed(mut rate: f64, fits: impl Fn(f64) -> bool) -> f64 {
 }
 
 /// Approximate bytes of a telemetry frame and of a setpoint on the line.
-const FRAME_BYTES: f64 = 160.0;
+pub(crate) const FRAME_BYTES: f64 = 160.0;
 const SETPOINT_BYTES: f64 = 20.0;
 
 /// Number of the first job.

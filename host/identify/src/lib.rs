@@ -10,6 +10,7 @@
 //! - [`two_mass`]: the model of a joint, and its fit to the response.
 //! - [`identify`]: the sequence on a machine.
 //! - [`lost_steps`], [`switch_test`]: limits of step motors without encoder, by home switches.
+//! - [`index_pulses`]: places of index pulses and their spread.
 //! - [`lost_motion`]: lost motion of a joint, by a gauge.
 //! - [`servo_loop`], [`tune`]: margins of gains, and the proposal.
 //! - [`record`], [`edit`], [`page`]: the results as a file, in the machine file, as a page.
@@ -18,6 +19,7 @@ pub mod complex;
 pub mod edit;
 pub mod excitation;
 pub mod identify;
+pub mod index_pulses;
 pub mod least_squares;
 pub mod line;
 pub mod lost_motion;

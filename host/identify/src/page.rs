@@ -3,6 +3,7 @@
 use crate::complex::Complex;
 use crate::edit::Change;
 use crate::identify::Identified;
+use crate::index_pulses::{IndexPulses, UNKNOWN};
 use crate::lost_steps::{StepLimits, Trial};
 use crate::servo_loop::Gains;
 use crate::switch_test::Skipped;
@@ -274,14 +275,89 @@ pub fn identification(
         card(&mut page, caption, &lost_steps(joint).svg());
         page.push_str("</div>");
     }
-    if !skipped.is_empty() {
-        page.push_str("<h2>Not measured</h2><ul>");
-        for joint in skipped {
-            let (name, reason) = (escape(&joint.name), escape(&joint.reason));
-            put(&mut page, format_args!("<li>{name}: {reason}</li>"));
-        }
-        page.push_str("</ul>");
+    not_measured(&mut page, skipped);
+    page.push_str(END);
+    page
+}
+
+fn not_measured(page: &mut String, skipped: &[Skipped]) {
+    if skipped.is_empty() {
+        return;
     }
+    page.push_str("<h2>Not measured</h2><ul>");
+    for joint in skipped {
+        let (name, reason) = (escape(&joint.name), escape(&joint.reason));
+        put(page, format_args!("<li>{name}: {reason}</li>"));
+    }
+    page.push_str("</ul>");
+}
+
+/// Distance of each pass from the mean, in both directions.
+fn passes(joint: &IndexPulses) -> Chart {
+    let size = joint.passes.len() as f64 / 200.0;
+    let numbered = joint.passes.iter().enumerate();
+    let points = |upwards: bool| -> Vec<(f64, f64)> {
+        let chosen = numbered.clone().filter(|(_, it)| it.upwards == upwards);
+        chosen
+            .map(|(number, it)| (number as f64 + 1.0, joint.deviation(it)))
+            .collect()
+    };
+    // The proposed slack gives the scale: without it, rounding would fill the chart.
+    let last = joint.passes.len() as f64 + 1.0;
+    let deviations = joint.passes.iter().map(|it| joint.deviation(it));
+    let high = deviations.fold(f64::NEG_INFINITY, f64::max);
+    let middle = high - joint.spread() / 2.0;
+    let ends = [-0.5, 0.5].map(|part| middle + part * f64::from(joint.slack()));
+    let mut slack = line("slack", 2, 1.0, Vec::new());
+    slack.pieces = ends.map(|end| vec![(0.0, end), (last, end)]).to_vec();
+    chart(
+        "pass",
+        "distance from the mean, counts".to_string(),
+        vec![
+            slack,
+            marks("upwards", 0, &points(true), size),
+            marks("downwards", 1, &points(false), size),
+        ],
+    )
+}
+
+/// The page of index pulses.
+#[must_use]
+pub fn index_pulses(
+    machine: &str,
+    date: &str,
+    joints: &[IndexPulses],
+    skipped: &[Skipped],
+    changes: &[Change],
+) -> String {
+    let title = format!("Index pulses of {machine}");
+    let mut page = head(&title, STYLE);
+    put(
+        &mut page,
+        format_args!(
+            "<h1>{}</h1><p class=\"sub\">{date}, by haptimill identify --index, from the shifts of \
+             repeated reference searches. {UNKNOWN}</p>",
+            escape(&title)
+        ),
+    );
+    table(&mut page, changes);
+    for joint in joints {
+        put(
+            &mut page,
+            format_args!(
+                "<h2>Joint {}</h2><p>{}</p><div class=\"pair\">",
+                escape(&joint.name),
+                escape(&joint.summary())
+            ),
+        );
+        card(
+            &mut page,
+            "Passes over the index pulse",
+            &passes(joint).svg(),
+        );
+        page.push_str("</div>");
+    }
+    not_measured(&mut page, skipped);
     page.push_str(END);
     page
 }
@@ -298,6 +374,20 @@ pub struct Tuned {
     pub gains: [Gains; 2],
     /// Coulomb friction, N or N m: size of the step of the load.
     pub coulomb: f64,
+    /// What the gains of the machine file miss of the requirement.
+    pub misses: Vec<String>,
+}
+
+impl Tuned {
+    /// Whether the gains of the machine file keep the requirement, as a sentence.
+    #[must_use]
+    pub fn verdict(&self) -> String {
+        if self.misses.is_empty() {
+            return "the gains of the machine file keep all requirements".to_string();
+        }
+        let misses = self.misses.join("; ");
+        format!("the gains of the machine file miss: {misses}")
+    }
 }
 
 /// Margins of both sets of gains as a line of text.
@@ -350,6 +440,10 @@ pub fn tuning(machine: &str, date: &str, joints: &[Tuned], changes: &[Change]) -
         for (name, text) in NAMES.iter().zip(margins(tuned)) {
             put(&mut page, format_args!("<p>{name}: {}</p>", escape(&text)));
         }
+        put(
+            &mut page,
+            format_args!("<p>{}</p>", escape(&tuned.verdict())),
+        );
         let both = |value: &dyn Fn(&Gains) -> Vec<(f64, f64)>| -> Vec<Line> {
             let curves = tuned.gains.iter().zip(NAMES).enumerate();
             curves

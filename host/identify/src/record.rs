@@ -2,6 +2,7 @@
 
 use crate::complex::complex;
 use crate::identify::{Identified, acceleration_unit};
+use crate::index_pulses::IndexPulses;
 use crate::lost_motion::LostMotion;
 use crate::lost_steps::{Highest, StepLimits, Trial};
 use crate::measure::{Friction, Steady};
@@ -163,6 +164,34 @@ pub fn write_lost_motion(machine: &str, date: &str, joints: &[LostMotion]) -> St
     format!(
         "# Written by haptimill identify --lost-motion. Units: mm or deg.\n\
          # rests: what the gauge saw beyond the backlash before, each time.\n{document}"
+    )
+}
+
+/// Encodes the places of index pulses.
+#[must_use]
+pub fn write_index_pulses(machine: &str, date: &str, joints: &[IndexPulses]) -> String {
+    let mut document = DocumentMut::new();
+    document["machine"] = value(machine);
+    document["date"] = value(date);
+    let mut list = ArrayOfTables::new();
+    for joint in joints {
+        let mut table = Table::new();
+        table["name"] = value(&joint.name);
+        table["index"] = value(joint.place());
+        table["before"] = value(joint.before);
+        table["from_presets"] = value(joint.from_presets);
+        table["spread_counts"] = value(joint.spread());
+        table["slack_counts"] = value(i64::from(joint.slack()));
+        for (key, upwards) in [("upwards", true), ("downwards", false)] {
+            let passes = joint.passes.iter().filter(|it| it.upwards == upwards);
+            table[key] = value(row(passes.map(|it| it.at)));
+        }
+        list.push(table);
+    }
+    document["joint"] = Item::ArrayOfTables(list);
+    format!(
+        "# Written by haptimill identify --index. Units: mm or deg.\n\
+         # upwards, downwards: place of the pulse in each pass.\n{document}"
     )
 }
 

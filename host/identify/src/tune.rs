@@ -106,18 +106,55 @@ impl Joint {
             .fold(0.0, f64::max)
     }
 
-    fn keeps(&self, gains: &Gains, requirement: &Requirement) -> bool {
+    /// What the gains miss of a requirement, as text with both values; empty if they keep it.
+    #[must_use]
+    pub fn misses(&self, gains: &Gains, requirement: &Requirement) -> Vec<String> {
+        let mut misses = Vec::new();
         let margins = self.margins(gains);
-        let keeps = |margins: &Margins| {
-            margins.gain_db >= requirement.gain_db
-                && margins.phase_deg >= requirement.phase_deg
-                && margins.peak <= requirement.peak
-        };
-        keeps(&margins.closed)
-            && keeps(&margins.open)
-            && self.driven_peak(gains) <= requirement.driven_peak
-            && self.count_effort(gains) <= requirement.count_effort * self.limit
-            && gains.is_stable(&self.plant, self.period)
+        for (margins, around) in [(margins.closed, ""), (margins.open, " with the gap open")] {
+            let Margins {
+                gain_db,
+                phase_deg,
+                peak,
+                ..
+            } = margins;
+            if gain_db.is_nan() || gain_db < requirement.gain_db {
+                let least = requirement.gain_db;
+                misses.push(format!(
+                    "gain margin{around} {gain_db:.1} dB, least {least} dB"
+                ));
+            }
+            if phase_deg.is_nan() || phase_deg < requirement.phase_deg {
+                let least = requirement.phase_deg;
+                misses.push(format!(
+                    "phase margin{around} {phase_deg:.0} deg, least {least} deg"
+                ));
+            }
+            if peak.is_nan() || peak > requirement.peak {
+                let most = requirement.peak;
+                misses.push(format!("sensitivity{around} {peak:.2}, most {most}"));
+            }
+        }
+        let driven = self.driven_peak(gains);
+        if driven.is_nan() || driven > requirement.driven_peak {
+            let most = requirement.driven_peak;
+            misses.push(format!(
+                "amplification from the setpoint to the driven mass {driven:.2}, most {most}"
+            ));
+        }
+        let effort = self.count_effort(gains) / self.limit;
+        if effort.is_nan() || effort > requirement.count_effort {
+            let most = requirement.count_effort * 100.0;
+            misses.push(format!(
+                "effort of one count {:.1} % of the drive's limit, most {most} %",
+                effort * 100.0
+            ));
+        }
+        // The slowest of the checks comes last.
+        if misses.is_empty() && !gains.is_stable(&self.plant, self.period) {
+            misses.push("the step response does not die away".to_string());
+        }
+        misses
     }
 
     /// The gains with the largest w that keep the requirement; `None` if none do.
@@ -134,7 +171,7 @@ impl Joint {
                     rate_filter,
                     inertia: self.plant.inertia,
                 };
-                self.keeps(&gains, requirement).then_some(gains)
+                self.misses(&gains, requirement).is_empty().then_some(gains)
             })
         })
     }

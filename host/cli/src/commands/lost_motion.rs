@@ -1,6 +1,6 @@
 //! `haptimill identify --lost-motion`: lost motion of the joints, by a dial gauge.
 
-use super::identify::{IdentifyArgs, finish, folder, save, say};
+use super::identify_args::{IdentifyArgs, finish, folder, save, say};
 use super::{CliError, Exit};
 use haptimill_client::port::PortSpec;
 use haptimill_client::session::{self, Line, Session};

@@ -23,6 +23,8 @@ pub mod facet;
 pub mod flash;
 pub mod force;
 pub mod identify;
+pub mod identify_args;
+mod index_pulses;
 
 pub(crate) mod interrupt;
 mod io_status;
@@ -212,7 +214,7 @@ enum Command {
     /// Measure geometric errors, correct programs by them, and calibrate an arm
     #[command(subcommand)]
     Calibrate(calibrate::CalibrateCommand),
-    Identify(identify::IdentifyArgs),
+    Identify(identify_args::IdentifyArgs),
     Tune(tune::TuneArgs),
     /// Read and set the force sensor and the force control
     #[command(subcommand)]

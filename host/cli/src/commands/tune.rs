@@ -1,7 +1,7 @@
 //! `haptimill tune`: gains from identified joints.
 
 use super::args::MachineArg;
-use super::identify::{folder, save, write};
+use super::identify_args::{folder, save, write};
 use super::{CliError, Exit};
 use clap::Args;
 use haptimill_firmware::config::{Drive, ServoConfig};
@@ -101,11 +101,13 @@ fn tuned(
         );
         CliError::new(Exit::Refused, what)
     })?;
+    let before = gains_of(machine, found.joint);
     Ok(Tuned {
         name: found.name.clone(),
         kind: found.kind,
         joint,
-        gains: [gains_of(machine, found.joint), proposed],
+        misses: joint.misses(&before, requirement),
+        gains: [before, proposed],
         coulomb: found.coulomb(),
     })
 }
@@ -136,6 +138,7 @@ pub fn run(args: &TuneArgs) -> Result<(), CliError> {
         let [before, after] = margins(joint);
         print_line!("{}", joint.name);
         print_line!("  before  {before}");
+        print_line!("          {}", joint.verdict());
         print_line!("  after   {after}");
     }
     let date = record::today();

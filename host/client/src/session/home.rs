@@ -92,6 +92,14 @@ impl<L: Line> Session<L> {
     /// As [`Session::home`]; the move is refused, or [not completed](Session::check_completed).
     pub fn go_home(&mut self, machine: &MachineFile, home: &AxisValues) -> Result<(), Error> {
         self.home()?;
+        self.move_to_home(machine, home)
+    }
+
+    /// Moves a homed machine to the home pose, as [`Session::go_home`].
+    ///
+    /// # Errors
+    /// The move is refused, or [not completed](Session::check_completed).
+    pub fn move_to_home(&mut self, machine: &MachineFile, home: &AxisValues) -> Result<(), Error> {
         let status = self.status()?;
         let mask = force_axes(&status);
         if !mask.is_empty() {
