@@ -45,7 +45,7 @@ pub(super) fn range(machine: &MachineFile, joint: &IndexJoint) -> Result<String,
     let mut home = home.get(joint.coordinate).copied().unwrap_or_default();
     let mut axis = &machine.pose[joint.coordinate];
     let own = &machine.joints[joint.joint];
-    // A slide that turns a table is searched at the rate of the table.
+    // A linear joint of a rotary coordinate is searched at the rate of that coordinate.
     if axis.kind.is_rotary() != own.kind.is_rotary() {
         let preset = machine.config.joints[joint.joint].preset.0;
         (axis, home) = (own, f64::from(preset) / per_unit(own.kind));
