@@ -378,7 +378,7 @@ pub enum ServoForm {
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Stopping {
     /// Time from the programmed speed to rest, in ms, 5 to 2000. It sets the largest change of the
-    /// path rate.
+    /// speed factor.
     pub time_ms: u16,
     /// Part of that time in which the deceleration builds up, and decays, in ms. It sets the jerk.
     pub ramp_ms: u16,

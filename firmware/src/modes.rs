@@ -98,7 +98,7 @@ fn follow_program(core: &mut Core, server: &mut Server, state: State, progress: 
         core.safety.raise(Fault::SoftLimit { coordinate });
     }
     match progress.action {
-        Action::None | Action::Pause | Action::Pace(_) => {}
+        Action::None | Action::Pause | Action::OverrideMode(_) => {}
         Action::Spindle(speed) => core.set_spindle_of_job(speed),
         Action::Output { output, on } => core.set_output_of_job(output, on),
         Action::AnalogOutput { output, code } => machine.io.set_analog(output, code),

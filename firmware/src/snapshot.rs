@@ -31,8 +31,8 @@ pub struct Snapshot {
     pub queued: u16,
     /// The job has setpoints that have not arrived yet.
     pub more: bool,
-    /// Path rate; 65535 is the programmed rate.
-    pub path_rate: u16,
+    /// Speed factor; 32768 is the programmed speed.
+    pub speed_factor: u16,
     /// Spindle speed, rev/min.
     pub spindle_rpm: i16,
     /// Program time, in periods times 2^32.
@@ -95,7 +95,7 @@ impl Controller {
         snapshot.setpoint = program.reached();
         snapshot.queued = program.queued() as u16;
         snapshot.more = !program.is_complete();
-        snapshot.path_rate = (program.path_rate() >> 17).clamp(0, 0xFFFF) as u16;
+        snapshot.speed_factor = (program.speed_factor() >> 17).clamp(0, 0xFFFF) as u16;
         snapshot.spindle_rpm = self.spindle_rpm();
         snapshot.program_time = program.program_time();
         let commanded = &machine.motion.commanded().pose.0;

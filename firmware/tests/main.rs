@@ -23,7 +23,7 @@ mod kinematics_haptic;
 mod kinematics_machine;
 mod motion;
 mod named_io;
-mod pace;
+mod override_mode;
 mod path;
 mod receive;
 mod reference;

@@ -3,7 +3,7 @@
 use crate::path;
 use crate::reference;
 
-use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
+use haptimill_firmware::motion::interpolator::{FULL_FACTOR, Interpolator, QUEUE};
 use haptimill_firmware::motion::jog::Jog;
 use haptimill_kinematics::{
     BoxBounds, Jacobian, JointMotion, Joints, Kinematics, Pose, PoseError, Rates,
@@ -193,7 +193,7 @@ proptest! {
         let last = f64::from(points[delivered - 1].pose[0]) * UNIT_MM;
         let path = walk(&mut program, 100 * delivered + 400 + gap, |_| false);
         prop_assert!(path.x.iter().all(|&x| x <= last), "passed the last setpoint");
-        prop_assert_eq!(program.path_rate(), 0);
+        prop_assert_eq!(program.speed_factor(), 0);
         let (acceleration, _) = path.dynamics(200, usize::MAX);
         prop_assert!(acceleration <= speed / 0.09 * 1.01 + 2.0, "{acceleration}");
         for point in &points[delivered..] {
@@ -264,7 +264,7 @@ proptest! {
         prop_assert!(path.finished);
         let expected = 1.0 + 6200.0 * 100.0 / f64::from(percent);
         prop_assert!((path.x.len() as f64 - expected).abs() < 2.0, "{} {expected}", path.x.len());
-        prop_assert!(program.path_rate() <= FULL_RATE);
+        prop_assert!(program.speed_factor() <= FULL_FACTOR);
     }
 }
 

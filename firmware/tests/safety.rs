@@ -3,7 +3,7 @@
 use crate::reference;
 use haptimill_firmware::config::{AxisKind, Drive, EncoderSettings, JointSettings, Stopping};
 use haptimill_firmware::joint::monitor::{JointMonitor, JointSample};
-use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE};
+use haptimill_firmware::motion::interpolator::{FULL_FACTOR, Interpolator, QUEUE};
 use haptimill_firmware::safety::{EVENTS, Safety, decelerates_first, keeps_position};
 use haptimill_kinematics::Pose;
 use haptimill_math::{Coordinate, Effort, Rate};
@@ -555,7 +555,7 @@ proptest! {
             let (commanded, progress) = program.advance(false);
             prop_assert!(!progress.queue_empty, "period {periods}, {next} taken, {} reached", program.reached());
             // A ramp may pass its target by twice its jerk.
-            prop_assert!(program.path_rate() <= FULL_RATE + FULL_RATE / 10_000);
+            prop_assert!(program.speed_factor() <= FULL_FACTOR + FULL_FACTOR / 10_000);
             let x = commanded.pose.0[0].0;
             prop_assert!(x >= last_x - 1 && x <= points[next.max(1) - 1].pose[0]);
             last_x = x;

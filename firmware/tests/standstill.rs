@@ -1,8 +1,8 @@
-//! Standstill, pause and resume on the queue: the path rate never jumps, and every motion can be
+//! Standstill, pause and resume on the queue: the speed factor never jumps, and every motion can be
 //! stopped before the queue ends.
 
 use crate::reference;
-use haptimill_firmware::motion::interpolator::{FULL_RATE, Interpolator, QUEUE, braking_limits};
+use haptimill_firmware::motion::interpolator::{FULL_FACTOR, Interpolator, QUEUE, braking_limits};
 use haptimill_kinematics::Pose;
 use haptimill_math::{Acceleration, Coordinate};
 use haptimill_protocol::message::Action;
@@ -39,7 +39,7 @@ fn go(program: &mut Interpolator, periods: usize, halt: bool, before: &mut i64) 
         let (_, progress) = program.advance(halt);
         let now = (program.program_time() - time) as i64;
         assert!(!progress.queue_empty, "queue empty in motion");
-        let change = (now - *before) as f64 / FULL_RATE as f64;
+        let change = (now - *before) as f64 / FULL_FACTOR as f64;
         assert!(
             (now - *before).abs() <= slope + 2,
             "period {period}: {change} of the programmed speed in one period"
@@ -62,10 +62,10 @@ fn line(count: usize) -> Interpolator {
 
 /// Resume without a hold, or while the machine still brakes.
 #[test]
-fn resume_in_motion_keeps_the_path_rate() {
+fn resume_in_motion_keeps_the_speed_factor() {
     let mut program = line(14);
     program.advance(false);
-    let mut rate = FULL_RATE;
+    let mut rate = FULL_FACTOR;
     go(&mut program, 600, false, &mut rate);
     program.leave_pause();
     go(&mut program, 2000, false, &mut rate);
@@ -76,7 +76,7 @@ fn resume_in_motion_keeps_the_path_rate() {
 fn resume_after_hold_ramps_up() {
     let mut program = line(14);
     program.advance(false);
-    let mut rate = FULL_RATE;
+    let mut rate = FULL_FACTOR;
     go(&mut program, 600, false, &mut rate);
     go(&mut program, 1000, true, &mut rate);
     assert!(program.is_at_standstill());

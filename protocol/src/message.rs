@@ -9,7 +9,7 @@
 
 mod command;
 mod event;
-mod pace;
+mod override_mode;
 mod problem;
 mod report;
 mod session;
@@ -18,7 +18,7 @@ mod state;
 
 pub use command::{Command, ConfigChunk, Request, Source};
 pub use event::Event;
-pub use pace::Pace;
+pub use override_mode::OverrideMode;
 pub use problem::{
     ConfigField, ConfigProblem, Fault, HomingProblem, InputProblem, OutputProblem, PoseError,
     Refusal,
@@ -36,8 +36,8 @@ pub const MAX_AXES: usize = 6;
 /// Version of this protocol; both endpoints must have the same.
 pub const PROTOCOL_VERSION: u16 = 7;
 
-/// Path rate in reports at the programmed speed.
-pub const FULL_PATH_RATE: u16 = 1 << 15;
+/// Speed factor in reports at the programmed speed.
+pub const FULL_SPEED_FACTOR: u16 = 1 << 15;
 
 /// Largest number of named analog inputs, and of named analog outputs.
 pub const ANALOG: usize = 4;

@@ -173,7 +173,7 @@ fn every_report_fits_a_frame_and_answers_and_events_are_short() {
         credit: u32::MAX,
         setpoint: u32::MAX,
         program_periods: u32::MAX,
-        path_rate: u16::MAX,
+        speed_factor: u16::MAX,
         commanded: values(),
         measured: values(),
         joints: values(),

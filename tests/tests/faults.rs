@@ -254,7 +254,7 @@ fn late_setpoints_slow_the_machine_along_its_path_and_are_reported() {
     send(&mut bench, 0..15);
     bench.steps(9000);
     let status = bench.status();
-    assert_eq!((status.state, status.path_rate), (State::Run, 0));
+    assert_eq!((status.state, status.speed_factor), (State::Run, 0));
     // The machine stopped on the line, before the last setpoint.
     assert!(status.commanded[0] < points[14].pose[0]);
     assert_eq!(

@@ -1,7 +1,7 @@
 //! Fuzz test of the controller: one seed of each theme, repeatability, and the resolution of its
 //! references.
 
-use haptimill_protocol::message::{Action, Pace};
+use haptimill_protocol::message::{Action, OverrideMode};
 use haptimill_protocol::setpoint::Setpoint;
 use haptimill_tests::fuzz::bench::FuzzBench;
 use haptimill_tests::fuzz::checks::bounds;
@@ -138,7 +138,7 @@ fn the_planned_job_detects_a_skipped_setpoint_and_a_wrong_pose() {
     let mut twice = job();
     twice.check(&tracked(250.0, 0, 0.25)).expect("in order");
     assert!(twice.check(&tracked(252.0, 0, 0.254)).is_err());
-    // After a setpoint with a pace of 150 %, one and a half periods pass in a period.
+    // After a setpoint with an override mode of 150 %, one and a half periods pass in a period.
     let passes = |action, periods| {
         let mut job = PlannedJob::default();
         let first = Setpoint {
@@ -151,8 +151,14 @@ fn the_planned_job_detects_a_skipped_setpoint_and_a_wrong_pose() {
         at(500.0, 1).expect("in order");
         at(500.0 + periods, 1).is_ok()
     };
-    assert!(passes(Action::Pace(Pace::feed_up_to(150)), 1.5));
-    assert!(!passes(Action::Pace(Pace::feed_up_to(150)), 1.51));
+    assert!(passes(
+        Action::OverrideMode(OverrideMode::feed_up_to(150)),
+        1.5
+    ));
+    assert!(!passes(
+        Action::OverrideMode(OverrideMode::feed_up_to(150)),
+        1.51
+    ));
     assert!(passes(Action::None, 1.0) && !passes(Action::None, 1.01));
 }
 

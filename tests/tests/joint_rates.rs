@@ -3,7 +3,7 @@
 
 use crate::setup;
 use haptimill_protocol::message::{
-    Action, Command, Event, Pace, Refusal, SETPOINT_BATCH, SetpointBatch, State,
+    Action, Command, Event, OverrideMode, Refusal, SETPOINT_BATCH, SetpointBatch, State,
 };
 use haptimill_protocol::setpoint::{Setpoint, SetpointCoder};
 use haptimill_tests::Bench;
@@ -263,7 +263,7 @@ fn a_stream_at_the_maximum_rate_is_accepted() {
     assert_eq!(state(&bench), State::Idle);
 }
 
-/// A faster pace multiplies joint rates: the limit holds at the largest override.
+/// A faster override mode multiplies joint rates: the limit holds at the largest override.
 #[test]
 fn no_pace_exceeds_a_joint_rate_at_any_override() {
     for percent in [110_u8, 150, 200] {
@@ -279,7 +279,7 @@ fn no_pace_exceeds_a_joint_rate_at_any_override() {
             spans.extend([(200, rate); 8]);
             spans.push((1000, 0.0));
             let mut setpoints = tilt(&start, &spans);
-            setpoints[0].action = Action::Pace(Pace::feed_up_to(percent));
+            setpoints[0].action = Action::OverrideMode(OverrideMode::feed_up_to(percent));
             let peaks = peak_rates(&start, &setpoints);
             let peak = peaks.iter().fold(0.0_f64, |most, peak| most.max(*peak));
             let fastest = peak * f64::from(percent) / 100.0;

@@ -426,7 +426,7 @@ fn a_refused_command_changes_nothing() {
                     status.position_kept,
                     status.credit,
                     status.setpoint,
-                    status.path_rate,
+                    status.speed_factor,
                 ),
                 (
                     status.commanded,

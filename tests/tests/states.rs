@@ -78,9 +78,9 @@ fn jobs_keep_their_boundary_conditions() {
     bench.steps(2500);
     let status = bench.status();
     assert!(
-        (i32::from(status.path_rate) - 16384).abs() < 3,
+        (i32::from(status.speed_factor) - 16384).abs() < 3,
         "{}",
-        status.path_rate
+        status.speed_factor
     );
     // A stop drops the job and stops the spindle. The next job begins at the present pose.
     bench.ask(Command::Stop).expect("stops");

@@ -154,7 +154,7 @@ fn sample_machine(core: &Core, inputs: &Inputs, line: &LineCount) -> Telemetry {
         sample.credit = program.credit();
         sample.setpoint = program.reached();
         sample.program_periods = (program.program_time() >> 32) as u32;
-        sample.path_rate = (program.path_rate() >> 17).clamp(0, 0xFFFF) as u16;
+        sample.speed_factor = (program.speed_factor() >> 17).clamp(0, 0xFFFF) as u16;
         machine.fill_telemetry(inputs, &mut sample);
         sample.force = machine.force.as_ref().map(ForceControl::telemetry);
         sample.io = machine.io_telemetry();

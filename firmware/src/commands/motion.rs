@@ -4,7 +4,9 @@ use super::conditions::{Done, in_state, settled};
 use crate::config::HAPTICS;
 use crate::core::Core;
 use crate::haptics::mapping::LED;
-use haptimill_protocol::message::{AxisValues, MAX_AXES, Pace, RATE_SHIFT, Refusal, Source, State};
+use haptimill_protocol::message::{
+    AxisValues, MAX_AXES, OverrideMode, RATE_SHIFT, Refusal, Source, State,
+};
 
 pub(super) fn jog(core: &mut Core, epoch: u16, timeout_ms: u16, rates: &AxisValues) -> Done {
     if !core.safety.homed() {
@@ -103,7 +105,7 @@ pub(super) fn choose_source(core: &mut Core, coordinate: u8, source: Source) -> 
 }
 
 pub(super) fn set_override(core: &mut Core, percent: u8) -> Done {
-    if percent > Pace::MOST {
+    if percent > OverrideMode::MAX_PERCENT {
         return Err(Refusal::Range);
     }
     core.configured()?.motion.program.set_override(percent);

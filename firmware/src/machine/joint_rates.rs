@@ -6,8 +6,8 @@
 //! order. The rate of that cubic lies within the hull of three control points: both end rates, and
 //! 3 (q1 - q0) / T - q0' - q1'. The check needs no division by the time.
 //!
-//! Joint rates grow with the path rate: the limit is divided by the largest path rate that the pace
-//! of the segment, or of a faster part before it, allows.
+//! Joint rates grow with the speed factor: the limit is divided by the largest speed factor that
+//! the override mode of the segment, or of a faster part before it, allows.
 //!
 //! docs/decisions/0025-joint-rate-limit.md explains why a setpoint is refused and the path is not
 //! slowed down.
@@ -42,11 +42,11 @@ pub struct JointRates {
     end: Node,
 }
 
-/// Maximum joint rate at the programmed speed, if the path rate may be `path_rate` percent. A rate
-/// is rounded down by less than 200 units.
-const fn limit(rate: Rate, path_rate: i32) -> i32 {
-    if path_rate > 100 {
-        rate.0 / path_rate * 100
+/// Maximum joint rate at the programmed speed, if the speed factor may be `speed_factor` percent. A
+/// rate is rounded down by less than 200 units.
+const fn limit(rate: Rate, speed_factor: i32) -> i32 {
+    if speed_factor > 100 {
+        rate.0 / speed_factor * 100
     } else {
         rate.0
     }
@@ -144,7 +144,7 @@ impl Machine {
             (node, PIECE)
         };
         let time = i64::from(periods) * i64::from(self.config.period_us);
-        let path_rate = i32::from(self.motion.program.most());
+        let speed_factor = i32::from(self.motion.program.max_percent());
         let last = &self.joint_rates.last;
         for (index, joint) in self.config.joints.iter().enumerate() {
             let (before, after) = (last.motion.rates[index].0, node.motion.rates[index].0);
@@ -153,7 +153,7 @@ impl Machine {
             let distance = node.motion.joints.0[index].wrapping_sub(last.motion.joints.0[index]);
             // The middle control point, times the time in microseconds: below 2^53 + 2^48.
             let middle = 3_000_000 * i64::from(distance.0) - both * time;
-            let limit = limit(joint.rate, path_rate);
+            let limit = limit(joint.rate, speed_factor);
             let most = allowed(limit);
             let too_fast = i64::from(after).abs() > most;
             let too_fast_between = node.alone && last.alone && middle.abs() > most * time;

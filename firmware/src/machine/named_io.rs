@@ -51,7 +51,7 @@ impl Machine {
     /// [`Refusal::Output`] or [`Refusal::AnalogOutput`].
     pub(crate) fn check_action(&self, action: &Action) -> Result<(), Refusal> {
         match *action {
-            Action::None | Action::Spindle(_) | Action::Pause | Action::Pace(_) => Ok(()),
+            Action::None | Action::Spindle(_) | Action::Pause | Action::OverrideMode(_) => Ok(()),
             Action::Output { output, .. } => self.io.may_set(&self.config.io, output, 0),
             Action::AnalogOutput { output, code } => {
                 NamedIo::may_set_analog(&self.config.io, output, code)

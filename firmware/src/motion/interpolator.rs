@@ -1,10 +1,10 @@
 //! Setpoint queue of a job, and interpolation along its path.
 //!
-//! Time on the path is program time. It passes at the *path rate*: 1 at the programmed speed, less
-//! while the machine decelerates along its path (hold, stop, override, underrun), 0 at standstill.
-//! Above 1 it is on parts of the path whose [`Pace`] allows that.
-//! The path rate is a [`Ramp`], which bounds its slope and the change of its slope. The commanded
-//! pose never leaves the path.
+//! Time on the path is program time. It passes at the *speed factor*: 1 at the programmed speed,
+//! less while the machine decelerates along its path (hold, stop, override, underrun), 0 at
+//! standstill. Above 1 it is on parts of the path whose
+//! [`OverrideMode`] allows that. The speed factor is a [`Ramp`], which bounds its slope and the
+//! change of its slope. The commanded pose never leaves the path.
 //!
 //! Deceleration on an underrun begins while the queue still covers the stopping distance, so the
 //! commanded pose never passes the last setpoint. The bounds on acceleration and jerk of the
@@ -13,7 +13,7 @@
 //! Units: axis units, wire rates, 2^-32 control periods of program time.
 
 mod accept;
-mod pace;
+mod override_mode;
 mod prefetch;
 mod retract;
 mod stopping;
@@ -28,17 +28,17 @@ use crate::digest::impl_digest;
 use haptimill_kinematics::Pose;
 use haptimill_math::scale::{product, saturate, total};
 use haptimill_math::{Acceleration, Coordinate, Rate};
-use haptimill_protocol::message::{Action, MAX_AXES, Pace, RATE_SHIFT};
+use haptimill_protocol::message::{Action, MAX_AXES, OverrideMode, RATE_SHIFT};
 use heapless::Deque;
-use pace::{AcceptedPace, braking_periods};
+use override_mode::{AcceptedModes, braking_periods};
 use prefetch::{Segment, Segments};
 use retract::PASSED;
 
 /// Capacity of the queue, in setpoints.
 pub const QUEUE: usize = 256;
 
-/// Path rate at the programmed speed.
-pub const FULL_RATE: i64 = 1 << 32;
+/// Speed factor at the programmed speed.
+pub const FULL_FACTOR: i64 = 1 << 32;
 
 /// Setpoint in the queue.
 #[derive(Debug, Clone, Copy, Default)]
@@ -100,15 +100,15 @@ pub struct Interpolator {
     /// Duration of the setpoint checked last; most setpoints have the duration of the one before.
     duration: SegmentDuration,
     braking: Option<RampLimits>,
-    /// Program time to decelerate from the full path rate, in control periods.
+    /// Program time to decelerate from the full speed factor, in control periods.
     braking_periods: u64,
-    /// Control periods in which the path rate changes by 1, and in which its slope builds up.
-    pace_periods: [u32; 2],
+    /// Control periods in which the speed factor changes by 1, and in which its slope builds up.
+    ramp_periods: [u32; 2],
 
     queue: Deque<Knot, QUEUE>,
     /// The setpoints passed last, newest last.
     passed: Deque<Knot, PASSED>,
-    /// Program time to retract once the path rate is zero, 2^-32 control periods.
+    /// Program time to retract once the speed factor is zero, 2^-32 control periods.
     retract_left: u64,
     /// Sum of the durations in the queue, in control periods.
     queued_periods: u64,
@@ -124,13 +124,13 @@ pub struct Interpolator {
     time: u64,
     /// Program time at the start of the segment, in control periods.
     elapsed: u64,
-    path_rate: Ramp,
-    /// Path rate that the overrides give at the present pace.
-    override_rate: i64,
+    speed_factor: Ramp,
+    /// Speed factor that the overrides give at the present override mode.
+    override_factor: i64,
     /// Feed and rapid override, percent.
     overrides: [u8; 2],
-    pace: Pace,
-    accepted_pace: AcceptedPace,
+    override_mode: OverrideMode,
+    accepted_modes: AcceptedModes,
     accepted: u32,
     reached: u32,
     total: Option<u32>,
@@ -142,13 +142,13 @@ pub struct Interpolator {
 }
 
 impl_digest!(Interpolator { fields {
-    axes, circular, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods, pace_periods
+    axes, circular, wrapping, rate_limits, acceleration_limits, period_us, periods_per_second, braking, braking_periods, ramp_periods
 }, nested {}, skip {
-    queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, path_rate, override_rate, overrides, pace, accepted_pace, accepted, reached, total, started, paused,
+    queue, queued_periods, stops_ahead, tail, from, segments, time, elapsed, speed_factor, override_factor, overrides, override_mode, accepted_modes, accepted, reached, total, started, paused,
     underrunning, ended_underrun, duration, passed, retract_left
 } });
 
-/// Bounds of the path rate for a configuration's [`Stopping`]; `None` if the times are
+/// Bounds of the speed factor for a configuration's [`Stopping`]; `None` if the times are
 /// inconsistent.
 #[must_use]
 pub fn braking_limits(stopping: &Stopping, period_us: u16) -> Option<RampLimits> {
@@ -160,7 +160,7 @@ pub fn braking_limits(stopping: &Stopping, period_us: u16) -> Option<RampLimits>
         return None;
     }
     let period = i64::from(period_us);
-    let slope = FULL_RATE * period / (time - ramp);
+    let slope = FULL_FACTOR * period / (time - ramp);
     RampLimits::new(slope, slope * period / ramp)
 }
 
@@ -183,9 +183,9 @@ impl Interpolator {
         program.period_us = config.period_us;
         program.periods_per_second = 1_000_000 / i64::from(config.period_us.max(1));
         program.braking = braking_limits(&config.stopping, config.period_us);
-        program.pace_periods = braking_periods(&config.stopping, config.period_us);
+        program.ramp_periods = braking_periods(&config.stopping, config.period_us);
         program.overrides = [100; 2];
-        program.set_pace(Pace::FEED);
+        program.set_override_mode(OverrideMode::FEED);
         for (axis, pose) in config.pose.iter().enumerate() {
             program.circular[axis] = pose.kind.is_circular();
             // A margin of 2 % for the rounding of setpoints.
@@ -195,7 +195,7 @@ impl Interpolator {
                 Acceleration(pose.acceleration.0.saturating_mul(16));
         }
         program.braking_periods = program.braking.map_or(0, |limits| {
-            Ramp::at(FULL_RATE)
+            Ramp::at(FULL_FACTOR)
                 .stopping_range(&limits)
                 .map_or(0, |(_, ahead)| ahead)
                 .unsigned_abs()
@@ -216,7 +216,7 @@ impl Interpolator {
         self.segments.clear();
         self.time = 0;
         self.elapsed = 0;
-        self.path_rate = Ramp::at(FULL_RATE);
+        self.speed_factor = Ramp::at(FULL_FACTOR);
         self.accepted = 0;
         self.reached = 0;
         self.total = None;
@@ -224,8 +224,8 @@ impl Interpolator {
         self.paused = false;
         self.underrunning = None;
         self.ended_underrun = None;
-        self.accepted_pace.begin();
-        self.set_pace(Pace::FEED);
+        self.accepted_modes.begin();
+        self.set_override_mode(OverrideMode::FEED);
     }
 
     /// Number of setpoints in the queue.
@@ -253,17 +253,17 @@ impl Interpolator {
         self.accepted
     }
 
-    /// Program time since the job began, in 2^-32 control periods. It passes at the path rate.
+    /// Program time since the job began, in 2^-32 control periods. It passes at the speed factor.
     #[must_use]
     pub const fn program_time(&self) -> u64 {
         (self.elapsed << 32).wrapping_add(self.time)
     }
 
-    /// The path rate; [`FULL_RATE`] is the programmed speed.
+    /// The speed factor; [`FULL_FACTOR`] is the programmed speed.
     #[must_use]
     #[inline]
-    pub const fn path_rate(&self) -> i64 {
-        self.path_rate.value()
+    pub const fn speed_factor(&self) -> i64 {
+        self.speed_factor.value()
     }
 
     /// Whether interpolation needs more time in this control period than in others: the next
@@ -281,10 +281,10 @@ impl Interpolator {
             && !self.paused
             && self.segment().is_none_or(|segment| {
                 let end = u64::from(segment.duration.periods()) << 32;
-                // The highest path rate possible in the next control period.
+                // The highest speed factor possible in the next control period.
                 let slope = self.braking.map_or(0, |braking| braking.slope());
-                let value = self.path_rate.value();
-                let most = FULL_RATE.max(value).max(self.override_rate);
+                let value = self.speed_factor.value();
+                let most = FULL_FACTOR.max(value).max(self.override_factor);
                 let highest = (value + slope).clamp(0, most);
                 self.time + highest as u64 >= end
             })
@@ -316,12 +316,12 @@ impl Interpolator {
         }
     }
 
-    /// Whether nothing moves along the path: the path rate is zero, the program waits, or it is
+    /// Whether nothing moves along the path: the speed factor is zero, the program waits, or it is
     /// paused.
     #[must_use]
     #[inline]
     pub fn is_at_standstill(&self) -> bool {
-        (self.path_rate.is_zero() && self.retract_left == 0)
+        (self.speed_factor.is_zero() && self.retract_left == 0)
             || self.paused
             || !self.started
             || (self.segment().is_none() && self.queue.is_empty())
@@ -353,10 +353,10 @@ impl Interpolator {
         let finished = self.total == Some(self.reached) && !self.paused;
         if !self.started {
             self.started = !halt && self.can_start();
-            // At standstill any path rate gives the same motion: begin at the override rate. With a
-            // queue full of durations too short to stop on, begin at 0.
-            self.path_rate = Ramp::at(if self.can_pass_stop() {
-                self.override_rate
+            // At standstill any speed factor gives the same motion: begin at the factor of the
+            // overrides. With a queue full of durations too short to stop on, begin at 0.
+            self.speed_factor = Ramp::at(if self.can_pass_stop() {
+                self.override_factor
             } else {
                 0
             });
@@ -376,9 +376,9 @@ impl Interpolator {
         let target = if halt || self.underrunning.is_some() {
             0
         } else {
-            self.override_rate
+            self.override_factor
         };
-        self.time += self.path_rate.advance(target, &braking).max(0) as u64;
+        self.time += self.speed_factor.advance(target, &braking).max(0) as u64;
         self.advance_segments(&mut progress);
         progress
     }
@@ -391,7 +391,7 @@ impl Interpolator {
                 progress.queue_empty = !self.from.is_at_standstill();
                 self.time = 0;
                 if progress.queue_empty {
-                    self.path_rate = Ramp::at(0);
+                    self.speed_factor = Ramp::at(0);
                 }
                 return;
             }
@@ -412,7 +412,7 @@ impl Interpolator {
             }
             match self.from.action {
                 Action::None => {}
-                Action::Pace(pace) => self.enter_pace(pace),
+                Action::OverrideMode(mode) => self.enter_override_mode(mode),
                 action @ (Action::Spindle(_)
                 | Action::Output { .. }
                 | Action::AnalogOutput { .. }) => progress.action = action,
@@ -434,12 +434,12 @@ impl Interpolator {
                     self.started = false;
                     return;
                 }
-                self.limit_path_rate();
+                self.limit_speed_factor();
             }
         }
     }
 
-    /// Pose, rates and accelerations at the present program time and path rate.
+    /// Pose, rates and accelerations at the present program time and speed factor.
     fn commanded(&self) -> PoseCommand {
         let mut commanded = PoseCommand::default();
         self.sample(&mut commanded);
@@ -474,8 +474,8 @@ impl Interpolator {
             *rate = sample.rate;
             *acceleration = sample.acceleration;
         }
-        if self.path_rate != Ramp::at(FULL_RATE) {
-            self.scale_to_path_rate(commanded);
+        if self.speed_factor != Ramp::at(FULL_FACTOR) {
+            self.scale_to_speed_factor(commanded);
         }
     }
 
@@ -488,18 +488,18 @@ impl Interpolator {
         }
     }
 
-    /// Scales rates and accelerations from the programmed speed to the path rate.
+    /// Scales rates and accelerations from the programmed speed to the speed factor.
     #[inline(never)]
-    fn scale_to_path_rate(&self, commanded: &mut PoseCommand) {
-        let rate = self.path_rate.value() >> 2;
+    fn scale_to_speed_factor(&self, commanded: &mut PoseCommand) {
+        let rate = self.speed_factor.value() >> 2;
         let rate_squared = product(rate, rate) >> 30;
-        let slope = self.path_rate.slope();
+        let slope = self.speed_factor.slope();
         let motions = commanded.rates.iter_mut().zip(&mut commanded.accelerations);
         for (axis_rate, acceleration) in motions.take(self.axes) {
             let speed = i64::from(axis_rate.0);
             *axis_rate = Rate((product(speed, rate) >> 30) as i32);
-            // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per control period. Path rate and
-            // its square are below 2^31, its slope is below 2^32: with 31 bits of rate or
+            // d2p/dt2 = p'' r^2 + p' dr/dt, with dr/dt in 2^-32 per control period. Speed factor
+            // and its square are below 2^31, its slope is below 2^32: with 31 bits of rate or
             // acceleration all products fit.
             let braking = product(product(speed, slope) >> 32, self.periods_per_second);
             let sum = total(

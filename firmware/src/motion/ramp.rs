@@ -1,8 +1,8 @@
 //! Motion of a value to a target with bounded slope and bounded change of slope.
 //!
-//! The path rate (hold, resume, stop, underrun, override) and the rate of every jogged axis use it.
-//! In each control period the slope changes by at most the jerk of [`RampLimits`] and is at most
-//! their slope, so value and slope are continuous.
+//! The speed factor (hold, resume, stop, underrun, override) and the rate of every jogged axis use
+//! it. In each control period the slope changes by at most the jerk of [`RampLimits`] and is at
+//! most their slope, so value and slope are continuous.
 //!
 //! Units: the caller's own fixed-point unit per control period. Values must stay below 2^44 and
 //! slopes below 2^31 in magnitude; [`RampLimits::new`] rejects limits beyond that.

@@ -157,7 +157,7 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
             | flags << 16
             | u32::from(snapshot.queued & 0xFFF) << 20,
         snapshot.setpoint,
-        u32::from(snapshot.path_rate) | u32::from(snapshot.spindle_rpm as u16) << 16,
+        u32::from(snapshot.speed_factor) | u32::from(snapshot.spindle_rpm as u16) << 16,
     ]);
     words.put_long(snapshot.program_time);
     words.put_axes(&snapshot.commanded);
@@ -249,7 +249,7 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
         more: head >> 19 & 1 != 0,
         queued: (head >> 20) as u16,
         setpoint,
-        path_rate: pair as u16,
+        speed_factor: pair as u16,
         spindle_rpm: (pair >> 16) as i16,
         program_time: words.take_long(),
         commanded: words.take_row(),

@@ -115,7 +115,7 @@ fn simple_commands_in_sequence() {
         "{homed:#}"
     );
     assert_eq!(homed["machine"], "h4");
-    assert_eq!(served.status()["path_rate"], 0.0);
+    assert_eq!(served.status()["speed_factor"], 0.0);
     // The home pose of the presets: X0 Y0 Z21.232.
     let at = |value: &serde_json::Value, name: &str| number(&value["commanded"], name);
     assert!(

@@ -440,7 +440,7 @@ impl Output {
             angle,
             sweep,
         };
-        let is_rapid = leg.pace == super::output::Pace::Rapid;
+        let is_rapid = leg.move_feed == super::output::MoveFeed::Rapid;
         self.leg(&Leg {
             to,
             arc: (!is_rapid).then_some(arc),

@@ -4,7 +4,7 @@ use super::block::{Block, letters};
 use super::canonical::Step;
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
-use super::output::Pace;
+use super::output::MoveFeed;
 use super::problem::{Cause, Mistake, Place};
 use super::state::{FeedMode, Turn};
 use super::tool_table::PerLetter;
@@ -29,7 +29,7 @@ struct Hole {
     dwell: f64,
     place: Place,
     at: usize,
-    pace: Pace,
+    move_feed: MoveFeed,
     /// The feed belongs to the speed of the spindle: the overrides have no effect.
     is_tapped: bool,
 }
@@ -210,11 +210,11 @@ impl Executor {
             dwell,
             place: here.place(at),
             at,
-            pace: self.pace(at, block)?,
+            move_feed: self.move_feed(at, block)?,
             is_tapped: matches!(number, 74 | 84),
         };
         if start[normal] < r {
-            self.level(&hole, r, Pace::Rapid)?;
+            self.level(&hole, r, MoveFeed::Rapid)?;
         }
         let step = [to[first] - start[first], to[second] - start[second]];
         for repeat in 1..=repeats as u32 {
@@ -224,9 +224,9 @@ impl Executor {
             over[second] = start[second] + step[1] * times;
             // Each hole counts distance and angle from the last one.
             self.polar_end(block, &mut over);
-            self.exact_to(&hole, over, Pace::Rapid)?;
+            self.exact_to(&hole, over, MoveFeed::Rapid)?;
             if number != 87 {
-                self.level(&hole, r, Pace::Rapid)?;
+                self.level(&hole, r, MoveFeed::Rapid)?;
             }
             self.machine_hole(number, &hole)?;
         }
@@ -234,8 +234,8 @@ impl Executor {
     }
 
     /// Moves to a position with an exact stop, as all moves of a cycle.
-    fn exact_to(&mut self, hole: &Hole, to: PerLetter, pace: Pace) -> Read<()> {
-        let mut leg = self.line_to(hole.place, to, pace);
+    fn exact_to(&mut self, hole: &Hole, to: PerLetter, move_feed: MoveFeed) -> Read<()> {
+        let mut leg = self.line_to(hole.place, to, move_feed);
         leg.exact_stop = true;
         leg.fixed |= hole.is_tapped;
         self.out.leg(&leg);
@@ -243,13 +243,13 @@ impl Executor {
         Ok(())
     }
 
-    fn level(&mut self, hole: &Hole, level: f64, pace: Pace) -> Read<()> {
+    fn level(&mut self, hole: &Hole, level: f64, move_feed: MoveFeed) -> Read<()> {
         let mut to = self.state.at;
         if to[hole.normal] == level {
             return Ok(());
         }
         to[hole.normal] = level;
-        self.exact_to(hole, to, pace)
+        self.exact_to(hole, to, move_feed)
     }
 
     fn machine_hole(&mut self, number: u8, hole: &Hole) -> Read<()> {
@@ -257,22 +257,22 @@ impl Executor {
             73 | 83 => {
                 let mut depth = hole.r - hole.peck;
                 while depth > hole.bottom + 1e-9 {
-                    self.level(hole, depth, hole.pace)?;
+                    self.level(hole, depth, hole.move_feed)?;
                     if number == 83 {
-                        self.level(hole, hole.r, Pace::Rapid)?;
+                        self.level(hole, hole.r, MoveFeed::Rapid)?;
                     }
-                    self.level(hole, depth + PECK_CLEARANCE_MM, Pace::Rapid)?;
+                    self.level(hole, depth + PECK_CLEARANCE_MM, MoveFeed::Rapid)?;
                     depth -= hole.peck;
                 }
-                self.level(hole, hole.bottom, hole.pace)?;
-                self.level(hole, hole.clear, Pace::Rapid)
+                self.level(hole, hole.bottom, hole.move_feed)?;
+                self.level(hole, hole.clear, MoveFeed::Rapid)
             }
             81 | 82 => {
-                self.level(hole, hole.bottom, hole.pace)?;
+                self.level(hole, hole.bottom, hole.move_feed)?;
                 if number == 82 {
                     self.push_dwell(hole.place, hole.dwell);
                 }
-                self.level(hole, hole.clear, Pace::Rapid)
+                self.level(hole, hole.clear, MoveFeed::Rapid)
             }
             74 | 84 => {
                 let turn = if number == 84 {
@@ -281,7 +281,7 @@ impl Executor {
                     Turn::CounterClockwise
                 };
                 self.check_turning(hole, number, Some(turn))?;
-                self.level(hole, hole.bottom, hole.pace)?;
+                self.level(hole, hole.bottom, hole.move_feed)?;
                 self.turn(
                     hole,
                     if number == 84 {
@@ -291,30 +291,30 @@ impl Executor {
                     },
                 );
                 self.push_dwell(hole.place, hole.dwell);
-                self.level(hole, hole.clear, hole.pace)?;
+                self.level(hole, hole.clear, hole.move_feed)?;
                 self.turn(hole, turn);
                 Ok(())
             }
             85 => {
-                self.level(hole, hole.bottom, hole.pace)?;
-                self.level(hole, hole.r, hole.pace)?;
-                self.level(hole, hole.clear, Pace::Rapid)
+                self.level(hole, hole.bottom, hole.move_feed)?;
+                self.level(hole, hole.r, hole.move_feed)?;
+                self.level(hole, hole.clear, MoveFeed::Rapid)
             }
             89 => {
-                self.level(hole, hole.bottom, hole.pace)?;
+                self.level(hole, hole.bottom, hole.move_feed)?;
                 self.push_dwell(hole.place, hole.dwell);
-                self.level(hole, hole.clear, hole.pace)
+                self.level(hole, hole.clear, hole.move_feed)
             }
             86 | 88 => {
                 self.check_turning(hole, number, None)?;
                 let turn = self.state.modes.turn;
-                self.level(hole, hole.bottom, hole.pace)?;
+                self.level(hole, hole.bottom, hole.move_feed)?;
                 self.push_dwell(hole.place, hole.dwell);
                 self.turn(hole, Turn::Off);
                 if number == 88 {
                     self.out.push(Step::Pause { place: hole.place });
                 }
-                self.level(hole, hole.clear, Pace::Rapid)?;
+                self.level(hole, hole.clear, MoveFeed::Rapid)?;
                 self.turn(hole, turn);
                 Ok(())
             }
@@ -366,18 +366,18 @@ impl Executor {
             at[hole.normal] = level;
             at
         };
-        self.level(hole, hole.r, Pace::Rapid)?;
-        self.exact_to(hole, at_level(&beside, hole.r), Pace::Rapid)?;
+        self.level(hole, hole.r, MoveFeed::Rapid)?;
+        self.exact_to(hole, at_level(&beside, hole.r), MoveFeed::Rapid)?;
         self.turn(hole, Turn::Off);
-        self.exact_to(hole, at_level(&beside, hole.bottom), Pace::Rapid)?;
-        self.exact_to(hole, at_level(&over, hole.bottom), Pace::Rapid)?;
+        self.exact_to(hole, at_level(&beside, hole.bottom), MoveFeed::Rapid)?;
+        self.exact_to(hole, at_level(&over, hole.bottom), MoveFeed::Rapid)?;
         self.turn(hole, turn);
-        self.exact_to(hole, at_level(&over, upper), hole.pace)?;
-        self.exact_to(hole, at_level(&over, hole.bottom), hole.pace)?;
+        self.exact_to(hole, at_level(&over, upper), hole.move_feed)?;
+        self.exact_to(hole, at_level(&over, hole.bottom), hole.move_feed)?;
         self.turn(hole, Turn::Off);
-        self.exact_to(hole, at_level(&beside, hole.bottom), Pace::Rapid)?;
-        self.exact_to(hole, at_level(&beside, hole.clear), Pace::Rapid)?;
-        self.exact_to(hole, at_level(&over, hole.clear), Pace::Rapid)?;
+        self.exact_to(hole, at_level(&beside, hole.bottom), MoveFeed::Rapid)?;
+        self.exact_to(hole, at_level(&beside, hole.clear), MoveFeed::Rapid)?;
+        self.exact_to(hole, at_level(&over, hole.clear), MoveFeed::Rapid)?;
         self.turn(hole, turn);
         Ok(())
     }

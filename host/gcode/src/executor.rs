@@ -4,7 +4,7 @@ use super::block::{AXIS_LETTERS, Block, Word};
 use super::canonical::Step;
 use super::codes::{Code, Group, word};
 use super::expression::{Read, Scan, text_of};
-use super::output::{Leg, Output, Pace};
+use super::output::{Leg, MoveFeed, Output};
 use super::problem::{Cause, Mistake, Notice, Place, place_of};
 use super::saved_modes::SavedModes;
 use super::series::{ControlPoint, Cycle};
@@ -453,12 +453,12 @@ impl Executor {
         }
     }
 
-    /// Returns the pace of a move at feed.
+    /// Returns the feed of a move.
     ///
     /// # Errors
     ///
     /// No feed is in force.
-    pub(crate) fn pace(&self, at: usize, block: &Block) -> Read<Pace> {
+    pub(crate) fn move_feed(&self, at: usize, block: &Block) -> Read<MoveFeed> {
         let modes = &self.state.modes;
         let missing = |what: &str, remedy: &str| {
             Err(Box::new(
@@ -467,7 +467,7 @@ impl Executor {
         };
         match modes.feed_mode {
             FeedMode::InverseTime => match block.value(b'F') {
-                Some(rate) if rate > 0.0 => Ok(Pace::Inverse(rate)),
+                Some(rate) if rate > 0.0 => Ok(MoveFeed::Inverse(rate)),
                 _ => missing(
                     "a move with inverse time (G93) without F",
                     "write F in each block: moves per minute",
@@ -489,7 +489,7 @@ impl Executor {
                     );
                 };
                 if modes.feed_mode == FeedMode::PerMinute {
-                    return Ok(Pace::PerMinute(modes.feed_mm, feed));
+                    return Ok(MoveFeed::PerMinute(modes.feed_mm, feed));
                 }
                 let rpm = self.rpm();
                 if modes.turn == Turn::Off || rpm < 1.0 {
@@ -498,13 +498,13 @@ impl Executor {
                         "start the spindle (S, M3) before",
                     );
                 }
-                Ok(Pace::PerMinute(modes.feed_mm * rpm, feed * rpm))
+                Ok(MoveFeed::PerMinute(modes.feed_mm * rpm, feed * rpm))
             }
         }
     }
 
     /// Returns a straight leg with the modes in force.
-    pub(crate) fn line_to(&self, place: Place, to: super::PerLetter, pace: Pace) -> Leg {
+    pub(crate) fn line_to(&self, place: Place, to: super::PerLetter, move_feed: MoveFeed) -> Leg {
         let (exact_stop, tolerance, joining) = match self.state.modes.path_control {
             PathControl::ExactStop => (true, None, None),
             PathControl::Blend { tolerance, joining } => (false, tolerance, joining),
@@ -514,7 +514,7 @@ impl Executor {
             to,
             arc: None,
             fixed: self.state.modes.fixed,
-            pace,
+            move_feed,
             exact_stop,
             tolerance,
             joining,

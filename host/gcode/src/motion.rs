@@ -7,7 +7,7 @@ use super::codes::{Code, Group, word};
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
 use super::frame::Frame;
-use super::output::{Leg, Pace};
+use super::output::{Leg, MoveFeed};
 use super::problem::{Cause, Mistake, Place};
 use super::state::{FeedMode, Motion, PROBE_DONE, PROBED};
 use super::tool_table::PerLetter;
@@ -218,21 +218,29 @@ impl Executor {
         self.check_polar(block, machine.is_some(), first.at)?;
         let to = self.target(block, machine.is_some());
         match motion {
-            Motion::Rapid => self.travel_to(to, Pace::Rapid, place, first.at),
+            Motion::Rapid => self.travel_to(to, MoveFeed::Rapid, place, first.at),
             Motion::Straight => {
-                let pace = self.pace(first.at, block);
-                let Ok(pace) = pace else {
+                let move_feed = self.move_feed(first.at, block);
+                let Ok(move_feed) = move_feed else {
                     self.state.at = to;
-                    return pace.map(|_| ());
+                    return move_feed.map(|_| ());
                 };
-                self.travel_to(to, pace, place, first.at)
+                self.travel_to(to, move_feed, place, first.at)
             }
             Motion::Clockwise | Motion::CounterClockwise => {
                 let at = code.map_or(first.at, |code| code.at);
                 // The end is known even if the arc is wrong.
                 let arc = self.arc(block, here, at, to);
-                match arc.and_then(|leg| Ok((leg, self.pace(first.at, block)?))) {
-                    Ok((leg, pace)) => self.travel(Leg { place, pace, ..leg }, to, first.at),
+                match arc.and_then(|leg| Ok((leg, self.move_feed(first.at, block)?))) {
+                    Ok((leg, move_feed)) => self.travel(
+                        Leg {
+                            place,
+                            move_feed,
+                            ..leg
+                        },
+                        to,
+                        first.at,
+                    ),
                     Err(found) => {
                         self.state.at = to;
                         Err(found)
@@ -337,22 +345,23 @@ impl Executor {
     pub(crate) fn travel_to(
         &mut self,
         to: PerLetter,
-        pace: Pace,
+        move_feed: MoveFeed,
         place: Place,
         at: usize,
     ) -> Read<()> {
-        let leg = self.line_to(place, to, pace);
+        let leg = self.line_to(place, to, move_feed);
         self.arc_is_refused = false;
         self.travel(leg, to, at)
     }
 
     fn travel(&mut self, mut leg: Leg, to: PerLetter, at: usize) -> Read<()> {
         let place = leg.place;
-        if let (Pace::Inverse(rate), Some(path)) = (leg.pace, self.out.path(&self.state.at, &leg))
+        if let (MoveFeed::Inverse(rate), Some(path)) =
+            (leg.move_feed, self.out.path(&self.state.at, &leg))
             && self.state.compensation != 400
         {
             // The feed is that of the programmed path, also around a corner.
-            leg.pace = Pace::PerMinute(rate * path.length, rate * path.length);
+            leg.move_feed = MoveFeed::PerMinute(rate * path.length, rate * path.length);
         }
         let done = self.out.travel(leg);
         self.state.at = to;
@@ -486,7 +495,7 @@ impl Executor {
                 }
             }
         };
-        let line = self.line_to(here.place(at), to, Pace::Rapid);
+        let line = self.line_to(here.place(at), to, MoveFeed::Rapid);
         Ok(Leg {
             arc: Some(arc),
             ..line
@@ -515,8 +524,8 @@ impl Executor {
                 "write G94 before",
             );
         }
-        let pace = self.pace(at, block)?;
-        let leg = self.line_to(place, to, pace);
+        let move_feed = self.move_feed(at, block)?;
+        let leg = self.line_to(place, to, move_feed);
         self.state.at = to;
         let Some(step) = self.out.build(&leg) else {
             return mistake(

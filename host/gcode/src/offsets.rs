@@ -5,7 +5,7 @@ use super::codes::{Code, Group, word};
 use super::compensation::Active;
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
-use super::output::Pace;
+use super::output::MoveFeed;
 use super::state::{G28, G30, G92, Z};
 use super::tool_table::{PerLetter, SYSTEMS, Tool};
 
@@ -273,7 +273,7 @@ impl Executor {
         let via = self.target(block, false);
         let has_words = block.has_any(AXIS_LETTERS);
         if has_words {
-            self.travel_to(via, Pace::Rapid, place, code.at)?;
+            self.travel_to(via, MoveFeed::Rapid, place, code.at)?;
         }
         let here = self.state.length.machine_pose(&self.state.at);
         let mut home = here;
@@ -295,7 +295,7 @@ impl Executor {
             to = self.state.in_machine(&point);
         }
         let to = self.state.length.tip_pose(&to);
-        self.travel_to(to, Pace::Rapid, place, code.at)
+        self.travel_to(to, MoveFeed::Rapid, place, code.at)
     }
 
     /// G10.

@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 
 /// Feed of a move before its length is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Pace {
+pub(crate) enum MoveFeed {
     Rapid,
     /// mm/min, and deg/min if only rotary axes move.
     PerMinute(f64, f64),
@@ -27,7 +27,7 @@ pub(crate) struct Leg {
     pub to: PerLetter,
     /// Arc with the indices of X, Y, Z.
     pub arc: Option<Arc>,
-    pub pace: Pace,
+    pub move_feed: MoveFeed,
     /// The overrides have no effect.
     pub fixed: bool,
     pub exact_stop: bool,
@@ -112,12 +112,12 @@ impl Output {
         // programmed one.
         self.at = leg.to;
         let path = path?;
-        let feed = match leg.pace {
-            Pace::Rapid => Feed::Rapid,
-            Pace::PerMinute(tip, turn) => {
+        let feed = match leg.move_feed {
+            MoveFeed::Rapid => Feed::Rapid,
+            MoveFeed::PerMinute(tip, turn) => {
                 Feed::PerMinute(if path.tip_length() > 0.0 { tip } else { turn })
             }
-            Pace::Inverse(rate) => Feed::PerMinute(rate * path.length),
+            MoveFeed::Inverse(rate) => Feed::PerMinute(rate * path.length),
         };
         Some(Move {
             place: leg.place,
@@ -125,7 +125,7 @@ impl Output {
             tool: self.tool,
             programmed: self.coordinates(&self.frame.in_program(&leg.to)),
             feed,
-            fixed: leg.fixed && leg.pace != Pace::Rapid,
+            fixed: leg.fixed && leg.move_feed != MoveFeed::Rapid,
             exact_stop: leg.exact_stop,
             tolerance: leg.tolerance,
             joining: leg.joining,

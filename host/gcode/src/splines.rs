@@ -6,7 +6,7 @@ use super::block::{Block, letters};
 use super::codes::Code;
 use super::executor::{Executor, Here, mistake};
 use super::expression::Read;
-use super::output::{Leg, Pace};
+use super::output::{Leg, MoveFeed};
 use super::path::Arc;
 use super::problem::{Cause, Mistake, Place};
 use super::series::ControlPoint;
@@ -332,10 +332,10 @@ impl Executor {
             };
             [from, towards(from), towards(end), end]
         };
-        let pace = self.pace(at, block)?;
+        let move_feed = self.move_feed(at, block)?;
         let mut pieces = Vec::new();
         divide(&Bezier(points), 0.0, 1.0, 0, &mut pieces);
-        self.run_pieces(&pieces, to, pace, here.place(at), at)
+        self.run_pieces(&pieces, to, move_feed, here.place(at), at)
     }
 
     fn check_spline(&self, block: &Block, here: &Here, name: &str, at: usize) -> Read<()> {
@@ -374,7 +374,7 @@ impl Executor {
         &mut self,
         pieces: &[Piece],
         to: PerLetter,
-        pace: Pace,
+        move_feed: MoveFeed,
         place: Place,
         at: usize,
     ) -> Read<()> {
@@ -395,16 +395,16 @@ impl Executor {
             }
             let mut point = self.state.at;
             (point[0], point[1]) = (end[0], end[1]);
-            let pace = match pace {
-                Pace::Inverse(rate) => Pace::Inverse(rate * total / length),
-                pace => pace,
+            let move_feed = match move_feed {
+                MoveFeed::Inverse(rate) => MoveFeed::Inverse(rate * total / length),
+                move_feed => move_feed,
             };
-            let line = self.line_to(place, point, pace);
+            let line = self.line_to(place, point, move_feed);
             let leg = Leg { arc: *arc, ..line };
             self.out.leg(&leg);
             self.state.at = point;
         }
-        let leg = self.line_to(place, to, pace);
+        let leg = self.line_to(place, to, move_feed);
         if distance([self.state.at[0], self.state.at[1]], [to[0], to[1]]) > 1e-6 {
             return mistake(at, "the spline does not reach its end", "check its words");
         }
@@ -511,7 +511,7 @@ impl Executor {
                 "write at least as many points as the order",
             );
         }
-        let pace = self.pace(code.at, block)?;
+        let move_feed = self.move_feed(code.at, block)?;
         let mut to = self.state.at;
         (to[0], to[1]) = (last.at[0], last.at[1]);
         let mut pieces = Vec::new();
@@ -524,7 +524,7 @@ impl Executor {
             let low = span as f64;
             divide(&curve, low, low + 1.0, 0, &mut pieces);
         }
-        self.run_pieces(&pieces, to, pace, here.place(code.at), code.at)
+        self.run_pieces(&pieces, to, move_feed, here.place(code.at), code.at)
     }
 
     /// Refuses another motion while the points of a NURBS are read.

@@ -33,12 +33,19 @@ fn program(letters: &str, height: f64, word: &str) -> String {
     text + "M2\n"
 }
 
-/// FNV-1a.
+/// FNV-1a of the values, without the names of types and fields.
 fn digest(plan: &Plan) -> u64 {
-    let text = format!("{:?}", plan.setpoints);
-    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
-    })
+    let mut values = Vec::new();
+    for setpoint in &plan.setpoints {
+        let of_setpoint = (setpoint.periods, &setpoint.pose, &setpoint.rates);
+        values.extend(postcard::to_stdvec(&(of_setpoint, setpoint.action)).expect("values"));
+    }
+    values
+        .iter()
+        .copied()
+        .fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+        })
 }
 
 /// Number of setpoints and digest of the plan on some machines.
@@ -81,20 +88,20 @@ fn setpoints_keep_their_bits() {
     assert_eq!(
         digests("Q0"),
         [
-            "h4 2700 197e924037436a80",
-            "mill3-servo 2527 8da0599f80723a3b",
-            "trunnion5 2536 1c7b3e756305c83c",
-            "delta3 2675 1143c6888316e6ae",
+            "h4 2700 8a057bf15319c5c2",
+            "mill3-servo 2527 ddd00c836d131a7f",
+            "trunnion5 2536 ea29ab3d17d9efe5",
+            "delta3 2675 6216765a108b5c6a",
         ]
     );
     // They are joined within half of P.
     assert_eq!(
         digests(""),
         [
-            "h4 1459 b21420883c18a1e1",
-            "mill3-servo 1373 efe1bfbf548faf18",
-            "trunnion5 1376 7af42deacc601353",
-            "delta3 1762 23eba2efed0bccbf",
+            "h4 1459 68d98ad436ab7e9a",
+            "mill3-servo 1373 cf754c9a8e321038",
+            "trunnion5 1376 03517ffe96a0dd09",
+            "delta3 1762 8ef9f9fdd8d380d2",
         ]
     );
 }

@@ -84,7 +84,7 @@ impl Corner {
             (Some(one), Some(other)) => one.min(other),
             (one, other) => one.or(other).unwrap_or(settings.tolerance_mm),
         };
-        // At standstill the path rate takes that of the overrides, or 1 without them, at once.
+        // At standstill the speed factor takes that of the overrides, or 1 without them, at once.
         let is_alike =
             (before.path.measure, before.is_fixed) == (after.path.measure, after.is_fixed);
         if before.exact_stop || tolerance < 1e-6 || !is_alike {

@@ -49,7 +49,7 @@ mod limits;
 mod lookahead;
 mod messages;
 mod outputs;
-mod pace;
+mod override_mode;
 mod plan;
 mod planner;
 mod profile;

@@ -91,7 +91,7 @@ pub struct Settings {
     /// Shortest segment duration, seconds, except before a standstill. With a duration T, half a
     /// unit of rounding is a jerk of 6 units / T^3: at 5 ms 46 mm/s^3, 1 % of the default.
     pub shortest_span_s: f64,
-    /// Time in which the controller changes the path rate by the programmed speed, and time in
+    /// Time in which the controller changes the speed factor by the programmed speed, and time in
     /// which such a change builds up, seconds.
     pub braking_s: [f64; 2],
 }

@@ -2,10 +2,10 @@
 
 use super::block::check_motion;
 use super::limits::{MachineModel, Settings};
-use super::pace::Pacer;
+use super::override_mode::ModeFinder;
 use super::trajectory::{CUBIC_ERROR_MM, Cursor, Knot, Trajectory};
 use haptimill_gcode::{Coordinates, Place, Problem, ToolLength};
-use haptimill_protocol::message::{Action, AxisValues, Pace, RATE_SHIFT};
+use haptimill_protocol::message::{Action, AxisValues, OverrideMode, RATE_SHIFT};
 use haptimill_protocol::setpoint::Setpoint;
 use std::collections::VecDeque;
 
@@ -64,9 +64,9 @@ pub(crate) struct Emitter {
     /// First piece whose knot was not looked at, and the piece at the last setpoint.
     next_piece: usize,
     span_piece: usize,
-    pacer: Pacer,
-    /// Pace behind the setpoint before the last one.
-    pace: Pace,
+    mode_finder: ModeFinder,
+    /// Override mode behind the setpoint before the last one.
+    override_mode: OverrideMode,
     /// How far the trajectory is known, and whether the motion stops there.
     known: (f64, bool),
     /// Setpoints that are made.
@@ -93,8 +93,8 @@ impl Emitter {
             knots: VecDeque::new(),
             next_piece: 0,
             span_piece: 0,
-            pacer: Pacer::new(settings.braking_s[0], settings.braking_s[1]),
-            pace: Pace::FEED,
+            mode_finder: ModeFinder::new(settings.braking_s[0], settings.braking_s[1]),
+            override_mode: OverrideMode::FEED,
             known: (0.0, false),
             made: Vec::new(),
             count: 0,
@@ -178,15 +178,15 @@ impl Emitter {
         pose: &Coordinates,
         settings: &Settings,
     ) -> f64 {
-        // The pace of the run is the action of the last setpoint. If that has another action, the
-        // pace changes at the first setpoint of the run; a move at feed that `slows` after a rapid
-        // move must not begin like one.
+        // The override mode of the run is the action of the last setpoint. If that has another
+        // action, the override mode changes at the first setpoint of the run; a move at feed that
+        // `slows` after a rapid move must not begin like one.
         let last = self.made.last();
         if slows && last.is_none_or(|last| last.setpoint.action != Action::None) {
             let place = last.map_or_else(Place::default, |last| last.place);
             self.rest(pose, 0.0, place, settings);
         }
-        self.pacer.begin(trajectory.pieces.len());
+        self.mode_finder.begin(trajectory.pieces.len());
         self.begin = self.last;
         self.knots.clear();
         self.knots.push_back((self.last, Knot::Step));
@@ -199,7 +199,7 @@ impl Emitter {
     pub(crate) fn discard(&mut self, pieces: usize) {
         self.next_piece = self.next_piece.saturating_sub(pieces);
         self.span_piece = self.span_piece.saturating_sub(pieces);
-        self.pacer.discard(pieces);
+        self.mode_finder.discard(pieces);
         self.cursor = Cursor::default();
     }
 
@@ -352,7 +352,7 @@ impl Emitter {
         let is_rapid = leg.is_rapid;
         self.messages = leg.messages;
         let is_fixed = leg.is_fixed;
-        self.set_pace(trajectory, [from, to], is_fixed);
+        self.set_override_mode(trajectory, [from, to], is_fixed);
         self.push(to, &pose, &rates, (place, is_rapid), settings);
         checked.map(|_| ()).map_err(|(what, remedy)| Problem {
             place,
@@ -361,20 +361,27 @@ impl Emitter {
         })
     }
 
-    /// Sets the pace of the motion between two periods, as the action of the last setpoint. An
-    /// action that is there has priority: the pace changes one setpoint later.
-    fn set_pace(&mut self, trajectory: &Trajectory, span: [u64; 2], is_fixed: bool) {
+    /// Sets the override mode of the motion between two periods, as the action of the last
+    /// setpoint. An action that is there has priority: the override mode changes one setpoint
+    /// later.
+    fn set_override_mode(&mut self, trajectory: &Trajectory, span: [u64; 2], is_fixed: bool) {
         let span = span.map(|period| period as f64 * self.period);
-        let of_overrides = self.pacer.pace(trajectory, span, self.known, self.period);
-        let pace = if is_fixed { Pace::FIXED } else { of_overrides };
-        if pace == self.pace {
+        let of_overrides = self
+            .mode_finder
+            .mode(trajectory, span, self.known, self.period);
+        let mode = if is_fixed {
+            OverrideMode::FIXED
+        } else {
+            of_overrides
+        };
+        if mode == self.override_mode {
             return;
         }
         if let Some(last) = self.made.last_mut()
             && last.setpoint.action == Action::None
         {
-            last.setpoint.action = Action::Pace(pace);
-            self.pace = pace;
+            last.setpoint.action = Action::OverrideMode(mode);
+            self.override_mode = mode;
         }
     }
 

@@ -44,7 +44,7 @@ fn circle(outside: f64, late: f64) -> (TempPath, Recorded) {
             period: 77 + index,
             setpoint: (index / 500) as u32,
             line: 1 + (index / 50_000) as u32,
-            path_rate: haptimill_protocol::message::FULL_PATH_RATE,
+            speed_factor: haptimill_protocol::message::FULL_SPEED_FACTOR,
             spindle_rpm: 5000,
             state: State::Run,
             flags: flag::HOMED | flag::POSITION_KEPT | flag::TOOL_TRUE | flag::PROGRAMMED,

@@ -89,7 +89,7 @@ const MAX_FORCES: usize = 10_000;
 
 /// Periods between two reports, and the bandwidth of the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Pace {
+pub struct LinkRates {
     /// Time between two reports of the master, microseconds.
     pub every_us: u32,
     /// Bytes per second; 0 for no limit.
@@ -140,15 +140,15 @@ impl<L: Line> Arm<L> {
         line: L,
         machine: &MachineFile,
         board: Option<Chosen>,
-        pace: Pace,
+        rates: LinkRates,
         numbers: Numbers,
     ) -> Result<Self, Error> {
         Self::check(machine)?;
         let mut options = Options::default();
-        options.timing.line_rate = pace.line_rate;
+        options.timing.line_rate = rates.line_rate;
         options.connect_us = CONNECT_US;
         let period_us = u32::from(machine.config.period_us.max(1));
-        let every = (pace.every_us / period_us).clamp(1, u32::from(u16::MAX)) as u16;
+        let every = (rates.every_us / period_us).clamp(1, u32::from(u16::MAX)) as u16;
         let commands = vec![Command::Enable, Command::MasterTelemetry { every }];
         let startup = Startup::new(machine, board, commands)?;
         let mut session = Session::new(line, machine, options, Arc::default())

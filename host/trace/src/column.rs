@@ -38,7 +38,7 @@ enum Field {
     State,
     Setpoint,
     Line,
-    PathRate,
+    SpeedFactor,
     Spindle,
     Flag(u8),
     EnablingSwitch,
@@ -111,9 +111,9 @@ impl Column {
             Field::State => Value::State(record.state),
             Field::Setpoint => Value::Whole(i64::from(record.setpoint)),
             Field::Line => Value::Whole(i64::from(record.line)),
-            Field::PathRate => Value::Real(
-                f64::from(record.path_rate)
-                    / f64::from(haptimill_protocol::message::FULL_PATH_RATE),
+            Field::SpeedFactor => Value::Real(
+                f64::from(record.speed_factor)
+                    / f64::from(haptimill_protocol::message::FULL_SPEED_FACTOR),
                 5,
             ),
             Field::Spindle => Value::Whole(i64::from(record.spindle_rpm)),
@@ -171,7 +171,7 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         Column::plain("state", "state", "", Field::State),
         Column::plain("setpoint", "state", "", Field::Setpoint),
         Column::plain("line", "state", "", Field::Line),
-        Column::plain("path_rate", "state", "", Field::PathRate),
+        Column::plain("speed_factor", "state", "", Field::SpeedFactor),
         Column::plain("spindle_rpm", "state", "rpm", Field::Spindle),
         Column::plain("homed", "state", "", Field::Flag(flag::HOMED)),
         Column::plain(

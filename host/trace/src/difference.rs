@@ -93,9 +93,9 @@ pub fn first_unequal_field(
         ),
         ("line", one.line.to_string(), other.line.to_string()),
         (
-            "path rate",
-            one.path_rate.to_string(),
-            other.path_rate.to_string(),
+            "speed factor",
+            one.speed_factor.to_string(),
+            other.speed_factor.to_string(),
         ),
         (
             "spindle",

@@ -55,7 +55,7 @@
 //! | 0 | u64 | control period |
 //! | 8 | u32 | setpoint that the motion is heading for |
 //! | 12 | u32 | line of the program, or 0 |
-//! | 16 | u16 | path rate, 65535 for the programmed one |
+//! | 16 | u16 | speed factor, 32768 for the programmed speed |
 //! | 18 | i16 | spindle, rev/min; counter-clockwise below 0 |
 //! | 20 | u8 | state, in the order of [`State`] |
 //! | 21 | u8 | flags, see [`flag`] |
@@ -198,8 +198,8 @@ pub struct Record {
     pub setpoint: u32,
     /// Line of the program, or 0.
     pub line: u32,
-    /// Path rate, 65535 for the programmed one.
-    pub path_rate: u16,
+    /// Speed factor, 32768 for the programmed speed.
+    pub speed_factor: u16,
     /// Spindle, rev/min.
     pub spindle_rpm: i16,
     /// State of the controller.
@@ -307,7 +307,7 @@ impl Record {
     pub fn set_snapshot(&mut self, period: u64, snapshot: &Snapshot) {
         self.period = period;
         self.setpoint = snapshot.setpoint;
-        self.path_rate = snapshot.path_rate;
+        self.speed_factor = snapshot.speed_factor;
         self.spindle_rpm = snapshot.spindle_rpm;
         self.state = snapshot.state;
         self.commanded = snapshot.commanded;
@@ -373,7 +373,7 @@ impl Record {
         bytes[0..8].copy_from_slice(&self.period.to_le_bytes());
         bytes[8..12].copy_from_slice(&self.setpoint.to_le_bytes());
         bytes[12..16].copy_from_slice(&self.line.to_le_bytes());
-        bytes[16..18].copy_from_slice(&self.path_rate.to_le_bytes());
+        bytes[16..18].copy_from_slice(&self.speed_factor.to_le_bytes());
         bytes[18..20].copy_from_slice(&self.spindle_rpm.to_le_bytes());
         bytes[20] = self.state.number();
         bytes[21] = self.flags;
@@ -420,7 +420,7 @@ impl Record {
             period: u64::from_le_bytes(std::array::from_fn(|i| bytes[i])),
             setpoint: word(8) as u32,
             line: word(12) as u32,
-            path_rate: half(16),
+            speed_factor: half(16),
             spindle_rpm: half(18) as i16,
             state: *State::ALL.get(usize::from(bytes[20]))?,
             flags: bytes[21],

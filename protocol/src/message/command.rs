@@ -99,9 +99,9 @@ pub enum Command {
         source: Source,
     },
     /// Feed override: speed of moves at feed in percent of the programmed one, 0 to 200. Above 100
-    /// the [`Pace`] of a move bounds it.
+    /// the [`OverrideMode`] of a move bounds it.
     ///
-    /// [`Pace`]: super::Pace
+    /// [`OverrideMode`]: super::OverrideMode
     Override {
         /// Percent.
         percent: u8,

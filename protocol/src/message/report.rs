@@ -54,10 +54,10 @@ pub struct Telemetry {
     pub setpoint: u32,
     /// Program time of the job in control periods; it does not advance while the machine waits.
     pub program_periods: u32,
-    /// Path rate, [`FULL_PATH_RATE`] for the programmed speed.
+    /// Speed factor, [`FULL_SPEED_FACTOR`] for the programmed speed.
     ///
-    /// [`FULL_PATH_RATE`]: super::FULL_PATH_RATE
-    pub path_rate: u16,
+    /// [`FULL_SPEED_FACTOR`]: super::FULL_SPEED_FACTOR
+    pub speed_factor: u16,
     /// Commanded pose, axis units.
     pub commanded: AxisValues,
     /// Measured pose, axis units; empty while the forward kinematics has no verified answer.

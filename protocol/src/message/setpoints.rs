@@ -1,6 +1,6 @@
 //! Setpoints of a job, and the actions at them.
 
-use super::{MAX_AXES, Pace, SETPOINT_BATCH};
+use super::{MAX_AXES, OverrideMode, SETPOINT_BATCH};
 use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -59,6 +59,6 @@ pub enum Action {
         /// The code.
         code: i16,
     },
-    /// Sets the pace of the motion from this setpoint on.
-    Pace(Pace),
+    /// Sets the override mode of the motion from this setpoint on.
+    OverrideMode(OverrideMode),
 }

@@ -1,7 +1,8 @@
 //! Sentences that need no data of the machine.
 
 use crate::message::{
-    Action, Command, ConfigField, HelloRefusal, HomingProblem, OutputProblem, Pace, Source, State,
+    Action, Command, ConfigField, HelloRefusal, HomingProblem, OutputProblem, OverrideMode, Source,
+    State,
 };
 use core::fmt::{Display, Formatter, Result};
 
@@ -55,10 +56,10 @@ impl Display for Action {
             Self::None => f.write_str("nothing"),
             Self::Spindle(0) => f.write_str("spindle off"),
             Self::Spindle(speed) => write!(f, "spindle to {speed} rev/min"),
-            Self::Pace(Pace::RAPID) => f.write_str("rapid"),
-            Self::Pace(Pace::CROSSING) => f.write_str("feed or rapid"),
-            Self::Pace(Pace::FIXED) => f.write_str("fixed speed"),
-            Self::Pace(pace) => write!(f, "feed up to {} %", pace.most()),
+            Self::OverrideMode(OverrideMode::RAPID) => f.write_str("rapid"),
+            Self::OverrideMode(OverrideMode::FEED_AND_RAPID) => f.write_str("feed or rapid"),
+            Self::OverrideMode(OverrideMode::FIXED) => f.write_str("fixed speed"),
+            Self::OverrideMode(mode) => write!(f, "feed up to {} %", mode.max_percent()),
             Self::Pause => f.write_str("pause"),
             Self::Output { output, on } => {
                 let on = if *on { "on" } else { "off" };

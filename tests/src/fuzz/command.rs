@@ -4,7 +4,7 @@ use super::rng::Rng;
 use haptimill_protocol::force::{EnableCondition, ForceLoop};
 use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, MasterPose, VirtualFixture};
 use haptimill_protocol::message::{
-    Action, AxisValues, Command, ConfigChunk, Pace, SetpointBatch, SetpointDelta, Source,
+    Action, AxisValues, Command, ConfigChunk, OverrideMode, SetpointBatch, SetpointDelta, Source,
 };
 
 /// Returns an edge value, a small or any 32-bit value.
@@ -139,7 +139,7 @@ fn action(rng: &mut Rng) -> Action {
     match rng.below(8) {
         0 => Action::Pause,
         1 => Action::Spindle(30_000),
-        2 => Action::Pace(pace(rng)),
+        2 => Action::OverrideMode(override_mode(rng)),
         3 => Action::Output {
             output: rng.choose(&[0, 1, 2, 255]),
             on: rng.chance(0.5),
@@ -152,13 +152,17 @@ fn action(rng: &mut Rng) -> Action {
     }
 }
 
-/// Returns any pace, most of them valid.
-pub fn pace(rng: &mut Rng) -> Pace {
+/// Returns any override mode, most of them valid.
+pub fn override_mode(rng: &mut Rng) -> OverrideMode {
     match rng.below(6) {
-        0 => Pace(rng.bits() as u8),
-        1 => rng.choose(&[Pace::RAPID, Pace::CROSSING, Pace::FIXED]),
-        2 => Pace::FEED,
-        _ => Pace::feed_up_to(rng.uniform(101.0, 200.0) as u8),
+        0 => OverrideMode(rng.bits() as u8),
+        1 => rng.choose(&[
+            OverrideMode::RAPID,
+            OverrideMode::FEED_AND_RAPID,
+            OverrideMode::FIXED,
+        ]),
+        2 => OverrideMode::FEED,
+        _ => OverrideMode::feed_up_to(rng.uniform(101.0, 200.0) as u8),
     }
 }
 

@@ -3,7 +3,7 @@
 use super::units::{DEGREE, MM, PERIOD};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::machines::h4::{Arm, ArmGeometry, Tip};
-use haptimill_protocol::message::{Action, Pace};
+use haptimill_protocol::message::{Action, OverrideMode};
 use haptimill_protocol::setpoint::Setpoint;
 
 /// The simulator's geometry, for commanded joints and poses.
@@ -169,8 +169,8 @@ impl PlannedJob {
         }
         if let Some((time, reached)) = self.last {
             let passed = seen.time.wrapping_sub(time);
-            // The ramp of the path rate may exceed the largest factor of the paces by some parts in
-            // 10^7 by rounding.
+            // The ramp of the speed factor may exceed the largest factor of the modes by some parts
+            // in 10^7 by rounding.
             let percent = self.largest_factor(seen.reached);
             if passed > ((1 << 32) + (1 << 13)) * percent / 100 {
                 return Err(format!(
@@ -215,12 +215,12 @@ impl PlannedJob {
             let highest = i32::from(i16::MAX);
             speed.clamp(-highest, highest) == i32::from(seen.spindle)
         };
-        let pace = self.setpoints[..place].iter().rev();
-        let pace = pace.filter_map(|setpoint| match setpoint.action {
-            Action::Pace(pace) => Some(pace),
+        let mode = self.setpoints[..place].iter().rev();
+        let mode = mode.filter_map(|setpoint| match setpoint.action {
+            Action::OverrideMode(mode) => Some(mode),
             _ => None,
         });
-        let is_fixed = pace.take(1).any(|pace| pace == Pace::FIXED);
+        let is_fixed = mode.take(1).any(|mode| mode == OverrideMode::FIXED);
         let overrides = match seen.spindle_overrides.as_slice() {
             [] => Vec::new(),
             _ if is_fixed => vec![100],
@@ -248,11 +248,11 @@ impl PlannedJob {
         Ok(distance(&seen.pose, &planned))
     }
 
-    /// Returns the largest factor that the paces of the first `reached` setpoints allow, percent.
+    /// Returns the largest factor that the modes of the first `reached` setpoints allow, percent.
     fn largest_factor(&self, reached: u32) -> u64 {
         let setpoints = self.setpoints.iter().take(reached as usize);
         let factors = setpoints.filter_map(|setpoint| match setpoint.action {
-            Action::Pace(pace) => Some(u64::from(pace.most())),
+            Action::OverrideMode(mode) => Some(u64::from(mode.max_percent())),
             _ => None,
         });
         factors.max().unwrap_or(100)

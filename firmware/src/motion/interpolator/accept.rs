@@ -40,7 +40,7 @@ impl Interpolator {
         {
             return Err(bad);
         }
-        if matches!(setpoint.action, Action::Pace(pace) if !pace.is_valid()) {
+        if matches!(setpoint.action, Action::OverrideMode(mode) if !mode.is_valid()) {
             return Err(bad);
         }
         self.set_duration(setpoint.periods).ok_or(bad)?;
@@ -111,7 +111,7 @@ impl Interpolator {
         let _ = self.queue.push_back(self.tail);
         self.queued_periods += u64::from(setpoint.periods);
         self.stops_ahead += u32::from(self.tail.is_at_standstill());
-        self.accepted_pace.accept(setpoint, self.pace_periods);
+        self.accepted_modes.accept(setpoint, self.ramp_periods);
         self.accepted = self.accepted.wrapping_add(1);
         if let Some(underrunning) = self.underrunning
             && underrunning.setpoint == number
@@ -162,7 +162,7 @@ impl Interpolator {
     /// within 16 times that of a jog. A setpoint beyond these bounds is an error of the host.
     fn is_within_limits(&self, axis: usize, place: i32, rate: i32) -> bool {
         let (duration, mut limit) = (&self.duration, self.rate_limits[axis]);
-        let most = i32::from(self.most());
+        let most = i32::from(self.max_percent());
         if most > 100 {
             limit = limit / most * 100;
         }

@@ -1,25 +1,25 @@
 //! Retraction along the path, away from an excessive force.
 //!
 //! The path already travelled is free of obstacles. The setpoints passed last are stored, and the
-//! retraction evaluates the same segment polynomials at a negative path rate. Its length is limited
-//! to [`PASSED`] setpoints.
+//! retraction evaluates the same segment polynomials at a negative speed factor. Its length is
+//! limited to [`PASSED`] setpoints.
 //!
 //! Callers must not resume a job after a retraction: the setpoints retracted over are no longer in
 //! the queue.
 
-use super::{FULL_RATE, Interpolator, Knot};
+use super::{FULL_FACTOR, Interpolator, Knot};
 use crate::motion::ramp::RampLimits;
 
 /// Number of stored setpoints.
 pub(super) const PASSED: usize = 16;
 
-/// Path rate of the retraction: a quarter of the programmed speed.
-const BACK_RATE: i64 = FULL_RATE / 4;
+/// Speed factor of the retraction: a quarter of the programmed speed.
+const BACK_RATE: i64 = FULL_FACTOR / 4;
 
 impl Interpolator {
-    /// Ends the job: once the path rate is zero, the machine retracts for `periods` control periods
-    /// of program time, as far as setpoints are stored. [`Interpolator::is_at_standstill`] tells
-    /// when the retraction is complete.
+    /// Ends the job: once the speed factor is zero, the machine retracts for `periods` control
+    /// periods of program time, as far as setpoints are stored. [`Interpolator::is_at_standstill`]
+    /// tells when the retraction is complete.
     pub fn retract(&mut self, periods: u32) {
         self.retract_left = u64::from(periods) << 32;
     }
@@ -35,7 +35,7 @@ impl Interpolator {
 
     /// Advances the retraction by one control period; false while the machine still moves forwards.
     pub(super) fn is_retracting(&mut self, braking: &RampLimits) -> bool {
-        if self.path_rate.value() > 0 {
+        if self.speed_factor.value() > 0 {
             return false;
         }
         let stored: u64 = self.passed.iter().map(|knot| u64::from(knot.periods)).sum();
@@ -53,7 +53,7 @@ impl Interpolator {
         let available = (stored - first + last) << 32;
         self.retract_left = self.retract_left.min(available + self.time);
         // The distance if the retraction continues for one period and decelerates then.
-        let mut rate = self.path_rate;
+        let mut rate = self.speed_factor;
         let next = rate.advance(-BACK_RATE, braking).min(0).unsigned_abs();
         let stopping = rate.stopping_range(braking);
         let needed = next.saturating_add(stopping.map_or(u64::MAX, |(far, _)| far.unsigned_abs()));
@@ -63,12 +63,12 @@ impl Interpolator {
             0
         };
         let step = self
-            .path_rate
+            .speed_factor
             .advance(target, braking)
             .min(0)
             .unsigned_abs();
         self.retract_left = self.retract_left.saturating_sub(step);
-        if target == 0 && self.path_rate.is_zero() {
+        if target == 0 && self.speed_factor.is_zero() {
             self.retract_left = 0;
         }
         self.advance_retract(step);

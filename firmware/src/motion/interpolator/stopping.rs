@@ -21,13 +21,13 @@ impl Interpolator {
             return envelope;
         };
         let mut rate = if self.started {
-            self.path_rate
+            self.speed_factor
         } else {
-            Ramp::at(self.override_rate)
+            Ramp::at(self.override_factor)
         };
-        let next = rate.advance(self.override_rate, &braking).max(0) as u64;
-        // Upper bound of the path rate up to standstill, 2^-16.
-        let pace = rate.peak(&braking).max(self.path_rate.value()) >> 16;
+        let next = rate.advance(self.override_factor, &braking).max(0) as u64;
+        // Upper bound of the speed factor up to standstill, 2^-16.
+        let factor = rate.peak(&braking).max(self.speed_factor.value()) >> 16;
         let stopping = rate.stopping_range(&braking);
         let mut ahead =
             next.saturating_add(stopping.map_or(u64::MAX, |(_, far)| far.unsigned_abs()));
@@ -49,7 +49,7 @@ impl Interpolator {
                     axis,
                     [begin.position.0, end.position.0],
                     [begin.rate.0, end.rate.0].map(i64::from),
-                    (third, pace),
+                    (third, factor),
                 );
             }
             ahead = ahead.saturating_sub(left);
@@ -70,7 +70,7 @@ impl Interpolator {
                     axis,
                     [from.pose[axis], knot.pose[axis]],
                     [from.rates[axis], knot.rates[axis]].map(|rate| i64::from(rate) << RATE_SHIFT),
-                    (third, pace),
+                    (third, factor),
                 );
             }
             ahead = ahead.saturating_sub(u64::from(knot.periods) << 32);
@@ -80,18 +80,18 @@ impl Interpolator {
     }
 
     /// Adds the control points of one axis between two positions. The rates are in axis units per
-    /// second (below 2^32), `third` is a [`third`] of the time, and `pace` is the largest path rate
-    /// in it. The rates of the box are those at its ends.
+    /// second (below 2^32), `third` is a [`third`] of the time, and `factor` is the largest speed
+    /// factor in it. The rates of the box are those at its ends.
     fn extend_by_hull(
         &self,
         envelope: &mut StoppingEnvelope,
         axis: usize,
         [from, to]: [i32; 2],
         rates: [i64; 2],
-        (third, pace): (i64, i64),
+        (third, factor): (i64, i64),
     ) {
         for rate in rates {
-            envelope.extend_rate(axis, (rate * pace) >> 16);
+            envelope.extend_rate(axis, (rate * factor) >> 16);
         }
         let distance = self.distance(axis, from, to);
         let [first, second] = rates.map(|rate| (rate * third) >> 22);

@@ -1,12 +1,12 @@
 //! Underrun monitor: whether the setpoint queue covers the stopping distance.
 
-use super::{FULL_RATE, Interpolator, Ramp, Underrun};
+use super::{FULL_FACTOR, Interpolator, Ramp, Underrun};
 use crate::motion::ramp::RampLimits;
 
 impl Interpolator {
-    /// Whether motion from standstill may begin at any path rate: the queue is long enough to stop
-    /// again if no more setpoints arrive. It contains a setpoint at standstill, or lasts longer
-    /// than braking.
+    /// Whether motion from standstill may begin at any speed factor: the queue is long enough to
+    /// stop again if no more setpoints arrive. It contains a setpoint at standstill, or lasts
+    /// longer than braking.
     pub(super) fn can_pass_stop(&self) -> bool {
         self.total.is_some()
             || self.stops_ahead > 0
@@ -14,8 +14,8 @@ impl Interpolator {
     }
 
     /// Whether motion from standstill may begin at all. A full queue also suffices, if its
-    /// durations are so short that it lasts less than braking. Motion then begins at path rate 0,
-    /// which rises only as far as the queue allows.
+    /// durations are so short that it lasts less than braking. Motion then begins at speed factor
+    /// 0, which rises only as far as the queue allows.
     pub(super) fn can_start(&self) -> bool {
         self.can_pass_stop() || self.queue.is_full()
     }
@@ -33,10 +33,10 @@ impl Interpolator {
             return;
         }
         let remaining = self.remaining_periods();
-        let needed = if self.path_rate == Ramp::at(FULL_RATE) {
+        let needed = if self.speed_factor == Ramp::at(FULL_FACTOR) {
             self.braking_periods
         } else {
-            self.path_rate
+            self.speed_factor
                 .stopping_range(braking)
                 .map_or(u64::MAX - 2, |(_, ahead)| ahead.unsigned_abs() >> 32)
         } + 2;

@@ -119,7 +119,7 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
         .and_then(|()| out.flush())
         .map_err(output)?;
     let start = Instant::now();
-    let mut pace = Pace::new(u64::from(machine.config.period_us) * 1000);
+    let mut time_sync = TimeSync::new(u64::from(machine.config.period_us) * 1000);
     let mut buffer = [0; 4096];
     let mut outgoing = Vec::new();
     let mut has_host = false;
@@ -129,7 +129,7 @@ pub fn serve(args: ServeArgs) -> Result<(), CliError> {
             .is_none_or(|limit| start.elapsed().as_secs_f64() < limit)
     {
         let now_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
-        for _ in 0..pace.due(now_ns, rig.time_ns()) {
+        for _ in 0..time_sync.due(now_ns, rig.time_ns()) {
             if let Some(operator) = &mut operator {
                 operator.act(&mut rig);
             }
@@ -183,13 +183,13 @@ const POLL: Duration = Duration::from_micros(200);
 const MAX_LAG: Duration = Duration::from_millis(20);
 
 /// Synchronises virtual time with real time.
-pub(crate) struct Pace {
+pub(crate) struct TimeSync {
     period_ns: u64,
     /// Real time that virtual time does not catch up.
     skipped_ns: u64,
 }
 
-impl Pace {
+impl TimeSync {
     pub(crate) const fn new(period_ns: u64) -> Self {
         Self {
             period_ns,
@@ -311,10 +311,10 @@ mod tests {
 
     #[test]
     fn virtual_time_follows_real_time_and_skips_long_delays() {
-        let mut pace = Pace::new(200_000);
+        let mut time_sync = TimeSync::new(200_000);
         let mut virtual_ns = 0;
         let mut step = |real_ns: u64| {
-            let periods = pace.due(real_ns, virtual_ns);
+            let periods = time_sync.due(real_ns, virtual_ns);
             virtual_ns += periods * 200_000;
             (periods, virtual_ns)
         };

@@ -2,7 +2,7 @@
 
 use super::io_status::IoStatus;
 use haptimill_machine_file::model::Model;
-use haptimill_protocol::message::{AxisValues, FULL_PATH_RATE, State, Telemetry};
+use haptimill_protocol::message::{AxisValues, FULL_SPEED_FACTOR, State, Telemetry};
 use serde_json::Value;
 use std::fmt::{Display, Formatter, Write as _};
 
@@ -125,7 +125,7 @@ impl StatusReport {
             "fault": fault,
             "period": status.period,
             "setpoint": status.setpoint,
-            "path_rate": path_speed(status),
+            "speed_factor": path_speed(status),
             // With the drives off nothing is commanded, as the text says.
             "commanded": (!status.state.has_drives_off()).then(|| map(pose(&status.commanded))),
             "referenced": status.homed && status.position_kept,
@@ -246,7 +246,7 @@ impl StatusReport {
 /// Speed along the path of a program as a fraction of the programmed one; 0 where no program runs.
 pub(crate) fn path_speed(status: &Telemetry) -> f64 {
     match status.state {
-        State::Run | State::Hold => f64::from(status.path_rate) / f64::from(FULL_PATH_RATE),
+        State::Run | State::Hold => f64::from(status.speed_factor) / f64::from(FULL_SPEED_FACTOR),
         _ => 0.0,
     }
 }

@@ -42,7 +42,7 @@ pub mod web;
 
 use crate::commands::console::ConsoleArgs;
 use crate::commands::exit::{CliError, Exit};
-use crate::commands::paced_sim::PacedSim;
+use crate::commands::real_time_sim::RealTimeSim;
 use crate::commands::requests::Requests;
 use app::{App, Settings};
 use haptimill_client::client::Options;
@@ -129,7 +129,7 @@ fn open_app(args: ConsoleArgs, needs_terminal: bool) -> Result<App, CliError> {
     let line: Box<dyn Line> = if is_simulated {
         let faults = args.simulator.fault;
         let seed = args.simulator.seed;
-        Box::new(PacedSim::new(&machine, seed, faults, operator.as_ref())?)
+        Box::new(RealTimeSim::new(&machine, seed, faults, operator.as_ref())?)
     } else {
         Box::new(PortLine::closed(&args.port.port, baud))
     };

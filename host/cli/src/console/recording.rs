@@ -81,7 +81,7 @@ impl Columns {
 
     fn header(&self) -> String {
         let mut header =
-            "time_s,period,state,homed,position_kept,setpoint,path_rate,program_s".to_string();
+            "time_s,period,state,homed,position_kept,setpoint,speed_factor,program_s".to_string();
         let mut add = |quantity: &str, axes: &[(String, AxisKind)], unit: bool| {
             for (name, kind) in axes {
                 let unit = match (unit, kind) {
@@ -306,7 +306,7 @@ mod tests {
             credit: 0,
             setpoint: 0,
             program_periods: 0,
-            path_rate: 0,
+            speed_factor: 0,
             commanded: five.clone(),
             measured: five.clone(),
             joints: five.clone(),

@@ -143,7 +143,7 @@ impl Viewer {
         near("joint l1 commanded, mm", &self.state["joints"][0]["actual"]);
         near("homed", &json!(1.0));
         // No program moves.
-        near("path rate, %", &json!(0.0));
+        near("speed factor, %", &json!(0.0));
         assert!(columns["drive l1, code"].is_number(), "{columns}");
         // Another process has the truth of its machine.
         if self.state["port"] == "simulator" {

@@ -254,7 +254,8 @@ impl Stream {
             self.credit = self.credit.max(telemetry.credit);
             self.reached = telemetry.setpoint;
             let begun = telemetry.state == State::Run && telemetry.program_periods > 0;
-            let standing = (begun && telemetry.path_rate == 0).then_some(telemetry.program_periods);
+            let standing =
+                (begun && telemetry.speed_factor == 0).then_some(telemetry.program_periods);
             self.starved = standing.is_some() && standing == self.standing;
             self.standing = standing;
         }

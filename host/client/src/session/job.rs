@@ -431,7 +431,7 @@ impl<L: Line> Session<L> {
     fn is_settled(&self, status: &Telemetry) -> bool {
         !self.is_stopping()
             && !matches!(status.state, State::Run | State::Homing | State::Jog)
-            && (status.state != State::Hold || status.path_rate == 0)
+            && (status.state != State::Hold || status.speed_factor == 0)
     }
 
     /// Checks that a job was completed.

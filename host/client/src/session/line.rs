@@ -13,7 +13,7 @@ use haptimill_hil_sim::process::{CuttingConfig, Workpiece};
 use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::Model;
 use haptimill_protocol::haptic::{COMPONENTS, MasterTelemetry};
-use haptimill_protocol::message::{FULL_PATH_RATE, Telemetry};
+use haptimill_protocol::message::{FULL_SPEED_FACTOR, Telemetry};
 use haptimill_trace::Recorder;
 
 /// A byte channel to a controller, with a clock.
@@ -236,10 +236,11 @@ impl PortLine {
         }
     }
 
-    /// Passes reports and events on to observers, one JSON object per line: the keys are `period`,
-    /// `state`, `homed`, `position_kept`, `line` of the program, `path_rate`, `axes` and `units` in
-    /// the order of the machine, `commanded` (null while the drives are off) and `measured` by the
-    /// names of the axes; or `period`, `level` and `event`.
+    /// Passes reports and events on to observers, one JSON object per line: the keys are
+    /// `period`, `state`, `homed`, `position_kept`, `line` of the program, `speed_factor`,
+    /// `axes` and `units` in the order of the machine,
+    /// `commanded` (null while the drives are off) and `measured` by the names of the axes; or
+    /// `period`, `level` and `event`.
     pub fn observe(&mut self, observers: Observers, machine: &MachineFile) {
         let model = Model::new(machine);
         self.observed = Some(Observed { observers, model });
@@ -262,7 +263,7 @@ impl PortLine {
             "homed": telemetry.homed,
             "position_kept": telemetry.position_kept,
             "line": line,
-            "path_rate": f64::from(telemetry.path_rate) / f64::from(FULL_PATH_RATE),
+            "speed_factor": f64::from(telemetry.speed_factor) / f64::from(FULL_SPEED_FACTOR),
             "axes": model.pose_names(),
             "units": model.pose_units(),
             "commanded": (!telemetry.state.has_drives_off()).then(|| pose(&telemetry.commanded)),

@@ -1,9 +1,9 @@
-//! Time that a job takes at overrides: the path rate of the controller, without its link.
+//! Time that a job takes at overrides: the speed factor of the controller, without its link.
 
-use haptimill_firmware::motion::interpolator::{FULL_RATE, braking_limits};
+use haptimill_firmware::motion::interpolator::{FULL_FACTOR, braking_limits};
 use haptimill_firmware::motion::ramp::{Ramp, RampLimits};
 use haptimill_machine_file::MachineFile;
-use haptimill_protocol::message::{Action, Pace};
+use haptimill_protocol::message::{Action, OverrideMode};
 use haptimill_protocol::setpoint::Setpoint;
 
 /// Sums up the time of a job that nothing stops, setpoint by setpoint. Pauses take no time.
@@ -25,7 +25,7 @@ impl RunTime {
     #[must_use]
     pub fn new(machine: &MachineFile, feed: u8, rapid: u8) -> Self {
         let config = &machine.config;
-        let target = target(Pace::FEED, [feed.max(1), rapid.max(1)]);
+        let target = target(OverrideMode::FEED, [feed.max(1), rapid.max(1)]);
         Self {
             overrides: [feed.max(1), rapid.max(1)],
             limits: braking_limits(&config.stopping, config.period_us),
@@ -39,7 +39,7 @@ impl RunTime {
 
     /// Adds the motion to a setpoint.
     pub fn add(&mut self, setpoint: &Setpoint) {
-        let end = i64::from(setpoint.periods) * FULL_RATE;
+        let end = i64::from(setpoint.periods) * FULL_FACTOR;
         while self.time < end {
             let steady = self.rate == Ramp::at(self.target);
             match &self.limits {
@@ -55,9 +55,9 @@ impl RunTime {
             }
         }
         self.time -= end;
-        if let Action::Pace(pace) = setpoint.action {
+        if let Action::OverrideMode(mode) = setpoint.action {
             let is_steady = self.rate == Ramp::at(self.target);
-            self.target = target(pace, self.overrides);
+            self.target = target(mode, self.overrides);
             // The controller begins a motion at its override.
             if is_steady && setpoint.rates.iter().all(|rate| *rate == 0) {
                 self.rate = Ramp::at(self.target);
@@ -123,13 +123,13 @@ impl TimeTable {
 /// Times of a job whose setpoints are not kept, in memory that does not depend on its length.
 #[derive(Debug, Clone, Default)]
 pub struct TimeProfile {
-    /// Program time in control periods at each pace, in parts of the job with equally many
+    /// Program time in control periods at each override mode, in parts of the job with equally many
     /// setpoints; the last part is not full.
-    parts: Vec<Vec<(Pace, u64)>>,
+    parts: Vec<Vec<(OverrideMode, u64)>>,
     /// Setpoints of a part, and of the last one.
     every: usize,
     in_last: usize,
-    pace: Pace,
+    override_mode: OverrideMode,
 }
 
 impl TimeProfile {
@@ -144,19 +144,19 @@ impl TimeProfile {
             self.in_last = 0;
         }
         if let Some(part) = self.parts.last_mut() {
-            add_periods(part, self.pace, u64::from(setpoint.periods));
+            add_periods(part, self.override_mode, u64::from(setpoint.periods));
         }
         self.in_last += 1;
-        if let Action::Pace(pace) = setpoint.action {
-            self.pace = pace;
+        if let Action::OverrideMode(mode) = setpoint.action {
+            self.override_mode = mode;
         }
     }
 
     fn merge_pairs(&mut self) {
         let merged = self.parts.chunks(2).map(|pair| {
             let mut whole = Vec::new();
-            for (pace, periods) in pair.iter().flatten() {
-                add_periods(&mut whole, *pace, *periods);
+            for (mode, periods) in pair.iter().flatten() {
+                add_periods(&mut whole, *mode, *periods);
             }
             whole
         });
@@ -165,15 +165,15 @@ impl TimeProfile {
     }
 
     /// The table of the job at the overrides of feed and of rapid moves, percent. The time in which
-    /// the controller changes from one pace to another is left out.
+    /// the controller changes from one override mode to another is left out.
     #[must_use]
     pub fn table(&self, machine: &MachineFile, feed: u8, rapid: u8) -> TimeTable {
         let period_s = f64::from(machine.config.period_us) * 1e-6;
         let mut rows = vec![(0, 0.0)];
         let (mut periods, mut seconds) = (0, 0.0);
         for part in &self.parts {
-            for (pace, count) in part {
-                let factor = f64::from(pace.factor(feed.max(1), rapid.max(1))) / 100.0;
+            for (mode, count) in part {
+                let factor = f64::from(mode.factor(feed.max(1), rapid.max(1))) / 100.0;
                 periods += count;
                 seconds += *count as f64 * period_s / factor;
             }
@@ -183,15 +183,15 @@ impl TimeProfile {
     }
 }
 
-fn add_periods(part: &mut Vec<(Pace, u64)>, pace: Pace, periods: u64) {
-    match part.iter_mut().find(|(known, _)| *known == pace) {
+fn add_periods(part: &mut Vec<(OverrideMode, u64)>, mode: OverrideMode, periods: u64) {
+    match part.iter_mut().find(|(known, _)| *known == mode) {
         Some((_, sum)) => *sum += periods,
-        None => part.push((pace, periods)),
+        None => part.push((mode, periods)),
     }
 }
 
-fn target(pace: Pace, [feed, rapid]: [u8; 2]) -> i64 {
-    FULL_RATE * i64::from(pace.factor(feed, rapid)) / 100
+fn target(mode: OverrideMode, [feed, rapid]: [u8; 2]) -> i64 {
+    FULL_FACTOR * i64::from(mode.factor(feed, rapid)) / 100
 }
 
 #[cfg(test)]
@@ -206,7 +206,7 @@ mod tests {
             pose: AxisValues::from_slice(&[0; 5]).expect("five axes"),
             rates: AxisValues::from_slice(&[0; 5]).expect("five axes"),
             action: match number {
-                49 => Action::Pace(Pace::RAPID),
+                49 => Action::OverrideMode(OverrideMode::RAPID),
                 _ => Action::None,
             },
         };

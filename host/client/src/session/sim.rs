@@ -7,7 +7,7 @@ use crate::port::PortError;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{Inputs, Outputs};
-use haptimill_firmware::motion::interpolator::FULL_RATE;
+use haptimill_firmware::motion::interpolator::FULL_FACTOR;
 use haptimill_firmware::snapshot::{ForceSnapshot, HapticSnapshot, Snapshot};
 use haptimill_hil_sim::config::PlantConfig;
 use haptimill_hil_sim::fault::Fault;
@@ -330,7 +330,7 @@ impl JobRecording {
         let mut record = Record {
             period: telemetry.period,
             setpoint: telemetry.setpoint,
-            path_rate: telemetry.path_rate,
+            speed_factor: telemetry.speed_factor,
             state: telemetry.state,
             ..Record::default()
         };
@@ -465,7 +465,10 @@ impl JobRecording {
         for (axis, (tool, value)) in record.tool.iter_mut().zip(truth).enumerate() {
             *tool = self.axis_units(axis, *value);
         }
-        self.add_programmed(&mut record, snapshot.program_time as f64 / FULL_RATE as f64);
+        self.add_programmed(
+            &mut record,
+            snapshot.program_time as f64 / FULL_FACTOR as f64,
+        );
         self.recorder.record(&record);
     }
 }

@@ -4,7 +4,7 @@
 mod deviations;
 mod examples;
 mod h4;
-mod paces;
+mod override_modes;
 mod properties;
 mod refusals;
 mod spans;

@@ -189,9 +189,9 @@ fn several_problems_are_reported_together() {
     );
 }
 
-/// Whether an action is one of the program, and not the pace of a move.
+/// Whether an action is one of the program, and not the override mode of a move.
 fn is_command(action: &Action) -> bool {
-    !matches!(action, Action::None | Action::Pace(_))
+    !matches!(action, Action::None | Action::OverrideMode(_))
 }
 
 #[test]

@@ -21,7 +21,7 @@ pub fn any_record() -> impl Strategy<Value = Record> {
     )
         .prop_map(
             |(
-                (period, setpoint, line, path_rate, spindle_rpm),
+                (period, setpoint, line, speed_factor, spindle_rpm),
                 (state, flags),
                 rows,
                 [high, low, displacement, true_force],
@@ -40,7 +40,7 @@ pub fn any_record() -> impl Strategy<Value = Record> {
                     period,
                     setpoint,
                     line,
-                    path_rate,
+                    speed_factor,
                     spindle_rpm: spindle_rpm as i16,
                     state: State::ALL[state],
                     flags,

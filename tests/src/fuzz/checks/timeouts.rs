@@ -13,13 +13,13 @@ pub(super) struct Timeouts {
     pub percent: u8,
     /// The spindle override that was accepted last.
     pub spindle_percent: u8,
-    /// Periods since the path rate should have settled.
+    /// Periods since the speed factor should have settled.
     pub settled: u32,
     /// End of the latest accepted jog.
     pub jog_until: u64,
     /// Periods in a hold.
     hold: u32,
-    /// Largest path rate in the hold; 1 is the programmed speed.
+    /// Largest speed factor in the hold; 1 is the programmed speed.
     hold_rate: f64,
     /// Start of the newest session. With it the overrides become 100 % when nothing is active.
     session_start: u64,
@@ -144,14 +144,14 @@ impl Checks {
         } else {
             0
         };
-        let rate = machine.motion.program.path_rate();
+        let rate = machine.motion.program.speed_factor();
         if self.timeouts.hold <= 1 {
             self.timeouts.hold_rate = 0.0;
         }
-        let path_rate = rate as f64 / 4_294_967_296.0;
-        self.timeouts.hold_rate = self.timeouts.hold_rate.max(path_rate);
-        // The path rate falls by 1 in the stopping time. A faster part of the path may begin at 2,
-        // and an acceleration that a hold interrupts ends with the ramp.
+        let speed_factor = rate as f64 / 4_294_967_296.0;
+        self.timeouts.hold_rate = self.timeouts.hold_rate.max(speed_factor);
+        // The speed factor falls by 1 in the stopping time. A faster part of the path may begin at
+        // 2, and an acceleration that a hold interrupts ends with the ramp.
         let stop = f64::from(machine.config.stopping.time_ms) * 5.0;
         let stop = (stop * self.timeouts.hold_rate.max(1.0)) as u32;
         let retracting = matches!(safety.pending(), Some(Fault::Force(_)));
@@ -160,14 +160,14 @@ impl Checks {
             violated!(
                 bench,
                 "hold",
-                "path rate {rate} {} periods after the hold",
+                "speed factor {rate} {} periods after the hold",
                 self.timeouts.hold
             );
         }
         Ok(())
     }
 
-    /// Checks that the path rate settles at the feed override.
+    /// Checks that the speed factor settles at the feed override.
     fn check_override(&mut self, bench: &FuzzBench, machine: &Machine) -> CheckResult {
         let safety = bench.controller().safety();
         let state = safety.state();
@@ -185,9 +185,9 @@ impl Checks {
             && !self.foreign_configuration
             && self.theme.has_clean_line()
         {
-            // The jobs of the fuzz test have no faster pace.
+            // The jobs of the fuzz test have no faster override mode.
             let expected = f64::from(self.timeouts.percent.min(100)) / 100.0;
-            let actual = program.path_rate() as f64 / 4_294_967_296.0;
+            let actual = program.speed_factor() as f64 / 4_294_967_296.0;
             if (expected - actual).abs() > 1e-4
                 && bench
                     .pending
@@ -195,7 +195,11 @@ impl Checks {
                     .all(|pending| name(&pending.command) != "Override")
                 && bench.abandoned.is_empty()
             {
-                violated!(bench, "override", "path rate {actual}, override {expected}");
+                violated!(
+                    bench,
+                    "override",
+                    "speed factor {actual}, override {expected}"
+                );
             }
         }
         Ok(())

@@ -159,9 +159,9 @@ fn path(here: &[f64; 6], axes: &[PoseAxis], plan: &PathPlan, rng: &mut Rng) -> V
             let rpm = rng.uniform(4000.0, 6000.0) as i16;
             setpoint.action = Action::Spindle(if rng.chance(0.3) { -rpm } else { rpm });
         } else if plan.actions && rng.chance(0.08) {
-            let pace = command::pace(rng);
-            if pace.is_valid() || absurd {
-                setpoint.action = Action::Pace(pace);
+            let mode = command::override_mode(rng);
+            if mode.is_valid() || absurd {
+                setpoint.action = Action::OverrideMode(mode);
             }
         }
         setpoints.push(setpoint);

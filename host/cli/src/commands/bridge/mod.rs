@@ -7,7 +7,7 @@ mod report;
 
 use super::args::{BoardArg, PortArgs, SimulatorArgs, StockArg, check_baud, seconds};
 use super::board::file_of;
-use super::paced_sim::PacedSim;
+use super::real_time_sim::RealTimeSim;
 use super::{CliError, Exit};
 use crate::commands::interrupt;
 use crate::commands::requests::Requests;
@@ -123,7 +123,7 @@ fn open(args: &GrblArgs) -> Result<Opened, CliError> {
         PortSpec::Simulator => {
             stock = args.stock.load(&chosen.file)?;
             let faults = args.simulator.fault.clone();
-            Box::new(PacedSim::new(
+            Box::new(RealTimeSim::new(
                 &chosen.file,
                 args.simulator.seed,
                 faults,

@@ -22,7 +22,8 @@ pub(super) struct ProgressDisplay<'a> {
     start: Instant,
     machine: &'a MachineFile,
     times: Option<&'a Times>,
-    /// The time that is left on a machine; in the simulator the pace is measured.
+    /// The time that is left on a machine; in the simulator the real time of a program second is
+    /// measured.
     left: Option<TimeTable>,
     operator: &'a mut Operator,
     /// The operator commanded the present hold: only a command ends it.
@@ -121,8 +122,8 @@ impl JobObserver for ProgressDisplay<'_> {
         };
         let total = total as f64 / 1000.0;
         let measured = || {
-            let pace = self.start.elapsed().as_secs_f64() / done.max(0.1);
-            (total - done).max(0.0) * pace
+            let real_per_program_s = self.start.elapsed().as_secs_f64() / done.max(0.1);
+            (total - done).max(0.0) * real_per_program_s
         };
         let left = self.left.as_ref();
         let left = left.map(|left| left.left_s(u64::from(telemetry.program_periods)));

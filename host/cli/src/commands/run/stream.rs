@@ -124,7 +124,7 @@ pub(super) fn start(
     let mut planner = new_planner(stream.options.start, stream.settings.clone(), model);
     planner.follow(&track);
     // In the simulator the source interprets and plans itself, so that the recording does not
-    // depend on the pace of threads. Only blocks that may come late are read by one.
+    // depend on the timing of threads. Only blocks that may come late are read by one.
     let is_pulled = stream.waits && !stream.is_live;
     let interrupted = Arc::clone(&stream.interrupted);
     let waits = stream.waits;

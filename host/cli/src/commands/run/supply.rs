@@ -32,7 +32,7 @@ pub(super) struct Times {
     pub(super) programmed_s: f64,
     /// Duration at the overrides of the arguments, seconds.
     pub(super) duration_s: f64,
-    /// For the time that is left; none in the simulator, which has no pace.
+    /// For the time that is left; none in the simulator, which does not run in real time.
     profile: Option<TimeProfile>,
 }
 

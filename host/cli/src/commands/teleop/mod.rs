@@ -13,7 +13,7 @@ use args::line_rate;
 use haptimill_client::port::{DEFAULT_BAUD, PortSpec};
 use haptimill_client::session::{JobLine as _, PortLine, SimLine, fresh_number, rig};
 use haptimill_machine_file::MachineFile;
-use haptimill_teleop::arm::Pace;
+use haptimill_teleop::arm::LinkRates;
 use haptimill_teleop::input::{self, Joystick, Keyboard, SpaceMouse, VirtualHandle};
 use haptimill_teleop::script::{BUILT_IN, ScriptedOperator};
 use haptimill_teleop::{Arm, OperatorLine, Script, TeleopOptions};
@@ -76,12 +76,12 @@ pub fn run(args: TeleopArgs) -> Result<(), CliError> {
         (MasterSpec::Port(spec), _) => {
             let baud = args.master_baud;
             let line = PortLine::opened(spec, baud.unwrap_or(DEFAULT_BAUD))?;
-            let pace = Pace {
+            let rates = LinkRates {
                 every_us: args.report_interval_us(spec, baud, MASTER_REPORT_BYTES),
                 line_rate: line_rate(spec, baud),
             };
             let numbers = Box::new(fresh_number);
-            let mut arm = Arm::new(line, &master_machine, Some(master_chosen), pace, numbers)?;
+            let mut arm = Arm::new(line, &master_machine, Some(master_chosen), rates, numbers)?;
             session.run(&mut arm)
         }
         (MasterSpec::Joystick(path), _) => {
@@ -146,7 +146,7 @@ fn run_script(
     let rig = rig(master_machine, None, None, args.master_faults())?;
     let line = OperatorLine::new(SimLine::new(rig), ScriptedOperator::new(script));
     let folder = ResultFolder::open(&args.out)?;
-    let pace = Pace {
+    let rates = LinkRates {
         every_us: 1_000_000 / args.rate,
         line_rate: 0,
     };
@@ -155,7 +155,7 @@ fn run_script(
         number += 1;
         number
     });
-    let mut arm = Arm::new(line, master_machine, None, pace, numbers)?;
+    let mut arm = Arm::new(line, master_machine, None, rates, numbers)?;
     let ended = session.run_with(&mut arm, &folder, |arm| {
         let recording = session.create_recording(master_machine, MASTER_RECORDING_FILE)?;
         arm.line_mut().begin_recording(recording);

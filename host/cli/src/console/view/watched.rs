@@ -91,7 +91,7 @@ impl Watched {
             Some(line) => format!("line {line}"),
             None => "no program".to_string(),
         };
-        let speed = 100.0 * self.report["path_rate"].as_f64().unwrap_or(0.0);
+        let speed = 100.0 * self.report["speed_factor"].as_f64().unwrap_or(0.0);
         format!(" {line}, path speed {speed:.0} % of the programmed one")
     }
 }

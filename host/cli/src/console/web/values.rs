@@ -215,7 +215,10 @@ pub(super) fn columns(view: &ViewModel, names: &IoNames, truth: Option<&GroundTr
         columns.insert(column.to_string(), json!(u8::from(is_set)));
     }
     columns.insert("state".to_string(), json!(now.state.number()));
-    columns.insert("path rate, %".to_string(), json!(path_speed(now) * 100.0));
+    columns.insert(
+        "speed factor, %".to_string(),
+        json!(path_speed(now) * 100.0),
+    );
     columns.insert(
         "program line".to_string(),
         json!(view.program.as_ref().map(|it| it.line)),

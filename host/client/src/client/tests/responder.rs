@@ -185,7 +185,7 @@ impl Responder {
                 .map(|setpoint| u32::from(setpoint.periods))
                 .sum::<u32>()
                 + u32::from(self.wait),
-            path_rate: haptimill_protocol::message::FULL_PATH_RATE,
+            speed_factor: haptimill_protocol::message::FULL_SPEED_FACTOR,
             commanded: AxisValues::new(),
             measured: AxisValues::new(),
             joints: AxisValues::new(),

@@ -1,6 +1,6 @@
 //! The simulated machine in this process, in real time.
 
-use super::sim::Pace;
+use super::sim::TimeSync;
 use haptimill_client::Error;
 use haptimill_client::port::PortError;
 use haptimill_client::session::{self, Line};
@@ -17,15 +17,15 @@ use std::time::{Duration, Instant};
 const IDLE_SLEEP: Duration = Duration::from_micros(500);
 
 /// See the module documentation.
-pub(crate) struct PacedSim {
+pub(crate) struct RealTimeSim {
     rig: Rig<Controller>,
     /// Operator model at its haptic arm.
     operator: Option<ScriptedOperator>,
-    pace: Pace,
+    time_sync: TimeSync,
     started: Instant,
 }
 
-impl PacedSim {
+impl RealTimeSim {
     /// The machine of a machine file, which runs from now on.
     ///
     /// # Errors
@@ -39,19 +39,19 @@ impl PacedSim {
         Ok(Self {
             rig: session::rig(machine, seed, None, faults)?,
             operator: operator.map(ScriptedOperator::new),
-            pace: Pace::new(u64::from(machine.config.period_us) * 1000),
+            time_sync: TimeSync::new(u64::from(machine.config.period_us) * 1000),
             started: Instant::now(),
         })
     }
 }
 
-impl Line for PacedSim {
+impl Line for RealTimeSim {
     fn exchange(&mut self, transmit: &[u8], received: &mut Vec<u8>) -> Result<u64, PortError> {
         if !transmit.is_empty() {
             self.rig.host_write(transmit);
         }
         let real_ns = u64::try_from(self.started.elapsed().as_nanos()).unwrap_or(u64::MAX);
-        for _ in 0..self.pace.due(real_ns, self.rig.time_ns()) {
+        for _ in 0..self.time_sync.due(real_ns, self.rig.time_ns()) {
             if let Some(operator) = &mut self.operator {
                 operator.act(&mut self.rig);
             }

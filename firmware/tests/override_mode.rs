@@ -1,32 +1,32 @@
-//! Pace of the path: overrides act on their parts, and no commanded rate exceeds its limit at any
-//! override.
+//! Override mode of the path: overrides act on their parts, and no commanded rate exceeds its limit
+//! at any override.
 
 use crate::path;
 use crate::reference;
 
-use haptimill_firmware::motion::interpolator::{FULL_RATE, QUEUE};
-use haptimill_protocol::message::{Action, Pace, Refusal};
+use haptimill_firmware::motion::interpolator::{FULL_FACTOR, QUEUE};
+use haptimill_protocol::message::{Action, OverrideMode, Refusal};
 use haptimill_protocol::setpoint::Setpoint;
 use path::{PERIOD_S, UNIT_MM, setpoint, start, straight, walk};
 use proptest::prelude::*;
 use reference::h4;
 
-/// A pace as the action of a setpoint.
-fn paced(mut point: Setpoint, pace: Pace) -> Setpoint {
-    point.action = Action::Pace(pace);
+/// An override mode as the action of a setpoint.
+fn with_mode(mut point: Setpoint, mode: OverrideMode) -> Setpoint {
+    point.action = Action::OverrideMode(mode);
     point
 }
 
-/// The path rate in the middle of each part of the path, percent, with overrides of feed and rapid
-/// moves.
-fn rates_of(paces: [Pace; 4], feed: u8, rapid: u8) -> Vec<i64> {
+/// The speed factor in the middle of each part of the path, percent, with overrides of feed and
+/// rapid moves.
+fn rates_of(modes: [OverrideMode; 4], feed: u8, rapid: u8) -> Vec<i64> {
     let mut program = start(&h4());
     program.set_override(feed);
     program.set_rapid_override(rapid);
     // Four parts of 60 spans of 20 ms.
     let mut points = straight(4.0, 240, 100);
-    for (part, pace) in paces.into_iter().enumerate() {
-        points[60 * part] = paced(points[60 * part].clone(), pace);
+    for (part, mode) in modes.into_iter().enumerate() {
+        points[60 * part] = with_mode(points[60 * part].clone(), mode);
     }
     let mut rates = vec![0; 4];
     let mut pushed = points.iter();
@@ -42,9 +42,9 @@ fn rates_of(paces: [Pace; 4], feed: u8, rapid: u8) -> Vec<i64> {
         let (commanded, progress) = program.advance(false);
         let part = (program.reached() as usize).saturating_sub(1) / 60;
         if program.reached() % 60 == 50 && part < 4 {
-            rates[part] = (program.path_rate() * 100 + FULL_RATE / 2) / FULL_RATE;
+            rates[part] = (program.speed_factor() * 100 + FULL_FACTOR / 2) / FULL_FACTOR;
             let rate = f64::from(commanded.rates[0].0) * UNIT_MM;
-            let expected = 4.0 * program.path_rate() as f64 / FULL_RATE as f64;
+            let expected = 4.0 * program.speed_factor() as f64 / FULL_FACTOR as f64;
             assert!((rate - expected).abs() < 0.01, "{rate} {expected}");
         }
         if progress.finished {
@@ -56,15 +56,20 @@ fn rates_of(paces: [Pace; 4], feed: u8, rapid: u8) -> Vec<i64> {
 
 #[test]
 fn overrides_act_on_their_parts_of_the_path() {
-    let [feed, rapid] = [Pace::FEED, Pace::RAPID];
-    let paces = [feed, rapid, Pace::CROSSING, Pace::FIXED];
-    assert_eq!(rates_of(paces, 100, 100), [100, 100, 100, 100]);
-    assert_eq!(rates_of(paces, 50, 100), [50, 100, 50, 100]);
-    assert_eq!(rates_of(paces, 100, 20), [100, 20, 20, 100]);
-    let fast = Pace::feed_up_to;
-    let paces = [fast(150), feed, fast(200), rapid];
-    assert_eq!(rates_of(paces, 200, 100), [150, 100, 200, 100]);
-    assert_eq!(rates_of(paces, 120, 50), [120, 100, 120, 50]);
+    let [feed, rapid] = [OverrideMode::FEED, OverrideMode::RAPID];
+    let modes = [
+        feed,
+        rapid,
+        OverrideMode::FEED_AND_RAPID,
+        OverrideMode::FIXED,
+    ];
+    assert_eq!(rates_of(modes, 100, 100), [100, 100, 100, 100]);
+    assert_eq!(rates_of(modes, 50, 100), [50, 100, 50, 100]);
+    assert_eq!(rates_of(modes, 100, 20), [100, 20, 20, 100]);
+    let fast = OverrideMode::feed_up_to;
+    let modes = [fast(150), feed, fast(200), rapid];
+    assert_eq!(rates_of(modes, 200, 100), [150, 100, 200, 100]);
+    assert_eq!(rates_of(modes, 120, 50), [120, 100, 120, 50]);
 }
 
 /// The motion stays on the path at any factor, and its rate is the derivative of its position.
@@ -73,8 +78,8 @@ fn a_faster_pace_keeps_the_path_and_ends_sooner() {
     let mut program = start(&h4());
     program.set_override(200);
     let mut points = straight(4.0, 100, 100);
-    points[0] = paced(points[0].clone(), Pace::feed_up_to(200));
-    points[60] = paced(points[60].clone(), Pace::FEED);
+    points[0] = with_mode(points[0].clone(), OverrideMode::feed_up_to(200));
+    points[60] = with_mode(points[60].clone(), OverrideMode::FEED);
     for point in &points {
         program.push(point).expect("accepted");
     }
@@ -97,38 +102,38 @@ fn a_faster_pace_keeps_the_path_and_ends_sooner() {
     );
 }
 
-/// A setpoint that would be too fast at the factor of its pace is refused, and so is an unknown
-/// pace.
+/// A setpoint that would be too fast at the factor of its override mode is refused, and so is an
+/// unknown override mode.
 #[test]
 fn a_pace_bounds_the_rates_of_the_setpoints_behind_it() {
     let mut program = start(&h4());
-    let wrong = paced(setpoint(0.05, 5.0, 100), Pace(200));
+    let wrong = with_mode(setpoint(0.05, 5.0, 100), OverrideMode(200));
     assert_eq!(program.push(&wrong), Err(Refusal::Setpoint { setpoint: 0 }));
     let fast = h4().pose[0].rate.0 as f64 * UNIT_MM * 0.6;
-    for (pace, accepted) in [
-        (Pace::feed_up_to(150), true),
-        (Pace::feed_up_to(200), false),
+    for (mode, accepted) in [
+        (OverrideMode::feed_up_to(150), true),
+        (OverrideMode::feed_up_to(200), false),
     ] {
         let mut program = start(&h4());
         program
-            .push(&paced(setpoint(0.0, 0.0, 100), pace))
+            .push(&with_mode(setpoint(0.0, 0.0, 100), mode))
             .expect("at rest");
         let next = setpoint(fast * 0.1, fast, 1000);
         assert_eq!(program.push(&next).is_ok(), accepted);
     }
 }
 
-/// A random part of a path: periods, speed as a part of the limit, and the pace behind it.
+/// A random part of a path: periods, speed as a part of the limit, and the override mode behind it.
 fn part() -> impl Strategy<Value = (u16, f64, Option<u8>)> {
     let speed = prop_oneof![1 => Just(0.0), 6 => 0.0_f64..1.02];
-    let pace = prop_oneof![3 => Just(None), 2 => (0_u8..=103).prop_map(Some)];
-    (5_u16..400, speed, pace)
+    let mode = prop_oneof![3 => Just(None), 2 => (0_u8..=103).prop_map(Some)];
+    (5_u16..400, speed, mode)
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 256, rng_seed: proptest::test_runner::RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever setpoints and paces are accepted, and whenever the operator changes the overrides
+    /// Whatever setpoints and modes are accepted, and whenever the operator changes the overrides
     /// or holds: no commanded rate exceeds the limit of its coordinate.
     #[test]
     fn no_accepted_path_exceeds_a_rate_limit(
@@ -140,14 +145,14 @@ proptest! {
         let mut program = start(&config);
         program.set_override(200);
         let (mut x, mut before, mut pushed) = (0.0, 0.0, 0);
-        for (periods, part, pace) in parts {
+        for (periods, part, mode) in parts {
             let mut speed = part * limit;
             // A refused setpoint is sent again at half the speed.
             for _ in 0..8 {
                 let to = x + (before + speed) / 2.0 * f64::from(periods) * PERIOD_S;
                 let mut point = setpoint(to, speed, periods);
-                if let Some(pace) = pace {
-                    point.action = Action::Pace(Pace(pace));
+                if let Some(mode) = mode {
+                    point.action = Action::OverrideMode(OverrideMode(mode));
                 }
                 if program.push(&point).is_ok() {
                     (x, before, pushed) = (to, speed, pushed + 1);

@@ -1,31 +1,31 @@
-//! Pace of a move: the override that applies to it.
+//! Override mode of a move: the override that applies to it.
 
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Which override applies to a part of a path, and up to which factor. A job begins with
-/// [`Pace::FEED`].
+/// Which override applies to a part of a path, and up to which speed factor. A job begins with
+/// [`OverrideMode::FEED`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Pace(pub u8);
+pub struct OverrideMode(pub u8);
 
-impl Pace {
+impl OverrideMode {
     /// A move at feed, up to the programmed speed.
     pub const FEED: Self = Self(0);
     /// A rapid move.
     pub const RAPID: Self = Self(101);
     /// The smaller of feed and rapid override: rapid moves and moves at feed meet.
-    pub const CROSSING: Self = Self(102);
+    pub const FEED_AND_RAPID: Self = Self(102);
     /// The programmed speed: overrides have no effect.
     pub const FIXED: Self = Self(103);
     /// Largest factor of a move at feed, percent.
-    pub const MOST: u8 = 200;
+    pub const MAX_PERCENT: u8 = 200;
 
-    /// A move at feed, up to a factor in percent, 100 to [`Pace::MOST`].
+    /// A move at feed, up to a factor in percent, 100 to [`OverrideMode::MAX_PERCENT`].
     #[must_use]
     pub const fn feed_up_to(percent: u8) -> Self {
-        let percent = if percent > Self::MOST {
-            Self::MOST
+        let percent = if percent > Self::MAX_PERCENT {
+            Self::MAX_PERCENT
         } else {
             percent
         };
@@ -40,7 +40,7 @@ impl Pace {
 
     /// Largest factor, percent.
     #[must_use]
-    pub const fn most(self) -> u8 {
+    pub const fn max_percent(self) -> u8 {
         if self.0 <= 100 { 100 + self.0 } else { 100 }
     }
 
@@ -49,9 +49,9 @@ impl Pace {
     pub fn factor(self, feed: u8, rapid: u8) -> u8 {
         match self {
             Self::RAPID => rapid,
-            Self::CROSSING => feed.min(rapid).min(100),
+            Self::FEED_AND_RAPID => feed.min(rapid).min(100),
             Self::FIXED => 100,
-            _ => feed.min(self.most()),
+            _ => feed.min(self.max_percent()),
         }
     }
 }

@@ -1,21 +1,21 @@
-//! Paces of the spans: the limits hold at the largest factor that a span allows, also on what the
-//! motion reaches while the controller brakes.
+//! Override modes of the spans: the limits hold at the largest factor that a span allows, also on
+//! what the motion reaches while the controller brakes.
 
 use crate::h4::{H4, HOME, settings};
 use crate::properties::{contour, plan, polyline};
 use crate::spans::{Span, spans, unit};
 use haptimill_gcode::{Options, Step, read};
 use haptimill_planner::{Plan, Settings};
-use haptimill_protocol::message::{Action, Pace};
+use haptimill_protocol::message::{Action, OverrideMode};
 use proptest::prelude::*;
 
-/// The pace of each span.
-fn paces(plan: &Plan) -> Vec<Pace> {
-    let mut pace = Pace::FEED;
+/// The override mode of each span.
+fn modes(plan: &Plan) -> Vec<OverrideMode> {
+    let mut mode = OverrideMode::FEED;
     let of_span = plan.setpoints.iter().map(|setpoint| {
-        let before = pace;
-        if let Action::Pace(next) = setpoint.action {
-            pace = next;
+        let before = mode;
+        if let Action::OverrideMode(next) = setpoint.action {
+            mode = next;
         }
         before
     });
@@ -26,7 +26,8 @@ fn ends_at_rest(span: &Span) -> bool {
     span.axes.iter().all(|cubic| cubic.v[1] == 0.0)
 }
 
-/// Time on the path in which the controller changes the path rate from a factor, by a difference.
+/// Time on the path in which the controller changes the speed factor from a factor, by a
+/// difference.
 fn braking(settings: &Settings, factor: f64, change: f64) -> f64 {
     let [slope, ramp] = settings.braking_s;
     factor * (change * slope + 2.0 * ramp)
@@ -67,18 +68,18 @@ fn check_limits(span: &Span, settings: &Settings, factor: f64, text: &str) {
 fn check(text: &str) -> usize {
     let settings = settings();
     let (_, plan) = plan(text, &settings);
-    let (spans, paces) = (spans(&plan), paces(&plan));
+    let (spans, modes) = (spans(&plan), modes(&plan));
     let end = |span: &Span| span.start + span.axes[0].t;
     let mut fast = 0;
-    for (index, (span, pace)) in spans.iter().zip(&paces).enumerate() {
-        let factor = f64::from(pace.most()) / 100.0;
+    for (index, (span, mode)) in spans.iter().zip(&modes).enumerate() {
+        let factor = f64::from(mode.max_percent()) / 100.0;
         fast += usize::from(factor > 1.0);
-        let (change, kinds): (f64, &[Pace]) = match *pace {
-            Pace::RAPID => (1.0, &[Pace::RAPID, Pace::CROSSING]),
+        let (change, kinds): (f64, &[OverrideMode]) = match *mode {
+            OverrideMode::RAPID => (1.0, &[OverrideMode::RAPID, OverrideMode::FEED_AND_RAPID]),
             _ => (factor - 1.0, &[]),
         };
         let horizon = end(span) + braking(&settings, factor, change) - 1e-9;
-        for (ahead, next) in spans[index..].iter().zip(&paces[index..]) {
+        for (ahead, next) in spans[index..].iter().zip(&modes[index..]) {
             if ahead.start >= horizon {
                 break;
             }
@@ -119,7 +120,7 @@ fn a_slow_line_or_arc_may_be_faster_and_a_fast_one_not() {
         let text = format!("G0 X0 Y0 Z30\nG4 P0.1\n{block}\n");
         check(&text);
         let (_, plan) = plan(&text, &settings());
-        let fastest = paces(&plan).iter().map(|pace| pace.most()).max();
+        let fastest = modes(&plan).iter().map(|mode| mode.max_percent()).max();
         assert_eq!(fastest, Some(most), "{block}");
     }
 }
@@ -153,16 +154,16 @@ fn rapid_moves_and_moves_at_feed_are_told_apart() {
     });
     let kinds: std::collections::BTreeMap<u32, bool> = moves.collect();
     let mut seen = std::collections::BTreeSet::new();
-    for (index, (pace, span)) in paces(&plan).iter().zip(spans(&plan)).enumerate() {
+    for (index, (mode, span)) in modes(&plan).iter().zip(spans(&plan)).enumerate() {
         if span.axes.iter().all(|cubic| cubic.p[0] == cubic.p[1]) {
             continue;
         }
         let line = plan.line_of(index);
         let is_rapid = kinds[&line];
         // The first span of the program has no setpoint before it.
-        if index > 0 && *pace != Pace::CROSSING {
+        if index > 0 && *mode != OverrideMode::FEED_AND_RAPID {
             assert_eq!(
-                *pace == Pace::RAPID,
+                *mode == OverrideMode::RAPID,
                 is_rapid,
                 "line {line}, setpoint {index}"
             );
@@ -172,8 +173,8 @@ fn rapid_moves_and_moves_at_feed_are_told_apart() {
     assert!(seen.len() >= 5, "{seen:?}");
 }
 
-/// Moves without overrides have the fixed pace over their whole path, and begin and end at
-/// standstill, where the path rate changes at once.
+/// Moves without overrides have the fixed override mode over their whole path, and begin and end at
+/// standstill, where the speed factor changes at once.
 #[test]
 fn moves_without_overrides_are_fixed_from_standstill_to_standstill() {
     let text = "G64 P0.1 F900\nG1 X5\nX10 Y4\nM49\nX15\nX20 Y8\nG0 X22\nG4 P0.1\nG1 X25\nM48\nX30 Y2\n\
@@ -188,13 +189,13 @@ fn moves_without_overrides_are_fixed_from_standstill_to_standstill() {
     assert_eq!(fixed.iter().copied().collect::<Vec<_>>(), [5, 6, 9, 14, 15]);
     let (mut seen, mut changes) = (std::collections::BTreeSet::new(), 0);
     let all = spans(&plan);
-    for (index, (pace, span)) in paces(&plan).iter().zip(&all).enumerate() {
+    for (index, (mode, span)) in modes(&plan).iter().zip(&all).enumerate() {
         let is_fixed = fixed.contains(&plan.line_of(index));
         if span.axes.iter().all(|cubic| cubic.p[0] == cubic.p[1]) {
             continue;
         }
         assert_eq!(
-            *pace == Pace::FIXED,
+            *mode == OverrideMode::FIXED,
             is_fixed,
             "line {}",
             plan.line_of(index)

@@ -1,17 +1,17 @@
-//! Pace of the spans: which override applies to them, and up to which factor.
+//! Override mode of the spans: which override applies to them, and up to which factor.
 //!
 //! The controller multiplies the speed of a span by its override. With the factor r, rates grow
 //! with r, accelerations with r^2 and jerks with r^3. A piece of the trajectory has the largest
-//! factor for which the limits hold. The controller does not look ahead: it changes the path rate
-//! when a span begins. A span therefore has a factor above 100 % only if all pieces that the motion
-//! reaches within the time of braking allow it. Spans before a change between rapid moves and moves
-//! at feed have the smaller one of both overrides for the same reason.
+//! factor for which the limits hold. The controller does not look ahead: it changes the speed
+//! factor when a span begins. A span therefore has a factor above 100 % only if all pieces that the
+//! motion reaches within the time of braking allow it. Spans before a change between rapid moves
+//! and moves at feed have the smaller one of both overrides for the same reason.
 
 use super::trajectory::Trajectory;
-use haptimill_protocol::message::Pace;
+use haptimill_protocol::message::OverrideMode;
 
 /// Factors above 100 %, in percent.
-const LEVELS: [u8; 6] = [110, 120, 130, 150, 175, Pace::MOST];
+const LEVELS: [u8; 6] = [110, 120, 130, 150, 175, OverrideMode::MAX_PERCENT];
 
 /// A part of the trajectory ahead.
 #[derive(Debug, Clone, Copy)]
@@ -22,9 +22,9 @@ struct Window {
     next: usize,
 }
 
-/// Finds the pace of spans in sequence.
+/// Finds the override mode of spans in sequence.
 #[derive(Debug)]
-pub(crate) struct Pacer {
+pub(crate) struct ModeFinder {
     /// For each of [`LEVELS`] the window in which all pieces must allow it, and the end of the last
     /// one that does not.
     levels: [(Window, f64); LEVELS.len()],
@@ -33,9 +33,9 @@ pub(crate) struct Pacer {
     kinds: (Window, [f64; 2]),
 }
 
-impl Pacer {
-    /// `slope_s` is the time in which the controller changes the path rate by 1, `ramp_s` the time
-    /// in which this change builds up.
+impl ModeFinder {
+    /// `slope_s` is the time in which the controller changes the speed factor by 1, `ramp_s` the
+    /// time in which this change builds up.
     pub(crate) fn new(slope_s: f64, ramp_s: f64) -> Self {
         // From the factor to 1, or from 1 to 0. A change in the other direction ends before.
         let window = |factor: f64, change: f64| Window {
@@ -68,15 +68,15 @@ impl Pacer {
         self.kinds.0.next = self.kinds.0.next.saturating_sub(pieces);
     }
 
-    /// Returns the pace of the motion between two times. The trajectory is known up to `known`; at
-    /// its `end` the motion stops there. A move that ends within `slack` has ended.
-    pub(crate) fn pace(
+    /// Returns the override mode of the motion between two times. The trajectory is known up to
+    /// `known`; at its `end` the motion stops there. A move that ends within `slack` has ended.
+    pub(crate) fn mode(
         &mut self,
         trajectory: &Trajectory,
         [from, to]: [f64; 2],
         (known, is_end): (f64, bool),
         slack: f64,
-    ) -> Pace {
+    ) -> OverrideMode {
         let advance = |window: &mut Window, note: &mut dyn FnMut(usize, f64)| {
             let horizon = to + window.length;
             while let Some(piece) = trajectory.pieces.get(window.next) {
@@ -115,10 +115,10 @@ impl Pacer {
             }
         }
         match (feeds, rapids) {
-            _ if !is_known => Pace::CROSSING,
-            (true, true) => Pace::CROSSING,
-            (false, true) => Pace::RAPID,
-            _ => Pace::feed_up_to(most),
+            _ if !is_known => OverrideMode::FEED_AND_RAPID,
+            (true, true) => OverrideMode::FEED_AND_RAPID,
+            (false, true) => OverrideMode::RAPID,
+            _ => OverrideMode::feed_up_to(most),
         }
     }
 }
