@@ -226,15 +226,20 @@ impl Kinematics for BoundedKinematics {
     }
 
     #[inline(never)]
-    fn load(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
+    fn rate_utilisation(
+        &self,
+        low: &Pose,
+        high: &Pose,
+        rates: &[Rates],
+    ) -> Result<[u32; 2], PoseError> {
         let bounds = self.box_bounds(low, high, rates)?;
-        let mut loads = [0; 2];
-        for (load, bounds) in loads.iter_mut().zip(&bounds.rates) {
+        let mut utilisations = [0; 2];
+        for (utilisation, bounds) in utilisations.iter_mut().zip(&bounds.rates) {
             for (bound, inverse) in bounds.iter().zip(&self.inverse_rates) {
                 let part = (u64::from(*bound) * u64::from(*inverse)) >> 32;
-                *load = (part as u32).max(*load);
+                *utilisation = (part as u32).max(*utilisation);
             }
         }
-        Ok(loads)
+        Ok(utilisations)
     }
 }

@@ -125,7 +125,12 @@ pub trait Kinematics {
     ///
     /// # Errors
     /// As [`Kinematics::box_bounds`].
-    fn load(&self, low: &Pose, high: &Pose, rates: &[Rates]) -> Result<[u32; 2], PoseError> {
+    fn rate_utilisation(
+        &self,
+        low: &Pose,
+        high: &Pose,
+        rates: &[Rates],
+    ) -> Result<[u32; 2], PoseError> {
         self.box_bounds(low, high, rates).map(|_| [0; 2])
     }
 

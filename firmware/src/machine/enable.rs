@@ -65,7 +65,7 @@ impl Machine {
     #[inline(never)]
     pub(super) fn set_joints(&mut self, joints: &Joints) -> Result<(), PoseError> {
         let pose = self.kinematics.forward(joints)?;
-        self.kinematics.load(&pose, &pose, &[])?;
+        self.kinematics.rate_utilisation(&pose, &pose, &[])?;
         self.motion.set_position(&pose);
         self.place_gantries(joints);
         self.reset_force();

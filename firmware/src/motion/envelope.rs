@@ -10,11 +10,11 @@
 //! joint moves many times as fast as the tool, and the tool cannot decelerate as fast as that
 //! factor grows. [`StoppingEnvelope::rates`] are the largest rates of the coordinates up to
 //! standstill. If no joint exceeds its maximum rate with these rates at any corner
-//! ([`StoppingEnvelope::load`]), none does on the path: deceleration neither leaves the box nor
-//! raises a rate.
+//! ([`StoppingEnvelope::rate_utilisation`]), none does on the path: deceleration neither leaves the
+//! box nor raises a rate.
 //!
-//! Units: axis units, axis units per second; a load of [`FULL_LOAD`] is the maximum rate of a
-//! joint.
+//! Units: axis units, axis units per second; a rate utilisation of [`FULL_UTILISATION`] is the
+//! maximum rate of a joint.
 
 use haptimill_kinematics::{Kinematics, Pose, Rates};
 use haptimill_math::scale::saturate;
@@ -35,13 +35,13 @@ pub struct StoppingEnvelope {
     pub wrapping: u8,
 }
 
-/// Load at which a joint is commanded its maximum rate.
-pub const FULL_LOAD: u32 = 1 << 16;
+/// Rate utilisation at which a joint is commanded its maximum rate.
+pub const FULL_UTILISATION: u32 = 1 << 16;
 
-/// Largest load of an unplanned motion. It is less than full by 1/128, because only the corners of
-/// a box are checked. Between them the joint rates of a box of some degrees are larger by up to 0.3
-/// % of the maximum.
-pub const MOST_LOAD: u32 = FULL_LOAD - FULL_LOAD / 128;
+/// Maximum rate utilisation of an unplanned motion. It is less than full by 1/128, because only the
+/// corners of a box are checked. Between them the joint rates of a box of some degrees are larger
+/// by up to 0.3 % of the maximum.
+pub const MAX_UTILISATION: u32 = FULL_UTILISATION - FULL_UTILISATION / 128;
 
 impl StoppingEnvelope {
     /// Creates the envelope of a pose at standstill.
@@ -174,18 +174,18 @@ impl StoppingEnvelope {
 
     /// Whether the machine can take the poses of the box.
     pub fn is_reachable(&self, machine: &impl Kinematics) -> bool {
-        self.load(&[], machine).is_some()
+        self.rate_utilisation(&[], machine).is_some()
     }
 
     /// The largest part of its maximum rate that a joint reaches in the box, for each of `rates`
-    /// ([`Kinematics::load`]); `None` if the machine cannot take a pose of it.
-    pub fn load(&self, rates: &[Rates], machine: &impl Kinematics) -> Option<[u32; 2]> {
-        machine.load(&self.low, &self.high, rates).ok()
+    /// ([`Kinematics::rate_utilisation`]); `None` if the machine cannot take a pose of it.
+    pub fn rate_utilisation(&self, rates: &[Rates], machine: &impl Kinematics) -> Option<[u32; 2]> {
+        machine.rate_utilisation(&self.low, &self.high, rates).ok()
     }
 }
 
-/// Load above which the rate of a tracker no longer rises.
-pub const SLOWED_LOAD: u32 = FULL_LOAD - FULL_LOAD / 8;
+/// Rate utilisation above which the rate of a tracker no longer rises.
+pub const SLOWED_UTILISATION: u32 = FULL_UTILISATION - FULL_UTILISATION / 8;
 
 /// Offset of up to three coordinates, and its rates.
 pub type Displacements = [(i32, Rate); 3];
@@ -202,32 +202,37 @@ pub struct ReachableBox {
 }
 
 impl ReachableBox {
-    /// Upper bound of the load of a stopping envelope; `None` if the machine cannot reach it: see
-    /// [`StoppingEnvelope::load`]. `margins` is the margin of a box, `may` the coordinates that may
-    /// move from now on, one bit each. Callers must call it once per control period.
-    pub fn load_bound(
+    /// Upper bound of the rate utilisation of a stopping envelope; `None` if the machine cannot
+    /// reach it: see [`StoppingEnvelope::rate_utilisation`]. `margins` is the margin of a box,
+    /// `may` the coordinates that may move from now on, one bit each. Callers must call it once per
+    /// control period.
+    pub fn utilisation_bound(
         &mut self,
         envelope: &StoppingEnvelope,
         (margins, may): (&[i32; MAX_AXES], u8),
         axes: usize,
         machine: &impl Kinematics,
     ) -> Option<u32> {
-        if let Some((known, load)) = &self.known
+        if let Some((known, utilisation)) = &self.known
             && envelope.is_within(known, axes)
         {
-            return Some(*load);
+            return Some(*utilisation);
         }
         self.retry_in = self.retry_in.saturating_sub(1);
         if self.retry_in == 0 {
             let wide = envelope.with_margins(margins, may);
-            let load = wide.load(&[wide.rates], machine).map(|loads| loads[0]);
-            // Near the maximum load the envelope is checked without margins.
-            if let Some(load) = load.filter(|load| *load <= SLOWED_LOAD) {
-                self.known = Some((wide, load));
-                return Some(load);
+            let utilisation = wide
+                .rate_utilisation(&[wide.rates], machine)
+                .map(|utilisations| utilisations[0]);
+            // Near the maximum rate utilisation the envelope is checked without margins.
+            if let Some(utilisation) =
+                utilisation.filter(|utilisation| *utilisation <= SLOWED_UTILISATION)
+            {
+                self.known = Some((wide, utilisation));
+                return Some(utilisation);
             }
             self.retry_in = RETRY_PERIODS;
         }
-        Some(envelope.load(&[envelope.rates], machine)?[0])
+        Some(envelope.rate_utilisation(&[envelope.rates], machine)?[0])
     }
 }

@@ -9,7 +9,7 @@
 //! Units: 2^-20 axis units (per control period) inside, axis units per second outside.
 
 use super::PoseCommand;
-use super::envelope::{Displacements, FULL_LOAD, MOST_LOAD, StoppingEnvelope};
+use super::envelope::{Displacements, FULL_UTILISATION, MAX_UTILISATION, StoppingEnvelope};
 use super::ramp::{Ramp, RampLimits};
 use crate::config::{Config, JERK_SHIFT};
 use crate::digest::{Constants, Digest, impl_digest};
@@ -85,9 +85,9 @@ pub struct Jog {
     /// A whole number; the configuration ensures it.
     periods_per_second: i64,
     axis: [JogAxis; MAX_AXES],
-    /// Load of the requested rates in the last control period. Above [`MOST_LOAD`] it scales the
-    /// rates down.
-    requested_load: u32,
+    /// Rate utilisation of the requested rates in the last control period. Above
+    /// [`MAX_UTILISATION`] it scales the rates down.
+    requested_utilisation: u32,
     /// Decelerate in this control period only.
     braking: bool,
     /// Compliant displacement, added to the pose.
@@ -110,7 +110,7 @@ impl Constants for Jog {
             period_us,
             periods_per_second,
             axis,
-            requested_load: _,
+            requested_utilisation: _,
             braking: _,
             displacement: _,
             planned: _,
@@ -185,7 +185,7 @@ impl Jog {
         }
         self.periods_left = 0;
         self.limited = limited;
-        self.requested_load = 0;
+        self.requested_utilisation = 0;
     }
 
     /// Coordinates that wrap around, one bit each.
@@ -259,8 +259,8 @@ impl Jog {
         })
     }
 
-    /// Plans the steps of this period: towards the targets, less where the load of a joint would be
-    /// too large, and towards standstill where a soft limit is near.
+    /// Plans the steps of this period: towards the targets, less where the rate utilisation of a
+    /// joint would be too large, and towards standstill where a soft limit is near.
     fn plan(&mut self) -> Steps {
         if let Some(steps) = self.planned {
             return steps;
@@ -268,8 +268,8 @@ impl Jog {
         let mut steps = [None; MAX_AXES];
         self.at_limit = None;
         for (index, axis) in self.axis[..self.axes].iter().enumerate() {
-            let target = if self.requested_load > MOST_LOAD {
-                slower(axis.target, self.requested_load)
+            let target = if self.requested_utilisation > MAX_UTILISATION {
+                slower(axis.target, self.requested_utilisation)
             } else {
                 axis.target
             };
@@ -312,10 +312,10 @@ impl Jog {
         if self.periods_left > 0 {
             let planned = self.plan();
             limited = self.at_limit;
-            match self.loads(machine, &planned) {
-                Some([load, requested_load]) => {
-                    self.requested_load = requested_load;
-                    steps = (load <= MOST_LOAD && !self.braking).then_some(planned);
+            match self.utilisations(machine, &planned) {
+                Some([utilisation, requested_utilisation]) => {
+                    self.requested_utilisation = requested_utilisation;
+                    steps = (utilisation <= MAX_UTILISATION && !self.braking).then_some(planned);
                 }
                 None => {
                     let mut moving = planned.iter().take(self.axes);
@@ -368,9 +368,9 @@ impl Jog {
         (axis.target > 0 && step.high > axis.high) || (axis.target < 0 && step.low < axis.low)
     }
 
-    /// Loads of the joints up to standstill after these steps: with the rates of that motion, and
-    /// with the requested rates. `None` if the machine cannot reach the poses.
-    fn loads(&self, machine: &impl Kinematics, steps: &Steps) -> Option<[u32; 2]> {
+    /// Rate utilisation of the joints up to standstill after these steps: with the rates of that
+    /// motion, and with the requested rates. `None` if the machine cannot reach the poses.
+    fn utilisations(&self, machine: &impl Kinematics, steps: &Steps) -> Option<[u32; 2]> {
         let mut envelope = self.envelope(steps)?;
         envelope.displace(&self.displacement);
         let mut rates = envelope.rates;
@@ -380,7 +380,7 @@ impl Jog {
             let requested = if stops { 0 } else { axis.target.abs() };
             rates[index] = Rate(saturate(per_second(requested, self.periods_per_second)));
         }
-        envelope.load(&[envelope.rates, rates], machine)
+        envelope.rate_utilisation(&[envelope.rates, rates], machine)
     }
 
     /// The stopping envelope after these steps; `None` if a bound is not known.
@@ -427,10 +427,11 @@ impl Jog {
     }
 }
 
-/// Scales a rate down by a load, so that the joint of that load moves at 63/64 of its maximum rate.
-pub(super) fn slower(rate: i64, load: u32) -> i64 {
-    const AIM: i64 = (FULL_LOAD - FULL_LOAD / 64) as i64;
-    (rate >> 8) * AIM / i64::from(load.max(1)) * (1 << 8)
+/// Scales a rate down by a rate utilisation, so that the joint of that rate utilisation moves at
+/// 63/64 of its maximum rate.
+pub(super) fn slower(rate: i64, utilisation: u32) -> i64 {
+    const AIM: i64 = (FULL_UTILISATION - FULL_UTILISATION / 64) as i64;
+    (rate >> 8) * AIM / i64::from(utilisation.max(1)) * (1 << 8)
 }
 
 /// JogAxis units per second to 2^-20 axis units per control period, for |rate| <= 2^32.

@@ -23,7 +23,7 @@ pub mod tracker;
 use crate::config::Config;
 use crate::config::HAPTICS;
 use crate::digest::impl_digest;
-use envelope::{MOST_LOAD, ReachableBox, StoppingEnvelope};
+use envelope::{MAX_UTILISATION, ReachableBox, StoppingEnvelope};
 use haptimill_kinematics::{Accelerations, Kinematics, Pose, Rates};
 use haptimill_math::{Acceleration, Coordinate, Rate};
 use haptimill_protocol::message::{MAX_AXES, Source};
@@ -87,16 +87,16 @@ pub struct Motion {
     stopping: bool,
     /// The commanded pose differs from the program's, whose setpoints were checked on acceptance.
     blended: bool,
-    /// Load of the joints at the last check. Above [`envelope::SLOWED_LOAD`] a master is followed
-    /// more slowly.
-    load: u32,
+    /// Rate utilisation of the joints at the last check. Above [`envelope::SLOWED_UTILISATION`] a
+    /// master is followed more slowly.
+    utilisation: u32,
     /// Margin of the reachable box around a stopping envelope, and the reachable box.
     margins: [i32; MAX_AXES],
     reach: ReachableBox,
 }
 
 impl_digest!(Motion { fields { axes, bounds, margins }, nested { program, jog }, skip {
-    commanded, sources, offsets, trackers, program_rates, targets, tracking_blocked, limit_reported, limited, stopping, blended, load, reach
+    commanded, sources, offsets, trackers, program_rates, targets, tracking_blocked, limit_reported, limited, stopping, blended, utilisation, reach
 } });
 
 /// Gain of the trackers of a machine without a master, 1/s: these trackers only decelerate.
@@ -358,14 +358,15 @@ impl Motion {
         if !HAPTICS {
             return 0;
         }
-        let free = !(halt || self.tracking_blocked || self.stopping || self.load > MOST_LOAD);
+        let free =
+            !(halt || self.tracking_blocked || self.stopping || self.utilisation > MAX_UTILISATION);
         let mut moving = 0;
         for axis in 0..self.axes {
             let tracker = &mut self.trackers[axis];
             match self.sources[axis] {
                 Source::Master => {
                     let target = self.targets[axis].filter(|_| free);
-                    tracker.advance_under(target, self.load, &self.bounds[axis]);
+                    tracker.advance_under(target, self.utilisation, &self.bounds[axis]);
                 }
                 Source::Hold | Source::Program if !tracker.is_at_standstill() => {
                     tracker.advance(None, &self.bounds[axis])
@@ -390,12 +391,12 @@ impl Motion {
     /// again in the next one.
     fn check_stopping(&mut self, machine: &impl Kinematics) -> (bool, Option<u8>) {
         let master_leads = self.master_may_lead();
-        let load = self.stopping_load(true, master_leads, machine);
-        self.load = load.unwrap_or_default();
-        if self.load > MOST_LOAD {
+        let utilisation = self.stopping_utilisation(true, master_leads, machine);
+        self.utilisation = utilisation.unwrap_or_default();
+        if self.utilisation > MAX_UTILISATION {
             self.jog.brake();
         }
-        if load.is_some() {
+        if utilisation.is_some() {
             self.limit_reported &= self.are_trackers_at_standstill();
             return (false, None);
         }
@@ -416,15 +417,15 @@ impl Motion {
         }
         let braked = jogged.or(followed).is_some();
         (
-            !braked || self.stopping_load(false, false, machine).is_none(),
+            !braked || self.stopping_utilisation(false, false, machine).is_none(),
             jogged,
         )
     }
 
-    /// The load of the joints ([`StoppingEnvelope::load`]) up to standstill, if jogs and trackers
-    /// continue for one period or decelerate now. `None` if the machine does not stop within its
-    /// bounds.
-    fn stopping_load(
+    /// The utilisation of the joints ([`StoppingEnvelope::rate_utilisation`]) up to standstill, if
+    /// jogs and trackers continue for one period or decelerate now. `None` if the machine does not
+    /// stop within its bounds.
+    fn stopping_utilisation(
         &mut self,
         jog_continues: bool,
         master_may_lead: bool,
@@ -446,7 +447,7 @@ impl Motion {
                 Source::Program => {
                     envelope.take(axis, &program, self.offsets[axis]);
                     if HAPTICS && !tracker.is_at_standstill() {
-                        let offset = tracker.envelope(None, self.load, bounds);
+                        let offset = tracker.envelope(None, self.utilisation, bounds);
                         let of = |end: Coordinate, by: i64| i64::from(end.0) + by;
                         envelope.reach(axis, of(program.low.0[axis], offset.low));
                         envelope.reach(axis, of(program.high.0[axis], offset.high));
@@ -463,7 +464,7 @@ impl Motion {
                         extend(
                             &mut envelope,
                             axis,
-                            &tracker.envelope(target, self.load, bounds),
+                            &tracker.envelope(target, self.utilisation, bounds),
                         );
                     }
                 }
@@ -471,7 +472,7 @@ impl Motion {
                     extend(
                         &mut envelope,
                         axis,
-                        &tracker.envelope(None, self.load, bounds),
+                        &tracker.envelope(None, self.utilisation, bounds),
                     );
                 }
                 Source::Hold | Source::Master => {}
@@ -480,14 +481,14 @@ impl Motion {
         envelope.displace(self.jog.displacement());
         // A machine without a master checks the corners directly: it needs boxes only for jogs, and
         // has little flash.
-        let load = if HAPTICS {
+        let utilisation = if HAPTICS {
             let margins = (&self.margins, self.master_mask());
             self.reach
-                .load_bound(&envelope, margins, self.axes, machine)
+                .utilisation_bound(&envelope, margins, self.axes, machine)
         } else {
-            Some(envelope.load(&[envelope.rates], machine)?[0])
+            Some(envelope.rate_utilisation(&[envelope.rates], machine)?[0])
         };
-        load.filter(|_| allowed)
+        utilisation.filter(|_| allowed)
     }
 
     fn merge(&mut self, axis: usize, program: &PoseCommand, jog: &PoseCommand, moves: bool) {

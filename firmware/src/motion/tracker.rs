@@ -20,7 +20,7 @@
 //! beyond.
 
 use super::PoseCommand;
-use super::envelope::SLOWED_LOAD;
+use super::envelope::SLOWED_UTILISATION;
 use super::jog::{per_period, slope, slower};
 use crate::config::PoseAxis;
 use crate::digest::impl_digest;
@@ -196,12 +196,13 @@ impl Tracker {
     }
 
     /// Bounds of position and rate if it continues towards a target for one period (or decelerates
-    /// now without one) and decelerates then, given the load of the joints in the period before.
+    /// now without one) and decelerates then, given the rate utilisation of the joints in the
+    /// period before.
     #[must_use]
     pub fn envelope(
         &self,
         target: Option<Coordinate>,
-        load: u32,
+        utilisation: u32,
         limits: &TrackerLimits,
     ) -> TrackerEnvelope {
         let mut next = *self;
@@ -215,9 +216,9 @@ impl Tracker {
         ];
         let least = ends.iter().fold(i64::MAX, |least, end| least.min(*end));
         let most = ends.iter().fold(i64::MIN, |most, end| most.max(*end));
-        if target.is_some() && load > SLOWED_LOAD {
+        if target.is_some() && utilisation > SLOWED_UTILISATION {
             next = *self;
-            next.advance_under(target, load, limits);
+            next.advance_under(target, utilisation, limits);
         }
         TrackerEnvelope {
             low: least >> FRACTION,
@@ -226,16 +227,22 @@ impl Tracker {
         }
     }
 
-    /// Advances one control period as [`Tracker::advance`], given the load of the joints in the
-    /// period before. At a large load the rate is limited to what the joints allow.
-    pub fn advance_under(&mut self, target: Option<Coordinate>, load: u32, limits: &TrackerLimits) {
+    /// Advances one control period as [`Tracker::advance`], given the rate utilisation of the
+    /// joints in the period before. At a large rate utilisation the rate is limited to what the
+    /// joints allow.
+    pub fn advance_under(
+        &mut self,
+        target: Option<Coordinate>,
+        utilisation: u32,
+        limits: &TrackerLimits,
+    ) {
         let slowed = |commanded: i64, rate: i64| {
             // The margin lets a coordinate start from standstill while others move.
-            let most = slower(rate.abs(), load) + limits.step / 16;
+            let most = slower(rate.abs(), utilisation) + limits.step / 16;
             commanded.clamp(-most, most)
         };
         self.go(target, limits, |commanded, rate| {
-            if load > SLOWED_LOAD {
+            if utilisation > SLOWED_UTILISATION {
                 slowed(commanded, rate)
             } else {
                 commanded
