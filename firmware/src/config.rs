@@ -47,7 +47,7 @@ pub struct Config {
     pub homing: Homing,
     /// Force sensor and force control, if the machine has them.
     pub force: Option<ForceConfig>,
-    /// Mapping from a master to the tool, if a master can lead it.
+    /// Mapping from a master to the tool, if a master can move it.
     #[cfg_attr(not(feature = "haptics"), serde(deserialize_with = "absent"))]
     pub follow: Option<FollowConfig>,
     /// The haptic arm, if there is one.

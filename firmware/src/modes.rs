@@ -5,7 +5,7 @@ use crate::core::Core;
 use crate::faults;
 use crate::io::Inputs;
 use crate::machine::Machine;
-use crate::machine::masters::Leading;
+use crate::machine::masters::MasterMotion;
 use crate::motion::Mode;
 use crate::motion::interpolator::Progress;
 use crate::safety::homing::{HomingProgress, Searched};
@@ -28,7 +28,7 @@ pub(crate) fn advance(core: &mut Core, server: &mut Server, inputs: &Inputs) {
     }
 }
 
-/// A master leads coordinates of a running job. The job holds when its samples are stale.
+/// A master moves coordinates of a running job. The job holds when its samples are stale.
 fn follow_master(core: &mut Core) {
     let running = core.safety.state() == State::Run && !core.job.stopping;
     let Some(machine) = &mut core.machine else {
@@ -36,7 +36,7 @@ fn follow_master(core: &mut Core) {
     };
     if !running {
         machine.release_master();
-    } else if let Leading::Lost(age_ms) = machine.advance_master() {
+    } else if let MasterMotion::Lost(age_ms) = machine.advance_master() {
         core.safety.push_event(Event::MasterLost { age_ms });
         core.hold();
     }

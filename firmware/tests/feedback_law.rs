@@ -204,23 +204,23 @@ proptest! {
         };
         let angle = |radians: f64| Coordinate(libm::round(radians / std::f64::consts::TAU * 4_294_967_296.0) as i32);
         let rest = [Coordinate((12.0 * MM) as i32), Coordinate((-7.0 * MM) as i32), Coordinate(0), angle(theta), angle(alpha)];
-        let mut lead = MasterMapping::new(scale);
+        let mut mapping = MasterMapping::new(scale);
         let tip = [30.0, -20.0, 590.0];
-        lead.follow(&frame(first, tip), 0b11111, |axis| rest[axis]);
+        mapping.follow(&frame(first, tip), 0b11111, |axis| rest[axis]);
         for axis in 0..5 {
             // 1 nm and 10 nrad: the rounding of sines and arc tangent.
-            let off = lead.targets()[axis].expect("led").0.wrapping_sub(rest[axis].0);
+            let off = mapping.targets()[axis].expect("moved").0.wrapping_sub(rest[axis].0);
             prop_assert!(off.abs() <= if axis < 3 { 0 } else { 12 }, "axis {axis} jumps by {off}");
         }
         let moved = [33.0, -22.5, 589.0];
-        lead.follow(&frame(times(then, first), moved), 0b11111, |_| unreachable!("latched"));
+        mapping.follow(&frame(times(then, first), moved), 0b11111, |_| unreachable!("latched"));
         for axis in 0..3 {
-            let way = f64::from(lead.targets()[axis].expect("led").0 - rest[axis].0) / MM;
+            let way = f64::from(mapping.targets()[axis].expect("moved").0 - rest[axis].0) / MM;
             prop_assert!((way - (moved[axis] - tip[axis]) * f64::from(scale) / 4096.0).abs() < 1e-5);
         }
         let tool = [libm::sin(theta), libm::cos(theta) * libm::sin(alpha), libm::cos(theta) * libm::cos(alpha)];
         let want = apply(then, tool);
-        let sines = |axis: usize| sin_cos(Angle(lead.targets()[axis].expect("led").0));
+        let sines = |axis: usize| sin_cos(Angle(mapping.targets()[axis].expect("moved").0));
         let ((s, c), (sa, ca)) = (sines(3), sines(4));
         let one = f64::from(1 << 30);
         let got = [f64::from(s) / one, f64::from(c) / one * f64::from(sa) / one, f64::from(c) / one * f64::from(ca) / one];
@@ -233,10 +233,10 @@ proptest! {
     #[test]
     fn any_master_sample_is_accepted(tip: [i32; 3], rate: [i32; 3], axes: [[i16; 3]; 2], age: u32, scale in 410_u16..8192, rest: i32) {
         let master = MasterPose { tip, rate, axes, enabling_switch: true };
-        let mut lead = MasterMapping::new(scale);
-        lead.follow(&HandleFrame::of(&master, age, 5000), 0b11111, |_| Coordinate(rest));
+        let mut mapping = MasterMapping::new(scale);
+        mapping.follow(&HandleFrame::of(&master, age, 5000), 0b11111, |_| Coordinate(rest));
         let other = MasterPose { tip: tip.map(|x| !x), ..master };
-        lead.follow(&HandleFrame::of(&other, age, 5000), 0b11111, |_| Coordinate(rest));
+        mapping.follow(&HandleFrame::of(&other, age, 5000), 0b11111, |_| Coordinate(rest));
     }
 
     /// No force, displacement or rate overflows the observer; its energy stays within its limits.

@@ -321,7 +321,7 @@ fn jog_reaches_the_workspace_boundary() {
     assert!(farthest.0 <= 0.1, "stops short of its bound: {farthest:?}");
 }
 
-/// A master leads three coordinates beside a jog of the table or the tilt: the same limit holds for
+/// A master moves three coordinates beside a jog of the table or the tilt: the same limit holds for
 /// all of them together.
 #[test]
 fn master_beside_jog_keeps_joint_rate_limits() {
@@ -336,10 +336,10 @@ fn master_beside_jog_keeps_joint_rate_limits() {
         motion.configure(&config);
         motion.set_position(&pose);
         motion.begin_program();
-        let led = 1 + random.below(7);
+        let moved = 1 + random.below(7);
         for axis in 0..AXES {
             let source = match axis {
-                0..=2 if led & (1 << axis) != 0 => Source::Master,
+                0..=2 if moved & (1 << axis) != 0 => Source::Master,
                 3 | 4 if random.below(2) == 0 => Source::Jog,
                 _ => Source::Program,
             };

@@ -83,7 +83,7 @@ fn plant(criterion: &mut Criterion) {
         press_n: 2.0,
     }));
     criterion.bench_function(
-        "haptic arm: one period, led along the edge of a part",
+        "haptic arm: one period, moved along the edge of a part",
         |bencher| {
             bencher.iter(|| {
                 haptic.advance(black_box(&HapticOutputs::default()), true);

@@ -13,7 +13,7 @@ use haptimill_hil_sim::operator::{
 const PERIOD: f64 = 200e-6;
 const X: [f64; 3] = [1.0, 0.0, 0.0];
 
-fn led(rail: Option<Rail>) -> HapticArm {
+fn held_arm(rail: Option<Rail>) -> HapticArm {
     let mut arm = HapticArm::new(&HapticConfig::default(), 200, 20, 1).expect("fine");
     arm.take(Some(&OperatorConfig::default())).expect("fine");
     arm.fit_rail(rail).expect("fine");
@@ -81,11 +81,11 @@ fn stroke(at_s: f64, x: f64, pace_mm_s: f64) -> Stroke {
 /// hand slows down to near 4 mm/s.
 #[test]
 fn a_moving_wall_slows_the_hand_as_stated() {
-    let mut arm = led(Some(Rail::along(X)));
+    let mut arm = held_arm(Some(Rail::along(X)));
     arm.set_trajectory(Trajectory::Strokes(vec![stroke(0.0, -70.0, 26.0)]));
     let course = run(&mut arm, 6.0, |time, truth| {
-        let lead = -4.0 * time - truth.tip[0];
-        [(0.35 * lead).clamp(0.0, 5.5), 0.0, 0.0]
+        let depth = -4.0 * time - truth.tip[0];
+        [(0.35 * depth).clamp(0.0, 5.5), 0.0, 0.0]
     });
     let reached = course
         .iter()
@@ -114,7 +114,7 @@ fn a_moving_wall_slows_the_hand_as_stated() {
 /// another line.
 #[test]
 fn the_hand_is_slow_where_its_quarters_say() {
-    let mut arm = led(None);
+    let mut arm = held_arm(None);
     let quarters = [0.3, 0.6, 1.0, 0.4];
     let second = Stroke {
         quarters,
@@ -149,7 +149,7 @@ fn the_hand_complies_with_a_steady_force() {
     let speeds: Vec<(f64, f64)> = [0.0, 1.0, 2.0, 3.0, 4.0, 5.5, 6.5]
         .into_iter()
         .map(|force| {
-            let mut arm = led(Some(Rail::along(X)));
+            let mut arm = held_arm(Some(Rail::along(X)));
             arm.set_trajectory(Trajectory::Strokes(vec![stroke(0.0, -80.0, 22.0)]));
             let course = run(&mut arm, 3.6, |_, _| [force, 0.0, 0.0]);
             (
@@ -175,7 +175,7 @@ fn the_hand_complies_with_a_steady_force() {
 /// Stated for E8: 30 mm in about 5 s. Without resistance the hand ends at its target.
 #[test]
 fn strokes_end_at_their_targets() {
-    let mut arm = led(Some(Rail::along(X)));
+    let mut arm = held_arm(Some(Rail::along(X)));
     arm.set_trajectory(Trajectory::Strokes(vec![
         stroke(0.0, -30.0, 7.0),
         stroke(5.5, 0.0, 20.0),
@@ -197,7 +197,7 @@ fn strokes_end_at_their_targets() {
 /// oscillate.
 #[test]
 fn force_feedback_of_a_cut_slows_the_hand_without_oscillation() {
-    let mut arm = led(Some(Rail::along(X)));
+    let mut arm = held_arm(Some(Rail::along(X)));
     arm.set_trajectory(Trajectory::Strokes(vec![Stroke {
         ramp_s: 2.0,
         stop_s: 0.0,
@@ -239,7 +239,7 @@ fn force_feedback_of_a_cut_slows_the_hand_without_oscillation() {
 }
 
 fn traced(part: &ReferencePart, turns: f64, press_n: f64, feedback: f64) -> Vec<HapticGroundTruth> {
-    let mut arm = led(None);
+    let mut arm = held_arm(None);
     arm.clamp_part(Some(part.clone())).expect("fine");
     if !part.hole {
         // To the edge first.
@@ -329,7 +329,7 @@ fn the_ball_stays_outside_a_disc() {
 #[test]
 fn an_impact_meets_the_arm_before_the_operator_reacts() {
     let tip_after = |reaction_s: f64| {
-        let mut arm = led(Some(Rail::along(X)));
+        let mut arm = held_arm(Some(Rail::along(X)));
         let hand = OperatorConfig {
             reaction_s,
             ..OperatorConfig::default()
@@ -347,14 +347,14 @@ fn an_impact_meets_the_arm_before_the_operator_reacts() {
         "{}",
         place(&late, 0.19)
     );
-    // Later the operator's effort leads it back.
+    // Later the operator's effort moves it back.
     assert!(place(&late, 0.99) < 0.5 * place(&late, 0.19));
     assert!(place(&later, 0.35) > place(&late, 0.35));
 }
 
 #[test]
 fn a_live_hand_moves_to_its_target() {
-    let mut arm = led(None);
+    let mut arm = held_arm(None);
     for period in 0..10_000 {
         let time = f64::from(period) * PERIOD;
         let place = (10.0 * time).min(15.0);
@@ -376,7 +376,7 @@ fn a_live_hand_moves_to_its_target() {
 
 #[test]
 fn the_counters_give_the_joint_positions() {
-    let mut arm = led(None);
+    let mut arm = held_arm(None);
     let start = arm.truth().joints;
     arm.set_trajectory(Trajectory::Strokes(vec![Stroke {
         at_s: 0.0,
@@ -427,7 +427,7 @@ fn the_counters_give_the_joint_positions() {
 
 #[test]
 fn motors_without_power_or_enable_give_no_force() {
-    let mut arm = led(None);
+    let mut arm = held_arm(None);
     let mut outputs = codes(&arm, [5.0, 0.0, 0.0]);
     arm.advance(&outputs, false);
     assert_eq!(arm.truth().feedback, [0.0; 6]);
@@ -445,7 +445,7 @@ fn motors_without_power_or_enable_give_no_force() {
 
 #[test]
 fn invalid_configurations_are_refused() {
-    let mut arm = led(None);
+    let mut arm = held_arm(None);
     let narrow = ReferencePart {
         radius_mm: 2.0,
         ..ReferencePart::default()

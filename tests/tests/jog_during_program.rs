@@ -1,4 +1,4 @@
-//! Coordinates that are jogged or held while the program leads the others.
+//! Coordinates that are jogged or held while the program moves the others.
 
 use crate::setup;
 use haptimill_kinematics::{Kinematics, Pose};
@@ -27,7 +27,7 @@ fn changing_the_source_of_an_axis_does_not_move_the_tool() {
     for _ in 0..2000 {
         step_smoothly(&mut bench, 0.0011);
     }
-    // y is jogged while the program leads x.
+    // y is jogged while the program moves x.
     pause(&mut bench);
     bench
         .ask(Command::Source {
@@ -56,7 +56,7 @@ fn changing_the_source_of_an_axis_does_not_move_the_tool() {
     let held = commanded(&bench)[0];
     resume(&mut bench, 1500);
     assert_eq!(commanded(&bench)[0], held);
-    // The program leads both again. They keep the motion since then as their offset.
+    // The program moves both again. They keep the motion since then as their offset.
     pause(&mut bench);
     for coordinate in [0, 1] {
         bench

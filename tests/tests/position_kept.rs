@@ -123,8 +123,8 @@ fn a_wrong_encoder_loses_the_position() {
         let mut random = Random::new(seed, 2);
         let mut bench = ready();
         let what = start_motion(&mut bench, &mut random, 1 + seed % 2);
-        let lead = 50 + (random.fraction() * 2500.0) as usize;
-        bench.steps(lead);
+        let before = 50 + (random.fraction() * 2500.0) as usize;
+        bench.steps(before);
         let joint = (random.draw() % 5) as usize;
         let condition = if random.happens(0.6) {
             EncoderCondition {

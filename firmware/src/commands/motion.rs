@@ -3,7 +3,7 @@
 use super::conditions::{Done, in_state, settled};
 use crate::config::HAPTICS;
 use crate::core::Core;
-use crate::haptics::mapping::LED;
+use crate::haptics::mapping::MASTER_COORDINATES;
 use haptimill_protocol::message::{
     AxisValues, MAX_AXES, OverrideMode, RATE_SHIFT, Refusal, Source, State,
 };
@@ -85,7 +85,8 @@ pub(super) fn choose_source(core: &mut Core, coordinate: u8, source: Source) -> 
     if usize::from(coordinate) >= machine.axes() {
         return Err(Refusal::Range);
     }
-    let follows = HAPTICS && machine.config.follow.is_some() && usize::from(coordinate) < LED;
+    let follows =
+        HAPTICS && machine.config.follow.is_some() && usize::from(coordinate) < MASTER_COORDINATES;
     if source == Source::Master && !follows {
         return Err(Refusal::NoMaster);
     }

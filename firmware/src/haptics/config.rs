@@ -1,4 +1,4 @@
-//! Configuration of a haptic arm, and of a tool that a master leads.
+//! Configuration of a haptic arm, and of a tool that a master moves.
 
 use super::ForceFeedback;
 use super::fixture::FixtureConfig;

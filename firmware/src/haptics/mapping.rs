@@ -1,8 +1,8 @@
 //! Master-to-tool mapping: docs/control.md (3.1)-(3.8) without a division by zero.
 //!
-//! When the master starts to lead (the enabling switch is pressed, a coordinate is assigned to
-//! it, the scale changes), the positions of master and tool are latched for each coordinate. From
-//! then on
+//! When the master starts to move the tool (the enabling switch is pressed, a coordinate is
+//! assigned to it, the scale changes), the positions of master and tool are latched for each
+//! coordinate. From then on
 //!
 //! ```text
 //! X_sd = G_P (X_m - X_mr) + X_sr          R_sd = (R_m R_mr^T) R_sr
@@ -24,9 +24,9 @@ use haptimill_math::trig::{atan2, sin_cos};
 use haptimill_math::{Coordinate, Rate};
 use haptimill_protocol::message::MAX_AXES;
 
-/// Number of coordinates that a master can lead: x, y, z, and theta and alpha by the direction of
+/// Number of coordinates that a master can move: x, y, z, and theta and alpha by the direction of
 /// the tool.
-pub const LED: usize = 5;
+pub const MASTER_COORDINATES: usize = 5;
 
 /// Index of the first of the two angles.
 const THETA: usize = 3;
@@ -77,7 +77,7 @@ pub struct MasterMapping {
     /// Latched coordinates, one bit each.
     latched: u8,
     master: Vector,
-    tool: [i32; LED],
+    tool: [i32; MASTER_COORDINATES],
     /// Tool axis at the latch, in handle coordinates.
     latched_axis: Vector,
     targets: [Option<Coordinate>; MAX_AXES],
@@ -99,9 +99,9 @@ impl MasterMapping {
         self.targets = [None; MAX_AXES];
     }
 
-    /// Releases one coordinate; it is latched again when it is led next.
+    /// Releases one coordinate; it is latched again when the master moves it next.
     pub const fn release_one(&mut self, axis: usize) {
-        if axis < LED {
+        if axis < MASTER_COORDINATES {
             self.latched &= !(1 << axis);
             self.targets[axis] = None;
         }
@@ -119,31 +119,31 @@ impl MasterMapping {
         }
     }
 
-    /// Whether the master leads any coordinate.
+    /// Whether the master moves any coordinate.
     #[must_use]
     pub const fn is_active(&self) -> bool {
         self.latched != 0
     }
 
-    /// Target positions of the coordinates that the master leads.
+    /// Target positions of the coordinates that the master moves.
     #[must_use]
     pub const fn targets(&self) -> &[Option<Coordinate>; MAX_AXES] {
         &self.targets
     }
 
-    /// Computes the targets of a control period. The master leads the coordinates of `led` (one bit
-    /// each); `standstill_position` returns the position at which a coordinate comes to standstill
-    /// if nothing leads it.
+    /// Computes the targets of a control period. The master moves the coordinates of `mask` (one
+    /// bit each); `standstill_position` returns the position at which a coordinate comes to
+    /// standstill if nothing moves it.
     pub fn follow(
         &mut self,
         frame: &HandleFrame,
-        led: u8,
+        mask: u8,
         standstill_position: impl Fn(usize) -> Coordinate,
     ) {
         self.targets = [None; MAX_AXES];
-        let fresh = led & !self.latched;
+        let fresh = mask & !self.latched;
         for axis in 0..THETA {
-            if led & (1 << axis) == 0 {
+            if mask & (1 << axis) == 0 {
                 continue;
             }
             if fresh & (1 << axis) != 0 {
@@ -156,7 +156,7 @@ impl MasterMapping {
             let target = i64::from(self.tool[axis]) + round_shift(displacement, 12);
             self.targets[axis] = Some(Coordinate(saturate(target)));
         }
-        let angles = led >> THETA & 3;
+        let angles = mask >> THETA & 3;
         if angles != 0 {
             if fresh >> THETA & 3 != 0 {
                 self.hold(
@@ -172,7 +172,7 @@ impl MasterMapping {
                 }
             }
         }
-        self.latched = led & ((1 << LED) - 1);
+        self.latched = mask & ((1 << MASTER_COORDINATES) - 1);
     }
 
     /// Latches the tool axis: (sin theta, cos theta sin alpha, cos theta cos alpha) in handle

@@ -60,7 +60,7 @@ use passivity::{Passivity, WHOLE, works};
 
 mod motors;
 
-/// Blend time of the force feedback when the master starts or stops leading, microseconds.
+/// Blend time of the force feedback when the master starts or stops moving the tool, microseconds.
 const BLEND_US: u32 = 100_000;
 
 /// Largest age of the last remote force, microseconds.
@@ -374,12 +374,12 @@ impl Haptic {
         self.remote.force.map(|part| (part.0 >> 10) as i16)
     }
 
-    /// Runs the *render* stage. `tool` is the force on a local tool, `leading` whether the master
-    /// leads a tool now, `powered` whether the arm may have power.
+    /// Runs the *render* stage. `tool` is the force on a local tool, `moves_tool` whether the
+    /// master moves a tool now, `powered` whether the arm may have power.
     pub fn render(
         &mut self,
         tool: Option<[Force; COMPONENTS]>,
-        leading: bool,
+        moves_tool: bool,
         powered: bool,
         outputs: &mut HapticOutputs,
     ) {
@@ -400,7 +400,7 @@ impl Haptic {
             [Force::ZERO; COMPONENTS]
         };
         let tool = tool.unwrap_or(there);
-        let towards = if leading { 1 << 16 } else { 0 };
+        let towards = if moves_tool { 1 << 16 } else { 0 };
         self.blend += (towards - self.blend).clamp(-self.blend_step, self.blend_step);
         let rates = self.rates.map(|rate| Rate(saturate(rate >> 8)));
         self.fixture = self.fixtures.push(&pose.tip);

@@ -119,8 +119,8 @@ impl OscillationDampers {
             let most = rates[axis].0.saturating_abs();
             let oscillation = self.rates[axis].of(rates[axis].0, self.shift);
             let rate = Rate(oscillation.clamp(-most, most));
-            let led = ((i64::from(part) * i64::from(WHOLE - idle[axis])) >> 16) as i32;
-            self.observer.damp_by(led - damped[axis], rate)
+            let driven = ((i64::from(part) * i64::from(WHOLE - idle[axis])) >> 16) as i32;
+            self.observer.damp_by(driven - damped[axis], rate)
         })
     }
 
@@ -186,8 +186,8 @@ impl OperatorPower {
             let power = total(self.power[axis], shift_right(away, self.shift));
             self.power[axis] = power;
             // 2^48 at most.
-            let led = product(power.max(0).min(self.driving) >> 8, self.per_driving);
-            WHOLE - (led >> 32) as i32
+            let driven = product(power.max(0).min(self.driving) >> 8, self.per_driving);
+            WHOLE - (driven >> 32) as i32
         })
     }
 }
@@ -272,7 +272,7 @@ mod tests {
     /// energy for half of each oscillation. A hand at standstill against a force does not drive it
     /// either.
     #[test]
-    fn a_hand_that_is_driven_does_not_lead() {
+    fn a_hand_that_is_driven_does_not_drive() {
         for (amplitude, late) in [(0.0, 0.0), (0.5, 0.3), (2.0, 1.2), (4.0, 0.1)] {
             let mut operator_power = OperatorPower::new(200);
             // 5 Hz; a force of 3 N, and one of 1.5 N that is ahead of the motion by `late` of a

@@ -46,14 +46,14 @@ impl Masters {
 /// Encoder scalings of a haptic arm, and the counts at its home.
 pub type HapticEncoderState = ([[Encoder; 3]; LEGS], Zero);
 
-/// Whether a master leads the tool in a period.
+/// Whether a master moves the tool in a period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Leading {
-    /// No master leads.
+pub enum MasterMotion {
+    /// No master moves it.
     No,
-    /// A master leads.
+    /// A master moves it.
     Yes,
-    /// The remote master led, and its last pose is stale: its age in ms.
+    /// The remote master moved it, and its last pose is stale: its age in ms.
     Lost(u16),
 }
 
@@ -110,8 +110,8 @@ impl Machine {
         self.masters.remote.set_sample(master, age);
     }
 
-    /// Pose of the master that can lead: the haptic arm if there is one, otherwise the remote
-    /// master.
+    /// Pose of the master that can move the tool: the haptic arm if there is one, otherwise the
+    /// remote master.
     #[must_use]
     pub fn master(&self) -> Option<HandleFrame> {
         match self.masters.arm() {
@@ -123,16 +123,16 @@ impl Machine {
 
     /// Moves the coordinates whose source is the master, while its enabling switch is pressed.
     #[inline]
-    pub fn advance_master(&mut self) -> Leading {
+    pub fn advance_master(&mut self) -> MasterMotion {
         if HAPTICS {
             self.follow_master()
         } else {
-            Leading::No
+            MasterMotion::No
         }
     }
 
     #[inline(never)]
-    fn follow_master(&mut self) -> Leading {
+    fn follow_master(&mut self) -> MasterMotion {
         let mask = self.motion.master_mask();
         let remote = self.masters.arm().is_none();
         let age = self.masters.remote.age().unwrap_or(u32::MAX);
@@ -141,13 +141,13 @@ impl Machine {
             .master()
             .filter(|frame| frame.enabling_switch && !late && mask != 0);
         let Some(frame) = frame else {
-            let led = self.masters.mapping.is_active();
+            let moved = self.masters.mapping.is_active();
             self.release_master();
-            if late && led && mask != 0 {
+            if late && moved && mask != 0 {
                 let age_ms = u64::from(age) * u64::from(self.config.period_us) / 1000;
-                return Leading::Lost(age_ms.min(u64::from(u16::MAX)) as u16);
+                return MasterMotion::Lost(age_ms.min(u64::from(u16::MAX)) as u16);
             }
-            return Leading::No;
+            return MasterMotion::No;
         };
         let motion = &self.motion;
         self.masters
@@ -155,11 +155,11 @@ impl Machine {
             .follow(&frame, mask, |axis| motion.standstill_position(axis));
         self.motion
             .set_master_targets(self.masters.mapping.targets());
-        Leading::Yes
+        MasterMotion::Yes
     }
 
-    /// Ends the lead of the master. The next lead latches the positions of master and tool at its
-    /// start.
+    /// Ends the motion of the tool by the master. The next one latches the positions of master and
+    /// tool at its start.
     #[inline]
     pub fn release_master(&mut self) {
         if !HAPTICS {
@@ -184,7 +184,7 @@ impl Machine {
             return;
         };
         let here = !self.joints.is_empty();
-        let leading = if here {
+        let moves_tool = if here {
             self.masters.mapping.is_active()
         } else {
             arm.frame().is_some_and(|frame| frame.enabling_switch)
@@ -200,7 +200,7 @@ impl Machine {
         } else {
             None
         };
-        arm.render(tool, leading, powered, outputs);
+        arm.render(tool, moves_tool, powered, outputs);
     }
 
     /// A problem of the haptic arm that was not reported yet.

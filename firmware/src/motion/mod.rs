@@ -214,7 +214,7 @@ impl Motion {
     }
 
     /// Position at which a coordinate that follows a master comes to standstill if the master stops
-    /// leading it.
+    /// moving it.
     #[must_use]
     pub fn standstill_position(&self, axis: usize) -> Coordinate {
         match self.sources.get(axis) {
@@ -241,7 +241,7 @@ impl Motion {
                 .all(Tracker::is_at_standstill)
     }
 
-    /// Takes the coordinate that the master leads beyond the machine's reach. Each block is
+    /// Takes the coordinate that the master moves beyond the machine's reach. Each block is
     /// reported once, until motion resumes.
     pub const fn take_limited(&mut self) -> Option<u8> {
         self.limited.take()
@@ -378,9 +378,9 @@ impl Motion {
         moving
     }
 
-    /// Whether the master may continue to lead. A blocked master may lead again once all trackers
-    /// are at standstill.
-    fn master_may_lead(&mut self) -> bool {
+    /// Whether the master may continue to move the tool. A blocked master may move it again once
+    /// all trackers are at standstill.
+    fn master_may_move(&mut self) -> bool {
         self.tracking_blocked = self.tracking_blocked && !self.are_trackers_at_standstill();
         !self.tracking_blocked
     }
@@ -390,8 +390,8 @@ impl Motion {
     /// joint would exceed its maximum rate, jogs and trackers decelerate in this period and try
     /// again in the next one.
     fn check_stopping(&mut self, machine: &impl Kinematics) -> (bool, Option<u8>) {
-        let master_leads = self.master_may_lead();
-        let utilisation = self.stopping_utilisation(true, master_leads, machine);
+        let master_moves = self.master_may_move();
+        let utilisation = self.stopping_utilisation(true, master_moves, machine);
         self.utilisation = utilisation.unwrap_or_default();
         if self.utilisation > MAX_UTILISATION {
             self.jog.brake();
@@ -428,7 +428,7 @@ impl Motion {
     fn stopping_utilisation(
         &mut self,
         jog_continues: bool,
-        master_may_lead: bool,
+        master_may_move: bool,
         machine: &impl Kinematics,
     ) -> Option<u32> {
         let program = self.program.envelope();
@@ -458,7 +458,7 @@ impl Motion {
                 }
                 Source::Jog => envelope.take(axis, &jog, 0),
                 Source::Master if HAPTICS => {
-                    let target = self.targets[axis].filter(|_| master_may_lead);
+                    let target = self.targets[axis].filter(|_| master_may_move);
                     // A tracker at standstill keeps its position exactly.
                     if target.is_some() || !tracker.is_at_standstill() {
                         extend(

@@ -275,7 +275,7 @@ impl Bench {
     }
 
     /// Runs some periods in which the handle moves evenly by a displacement.
-    pub fn lead(&mut self, way: V, periods: usize) {
+    pub fn move_master(&mut self, way: V, periods: usize) {
         for _ in 0..periods {
             for axis in 0..3 {
                 self.centre[axis] += way[axis] / periods as f64;

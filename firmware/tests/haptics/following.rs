@@ -16,13 +16,13 @@ fn tool_follows_the_master_and_the_enabling_switch() {
     bench.start_job();
     let start = [bench.at(0).0, bench.at(1).0, bench.at(2).0];
     // The hand moves and does not hold the button: nothing.
-    bench.lead([5.0, 0.0, 0.0], 2000);
+    bench.move_master([5.0, 0.0, 0.0], 2000);
     assert_eq!(bench.at(0).0, start[0]);
     // It holds it, where it is now, and moves: the tool follows, z does not.
     bench.inputs.haptic.enabling_switch = true;
     let mut jump_check = JumpCheck::at(&bench);
     for way in [[-12.0, 4.0, 3.0], [0.0; 3], [20.0, -9.0, 0.0], [0.0; 3]] {
-        jump_check.lead(&mut bench, way, 5000);
+        jump_check.move_master(&mut bench, way, 5000);
     }
     for _ in 0..10_000 {
         bench.step();
@@ -41,11 +41,11 @@ fn tool_follows_the_master_and_the_enabling_switch() {
     assert_eq!(bench.at(2).0, start[2]);
     // The enabling switch during a motion: released, moved back, pressed again there.
     for _ in 0..5 {
-        bench.lead([1.0, 0.0, 0.0], 500);
+        bench.move_master([1.0, 0.0, 0.0], 500);
     }
     let mut jump_check = JumpCheck::at(&bench);
     bench.inputs.haptic.enabling_switch = false;
-    jump_check.lead(&mut bench, [-8.0, 0.0, 0.0], 4000);
+    jump_check.move_master(&mut bench, [-8.0, 0.0, 0.0], 4000);
     let rest = bench.at(0);
     assert_eq!(rest.1, 0.0);
     bench.inputs.haptic.enabling_switch = true;
@@ -54,7 +54,7 @@ fn tool_follows_the_master_and_the_enabling_switch() {
         jump_check.check(&bench);
     }
     assert!((bench.at(0).0 - rest.0).abs() < 0.02);
-    // The scale changes while it leads: no jump, and half the way from there on.
+    // The scale changes while it moves the tool: no jump, and half the way from there on.
     assert_eq!(
         bench.ask(Command::PositionScale { scale: 300 }),
         Err(Refusal::Range)
@@ -65,14 +65,14 @@ fn tool_follows_the_master_and_the_enabling_switch() {
     );
     let before = bench.at(0).0;
     assert_eq!(bench.ask(Command::PositionScale { scale: 2048 }), Ok(()));
-    jump_check.lead(&mut bench, [-4.0, 0.0, 0.0], 4000);
+    jump_check.move_master(&mut bench, [-4.0, 0.0, 0.0], 4000);
     bench.steps(5000);
     assert!(
         (bench.at(0).0 - before + 2.0).abs() < 0.03,
         "{}",
         bench.at(0).0 - before
     );
-    // The job is over: the hand leads no more.
+    // The job is over: the hand moves the tool no more.
     assert_eq!(bench.ask(Command::JobEnd { count: 0 }), Ok(()));
     bench.wait_for(State::Idle);
     // One event is reported per period.
@@ -132,7 +132,7 @@ fn every_stop_ends_following_until_a_command() {
     bench.master(0);
     bench.start_job();
     bench.inputs.haptic.enabling_switch = true;
-    bench.lead([-5.0, 0.0, 0.0], 2500);
+    bench.move_master([-5.0, 0.0, 0.0], 2500);
     bench
         .link
         .send(&Request {
@@ -140,20 +140,20 @@ fn every_stop_ends_following_until_a_command() {
             command: Command::Hold,
         })
         .expect("room");
-    bench.lead([-3.0, 0.0, 0.0], 1500);
+    bench.move_master([-3.0, 0.0, 0.0], 1500);
     assert_eq!((bench.state(), bench.at(0).1), (State::Hold, 0.0));
     let held = bench.at(0).0;
-    bench.lead([9.0, 0.0, 0.0], 1500);
+    bench.move_master([9.0, 0.0, 0.0], 1500);
     assert_eq!(bench.at(0).0, held);
     // Resumed where both are now.
     assert_eq!(bench.ask(Command::Resume), Ok(()));
     bench.steps(3000);
     assert!((bench.at(0).0 - held).abs() < 0.02);
-    bench.lead([-4.0, 0.0, 0.0], 2000);
+    bench.move_master([-4.0, 0.0, 0.0], 2000);
     bench.steps(4000);
     assert!((bench.at(0).0 - held + 4.0).abs() < 0.03);
     bench.inputs.out_of_band_stop = true;
-    bench.lead([-4.0, 0.0, 0.0], 2000);
+    bench.move_master([-4.0, 0.0, 0.0], 2000);
     assert_eq!((bench.state(), bench.at(0).1), (State::Hold, 0.0));
     bench.steps(3000);
     assert_eq!(bench.ask(Command::Stop), Ok(()));
@@ -215,7 +215,7 @@ fn jog_takes_over_only_at_standstill() {
     bench.master(0);
     bench.start_job();
     bench.inputs.haptic.enabling_switch = true;
-    bench.lead([-5.0, 0.0, 0.0], 2500);
+    bench.move_master([-5.0, 0.0, 0.0], 2500);
     assert_eq!(bench.ask(Command::Hold), Ok(()));
     let mut jump_check = JumpCheck::at(&bench);
     assert!(bench.at(0).1 < -5.0, "under way: {}", bench.at(0).1);
@@ -253,11 +253,11 @@ fn a_refused_source_keeps_the_offset_of_the_master() {
     bench.start_job();
     bench.inputs.haptic.enabling_switch = true;
     let begin = bench.at(0).0;
-    bench.lead([-5.0, 0.0, 0.0], 2500);
+    bench.move_master([-5.0, 0.0, 0.0], 2500);
     let source = Source::Jog;
     let refused = Err(Refusal::State(State::Run));
     // During the motion the tool is behind the master: a new offset would keep this distance.
-    bench.lead([-0.1, 0.0, 0.0], 5);
+    bench.move_master([-0.1, 0.0, 0.0], 5);
     assert_eq!(
         bench.ask(Command::Source {
             coordinate: 0,
@@ -265,7 +265,7 @@ fn a_refused_source_keeps_the_offset_of_the_master() {
         }),
         refused
     );
-    bench.lead([5.1, 0.0, 0.0], 2500);
+    bench.move_master([5.1, 0.0, 0.0], 2500);
     bench.steps(3000);
     let off = (bench.at(0).0 - begin).abs();
     assert!(off < 1e-3, "{off} mm");
@@ -283,11 +283,11 @@ fn master_is_blocked_at_the_workspace_boundary() {
     let mut jump_check = JumpCheck::at(&bench);
     for _ in 0..4 {
         bench.inputs.haptic.enabling_switch = true;
-        jump_check.lead(&mut bench, [0.0, 35.0, 30.0], 5000);
+        jump_check.move_master(&mut bench, [0.0, 35.0, 30.0], 5000);
         bench.steps(3000);
         bench.inputs.haptic.enabling_switch = false;
         bench.steps(200);
-        bench.lead([0.0, -35.0, -30.0], 3000);
+        bench.move_master([0.0, -35.0, -30.0], 3000);
         jump_check = JumpCheck::at(&bench);
     }
     assert_eq!(bench.state(), State::Run, "{:?}", bench.events);
@@ -300,7 +300,7 @@ fn master_is_blocked_at_the_workspace_boundary() {
     // And back.
     bench.inputs.haptic.enabling_switch = true;
     let far = bench.at(1).0;
-    bench.lead([0.0, -10.0, -5.0], 3000);
+    bench.move_master([0.0, -10.0, -5.0], 3000);
     bench.steps(3000);
     assert!(bench.at(1).0 < far - 15.0, "{far} {}", bench.at(1).0);
 }

@@ -38,9 +38,9 @@ impl JumpCheck {
 
     /// Moves the handle evenly by a displacement.
     #[track_caller]
-    fn lead(&mut self, bench: &mut Bench, way: [f64; 3], periods: usize) {
+    fn move_master(&mut self, bench: &mut Bench, way: [f64; 3], periods: usize) {
         for _ in 0..periods {
-            bench.lead(way.map(|part| part / periods as f64), 1);
+            bench.move_master(way.map(|part| part / periods as f64), 1);
             self.check(bench);
         }
     }

@@ -19,13 +19,13 @@ fn wrong_arm_encoder_switches_the_arm_off_and_stops() {
             bench.master(0);
             bench.start_job();
             bench.inputs.haptic.enabling_switch = true;
-            bench.lead([2.0, 0.0, 0.0], 1000);
+            bench.move_master([2.0, 0.0, 0.0], 1000);
             assert!(bench.outputs.haptic.enabled);
             bench.lie = Some((1, sensor, lie));
             let mut periods = 0;
             while bench.outputs.haptic.enabled && periods < 40_000 {
                 // 10 mm/s, all ways at once.
-                bench.lead([-0.0012, 0.0010, 0.0012], 1);
+                bench.move_master([-0.0012, 0.0010, 0.0012], 1);
                 periods += 1;
             }
             assert!(

@@ -8,7 +8,7 @@ use haptimill_protocol::haptic::{ForceFeedback, ForceFeedbackAxis, VirtualFixtur
 use haptimill_protocol::message::{Command, Refusal};
 
 /// A master: a controller without axes. It renders the remote force with a limited slope, and its
-/// telemetry leads another controller.
+/// telemetry moves another machine.
 #[test]
 fn master_arm_renders_the_remote_force() {
     let mut bench = Bench::ready(reference::master());
@@ -110,9 +110,9 @@ fn virtual_fixtures_push_back_and_move() {
         }),
         Err(Refusal::Range)
     );
-    bench.lead([-9.0, 0.0, 0.0], 5000);
+    bench.move_master([-9.0, 0.0, 0.0], 5000);
     assert_eq!(bench.force()[0], 0.0);
-    bench.lead([-6.0, 0.0, 0.0], 5000);
+    bench.move_master([-6.0, 0.0, 0.0], 5000);
     // At rest: the oscillation damper takes some tenths of a second to find no oscillation.
     bench.steps(4000);
     assert!(
@@ -120,14 +120,14 @@ fn virtual_fixtures_push_back_and_move() {
         "{}",
         bench.force()[0]
     );
-    bench.lead([-20.0, 0.0, 0.0], 9000);
+    bench.move_master([-20.0, 0.0, 0.0], 9000);
     bench.steps(4000);
     assert!(
         (bench.force()[0] - 5.5).abs() < 0.01,
         "{}",
         bench.force()[0]
     );
-    bench.lead([35.0, 0.0, 0.0], 9000);
+    bench.move_master([35.0, 0.0, 0.0], 9000);
     // Thrown back by the fixture, the hand may be damped while it moves.
     assert!(bench.force()[0].abs() < 0.5);
     bench.steps(500);
@@ -145,14 +145,14 @@ fn virtual_fixtures_push_back_and_move() {
         }),
         Ok(())
     );
-    bench.lead([-20.0, 0.0, 0.0], 5000);
+    bench.move_master([-20.0, 0.0, 0.0], 5000);
     // 20 mm in a second, the fixture 4 mm behind: 16 mm ahead of it, 5.5 N at the most.
     assert!(
         (bench.force()[0] - 5.5).abs() < 0.15,
         "{}",
         bench.force()[0]
     );
-    bench.lead([-1.0, 0.0, 0.0], 5000);
+    bench.move_master([-1.0, 0.0, 0.0], 5000);
     // It comes after: 13 mm, and 0.4 mm less a tenth of a second later, when a hand at rest is not
     // damped any more.
     bench.steps(500);

@@ -133,7 +133,7 @@ pub enum Command {
     /// [`Event::Tared`]: super::Event::Tared
     /// [`Event::TareRefused`]: super::Event::TareRefused
     Tare,
-    /// Pose of a remote master that leads the tool. A last-value message: each one replaces the one
+    /// Pose of a remote master that moves the tool. A last-value message: each one replaces the one
     /// before, and a lost one is not resent.
     MasterPose {
         /// Epoch. Only the newest epoch of the session is accepted. Any stop or hold ends an epoch
@@ -144,7 +144,7 @@ pub enum Command {
         /// Pose of the master.
         pose: MasterPose,
     },
-    /// Remote force on a tool that this haptic arm leads, along x, y, z, 2^-6 N. A last-value
+    /// Remote force on a tool that this haptic arm moves, along x, y, z, 2^-6 N. A last-value
     /// message.
     RemoteForce {
         /// The forces.

@@ -94,7 +94,7 @@ pub enum Event {
         /// The component of the force.
         axis: u8,
     },
-    /// A problem of the haptic arm while it leads no tool: it is off until reset.
+    /// A problem of the haptic arm while it moves no tool: it is off until reset.
     Master(MasterProblem),
     /// No new master pose arrived: the machine decelerates and holds. [`Command::Resume`] continues
     /// from the poses of master and tool at that time.
@@ -104,7 +104,7 @@ pub enum Event {
         /// Age of the newest master pose, in milliseconds.
         age_ms: u16,
     },
-    /// The master leads the tool beyond a limit of the machine; the tool stays at the limit.
+    /// The master moves the tool beyond a limit of the machine; the tool stays at the limit.
     /// Reported once until the tool can follow again.
     MasterLimited {
         /// The pose coordinate.

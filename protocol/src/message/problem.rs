@@ -108,7 +108,7 @@ pub enum Refusal {
     ForceSensor(ForceProblem),
     /// The machine has no tables for volumetric compensation.
     NoErrorTables,
-    /// The machine has no haptic arm, or its tool cannot be led by one.
+    /// The machine has no haptic arm, or its tool cannot follow one.
     NoMaster,
     /// A virtual fixture is so near the opposite one that the ball at the tip does not fit between
     /// them.
@@ -344,7 +344,7 @@ pub enum Fault {
     /// A problem of the force sensor or of the force. The machine decelerated along its path first,
     /// and the compliant displacement is kept.
     Force(ForceProblem),
-    /// A problem of the haptic arm that leads the tool. Its motors are off, and the machine
+    /// A problem of the haptic arm that moves the tool. Its motors are off, and the machine
     /// decelerated first.
     Master(MasterProblem),
     /// An arithmetic limit was reached inside the controller. This is a defect of the firmware.

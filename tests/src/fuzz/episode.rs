@@ -13,7 +13,7 @@ pub enum Theme {
     Healthy,
     /// The same with force control and a wall or workpiece at the tool.
     Force,
-    /// The same with a master that leads the tool, or with a master alone.
+    /// The same with a master that moves the tool, or with a master alone.
     Teleoperation,
     /// One fault of the machine.
     Fault,

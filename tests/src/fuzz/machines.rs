@@ -12,7 +12,7 @@ pub enum MachineKind {
     Step,
     /// The first one with a haptic arm.
     HapticArm,
-    /// The first one, led by a remote master.
+    /// The first one; a remote master moves its tool.
     RemoteMaster,
     /// A haptic arm alone.
     MasterAlone,

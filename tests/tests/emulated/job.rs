@@ -224,7 +224,7 @@ fn a_scenario_runs_on_the_chip() {
     assert!(begun.elapsed() < Duration::from_secs(2));
 }
 
-/// A master leads the tool and feels the cut: kinematics, statics and force feedback of the haptic
+/// A master moves the tool and feels the cut: kinematics, statics and force feedback of the haptic
 /// arm on the chip.
 #[test]
 fn chip_and_native_outputs_are_equal_in_teleoperation() {
@@ -242,7 +242,7 @@ fn chip_and_native_outputs_are_equal_in_teleoperation() {
     assert!(read("native") == read("m4"), "the headers differ");
 }
 
-/// A remote master leads a machine whose controller runs on the chip.
+/// A remote master moves a machine whose controller runs on the chip.
 #[test]
 fn chip_and_native_outputs_are_equal_with_a_remote_master() {
     let script = results("remote-master.toml");

@@ -29,7 +29,7 @@ macro_rules! machines {
         #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
         pub enum Model {
             $($(#[$doc])* $name(<$machine as Machine>::Geometry),)*
-            /// No machine: a haptic arm alone, which leads a remote machine.
+            /// No machine: a haptic arm alone, which moves the tool of a remote machine.
             None,
         }
 

@@ -155,7 +155,7 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     let served = SimServer::on_tcp(&["--machine", &machine_file, "--operator", &operator]);
     let arguments = ["--machine", &machine_file, "--port", &served.port, &program];
     let terminal = homed(&arguments, Keyboard::Plain);
-    terminal.press_expect(b"w", "enabling switch pressed, leads no coordinate");
+    terminal.press_expect(b"w", "enabling switch pressed, moves no coordinate");
     terminal.press(RIGHT);
     terminal.press(RIGHT);
     // Near the middle of the operator trajectory.
@@ -210,7 +210,7 @@ fn fixture_force_is_proportional_to_depth_and_the_master_drives_x() {
     terminal.press_expect(b"m", "x: master");
     terminal.escape();
     run(&terminal);
-    terminal.press_expect(b"w", "enabling switch pressed, leads x");
+    terminal.press_expect(b"w", "enabling switch pressed, moves x");
     terminal.escape();
     let first = commanded_x(&terminal);
     terminal.wait_until("x driven", |_| (commanded_x(&terminal) - first).abs() > 2.0);

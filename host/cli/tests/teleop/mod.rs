@@ -303,10 +303,10 @@ fn tool_follows_the_scale_and_link_delay_is_measured() {
                 .collect()
         };
         let rows: Vec<Vec<f64>> = table.lines().skip(1).map(row).collect();
-        let led: Vec<&Vec<f64>> = rows.iter().filter(|row| row[5] == 1.0).collect();
+        let moved: Vec<&Vec<f64>> = rows.iter().filter(|row| row[5] == 1.0).collect();
         // Means of the last second: the master oscillates a little, and the tool follows 20 to 40
         // ms later.
-        let (first, last) = (led[0], &led[led.len() - 200..]);
+        let (first, last) = (moved[0], &moved[moved.len() - 200..]);
         let way =
             |column: usize| last.iter().map(|row| row[column]).sum::<f64>() / 200.0 - first[column];
         let scale: f64 = scale.parse().unwrap();

@@ -85,15 +85,15 @@ fn teleoperated_slot_replays_equal_and_a_changed_arm_count_is_detected() {
         assert!(number(&said, "records") > 50_000.0);
         // The enabling switch was pressed, and the motors of the arm had torque.
         let recording = Recording::open(trace).unwrap();
-        let mut led = 0_u64;
+        let mut enabled = 0_u64;
         let mut pushed = 0_u64;
         for period in recording.read_periods().unwrap() {
             let period: Period = period.unwrap();
-            led += u64::from(period.inputs.haptic.enabling_switch);
+            enabled += u64::from(period.inputs.haptic.enabling_switch);
             let currents = period.outputs.haptic.currents;
             pushed += u64::from(currents.iter().flatten().any(|current| *current != 0));
         }
-        assert!(led > 10_000 && pushed > 10_000, "{led}, {pushed}");
+        assert!(enabled > 10_000 && pushed > 10_000, "{enabled}, {pushed}");
     }
     // One encoder count of one leg in one period during teleoperation.
     let recording = Recording::open(&traces[0]).unwrap();

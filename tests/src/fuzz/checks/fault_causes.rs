@@ -20,8 +20,8 @@ pub enum Cause {
     EmergencyStop,
     /// A wall or workpiece at the tool.
     Contact,
-    /// A master leads the tool.
-    MasterLeads,
+    /// A master moves the tool.
+    MasterMoves,
     /// The force sensor was fitted anew and not tared since.
     SensorNotTared,
     /// A digital input was forced.
@@ -143,7 +143,7 @@ impl Checks {
             }
             // The cubic of a job may leave what the joints can reach between two setpoints.
             Fault::Pose(_) if self.other_machine => self.previous.state == State::Run,
-            Fault::Master(_) => self.causes.contains(&Cause::MasterLeads),
+            Fault::Master(_) => self.causes.contains(&Cause::MasterMoves),
             Fault::Force(ForceProblem::Drift { .. })
                 if self.causes.contains(&Cause::SensorNotTared) =>
             {

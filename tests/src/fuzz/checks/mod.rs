@@ -309,7 +309,7 @@ impl Checks {
             self.causes.retain(|cause| {
                 matches!(
                     cause,
-                    Cause::Contact | Cause::MasterLeads | Cause::SensorNotTared
+                    Cause::Contact | Cause::MasterMoves | Cause::SensorNotTared
                 )
             });
         }

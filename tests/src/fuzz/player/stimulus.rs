@@ -130,7 +130,7 @@ impl Player {
                 preset,
             } => self.reconfigure(*seed, *mutations, *preset)?,
             Stimulus::MoveMaster(to, enabling_switch) => {
-                self.checks.causes.push(Cause::MasterLeads);
+                self.checks.causes.push(Cause::MasterMoves);
                 if let Some(arm) = self.bench.rig.plant_mut().haptic_mut() {
                     arm.set_trajectory(Trajectory::Live(Live {
                         place_mm: *to,
@@ -141,7 +141,7 @@ impl Player {
                 }
             }
             Stimulus::RemoteMaster(seed, age_ms) => {
-                self.checks.causes.push(Cause::MasterLeads);
+                self.checks.causes.push(Cause::MasterMoves);
                 self.master_epoch = self.master_epoch.wrapping_add(1);
                 self.master_sender = Some(MasterSender {
                     rng: Rng::new(*seed, 903),

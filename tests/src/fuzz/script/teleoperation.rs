@@ -1,4 +1,4 @@
-//! Teleoperation: a master that leads the tool, and a master alone.
+//! Teleoperation: a master that moves the tool, and a master alone.
 
 use super::super::command;
 use super::super::episode::{JobPlan, Stimulus};

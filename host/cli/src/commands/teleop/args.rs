@@ -146,8 +146,8 @@ impl TeleopArgs {
         let emulated = matches!(port, PortSpec::Emulated(_) | PortSpec::EmulatedPins);
         let what = if emulated && !scripted {
             format!(
-                "--port {port}: an emulated controller is slower than real time, so no hand can \
-                 lead it; use --master sim or script:FILE"
+                "--port {port}: an emulated controller is slower than real time, so no operator can \
+                 move it; use --master sim or script:FILE"
             )
         } else if *port == PortSpec::EmulatedPins && self.stock.stock.is_some() {
             "--stock is for --port sim or pil:mps2; leave it out".to_string()

@@ -56,8 +56,8 @@ fn switch_status(view: &ViewModel, report: &MasterTelemetry, name: &str) -> Stri
         .collect();
     let switch = match (report.pose.enabling_switch, driven.is_empty()) {
         (false, _) => format!("{name} released"),
-        (true, false) if running => format!("{name} pressed, leads {}", driven.join(" ")),
-        (true, _) => format!("{name} pressed, leads no coordinate"),
+        (true, false) if running => format!("{name} pressed, moves {}", driven.join(" ")),
+        (true, _) => format!("{name} pressed, moves no coordinate"),
     };
     let motors = if report.enabled { "on" } else { "off" };
     format!(" {switch}; motors {motors}")
