@@ -156,7 +156,7 @@ fn activate(
     if config.period_us != core.period_us {
         return Err(Refusal::Config(ConfigProblem {
             field: ConfigField::Period,
-            axis: None,
+            index: None,
         }));
     }
     let positions = core.machine.as_ref().map(Machine::positions);
@@ -190,7 +190,7 @@ fn decode(staged: &[u8], length: u16, crc: u32, decoded: &mut Option<Config>) ->
     if staged.len() != usize::from(length) || crc32(staged) != crc {
         return Err(Refusal::ConfigCheck);
     }
-    let problem = |field| Refusal::Config(ConfigProblem { field, axis: None });
+    let problem = |field| Refusal::Config(ConfigProblem { field, index: None });
     // CRC and schema match, so an unreadable part is one that this controller was built without.
     let unreadable = if HAPTICS {
         ConfigField::Encoding

@@ -19,13 +19,13 @@ const COORDINATE_MAX: i64 = 1900 << 20;
 
 type Check = Result<(), ConfigProblem>;
 
-fn require(condition: bool, field: ConfigField, axis: Option<usize>) -> Check {
+fn require(condition: bool, field: ConfigField, index: Option<usize>) -> Check {
     if condition {
         Ok(())
     } else {
         Err(ConfigProblem {
             field,
-            axis: axis.map(|axis| axis as u8),
+            index: index.map(|index| index as u8),
         })
     }
 }

@@ -40,7 +40,7 @@ impl Machine {
         let design = Design::new(force, config.period_us);
         design.map(Some).map_err(|(axis, _)| ConfigProblem {
             field: ConfigField::Force,
-            axis: axis.map(|axis| axis as u8),
+            index: axis.map(|axis| axis as u8),
         })
     }
 

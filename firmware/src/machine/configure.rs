@@ -111,7 +111,7 @@ impl Machine {
         for (index, axis) in config.joints.iter().enumerate() {
             JointDrive::new(axis, config.period_us).map_err(|_| ConfigProblem {
                 field: ConfigField::Drive,
-                axis: Some(index as u8),
+                index: Some(index as u8),
             })?;
         }
         Ok(())

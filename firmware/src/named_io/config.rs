@@ -172,7 +172,7 @@ impl IoConfig {
     /// [`ConfigField::Input`] or [`ConfigField::Output`], with the index of the entry, or without
     /// one for a channel that is used twice.
     pub fn check(&self) -> Result<(), ConfigProblem> {
-        let problem = |field, axis| Err(ConfigProblem { field, axis });
+        let problem = |field, index| Err(ConfigProblem { field, index });
         let mut functions = 0_u8;
         for (index, input) in self.inputs.iter().enumerate() {
             let (bit, wait) = match input.function {

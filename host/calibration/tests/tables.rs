@@ -72,7 +72,7 @@ fn unusable_tables_are_refused() {
         change(&mut config);
         let problem = config.check().unwrap_err();
         assert_eq!(problem.field, ConfigField::Volumetric, "{problem:?}");
-        problem.axis
+        problem.index
     };
     assert_eq!(config().check(), Ok(()));
     // 3 mm of stroke beyond a soft limit, and 4 are needed.
@@ -101,7 +101,7 @@ fn unusable_tables_are_refused() {
     arm.volumetric = config().volumetric;
     let problem = arm.check().unwrap_err();
     assert_eq!(
-        (problem.field, problem.axis),
+        (problem.field, problem.index),
         (ConfigField::Volumetric, None)
     );
 }

@@ -97,7 +97,7 @@ pub(super) fn check_by_controller(document: &Document<'_>, root: &DeTable<'_>, c
     };
     let offset = |section: &str| root.get(section).map_or(0, |value| value.span().start);
     let machine = config.model.descriptor();
-    let index = problem.axis.map(usize::from);
+    let index = problem.index.map(usize::from);
     let (list, name) = if problem.is_of_pose() {
         let axis = index.and_then(|index| machine.pose.get(index));
         ("pose", axis.map(|axis| axis.name))

@@ -12,12 +12,12 @@ const ANGLES: Values = real(-166.99, 166.99, "deg");
 /// Coordinates of a rotary axis over many turns; the controller counts +-512 turns.
 const TURNS: Values = real(-170_000.0, 170_000.0, "deg");
 
-/// What to do about a longer stroke of each kind of axis.
+/// What to do about a longer stroke of each kind of joint.
 const LONGER: [&str; 3] = [
-    "put the zero of the axis into the middle of its stroke: 3800 mm fit, from -1900 to 1900",
-    "write `wrap = true` and no limits where the axis turns on and the model allows it, or use a \
-     model with an axis over many turns (docs/machine-files.md)",
-    "put the zero of the axis into the middle of its stroke: 944 turns fit",
+    "put the zero of the joint into the middle of its stroke: 3800 mm fit, from -1900 to 1900",
+    "write `wrap = true` and no limits where the coordinate turns on and the model allows it, or use a \
+     model with a multi-turn joint (docs/machine-files.md)",
+    "put the zero of the joint into the middle of its stroke: 944 turns fit",
 ];
 
 /// Rates of a rotary axis over many turns, up to 500 turns per second.
@@ -33,7 +33,7 @@ root "" "The machine and its control period." {
     name = text("1 to 24 bytes").is("name in reports and in the session");
     period_us = whole(50, 1000, "us").is("control period").bounded("a divisor of 1,000,000");
     role = word(&["machine", "master"])
-        .is("`master`: a haptic arm without axes; then only `name`, `period_us`, `role`, `[supervision]`, `[haptic]` and `[plant]` are read")
+        .is("`master`: a haptic arm without joints; then only `name`, `period_us`, `role`, `[supervision]`, `[haptic]` and `[plant]` are read")
         .or_text("\"machine\"");
 }
 
@@ -259,7 +259,7 @@ compensation "compensation" "Volumetric compensation: the controller corrects th
 
 stopping "stopping" "The controlled stop along the path." {
     time_ms = whole(5, 2000, "ms").is("time of a controlled stop, whatever the rate")
-        .bounded("rate / (time_ms - ramp_ms) at most 4 times the acceleration of each axis");
+        .bounded("rate / (time_ms - ramp_ms) at most 4 times the acceleration of each coordinate");
     ramp_ms = whole(1, 1000, "ms")
         .is("part of that time in which the deceleration builds up, and in which it decays")
         .bounded("at most half of time_ms");

@@ -215,8 +215,8 @@ pub enum InputProblem {
 pub struct ConfigProblem {
     /// The field.
     pub field: ConfigField,
-    /// The axis of the field, if any.
-    pub axis: Option<u8>,
+    /// Number of the coordinate, joint, axis of force control or named channel, if there is one.
+    pub index: Option<u8>,
 }
 
 /// Part of a configuration that can be invalid.

@@ -231,7 +231,8 @@ impl Describe for InputProblem {
 }
 
 impl ConfigProblem {
-    /// Whether the axis is a pose coordinate; otherwise it is a joint.
+    /// Whether the index is that of a pose coordinate or of an axis of force control, which has the
+    /// name of its coordinate; otherwise it is that of a joint.
     #[must_use]
     pub const fn is_of_pose(&self) -> bool {
         matches!(
@@ -250,15 +251,15 @@ impl ConfigProblem {
 impl Describe for ConfigProblem {
     fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         write!(f, "the configuration is invalid: {}", self.field)?;
-        if let Some(axis) = self.axis
+        if let Some(index) = self.index
             && matches!(self.field, ConfigField::Input | ConfigField::Output)
         {
-            write!(f, ", entry {}", u32::from(axis) + 1)?;
-        } else if let Some(axis) = self.axis {
+            write!(f, ", entry {}", u32::from(index) + 1)?;
+        } else if let Some(index) = self.index {
             let named = if self.is_of_pose() {
-                axes.coordinate(axis)
+                axes.coordinate(index)
             } else {
-                axes.joint(axis)
+                axes.joint(index)
             };
             write!(f, " of {named}")?;
         }

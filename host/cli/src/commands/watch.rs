@@ -122,9 +122,9 @@ fn describe(line: &str, shown: &mut String) -> Option<String> {
     let position = commanded.or(report["measured"].as_object())?;
     let is_referenced = report["homed"] == true && report["position_kept"] == true;
     let mark = if is_referenced { "" } else { "?" };
-    let axes = report["axes"].as_array()?.iter();
-    let axes = axes.zip(report["units"].as_array()?);
-    let position: String = axes
+    let names = report["coordinates"].as_array()?.iter();
+    let coordinates = names.zip(report["units"].as_array()?);
+    let position: String = coordinates
         .filter_map(|(name, unit)| {
             let (name, unit) = (name.as_str()?, unit.as_str()?);
             let value = position.get(name)?.as_f64()?;

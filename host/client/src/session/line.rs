@@ -236,11 +236,10 @@ impl PortLine {
         }
     }
 
-    /// Passes reports and events on to observers, one JSON object per line: the keys are
-    /// `period`, `state`, `homed`, `position_kept`, `line` of the program, `speed_factor`,
-    /// `axes` and `units` in the order of the machine,
-    /// `commanded` (null while the drives are off) and `measured` by the names of the axes; or
-    /// `period`, `level` and `event`.
+    /// Passes reports and events on to observers, one JSON object per line: the keys are `period`,
+    /// `state`, `homed`, `position_kept`, `line` of the program, `speed_factor`, `coordinates` and
+    /// `units` in the order of the machine, `commanded` (null while the drives are off) and
+    /// `measured` by the names of the coordinates; or `period`, `level` and `event`.
     pub fn observe(&mut self, observers: Observers, machine: &MachineFile) {
         let model = Model::new(machine);
         self.observed = Some(Observed { observers, model });
@@ -264,7 +263,7 @@ impl PortLine {
             "position_kept": telemetry.position_kept,
             "line": line,
             "speed_factor": f64::from(telemetry.speed_factor) / f64::from(FULL_SPEED_FACTOR),
-            "axes": model.pose_names(),
+            "coordinates": model.pose_names(),
             "units": model.pose_units(),
             "commanded": (!telemetry.state.has_drives_off()).then(|| pose(&telemetry.commanded)),
             "measured": pose(&telemetry.measured),

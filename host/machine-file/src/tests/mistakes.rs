@@ -196,7 +196,7 @@ fn problems_of_the_controller_name_joints_as_joints() {
 }
 
 /// A stroke or soft limit beyond the controller's range is refused at its key, with what to do
-/// about a longer axis.
+/// about a longer joint.
 #[test]
 fn a_stroke_that_is_too_long_is_refused_with_its_bound_and_remedy() {
     const MILL: &str = include_str!("../../../../machines/mill4.toml");
@@ -209,7 +209,7 @@ fn a_stroke_that_is_too_long_is_refused_with_its_bound_and_remedy() {
         let column = key.len() + 4;
         (problems(&text), format!("broken.toml:{line}:{column}: "))
     };
-    let middle = "put the zero of the axis into the middle of its stroke";
+    let middle = "put the zero of the joint into the middle of its stroke";
     for (index, key, value, bound, remedy) in [
         (1, "low_mm", "-1900.1", "-1900 to 1900 mm", middle),
         (2, "high_mm", "2047", "-1900 to 1900 mm", middle),

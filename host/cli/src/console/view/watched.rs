@@ -73,9 +73,9 @@ impl Watched {
             None => format!("{:>11} ", "-"),
         };
         let none = Vec::new();
-        let axes = report["axes"].as_array().unwrap_or(&none);
+        let names = report["coordinates"].as_array().unwrap_or(&none);
         let units = report["units"].as_array().unwrap_or(&none);
-        let rows = axes.iter().zip(units).filter_map(|(name, unit)| {
+        let rows = names.iter().zip(units).filter_map(|(name, unit)| {
             let (name, unit) = (name.as_str()?, unit.as_str()?);
             let commanded = number(&report["commanded"], name);
             let measured = number(&report["measured"], name);
