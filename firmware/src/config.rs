@@ -405,7 +405,7 @@ pub struct Homing {
 }
 
 impl Homing {
-    /// Rate of rotary coordinates over many turns, in their axis units per second.
+    /// Rate of multi-turn rotary coordinates, in their axis units per second.
     #[must_use]
     pub const fn multi_turn_rate(&self) -> i32 {
         self.rotary_rate.0 >> (AxisKind::Rotary.unit_bits() - AxisKind::MultiTurn.unit_bits())

@@ -1,7 +1,7 @@
 //! The configured machine: geometry, joints, motion, force control and haptic arm, with the stages
 //! of the control cycle that work on them.
 //!
-//! Positions are in axis units: 2^-20 mm, 2^-32 turn, or 2^-22 turn over many turns.
+//! Positions are in axis units: 2^-20 mm, 2^-32 turn, multi-turn 2^-22 turn.
 
 mod compliance;
 mod configure;

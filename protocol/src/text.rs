@@ -43,7 +43,7 @@ pub enum AxisKind {
     /// Axis units are 2^-32 turn. The range is one turn, and differences take the shorter way
     /// round.
     Rotary,
-    /// Rotary over many turns: axis units are 2^-22 turn, and the range is +-512 turns. The
+    /// Rotary, multi-turn: axis units are 2^-22 turn, and the range is +-512 turns. The
     /// arithmetic is that of a linear axis.
     MultiTurn,
 }
@@ -62,7 +62,7 @@ impl AxisKind {
     }
 
     /// Axis units by which a commanded pose may be beyond a soft limit: 2^-9 mm, or 2^-21 turn
-    /// (0.0002 degrees), or 2^-20 turn of a coordinate over many turns. A path that touches the
+    /// (0.0002 degrees), or 2^-20 turn of a multi-turn coordinate. A path that touches the
     /// limit passes it by less between its setpoints, and in the rounding of a change of curvature.
     #[must_use]
     pub const fn soft_limit_tolerance(self) -> i32 {

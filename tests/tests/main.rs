@@ -24,7 +24,7 @@ mod joint_supervision;
 mod limit_switches;
 mod links;
 mod machine_files;
-mod many_turns;
+mod multi_turn;
 mod named_io;
 mod open_loop;
 mod path_limits;

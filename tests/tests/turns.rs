@@ -1,4 +1,4 @@
-//! A coordinate that wraps around: the table C of `machines/trunnion5.toml` over many turns.
+//! A coordinate that wraps around: the table C of `machines/trunnion5.toml` over several turns.
 //!
 //! The controller holds angles of one turn. The unwound motion is the sum of their differences,
 //! each of less than half a turn.

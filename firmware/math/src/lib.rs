@@ -2,7 +2,7 @@
 //!
 //! The control cycle works on linear and rotary axes alike, as the machine file defines them. Their
 //! quantities are in *axis units* (au): 2^-20 mm for a linear axis, 2^-32 turn for a rotary one. A
-//! rotary axis over many turns has 2^-22 turn: 1024 times the ranges of the table, without
+//! multi-turn rotary joint has 2^-22 turn: 1024 times the ranges of the table, without
 //! wrap-around.
 //! The geometry of a machine knows the kind of each axis and converts to [`Length`] and [`Angle`].
 //!

@@ -45,7 +45,7 @@ pub fn axes_of(model: &str) -> String {
             let word = match group[0].1 {
                 AxisKind::Linear => "linear",
                 AxisKind::Rotary => "rotary",
-                AxisKind::MultiTurn => "rotary, over many turns",
+                AxisKind::MultiTurn => "rotary, multi-turn",
             };
             format!("{} ({word})", names.join(", "))
         });

@@ -60,7 +60,7 @@ pub fn jerk(value: f64, kind: AxisKind) -> u32 {
 /// Converts an inertia in kg or kg m^2 to effort units per acceleration unit, times 2^20.
 ///
 /// Linear: 1 kg at 2^-12 mm/s^2 takes 2^-12 * 1e-3 N = 0.016 effort units. Rotary: 1 kg m^2 at
-/// 2^-24 turn/s^2 takes 2^-24 * 2 pi N m = 2 pi / 256 effort units; over many turns the
+/// 2^-24 turn/s^2 takes 2^-24 * 2 pi N m = 2 pi / 256 effort units; of a multi-turn joint the
 /// acceleration unit is 2^10 times as large.
 pub fn inertia(value: f64, kind: AxisKind) -> u32 {
     let effort_per_acceleration = match kind {

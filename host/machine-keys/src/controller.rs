@@ -9,8 +9,8 @@ const LENGTHS: Values = real(-1900.0, 1900.0, "mm");
 /// Coordinates of a rotary axis within one turn; the controller keeps the same part of its range.
 const ANGLES: Values = real(-166.99, 166.99, "deg");
 
-/// Coordinates of a rotary axis over many turns; the controller counts +-512 turns.
-const TURNS: Values = real(-170_000.0, 170_000.0, "deg");
+/// Coordinates of a multi-turn rotary joint; the controller counts +-512 turns.
+const MULTI_TURN: Values = real(-170_000.0, 170_000.0, "deg");
 
 /// What to do about a longer stroke of each kind of joint.
 const LONGER: [&str; 3] = [
@@ -20,8 +20,8 @@ const LONGER: [&str; 3] = [
     "put the zero of the joint into the middle of its stroke: 944 turns fit",
 ];
 
-/// Rates of a rotary axis over many turns, up to 500 turns per second.
-const TURN_RATES: Values = real(0.001, 180_000.0, "deg/s");
+/// Rates of a multi-turn rotary joint, up to 500 turns per second.
+const MULTI_TURN_RATES: Values = real(0.001, 180_000.0, "deg/s");
 
 /// Joints to which the keys of an encoder apply.
 const ENCODER: &str = "joints with an encoder";
@@ -46,17 +46,17 @@ pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may
     name = text("the name that the model has at this place").is("name of the coordinate");
     kind = word(&["linear", "rotary"]).is("kind that the model has at this place");
     low = super::LENGTHS.is("lower soft limit").named("low_mm")
-        .rotary("low_deg", super::ANGLES).many_turns(super::TURNS)
+        .rotary("low_deg", super::ANGLES).multi_turn(super::MULTI_TURN)
         .bounded("below the upper one; a coordinate that is a joint within its stroke")
         .beyond(super::LONGER);
     high = super::LENGTHS.is("upper soft limit").named("high_mm")
-        .rotary("high_deg", super::ANGLES).many_turns(super::TURNS)
+        .rotary("high_deg", super::ANGLES).multi_turn(super::MULTI_TURN)
         .beyond(super::LONGER);
     wrap = flag().is("the coordinate turns without limits and has no soft limits")
         .only("rotary coordinates without a role, and those of a table").or_text("false")
         .bounded("the joint of the same name wraps too");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
-        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES)
+        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).multi_turn(super::MULTI_TURN_RATES)
         .bounded("at most the joint's where the coordinate is a joint");
     acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")
         .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
@@ -77,16 +77,16 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .is("largest racking: distance between the two motors of a gantry, and in homing the difference of their motions")
         .named("racking_mm").only("second motors of gantries");
     low = super::LENGTHS.is("lower end of the stroke").named("low_mm")
-        .rotary("low_deg", super::ANGLES).many_turns(super::TURNS)
+        .rotary("low_deg", super::ANGLES).multi_turn(super::MULTI_TURN)
         .bounded("below the upper end").beyond(super::LONGER);
     high = super::LENGTHS.is("upper end of the stroke").named("high_mm")
-        .rotary("high_deg", super::ANGLES).many_turns(super::TURNS)
+        .rotary("high_deg", super::ANGLES).multi_turn(super::MULTI_TURN)
         .beyond(super::LONGER);
     wrap = flag().is("the joint turns without limits and has no stroke")
         .only("rotary joints").or_text("false")
         .bounded("the pose coordinate of the same name wraps too; of a joint that is no coordinate: where the model allows it");
     rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
-        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES);
+        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).multi_turn(super::MULTI_TURN_RATES);
     acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")
         .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
     travel = real(0.01, 200.0, "mm/turn").is("motion per motor turn").named("lead_mm")
@@ -121,10 +121,10 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
         .bounded("at least 4 counts").only(super::ENCODER);
     preset = super::LENGTHS
         .is("joint position of the home pose; where the joint homes by index or not at all, the operator sets it before power-on").named("preset_mm")
-        .rotary("preset_deg", super::ANGLES).many_turns(super::TURNS).bounded("within the stroke");
+        .rotary("preset_deg", super::ANGLES).multi_turn(super::MULTI_TURN).bounded("within the stroke");
     index = super::LENGTHS
         .is("index pulse nearest to the preset, measured once for each machine").named("index_mm")
-        .rotary("index_deg", super::ANGLES).many_turns(super::TURNS)
+        .rotary("index_deg", super::ANGLES).multi_turn(super::MULTI_TURN)
         .bounded("within the stroke, and within the search distance of the preset").only(super::ENCODER);
     search = real(0.0, 100.0, "mm").is("largest distance of an index pulse from its position")
         .named("search_mm").rotary("search_deg", real(0.0, 30.0, "deg"))
@@ -144,9 +144,9 @@ joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \
         .bounded("down to `limit_low`, up to `limit_high`");
     at = super::LENGTHS
         .is("joint position where the switch becomes active, measured once for each machine")
-        .named("at_mm").rotary("at_deg", super::ANGLES).many_turns(super::TURNS).bounded("within the stroke");
+        .named("at_mm").rotary("at_deg", super::ANGLES).multi_turn(super::MULTI_TURN).bounded("within the stroke");
     rate = real(0.001, 2000.0, "mm/s").is("rate to the switch (first touch), off it, and over the back-off").named("rate_mm_s")
-        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES)
+        .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).multi_turn(super::MULTI_TURN_RATES)
         .bounded("at most the joint's; stops within the release distance");
     touch_rate = real(0.001, 100.0, "mm/s").is("rate of the second touch, which finds the reference, and to the index pulse behind it")
         .named("touch_rate_mm_s").rotary("touch_rate_deg_s", real(0.001, 30.0, "deg/s"))
@@ -160,7 +160,7 @@ joint_switch "joint.switch" "Homing by a switch, where `home` is \"switch\" or \
         .named("release_mm").rotary("release_deg", real(0.01, 60.0, "deg"))
         .or_text("three times the back-off, at least the stroke behind the switch and the back-off");
     travel = real(0.1, 1900.0, "mm").is("largest way to the switch; without a switch there homing fails").named("travel_mm")
-        .rotary("travel_deg", real(0.1, 166.0, "deg")).many_turns(real(0.1, 170_000.0, "deg"))
+        .rotary("travel_deg", real(0.1, 166.0, "deg")).multi_turn(real(0.1, 170_000.0, "deg"))
         .or_text("1.2 times the stroke and twice the release distance");
 }
 
@@ -217,7 +217,7 @@ joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)."
     coulomb_rate = real(0.001, 2000.0, "mm/s")
         .is("rate v_k of (C18): the friction compensation is tanh(1) = 76 % there, and full from five \
              times this rate").named("coulomb_rate_mm_s")
-        .rotary("coulomb_rate_deg_s", real(0.001, 179.0, "deg/s")).many_turns(super::TURN_RATES);
+        .rotary("coulomb_rate_deg_s", real(0.001, 179.0, "deg/s")).multi_turn(super::MULTI_TURN_RATES);
 }
 
 planner "planner" "How the planner joins the blocks of a program." {

@@ -12,8 +12,8 @@ pub struct Key {
     pub values: Values,
     /// Name and allowed values for a rotary axis, where they differ.
     pub rotary: Option<(&'static str, Values)>,
-    /// Allowed values for a rotary axis over many turns, where they differ from those of one turn.
-    pub many_turns: Option<Values>,
+    /// Allowed values for a multi-turn rotary joint, where they differ from those of one turn.
+    pub multi_turn: Option<Values>,
     /// Value without the key.
     pub default: Default,
     /// The key applies where another key of the section has this word.
@@ -23,7 +23,7 @@ pub struct Key {
     /// Bounds besides the range, such as those that depend on other keys; empty for none.
     pub bounds: &'static str,
     /// What to do about a number out of range instead of changing it, by kind of axis: linear,
-    /// rotary, over many turns; empty for nothing.
+    /// rotary, multi-turn; empty for nothing.
     pub beyond: [&'static str; 3],
     /// Meaning, in one sentence.
     pub meaning: &'static str,
@@ -163,7 +163,7 @@ impl Values {
             name: "",
             values: self,
             rotary: None,
-            many_turns: None,
+            multi_turn: None,
             default: match self {
                 Self::Direction => Default::Number(1.0),
                 _ => Default::Required,
@@ -233,12 +233,12 @@ impl Key {
             self.values = values;
         }
         if matches!(kind, AxisKind::MultiTurn)
-            && let Some(values) = self.many_turns
+            && let Some(values) = self.multi_turn
         {
             self.values = values;
         }
         self.rotary = None;
-        self.many_turns = None;
+        self.multi_turn = None;
         self.beyond = [self.beyond[match kind {
             AxisKind::Linear => 0,
             AxisKind::Rotary => 1,
@@ -303,10 +303,10 @@ impl Key {
         self
     }
 
-    /// Gives the key other values for a rotary axis over many turns.
+    /// Gives the key other values for a multi-turn rotary joint.
     #[must_use]
-    pub const fn many_turns(mut self, values: Values) -> Self {
-        self.many_turns = Some(values);
+    pub const fn multi_turn(mut self, values: Values) -> Self {
+        self.multi_turn = Some(values);
         self
     }
 

@@ -161,7 +161,7 @@ fn pair(key: &Key, of: impl Fn(&Key) -> String) -> String {
     } else if rotary == many {
         format!("{linear} ({rotary})")
     } else {
-        format!("{linear} ({rotary}; over many turns {many})")
+        format!("{linear} ({rotary}; multi-turn {many})")
     }
 }
 
@@ -304,7 +304,7 @@ mod tests {
     fn a_key_of_an_axis_shows_all_kinds() {
         let table = table(&keys_of("pose"));
         let row = "| `rate_mm_s` (`rate_deg_s`) | mm/s (deg/s) | 0.001 to 2000 \
-                   (0.001 to 179; over many turns 0.001 to 180000); ";
+                   (0.001 to 179; multi-turn 0.001 to 180000); ";
         assert!(table.contains(row), "{table}");
         let law = keys_of("joint.law");
         let key = law.iter().find(|key| key.name == "ki").unwrap();

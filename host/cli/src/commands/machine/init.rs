@@ -38,7 +38,7 @@ pub enum Template {
     Mill3,
     /// Three-axis mill: x, y, z on ball screws, servo drives with encoders
     Mill3Servo,
-    /// The mill with step motors, and a rotary axis over many turns
+    /// The mill with step motors, and a multi-turn rotary joint
     Mill4,
     /// Gantry router: step motors, two of them on the beam, home switches
     Router3,

@@ -1,4 +1,4 @@
-//! A rotary coordinate with limits over many turns: the axis a of `machines/mill4.toml`.
+//! A multi-turn rotary coordinate: the axis a of `machines/mill4.toml`.
 //!
 //! The true angle of the simulated axis counts turns in f64, apart from the controller's integers.
 
