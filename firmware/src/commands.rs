@@ -365,17 +365,17 @@ fn resume(core: &mut Core) -> Done {
     if core.job.stopping {
         return Err(Refusal::State(State::Hold));
     }
-    let spindle_up = {
+    let run_up = {
         let machine = core.configured()?;
         machine.check_inputs(true)?;
-        machine.spindle_up_periods()
+        machine.run_up_periods()
     };
     if core.job.resume_wait != 0 {
         return Ok(());
     }
     let restarts = core::mem::take(&mut core.job.spindle_stopped) && core.job.spindle_rpm != 0;
-    if restarts && spindle_up != 0 {
-        core.job.resume_wait = spindle_up;
+    if restarts && run_up != 0 {
+        core.job.resume_wait = run_up;
         return Ok(());
     }
     core.configured()?.motion.program.leave_pause();

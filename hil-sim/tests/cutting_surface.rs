@@ -71,7 +71,12 @@ fn leaving_the_map_is_reported() {
 
 #[test]
 fn the_spindle_runs_up_and_stops() {
-    let mut spindle = Spindle::new(&SpindleConfig { run_up_s: 0.3 }, mill::PERIOD);
+    let mut spindle = Spindle::new(
+        &SpindleConfig {
+            time_constant_s: 0.3,
+        },
+        mill::PERIOD,
+    );
     let mut turns = 0.0;
     for _ in 0..7500 {
         turns += spindle.advance(5000.0);

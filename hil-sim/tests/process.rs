@@ -154,7 +154,9 @@ fn the_machine_cuts_a_slot_and_measures_the_force() {
     let mut cutting = block(start[2] + 2.0, start[0], start[1]);
     cutting.workpiece.stock.x_max = start[0] - 5.0;
     let process = ProcessConfig {
-        spindle: SpindleConfig { run_up_s: 0.05 },
+        spindle: SpindleConfig {
+            time_constant_s: 0.05,
+        },
         cutting: Some(cutting),
         structure: Some(StructureConfig::default()),
         sensor: Some(SensorConfig::ideal()),
@@ -252,7 +254,9 @@ fn a_stopped_feed_in_material_has_no_cutting_force() {
     let mut cutting = block(start[2] + 2.0, start[0], start[1]);
     cutting.workpiece.stock.x_max = start[0] - 5.0;
     let process = ProcessConfig {
-        spindle: SpindleConfig { run_up_s: 0.05 },
+        spindle: SpindleConfig {
+            time_constant_s: 0.05,
+        },
         cutting: Some(cutting),
         structure: Some(StructureConfig::default()),
         ..ProcessConfig::default()

@@ -34,11 +34,11 @@ impl Machine {
     }
 
     /// Control periods from the restart of the spindle to the motion, after the door was open.
-    pub(crate) fn spindle_up_periods(&self) -> u16 {
+    pub(crate) fn run_up_periods(&self) -> u16 {
         let functions = self.config.io.inputs.iter().map(|input| input.function);
         functions
             .filter_map(|function| match function {
-                InputFunction::Door { spindle_up } => Some(spindle_up),
+                InputFunction::Door { run_up } => Some(run_up),
                 _ => None,
             })
             .next()

@@ -58,7 +58,7 @@ pub enum InputFunction {
     Door {
         /// Control periods from the restart of the spindle to the motion of a resumed job, 0 to
         /// [`LONGEST_PERIODS`].
-        spindle_up: u16,
+        run_up: u16,
     },
 }
 
@@ -180,7 +180,7 @@ impl IoConfig {
                 InputFunction::Probe(_) => (1, 0),
                 InputFunction::ToolSetter(_) => (2, 0),
                 InputFunction::FeedHold => (4, 0),
-                InputFunction::Door { spindle_up } => (8, spindle_up),
+                InputFunction::Door { run_up } => (8, run_up),
             };
             let longest = input.filter.max(wait);
             if functions & bit != 0 || input.channel >= CHANNELS || longest > LONGEST_PERIODS {

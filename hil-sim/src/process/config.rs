@@ -206,12 +206,14 @@ impl Default for WorkpieceConfig {
 #[serde(default, deny_unknown_fields)]
 pub struct SpindleConfig {
     /// Time constant of the speed, seconds; 0 is immediate.
-    pub run_up_s: f64,
+    pub time_constant_s: f64,
 }
 
 impl Default for SpindleConfig {
     fn default() -> Self {
-        Self { run_up_s: 0.3 }
+        Self {
+            time_constant_s: 0.3,
+        }
     }
 }
 
@@ -331,7 +333,12 @@ impl SpindleConfig {
     /// All problems.
     pub fn check(&self) -> Result<(), Vec<PlantError>> {
         let mut check = Check::default();
-        check.within("spindle: run_up_s".into(), self.run_up_s, 0.0, 60.0);
+        check.within(
+            "spindle: time_constant_s".into(),
+            self.time_constant_s,
+            0.0,
+            60.0,
+        );
         check.done()
     }
 }

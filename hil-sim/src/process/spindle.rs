@@ -16,8 +16,8 @@ impl Spindle {
     /// Creates a spindle at standstill that is advanced once every `period_s` seconds.
     pub fn new(config: &SpindleConfig, period_s: f64) -> Self {
         Self {
-            keeps: if config.run_up_s > 0.0 {
-                libm::exp(-period_s / config.run_up_s)
+            keeps: if config.time_constant_s > 0.0 {
+                libm::exp(-period_s / config.time_constant_s)
             } else {
                 0.0
             },

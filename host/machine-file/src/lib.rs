@@ -32,6 +32,7 @@ mod plant;
 pub mod pose_difference;
 mod problem;
 mod reading;
+mod renamed;
 pub mod scale;
 mod stability;
 pub mod stock;
@@ -260,9 +261,12 @@ impl MachineFile {
                 let document = Document::new(&self.file, &self.text, keys::sections());
                 let offset = error.span().map_or(0, |span| span.start);
                 let message = error.message().trim().replace('\n', ", ");
-                let remedy = match unknown_field(&message) {
-                    Some(near) => format!("did you mean `{near}`?"),
-                    None => "see [plant] in docs/machine-files.md".to_string(),
+                let field = unknown_field(&message);
+                let renamed = field.and_then(|(name, _)| renamed::new_name_in_plant(name));
+                let remedy = match (renamed, field.and_then(|(_, near)| near)) {
+                    (Some(new_name), _) => renamed::remedy(&self.file, new_name),
+                    (_, Some(near)) => format!("did you mean `{near}`?"),
+                    _ => "see [plant] in docs/machine-files.md".to_string(),
                 };
                 document.report(offset, "plant", message, remedy);
                 Err(document.into_problems())
@@ -271,13 +275,13 @@ impl MachineFile {
     }
 }
 
-/// The known field that the unknown one of an error message is most like.
-fn unknown_field(message: &str) -> Option<&str> {
+/// The unknown field of an error message, and the known one that it is most like.
+fn unknown_field(message: &str) -> Option<(&str, Option<&str>)> {
     let (unknown, known) = message
         .strip_prefix("unknown field `")?
         .split_once("`, expected ")?;
     let known: Vec<&str> = known.split('`').skip(1).step_by(2).collect();
-    likeness::nearest(unknown, &known)
+    Some((unknown, likeness::nearest(unknown, &known)))
 }
 
 /// Reads the text of a TOML file. A file that cannot be read is a problem of line 0.

@@ -4,6 +4,7 @@ use super::document::Document;
 use super::format::{FORMAT, Kind, check, kind};
 use super::keys::sections;
 use super::problem::Problems;
+use super::renamed::{DOOR_RUN_UP, IN_FORMAT_2, Renamed, renamed, split};
 use toml_edit::{DocumentMut, Item, Key, Table, TableLike, value};
 
 /// A machine file that was rewritten for [`FORMAT`].
@@ -15,14 +16,6 @@ pub struct Migrated {
     pub text: String,
     /// What was changed, one sentence each.
     pub changes: Vec<String>,
-}
-
-/// A renamed section or key of a section.
-struct Renamed {
-    /// Path before; the last part is the name.
-    from: &'static str,
-    /// Path after.
-    to: &'static str,
 }
 
 /// Names that differ between format 1 and format 2, in the order in which they change: the keys of
@@ -67,13 +60,6 @@ const FORMAT_2: &[Renamed] = &[
     ),
 ];
 
-/// Names that a file of format 2 may still have.
-const IN_FORMAT_2: &[Renamed] = &[renamed("force.axis.desired_n", "force.axis.setpoint_n")];
-
-const fn renamed(from: &'static str, to: &'static str) -> Renamed {
-    Renamed { from, to }
-}
-
 /// Rewrites the text of a machine file or fragment for [`FORMAT`]; `file` is its name in messages.
 ///
 /// # Errors
@@ -106,6 +92,7 @@ pub fn migrate(file: &str, text: &str) -> Result<Migrated, Problems> {
         to_format_2(&mut edited, &mut changes);
     }
     rename_all(&mut edited, IN_FORMAT_2, &mut changes);
+    rename_door_run_up(&mut edited, &mut changes);
     rename_role(&mut edited, &mut changes);
     if from < FORMAT {
         set_format(&mut edited);
@@ -128,6 +115,29 @@ fn rename_role(edited: &mut DocumentMut, changes: &mut Vec<String>) {
         *role.decor_mut() = decor;
         changes.push("role: \"slave\" became \"machine\"".to_string());
     }
+}
+
+/// Rewrites the run-up time of a door in seconds.
+fn rename_door_run_up(edited: &mut DocumentMut, changes: &mut Vec<String>) {
+    let (path, name) = split(DOOR_RUN_UP.from);
+    let (_, new_name) = split(DOOR_RUN_UP.to);
+    each(edited.as_table_mut(), &path, &mut |input| {
+        if !rename_in_place(input, name, new_name) {
+            return;
+        }
+        if let Some(time) = input.get_mut(new_name).and_then(Item::as_value_mut) {
+            let whole = time.as_integer().map(|time| time as f64);
+            if let Some(time_ms) = time.as_float().or(whole) {
+                let decor = time.decor().clone();
+                *time = (time_ms / 1000.0).into();
+                *time.decor_mut() = decor;
+            }
+        }
+        changes.push(format!(
+            "{} became {}, in seconds",
+            DOOR_RUN_UP.from, DOOR_RUN_UP.to
+        ));
+    });
 }
 
 /// Format 2 has an explicit geometry of the simulated machine, and terms of the glossary.
@@ -230,13 +240,6 @@ fn rename(root: &mut Table, renamed: &Renamed) -> bool {
     }
     table.insert(new_name, moved);
     true
-}
-
-/// Splits a path into the path of the section and the last name.
-fn split(path: &'static str) -> (Vec<&'static str>, &'static str) {
-    let mut parts: Vec<_> = path.split('.').collect();
-    let name = parts.pop().unwrap_or_default();
-    (parts, name)
 }
 
 /// Calls `with` for every table at a path; a list of sections has several.

@@ -185,7 +185,7 @@ fn read_input(
         .choice(keys::input::function, &functions.map(|word| (word, word)))
         .unwrap_or_else(|| {
             // Keys of the unknown function are not reported, too.
-            let _ = (section.has("contact"), section.has("spindle_up_ms"));
+            let _ = (section.has("contact"), section.has("run_up_s"));
             "general"
         });
     if function != "general" {
@@ -202,15 +202,15 @@ fn read_input(
         "tool_setter" => InputFunction::ToolSetter(read_contact(section)),
         "feed_hold" => InputFunction::FeedHold,
         "door" => {
-            let key = keys::input::spindle_up_ms;
-            let wait_ms = section.value(key);
-            let longest = f64::from(LONGEST_PERIODS) * period_us / 1000.0;
-            if wait_ms > longest {
-                let what = format!("{wait_ms} is more than 60,000 control periods, {longest} ms");
+            let key = keys::input::run_up_s;
+            let run_up_s = section.value(key);
+            let longest = f64::from(LONGEST_PERIODS) * period_us / 1e6;
+            if run_up_s > longest {
+                let what = format!("{run_up_s} is more than 60,000 control periods, {longest} s");
                 section.refuse(key, what, "lower it");
             }
-            let spindle_up = periods(wait_ms);
-            InputFunction::Door { spindle_up }
+            let run_up = periods(run_up_s * 1000.0);
+            InputFunction::Door { run_up }
         }
         _ => InputFunction::General,
     };
@@ -356,7 +356,7 @@ mod tests {
     }
 
     const DOOR: &str = "[[input]]\nname = \"door\"\nfunction = \"door\"\nchannel = 3\n\
-                        active = \"low\"\nspindle_up_ms = 20\n";
+                        active = \"low\"\nrun_up_s = 0.02\n";
     const LIGHT: &str = "[[output]]\nname = \"light\"\nfunction = \"general\"\nchannel = 3\n\
                          safe = \"off\"\n";
     const VALVE: &str = "[[analog_output]]\nname = \"valve\"\nchannel = 1\nfull_scale = -10.0\n\
@@ -368,7 +368,7 @@ mod tests {
         let config = &machine.config.io;
         let door = &config.inputs[0];
         // 20 ms are 100 periods of 200 us, the default filter of 2 ms is 10.
-        assert_eq!(door.function, InputFunction::Door { spindle_up: 100 });
+        assert_eq!(door.function, InputFunction::Door { run_up: 100 });
         assert_eq!((door.channel, door.inverted, door.filter), (3, true, 10));
         assert!(config.outputs[0].safe_without_host && !config.outputs[0].safe);
         let valve = &config.analog_outputs[0];
@@ -406,10 +406,7 @@ mod tests {
             text.starts_with("input[1].name: \"my door\" is not 1 to 24"),
             "{text}"
         );
-        let (_, text) = edit(
-            "spindle_up_ms = 20",
-            "spindle_up_ms = 20\ncontact = \"fault\"",
-        );
+        let (_, text) = edit("run_up_s = 0.02", "run_up_s = 0.02\ncontact = \"fault\"");
         assert!(
             text.starts_with("input[1].contact: is not a known key"),
             "{text}"

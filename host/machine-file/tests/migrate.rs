@@ -103,6 +103,35 @@ fn the_old_force_setpoint_is_renamed() {
     );
 }
 
+/// Two keys of the spindle had other names, one of them another unit. A file that has them is
+/// refused with one problem for each, which names the command that rewrites it.
+#[test]
+fn the_old_times_of_the_spindle_are_renamed() {
+    let today = include_str!("../../../machines/mill3-servo.toml");
+    let old = today
+        .replace("\nrun_up_s = 1.5 ", "\nspindle_up_ms = 1500 ")
+        .replace("\ntime_constant_s = 0.3 ", "\nrun_up_s = 0.3 ");
+    let problems = MachineFile::parse("old.toml", &old).expect_err("old names");
+    let remedies: Vec<&str> = problems.0.iter().map(|it| it.remedy.as_str()).collect();
+    assert_eq!(
+        remedies,
+        [
+            "run `haptimill machine migrate old.toml`: the key is `run_up_s` now",
+            "run `haptimill machine migrate old.toml`: the key is `time_constant_s` now"
+        ],
+        "{problems}"
+    );
+    let migrated = migrate("old.toml", &old).unwrap_or_else(|problems| panic!("\n{problems}"));
+    assert_eq!(migrated.text, today);
+    assert_eq!(
+        migrated.changes,
+        [
+            "plant.spindle.run_up_s became plant.spindle.time_constant_s",
+            "input.spindle_up_ms became input.run_up_s, in seconds"
+        ]
+    );
+}
+
 #[test]
 fn old_fragments_migrate_to_those_of_today() {
     let machine = include_str!("../../../machines/h4.toml");

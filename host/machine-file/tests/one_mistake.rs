@@ -169,9 +169,15 @@ fn one_bracket_for_a_list_and_a_misspelt_key_of_the_plant_have_their_remedies() 
         "{found}"
     );
     let (before, plant) = MILL.split_at(MILL.find("[plant.spindle]").expect("a spindle"));
-    let text = format!("{before}{}", plant.replacen("run_up_s", "runup_s", 1));
+    let text = format!(
+        "{before}{}",
+        plant.replacen("time_constant_s", "time_constnt_s", 1)
+    );
     let found = MachineFile::parse("machine.toml", &text).expect_err("a mistake");
-    assert_eq!(found.0[0].remedy, "did you mean `run_up_s`?", "{found}");
+    assert_eq!(
+        found.0[0].remedy, "did you mean `time_constant_s`?",
+        "{found}"
+    );
 }
 
 #[test]

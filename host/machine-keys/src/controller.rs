@@ -239,7 +239,7 @@ spindle "spindle" "Speeds of the spindle; optional." {
     max_rpm = whole(1, 32_767, "rev/min").is("fastest speed; a program with a faster one is refused")
         .or(32_767.0);
     run_up_s = real(0.0, 60.0, "s")
-        .is("time from standstill to the speed: the wait of `run --from-line` and between the parts of a program with probe moves; elsewhere a program waits with G4")
+        .is("run-up time, from standstill to the speed: the wait of `run --from-line` and between the parts of a program with probe moves; elsewhere a program waits with G4")
         .or(5.0);
 }
 

@@ -18,8 +18,8 @@ input "input" "A digital input, at most 16. A probe or tool setter latches the p
     contact = word(&["fault", "warning"])
         .is("reaction to a contact in motion while no probing is armed").or_text("\"fault\"")
         .only("function = \"probe\" or \"tool_setter\"");
-    spindle_up_ms = real(0.0, 60_000.0, "ms")
-        .is("time from the restart of the spindle to the motion of a job that an open door held")
+    run_up_s = real(0.0, 60.0, "s")
+        .is("run-up time of the spindle: from its restart to the motion of a job that an open door held")
         .only_if("function", "door").bounded("at most 60,000 control periods");
 }
 

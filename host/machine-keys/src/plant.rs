@@ -135,7 +135,7 @@ joint_steps "plant.joint.drive.steps" "A step motor with its drive." {
 }
 
 spindle "plant.spindle" "The spindle; optional." {
-    run_up_s = real(0.0, 60.0, "s").is("time constant of the speed").or(0.3);
+    time_constant_s = real(0.0, 60.0, "s").is("time constant of the speed").or(0.3);
 }
 
 cutter "plant.cutter" "The cutter, a ball-end mill; optional." {

@@ -7,6 +7,7 @@ pub use numbers::{Allowed, real, whole};
 
 use super::{Document, MISSING, UNKNOWN};
 use crate::likeness::nearest;
+use crate::renamed::{new_name, remedy};
 use haptimill_firmware::config::AxisKind;
 use haptimill_machine_keys::Key;
 use std::cell::{Cell, RefCell};
@@ -191,6 +192,14 @@ impl<'d, 'i> Section<'d, 'i> {
                 Some(value) => matches!(value, DeValue::Array(_)),
                 None => true,
             };
+            if let Some(new_name) = new_name(&path, name) {
+                self.document.forget_missing(&self.path_of(new_name));
+                let remedy = remedy(self.document.file, new_name);
+                let offset = key.span().start;
+                self.document
+                    .report(offset, self.path_of(name), UNKNOWN, remedy);
+                continue;
+            }
             let others: Vec<&str> = requested.iter().filter(could_be).copied().collect();
             let remedy = match (nearest(name, &others), known.map(Key::applies)) {
                 (Some(near), _) => {
