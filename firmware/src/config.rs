@@ -100,11 +100,11 @@ pub struct PoseAxis {
     pub low: Coordinate,
     /// Upper soft limit.
     pub high: Coordinate,
-    /// Largest rate of a program or a jog.
+    /// Maximum rate of a program or a jog.
     pub rate: Rate,
-    /// Largest acceleration of a jog.
+    /// Maximum acceleration of a jog.
     pub acceleration: Acceleration,
-    /// Largest jerk of a jog, in the scale of [`JERK_SHIFT`].
+    /// Maximum jerk of a jog, in the scale of [`JERK_SHIFT`].
     pub jerk: u32,
 }
 
@@ -148,7 +148,7 @@ pub struct JointSettings {
     pub low: Coordinate,
     /// Upper end of the stroke.
     pub high: Coordinate,
-    /// Largest rate.
+    /// Maximum rate.
     pub rate: Rate,
     /// Full width of the backlash of the screw. The encoder sits on the motor side. 0 switches the
     /// compensation off.

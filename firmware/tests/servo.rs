@@ -69,7 +69,7 @@ proptest! {
         filter.rest(0);
         let (mut sum, mut last) = (0.0, 0);
         for value in signal {
-            // Not faster than the largest rate: 2^36 a second, 3.4e6 in 50 us.
+            // Not faster than the maximum rate: 2^36 a second, 3.4e6 in 50 us.
             last = value >> 12;
             sum += filter.rate(last) as f64 / f64::from(1 << RATE_FRACTION) * f64::from(period) * 1e-6;
         }

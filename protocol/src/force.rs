@@ -45,7 +45,7 @@ pub struct ForceLoop {
     pub damping: u32,
     /// Largest compliant displacement, 2^-20 mm.
     pub limit: i32,
-    /// Largest rate of the compliant displacement, 2^-20 mm/s.
+    /// Maximum rate of the compliant displacement, 2^-20 mm/s.
     pub rate: i32,
     /// Enable condition.
     pub enable_condition: EnableCondition,

@@ -68,7 +68,7 @@ struct Moved {
     away: f64,
     /// Largest motion of another joint, mm.
     others: f64,
-    /// Largest rate, mm/s.
+    /// Maximum rate, mm/s.
     rate: f64,
     /// Largest following error of a joint whose drive is on, mm.
     following: f64,

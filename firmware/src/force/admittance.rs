@@ -98,7 +98,7 @@ pub struct AdmittanceLaw {
     /// Damping that each level adds to K_V, 2^-16 N s/mm, below 2^31.
     added: [i32; LEVELS],
     highest: usize,
-    /// Displacement per control period at the largest rate, in the scale of the rate.
+    /// Displacement per control period at the maximum rate, in the scale of the rate.
     rate_limit: i64,
     /// Largest displacement, 2^-40 mm.
     limit: i64,

@@ -18,7 +18,7 @@ pub struct LoopSettings {
     pub damping: VirtualDamping,
     /// Compliance limit.
     pub limit: Length,
-    /// Largest rate of the compliant displacement, away and back.
+    /// Maximum rate of the compliant displacement, away and back.
     pub rate: Rate,
     /// Enable condition.
     pub enable_condition: EnableCondition,

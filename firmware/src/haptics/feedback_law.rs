@@ -23,7 +23,7 @@ const RAMP_US: i64 = 1_000_000;
 /// Largest limit of an axis: 10 N.
 pub const MOST: Force = Force(10 << 16);
 
-/// Largest velocity-proportional damping: 1 N for each mm/s, in 2^-16 N s/mm.
+/// Maximum velocity-proportional damping: 1 N for each mm/s, in 2^-16 N s/mm.
 pub const DAMPING_MOST: u16 = u16::MAX;
 
 /// Force range over which the damping term fades out: 0.5 N, a power of two in its unit.

@@ -34,7 +34,7 @@ pub enum DriveError {
 const REACH_FACTOR: u64 = 10;
 
 /// Counts that a joint can move in a period. It is the following error at standstill (a rotor that
-/// snaps, a screw that unwinds) plus the travel at [`REACH_FACTOR`] times the highest rate. A
+/// snaps, a screw that unwinds) plus the travel at [`REACH_FACTOR`] times the maximum rate. A
 /// counter has jumped if it changes by more. After missed periods the mean change per period
 /// counts.
 ///

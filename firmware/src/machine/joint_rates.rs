@@ -6,7 +6,7 @@
 //! order. The rate of that cubic lies within the hull of three control points: both end rates, and
 //! 3 (q1 - q0) / T - q0' - q1'. The check needs no division by the time.
 //!
-//! Joint rates grow with the speed factor: the limit is divided by the largest speed factor that
+//! Joint rates grow with the speed factor: the limit is divided by the maximum speed factor that
 //! the override mode of the segment, or of a faster part before it, allows.
 //!
 //! docs/decisions/0025-joint-rate-limit.md explains why a setpoint is refused and the path is not
@@ -52,7 +52,7 @@ const fn limit(rate: Rate, speed_factor: i32) -> i32 {
     }
 }
 
-/// Largest joint rate that setpoints may command: 2 % above the limit, for the rounding of a
+/// Maximum joint rate that setpoints may command: 2 % above the limit, for the rounding of a
 /// planner that uses the limit.
 const fn allowed(limit: i32) -> i64 {
     limit as i64 + (limit / 50) as i64

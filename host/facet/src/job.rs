@@ -41,7 +41,7 @@ pub struct Lap {
     /// exceed [`JobSettings::most_force_n`].
     pub feed_mm_s: f64,
     /// Force of the stone on the lap under force control, N. A facet on which it would remove more
-    /// than the largest feed gets the force that removes as much.
+    /// than the maximum feed gets the force that removes as much.
     pub force_n: f64,
     /// Time at the final depth in which the stone sparks out, s.
     pub spark_out_s: f64,
@@ -82,7 +82,7 @@ pub enum Coolant {
     Flood,
 }
 
-/// Largest speed at which the stone is lowered by force, mm/s.
+/// Maximum speed at which the stone is lowered by force, mm/s.
 const FORCE_FEED: f64 = 0.15;
 
 /// Ratio of the feed by force to the removal at the force setpoint. Above 1, so that the stone
@@ -370,7 +370,7 @@ fn removal_mm_s(settings: &JobSettings, lap: &Lap, stone: &Polyhedron, plane: &P
     lap.preston_mm2_n * speed / area.max(1e-9)
 }
 
-/// Force setpoint of a facet: that of the lap, or what removes as much as the largest feed.
+/// Force setpoint of a facet: that of the lap, or what removes as much as the maximum feed.
 fn force_n(settings: &JobSettings, lap: &Lap, stone: &Polyhedron, goal: &Plane) -> f64 {
     let most = FORCE_FEED / LEAD / removal_mm_s(settings, lap, stone, goal);
     lap.force_n.min(most.max(LEAST_FORCE_N))

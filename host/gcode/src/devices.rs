@@ -9,7 +9,7 @@ use super::expression::Read;
 use super::problem::{Cause, Mistake, Place};
 use super::state::{Turn, WAITED};
 
-/// Largest speed of the spindle, rev/min.
+/// Maximum speed of the spindle, rev/min.
 const FASTEST_SPINDLE: f64 = 32_767.0;
 
 /// Checks the words of M19 as LinuxCNC does, although the spindle only stops.
@@ -54,7 +54,7 @@ impl Executor {
                     return mistake(
                         code.at,
                         format!("{limit} is not a spindle speed"),
-                        "write D with the largest speed, 0 to 32767 rev/min",
+                        "write D with the maximum speed, 0 to 32767 rev/min",
                     );
                 }
                 if block.word(b'S').is_none() {

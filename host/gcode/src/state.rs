@@ -160,7 +160,7 @@ pub(crate) struct Modes {
     pub return_to_r: bool,
     /// Rev/min, or m/min with G96.
     pub speed: Option<f64>,
-    /// G96: largest speed in rev/min.
+    /// G96: maximum speed in rev/min.
     pub surface_limit: Option<f64>,
     pub turn: Turn,
     pub mist: bool,

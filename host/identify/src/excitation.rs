@@ -69,7 +69,7 @@ pub(crate) fn burst_time(line: &Line, rate: f64, seconds: f64) -> f64 {
 /// Change of the rate from and to standstill.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ramp {
-    /// Largest acceleration, mm/s^2 or deg/s^2.
+    /// Maximum acceleration, mm/s^2 or deg/s^2.
     pub acceleration: f64,
     /// Time in which the acceleration builds up, and dies away, seconds.
     pub build_up: f64,
@@ -81,7 +81,7 @@ impl Ramp {
         self.build_up.min(rate / self.acceleration)
     }
 
-    /// The largest rate up to `rate` that fits into a travel.
+    /// The maximum rate up to `rate` that fits into a travel.
     #[must_use]
     pub fn slowed(&self, mut rate: f64, travel: f64) -> f64 {
         while self.travel(rate, 0.01) > travel && rate > 1e-3 {

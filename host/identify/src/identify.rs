@@ -19,7 +19,7 @@ pub struct Options {
     pub travel: f64,
     /// Lowest and highest frequency, Hz.
     pub frequencies: [f64; 2],
-    /// Part of the largest rate that a joint reaches, 0 to 1.
+    /// Part of the maximum rate that a joint reaches, 0 to 1.
     pub rate_part: f64,
     /// Bytes per second of the line; `None` without a limit.
     pub line_rate: Option<u32>,
@@ -36,7 +36,7 @@ impl Default for Options {
     }
 }
 
-/// Parts of the largest rate at which the friction is measured.
+/// Parts of the maximum rate at which the friction is measured.
 const RATES: [f64; 6] = [0.06, 0.12, 0.25, 0.5, 0.75, 1.0];
 
 /// Longest time at one rate, seconds.
@@ -65,7 +65,7 @@ const SLOW_HZ: f64 = 25.0;
 /// Least time at the top rate, seconds.
 const TOP_CRUISE: f64 = 0.8;
 
-/// The largest rate up to `rate` that fits.
+/// The maximum rate up to `rate` that fits.
 fn slowed(mut rate: f64, fits: impl Fn(f64) -> bool) -> f64 {
     while !fits(rate) && rate > 1e-3 {
         rate *= 0.9;

@@ -32,9 +32,9 @@ pub struct Line {
     pub low: f64,
     /// Upper end.
     pub high: f64,
-    /// Largest rate along the line that joints and pose coordinates allow.
+    /// Maximum rate along the line that joints and pose coordinates allow.
     pub rate: f64,
-    /// Largest acceleration.
+    /// Maximum acceleration.
     pub acceleration: f64,
     home: [f64; JOINTS],
 }

@@ -22,7 +22,7 @@ pub const READINGS: usize = 2 * TIMES;
 /// Travel to the place from each side, mm or degrees; the lost motion is less.
 const TRAVEL: f64 = 1.5;
 
-/// Part of the largest rate.
+/// Part of the maximum rate.
 const RATE: f64 = 0.1;
 
 /// Time at the place before the gauge is read, seconds.

@@ -32,7 +32,7 @@ use toml_edit::{DocumentMut, Item};
 pub struct StepOptions {
     /// Longest motion of a joint, mm or degrees.
     pub travel: f64,
-    /// Largest rate and acceleration, as a multiple of those of the machine file.
+    /// Maximum rate and acceleration, as a multiple of those of the machine file.
     pub beyond: f64,
 }
 
@@ -48,7 +48,7 @@ const CRUISE: f64 = 0.3;
 /// Part of the travel to each side of the home pose that the motion leaves free.
 const FREE: f64 = 0.1;
 
-/// Part of the largest pulse rate that is used.
+/// Part of the maximum pulse rate that is used.
 const PULSES: f64 = 0.95;
 
 /// Homings before the tests: how well the switch repeats.
@@ -72,7 +72,7 @@ pub struct StepJoint {
     pub end: f64,
     /// Range of the tests.
     pub bounds: Bounds,
-    /// Why the largest rate is below the multiple of the machine file.
+    /// Why the maximum rate is below the multiple of the machine file.
     pub lower: Option<&'static str>,
     /// Least loss: an electrical turn of a motor with 50 of them in a turn, steps.
     turn: f64,
@@ -303,7 +303,7 @@ impl<'a, L: session::Line> SwitchTest<'a, L> {
             let scaled = Rate(to_i32(1.05 * rate * per_unit(axis.kind)));
             axis.rate = axis.rate.max(scaled);
             let faster = (1.05 * rate / it.line.rate).max(1.0);
-            // A stop from the largest rate takes at most four times the acceleration of a jog.
+            // A stop from the maximum rate takes at most four times the acceleration of a jog.
             let harder = acceleration / (ACCELERATION * it.line.acceleration);
             let harder = harder.max(faster);
             let ranges = geometry.ranges(&it.reach());

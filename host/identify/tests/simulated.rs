@@ -65,7 +65,7 @@ fn check(machine: &MachineFile) -> Result<()> {
         near("inertia", found.plant.inertia, joint.inertia, 0.0);
         near("forward", found.friction.coulomb[0], joint.coulomb, 0.0);
         near("backward", found.friction.coulomb[1], joint.coulomb, 0.0);
-        // Where there is none: 1 % of the friction at the largest rate.
+        // Where there is none: 1 % of the friction at the maximum rate.
         let none = 0.01 * joint.coulomb / machine.joints[found.joint].rate;
         near("viscous", found.friction.viscous, joint.viscous, none);
         match found.resonance {

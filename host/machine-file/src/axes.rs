@@ -26,11 +26,11 @@ pub struct AxisLimits {
     pub low: f64,
     /// Upper limit, mm or deg; infinity where the axis wraps around.
     pub high: f64,
-    /// Largest rate, mm/s or deg/s.
+    /// Maximum rate, mm/s or deg/s.
     pub rate: f64,
-    /// Largest acceleration, mm/s^2 or deg/s^2.
+    /// Maximum acceleration, mm/s^2 or deg/s^2.
     pub acceleration: f64,
-    /// Largest jerk, mm/s^3 or deg/s^3; infinite for a joint, which has no jerk limit.
+    /// Maximum jerk, mm/s^3 or deg/s^3; infinite for a joint, which has no jerk limit.
     pub jerk: f64,
 }
 

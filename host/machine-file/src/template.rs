@@ -158,11 +158,11 @@ mod tests {
     #[test]
     fn each_key_is_explained_where_it_first_occurs() {
         let text = annotate(MILL);
-        let rate = "# largest rate: mm/s, 0.001 to 2000; at most the joint's where the coordinate is \
+        let rate = "# maximum rate: mm/s, 0.001 to 2000; at most the joint's where the coordinate is \
                     a joint, required\nrate_mm_s = 80.0\n";
         assert!(text.contains(rate), "{text}");
         assert_eq!(
-            text.matches("# largest rate: mm/s, 0.001 to 2000; at most")
+            text.matches("# maximum rate: mm/s, 0.001 to 2000; at most")
                 .count(),
             1
         );

@@ -55,13 +55,13 @@ pose "pose" "A pose coordinate: its soft limits, and what a program or a jog may
     wrap = flag().is("the coordinate turns without limits and has no soft limits")
         .only("rotary coordinates without a role, and those of a table").or_text("false")
         .bounded("the joint of the same name wraps too");
-    rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
+    rate = real(0.001, 2000.0, "mm/s").is("maximum rate").named("rate_mm_s")
         .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).multi_turn(super::MULTI_TURN_RATES)
         .bounded("at most the joint's where the coordinate is a joint");
-    acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")
+    acceleration = real(0.1, 100_000.0, "mm/s^2").is("maximum acceleration")
         .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
     jerk = real(1.0, 1e8, "mm/s^3")
-        .is("largest jerk; the controller refuses one that is too low for the acceleration")
+        .is("maximum jerk; the controller refuses one that is too low for the acceleration")
         .named("jerk_mm_s3").rotary("jerk_deg_s3", real(1.0, 1e8, "deg/s^3"));
 }
 
@@ -85,9 +85,9 @@ joint "joint" "A joint: stroke, rate, encoder and reference." {
     wrap = flag().is("the joint turns without limits and has no stroke")
         .only("rotary joints").or_text("false")
         .bounded("the pose coordinate of the same name wraps too; of a joint that is no coordinate: where the model allows it");
-    rate = real(0.001, 2000.0, "mm/s").is("largest rate").named("rate_mm_s")
+    rate = real(0.001, 2000.0, "mm/s").is("maximum rate").named("rate_mm_s")
         .rotary("rate_deg_s", real(0.001, 179.0, "deg/s")).multi_turn(super::MULTI_TURN_RATES);
-    acceleration = real(0.1, 100_000.0, "mm/s^2").is("largest acceleration")
+    acceleration = real(0.1, 100_000.0, "mm/s^2").is("maximum acceleration")
         .named("acceleration_mm_s2").rotary("acceleration_deg_s2", real(0.1, 40_000.0, "deg/s^2"));
     travel = real(0.01, 200.0, "mm/turn").is("motion per motor turn").named("lead_mm")
         .rotary("gear_ratio", real(0.1, 1_000.0, "motor turns per turn"));
@@ -329,7 +329,7 @@ force_axis "force.axis" "The force loop of x, y or z." {
     damping_n_s_per_mm = real(0.0, 65_535.0, "N s/mm").is("virtual damping K_V")
         .bounded("by mass, period and lag, to 1024");
     limit_mm = real(-64.0, 1000.0, "mm").is("compliance limit").bounded("above 0 to 64");
-    rate_mm_s = real(-2000.0, 2000.0, "mm/s").is("largest rate of the compliant displacement")
+    rate_mm_s = real(-2000.0, 2000.0, "mm/s").is("maximum rate of the compliant displacement")
         .bounded("above 0");
     enable_condition = word(&["against_motion", "any", "positive", "negative"])
         .is("enable condition: when a force displaces the tool");

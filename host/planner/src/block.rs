@@ -1,4 +1,4 @@
-//! Check of a move: every pose must be reachable, and the limits give its largest speed.
+//! Check of a move: every pose must be reachable, and the limits give its maximum speed.
 
 use super::limits::{MachineModel, PoseProblem, Settings};
 use super::profile::Along;
@@ -55,7 +55,7 @@ pub(crate) struct Block {
     pub turns: f64,
     /// Limits along the path.
     pub along: Along,
-    /// Largest speed without the feed.
+    /// Maximum speed without the feed.
     pub most: f64,
     /// Derivatives of pose and joints by length, at start and end.
     pub tangents: [Coordinates; 2],
@@ -271,7 +271,7 @@ fn divide(
     Ok(())
 }
 
-/// Returns the largest speed that the joints allow at a sample of a move that was examined.
+/// Returns the maximum speed that the joints allow at a sample of a move that was examined.
 fn fastest(step: &Move, settings: &Settings, model: &impl MachineModel) -> f64 {
     let path = &step.path;
     let samples = Samples::of(path, settings);
@@ -311,7 +311,7 @@ fn bounds<'a>(
     (of_joints.zip(joints.largest)).chain(of_machine.zip(machine.largest))
 }
 
-/// Returns the largest speed that rates, accelerations and jerks of the joints allow.
+/// Returns the maximum speed that rates, accelerations and jerks of the joints allow.
 fn joint_speed(bounds: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> f64 {
     let mut speed = f64::INFINITY;
     // Its square, and its cube: roots keep the order.
@@ -401,10 +401,10 @@ fn examine(
 struct Search<'a> {
     settings: &'a Settings,
     samples: &'a Samples,
-    /// Largest speed that the rates of the pose allow, and the axis that limits it: its index, rate
+    /// Maximum speed that the rates of the pose allow, and the axis that limits it: its index, rate
     /// per speed, and pose.
     rate_speed: f64,
-    /// Largest speed that rates, accelerations and jerks of the joints allow.
+    /// Maximum speed that rates, accelerations and jerks of the joints allow.
     joint_speed: f64,
     acceleration: f64,
     jerk: f64,
@@ -471,7 +471,7 @@ impl<'a> Search<'a> {
         self.speed < f64::INFINITY && most < self.speed * (1.0 - 1e-9)
     }
 
-    /// Returns the limits along the path, and the largest speed without the feed.
+    /// Returns the limits along the path, and the maximum speed without the feed.
     fn along(&self, path: &Path) -> (Along, f64) {
         let mut most = self.rate_speed.min(self.joint_speed);
         let (mut acceleration, mut jerk) = (self.acceleration, self.jerk);

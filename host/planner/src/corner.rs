@@ -1,4 +1,4 @@
-//! Junction of two blocks: its largest speed and its rounding.
+//! Junction of two blocks: its maximum speed and its rounding.
 //!
 //! The motion through a corner is the motion along the two exact paths plus a *bump*, which cancels
 //! the jump of velocity. The speed v is constant for the time h around the corner. The jump is dv,
@@ -41,7 +41,7 @@ const SAME_DIRECTION: f64 = 1e-7;
 /// A junction of two blocks.
 #[derive(Debug, Clone)]
 pub(crate) struct Corner {
-    /// Largest speed.
+    /// Maximum speed.
     pub speed: f64,
     /// u2 - u1: change of velocity per unit of speed.
     pub change: Coordinates,
@@ -56,7 +56,7 @@ pub(crate) struct Corner {
     largest: f64,
     /// Preferred duration of a rounding.
     preferred: f64,
-    /// Largest speed that the jump of curvature allows.
+    /// Maximum speed that the jump of curvature allows.
     bend_speed: f64,
 }
 
@@ -265,7 +265,7 @@ impl Corner {
         if least <= 0.0 {
             return 0.0;
         }
-        // At the largest speed a rounding error may leave `least` slightly above the largest
+        // At the maximum speed a rounding error may leave `least` slightly above the largest
         // duration.
         least.max(self.preferred.min(self.largest / speed))
     }

@@ -17,11 +17,11 @@ pub struct PoseLimits {
     pub low: f64,
     /// Upper soft limit; infinity if the coordinate wraps around.
     pub high: f64,
-    /// Largest rate.
+    /// Maximum rate.
     pub rate: f64,
-    /// Largest acceleration.
+    /// Maximum acceleration.
     pub acceleration: f64,
-    /// Largest jerk.
+    /// Maximum jerk.
     pub jerk: f64,
 }
 
@@ -32,11 +32,11 @@ pub struct JointLimits {
     pub name: String,
     /// Its unit in messages ("mm" or "deg").
     pub unit: &'static str,
-    /// Largest rate.
+    /// Maximum rate.
     pub rate: f64,
-    /// Largest acceleration.
+    /// Maximum acceleration.
     pub acceleration: f64,
-    /// Largest jerk.
+    /// Maximum jerk.
     pub jerk: f64,
 }
 

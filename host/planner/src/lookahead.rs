@@ -1,4 +1,4 @@
-//! Look-ahead: the largest speeds at the junctions of a run of blocks that corners and block
+//! Look-ahead: the maximum speeds at the junctions of a run of blocks that corners and block
 //! lengths allow.
 
 use super::block::Block;

@@ -55,7 +55,7 @@ impl Describe for ForceRefusal {
                 "the compliance limit must be above 0 and at most {length} mm"
             ),
             ForceParameter::Rate => {
-                f.write_str("the largest rate of the compliant displacement must be above 0")
+                f.write_str("the maximum rate of the compliant displacement must be above 0")
             }
             ForceParameter::Sensor => f.write_str(
                 "a value of the force sensor is out of its range; correct the machine file",

@@ -18,7 +18,7 @@ const SLOWING: usize = 8;
 /// A faster part of the path that has ended.
 #[derive(Debug, Clone, Copy)]
 struct Faster {
-    /// Its largest speed factor, percent.
+    /// Its maximum speed factor, percent.
     most: u8,
     /// Program time until the speed factor is certainly 100 % or less, control periods.
     periods: u32,
@@ -40,7 +40,7 @@ impl AcceptedModes {
         self.faster.clear();
     }
 
-    /// Largest speed factor on the segment to the next setpoint, percent.
+    /// Maximum speed factor on the segment to the next setpoint, percent.
     pub(super) fn max_percent(&self) -> u8 {
         let fastest = self.faster.first().map_or(0, |faster| faster.most);
         self.override_mode.max_percent().max(fastest)
@@ -149,7 +149,7 @@ impl Interpolator {
         }
     }
 
-    /// Largest speed factor on the segment to the next setpoint, percent of the programmed speed,
+    /// Maximum speed factor on the segment to the next setpoint, percent of the programmed speed,
     /// 100 to [`OverrideMode::MAX_PERCENT`].
     #[must_use]
     pub fn max_percent(&self) -> u8 {

@@ -49,7 +49,7 @@ pub struct SetArgs {
     /// Largest compliant displacement, mm
     #[arg(long, value_name = "MM", value_parser = finite, allow_negative_numbers = true)]
     pub limit: Option<f64>,
-    /// Largest rate of the compliant displacement, mm/s
+    /// Maximum rate of the compliant displacement, mm/s
     #[arg(long, value_name = "MM/S", value_parser = finite, allow_negative_numbers = true)]
     pub rate: Option<f64>,
     /// Enable condition of the compliance: against_motion, any, positive or negative

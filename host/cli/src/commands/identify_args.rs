@@ -47,13 +47,13 @@ pub struct IdentifyArgs {
     /// Longest motion of a joint, mm or degrees
     #[arg(long, value_name = "MM", default_value_t = 80.0, value_parser = travel)]
     pub travel: f64,
-    /// Part of the largest rate that a joint reaches
+    /// Part of the maximum rate that a joint reaches
     #[arg(long, value_name = "PART", default_value_t = 0.8, value_parser = part)]
     pub rate: f64,
     /// Highest frequency of the sines, Hz
     #[arg(long, value_name = "HZ", default_value_t = 200.0, value_parser = highest)]
     pub highest: f64,
-    /// Largest rate and acceleration in the test for lost steps, as a multiple of those of the
+    /// Maximum rate and acceleration in the test for lost steps, as a multiple of those of the
     /// machine file [default: 1.43, so that 70 % of it are those of the machine file]
     #[arg(long, value_name = "FACTOR", value_parser = beyond)]
     pub beyond: Option<f64>,

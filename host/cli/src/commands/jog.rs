@@ -291,7 +291,7 @@ fn rates(args: &JogArgs, machine: &MachineFile) -> Result<AxisValues, CliError> 
         }
         if command.value.abs() > axis.rate {
             return Err(usage(format!(
-                "{}={} exceeds the largest rate of the coordinate; write at most {}",
+                "{}={} exceeds the maximum rate of the coordinate; write at most {}",
                 command.coordinate, command.value, axis.rate
             )));
         }

@@ -86,7 +86,7 @@ pub struct Jogging {
     rate: usize,
     step: usize,
     jog_timeout_us: u64,
-    /// Largest rate of each pose coordinate, mm/s or deg/s.
+    /// Maximum rate of each pose coordinate, mm/s or deg/s.
     limits: [f64; MAX_AXES],
     held: [Option<HeldKey>; MAX_AXES],
     /// Keys with a reported release, negative and positive direction.
@@ -100,7 +100,7 @@ pub struct Jogging {
 }
 
 impl Jogging {
-    /// No key is held. `limits` are the largest rates of the pose coordinates.
+    /// No key is held. `limits` are the maximum rates of the pose coordinates.
     #[must_use]
     pub fn new(limits: &[f64], jog_timeout_ms: u16) -> Self {
         let mut all = [0.0; MAX_AXES];

@@ -55,7 +55,7 @@ fn read_records(path: &str) -> Vec<Record> {
     recording.iter().unwrap().map(Result::unwrap).collect()
 }
 
-/// Largest acceleration, mm/s^2, and largest rate, mm/s.
+/// Maximum acceleration, mm/s^2, and maximum rate, mm/s.
 fn largest_rate_and_acceleration(read_records: &[Record], axis: usize) -> (f64, f64) {
     let period_s = 2e-4;
     let at = |record: &Record| f64::from(record.commanded[axis]) / MM;

@@ -43,7 +43,7 @@ fn comment(program: &mut String, text: &str) {
 }
 
 impl Job {
-    /// Largest feed into the stone where its force is not held, mm/s.
+    /// Maximum feed into the stone where its force is not held, mm/s.
     #[must_use]
     pub fn most_feed_mm_s(&self) -> f64 {
         match self.settings.mode {

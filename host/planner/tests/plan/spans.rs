@@ -29,7 +29,7 @@ impl Cubic {
         (b - a) / self.t
     }
 
-    /// Largest rate.
+    /// Maximum rate.
     pub fn peak_rate(&self) -> f64 {
         let [a, b] = self.acceleration();
         let mut peak = self.v[0].abs().max(self.v[1].abs());

@@ -5,7 +5,7 @@ use crate::properties::plan;
 use proptest::prelude::*;
 
 /// Shortest time from standstill to standstill over a length, with limits of speed, acceleration
-/// and jerk: phases of largest jerk, largest acceleration and largest speed.
+/// and jerk: phases of maximum jerk, maximum acceleration and maximum speed.
 fn shortest(length: f64, speed: f64, acceleration: f64, jerk: f64) -> f64 {
     let ramp = |peak: f64| {
         if peak <= acceleration * acceleration / jerk {

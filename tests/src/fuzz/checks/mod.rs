@@ -114,7 +114,7 @@ pub struct Checks {
 
 /// Returns the motion in one period that the firmware takes for a counter jump, in axis units.
 ///
-/// It is the limit of the following error at standstill plus ten times the highest rate.
+/// It is the limit of the following error at standstill plus ten times the maximum rate.
 fn jump_threshold(limits: &JointSettings) -> f64 {
     let following = limits
         .encoder

@@ -91,7 +91,7 @@ pub struct TeleopArgs {
     /// Spindle speed while the tool follows the master, rev/min
     #[arg(long, value_name = "RPM", default_value_t = 0, value_parser = clap::value_parser!(i16).range(-30_000..=30_000), allow_negative_numbers = true)]
     pub spindle: i16,
-    /// Largest speed of a master that keys or sticks move, mm/s
+    /// Maximum speed of a master that keys or sticks move, mm/s
     #[arg(long, value_name = "MM_S", default_value_t = 20.0, value_parser = parse_speed)]
     pub speed: f64,
     /// Delay of the simulated arm's link, each way, ms
