@@ -72,8 +72,8 @@ proptest! {
     }
 }
 
-/// 60 samples at 5000 rpm and 200 us, 12 at 1 ms (docs/control.md 7.1 item 17); other speeds are
-/// rounded up.
+/// 60 samples at 5000 rev/min and 200 us, 12 at 1 ms (docs/control.md 7.1 item 17); other speeds
+/// are rounded up.
 #[test]
 fn window_is_rounded_up_to_a_revolution() {
     let samples = |rpm, period| Window::revolution(rpm, period).map(Window::samples);

@@ -4,12 +4,12 @@
 //! whole revolution, with its sign. For a force that repeats every revolution this value is
 //! constant, whatever the run-out of the teeth.
 //!
-//! **Rounding.** A revolution is 60 / (rpm * period) samples: 60 at 5000 rpm and 200 us, but 58.82
-//! at 5100. The window is rounded *up*: it holds one whole revolution and less than one sample
-//! more. Rounded down, it would miss the peak for one sample in every revolution, and the law would
-//! see a dip. A revolution of more than [`LEAVES`] samples uses groups of 2, 3, ... samples, each
-//! with its highest and lowest force. The window then holds one revolution and less than one group
-//! more (1/63 of a revolution).
+//! **Rounding.** A revolution is 60 / (rpm * period) samples: 60 at 5000 rev/min and 200 us, but
+//! 58.82 at 5100. The window is rounded *up*: it holds one whole revolution and less than one
+//! sample more. Rounded down, it would miss the peak for one sample in every revolution, and the
+//! law would see a dip. A revolution of more than [`LEAVES`] samples uses groups of 2, 3, ...
+//! samples, each with its highest and lowest force. The window then holds one revolution and less
+//! than one group more (1/63 of a revolution).
 //!
 //! **Cost.** A tournament tree over a ring: a new sample changes one leaf and its log2(window)
 //! parents, at most 7 pairs of comparisons. A monotonic queue has the same mean cost, but its worst

@@ -135,7 +135,7 @@ pub struct EngraveArgs {
     /// Spindle speed, rev/min; 0 for a pen
     #[arg(
         long,
-        value_name = "RPM",
+        value_name = "REV/MIN",
         default_value_t = 10_000.0,
         allow_negative_numbers = true
     )]

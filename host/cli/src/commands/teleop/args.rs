@@ -89,10 +89,10 @@ pub struct TeleopArgs {
     #[arg(long, value_name = "HZ", default_value_t = 200, value_parser = clap::value_parser!(u32).range(20..=1000))]
     pub rate: u32,
     /// Spindle speed while the tool follows the master, rev/min
-    #[arg(long, value_name = "RPM", default_value_t = 0, value_parser = clap::value_parser!(i16).range(-30_000..=30_000), allow_negative_numbers = true)]
+    #[arg(long, value_name = "REV/MIN", default_value_t = 0, value_parser = clap::value_parser!(i16).range(-30_000..=30_000), allow_negative_numbers = true)]
     pub spindle: i16,
     /// Maximum speed of a master that keys or sticks move, mm/s
-    #[arg(long, value_name = "MM_S", default_value_t = 20.0, value_parser = parse_speed)]
+    #[arg(long, value_name = "MM/S", default_value_t = 20.0, value_parser = parse_speed)]
     pub speed: f64,
     /// Delay of the simulated arm's link, each way, ms
     #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u16).range(0..=1000))]
