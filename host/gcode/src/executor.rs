@@ -480,8 +480,8 @@ impl Executor {
                         &format!(
                             "write F with the feed in {}",
                             match (modes.feed_mode, modes.inch) {
-                                (FeedMode::PerTurn, true) => "inch per turn",
-                                (FeedMode::PerTurn, false) => "mm per turn",
+                                (FeedMode::PerTurn, true) => "inch per revolution",
+                                (FeedMode::PerTurn, false) => "mm per revolution",
                                 (_, true) => "inch/min",
                                 (_, false) => "mm/min",
                             }
@@ -494,7 +494,7 @@ impl Executor {
                 let rpm = self.rpm();
                 if modes.turn == Turn::Off || rpm < 1.0 {
                     return missing(
-                        "a feed per turn (G95) while the spindle is off",
+                        "a feed per revolution (G95) while the spindle is off",
                         "start the spindle (S, M3) before",
                     );
                 }

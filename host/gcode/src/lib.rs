@@ -10,7 +10,8 @@
 //! blocks (flow, interpreter). docs/gcode.md lists every code.
 //!
 //! Moves are in machine coordinates: millimetres, and degrees for rotary axes. Work offsets, tool
-//! lengths and cutter compensation are applied; cycles, splines and feeds per turn are resolved.
+//! lengths and cutter compensation are applied; cycles, splines and feeds per revolution are
+//! resolved.
 //!
 //! Everything that is not understood is refused with `file:line:column`, problem and remedy;
 //! nothing is skipped. One block has at most one problem. All problems of a file are reported

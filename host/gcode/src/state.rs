@@ -151,7 +151,7 @@ pub(crate) struct Modes {
     pub feed_mode: FeedMode,
     /// F as written, in the unit of its block.
     pub feed: Option<f64>,
-    /// F in mm/min (mm per turn with G95).
+    /// F in mm/min (mm per revolution with G95).
     pub feed_mm: f64,
     pub path_control: PathControl,
     /// M49 or M50 P0: the overrides have no effect on moves at feed.

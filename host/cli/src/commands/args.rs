@@ -117,8 +117,8 @@ pub struct PortArgs {
     /// Pico 2 on an emulated chip, the machine at its pins)
     #[arg(long, value_name = "PORT", default_value = "sim")]
     pub port: PortSpec,
-    /// Baud rate of a serial port [default: 115200]; paces the simulated link of `run` and
-    /// `teleop` [default: unpaced]
+    /// Baud rate of a serial port [default: 115200], and of the simulated link of `run` and
+    /// `teleop` [default: no limit]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1200..=12_000_000))]
     pub baud: Option<u32>,
 }

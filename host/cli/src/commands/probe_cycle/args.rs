@@ -7,7 +7,8 @@ use clap::{Args, Subcommand};
 /// A probing cycle.
 #[derive(Debug, Clone, Subcommand)]
 pub enum ProbeCycle {
-    /// Find an edge or a face along one axis, and optionally make it the zero of a work offset
+    /// Find an edge or a face along one coordinate, and optionally make it the zero of a work
+    /// offset
     Edge(EdgeArgs),
     /// Find the centre of a bore from inside, and move there
     Bore(BoreArgs),
@@ -64,8 +65,8 @@ pub struct ZeroArgs {
 /// Arguments of `haptimill probe edge`.
 #[derive(Debug, Clone, Args)]
 #[command(
-    about = "Find an edge or a face along one axis",
-    long_about = "Find an edge or a face along one axis: `haptimill probe edge z=-20 --radius 0` \
+    about = "Find an edge or a face along one coordinate",
+    long_about = "Find an edge or a face along one coordinate: `haptimill probe edge z=-20 --radius 0` \
                   moves down by at most 20 mm until the probe touches, goes back, touches again \
                   slowly, and returns to its start. The printed position is that of the surface: \
                   the contact and the radius of the ball."

@@ -135,7 +135,7 @@ impl Prober<'_> {
         let descriptor = self.machine.config.model.descriptor();
         descriptor.coordinate(role).ok_or_else(|| {
             let what = format!(
-                "{}: no coordinate moves the tool along {}; probe along single axes with `edge`",
+                "{}: no coordinate moves the tool along {}; probe along single coordinates with `edge`",
                 self.machine.file,
                 match role {
                     Role::ToolX => "x",

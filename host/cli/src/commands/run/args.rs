@@ -19,7 +19,7 @@ const LONG: &str = "\
 Run a part program.
 
 The command first checks the program against the machine: workspace, strokes, singularities, joint \
-speeds. Nothing moves when a line is refused. It then homes the machine, streams the program, and \
+rates. Nothing moves when a line is refused. It then homes the machine, streams the program, and \
 writes to DIR
   recording.hmr  every control period, binary; trace_sha256 in summary.json is its SHA-256, which
                  is equal for every run of a program in the simulator
@@ -147,7 +147,7 @@ pub struct RunArgs {
     /// "problems": [{"file", "line", "column", "message", "remedy"}]}
     #[arg(long)]
     pub json: bool,
-    /// Print no progress bar and no remarks; messages of the program, pauses and the result are
+    /// Print no progress bar and no notices; messages of the program, pauses and the result are
     /// printed
     #[arg(long)]
     pub quiet: bool,
