@@ -256,7 +256,7 @@ fn home(core: &mut Core) -> Done {
         return Err(Refusal::PresetLost);
     }
     machine.check_inputs(false)?;
-    machine.begin_homing(core.safety.homed() && core.safety.position_kept());
+    machine.begin_homing(core.safety.homed());
     core.safety.set_homed(false);
     core.job.stopping = false;
     core.safety.enter(State::Homing);
@@ -308,7 +308,7 @@ fn reset(core: &mut Core, inputs: &Inputs) -> Done {
 fn start_job(core: &mut Core, server: &mut Server, job: u32, pose: &AxisValues) -> Done {
     in_state(core, &[State::Idle])?;
     settled(core)?;
-    if !core.safety.homed() || !core.safety.position_kept() {
+    if !core.safety.homed() {
         return Err(Refusal::NotHomed);
     }
     let machine = core.machine.as_mut().ok_or(Refusal::NotConfigured)?;

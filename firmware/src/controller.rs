@@ -256,7 +256,7 @@ impl Core {
         let Some(machine) = &mut self.machine else {
             return;
         };
-        let is_homed = self.safety.homed() && self.safety.position_kept();
+        let is_homed = self.safety.homed();
         let fade = match self.safety.state() {
             State::Fault => Fade::Frozen,
             State::Homing => Fade::Out,

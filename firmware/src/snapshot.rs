@@ -17,10 +17,8 @@ pub type Axes = [i32; MAX_AXES];
 pub struct Snapshot {
     /// State of the controller.
     pub state: State,
-    /// All joints are homed.
+    /// All joints are homed, and their positions are known to be right.
     pub homed: bool,
-    /// The position has been known to be right since homing.
-    pub position_kept: bool,
     /// A fault is latched.
     pub fault: bool,
     /// Volumetric compensation is in full effect.
@@ -88,7 +86,6 @@ impl Controller {
         let program = &machine.motion.program;
         snapshot.state = safety.state();
         snapshot.homed = safety.homed();
-        snapshot.position_kept = safety.position_kept();
         snapshot.fault = safety.fault().is_some();
         let compensation = machine.compensation.as_ref();
         snapshot.compensated = compensation.is_some_and(|it| it.is_complete());

@@ -385,7 +385,7 @@ fn missed_periods_explain_their_following_errors() {
         assert_eq!(safety.fault(), Some(named));
         // A fault of a joint loses the position, whatever the name of the latched fault is.
         let kept = keeps_position(&named) && keeps_position(&other);
-        assert_eq!(safety.position_kept(), kept, "{other:?}");
+        assert_eq!(safety.homed(), kept, "{other:?}");
         assert!(!safety.drives_on());
     }
 }
@@ -422,7 +422,7 @@ fn each_fault_latches_once_in_each_state() {
                 on && decelerates_first(&fault),
                 "{fault:?} in {state:?}"
             );
-            assert_eq!(safety.position_kept(), keeps_position(&fault));
+            assert_eq!(safety.homed(), keeps_position(&fault));
             assert_eq!(safety.homed(), keeps_position(&fault));
             assert_eq!(safety.take_latched(), Some(fault));
             assert_eq!(safety.take_latched(), None);

@@ -35,7 +35,7 @@ use crate::out_of_band;
 use heapless::Vec;
 
 /// Largest payload of a frame, bytes. The largest message, telemetry of six axes that wrap around,
-/// with force sensor, inputs and outputs, has 343.
+/// with force sensor, inputs and outputs, has 342.
 pub const MAX_PAYLOAD: usize = 344;
 
 /// Largest header, payload and check, bytes.

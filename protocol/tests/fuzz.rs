@@ -210,7 +210,7 @@ fn write_corpus() {
     let event = Event::State {
         from: State::Run,
         to: State::Hold,
-        position_kept: true,
+        homed: true,
     };
     let hello = Hello {
         version: PROTOCOL_VERSION,

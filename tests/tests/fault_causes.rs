@@ -52,7 +52,7 @@ fn missed_periods_are_reported_before_their_consequences() {
             let status = bench.status();
             assert_eq!(status.fault, Some(Fault::MissedPeriods { missed }));
             // Off drives mean that a joint did not follow: its encoder is suspected.
-            assert_eq!(status.position_kept, !drives_off(&bench));
+            assert_eq!(status.homed, !drives_off(&bench));
         }
     }
 }
@@ -69,7 +69,7 @@ fn missed_periods_do_not_keep_the_position_of_a_reversed_encoder() {
             let status = bench.status();
             let off = bench.rig.plant().bodies().motor[0] - f64::from(status.joints[0]) / setup::MM;
             println!("{missed} at {speed}: {:?}, {off:.3} mm off", status.fault);
-            assert!(!status.position_kept && !status.homed, "{status:?}");
+            assert!(!status.homed, "{status:?}");
             assert!(drives_off(&bench));
         }
     }
@@ -90,7 +90,7 @@ fn a_counter_jump_loses_the_position() {
             "{:?}",
             status.fault
         );
-        assert!(!status.position_kept && !status.homed && drives_off(&bench));
+        assert!(!status.homed && drives_off(&bench));
     }
 }
 
@@ -145,7 +145,7 @@ fn lost_counts_are_found_within_two_turns() {
         assert!((reported - counts).abs() <= 1, "{reported} of {counts}");
         assert!(drives_off(&bench));
         let status = bench.status();
-        assert!(!status.position_kept && !status.homed);
+        assert!(!status.homed);
         // The turn of the slide is unknown: the operator has to look.
         recover(&mut bench, State::Disabled);
         assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
@@ -165,12 +165,12 @@ fn a_pushed_slide_needs_only_homing() {
             .fault
             .unwrap_or_else(|| panic!("{effort} N: no fault"));
         assert_eq!(suspected(&fault), Some(0), "{effort} N: {fault:?}");
-        assert!(!status.position_kept && !status.homed);
+        assert!(!status.homed);
         recover(&mut bench, State::Disabled);
         bench.ask(Command::Home).expect("homes");
         assert!(bench.wait_for(State::Idle, 30_000), "{:?}", bench.status());
         let status = bench.status();
-        assert!(status.homed && status.position_kept);
+        assert!(status.homed);
         assert!(following_error(&bench, 0) < 0.03);
     }
 }
@@ -212,7 +212,7 @@ fn an_offset_of_one_encoder_line_is_tolerated() {
     bench.steps(30_000);
     let status = bench.status();
     assert_eq!((status.state, status.fault), (State::Idle, None));
-    assert!(status.position_kept);
+    assert!(status.homed);
 }
 
 #[test]
@@ -227,7 +227,7 @@ fn missed_periods_stop_the_machine_along_its_path_with_drives_on() {
             status.fault,
             fault.map(|missed| Fault::MissedPeriods { missed })
         );
-        assert!(status.position_kept);
+        assert!(status.homed);
         if fault.is_some() {
             assert_eq!(status.state, State::Fault);
             assert!(!drives_off(&bench));
@@ -278,7 +278,7 @@ fn missing_every_second_period_is_reported() {
         bench.rig.control_mut().missed = 0;
         let status = bench.status();
         assert_eq!(status.fault, Some(Fault::MissedPeriods { missed }));
-        assert!(status.position_kept);
+        assert!(status.homed);
     }
 }
 
@@ -305,7 +305,7 @@ fn an_encoder_record_survives_a_new_configuration() {
         }
         bench.ask(Command::Enable).expect("on");
         let status = bench.status();
-        assert!(!status.homed && !status.position_kept, "{reconfigure}");
+        assert!(!status.homed, "{reconfigure}");
         assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
     }
     let mut bench = moving(0, 8.0);
@@ -316,7 +316,7 @@ fn an_encoder_record_survives_a_new_configuration() {
     bench.configure();
     bench.ask(Command::Enable).expect("on");
     let after = bench.status();
-    assert!(after.homed && after.position_kept);
+    assert!(after.homed);
     for (joint, (one, other)) in before.joints.iter().zip(&after.joints).enumerate() {
         // The encoder may have moved by a count.
         assert!((one - other).abs() <= 1400, "{joint}: {one} {other}");
@@ -334,7 +334,7 @@ fn a_new_index_slack_keeps_the_position() {
     bench.steps(5000);
     let status = bench.status();
     assert_eq!((status.state, status.fault), (State::Idle, None));
-    assert!(status.homed && status.position_kept);
+    assert!(status.homed);
 }
 
 /// A reset in the period of the fault hides neither the fault nor the lost position.

@@ -167,7 +167,7 @@ fn an_emergency_stop_during_homing_leaves_no_joint_homed() {
     assert_eq!(state(&bench), State::EmergencyStop);
     assert!(drives_off(&bench));
     let status = bench.status();
-    assert!(!status.homed && !status.position_kept);
+    assert!(!status.homed);
     recover(&mut bench, State::Disabled);
     // The encoders went on counting: the presets hold, and homing starts again.
     bench.ask(Command::Home).expect("homing");
@@ -215,7 +215,7 @@ fn a_silent_host_stops_the_machine_along_its_path() {
         "{:?}",
         safety.fault()
     );
-    assert!(safety.position_kept() && safety.drives_on() && !drives_off(&bench));
+    assert!(safety.homed() && safety.drives_on() && !drives_off(&bench));
     // A new host takes over.
     let now = bench.rig.time_ns() / 1000;
     bench.link.open(78, now);
@@ -261,7 +261,7 @@ fn late_setpoints_slow_the_machine_along_its_path_and_are_reported() {
         (status.commanded[1], status.commanded[2]),
         (start[1], start[2])
     );
-    assert!(status.position_kept && status.fault.is_none());
+    assert!(status.homed && status.fault.is_none());
     send(&mut bench, 15..30);
     bench.ask(Command::JobEnd { count: 30 }).expect("ended");
     assert!(bench.wait_for(State::Idle, 20_000));
@@ -384,7 +384,7 @@ fn a_stalled_step_motor_or_wrong_encoder_stops_the_whole_path() {
                 Some(Fault::Drive { joint: 1 }) => true,
                 other => panic!("{name}: {other:?}"),
             };
-            assert_eq!(bench.rig.control().safety().position_kept(), kept);
+            assert_eq!(bench.rig.control().safety().homed(), kept);
             // Steps and encoder may differ by 0.05 mm. A motor under a jam also winds up its screw:
             // 1200 N on 2500 N/mm.
             assert!(off < 0.06 + 1200.0 / 2500.0, "{name}: {off} mm");

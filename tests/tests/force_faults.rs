@@ -39,7 +39,7 @@ fn controlled_stop(bench: &mut Bench) -> ForceProblem {
     let latched = tool(bench);
     bench.steps(5000);
     assert!(distance(bench, latched) < 0.05, "the tool went on");
-    assert!(bench.rig.control().safety().position_kept());
+    assert!(bench.rig.control().safety().homed());
     assert!(bench.rig.control().safety().drives_on());
     let faults = reported_faults(bench);
     let [Event::Fault(Fault::Force(problem))] = faults[..] else {
@@ -309,5 +309,5 @@ fn a_stalled_spindle_trips_the_force_limit() {
     let back = tool(&bench)[0] - farthest;
     println!("at most {most:.1} N; {back:.3} mm back, {left:.1} N left");
     assert!(back > 0.5 && left < 40.0);
-    assert!(bench.rig.control().safety().position_kept());
+    assert!(bench.rig.control().safety().homed());
 }

@@ -66,7 +66,7 @@ fn error(bench: &mut Bench) -> f64 {
 fn assert_homed(bench: &mut Bench) {
     assert_eq!(home(bench), State::Idle, "{:?}", bench.events);
     let status = bench.status();
-    assert!(status.homed && status.position_kept, "{status:?}");
+    assert!(status.homed, "{status:?}");
     let off = error(bench);
     println!("off by {off:.4} mm");
     assert!(off < 0.02, "{off} mm");
@@ -76,7 +76,7 @@ fn assert_failed(bench: &mut Bench, joint: u8, problem: HomingProblem) {
     assert_eq!(home(bench), State::Fault);
     let status = bench.status();
     assert_eq!(status.fault, Some(Fault::Homing { joint, problem }));
-    assert!(!status.homed && !status.position_kept);
+    assert!(!status.homed);
     assert!(drives_off(bench));
     // Nothing is left behind: it can be tried again.
     bench.ask(Command::Reset).expect("reset");
@@ -115,7 +115,7 @@ fn the_switches_are_found_in_their_order() {
     assert!((x - y).abs() < 100 && x > z + 1000, "{moved:?}");
     bench.steps(500);
     let status = bench.status();
-    assert!(status.homed && status.position_kept);
+    assert!(status.homed);
     assert!(error(&mut bench) < 0.02);
     // Off the switches by the back-off.
     let truth = bench.rig.truth().joints;
@@ -177,7 +177,7 @@ fn homing_again_finds_the_same_place() {
     let first = bench.rig.truth().joints;
     for _ in 0..3 {
         bench.ask(Command::Disable).expect("off");
-        assert!(!bench.status().position_kept);
+        assert!(!bench.status().homed);
         assert_homed(&mut bench);
         for (axis, first) in first.iter().enumerate().take(3) {
             let off = bench.rig.truth().joints[axis] - first;
@@ -288,7 +288,7 @@ fn a_limit_switch_serves_as_home_switch() {
     bench.rig.plant_mut().set_condition(0, condition);
     bench.steps(50);
     assert_eq!(bench.status().fault, Some(Fault::LimitSwitch { joint: 0 }));
-    assert!(!bench.status().position_kept);
+    assert!(!bench.status().homed);
     // Beyond it the drives come on, and homing moves off.
     condition.switches[1].stuck = None;
     bench.rig.plant_mut().set_condition(0, condition);
@@ -328,7 +328,7 @@ fn homing_is_interrupted() {
     bench.ask(Command::Stop).expect("stopped");
     assert!(bench.wait_for(State::Idle, 5000));
     let status = bench.status();
-    assert!(!status.homed && !status.position_kept && status.fault.is_none());
+    assert!(!status.homed && status.fault.is_none());
     assert_eq!(bench.ask(Command::Home), Ok(()));
     while state(&bench) == State::Homing {
         bench.step();
@@ -343,7 +343,7 @@ fn homing_is_interrupted() {
     }
     let safety = bench.rig.control().safety();
     assert!(matches!(safety.fault(), Some(Fault::LostHost { .. })));
-    assert!(!safety.homed() && !safety.position_kept());
+    assert!(!safety.homed());
 
     let mut bench = middle();
     bench.rig.plant_mut().set_emergency_stop(true);
@@ -422,7 +422,6 @@ fn another_home_coordinate_or_side_loses_the_position() {
         // The rate of the search does not change what a coordinate means.
         let is_kept = number == 2;
         let status = bench.status();
-        let kept = (status.homed, status.position_kept);
-        assert_eq!(kept, (is_kept, is_kept), "change {number}");
+        assert_eq!(status.homed, is_kept, "change {number}");
     }
 }

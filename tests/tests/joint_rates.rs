@@ -66,7 +66,7 @@ fn assert_stopped_and_usable(bench: &mut Bench) {
     assert_eq!(state(bench), State::Run);
     bench.ask(Command::Stop).expect("stops");
     assert!(bench.wait_for(State::Idle, 2000));
-    assert!(bench.status().position_kept);
+    assert!(bench.status().homed);
     let faults = |event: &Event| matches!(event, Event::Fault(_));
     assert!(!bench.events.iter().any(faults), "{:?}", bench.events);
     let start = bench.status().commanded;

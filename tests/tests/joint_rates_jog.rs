@@ -235,7 +235,7 @@ fn an_excessive_joint_rate_by_a_jog_is_a_fault_that_keeps_the_position() {
     );
     bench.steps(2000);
     assert!(!setup::drives_off(&bench));
-    assert!(bench.status().position_kept);
+    assert!(bench.status().homed);
     for joint in 0..5 {
         let off = setup::following_error(&bench, joint);
         assert!(off < 0.02, "joint {joint} is off by {off}");
@@ -307,7 +307,7 @@ fn jogs_during_a_program_exceed_no_joint_rate_or_are_reported() {
             "case {case}: {fault:?} at {most} mm/s"
         );
         if fault.is_some() {
-            assert!(bench.status().position_kept && !setup::drives_off(&bench));
+            assert!(bench.status().homed && !setup::drives_off(&bench));
             reported += 1;
         } else {
             fine += 1;

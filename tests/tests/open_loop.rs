@@ -72,10 +72,10 @@ fn error(bench: &mut Bench) -> f64 {
 
 fn assert_lost(bench: &mut Bench) {
     let status = bench.status();
-    assert!(!status.homed && !status.position_kept, "{status:?}");
+    assert!(!status.homed, "{status:?}");
     assert!(drives_off(bench));
     let kept = bench.events.iter().rev().find_map(|event| match event {
-        Event::State { position_kept, .. } => Some(*position_kept),
+        Event::State { homed, .. } => Some(*homed),
         _ => None,
     });
     assert_eq!(kept, Some(false), "{:?}", bench.events);
@@ -86,7 +86,7 @@ fn a_job_moves_the_true_tool_and_telemetry_says_open_loop() {
     let mut bench = moving();
     assert!(bench.wait_for(State::Idle, 30_000));
     let status = bench.status();
-    assert!(status.homed && status.position_kept && status.fault.is_none());
+    assert!(status.homed && status.fault.is_none());
     assert_eq!(status.open_loop, 0b111);
     // Backlash, a step and the lag of the rotor.
     let off = error(&mut bench);
@@ -133,7 +133,7 @@ fn a_preset_holds_until_the_drives_go_off() {
     let mut bench = mill(without_switches);
     home(&mut bench);
     let status = bench.status();
-    assert!(status.homed && status.position_kept);
+    assert!(status.homed);
     let off = error(&mut bench);
     assert!(off < 0.06, "a rotor moves to its next detent: {off} mm");
     bench.ask(Command::Disable).expect("off");
@@ -188,7 +188,7 @@ fn the_position_is_kept_while_the_drives_hold() {
     }
     let status = bench.rig.control().safety();
     assert!(matches!(status.fault(), Some(Fault::LostHost { .. })));
-    assert!(status.homed() && status.position_kept() && status.drives_on());
+    assert!(status.homed() && status.drives_on());
 }
 
 /// A drive that keeps the position by its machine file.
@@ -205,7 +205,7 @@ fn a_drive_that_holds_its_rotor_keeps_the_position() {
     bench.ask(Command::Disable).expect("off");
     bench.steps(1000);
     let status = bench.status();
-    assert!(status.homed && status.position_kept);
+    assert!(status.homed);
     bench.ask(Command::Enable).expect("on");
     bench.steps(1000);
     let off = error(&mut bench);

@@ -47,7 +47,7 @@ impl Kept {
                 (f64::from(snapshot.measured.0) / unit - truth).abs()
             })
             .fold(0.0, f64::max);
-        if !(safety.homed() && safety.position_kept()) {
+        if !safety.homed() {
             self.lasting = 0.0;
             return;
         }

@@ -423,7 +423,6 @@ fn a_refused_command_changes_nothing() {
                 (
                     status.state,
                     status.homed,
-                    status.position_kept,
                     status.credit,
                     status.setpoint,
                     status.speed_factor,

@@ -121,7 +121,7 @@ fn a_bad_line_causes_no_wrong_motion() {
             }
         }
         let safety = bench.rig.control().safety();
-        assert!(safety.position_kept() && safety.drives_on());
+        assert!(safety.homed() && safety.drives_on());
         let whole = stopped == State::Idle && done && path.last() == clean.last();
         assert!(
             whole || stopped == State::Fault || stopped == State::Hold,

@@ -126,7 +126,7 @@ fn a_coasting_machine_is_not_enabled() {
     bench.ask(Command::Enable).expect("stands");
     bench.steps(1000);
     let status = bench.status();
-    assert!(status.state == State::Idle && status.position_kept && status.fault.is_none());
+    assert!(status.state == State::Idle && status.homed && status.fault.is_none());
 }
 
 #[test]
@@ -183,7 +183,7 @@ fn a_new_configuration_keeps_the_true_position_or_loses_it() {
     bench.configure();
     bench.ask(Command::Enable).expect("enabled");
     let after = bench.status();
-    assert!(after.homed && after.position_kept);
+    assert!(after.homed);
     for axis in 0..5 {
         assert!(
             (after.measured[axis] - before.measured[axis]).abs() < 21_000,
@@ -195,7 +195,7 @@ fn a_new_configuration_keeps_the_true_position_or_loses_it() {
     bench.configure();
     bench.ask(Command::Enable).expect("enabled");
     let status = bench.status();
-    assert!(!status.homed && !status.position_kept);
+    assert!(!status.homed);
     assert_eq!(bench.ask(Command::Home), Err(Refusal::PresetLost));
 }
 
@@ -212,7 +212,7 @@ fn missed_periods_in_a_hold_are_reported() {
     }
     let status = bench.status();
     assert_eq!(status.fault, Some(Fault::MissedPeriods { missed: 50 }));
-    assert!(status.position_kept && !drives_off(&bench));
+    assert!(status.homed && !drives_off(&bench));
     // A drive that fails now takes all drives off, and is the latched fault.
     bench.rig.plant_mut().set_condition(
         2,

@@ -329,7 +329,7 @@ fn job() {
         Some(Event::State {
             from: State::Run,
             to: State::Idle,
-            position_kept: true
+            homed: true
         })
     );
     // There and back again: the command to the last bit, and the motion to a step.

@@ -142,7 +142,6 @@ fn sample_machine(core: &Core, inputs: &Inputs, line: &LineCount) -> Telemetry {
         period: inputs.period,
         state: core.safety.state(),
         homed: core.safety.homed(),
-        position_kept: core.safety.position_kept(),
         fault: core.safety.fault(),
         deferred_bytes: line.deferred_bytes,
         bad_frames: line.bad_frames,

@@ -147,10 +147,8 @@ pub(super) fn put_done(words: &mut Writer<'_>, done: &DoneRef<'_>) {
         return;
     };
     let state = u32::from(snapshot.state.number());
-    let flags = u32::from(snapshot.homed)
-        | u32::from(snapshot.position_kept) << 1
-        | u32::from(snapshot.fault) << 2
-        | u32::from(snapshot.more) << 3;
+    let flags =
+        u32::from(snapshot.homed) | u32::from(snapshot.fault) << 2 | u32::from(snapshot.more) << 3;
     words.put_all([
         1 | u32::from(snapshot.compensated) << 1
             | state << 8
@@ -243,7 +241,6 @@ pub(super) fn take_done(words: &mut Reader<'_>) -> Result<Done, FrameError> {
     done.snapshot = Some(Snapshot {
         state: *state.ok_or(FrameError::Content)?,
         homed: head >> 16 & 1 != 0,
-        position_kept: head >> 17 & 1 != 0,
         fault: head >> 18 & 1 != 0,
         compensated: head >> 1 & 1 != 0,
         more: head >> 19 & 1 != 0,

@@ -48,7 +48,7 @@ fn command() -> impl Strategy<Value = DriveCommand> {
 prop_compose! {
     fn snapshot()(
         state in prop::sample::select(State::ALL.to_vec()),
-        (homed, position_kept, fault, compensated, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
+        (homed, fault, compensated, more, queued) in (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0_u16..0x1000),
         (setpoint, speed_factor, spindle_rpm, program_time) in any::<(u32, u16, i16, u64)>(),
         rows: [[i32; MAX_AXES]; 5],
         [high, low, displacement]: [[i32; 3]; 3],
@@ -57,7 +57,7 @@ prop_compose! {
     ) -> Snapshot {
         let [commanded, joints_commanded, joints, following_error, drive] = rows;
         Snapshot {
-            state, homed, position_kept, fault, compensated, more, queued, setpoint, speed_factor, spindle_rpm, program_time,
+            state, homed, fault, compensated, more, queued, setpoint, speed_factor, spindle_rpm, program_time,
             commanded, joints_commanded, joints, following_error, drive,
             force: ForceSnapshot { high, low, displacement },
             haptic: HapticSnapshot { tip, force, feedback, fixture, axes: directions },

@@ -42,7 +42,6 @@ pub struct Safety {
     /// A latched fault that [`Safety::take_latched`] has not returned yet.
     latched: Option<Fault>,
     homed: bool,
-    position_kept: bool,
     /// A joint has no encoder and nothing holds it without its drive: its position is lost then.
     loses_position_without_drives: bool,
     /// A joint has no encoder: an alarm of a drive loses the position.
@@ -136,16 +135,10 @@ impl Safety {
         self.pending
     }
 
-    /// Whether all joints are homed.
+    /// Whether all joints are homed, and nothing since has made their positions doubtful.
     #[must_use]
     pub const fn homed(&self) -> bool {
         self.homed
-    }
-
-    /// Whether the position is known to be right.
-    #[must_use]
-    pub const fn position_kept(&self) -> bool {
-        self.position_kept
     }
 
     /// Whether a latched fault was not [taken](Safety::take_latched) yet.
@@ -172,9 +165,8 @@ impl Safety {
         core::mem::replace(&mut self.position_lost, false)
     }
 
-    /// Marks the position as unknown and the joints as not homed.
+    /// Marks the joints as not homed: their positions are not known to be right.
     pub fn lose_position(&mut self) {
-        self.position_kept = false;
         self.homed = false;
     }
 
@@ -213,15 +205,14 @@ impl Safety {
             self.push_event(Event::State {
                 from,
                 to: state,
-                position_kept: self.position_kept,
+                homed: self.homed,
             });
         }
     }
 
-    /// Marks the joints as homed, with the position kept, or as neither.
+    /// Marks the joints as homed or as not homed.
     pub fn set_homed(&mut self, homed: bool) {
         self.homed = homed;
-        self.position_kept = homed;
         if homed {
             self.push_event(Event::Homed);
         }

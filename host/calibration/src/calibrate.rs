@@ -118,7 +118,7 @@ pub fn calibrate(
     mut progress: impl FnMut(&str),
 ) -> Result<Calibration, Error> {
     let status = machine.status()?;
-    if !status.homed || !status.position_kept {
+    if !status.homed {
         let what = "a machine that is not homed cannot be measured: home it first; nothing moved";
         return Err(Error::new(ErrorKind::Command, what));
     }

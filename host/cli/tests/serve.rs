@@ -96,7 +96,7 @@ fn simple_commands_in_sequence() {
     let page = std::fs::read_to_string(scene::root().join("docs/getting-started.md")).unwrap();
     let shown = served.run_ok(&["status"]).out;
     let rows = [
-        "h4: disabled, homed: no, position kept: no\n\
+        "h4: disabled, homed: no\n\
          positions  not referenced; `haptimill home` finds the reference\n",
         "\ncommanded  nothing: the drives are off\n",
     ];
@@ -190,9 +190,7 @@ fn simple_commands_in_sequence() {
     );
     let shown = served.run_ok(&["status"]);
     assert!(
-        shown
-            .out
-            .contains("h4: disabled, homed: yes, position kept: yes"),
+        shown.out.contains("h4: disabled, homed: yes"),
         "{}",
         shown.out
     );
@@ -276,7 +274,7 @@ fn second_host_is_refused_and_its_stop_is_obeyed() {
     expect_stopped(&folder);
     let status = served.status();
     assert_eq!(
-        (&status["state"], &status["position_kept"]),
+        (&status["state"], &status["homed"]),
         (&"Idle".into(), &true.into()),
         "{status:#}"
     );
@@ -345,7 +343,7 @@ fn dead_host_is_detected_and_the_machine_stops_along_its_path() {
         status["fault"].as_str().unwrap().contains("host"),
         "{status:#}"
     );
-    assert_eq!(status["position_kept"], true, "{status:#}");
+    assert_eq!(status["homed"], true, "{status:#}");
     // On the line from X0 to X20.
     let x = number(&status["commanded"], "x");
     assert!(
@@ -459,11 +457,7 @@ fn lost_position_is_homed_from_presets() {
         assert!(begun.elapsed() < scene::LIMIT, "{status:#}");
         std::thread::sleep(Duration::from_millis(100));
     };
-    assert_eq!(
-        (&lost["position_kept"], &lost["homed"]),
-        (&false.into(), &false.into()),
-        "{lost:#}"
-    );
+    assert_eq!(lost["homed"], false, "{lost:#}");
     let refused = served.run(&["home", "--at-preset"]).expect_code(8);
     assert!(
         refused
@@ -479,8 +473,8 @@ fn lost_position_is_homed_from_presets() {
     served.run_ok(&["disable"]);
     let homed = served.run_ok(&["home", "--at-preset", "--json"]).json();
     assert_eq!(
-        (&homed["homed"], &homed["position_kept"], &homed["state"]),
-        (&true.into(), &true.into(), &"Idle".into()),
+        (&homed["homed"], &homed["state"]),
+        (&true.into(), &"Idle".into()),
         "{homed:#}"
     );
     for (joint, preset) in [("l1", 1135.0), ("l2", 485.0), ("l3", 1135.0), ("l4", 485.0)] {

@@ -63,8 +63,8 @@ impl Chosen {
                 session.set_machine(&self.file);
                 let before = session.status()?;
                 session.configure(&self.file)?;
-                if before.position_kept {
-                    let kept = session.status()?.position_kept;
+                if before.homed {
+                    let kept = session.status()?.homed;
                     session.notify(if kept { KEPT } else { LOST });
                 }
                 Ok(Some(self.file.clone()))

@@ -199,7 +199,7 @@ fn run_job<C: Controlled>(
         injected: Vec::new(),
         completed: true,
         final_state: Some(end.status.state),
-        position_kept: end.status.position_kept,
+        position_kept: end.status.homed,
         bytes_per_setpoint: f64::from(end.sent.message_bytes) / f64::from(end.setpoints.max(1)),
         line_bytes_per_setpoint: f64::from(end.sent.bytes) / f64::from(end.setpoints.max(1)),
         // The page of the experiment has the cut surface.

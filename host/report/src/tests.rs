@@ -47,7 +47,7 @@ fn circle(outside: f64, late: f64) -> (TempPath, Recorded) {
             speed_factor: haptimill_protocol::message::FULL_SPEED_FACTOR,
             spindle_rpm: 5000,
             state: State::Run,
-            flags: flag::HOMED | flag::POSITION_KEPT | flag::TOOL_TRUE | flag::PROGRAMMED,
+            flags: flag::HOMED | flag::TOOL_TRUE | flag::PROGRAMMED,
             commanded: row(commanded),
             joints_commanded,
             joints: joints_actual,

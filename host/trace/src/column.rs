@@ -174,12 +174,6 @@ pub fn columns(recording: &Recording) -> Vec<Column> {
         Column::plain("speed_factor", "state", "", Field::SpeedFactor),
         Column::plain("spindle_rpm", "state", "rpm", Field::Spindle),
         Column::plain("homed", "state", "", Field::Flag(flag::HOMED)),
-        Column::plain(
-            "position_kept",
-            "state",
-            "",
-            Field::Flag(flag::POSITION_KEPT),
-        ),
     ];
     if config.volumetric.is_some() {
         let field = Field::Flag(flag::COMPENSATED);

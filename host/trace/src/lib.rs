@@ -164,10 +164,8 @@ const CRC: crc::Crc<u32, crc::Table<16>> =
 
 /// Flags of a record.
 pub mod flag {
-    /// All axes are homed.
+    /// All joints are homed, and their positions are known to be right.
     pub const HOMED: u8 = 1;
-    /// The position is known to be right since homing.
-    pub const POSITION_KEPT: u8 = 2;
     /// `tool` is the ground truth of the simulator.
     pub const TOOL_TRUE: u8 = 4;
     /// `tool` is measured by the controller through its kinematics.
@@ -321,7 +319,6 @@ impl Record {
         self.haptic_flags |= flag::HAPTIC_KNOWN;
         for (set, flag) in [
             (snapshot.homed, flag::HOMED),
-            (snapshot.position_kept, flag::POSITION_KEPT),
             (snapshot.fault, flag::FAULT),
             (snapshot.compensated, flag::COMPENSATED),
         ] {

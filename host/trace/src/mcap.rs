@@ -83,7 +83,7 @@ fn schema(title: &str, fields: &[(String, Column)]) -> serde_json::Value {
     for (name, column) in fields {
         let kind = match (column.name.as_str(), column.unit) {
             ("state", _) => json!({"type": "string"}),
-            ("homed" | "position_kept" | "master_enabling_switch", _) => json!({"type": "boolean"}),
+            ("homed" | "master_enabling_switch", _) => json!({"type": "boolean"}),
             ("setpoint" | "line" | "spindle_rpm" | "period", _) => json!({"type": "integer"}),
             (_, "") => json!({"type": "number"}),
             (_, unit) => json!({"type": "number", "description": unit}),

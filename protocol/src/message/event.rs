@@ -16,8 +16,8 @@ pub enum Event {
         from: State,
         /// To.
         to: State,
-        /// Whether the position is kept.
-        position_kept: bool,
+        /// Whether the joints are homed: the position is kept.
+        homed: bool,
     },
     /// The job reached its last setpoint, at standstill.
     JobDone {

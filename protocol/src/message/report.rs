@@ -43,10 +43,8 @@ pub struct Telemetry {
     pub period: u64,
     /// State of the controller.
     pub state: State,
-    /// All axes have their reference.
+    /// All joints are homed, and nothing since has made their positions doubtful.
     pub homed: bool,
-    /// The position is known to be right since homing.
-    pub position_kept: bool,
     /// Setpoints with a number below this can be accepted. The number is absolute, so setpoints
     /// under way cannot be counted twice.
     pub credit: u32,

@@ -208,16 +208,12 @@ impl Describe for Fault {
 impl Describe for Event {
     fn describe(&self, axes: &AxesText<'_>, f: &mut Formatter<'_>) -> Result {
         match *self {
-            Self::State {
-                from,
-                to,
-                position_kept,
-            } => {
+            Self::State { from, to, homed } => {
                 write!(f, "{from} -> {to}")?;
                 match to {
                     // The position is being found.
                     State::Homing => Ok(()),
-                    _ if position_kept => f.write_str(", position kept"),
+                    _ if homed => f.write_str(", position kept"),
                     _ => f.write_str(", position lost; home the machine before the next job"),
                 }
             }

@@ -55,7 +55,7 @@ fn a_probing_job_latches_the_position_of_the_contact() {
             "{rest}"
         );
         assert_eq!(state(&bench), State::Idle);
-        assert!(bench.rig.control().safety().position_kept());
+        assert!(bench.rig.control().safety().homed());
         let dropped = |event: &Event| matches!(event, Event::JobDropped { job: 7, .. });
         assert!(bench.events.iter().any(dropped), "{:?}", bench.events);
         assert!(
@@ -187,7 +187,7 @@ fn unasked_contacts_are_a_fault_or_a_warning() {
     assert!(bench.wait_for(State::Fault, 20_000));
     let safety = bench.rig.control().safety();
     assert_eq!(safety.fault(), Some(Fault::ProbeContact { input }));
-    assert!(safety.position_kept() && safety.drives_on());
+    assert!(safety.homed() && safety.drives_on());
     assert_eq!(bench.ask(Command::Reset), Ok(()));
     // The way off is free: only a new contact counts.
     go(&mut bench, 2, 3.0);

@@ -93,7 +93,7 @@ fn touch(args: &TouchArgs) -> Result<(), CliError> {
     let machine = file_of(&chosen, &mut session)?;
     let file = kept_beside(&machine)?;
     let status = session.status()?;
-    if !(status.homed && status.position_kept) {
+    if !status.homed {
         let what = "offset touch: the machine is not homed; `haptimill home` homes it";
         return Err(CliError::new(Exit::Command, what));
     }

@@ -121,14 +121,12 @@ impl StatusReport {
             "configuration_crc": format!("{configuration:08x}"),
             "state": format!("{:?}", status.state),
             "homed": status.homed,
-            "position_kept": status.position_kept,
             "fault": fault,
             "period": status.period,
             "setpoint": status.setpoint,
             "speed_factor": path_speed(status),
             // With the drives off nothing is commanded, as the text says.
             "commanded": (!status.state.has_drives_off()).then(|| map(pose(&status.commanded))),
-            "referenced": status.homed && status.position_kept,
             "measured": map(pose(&status.measured)),
             "joints": map(joint_names.iter().cloned().zip(model.unwound_joints(status)).collect()),
             // Without a machine file the joints have no names.
@@ -157,10 +155,9 @@ impl StatusReport {
         };
         line!(
             text,
-            "{name}: {}, homed: {}, position kept: {}",
+            "{name}: {}, homed: {}",
             status.state.to_string().trim_start_matches("in "),
-            yes_no(status.homed),
-            yes_no(status.position_kept)
+            yes_no(status.homed)
         );
         if let Some(fault) = fault {
             line!(text, "fault      {fault}");
@@ -180,7 +177,7 @@ impl StatusReport {
             );
         }
         if !status.measured.is_empty() && names_axes {
-            if !(status.homed && status.position_kept) {
+            if !status.homed {
                 line!(
                     text,
                     "positions  not referenced; `haptimill home` finds the reference"

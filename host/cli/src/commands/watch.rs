@@ -120,7 +120,7 @@ fn describe(line: &str, shown: &mut String) -> Option<String> {
     let commanded = report["commanded"].as_object();
     let commanded = commanded.filter(|position| !position.is_empty());
     let position = commanded.or(report["measured"].as_object())?;
-    let is_referenced = report["homed"] == true && report["position_kept"] == true;
+    let is_referenced = report["homed"] == true;
     let mark = if is_referenced { "" } else { "?" };
     let names = report["coordinates"].as_array()?.iter();
     let coordinates = names.zip(report["units"].as_array()?);

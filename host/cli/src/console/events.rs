@@ -246,11 +246,11 @@ impl App {
             Event::State {
                 from: State::Idle,
                 to: State::Jog | State::Run,
-                position_kept: true
+                homed: true
             } | Event::State {
                 from: State::Jog | State::Run,
                 to: State::Idle,
-                position_kept: true
+                homed: true
             } | Event::JobDone { .. }
         );
         if !routine {
@@ -401,7 +401,7 @@ mod tests {
         let event = Event::State {
             from: State::Disabled,
             to: State::Idle,
-            position_kept: true,
+            homed: true,
         };
         app.handle_event(1200, &event);
         app.handle_notification(report(1250, State::Idle, 98.3))

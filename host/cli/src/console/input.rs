@@ -41,10 +41,7 @@ impl App {
         let system = words
             .next()
             .ok_or_else(|| usage("write a system and coordinates, as g54,x=0".to_string()))?;
-        let homed = self
-            .telemetry
-            .as_ref()
-            .is_some_and(|now| now.homed && now.position_kept);
+        let homed = self.telemetry.as_ref().is_some_and(|now| now.homed);
         let pose = self.standstill_pose().filter(|_| homed);
         let pose = pose.ok_or_else(|| usage("the machine must be homed and idle".to_string()))?;
         let here = self.model.to_engineering_units(&pose);

@@ -195,10 +195,7 @@ impl App {
 
     /// Reads and checks a program in a thread.
     fn begin_check(&mut self, path: PathBuf) {
-        let homed = self
-            .telemetry
-            .as_ref()
-            .is_some_and(|now| now.homed && now.position_kept);
+        let homed = self.telemetry.as_ref().is_some_and(|now| now.homed);
         let Some(start) = self
             .standstill_pose()
             .filter(|_| homed && self.session.is_configured())

@@ -80,8 +80,7 @@ impl Columns {
     }
 
     fn header(&self) -> String {
-        let mut header =
-            "time_s,period,state,homed,position_kept,setpoint,speed_factor,program_s".to_string();
+        let mut header = "time_s,period,state,homed,setpoint,speed_factor,program_s".to_string();
         let mut add = |quantity: &str, axes: &[(String, AxisKind)], unit: bool| {
             for (name, kind) in axes {
                 let unit = match (unit, kind) {
@@ -115,12 +114,11 @@ impl Columns {
 
     fn row(&self, of: &Telemetry) -> String {
         let mut row = format!(
-            "{:.4},{},{:?},{},{},{},{:.4},{:.4}",
+            "{:.4},{},{:?},{},{},{:.4},{:.4}",
             of.period as f64 * self.period_s,
             of.period,
             of.state,
             u8::from(of.homed),
-            u8::from(of.position_kept),
             of.setpoint,
             path_speed(of),
             f64::from(of.program_periods) * self.period_s
@@ -302,7 +300,6 @@ mod tests {
             period: 5000,
             state: haptimill_protocol::message::State::Idle,
             homed: true,
-            position_kept: true,
             credit: 0,
             setpoint: 0,
             program_periods: 0,

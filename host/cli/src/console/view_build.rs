@@ -68,9 +68,6 @@ impl App {
             }
             State::Disabled => note("drives off. e enables them"),
             State::Idle if !telemetry.homed => note("not homed. h homes: the machine moves"),
-            State::Idle if !telemetry.position_kept => {
-                (Severity::Warning, "position lost. h homes".to_string())
-            }
             State::Idle => match self.jobs.selected_name() {
                 Some(name) => (Severity::Info, format!("ready. Jog, or p runs {name}")),
                 None => note("ready. Jog, or p selects a part program"),

@@ -441,7 +441,7 @@ fn name_of(path: &Path) -> String {
 /// Whether the positions are those of the machine.
 fn is_referenced(app: &App) -> bool {
     let telemetry = app.telemetry.as_ref();
-    telemetry.is_some_and(|now| now.homed && now.position_kept)
+    telemetry.is_some_and(|now| now.homed)
 }
 
 /// Plans the path of a program.

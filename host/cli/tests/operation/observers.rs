@@ -90,7 +90,7 @@ fn observers_see_which_positions_are_not_referenced() {
     let folder = TestFolder::new();
     let status = served.status();
     assert_eq!(
-        (&status["state"], &status["referenced"]),
+        (&status["state"], &status["homed"]),
         (&"Disabled".into(), &false.into())
     );
     assert_eq!(status["commanded"], serde_json::Value::Null);
@@ -115,7 +115,7 @@ fn observers_see_which_positions_are_not_referenced() {
         assert!(!row.contains('?'), "{row}");
     }
     let status = served.status();
-    assert_eq!(status["referenced"], true);
+    assert_eq!(status["homed"], true);
     assert!(status["commanded"]["x"].is_number(), "{status:#}");
 }
 

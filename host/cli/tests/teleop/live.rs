@@ -287,7 +287,7 @@ fn key_moves_one_step_and_a_closed_terminal_stops_the_machine() {
         }
         assert!(begun.elapsed().as_secs() < 20, "{tried:?}");
     };
-    assert_eq!(at_rest["position_kept"], true, "{at_rest:#}");
+    assert_eq!(at_rest["homed"], true, "{at_rest:#}");
     let again = machine.status();
     assert_eq!(at_rest["commanded"], again["commanded"]);
 }

@@ -237,7 +237,7 @@ impl PortLine {
     }
 
     /// Passes reports and events on to observers, one JSON object per line: the keys are `period`,
-    /// `state`, `homed`, `position_kept`, `line` of the program, `speed_factor`, `coordinates` and
+    /// `state`, `homed`, `line` of the program, `speed_factor`, `coordinates` and
     /// `units` in the order of the machine, `commanded` (null while the drives are off) and
     /// `measured` by the names of the coordinates; or `period`, `level` and `event`.
     pub fn observe(&mut self, observers: Observers, machine: &MachineFile) {
@@ -260,7 +260,6 @@ impl PortLine {
             "period": telemetry.period,
             "state": telemetry.state.to_string().trim_start_matches("in "),
             "homed": telemetry.homed,
-            "position_kept": telemetry.position_kept,
             "line": line,
             "speed_factor": f64::from(telemetry.speed_factor) / f64::from(FULL_SPEED_FACTOR),
             "coordinates": model.pose_names(),

@@ -353,7 +353,6 @@ impl JobRecording {
         let flags = [
             (telemetry.force.is_some(), flag::FORCE),
             (telemetry.homed, flag::HOMED),
-            (telemetry.position_kept, flag::POSITION_KEPT),
             (!telemetry.measured.is_empty(), flag::TOOL_MEASURED),
             (telemetry.fault.is_some(), flag::FAULT),
             (telemetry.compensation() == Some(100), flag::COMPENSATED),

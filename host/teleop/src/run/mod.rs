@@ -365,7 +365,7 @@ impl<'a, L: JobLine> Teleop<'a, L> {
         self.outcome.master_round_trip_ms = ms(self.master.round_trip_us());
         self.outcome.final_state = format!("{:?}", status.state);
         self.outcome.final_state_text = status.state.to_string();
-        self.outcome.position_kept = status.position_kept;
+        self.outcome.position_kept = status.homed;
         Ok(self.outcome)
     }
 }

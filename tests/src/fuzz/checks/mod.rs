@@ -64,7 +64,6 @@ struct PreviousPeriod {
     state: State,
     drives_on: bool,
     homed: bool,
-    position_kept: bool,
     configured: bool,
     /// False after a missed period.
     valid: bool,
@@ -253,7 +252,6 @@ impl Checks {
             state: safety.state(),
             drives_on: safety.drives_on(),
             homed: safety.homed(),
-            position_kept: safety.position_kept(),
             configured: machine.is_some(),
             valid: true,
             locking: machine.is_some_and(|machine| machine.is_locking()),
@@ -285,7 +283,7 @@ impl Checks {
         }
         let just_homed = self.previous.state == State::Homing && now.state == State::Idle;
         self.following.homed_and_on = now.drives_on && (self.following.homed_and_on || just_homed);
-        if now.homed && !self.previous.homed && now.position_kept && bench.faults.is_empty() {
+        if now.homed && !self.previous.homed && bench.faults.is_empty() {
             // The references are new; errors of the counters from before the homing have ended.
             self.position.end_of_errors();
             self.faults.fastest_motion = [0.0; 6];
@@ -305,7 +303,7 @@ impl Checks {
 
     /// Forgets the causes that ended: no fault is injected, and the machine was homed.
     pub fn recovered(&mut self, bench: &FuzzBench) {
-        if bench.faults.is_empty() && self.previous.homed && self.previous.position_kept {
+        if bench.faults.is_empty() && self.previous.homed {
             self.causes.retain(|cause| {
                 matches!(
                     cause,

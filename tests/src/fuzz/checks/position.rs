@@ -164,7 +164,7 @@ fn runaway_error(limits: &JointSettings, unit: f64) -> f64 {
 /// Returns whether the controller claims to know the position.
 pub(super) fn is_position_known(bench: &FuzzBench) -> bool {
     let safety = bench.controller().safety();
-    safety.homed() && safety.position_kept() && safety.state() != State::Homing
+    safety.homed() && safety.state() != State::Homing
 }
 
 impl Checks {

@@ -9,11 +9,10 @@ pub fn fingerprint(bench: &FuzzBench) -> String {
     let controller = bench.controller();
     let safety = controller.safety();
     let mut text = format!(
-        "state {:?} fault {:?} homed {} kept {}\n",
+        "state {:?} fault {:?} homed {}\n",
         safety.state(),
         safety.fault(),
-        safety.homed(),
-        safety.position_kept()
+        safety.homed()
     );
     let all = without_power_on(&format!("{controller:?}"));
     if let Some(at) = all.rfind("job: Job {") {

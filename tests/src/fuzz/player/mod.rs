@@ -376,7 +376,7 @@ impl Player {
             return Ok(());
         }
         let safety = self.bench.controller().safety();
-        if self.state() == State::Idle && !(safety.homed() && safety.position_kept()) {
+        if self.state() == State::Idle && !safety.homed() {
             self.ask(&Command::Home, 4000)?;
             for _ in 0..30_000 {
                 if self.state() != State::Homing {

@@ -206,7 +206,7 @@ impl Bridge {
 
     /// Whether the positions are those of the machine, and it can move.
     fn is_ready(&self) -> bool {
-        let is_known = |now: &Telemetry| now.homed && now.position_kept;
+        let is_known = |now: &Telemetry| now.homed;
         let is_latched = matches!(self.state(), State::Fault | State::EmergencyStop);
         self.telemetry().is_some_and(is_known) && !is_latched
     }

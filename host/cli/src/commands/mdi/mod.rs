@@ -96,7 +96,7 @@ pub fn run(args: MdiArgs) -> Result<(), CliError> {
 
 /// Refuses a machine whose position is unknown.
 fn require_homed(status: &Telemetry) -> Result<(), CliError> {
-    if status.homed && status.position_kept {
+    if status.homed {
         return Ok(());
     }
     let what = "mdi: the machine is not homed; `haptimill home` homes it";

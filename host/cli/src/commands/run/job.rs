@@ -78,7 +78,7 @@ impl Job<'_> {
         refuse_latched_fault(session)?;
         session.enable()?;
         let status = session.status()?;
-        let start = if status.homed && status.position_kept {
+        let start = if status.homed {
             // A homed machine starts at its present pose, so the program is interpreted and checked
             // again from there: coordinates that the first block leaves out are those of the start.
             let model = session.model();
@@ -255,7 +255,7 @@ impl Job<'_> {
         progress.finish(completed);
         // `haptimill engrave` compares the cut plate itself.
         let lost_steps = match &end {
-            Ok(end) if end.status.position_kept && !self.args.silent => {
+            Ok(end) if end.status.homed && !self.args.silent => {
                 step_joints.lost(session, self.machine)?
             }
             _ => None,
@@ -297,7 +297,7 @@ impl Job<'_> {
                     && lost_steps.is_none(),
                 final_state: Some(end.status.state),
                 // The controller cannot know of lost steps.
-                position_kept: end.status.position_kept && lost_steps.is_none(),
+                position_kept: end.status.homed && lost_steps.is_none(),
                 bytes_per_setpoint: f64::from(end.sent.message_bytes)
                     / f64::from(end.setpoints.max(1)),
                 line_bytes_per_setpoint: f64::from(end.sent.bytes)

@@ -249,7 +249,7 @@ impl TeleopSession<'_> {
             refuse_own_arm(&file_of(self.chosen, session)?)?;
         }
         session.enable()?;
-        if !status.homed || !status.position_kept {
+        if !status.homed {
             args.print_message("homing");
             let home = session::find_home_pose(machine, session.model())?;
             session.go_home(machine, &home)?;

@@ -176,12 +176,7 @@ fn state_label(view: &ViewModel) -> (String, Style) {
 fn status_line(view: &ViewModel, width: u16) -> Paragraph<'static> {
     let (word, style) = state_label(view);
     let flags = match &view.telemetry {
-        Some(Telemetry {
-            homed: true,
-            position_kept: true,
-            ..
-        }) => "homed",
-        Some(Telemetry { homed: true, .. }) => "position lost",
+        Some(Telemetry { homed: true, .. }) => "homed",
         Some(_) => "not homed",
         None => "",
     };

@@ -59,7 +59,7 @@ pub(super) fn heading(text: &str, width: u16) -> Line<'static> {
 /// The mark of a position that is not certain: the machine is not homed, or lost its position.
 fn reference_mark(view: &ViewModel) -> char {
     match &view.telemetry {
-        Some(telemetry) if !(telemetry.homed && telemetry.position_kept) => '?',
+        Some(telemetry) if !telemetry.homed => '?',
         _ => ' ',
     }
 }

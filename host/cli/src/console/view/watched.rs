@@ -51,11 +51,8 @@ impl Watched {
         let Some(state) = report["state"].as_str() else {
             return Line::from(format!(" waiting for a report from {}", self.address));
         };
-        let reference = match (&report["homed"], &report["position_kept"]) {
-            (Value::Bool(true), Value::Bool(true)) => "homed",
-            (Value::Bool(true), _) => "position lost",
-            _ => "not homed",
-        };
+        let is_homed = report["homed"] == true;
+        let reference = if is_homed { "homed" } else { "not homed" };
         let label = Style::new().add_modifier(Modifier::REVERSED | Modifier::BOLD);
         Line::from(vec![
             Span::styled(format!(" {} ", state.to_uppercase()), label),
@@ -66,7 +63,7 @@ impl Watched {
     /// One row per coordinate: name, commanded and measured position, unit.
     fn positions(&self) -> Vec<Line<'_>> {
         let report = &self.report;
-        let is_referenced = report["homed"] == true && report["position_kept"] == true;
+        let is_referenced = report["homed"] == true;
         let mark = if is_referenced { ' ' } else { '?' };
         let number = |position: &Value, name: &str| match position[name].as_f64() {
             Some(value) => format!("{value:>11.4}{mark}"),

@@ -211,9 +211,7 @@ pub(super) fn columns(view: &ViewModel, names: &IoNames, truth: Option<&GroundTr
         let unit = if *analogue { "code" } else { "steps" };
         columns.insert(format!("drive {}, {unit}", axis.name), json!(drive));
     }
-    for (column, is_set) in [("homed", now.homed), ("position kept", now.position_kept)] {
-        columns.insert(column.to_string(), json!(u8::from(is_set)));
-    }
+    columns.insert("homed".to_string(), json!(u8::from(now.homed)));
     columns.insert("state".to_string(), json!(now.state.number()));
     columns.insert(
         "speed factor, %".to_string(),

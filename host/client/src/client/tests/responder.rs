@@ -158,7 +158,7 @@ impl Responder {
         self.push_event(Event::State {
             from,
             to,
-            position_kept: true,
+            homed: true,
         });
     }
 
@@ -176,7 +176,6 @@ impl Responder {
             period: self.period,
             state: self.state,
             homed: true,
-            position_kept: true,
             credit: self.done + QUEUE,
             setpoint: self.done,
             program_periods: self

@@ -125,11 +125,7 @@ impl Bridge {
             return answer;
         }
         self.report_always();
-        if self
-            .session
-            .status()
-            .is_ok_and(|now| now.homed && now.position_kept)
-        {
+        if self.session.status().is_ok_and(|now| now.homed) {
             self.message("Caution: Unlocked");
             return Answer::Ok;
         }
