@@ -159,10 +159,16 @@ impl Pico2 {
         self.drive_inputs();
     }
 
+    /// Level of a pin.
+    #[must_use]
+    pub const fn level(&self, pin: u32) -> bool {
+        self.levels >> pin & 1 != 0
+    }
+
     /// The enable line is high.
     #[must_use]
     pub const fn is_enabled(&self) -> bool {
-        self.levels >> ENABLE & 1 != 0
+        self.level(ENABLE)
     }
 
     /// The machine.
