@@ -31,7 +31,7 @@ pub struct Snapshot {
     pub queued: u16,
     /// The job has setpoints that have not arrived yet.
     pub more: bool,
-    /// Path rate; 65535 is the programmed rate.
+    /// Path rate; 32768 is the programmed rate.
     pub path_rate: u16,
     /// Spindle speed, rev/min.
     pub spindle_rpm: i16,
