@@ -5,7 +5,9 @@
 mod common;
 
 use common::{bench, enabled, h4, mill, session};
-use haptimill_client::session::{NoObserver, Session, find_home_pose, plan_straight_move};
+use haptimill_client::session::{
+    JobRun, JobStatus, NoObserver, Session, find_home_pose, plan_straight_move,
+};
 use haptimill_emulator::checks::Checks;
 use haptimill_emulator::pico2::Pico2;
 use haptimill_firmware::io::DriveCommand;
@@ -13,22 +15,34 @@ use haptimill_machine_file::MachineFile;
 use haptimill_machine_file::model::{program_options, settings};
 use haptimill_planner::Plan;
 use haptimill_protocol::message::{AxisValues, Command};
+use haptimill_protocol::setpoint::Setpoint;
 
 /// Steps of a slide of the mill in a millimetre: 3200 steps a turn, 5 mm a turn.
 const MILL_STEPS_PER_MM: f64 = 640.0;
 /// Control periods in which the last pulses leave and the slides come to rest.
 const REST: usize = 250;
 
-/// Runs a part program from a pose; nothing moves at its end.
-fn run(session: &mut Session<Pico2>, machine: &MachineFile, from: &AxisValues, program: &str) {
-    let model = session.model().clone();
+/// Plans a part program from a pose.
+fn plan(
+    session: &Session<Pico2>,
+    machine: &MachineFile,
+    from: &AxisValues,
+    program: &str,
+) -> Vec<Setpoint> {
+    let model = session.model();
     let options = program_options(machine, model.to_engineering_units(from));
     let program = haptimill_gcode::read("part.ngc", program.as_bytes(), &options)
         .unwrap_or_else(|refused| panic!("{refused}"));
-    let plan = Plan::new(&program, &settings(machine), &model)
-        .unwrap_or_else(|refused| panic!("{refused:?}"));
+    let plan = Plan::new(&program, &settings(machine), model);
+    plan.unwrap_or_else(|refused| panic!("{refused:?}"))
+        .setpoints
+}
+
+/// Runs a part program from a pose; nothing moves at its end.
+fn run(session: &mut Session<Pico2>, machine: &MachineFile, from: &AxisValues, program: &str) {
+    let setpoints = plan(session, machine, from, program);
     let end = session
-        .run_job(2, from.clone(), plan.setpoints, &mut NoObserver)
+        .run_job(2, from.clone(), setpoints, &mut NoObserver)
         .expect("the program begins");
     session
         .check_completed(&end)
@@ -134,6 +148,51 @@ fn a_part_of_the_slot_of_the_h4_mill_ends_where_it_began() {
     assert_eq!(session.line_mut().steps, before, "a closed path");
     let seconds = assert_passed(&mut session.into_line(), &machine);
     assert!(seconds >= 2.0, "{seconds}");
+}
+
+/// The experiment E7 as a whole: the slot of 30 mm, 2 mm deep, and the way back to its start.
+#[test]
+#[ignore = "takes minutes: cargo xtask emulator --slot"]
+fn the_whole_slot_of_the_h4_mill_ends_where_it_began() {
+    let machine = h4();
+    let mut session = enabled(&machine);
+    let home = find_home_pose(&machine, session.model()).expect("a home pose");
+    session
+        .go_home(&machine, &home)
+        .expect("the joints are at their presets");
+    let before = session.line_mut().steps;
+    let mut lowest = session.line_mut().plant().truth().pose;
+    let setpoints = plan(
+        &session,
+        &machine,
+        &home,
+        include_str!("../../../examples/e7-slot.ngc"),
+    );
+    let mut run = JobRun::start(&mut session, 2, home, setpoints);
+    let end = loop {
+        match run.advance(&mut session, &mut NoObserver) {
+            Ok(JobStatus::Ended(end)) => break end,
+            Ok(_) => {}
+            Err(error) => panic!("{error}"),
+        }
+        session.step().expect("the line works");
+        let now = session.line_mut().plant().truth().pose;
+        for (lowest, now) in lowest.iter_mut().zip(now) {
+            *lowest = lowest.min(now);
+        }
+    };
+    session.check_completed(&end).expect("the slot is complete");
+    for _ in 0..REST {
+        session.step().expect("the line works");
+    }
+    println!("lowest coordinates of the tool: {lowest:.4?}");
+    // The end and the depth of the slot, as in the program.
+    for (lowest, wanted) in [(lowest[0], -30.0), (lowest[2], 19.232)] {
+        assert!((lowest - wanted).abs() < 0.02, "{lowest}, {wanted}");
+    }
+    assert_eq!(session.line_mut().steps, before, "a closed path");
+    let seconds = assert_passed(&mut session.into_line(), &machine);
+    assert!(seconds > 10.0, "{seconds}");
 }
 
 /// The commands of "First motion" in docs/hardware/pico2.md: `home`, `jog --by x=5` at the feed of
