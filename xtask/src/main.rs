@@ -52,7 +52,7 @@ Developer tasks of the project.
   cargo xtask emulator --slot      run the slot of the experiment E7 (examples/e7-slot.ngc) on the
                                    emulated Pico 2, with every pulse edge checked
   cargo xtask emulator --period US measure the worst control period of the image with this control period,
-                                   with three and with five joints at 1,000,000 steps/s
+                                   with three and with five joints at 1,000,000 steps/s, and of the H-4 mill
   cargo xtask machines             run every machine file in the simulator and rewrite docs/machines.md
   cargo xtask machines FILE        run one file of machines/ and print what it does
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log

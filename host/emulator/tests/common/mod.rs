@@ -77,6 +77,11 @@ pub fn five_in_period() -> MachineFile {
     in_period("five.toml", include_str!("../five.toml"))
 }
 
+/// The machine of [`h4`] with the control period of the image.
+pub fn h4_in_period() -> MachineFile {
+    in_period("h4-pins.toml", include_str!("../h4-pins.toml"))
+}
+
 /// A mill whose three joints search their switches together, and move, at 1,000,000 steps/s each,
 /// with the control period of the image.
 pub fn three_in_period() -> MachineFile {
