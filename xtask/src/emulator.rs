@@ -29,6 +29,8 @@ pub enum Task {
     Test,
     /// As `Test`, with the tests that take many minutes.
     LongTest,
+    /// Run the slot of the experiment E7 with the image of the board.
+    Slot,
 }
 
 /// Repairs the emulator, and builds or tests it.
@@ -41,7 +43,7 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
     let board = crate::named(BOARD)?;
     let mut cargo = crate::cargo();
     cargo.current_dir(&folder);
-    if task != Task::Build {
+    if matches!(task, Task::Test | Task::LongTest) {
         let image = board.uf2(&board.build_variant(root, true, &UART)?)?;
         cargo.env("HAPTIMILL_UART_IMAGE", image);
     }
@@ -56,6 +58,9 @@ pub fn emulator(root: &Path, task: Task) -> Result<(), String> {
             let words = if task == Task::Test { &all[..3] } else { &all };
             cargo.args(["test", "--release", "--locked"]).args(words)
         }
+        Task::Slot => cargo
+            .args(["test", "--release", "--locked", "--test", "programs", "--"])
+            .args(["--nocapture", "--include-ignored", "the_whole_slot"]),
     };
     succeed(&mut cargo)?;
     if task == Task::Build {

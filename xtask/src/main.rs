@@ -47,10 +47,12 @@ Developer tasks of the project.
   cargo xtask emulator             repair the emulator of the RP2350 (host/emulator), test the repairs,
                                    and run the image of the Pico 2 with a simulated mill
   cargo xtask emulator --build     build the emulator and the image, for `haptimill run --port emu:pico2`
-  cargo xtask emulator --long      as `emulator`, with homing and straight moves of three and five joints
-                                   at 1,000,000 steps/s
+  cargo xtask emulator --long      as `emulator`, with the slot of `--slot`, and with homing and straight moves
+                                   of three and five joints at 1,000,000 steps/s
+  cargo xtask emulator --slot      run the slot of the experiment E7 (examples/e7-slot.ngc) on the
+                                   emulated Pico 2, with every pulse edge checked
   cargo xtask emulator --period US measure the worst control period of the image with this control period,
-                                   with three and with five joints at 1,000,000 steps/s
+                                   with three and with five joints at 1,000,000 steps/s, and of the H-4 mill
   cargo xtask machines             run every machine file in the simulator and rewrite docs/machines.md
   cargo xtask machines FILE        run one file of machines/ and print what it does
   cargo xtask log FILE ...         run a part program on the emulated board (options of haptimill run) and print its log
@@ -186,6 +188,7 @@ fn main() -> ExitCode {
         ["instructions"] => instructions(),
         ["emulator"] => emulator::emulator(&root(), emulator::Task::Test),
         ["emulator", "--build"] => emulator::emulator(&root(), emulator::Task::Build),
+        ["emulator", "--slot"] => emulator::emulator(&root(), emulator::Task::Slot),
         ["emulator", "--long"] => emulator::emulator(&root(), emulator::Task::LongTest)
             .and_then(|()| emulator::margin(&root(), board::FIVE_JOINTS_US)),
         ["emulator", "--period", period] => emulator::margin(&root(), period),

@@ -132,6 +132,48 @@ fn each_missing_step_is_named() {
     assert!(kept.err.contains("did not restart"), "{kept:?}");
 }
 
+/// A machine file that the board cannot drive is refused before the image is written; one with
+/// another control period than that of the image, when the board says which it has.
+#[test]
+fn a_wrong_machine_file_is_refused() {
+    let folder = folder();
+    let (image_path, drive) = (folder.path("own.uf2"), folder.path("drive"));
+    let mill = include_str!("../../../machines/mill3.toml");
+    folder.file("clock.toml", mill);
+    folder.file(
+        "fits.toml",
+        mill.replace("ticks_per_us = 84", "ticks_per_us = 75"),
+    );
+    let other = mill.replace("ticks_per_us = 84", "ticks_per_us = 75");
+    let other = other.replacen("period_us = 200", "period_us = 250", 1);
+    folder.file(
+        "period.toml",
+        other.replacen("substep_us = 20", "substep_us = 10", 1),
+    );
+    let [clock, fits, period] =
+        ["clock", "fits", "period"].map(|name| folder.path(&format!("{name}.toml")));
+    let arguments = ["flash", "--image", &image_path, "--drive", &drive];
+    let refused = haptimill(&[&arguments[..], &["--machine", &clock]].concat()).expect_code(3);
+    assert!(
+        refused.err.contains("joint x: ticks_per_us = 84"),
+        "{refused:?}"
+    );
+    assert!(!Path::new(&drive).join("own.uf2").exists());
+    let served = SimServer::on_tcp(&["--unconfigured"]);
+    for (machine, code) in [(&fits, 0), (&period, 3)] {
+        folder.file("drive/INFO_UF2.TXT", INFO);
+        let rom = boot_rom(folder.path("drive"), 512);
+        let more = ["--machine", machine.as_str(), "--port", &served.port];
+        let done = haptimill(&[&arguments[..], &more].concat()).expect_code(code);
+        rom.join().unwrap();
+        let says_period = done
+            .err
+            .contains("the control period of the board is 200 us");
+        assert_eq!(says_period, code == 3, "{done:?}");
+        std::fs::remove_file(Path::new(&drive).join("own.uf2")).unwrap();
+    }
+}
+
 #[test]
 fn a_board_that_does_not_answer_is_an_error() {
     let folder = folder();

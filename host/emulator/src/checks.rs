@@ -40,6 +40,9 @@ pub struct Checks {
     pub busy: u32,
     /// Cycles of a control period.
     pub available: u32,
+    /// Cycles from the time of a control period to the first work of its handler: the smallest and
+    /// the largest number.
+    pub late: (u32, u32),
     /// The stack.
     pub stack: Stack,
 }
@@ -215,6 +218,8 @@ impl Checks {
             .for_each(|period| cycles.add(period));
         let on = periods.iter().filter(|period| is_on(period));
         let busy = on.map(|period| period.busy).max().unwrap_or(0);
+        let late = periods.iter().map(|period| period.late);
+        let late = (late.clone().min().unwrap_or(0), late.max().unwrap_or(0));
         // The count of a moving board is one of an earlier moment.
         let at_rest = periods.iter().rev().take(4).all(|it| !has_pulses(it));
         let last = periods.last().filter(|_| at_rest);
@@ -235,6 +240,7 @@ impl Checks {
             cycles,
             busy,
             available: u32::from(machine.config.period_us) * (CLOCK_HZ / 1_000_000) as u32,
+            late,
             stack,
         }
     }
@@ -292,6 +298,11 @@ impl fmt::Display for Checks {
             self.busy,
             self.available,
             self.margin_percent()
+        )?;
+        let (least, most) = self.late;
+        writeln!(
+            out,
+            "a control period begins {least} to {most} cycles after its time"
         )?;
         let names = Stage::ALL.iter().map(|stage| stage.name());
         for (stage, name) in names.chain(["words for the PIO"]).enumerate() {

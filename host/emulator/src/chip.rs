@@ -169,6 +169,14 @@ impl Chip {
         }
     }
 
+    /// The device of the line has all bytes that it was given.
+    pub fn has_received(&mut self) -> bool {
+        match self.uses_usb() {
+            true => self.usb_host.is_sent(),
+            false => self.emulator.bus.uart[0].rx_line.is_empty(),
+        }
+    }
+
     /// Takes the bytes that left on the line of the image.
     pub fn take_sent(&mut self) -> Vec<u8> {
         match self.uses_usb() {

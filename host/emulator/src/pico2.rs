@@ -69,6 +69,8 @@ pub struct Pico2 {
     emergency_stop: bool,
     /// A drive reports an alarm, besides those of the machine.
     alarm: bool,
+    /// Inputs that are high whatever the machine does.
+    high: u32,
     /// Inputs with noise: their levels are wrong in every other control period.
     noise: u32,
     is_noisy: bool,
@@ -102,6 +104,7 @@ impl Pico2 {
             levels: 0,
             emergency_stop: false,
             alarm: false,
+            high: 0,
             noise: 0,
             is_noisy: false,
             pump: 0,
@@ -153,16 +156,28 @@ impl Pico2 {
         self.noise = pins;
     }
 
+    /// Holds inputs high, one bit a pin, whatever the machine does: an open contact, a broken wire.
+    pub fn hold_high(&mut self, pins: u32) {
+        self.high = pins;
+        self.drive_inputs();
+    }
+
     /// Lets a drive report an alarm, besides those of the machine; or not.
     pub fn set_alarm(&mut self, alarm: bool) {
         self.alarm = alarm;
         self.drive_inputs();
     }
 
+    /// Level of a pin.
+    #[must_use]
+    pub const fn level(&self, pin: u32) -> bool {
+        self.levels >> pin & 1 != 0
+    }
+
     /// The enable line is high.
     #[must_use]
     pub const fn is_enabled(&self) -> bool {
-        self.levels >> ENABLE & 1 != 0
+        self.level(ENABLE)
     }
 
     /// The machine.
@@ -329,6 +344,7 @@ impl Pico2 {
         for (channel, pin) in INPUTS.into_iter().enumerate() {
             set(pin, inputs.digital >> channel & 1 != 0);
         }
+        levels |= self.high & mask;
         self.is_noisy = !self.is_noisy;
         if self.is_noisy {
             levels ^= self.noise;

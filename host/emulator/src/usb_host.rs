@@ -164,6 +164,12 @@ impl UsbHost {
         self.to_device.extend(bytes);
     }
 
+    /// The device has taken all bytes for the serial port.
+    #[must_use]
+    pub fn is_sent(&self) -> bool {
+        self.to_device.is_empty() && self.packet.is_empty()
+    }
+
     /// Takes the bytes that the serial port received.
     pub fn take(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.from_device)

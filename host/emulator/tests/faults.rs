@@ -10,7 +10,6 @@ use haptimill_firmware::controller::Controller;
 use haptimill_firmware::io::{DriveCommand, Outputs};
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::{Command, Fault, State};
-use haptimill_protocol::out_of_band;
 
 /// Pins of the home switches of the joints, and of the alarm of the drives.
 const HOME_PINS: u32 = 0x1F << 15;
@@ -263,38 +262,4 @@ fn a_flood_of_bytes_does_not_disturb_the_pulses() {
     assert!(checks.passed());
     assert_eq!(checks.missed_enabled, 0);
     assert!(checks.pulses.axes[2].pulses > 100);
-}
-
-/// The out-of-band stop reaches the controller within two control periods, at any moment.
-#[test]
-fn an_out_of_band_stop_is_seen_within_two_control_periods() {
-    const CYCLES: u64 = 30_000;
-    let machine = mill();
-    let mut session = enabled(&machine);
-    let mut worst = 0;
-    for part in 0..8 {
-        let board = session.line_mut();
-        board
-            .run_cycles(CYCLES * part / 8)
-            .expect("the emulator runs");
-        let first = board.periods.len();
-        let from = board.cycles();
-        board.chip().receive(&out_of_band::STOP);
-        let mut seen = None;
-        while seen.is_none() {
-            board.run_cycles(200).expect("the emulator runs");
-            board.read_record();
-            seen = board.periods[first..]
-                .iter()
-                .find(|it| it.inputs.out_of_band_stop);
-            assert!(board.cycles() < from + 10 * CYCLES, "it is not seen");
-        }
-        worst = worst.max(board.cycles() - from);
-        alone(board, 2);
-    }
-    println!(
-        "at most {} us from the host to the end of the control period",
-        worst / 150
-    );
-    assert!(worst <= 2 * CYCLES, "{worst}");
 }

@@ -1,10 +1,11 @@
 //! How much of the control period is left in the worst one, with three and with five joints at
-//! 1,000,000 steps/s each: the search of the switches, and moves of all joints after it.
+//! 1,000,000 steps/s each: the search of the switches, and moves of all joints after it. Likewise
+//! with moves of the H-4 mill.
 //! `cargo xtask emulator --period US` runs it with an image of this control period.
 
 mod common;
 
-use common::{enabled, five_in_period, period_us, three_in_period};
+use common::{enabled, five_in_period, h4_in_period, period_us, three_in_period};
 use haptimill_client::session::{NoObserver, find_home_pose, plan_straight_move};
 use haptimill_emulator::checks::Checks;
 use haptimill_firmware::io::DriveCommand;
@@ -17,10 +18,12 @@ const LEFT_PERCENT: f64 = 30.0;
 /// Shortest control periods for which that holds with three and with five joints, us.
 const THREE_JOINTS_US: u16 = 250;
 const FIVE_JOINTS_US: u16 = 320;
+/// The same for the H-4 mill with 3,200 steps/turn.
+const H4_US: u16 = 250;
 
-/// Homes a machine, moves all its coordinates by these, mm or degrees, and back; prints the checks,
-/// which must pass.
-fn run(machine: &MachineFile, by: &[f64]) -> Checks {
+/// Homes a machine, moves all its coordinates by these, mm or degrees, and back, at a feed or
+/// rapidly; prints the checks, which must pass, with at least this number of edges.
+fn run(machine: &MachineFile, by: &[f64], feed: Option<f64>, edges: u64) -> Checks {
     let mut session = enabled(machine);
     let model = session.model().clone();
     let home = find_home_pose(machine, &model).expect("a home pose");
@@ -33,7 +36,7 @@ fn run(machine: &MachineFile, by: &[f64]) -> Checks {
     }
     let away = model.to_axis_units(&engineering);
     for (job, from, to) in [(2, &home, &away), (3, &away, &home)] {
-        let plan = plan_straight_move(machine, &model, from, to, None).expect("a move");
+        let plan = plan_straight_move(machine, &model, from, to, feed).expect("a move");
         let end = session
             .run_job(job, from.clone(), plan.setpoints, &mut NoObserver)
             .expect("the move begins");
@@ -63,7 +66,7 @@ fn run(machine: &MachineFile, by: &[f64]) -> Checks {
     println!("{checks}");
     println!("{} edges compared", checks.pulses.compared());
     assert!(checks.passed());
-    assert!(checks.pulses.compared() >= EDGES);
+    assert!(checks.pulses.compared() >= edges);
     checks
 }
 
@@ -78,7 +81,7 @@ fn assert_enough_is_left(checks: &Checks, from_us: u16) {
 #[test]
 #[ignore = "takes minutes: cargo xtask emulator --period 320"]
 fn three_joints_at_a_million_steps_per_second_each() {
-    let checks = run(&three_in_period(), &[6.0, 6.0, -6.0]);
+    let checks = run(&three_in_period(), &[6.0, 6.0, -6.0], None, EDGES);
     assert_eq!(checks.missed_enabled, 0);
     assert_enough_is_left(&checks, THREE_JOINTS_US);
 }
@@ -86,6 +89,17 @@ fn three_joints_at_a_million_steps_per_second_each() {
 #[test]
 #[ignore = "takes minutes: cargo xtask emulator --period 320"]
 fn five_joints_at_a_million_steps_per_second_each() {
-    let checks = run(&five_in_period(), &[6.0, 6.0, -6.0, 5.0, 20.0]);
+    let checks = run(&five_in_period(), &[6.0, 6.0, -6.0, 5.0, 20.0], None, EDGES);
     assert_enough_is_left(&checks, FIVE_JOINTS_US);
+}
+
+/// All five coordinates of the H-4 mill at once: its joints make fewer steps, and its kinematics
+/// take longer.
+#[test]
+#[ignore = "takes a minute: cargo xtask emulator --period 250"]
+fn the_h4_mill_with_all_its_coordinates() {
+    let by = [-6.0, 4.0, -2.0, 3.0, 4.0];
+    let checks = run(&h4_in_period(), &by, None, 10_000);
+    assert_eq!(checks.missed_enabled, 0);
+    assert_enough_is_left(&checks, H4_US);
 }

@@ -18,13 +18,14 @@
 //! | 59 | cycles from its end to the end of the words, or 0 |
 //! | 60 | changes of inputs that the noise filter suppressed |
 //! | 61 | cycles from the start of the period to the end of this record, all handlers included |
+//! | 62 | cycles from the start of the period to the first work of its handler, or 0 |
 //!
 //! The limit switches are not in it.
 
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs};
 
 /// Words of the record.
-pub const WORDS: usize = 62;
+pub const WORDS: usize = 63;
 /// Joints in it.
 pub const JOINTS: usize = 5;
 
@@ -36,6 +37,8 @@ pub const STEP_WORDS: usize = 59;
 pub const GLITCHES: usize = 60;
 /// Word of the cycles of the whole period.
 pub const BUSY: usize = 61;
+/// Word of the cycles until the handler works.
+pub const LATE: usize = 62;
 
 /// Writes the words 1 to 47; `cause` is that of the last reset.
 pub fn write(words: &mut [u32; WORDS], inputs: &Inputs, outputs: &Outputs, cause: u8) {

@@ -10,7 +10,7 @@ use crate::ending;
 use crate::line::InPeriod;
 use crate::link::Bytes;
 use crate::pins::{self, JOINTS, Levels};
-use crate::record::{self, Cycles};
+use crate::record::{self, Cycles, Start};
 use crate::registers::{SYSTICK, read, write};
 use crate::steps::{Batch, Engine, Filler, requirements};
 use core::mem::MaybeUninit;
@@ -48,8 +48,7 @@ struct Back {
     wrong: u8,
     /// Changes of the inputs that the noise filter suppressed.
     glitches: u32,
-    /// Count of the cycle counter at the start of the period.
-    start: u32,
+    start: Start,
 }
 
 // `start` writes both before SysTick is enabled. From then on only SysTick uses `FRONT`, and `BACK`
@@ -102,7 +101,7 @@ fn put(place: &mut MaybeUninit<Back>, bytes: Bytes) {
         batch: None,
         wrong: 0,
         glitches: 0,
-        start: 0,
+        start: Start { at: 0, late: 0 },
     });
 }
 
@@ -115,7 +114,7 @@ fn elapsed() -> u32 {
 #[exception]
 fn SysTick() {
     let late = elapsed();
-    let start = cycles().wrapping_sub(late);
+    let at = cycles().wrapping_sub(late);
     // SAFETY: only this handler uses it.
     let front = unsafe { FRONT.get() };
     let busy = BUSY.load(Ordering::Acquire);
@@ -133,7 +132,7 @@ fn SysTick() {
             back.glitches = front.filter.all_glitches();
             front.missed = 0;
             back.buffer = front.engine.free();
-            back.start = start;
+            back.start = Start { at, late };
             BUSY.store(true, Ordering::Release);
             SCB::set_pendsv();
         }

@@ -5,7 +5,7 @@ use crate::clocks::cycles;
 use crate::ending::last_cause;
 use core::cell::UnsafeCell;
 use haptimill_board_common::period_record::{
-    BUSY, GLITCHES, STAGE_WORDS, STEP_WORDS, WORDS, write as encode,
+    BUSY, GLITCHES, LATE, STAGE_WORDS, STEP_WORDS, WORDS, write as encode,
 };
 use haptimill_firmware::io::{Inputs, Outputs};
 use haptimill_firmware::profiler::{Profiler, STAGES, Stage};
@@ -20,15 +20,25 @@ unsafe impl Sync for Record {}
 #[used]
 static RECORD: Record = Record(UnsafeCell::new([0; WORDS]));
 
-/// Writes the record of a period that began at the cycle `start`.
-pub fn write(inputs: &Inputs, outputs: &Outputs, profile: &Cycles, glitches: u32, start: u32) {
+/// Start of a control period.
+#[derive(Clone, Copy)]
+pub struct Start {
+    /// Count of the cycle counter at its time.
+    pub at: u32,
+    /// Cycles after it at which its handler began to work.
+    pub late: u32,
+}
+
+/// Writes the record of a period.
+pub fn write(inputs: &Inputs, outputs: &Outputs, profile: &Cycles, glitches: u32, start: Start) {
     // SAFETY: see `Record`.
     let words = unsafe { &mut *RECORD.0.get() };
     encode(words, inputs, outputs, last_cause());
     words[STAGE_WORDS.0..STAGE_WORDS.1].copy_from_slice(&profile.stages);
     words[STEP_WORDS] = profile.words;
     words[GLITCHES] = glitches;
-    words[BUSY] = cycles().wrapping_sub(start);
+    words[LATE] = start.late;
+    words[BUSY] = cycles().wrapping_sub(start.at);
     // SAFETY: the word is part of the record. The write is volatile so that it stays the last one.
     unsafe {
         RECORD

@@ -7,7 +7,7 @@ use clap::Args;
 use haptimill_client::client::Options;
 use haptimill_client::flash::{BOARDS, Board, Drive, Found, Places, drive_in};
 use haptimill_client::port::{self, PortSpec};
-use haptimill_client::session::{self, PortLine, Session};
+use haptimill_client::session::{self, PortLine, Session, check_period};
 use haptimill_machine_file::MachineFile;
 use haptimill_protocol::message::Welcome;
 use std::path::PathBuf;
@@ -20,7 +20,8 @@ use std::time::{Duration, Instant};
     long_about = "Write the image into the flash of a board.
 
 Waits for a board in boot mode, whose boot ROM appears as a drive, copies the image, and waits for \
-the restart of the board. It then opens a session on the USB port of the board, or at --port, which \
+the restart of the board. With --machine it first checks that the board can drive this machine: \
+joints, step clock, rates, inputs, outputs, control period. It then opens a session on the USB port of the board, or at --port, which \
 checks that the protocol of the board is that of this program. Nothing moves."
 )]
 pub struct FlashArgs {
@@ -30,6 +31,9 @@ pub struct FlashArgs {
     /// UF2 file [default: the image built in the source tree]
     #[arg(long, value_name = "FILE")]
     pub image: Option<PathBuf>,
+    /// Machine file that the board is to drive; a wrong one is refused before the image is written
+    #[arg(long, value_name = "FILE")]
+    pub machine: Option<PathBuf>,
     /// Folder of the drive of the boot ROM [default: found by a search]
     #[arg(long, value_name = "FOLDER")]
     pub drive: Option<PathBuf>,
@@ -72,6 +76,13 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
         return Err(CliError::new(Exit::Usage, what));
     }
     let board = args.board;
+    let machine = match &args.machine {
+        Some(path) => Some(MachineFile::load(path)?),
+        None => None,
+    };
+    if let Some(machine) = &machine {
+        board.check_machine(machine)?;
+    }
     let path = match &args.image {
         Some(path) => path.clone(),
         None => board.find_image()?,
@@ -105,6 +116,9 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
         Some(port) => Some(answer(board, port, args.baud, wait)?),
         None => None,
     };
+    if let (Some(machine), Some(port), Some(welcome)) = (&machine, &port, &answer) {
+        check_period(&port.to_string(), welcome, machine)?;
+    }
     if args.json {
         let answer = answer.as_ref().map(|welcome| {
             serde_json::json!({

@@ -8,6 +8,7 @@ pub mod uf2;
 use crate::{Error, ErrorKind};
 use haptimill_firmware::config::Drive as JointDrive;
 use haptimill_machine_file::model::Model;
+use haptimill_machine_file::scale::{PER_COUNT, per_unit};
 use haptimill_machine_file::{MachineFile, input};
 use std::fmt;
 use std::fs::{self, File};
@@ -45,6 +46,12 @@ pub struct Board {
     /// Joints with a step drive, and ticks of their step clock in a microsecond. It has no torque
     /// drives and no encoders.
     pub step_drives: (usize, u16),
+    /// Largest rate of a joint, steps/s.
+    pub step_rate: u32,
+    /// Control periods that an image can have, us.
+    pub periods: &'static [u16],
+    /// Digital inputs and outputs: their channels count from 0. It has no analog ones.
+    pub digital: (u8, u8),
 }
 
 /// All boards that take UF2 files.
@@ -62,6 +69,9 @@ pub const BOARDS: &[Board] = &[Board {
     baud: 1_000_000,
     line: "its USB port, or, with the image for the UART, GP0 and GP1 at a serial converter",
     step_drives: (5, 75),
+    step_rate: 1_000_000,
+    periods: &[200, 250, 320, 400, 500],
+    digital: (2, 1),
 }];
 
 impl Board {
@@ -71,11 +81,66 @@ impl Board {
         BOARDS.iter().find(|board| board.name == name)
     }
 
-    /// Checks that it can drive the joints of a machine.
+    /// Checks that it can drive a machine.
     ///
     /// # Errors
-    /// The first joint that it cannot drive, and why.
-    pub fn check_drives(&self, machine: &MachineFile) -> Result<(), Error> {
+    /// The first joint, input or other part that it does not have or cannot drive, the key, and
+    /// what to do.
+    pub fn check_machine(&self, machine: &MachineFile) -> Result<(), Error> {
+        self.check_joints(machine)?;
+        let refused = |what: String| {
+            let what = format!("{}: {what} ({})", machine.file, self.title);
+            Err(Error::new(ErrorKind::BadInput, what))
+        };
+        let config = &machine.config;
+        if let Some(problem) = self.channels(machine) {
+            return refused(problem);
+        }
+        if config.force.is_some() {
+            return refused("the board has no force sensor; remove [force]".to_string());
+        }
+        if config.haptic.is_some() {
+            return refused("the board has no haptic arm; remove [haptic]".to_string());
+        }
+        if !self.periods.contains(&config.period_us) {
+            let periods: Vec<String> = self.periods.iter().map(ToString::to_string).collect();
+            return refused(format!(
+                "period_us = {}, but an image of the board has a control period of {} us; set it \
+                 to one of them",
+                config.period_us,
+                periods.join(", ")
+            ));
+        }
+        Ok(())
+    }
+
+    /// The first input or output that the board does not have.
+    fn channels(&self, machine: &MachineFile) -> Option<String> {
+        let (inputs, outputs) = self.digital;
+        let (io, names) = (&machine.config.io, &machine.io);
+        let input = io.inputs.iter().zip(&names.inputs);
+        let input = input.map(|(it, name)| ("input", "inputs", it.channel, inputs, name));
+        let output = io.outputs.iter().zip(&names.outputs);
+        let output = output.map(|(it, name)| ("output", "outputs", it.channel, outputs, name));
+        let missing = input.chain(output).find(|it| it.2 >= it.3);
+        if let Some((one, all, channel, count, name)) = missing {
+            let own: Vec<String> = (0..count).map(|channel| channel.to_string()).collect();
+            let own = own.join(" and ");
+            return Some(format!(
+                "{one} {name}: channel = {channel}, but the digital {all} of the board have \
+                 channel {own}; use one of them, or remove it"
+            ));
+        }
+        let analog = names.analog_inputs.first().map(|it| ("input", it));
+        let analog = analog.or_else(|| names.analog_outputs.first().map(|it| ("output", it)));
+        analog.map(|(one, analog)| {
+            let name = &analog.name;
+            format!("[[analog_{one}]] {name}: the board has no analog {one}s; remove it")
+        })
+    }
+
+    /// Checks the joints of a machine.
+    fn check_joints(&self, machine: &MachineFile) -> Result<(), Error> {
         let (joints, ticks) = self.step_drives;
         let model = Model::new(machine);
         let names = model.joint_names();
@@ -95,7 +160,22 @@ impl Board {
                      limit_low_active and limit_high_active out"
                         .to_string()
                 }
-                JointDrive::Steps { .. } => continue,
+                JointDrive::Steps { per_step, .. } => {
+                    let Some(limits) = machine.joints.get(joint) else {
+                        continue;
+                    };
+                    let step = per_step.unsigned_abs() as f64 / PER_COUNT / per_unit(config.kind);
+                    let rate = limits.rate / step;
+                    if rate <= f64::from(self.step_rate) {
+                        continue;
+                    }
+                    format!(
+                        "its rate is {rate:.0} steps/s, but a joint of the board makes at most {}; \
+                         lower the rate of the joint, or steps_per_turn and the microsteps of its \
+                         drive",
+                        self.step_rate
+                    )
+                }
             };
             let file = &machine.file;
             let name = names.get(joint).copied().unwrap_or("?");

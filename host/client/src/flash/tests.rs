@@ -163,7 +163,7 @@ fn a_drive_that_cannot_be_written_is_an_error_and_one_that_is_gone_is_none() {
 fn a_machine_file_for_another_board_is_refused() {
     let problem = |text: &str| {
         let machine = MachineFile::parse("own.toml", text).unwrap();
-        let checked = BOARDS[0].check_drives(&machine);
+        let checked = BOARDS[0].check_machine(&machine);
         checked.map_err(|error| {
             assert_eq!(error.kind, ErrorKind::BadInput);
             error.message
@@ -201,4 +201,78 @@ fn a_machine_file_for_another_board_is_refused() {
     }
     let h4 = include_str!("../../../../machines/h4.toml");
     assert!(problem(h4).unwrap_err().contains("no torque drives"));
+}
+
+/// What the board does not have is said with the key and the remedy.
+#[test]
+fn a_machine_file_with_parts_that_the_board_lacks_is_refused() {
+    let mill = include_str!("../../../../machines/mill3.toml");
+    let mill = mill.replace("ticks_per_us = 84", "ticks_per_us = 75");
+    let mill = mill.split("\n[plant]").next().unwrap();
+    let problem = |text: &str| {
+        let machine = MachineFile::parse("own.toml", text).unwrap_or_else(|it| panic!("{it}"));
+        let checked = BOARDS[0].check_machine(&machine);
+        checked.map_err(|error| error.message)
+    };
+    assert_eq!(problem(mill), Ok(()));
+    let input = |channel: u8| {
+        format!(
+            "{mill}\n[[input]]\nname = \"probe\"\nfunction = \"probe\"\nchannel = {channel}\n\
+             active = \"high\"\ncontact = \"fault\"\n"
+        )
+    };
+    assert_eq!(problem(&input(1)), Ok(()));
+    assert_eq!(
+        problem(&input(2)).unwrap_err(),
+        "own.toml: input probe: channel = 2, but the digital inputs of the board have channel 0 \
+         and 1; use one of them, or remove it (Raspberry Pi Pico 2)"
+    );
+    let output = |channel: u8| {
+        format!(
+            "{mill}\n[[output]]\nname = \"air\"\nfunction = \"general\"\nchannel = {channel}\n\
+             active = \"high\"\nsafe = \"off\"\nwithout_host = \"safe\"\n"
+        )
+    };
+    assert_eq!(problem(&output(0)), Ok(()));
+    let outputs = problem(&output(1)).unwrap_err();
+    assert!(
+        outputs.contains("output air: channel = 1, but the digital outputs"),
+        "{outputs}"
+    );
+    let analog =
+        "[[analog_input]]\nname = \"load\"\nchannel = 0\nunit = \"V\"\nfull_scale = 10.0\n";
+    let analog = problem(&format!("{mill}\n{analog}")).unwrap_err();
+    assert!(
+        analog.contains("[[analog_input]] load: the board has no analog inputs"),
+        "{analog}"
+    );
+    // 640 steps/mm at 50 mm/s are 32,000 steps/s; 32 times as many are too fast.
+    let fine = mill.replacen("steps_per_turn = 3200", "steps_per_turn = 102400", 1);
+    let fine = fine.replacen("pulse_us = 2.5", "pulse_us = 0.2", 1);
+    let rate = problem(&fine).unwrap_err();
+    assert!(
+        rate.starts_with(
+            "own.toml: joint x: its rate is 1024000 steps/s, but a joint of the board"
+        ),
+        "{rate}"
+    );
+    let period = problem(&mill.replacen("period_us = 200", "period_us = 1000", 1)).unwrap_err();
+    assert!(
+        period
+            .contains("period_us = 1000, but an image of the board has a control period of 200, "),
+        "{period}"
+    );
+}
+
+/// The control periods of the board are those for which its image can be built.
+#[test]
+fn the_control_periods_are_those_of_the_image() {
+    let script = include_str!("../../../../firmware/boards/pico2/build.rs");
+    let line = script.lines().find(|it| it.starts_with("const PERIODS"));
+    let (_, list) = line.and_then(|it| it.split_once(" = ")).unwrap();
+    let periods: Vec<u16> = list
+        .split('"')
+        .filter_map(|word| word.parse().ok())
+        .collect();
+    assert_eq!(periods, BOARDS[0].periods);
 }

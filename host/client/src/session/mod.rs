@@ -40,7 +40,7 @@ pub use line::{JobLine, Line, PortLine};
 pub use procedure::{Acknowledgement, Homing, Procedure, StatusQuery};
 pub use run_time::{RunTime, TimeProfile, TimeTable};
 pub use sim::{JobRecording, SimLine, clamp, commissioned, rig, rig_around};
-pub use startup::{Numbers, SessionPhase, Startup};
+pub use startup::{Numbers, SessionPhase, Startup, check_period};
 
 use crate::client::{Client, ClientState, JobEnding, Notification, Options, RequestError, Ticket};
 use crate::{Error, ErrorKind};
@@ -421,7 +421,7 @@ impl<L: Line> Session<L> {
 
     fn send_configuration(&mut self, machine: &MachineFile, at_preset: bool) -> Result<(), Error> {
         if let Some(board) = self.line.board() {
-            board.check_drives(machine)?;
+            board.check_machine(machine)?;
         }
         if let Some(welcome) = self.client.controller() {
             startup::check_period(&self.line.name(), welcome, machine)?;

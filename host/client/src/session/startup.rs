@@ -131,11 +131,7 @@ impl Startup {
 ///
 /// # Errors
 /// The periods differ.
-pub(super) fn check_period(
-    line: &str,
-    welcome: &Welcome,
-    machine: &MachineFile,
-) -> Result<(), Error> {
+pub fn check_period(line: &str, welcome: &Welcome, machine: &MachineFile) -> Result<(), Error> {
     let (board, file) = (welcome.period_us, machine.config.period_us);
     if board == file {
         return Ok(());
@@ -361,7 +357,7 @@ impl<L: Line> Session<L> {
             return Ok(());
         }
         if let Some(board) = self.line.board() {
-            board.check_drives(&startup.file)?;
+            board.check_machine(&startup.file)?;
         }
         check_period(&name, welcome, &startup.file)?;
         let mut tickets = vec![self.client.configure(&startup.config, false)];

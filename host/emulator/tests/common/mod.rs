@@ -39,6 +39,18 @@ pub fn five() -> MachineFile {
         .unwrap_or_else(|error| panic!("{error}"))
 }
 
+/// The H-4 mill with step drives.
+pub fn h4() -> MachineFile {
+    MachineFile::parse("h4-pins.toml", include_str!("../h4-pins.toml"))
+        .unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Motors on the bench, of which the first motion of a new board is made.
+pub fn bench() -> MachineFile {
+    let text = include_str!("../../../../machines/bench.toml");
+    MachineFile::parse("bench.toml", text).unwrap_or_else(|error| panic!("{error}"))
+}
+
 /// Control period of the image, us.
 pub fn period_us() -> u16 {
     std::env::var("HAPTIMILL_PERIOD_US").map_or(200, |period| {
@@ -63,6 +75,11 @@ fn in_period(name: &str, text: &str) -> MachineFile {
 /// The machine of [`five`] with the control period of the image.
 pub fn five_in_period() -> MachineFile {
     in_period("five.toml", include_str!("../five.toml"))
+}
+
+/// The machine of [`h4`] with the control period of the image.
+pub fn h4_in_period() -> MachineFile {
+    in_period("h4-pins.toml", include_str!("../h4-pins.toml"))
 }
 
 /// A mill whose three joints search their switches together, and move, at 1,000,000 steps/s each,

@@ -94,7 +94,7 @@ impl PinLine {
     ) -> Result<Self, Error> {
         let failed = |error: io::Error| Error::new(ErrorKind::Port, format!("{NAME}: {error}"));
         if let Some(board) = Board::named(BOARD) {
-            board.check_drives(machine)?;
+            board.check_machine(machine)?;
         }
         let program = find("HAPTIMILL_EMULATOR", EMULATOR)?;
         let image = match image {

@@ -4,7 +4,7 @@
 use haptimill_firmware::io::{DriveCommand, Inputs, StepSegment};
 use haptimill_firmware::profiler::STAGES;
 
-use haptimill_board_common::period_record::{BUSY, GLITCHES, STAGE_WORDS, STEP_WORDS};
+use haptimill_board_common::period_record::{BUSY, GLITCHES, LATE, STAGE_WORDS, STEP_WORDS};
 pub use haptimill_board_common::period_record::{JOINTS, WORDS};
 
 /// A control period of a board.
@@ -24,6 +24,8 @@ pub struct Period {
     pub glitches: u32,
     /// Cycles from the start of the period to the end of its work, all handlers included.
     pub busy: u32,
+    /// Cycles from the start of the period to the first work of its handler.
+    pub late: u32,
 }
 
 impl Period {
@@ -75,6 +77,7 @@ impl Period {
             cause: (words[2] >> 24) as u8,
             glitches: words[GLITCHES],
             busy: words[BUSY],
+            late: words[LATE],
         }
     }
 

@@ -1,0 +1,422 @@
+//! The pins of the table in docs/hardware/pico2.md, one by one: their functions, what each input
+//! tells the controller, and what each output does.
+
+mod common;
+
+use common::{board, board_with, mill, session, uart_image};
+use haptimill_client::session::pins::record::Period;
+use haptimill_client::session::{
+    JobRun, JobStatus, NoObserver, find_home_pose, plan_straight_move,
+};
+use haptimill_emulator::chip::Chip;
+use haptimill_emulator::pico2::Pico2;
+use haptimill_machine_file::MachineFile;
+use haptimill_machine_file::model::{program_options, settings};
+use haptimill_planner::Plan;
+use haptimill_protocol::message::{Command, Event};
+
+/// Registers of the chip (RP2350 datasheet, 9.11 and 12.5).
+const IO_BANK0: u32 = 0x4002_8000;
+const PADS_BANK0: u32 = 0x4003_8000;
+const SIO_OUTPUT_ENABLE: u32 = 0xD000_0030;
+const PWM_SLICE_2: u32 = 0x400A_8000 + 2 * 0x14;
+/// Cycle counter of the core.
+const CYCLES: u32 = 0xE000_1004;
+/// Entry of PendSV in the vector table.
+const PEND_SV: u32 = 0x1000_0038;
+
+const DIRECTION: u32 = 22;
+const LED: u32 = 25;
+const OUTPUT: u32 = 26;
+
+/// Functions of a pin.
+const UART: u32 = 2;
+const PWM: u32 = 4;
+const SOFTWARE: u32 = 5;
+const PIO: [u32; 2] = [6, 7];
+
+/// A row of the table: its pins, and whether they are outputs.
+struct Row {
+    pins: Vec<u32>,
+    directions: Vec<bool>,
+    signal: String,
+}
+
+/// The rows of the table with pins of the chip.
+fn table() -> Vec<Row> {
+    let page = include_str!("../../../docs/hardware/pico2.md");
+    let number = |word: &str| word.trim_matches(',').strip_prefix("GP")?.parse().ok();
+    let (_, table) = page
+        .split_once("| pin | direction | signal |\n")
+        .expect("the page has the table");
+    let rows = table.lines().take_while(|line| line.starts_with('|'));
+    let rows = rows.filter(|line| line.starts_with("| GP"));
+    rows.map(|line| {
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        let [_, pins, directions, signal, _] = cells[..] else {
+            panic!("{line}")
+        };
+        let mut numbers: Vec<u32> = pins.split(' ').filter_map(number).collect();
+        if pins.contains(" to ") {
+            numbers = (numbers[0]..=numbers[1]).collect();
+        }
+        Row {
+            pins: numbers,
+            directions: directions.split(", ").map(|it| it == "out").collect(),
+            signal: signal.to_string(),
+        }
+    })
+    .collect()
+}
+
+/// Asserts that a pin has the function and the pulls of its direction.
+fn assert_is_set(chip: &mut Chip, pin: u32, is_output: bool, has_uart: bool) {
+    let function = chip.register(IO_BANK0 + 4 + 8 * pin) & 0x1F;
+    let pad = chip.register(PADS_BANK0 + 4 + 4 * pin);
+    let by_software = chip.register(SIO_OUTPUT_ENABLE) >> pin & 1 != 0;
+    let (pulls_down, pulls_up) = (pad >> 2 & 1 != 0, pad >> 3 & 1 != 0);
+    let text = format!("GP{pin}: function {function}, pad {pad:#x}, software {by_software}");
+    assert_eq!(pad >> 7 & 0b11, 0, "disabled or isolated, {text}");
+    assert_ne!(pad >> 6 & 1, 0, "the input buffer is off, {text}");
+    if pin < 2 {
+        assert!(has_uart && function == UART && pulls_up, "{text}");
+    } else if is_output {
+        let drives = match function {
+            SOFTWARE => by_software,
+            function => function == PWM || PIO.contains(&function),
+        };
+        // Without a program the line falls.
+        assert!(drives && pulls_down && !pulls_up, "{text}");
+    } else {
+        // A broken wire is high.
+        assert!(function == SOFTWARE && !by_software, "{text}");
+        assert!(pulls_up && !pulls_down, "{text}");
+    }
+}
+
+/// Each pin of the table has its direction, and what it does without a wire.
+#[test]
+fn every_pin_of_the_table_is_set() {
+    let machine = mill();
+    let rows = table();
+    let pins: Vec<u32> = rows.iter().flat_map(|row| row.pins.clone()).collect();
+    // All but GP23 to GP25, which the board has for itself.
+    let mut sorted = pins.clone();
+    sorted.sort_unstable();
+    assert_eq!(sorted, (0..=22).chain(26..=28).collect::<Vec<u32>>());
+    for has_uart in [false, true] {
+        let mut board = match has_uart {
+            false => board(&machine),
+            true => board_with(&uart_image(), &machine),
+        };
+        for row in &rows {
+            for (at, &pin) in row.pins.iter().enumerate() {
+                if pin >= 2 || has_uart {
+                    let is_output = row.directions[at.min(row.directions.len() - 1)];
+                    assert_is_set(board.chip(), pin, is_output, has_uart);
+                }
+            }
+        }
+    }
+}
+
+/// What the controller is told: home switches, digital inputs, emergency stop, drives that are
+/// ready.
+fn seen(period: &Period) -> (Vec<bool>, u32, bool, bool) {
+    let joints = &period.inputs.joints;
+    (
+        joints[..5].iter().map(|joint| joint.home).collect(),
+        period.inputs.digital,
+        period.inputs.emergency_stop,
+        joints[..5].iter().all(|joint| joint.drive_ready),
+    )
+}
+
+/// Each input pin reaches its own signal and no other, after a level of three control periods; the
+/// emergency stop at once.
+#[test]
+fn each_input_pin_reaches_its_own_signal() {
+    let machine = mill();
+    let mut board = board(&machine);
+    let rows = table();
+    let row = |signal: &str| {
+        let row = rows.iter().find(|row| row.signal.starts_with(signal));
+        row.unwrap_or_else(|| panic!("the table has no {signal}"))
+    };
+    let run = |board: &mut Pico2, periods: usize| {
+        let first = board.periods.len();
+        for _ in 0..periods {
+            board.run_period().expect("the emulator runs");
+        }
+        board.periods[first..].iter().map(seen).collect::<Vec<_>>()
+    };
+    run(&mut board, 5);
+    let nothing = (vec![false; 5], 0, false, true);
+    let mut expected = Vec::new();
+    for (joint, &pin) in row("home switches").pins.iter().enumerate() {
+        let mut homes = vec![false; 5];
+        homes[joint] = true;
+        expected.push((pin, (homes, 0, false, true)));
+    }
+    expected.push((
+        row("digital input 0").pins[0],
+        (vec![false; 5], 1, false, true),
+    ));
+    expected.push((
+        row("digital input 1").pins[0],
+        (vec![false; 5], 2, false, true),
+    ));
+    expected.push((
+        row("alarm of the drives").pins[0],
+        (vec![false; 5], 0, false, false),
+    ));
+    assert_eq!(expected.len(), 8);
+    for (pin, signal) in expected {
+        board.hold_high(1 << pin);
+        let short = run(&mut board, 2);
+        board.hold_high(0);
+        let after = run(&mut board, 5);
+        assert!(
+            short.iter().chain(&after).all(|it| *it == nothing),
+            "GP{pin}: two periods are noise"
+        );
+        board.hold_high(1 << pin);
+        let long = run(&mut board, 6);
+        assert_eq!(long.last(), Some(&signal), "GP{pin}");
+        assert!(
+            long.iter().all(|it| *it == nothing || *it == signal),
+            "GP{pin}"
+        );
+        board.hold_high(0);
+        assert_eq!(run(&mut board, 6).last(), Some(&nothing), "GP{pin} again");
+    }
+    board.hold_high(1 << row("emergency stop").pins[0]);
+    let stopped = run(&mut board, 2);
+    assert!(stopped.last().is_some_and(|it| it.2), "not filtered");
+}
+
+/// The charge pump changes once in every completed control period.
+#[test]
+fn the_charge_pump_changes_once_a_period() {
+    const PERIODS: usize = 200;
+    let machine = mill();
+    let mut board = board(&machine);
+    board.run_period().expect("the emulator runs");
+    let (pump, first) = (board.pump, board.periods.len());
+    for period in 1..=PERIODS {
+        board.run_period().expect("the emulator runs");
+        // The end of a control period may lie on either side of this moment.
+        let completed = board.periods.len() - first;
+        let changes = (board.pump - pump) as usize;
+        assert!(completed.abs_diff(period) <= 1, "{completed}, {period}");
+        assert!(changes.abs_diff(period) <= 1, "{changes}, {period}");
+    }
+}
+
+/// The motors on the bench, with a section before that of the simulated machine.
+fn bench_with(section: &str) -> MachineFile {
+    let text = include_str!("../../../machines/bench.toml");
+    let changed = text.replacen("[plant]\n", section, 1);
+    assert_ne!(changed, text);
+    MachineFile::parse("bench.toml", &changed).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// The motors on the bench, with an output for the coolant.
+fn bench_with_output() -> MachineFile {
+    let output = "[[output]]\nname = \"coolant\"\nfunction = \"coolant\"\nchannel = 0\n\
+                  active = \"high\"\nsafe = \"off\"\nwithout_host = \"safe\"\n\n[plant]\n";
+    bench_with(output)
+}
+
+/// Duty of the spindle in counts, level of its direction, level of the digital output.
+fn outputs(board: &mut Pico2) -> (u32, bool, bool) {
+    // Channel B of the slice.
+    let duty = board.chip().register(PWM_SLICE_2 + 0xC) >> 16;
+    (duty, board.level(DIRECTION), board.level(OUTPUT))
+}
+
+/// A part program switches spindle and coolant; an emergency stop switches both off. The direction
+/// changes after a control period with a duty of 0 only.
+#[test]
+fn spindle_and_output_follow_the_program_and_the_emergency_stop() {
+    /// 100 % is 24,000 rev/min.
+    const COUNTS: u32 = 15_000;
+    const PROGRAM: &str = "G21 G90\nS12000 M3\nG4 P0.01\nM8\nG4 P0.01\nS6000 M4\nG4 P0.01\nM9\n\
+                           G4 P0.01\nM5\nG4 P0.01\nS24000 M3 M8\nG4 P0.4\nM2\n";
+    let machine = bench_with_output();
+    let mut session = session(board(&machine), &machine);
+    session.enable().expect("the drives are ready");
+    session.home().expect("the joints are at their presets");
+    let chip = session.line_mut().chip();
+    // Enabled, no phase correction, a count each cycle, 150 MHz / 15,000 = 10 kHz.
+    assert_eq!(chip.register(PWM_SLICE_2) & 0x3F, 1);
+    assert_eq!(chip.register(PWM_SLICE_2 + 0x4), 1 << 4);
+    assert_eq!(chip.register(PWM_SLICE_2 + 0x10) + 1, COUNTS);
+    let model = session.model().clone();
+    let home = find_home_pose(&machine, &model).expect("a home pose");
+    let options = program_options(&machine, model.to_engineering_units(&home));
+    let program = haptimill_gcode::read("spindle.ngc", PROGRAM.as_bytes(), &options)
+        .unwrap_or_else(|refused| panic!("{refused}"));
+    let plan = Plan::new(&program, &settings(&machine), &model)
+        .unwrap_or_else(|refused| panic!("{refused:?}"));
+    let mut states = vec![outputs(session.line_mut())];
+    let mut run = JobRun::start(&mut session, 2, home, plan.setpoints);
+    let last = (COUNTS, true, true);
+    while states.last() != Some(&last) {
+        let status = run.advance(&mut session, &mut NoObserver);
+        assert!(
+            matches!(status, Ok(JobStatus::Running)),
+            "the program ended: {states:?}"
+        );
+        session.step().expect("the line works");
+        let now = outputs(session.line_mut());
+        if states.last() != Some(&now) {
+            states.push(now);
+        }
+    }
+    session.line_mut().set_emergency_stop(true);
+    for _ in 0..2 {
+        session.line_mut().run_period().expect("the emulator runs");
+    }
+    let stopped = outputs(session.line_mut());
+    println!("{states:?}, then {stopped:?}");
+    let expected = [
+        (0, false, false),
+        (COUNTS / 2, true, false),
+        (COUNTS / 2, true, true),
+        (0, true, true),
+        (COUNTS / 4, false, true),
+        (COUNTS / 4, false, false),
+        (0, false, false),
+        (COUNTS, true, false),
+        last,
+    ];
+    assert_eq!(states, expected);
+    assert_eq!((stopped.0, stopped.2), (0, false));
+}
+
+/// A contact at GP20 in a probing move is latched two to three control periods after it, which are
+/// at most 4 steps here, and ends the move.
+#[test]
+fn a_probe_at_its_pin_ends_the_move_and_is_latched_in_time() {
+    /// 10 mm/s at 640 steps/mm are 1.28 steps in a control period.
+    const FEED: f64 = 600.0;
+    const MOST_STEPS: f64 = 3.0 * 1.28 + 1.0;
+    let probe = "[[input]]\nname = \"probe\"\nfunction = \"probe\"\nchannel = 0\n\
+                 active = \"high\"\nfilter_ms = 0\ncontact = \"fault\"\n\n[plant]\n";
+    let machine = bench_with(probe);
+    let mut session = session(board(&machine), &machine);
+    session.enable().expect("the drives are ready");
+    session.home().expect("the joints are at their presets");
+    let from = session.status().expect("the board answers").commanded;
+    let mut to = session.model().to_engineering_units(&from);
+    to[0] += 5.0;
+    let to = session.model().to_axis_units(&to);
+    let plan = plan_straight_move(&machine, session.model(), &from, &to, Some(FEED));
+    let setpoints = plan.expect("the machine can make the move").setpoints;
+    let armed = Command::ArmProbe {
+        input: 0,
+        active: true,
+    };
+    session.ask(armed).expect("the probe is armed");
+    let first = session.events.len();
+    let mut run = JobRun::start(&mut session, 2, from, setpoints);
+    let mut contact = None;
+    loop {
+        match run.advance(&mut session, &mut NoObserver) {
+            Ok(JobStatus::Ended(_)) => break,
+            status => assert!(matches!(status, Ok(JobStatus::Running))),
+        }
+        session.step().expect("the line works");
+        let board = session.line_mut();
+        if contact.is_none() && board.steps[0] >= 1600 {
+            contact = Some(board.steps[0] as f64);
+            board.hold_high(1 << 20);
+        }
+    }
+    let contact = contact.expect("the move was half done");
+    let found = session.events[first..].iter().find_map(|(_, it)| match it {
+        Event::ProbedAt {
+            coordinate: 0,
+            measured,
+            ..
+        } => Some(*measured),
+        _ => None,
+    });
+    let found = [found.expect("the contact is reported")];
+    let found = session
+        .model()
+        .to_engineering_units(&found.into_iter().collect());
+    let late = found[0] * 640.0 - contact;
+    let end = session.line_mut().steps[0];
+    println!("latched {late:.2} steps after the contact at {contact}, ended at {end}");
+    assert!((-0.01..=MOST_STEPS).contains(&late), "{late}");
+    assert!((end as f64) < 3200.0, "{end}");
+}
+
+/// Flashes of the LED between two pauses. The cycle counter, by which the lamp counts its time, is
+/// advanced by 25 ms at a time.
+fn flashes(board: &mut Pico2) -> u32 {
+    const STEP_MS: u32 = 25;
+    // The longest dark between two flashes is 200 ms, and the pause after them 700 ms.
+    const PAUSE: u32 = 400 / STEP_MS;
+    let (mut dark, mut was_on, mut count, mut pauses) = (0, false, 0, 0);
+    for _ in 0..400 {
+        let now = board.chip().register(CYCLES);
+        let later = now.wrapping_add(STEP_MS * 150_000);
+        board.chip().set_register(CYCLES, later);
+        board.run_period().expect("the emulator runs");
+        let on = board.level(LED);
+        count += u32::from(on && !was_on);
+        dark = if on { 0 } else { dark + 1 };
+        was_on = on;
+        if dark == PAUSE {
+            pauses += 1;
+            if pauses == 2 {
+                return count;
+            }
+            count = 0;
+        }
+    }
+    panic!("the LED does not flash with pauses");
+}
+
+/// Replaces the first instruction of the handler of the control period.
+fn patch(board: &mut Pico2, half: u32) {
+    let handler = board.chip().memory(PEND_SV) & !1;
+    let word = handler & !3;
+    let code = match handler & 2 {
+        0 => board.chip().memory(word) & 0xFFFF_0000 | half,
+        _ => board.chip().memory(word) & 0xFFFF | half << 16,
+    };
+    board.chip().set_code(word, code);
+}
+
+/// The LED flashes once after power-on, twice after a control period that did not end, and four
+/// times after a fault of the processor.
+#[test]
+fn the_led_shows_the_cause_of_the_last_reset() {
+    // A branch to itself; an undefined instruction.
+    for (half, expected) in [(None, 1), (Some(0xE7FE), 2), (Some(0xDE00), 4)] {
+        let machine = mill();
+        let mut board = board(&machine);
+        if let Some(half) = half {
+            patch(&mut board, half);
+            for _ in 0..200 {
+                board.run_period().expect("the emulator runs");
+                if board.chip().resets() == 1 {
+                    break;
+                }
+            }
+            assert_eq!(board.chip().resets(), 1, "{expected} flashes");
+            // The code is copied into the RAM again by the start.
+            for _ in 0..100 {
+                board.run_period().expect("the emulator runs");
+            }
+            assert_eq!(board.chip().resets(), 1, "{expected} flashes");
+        }
+        let cause = board.periods.last().map(|period| u32::from(period.cause));
+        assert_eq!(cause, Some(expected));
+        assert_eq!(flashes(&mut board), expected);
+    }
+}
