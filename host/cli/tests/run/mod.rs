@@ -77,7 +77,7 @@ fn expect_small_errors(summary: &Value, largest_mm: f64) {
 fn slot_writes_all_files_bit_identically() {
     let folder = TestFolder::new();
     let first = job(&folder, "first", "e7-slot.ngc", &[]);
-    expect_small_errors(&first, 0.0055);
+    expect_small_errors(&first, AIM_MM);
     // 2 mm down, 30 mm along, 4 mm up, 30 mm back, 2 mm down.
     assert!(
         (number(&first, "path_length_mm") - 68.0).abs() < 0.01,
@@ -218,7 +218,7 @@ fn a_circle_at_20_mm_s_keeps_its_tolerance() {
 fn dome_streams_at_115200_baud_without_underrun() {
     let folder = TestFolder::new();
     let dome = job(&folder, "dome", "dome.ngc", &["--baud", "115200"]);
-    expect_small_errors(&dome, 0.009);
+    expect_small_errors(&dome, AIM_MM);
     assert!(number(&dome, "setpoints") > 2000.0);
     assert!(number(&dome, "angle_error_max_deg") < 0.05, "{dome:#}");
     assert!(number(&dome, "line_bytes_per_setpoint") <= 24.0, "{dome:#}");
