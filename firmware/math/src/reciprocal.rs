@@ -111,6 +111,19 @@ impl Factor {
         }
     }
 
+    /// The nearest whole number from 1 to `i32::MAX`.
+    pub const fn whole(self) -> i32 {
+        let down = -self.exponent;
+        if down < 0 {
+            return i32::MAX;
+        }
+        if down > 31 {
+            return 1;
+        }
+        let rounded = (self.mantissa as u64 + ((1 << down) >> 1)) >> down;
+        if rounded == 0 { 1 } else { rounded as i32 }
+    }
+
     /// Mantissa, below 2^31, and exponent.
     pub const fn parts(self) -> (i32, i32) {
         (self.mantissa as i32, self.exponent)
@@ -238,6 +251,9 @@ mod tests {
             let a = a >> down;
             let factor = Factor::of(a).times(Factor::of(b)).over(Factor::of(b)).shifted(bits);
             let exact = a as f64 * f64::exp2(f64::from(bits));
+            let whole = f64::from(factor.whole());
+            let bounded = exact.clamp(1.0, f64::from(i32::MAX));
+            prop_assert!((whole - bounded).abs() <= 0.5 + bounded * f64::exp2(-28.0), "{whole} {exact}");
             let given = f64::from(factor.mantissa) * f64::exp2(f64::from(factor.exponent));
             prop_assert!((given - exact).abs() <= exact * f64::exp2(-28.0), "{given} {exact}");
             let product = f64::from(factor.scale().apply(value));

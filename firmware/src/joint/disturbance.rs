@@ -12,16 +12,16 @@
 //! side after 0.5 s on one, the band doubles, to 16 times its width at most; the next
 //! motion makes it narrow again. A loop that settles after a motion changes sides faster.
 //!
-//! Units: axis units per second squared, with [`FRACTION`] fractional bits. The friction estimate
-//! is between the negative configured Coulomb friction and half the drive's limit. No input can
-//! overflow.
+//! Units: those of the sum of [`super::servo::ServoLaw`], with [`FRACTION`] more fractional bits.
+//! The integrator is within the drive's limit. The friction estimate is between the negative
+//! configured Coulomb friction and half of that limit. No input can overflow.
 
 use crate::digest::impl_digest;
 use crate::rate_filter::approach;
-use haptimill_math::reciprocal::mul_shift;
 use haptimill_math::{Coordinate, Rate};
 
-/// Fractional bits.
+/// Fractional bits of integrator and friction estimate. The least gain that they allow fills the
+/// integrator in more than a day at an error of one encoder count.
 pub const FRACTION: u32 = 20;
 
 /// Widest dead band at rest, in multiples of the narrow one: 24 counts.
@@ -30,23 +30,24 @@ const WIDEST: u32 = 16;
 /// Time on one side of the dead band from which on a change of the side is hunting, microseconds.
 const SIDE_CHANGE_US: u32 = 500_000;
 
-/// Constants of a [`Disturbance`].
+/// Constants of a [`Disturbance`], in units of the sum.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DisturbanceLimits {
-    /// Largest magnitude of the integrator.
-    pub integral: i64,
-    /// Configured Coulomb friction: the estimate does not make the compensation negative.
-    pub coulomb: i64,
+    /// Largest magnitude of the integrator, below 2^27.
+    pub integral: i32,
+    /// Configured Coulomb friction, at most 2^30: the estimate does not make the compensation
+    /// negative.
+    pub coulomb: i32,
 }
 
 /// Integrator and friction estimate of one joint.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Disturbance {
-    /// K_I times the period, 1/s^2, Q20; 0 without an integrator.
-    ki_period: u32,
-    /// Part of the integrator that is transferred to the friction estimate in a period, Q32; 0
+    /// Change of the integrator in a period for an error of one axis unit; 0 without an integrator.
+    gain: i32,
+    /// Part of the integrator that is transferred to the friction estimate in a period, Q31; 0
     /// without adaptation.
-    drain: u32,
+    drain: i32,
     dead_band: u32,
     /// [`SIDE_CHANGE_US`] in control periods.
     side_change_periods: u32,
@@ -62,13 +63,14 @@ pub struct Disturbance {
     since: u32,
 }
 
-impl_digest!(Disturbance { fields { ki_period, drain, dead_band, side_change_periods, limit, least_friction, most_friction }, nested {}, skip { integral, friction, band, side, since } });
+impl_digest!(Disturbance { fields { gain, drain, dead_band, side_change_periods, limit, least_friction, most_friction }, nested {}, skip { integral, friction, band, side, since } });
 
 impl Disturbance {
-    /// A disturbance with K_I times the period (1/s^2, Q20), the time constant of the adaptation
-    /// (0: none), and the size of an encoder count.
+    /// A disturbance with the change of the integrator in a period for an error of one axis unit
+    /// (with [`FRACTION`] bits), the time constant of the adaptation (0: none), and the size of an
+    /// encoder count.
     pub const fn new(
-        ki_period: u32,
+        gain: i32,
         adaptation_ms: u16,
         period_us: u16,
         count: Coordinate,
@@ -83,13 +85,13 @@ impl Disturbance {
             _ => (((period_us as u64) << 32) / milliseconds as u64) as u32,
         };
         Self {
-            ki_period,
-            drain,
+            gain,
+            drain: (drain >> 1) as i32,
             dead_band: count.saturating_add(count / 2),
             side_change_periods: SIDE_CHANGE_US / if period_us == 0 { 1 } else { period_us as u32 },
-            limit: limits.integral,
-            least_friction: -limits.coulomb,
-            most_friction: limits.integral / 2,
+            limit: (limits.integral as i64) << FRACTION,
+            least_friction: -((limits.coulomb as i64) << FRACTION),
+            most_friction: ((limits.integral / 2) as i64) << FRACTION,
             integral: 0,
             friction: 0,
             band: count.saturating_add(count / 2),
@@ -101,7 +103,7 @@ impl Disturbance {
     /// Whether the joint has an integrator.
     #[inline]
     pub const fn is_active(&self) -> bool {
-        self.ki_period != 0
+        self.gain != 0
     }
 
     /// Empties integrator and friction estimate.
@@ -110,16 +112,16 @@ impl Disturbance {
         self.friction = 0;
     }
 
-    /// The integrator.
+    /// The integrator, without its additional bits.
     #[inline]
-    pub const fn integral(&self) -> i64 {
-        self.integral
+    pub const fn integral(&self) -> i32 {
+        (self.integral >> FRACTION) as i32
     }
 
-    /// Friction beyond the configured one.
+    /// Friction beyond the configured one, without the additional bits.
     #[inline]
-    pub const fn friction(&self) -> i64 {
-        self.friction
+    pub const fn friction(&self) -> i32 {
+        (self.friction >> FRACTION) as i32
     }
 
     /// Takes the error of a period at a commanded rate. `saturated`: the output is at its limit and
@@ -149,9 +151,8 @@ impl Disturbance {
         if saturated {
             return;
         }
-        // The integrator is within +-2^62 and a step below 2^63.
-        let step = i64::from(error.0) * i64::from(self.ki_period);
-        let integral = self.integral.saturating_add(step);
+        // The integrator is within +-2^47 and a step within +-2^62.
+        let integral = self.integral + i64::from(error.0) * i64::from(self.gain);
         self.integral = integral.max(-self.limit).min(self.limit);
         if full && self.drain != 0 {
             self.adapt(rate);
@@ -161,15 +162,15 @@ impl Disturbance {
     /// Moves a part of the integrator into the friction estimate.
     #[inline]
     fn adapt(&mut self, rate: Rate) {
-        // Without the lowest bits, so that the product of any integrator fits.
-        let part = mul_shift::<32>(self.integral >> 8, self.drain) << 8;
+        // Below 2^27 times 2^31, of which 31 - FRACTION bits are dropped.
+        let product = i64::from(self.integral()) * i64::from(self.drain);
+        let part = product >> (31 - FRACTION);
         let along = if rate.0 < 0 { -part } else { part };
-        let friction = self.friction.saturating_add(along);
-        let friction = friction.max(self.least_friction).min(self.most_friction);
-        let moved = friction.saturating_sub(self.friction);
+        let friction = (self.friction + along)
+            .max(self.least_friction)
+            .min(self.most_friction);
+        let moved = friction - self.friction;
         self.friction = friction;
-        self.integral = self
-            .integral
-            .saturating_sub(if rate.0 < 0 { -moved } else { moved });
+        self.integral -= if rate.0 < 0 { -moved } else { moved };
     }
 }

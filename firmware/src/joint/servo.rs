@@ -30,7 +30,7 @@ use super::friction::Friction;
 use crate::config::{ServoConfig, ServoForm};
 use crate::digest::impl_digest;
 use crate::rate_filter::{CHANGE_FRACTION, RateFilter};
-use haptimill_math::reciprocal::{Factor, Scale, mul_shift, saturate};
+use haptimill_math::reciprocal::{Factor, Scale, saturate};
 use haptimill_math::scale::shift_right;
 use haptimill_math::{Acceleration, Coordinate, Effort, Rate};
 
@@ -51,7 +51,6 @@ pub struct ServoLaw {
     viscous: Scale,
     friction: Friction,
     error_rate: RateFilter,
-    inertia: u32,
     disturbance: Disturbance,
     limit: i32,
     fraction: u32,
@@ -64,7 +63,7 @@ pub struct ServoLaw {
 }
 
 impl_digest!(ServoLaw { fields {
-    form, proportional, derivative, coarse, acceleration, viscous, friction, inertia, limit, fraction, rounding, lift, plain
+    form, proportional, derivative, coarse, acceleration, viscous, friction, limit, fraction, rounding, lift, plain
 }, nested { error_rate, disturbance }, skip {} });
 
 impl ServoLaw {
@@ -76,11 +75,7 @@ impl ServoLaw {
         } else {
             limit.0.abs()
         };
-        // Q8 to Q20, per second to per period; a gain of more than 4096 1/s^2 per period saturates.
-        let ki = ((law.ki.0 as u64) << 12) * period_us as u64 / 1_000_000;
-        let inertia = if law.inertia == 0 { 1 } else { law.inertia } as i64;
-        let most = ((limit as i64) << 28) / inertia;
-        let most = if most > 1 << 42 { 1 << 42 } else { most };
+        let inertia = if law.inertia == 0 { 1 } else { law.inertia };
         // A term saturates at 2^29 at least, the limit is below 2^27.
         let fraction = limit.leading_zeros().saturating_sub(5);
         let fraction = if fraction > 16 { 16 } else { fraction };
@@ -104,20 +99,6 @@ impl ServoLaw {
                 Factor::of(law.viscous as u64).shifted(bits - 24),
             ),
         };
-        // 28 bits of 256 au/s^2 and Q20 of inertia; the friction of the configuration is below the
-        // limit.
-        let known = ((law.coulomb.0 as i64).saturating_abs() << 28) / inertia;
-        let limits = DisturbanceLimits {
-            integral: most << INTEGRAL_FRACTION,
-            coulomb: (if known > most { most } else { known }) << INTEGRAL_FRACTION,
-        };
-        let ki = if ki > u32::MAX as u64 {
-            u32::MAX
-        } else {
-            ki as u32
-        };
-        let adaptation = law.friction_adaptation_ms;
-        let disturbance = Disturbance::new(ki, adaptation, period_us, count, limits);
         let coulomb = ((law.coulomb.0 as i64) << fraction) >> lift;
         let most_coulomb = 1 << 30;
         let coulomb = if coulomb > most_coulomb {
@@ -127,6 +108,22 @@ impl ServoLaw {
         } else {
             coulomb
         };
+        let integral = force
+            .times(Factor::of(law.ki.0 as u64))
+            .times(Factor::of(period))
+            .over(Factor::of(1_000_000))
+            .shifted(-8 + INTEGRAL_FRACTION as i32);
+        let limits = DisturbanceLimits {
+            integral: (((limit as i64) << fraction) >> lift) as i32,
+            coulomb: (coulomb as i32).saturating_abs(),
+        };
+        let disturbance = Disturbance::new(
+            if law.ki.0 == 0 { 0 } else { integral.whole() },
+            law.friction_adaptation_ms,
+            period_us,
+            count,
+            limits,
+        );
         Self {
             form: law.form,
             proportional: force.times(Factor::of(law.kp.0 as u64)).shifted(-8).scale(),
@@ -136,13 +133,12 @@ impl ServoLaw {
             viscous: viscous.scale(),
             friction: Friction::new(Effort(coulomb as i32), law.coulomb_rate),
             error_rate: RateFilter::new(period_us, law.rate_filter_us),
-            inertia: law.inertia,
             disturbance,
             limit,
             fraction,
             rounding: (1 << fraction) >> 1,
             lift,
-            plain: ki == 0 && lift == 0,
+            plain: law.ki.0 == 0 && lift == 0,
         }
     }
 
@@ -170,7 +166,11 @@ impl ServoLaw {
             .proportional
             .apply(error.0)
             .saturating_add(self.derivative.apply(change))
-            .saturating_add(self.friction.effort(rate, self.adapted()).0);
+            .saturating_add(
+                self.friction
+                    .effort(rate, Effort(self.disturbance.friction()))
+                    .0,
+            );
         if self.form == ServoForm::ModelBased {
             sum = sum
                 .saturating_add(self.acceleration.apply(acceleration.0))
@@ -185,32 +185,10 @@ impl ServoLaw {
         )
     }
 
-    /// Effort of an acceleration with [`INTEGRAL_FRACTION`] fractional bits.
-    #[inline]
-    fn force(&self, acceleration: i64) -> i32 {
-        // 256 au/s^2 a unit and Q20 of inertia: 28 bits. 2^42 * 2^32 / 2^28 = 2^46, and the
-        // fraction 2^16.
-        let effort = mul_shift::<28>(acceleration >> INTEGRAL_FRACTION, self.inertia);
-        saturate((effort << self.fraction) >> self.lift)
-    }
-
-    /// Effort of the friction that the configuration does not contain.
-    #[inline(always)]
-    fn adapted(&self) -> Effort {
-        let friction = self.disturbance.friction();
-        Effort(if friction == 0 {
-            0
-        } else {
-            self.force(friction)
-        })
-    }
-
     /// The effort of a period with an integrator, or of a drive of more than 2 kN.
     #[inline(never)]
     fn integrated(&mut self, mut sum: i32, error: Coordinate, rate: Rate) -> (Effort, bool) {
-        if self.disturbance.is_active() {
-            sum = sum.saturating_add(self.force(self.disturbance.integral()));
-        }
+        sum = sum.saturating_add(self.disturbance.integral());
         let effort = sum
             .saturating_add(self.rounding)
             .wrapping_shr(self.fraction);
