@@ -8,14 +8,14 @@
 //! | receive | at most one request or setpoint | `comm/server.rs` |
 //! | measure | encoder counts to joint positions, force samples to the force on the tool | `machine.rs` |
 //! | supervise | fault checks in a fixed order; named inputs | `faults.rs`, `reactions.rs` |
-//! | command | one request or setpoint; a refused one changes nothing | `commands.rs` |
+//! | command | out-of-band stop; then a request or setpoint (refused: no change) | `commands.rs` |
 //! | interpolate | the commanded pose of this period | `modes.rs` |
 //! | comply | compliant displacement of force control | `machine/compliance.rs` |
 //! | solve | volumetric compensation, inverse kinematics: joint motion | `machine.rs` |
 //! | servo | position loops and step generation | `machine.rs` |
 //! | render | force feedback to the haptic arm | `machine/masters.rs` |
 //! | report | answers, events, telemetry | `comm/server.rs` |
-//! | interlock | spindle and haptic arm off with the drives; named outputs | here, `reactions.rs` |
+//! | interlock | drives, spindle, haptic arm off by state; named outputs | here, `reactions.rs` |
 
 use crate::comm::server::{Incoming, Server};
 use crate::comm::telemetry;
@@ -116,6 +116,8 @@ impl Controller {
         }
         let core = &mut self.core;
         core.job.busy = core.is_busy();
+        // The link may get no time slice where the interpolator, or an overdue integrity check of
+        // the configuration, needs the period.
         let overdue = core.job.digest_backlog >= DIGEST_OVERDUE;
         self.server.next(core.job.busy || overdue)
     }
@@ -184,7 +186,8 @@ impl Core {
         }
     }
 
-    /// After an out-of-band stop, commands that start motion are refused for [`STALE_COMMANDS_US`].
+    /// An out-of-band stop holds the machine. Commands that start motion are then refused for
+    /// [`STALE_COMMANDS_US`], or until `Hold`, `Stop` or a new session.
     #[inline]
     fn track_out_of_band_stop(&mut self, stop: bool) {
         if stop {

@@ -71,7 +71,8 @@ const ABOUT: &str = "Runs part programs on milling machines, real or simulated."
 const LONG_ABOUT: &str = "\
 Runs part programs on milling machines, real or simulated.
 
-`haptimill run FILE.ngc` checks a part program against the machine, homes the machine, streams the \
+`haptimill run FILE.ngc` checks a part program against the machine, homes the machine if it is not \
+homed, streams the \
 program to the controller and writes a recording, a trace, a summary and a report. Without --port \
 the controller and the machine are the built-in simulator: the same controller code and the same \
 protocol with a simulated machine. Without --machine the machine is the built-in \
@@ -201,7 +202,8 @@ enum Command {
     MoveOff(simple::MoveOffArgs),
     /// Clear a latched fault or emergency stop
     Reset(simple::SimpleArgs),
-    /// Fade the volumetric compensation in or out; it is on after the configuration
+    /// Fade the volumetric compensation in or out. A new configuration switches it on; it fades in
+    /// when the machine is homed
     Compensation(simple::CompensationArgs),
     Override(operate::OverrideArgs),
     /// Decelerate a job that another process runs along its path, and hold it

@@ -35,7 +35,7 @@ timeout. Ctrl-C stops the machine and ends the command.";
 
 /// Bridges.
 #[derive(Debug, Clone, Subcommand)]
-#[command(about = "Present the machine to existing senders as a Grbl controller")]
+#[command(about = "Present the machine as a Grbl controller to programs that send G-code to Grbl")]
 pub enum BridgeCommand {
     /// Present the machine as a Grbl 1.1h controller on a pseudo-terminal
     Grbl(GrblArgs),

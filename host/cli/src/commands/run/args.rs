@@ -19,7 +19,8 @@ const LONG: &str = "\
 Run a part program.
 
 The command first checks the program against the machine: workspace, strokes, singularities, joint \
-rates. Nothing moves when a line is refused. It then homes the machine, streams the program, and \
+rates. Nothing moves when a line is refused. It then homes the machine if it is not homed, \
+streams the program, and \
 writes to DIR
   recording.hmr  every control period, binary; trace_sha256 in summary.json is its SHA-256, which
                  is equal for every run of a program in the simulator
