@@ -17,11 +17,10 @@
 //!   move.
 //! - **Transition.** A step of the commanded motor position would cause an effort step of K_P times
 //!   the lost motion. The shift passes two equal first-order filters in series, so position and
-//!   rate are continuous, and a reversal during the transition needs no special case. Its rate and
-//!   acceleration are fed forward. With [`TORQUE_SHIFT_US`] = 2.9 ms the crossing is 95 % done in
-//!   14 ms. A step motor has 4 ms, as it loses steps where its acceleration is too high. On the
-//!   30 mm circle at 4 mm/s the hysteresis takes 9 ms, in which the slide should have moved 0.4 um:
-//!   that is the remaining error.
+//!   rate are continuous, and a reversal during the transition needs no special case. With
+//!   [`SHIFT_US`] = 4 ms the crossing is 95 % done in 19 ms. On the 30 mm circle at 4 mm/s the
+//!   hysteresis takes 9 ms, in which the slide should have moved 0.4 um: that is the remaining
+//!   error.
 //! - **Position.** A worn screw has more backlash where it was used most. Half the lost motion is
 //!   then a table over the stroke, linear between its nodes, taken at the motor for the slide
 //!   position and at the commanded slide for the commanded motor position.
@@ -30,21 +29,16 @@
 //! estimated slide would contain the backlash. It would have no gain within it and would
 //! limit-cycle across it.
 
-use super::JointCommand;
 use super::encoder::{difference, sum};
-use crate::config::{AxisKind, BACKLASH_NODES, Drive, JointSettings};
+use crate::config::{AxisKind, BACKLASH_NODES, JointSettings};
 use crate::digest::impl_digest;
 use crate::rate_filter::approach;
 use haptimill_math::reciprocal::{Factor, Scale, saturate};
-use haptimill_math::{Acceleration, Coordinate, Rate};
+use haptimill_math::{Coordinate, Rate};
 use heapless::Vec;
 
-/// Time constant of each of the two filters for a torque drive, in microseconds.
-pub const TORQUE_SHIFT_US: u16 = 2_900;
-
-/// The same for a step/direction drive, with three quarters of the rate and half of the
-/// acceleration.
-pub const STEP_SHIFT_US: u16 = 4_000;
+/// Time constant of each of the two filters, in microseconds.
+pub const SHIFT_US: u16 = 4_000;
 
 /// Largest number of fractional bits of the filter states. More than 0.12 um have fewer,
 /// so that a state fits into 32 bits.
@@ -63,8 +57,6 @@ pub struct Backlash {
     approach: i32,
     /// Conversion of the change of a state per period to a rate.
     rate: Scale,
-    /// Conversion of the change of that change to an acceleration.
-    acceleration: Scale,
     /// Fractional bits of the states. `rounding` is half a unit with these bits.
     fraction: u32,
     rounding: i32,
@@ -73,8 +65,6 @@ pub struct Backlash {
     /// Filter states, axis units; both within +-half, which is below 2^30 with their fraction.
     first: i32,
     second: i32,
-    /// Change of `second` in the last period.
-    change: i32,
     /// The states no longer change.
     settled: bool,
     slide: Coordinate,
@@ -83,8 +73,8 @@ pub struct Backlash {
 }
 
 impl_digest!(Backlash { fields {
-    kind, half, table, hysteresis, approach, rate, acceleration, fraction, rounding
-}, nested {}, skip { goal, first, second, change, settled, slide, anchor } });
+    kind, half, table, hysteresis, approach, rate, fraction, rounding
+}, nested {}, skip { goal, first, second, settled, slide, anchor } });
 
 /// Direction of a motion.
 enum Direction {
@@ -152,28 +142,21 @@ impl Backlash {
         let room = half.leading_zeros() - 2;
         let fraction = if room > FRACTION { FRACTION } else { room };
         let period = if period_us < 50 { 50 } else { period_us as u64 };
-        let shift_us = match axis.drive {
-            Drive::Torque { .. } => TORQUE_SHIFT_US,
-            Drive::Steps { .. } => STEP_SHIFT_US,
-        };
-        let per_second = Factor::of(1_000_000).over(Factor::of(period));
         Self {
             kind: axis.kind,
             half,
             table: Table::new(axis),
             hysteresis: saturate(2 * half as i64),
-            approach: (approach(period_us, shift_us) >> 1) as i32,
-            rate: per_second.shifted(-(fraction as i32)).scale(),
-            acceleration: per_second
-                .times(per_second)
-                .shifted(-(fraction as i32) - 8)
+            approach: (approach(period_us, SHIFT_US) >> 1) as i32,
+            rate: Factor::of(1_000_000)
+                .over(Factor::of(period))
+                .shifted(-(fraction as i32))
                 .scale(),
             fraction,
             rounding: (1 << fraction) >> 1,
             goal: 0,
             first: 0,
             second: 0,
-            change: 0,
             settled: true,
             slide: Coordinate(0),
             anchor: Coordinate(0),
@@ -209,7 +192,6 @@ impl Backlash {
         self.goal = ahead << self.fraction;
         self.first = self.goal;
         self.second = self.goal;
-        self.change = 0;
         self.settled = true;
     }
 
@@ -229,19 +211,19 @@ impl Backlash {
         self.table.at(coordinate).unwrap_or(self.half)
     }
 
-    /// Returns the shift of the commanded motion for the next period, from the commanded
-    /// coordinate and rate of the slide.
+    /// Returns the shift of the commanded coordinate and rate for the next period, from the
+    /// commanded coordinate and rate of the slide.
     #[inline]
-    pub fn shift(&mut self, coordinate: Coordinate, rate: Rate) -> JointCommand {
-        let mut shift = JointCommand::default();
+    pub fn shift(&mut self, coordinate: Coordinate, rate: Rate) -> (Coordinate, Rate) {
         if self.half == 0 {
-            return shift;
+            return (Coordinate(0), Rate(0));
         }
         let goal = match self.direction(coordinate, rate) {
             Direction::Up => self.half_at(coordinate) << self.fraction,
             Direction::Down => (self.half_at(coordinate) << self.fraction).wrapping_neg(),
             Direction::None => self.goal,
         };
+        let mut rate = Rate(0);
         if goal != self.goal || !self.settled {
             self.goal = goal;
             // All three are within +-2^30, so differences fit into 32 bits.
@@ -250,14 +232,13 @@ impl Backlash {
             let change = self.part(self.first.wrapping_sub(self.second));
             self.second = self.second.wrapping_add(change);
             self.settled = first == 0 && change == 0;
-            shift.rate = Rate(self.rate.apply(change));
-            let bend = change.wrapping_sub(self.change);
-            shift.acceleration = Acceleration(self.acceleration.apply(bend));
-            self.change = change;
+            rate = Rate(self.rate.apply(change));
         }
-        let rounded = self.second.wrapping_add(self.rounding);
-        shift.coordinate = Coordinate(rounded.wrapping_shr(self.fraction));
-        shift
+        let shift = self
+            .second
+            .wrapping_add(self.rounding)
+            .wrapping_shr(self.fraction);
+        (Coordinate(shift), rate)
     }
 
     /// Direction of the commanded motion.

@@ -24,6 +24,9 @@ use haptimill_math::{Coordinate, Rate};
 /// integrator in more than a day at an error of one encoder count.
 pub const FRACTION: u32 = 20;
 
+/// Half a unit of the sum.
+const HALF: i64 = 1 << (FRACTION - 1);
+
 /// Widest dead band at rest, in multiples of the narrow one: 24 counts.
 const WIDEST: u32 = 16;
 
@@ -112,16 +115,16 @@ impl Disturbance {
         self.friction = 0;
     }
 
-    /// The integrator, without its additional bits.
+    /// The integrator, rounded to units of the sum.
     #[inline]
     pub const fn integral(&self) -> i32 {
-        (self.integral >> FRACTION) as i32
+        ((self.integral + HALF) >> FRACTION) as i32
     }
 
-    /// Friction beyond the configured one, without the additional bits.
+    /// Friction beyond the configured one, rounded to units of the sum.
     #[inline]
     pub const fn friction(&self) -> i32 {
-        (self.friction >> FRACTION) as i32
+        ((self.friction + HALF) >> FRACTION) as i32
     }
 
     /// Takes the error of a period at a commanded rate. `saturated`: the output is at its limit and

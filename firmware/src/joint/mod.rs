@@ -526,12 +526,11 @@ impl JointDrive {
             *command = DriveCommand::Off;
             return false;
         }
-        let shift = self.backlash.shift(coordinate, rate);
+        let (shift, shift_rate) = self.backlash.shift(coordinate, rate);
         // The motor's rate includes the crossing of the backlash: friction reverses when the motor
         // sets off, before the slide does.
-        let rate = Rate(rate.0.saturating_add(shift.rate.0));
-        let acceleration = Acceleration(acceleration.0.saturating_add(shift.acceleration.0));
-        let target = sum(self.kind, coordinate, shift.coordinate);
+        let rate = Rate(rate.0.saturating_add(shift_rate.0));
+        let target = sum(self.kind, coordinate, shift);
         let following_error = difference(self.kind, target, self.measurement.motor);
         let servo_output = &mut self.servo_output;
         servo_output.following_error = following_error;
