@@ -88,7 +88,7 @@ fn setpoints_keep_their_bits() {
     assert_eq!(
         digests("Q0"),
         [
-            "h4 2700 8a057bf15319c5c2",
+            "h4 2700 3ce44aa5a1aed6e9",
             "mill3-servo 2527 ddd00c836d131a7f",
             "trunnion5 2536 ea29ab3d17d9efe5",
             "delta3 2675 6216765a108b5c6a",
