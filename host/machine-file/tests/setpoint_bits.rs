@@ -98,7 +98,7 @@ fn setpoints_keep_their_bits() {
     assert_eq!(
         digests(""),
         [
-            "h4 1459 68d98ad436ab7e9a",
+            "h4 1475 b57c659480462a5e",
             "mill3-servo 1373 cf754c9a8e321038",
             "trunnion5 1376 03517ffe96a0dd09",
             "delta3 1762 8ef9f9fdd8d380d2",
