@@ -131,7 +131,8 @@ pub struct Inputs {
 /// Pulses of one period on a step/direction drive, in ticks of the step clock.
 ///
 /// Step `k` (from 0) leaves at `delay + k * interval + ramp * k * (k - 1) / 2` ticks after the
-/// start of the period. All steps of a segment have one direction.
+/// start of the period. All steps of a segment have one direction. Each pulse begins in the period;
+/// the last one may end in the next period.
 ///
 /// The direction line changes only at the start of a period that has steps. It keeps its level in
 /// a period without steps and while the drive is [off](DriveCommand::Off). The step generator

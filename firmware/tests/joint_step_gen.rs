@@ -49,8 +49,8 @@ impl Checker {
                 + k * i64::from(segment.interval)
                 + i64::from(segment.ramp) * (k * (k - 1) / 2);
             assert!(
-                within >= 0 && within + pulse <= i64::from(timing.period),
-                "pulse {k} of {segment:?} leaves the period"
+                within >= 0 && within < i64::from(timing.period),
+                "pulse {k} of {segment:?} begins outside the period"
             );
             let time = start + within;
             if let Some(&(last, _)) = self.pulses.last() {
@@ -158,25 +158,21 @@ proptest! {
             checker.take(&planned, &timing);
             prop_assert!(!planned.ceiling);
         }
-        let ticks_per_step = f64::from(timing.period) / per_period;
+        let period = f64::from(timing.period);
+        let ticks_per_step = period / per_period;
         // Targets are rounded to axis units, and so is the distance of a period.
-        let rounding = 1.5 * f64::from(timing.period) / units;
-        let strict = 1.0 + per_period.ceil() / 2.0 + rounding;
-        // In a period whose last crossing is too near its end, pulses are moved by up to their
-        // width, and the interval is rounded down.
-        let loose = 2.0 + per_period.ceil() + f64::from(timing.pulse) + rounding;
+        let rounding = 1.5 * period / units;
+        let n = per_period.ceil();
         // In the first period the rate comes from rest, which is a bend; the first pulse waits for
         // the direction.
         for (k, &(time, _)) in checker.pulses.iter().enumerate() {
-            let period = time / i64::from(timing.period);
-            if period > 0 && k > 0 {
+            if time >= i64::from(timing.period) && k > 0 {
                 let ideal = (k as f64 + 0.5) * ticks_per_step;
-                let end = (period + 1) as f64 * f64::from(timing.period);
-                // Rounding can bring the first crossing of the next period into this one.
-                let last =
-                    (((end + strict) / ticks_per_step - 0.5).floor() + 0.5) * ticks_per_step;
-                let crowded = end - last < f64::from(timing.pulse) + strict;
-                let bound = if crowded { loose } else { strict };
+                // Pulses of an interval that is rounded up may not leave the period.
+                let end = ((ideal / period).floor() + 1.0) * period;
+                let last = ((end / ticks_per_step - 0.5).floor() + 0.5) * ticks_per_step;
+                let share = if end - last < 1.0 + n / 2.0 + rounding { n } else { n / 2.0 };
+                let bound = 1.0 + share + rounding;
                 prop_assert!((time as f64 - ideal).abs() <= bound, "pulse {k}: {time}, ideal {ideal}, bound {bound}");
             }
         }

@@ -8,15 +8,16 @@
 //! is compared with the position, not accumulated, so it cannot drift.
 //!
 //! The timing of the drive has priority over the ideal times. Pulse width, the time between two
-//! pulses, direction setup and hold are kept within and across periods, and a pulse ends in the
-//! period in which it began. A pulse is moved by less than its own width for that, or waits after a
-//! reversal. Steps that do not fit are emitted in the following periods and are reported as lag.
+//! pulses, direction setup and hold are kept within and across periods. A pulse begins in the
+//! period of its crossing and may end in the next one. Where pulses are too dense they are moved,
+//! and after a reversal they wait. Steps that do not fit are emitted in the following periods and
+//! are reported as lag.
 //!
 //! Without such a conflict, pulse k of n is within `1 + n/2` ticks of its ideal time at a constant
-//! rate. In a period whose last crossing is within a pulse width of its end, it is within `2 + n`
-//! ticks and a pulse width. While the rate changes, the rounding of `ramp` to whole ticks adds up
-//! to n^2/16 ticks, and the second-order inverse of the parabola adds up to (change of rate /
-//! rate)^2 / 8 of a period.
+//! rate, and within `1 + n` ticks where the last crossing is within `1 + n/2` ticks of the end of
+//! the period. While the rate changes, the rounding of `ramp` to whole ticks adds up to n^2/16
+//! ticks, and the second-order inverse of the parabola adds up to (change of rate / rate)^2 / 8 of
+//! a period.
 //!
 //! Callers must limit the commanded rate. A commanded position that jumps is executed at the
 //! highest pulse rate of the timing, which a motor cannot follow.
@@ -235,7 +236,7 @@ impl StepPlanner {
         } else {
             self.ready
         };
-        let latest = self.timing.period.saturating_sub(pulse);
+        let latest = self.timing.period.saturating_sub(1);
         let room = latest.checked_sub(earliest)? / gap + 1;
         let count = u32::try_from(due.unsigned_abs())
             .unwrap_or(u32::MAX)

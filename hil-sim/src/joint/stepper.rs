@@ -6,8 +6,8 @@
 //! position. Steps are therefore lost in multiples of an electrical turn, and the drive does not
 //! detect it.
 //!
-//! Pulses are checked against the drive's data sheet: width, pause, direction set-up and hold, and
-//! end within their period. A pulse that violates the data sheet is emitted and counted, but the
+//! Pulses are checked against the drive's data sheet: width, pause, direction set-up and hold. Each
+//! pulse must begin within its period. A pulse that violates the data sheet is emitted and counted, but the
 //! drive ignores it. This is the worse of the two possible reactions of a drive.
 //!
 //! Times within a period are in ticks of the board's step clock.
@@ -27,7 +27,7 @@ pub enum PulseProblem {
     Setup,
     /// The direction changed too soon after a pulse.
     Hold,
-    /// The pulse would end after the period; such a pulse is not emitted.
+    /// The pulse would begin after the period; such a pulse is not emitted.
     BeyondPeriod,
 }
 
@@ -207,7 +207,7 @@ impl Stepper {
             let leaves = i64::from(self.segment.delay)
                 + k * i64::from(self.segment.interval)
                 + i64::from(self.segment.ramp) * k * (k - 1) / 2;
-            if leaves >= tick || leaves as f64 + self.width_ticks > self.period_ticks as f64 {
+            if leaves >= tick.min(self.period_ticks) {
                 break;
             }
             self.next += 1;

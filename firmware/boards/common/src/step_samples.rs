@@ -10,8 +10,8 @@
 //! after the other, so the error does not add up. A pulse whose width is a number of slots has
 //! exactly this width, and the pause after it is at least as long.
 //!
-//! A pulse may end with the period. Its line then falls in the first slot of the next one, in which
-//! the words of [`idle`] let all step lines fall.
+//! A pulse may end in the next period: [`StepSamples::add`] lets its line fall there. In a missed
+//! period, whose words are those of [`missed`], it ends in the middle of the period.
 
 use haptimill_firmware::io::StepSegment;
 
@@ -56,15 +56,24 @@ impl Lines {
     }
 }
 
-/// Words of a period without steps. They end the pulses of the period before.
+/// Word that lets the step lines of all joints fall.
 #[must_use]
-pub const fn idle(lines: &[Lines]) -> Samples {
-    let mut samples = [0; SLOTS];
+pub const fn fall(lines: &[Lines]) -> u32 {
+    let mut word = 0;
     let mut joint = 0;
     while joint < lines.len() {
-        samples[0] |= lines[joint].fall();
+        word |= lines[joint].fall();
         joint += 1;
     }
+    word
+}
+
+/// Words of a missed period, which has no steps. A pulse of the period before is over in the middle
+/// of the period, as two pulse widths fit into a period.
+#[must_use]
+pub const fn missed(lines: &[Lines]) -> Samples {
+    let mut samples = [0; SLOTS];
+    samples[SLOTS / 2] = fall(lines);
     samples
 }
 
@@ -78,6 +87,8 @@ pub struct StepSamples {
     width: u32,
     /// First slot of the next period in which the line may rise.
     ready: u32,
+    /// Slot of the next period in which the line is low: a pulse that is not over falls there.
+    low: u32,
 }
 
 impl StepSamples {
@@ -89,6 +100,17 @@ impl StepSamples {
             ticks: if ticks == 0 { 1 } else { ticks },
             width: if width == 0 { 1 } else { width },
             ready: 0,
+            low: 0,
+        }
+    }
+
+    /// The same lines with pulses of another width, at least 1 slot, from the next period on.
+    #[must_use]
+    pub const fn with_width(self, width: u32) -> Self {
+        let other = Self::new(self.lines, self.ticks, width);
+        Self {
+            width: other.width,
+            ..self
         }
     }
 
@@ -98,15 +120,21 @@ impl StepSamples {
         self.width
     }
 
-    /// Adds the steps of a segment to words that begin with those of [`idle`]. Requires of the
-    /// segment what [`StepSegment`] promises for a pulse of the width of this encoder.
+    /// Adds the steps of a segment to words that have none of this joint, and the end of a pulse of
+    /// the period before. Requires of the segment what [`StepSegment`] promises for a pulse of the
+    /// width of this encoder.
     ///
     /// # Errors
-    /// [`Unfit`]; then nothing was added.
+    /// [`Unfit`]; then no step was added.
     pub fn add(&mut self, segment: &StepSegment, samples: &mut Samples) -> Result<(), Unfit> {
+        if let Some(word) = samples.get_mut(self.low as usize) {
+            *word |= self.lines.fall();
+        }
+        let (ready, slots) = (self.ready, SLOTS as u32);
+        self.low = self.low.saturating_sub(slots);
+        self.ready = ready.saturating_sub(slots);
         let count = i64::from(segment.count.unsigned_abs());
         if count == 0 {
-            self.ready = self.ready.saturating_sub(SLOTS as u32);
             return Ok(());
         }
         let (delay, ticks) = (i64::from(segment.delay), i64::from(self.ticks));
@@ -116,10 +144,10 @@ impl StepSamples {
         let shortest = interval.min(interval + ramp * (gaps - 1).max(0));
         let last = delay + interval * gaps + ramp * (gaps * (gaps - 1) / 2);
         let pulse = i64::from(self.width) * ticks;
-        if delay < i64::from(self.ready) * ticks
+        if delay < i64::from(ready) * ticks
             || gaps > 0 && shortest < 2 * pulse
             || last < delay
-            || last + pulse > SLOTS as i64 * ticks
+            || last >= SLOTS as i64 * ticks
         {
             return Err(Unfit);
         }
@@ -141,7 +169,8 @@ impl StepSamples {
             time = time.wrapping_add(interval);
             interval = interval.wrapping_add_signed(segment.ramp);
         }
-        self.ready = (slot + 2 * self.width).saturating_sub(SLOTS as u32);
+        self.low = (slot + self.width).saturating_sub(slots);
+        self.ready = (slot + 2 * self.width).saturating_sub(slots);
         Ok(())
     }
 }

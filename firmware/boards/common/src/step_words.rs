@@ -1,8 +1,9 @@
 //! Words for a step generator in a programmable I/O block (PIO of the RP2350), fed by DMA.
 //!
-//! A word is a wait, and the pulse at its end if there is one. In each control period the words of
-//! a joint add up to exactly the period. The state machines therefore need no signal at the start
-//! of a period, and the times of all pulses have one constant offset to the controller's.
+//! A word is a wait, and the pulse at its end if there is one. The words of a joint add up to the
+//! control periods: what a word lasts beyond its period is missing from the first word of the next
+//! one. The state machines therefore need no signal at the start of a period, and the times of all
+//! pulses have one constant offset to the controller's.
 //!
 //! | bits | |
 //! | --- | --- |
@@ -126,6 +127,12 @@ impl StepWords {
         self.width as u16
     }
 
+    /// Ticks into the next period at which its first word begins; negative before it.
+    #[must_use]
+    pub const fn begins(&self) -> i32 {
+        -self.early
+    }
+
     /// A word that only waits, at least [`LEAST`] ticks.
     #[must_use]
     pub const fn wait(&self, ticks: u32) -> u32 {
@@ -165,13 +172,10 @@ impl StepWords {
             if up != self.up {
                 // Until the direction may change; the pulses are as late.
                 let least = LEAST as i32;
-                words[0] = self.wait((least - start).unsigned_abs());
+                let wait = least - start.min(0);
+                words[0] = self.wait(wait.unsigned_abs());
                 used = 1;
-                start = if least - start < least {
-                    start + least
-                } else {
-                    least
-                };
+                start += wait;
                 self.up = up;
             }
             let at = i32::try_from(segment.delay).map_err(|_| Unfit)?;
@@ -183,11 +187,9 @@ impl StepWords {
             let second = i64::from(segment.interval) - pulse;
             let last = second + ramp * (gaps - 1).max(0);
             let least = if gaps > 0 { second.min(last) } else { 0 };
-            let end = i64::from(at)
-                + i64::from(segment.interval) * gaps
-                + ramp * (gaps * (gaps - 1) / 2)
-                + pulse;
-            if first < 0 || least < 0 || end > i64::from(self.period + LEAST as i32) {
+            let rises =
+                i64::from(at) + i64::from(segment.interval) * gaps + ramp * (gaps * (gaps - 1) / 2);
+            if first < 0 || least < 0 || rises >= i64::from(self.period) {
                 return Err(Unfit);
             }
             let flags = 0b10 | u32::from(up);
@@ -210,7 +212,7 @@ impl StepWords {
                 last.iter_mut().for_each(put);
             }
             used += count;
-            start = end as i32;
+            start = (rises + pulse) as i32;
         }
         let rest = self.period - start;
         if rest >= LEAST as i32 {

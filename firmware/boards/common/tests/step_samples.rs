@@ -1,7 +1,7 @@
 //! Samples of step and direction lines: a port that obeys them, against the times of the segments.
 
 use haptimill_board_common::step_samples::{
-    Lines, SLOTS, Samples, StepSamples, Unfit, idle, rises,
+    Lines, SLOTS, Samples, StepSamples, Unfit, missed, rises,
 };
 use haptimill_firmware::config::AxisKind;
 use haptimill_firmware::io::StepSegment;
@@ -13,6 +13,9 @@ use proptest::test_runner::RngSeed;
 /// Ticks of the step clock in a slot: 84 MHz, slots of 0.5 us.
 const TICKS: u32 = 42;
 const PERIOD: u32 = TICKS * SLOTS as u32;
+
+/// Words of a period in which no line changes.
+const NONE: Samples = [0; SLOTS];
 
 const LINES: [Lines; 3] = [
     Lines {
@@ -152,7 +155,7 @@ proptest! {
         let mut at = [0_i32; 3];
         for (speeds, periods) in moves {
             for _ in 0..periods {
-                let mut samples = idle(&LINES);
+                let mut samples = NONE;
                 for joint in 0..3 {
                     at[joint] += speeds[joint];
                     let rate = Rate(speeds[joint].saturating_mul(5000));
@@ -166,7 +169,11 @@ proptest! {
                 port.obey(&samples);
             }
         }
-        port.obey(&idle(&LINES));
+        let mut last = NONE;
+        for encoder in &mut encoders {
+            prop_assert_eq!(encoder.add(&StepSegment::default(), &mut last), Ok(()));
+        }
+        port.obey(&last);
         for joint in 0..3 {
             compare(&port, LINES[joint], width, setup, hold, &plans[joint]);
         }
@@ -183,64 +190,91 @@ proptest! {
         ramp in -40_i32..40,
     ) {
         let segment = StepSegment { count, delay, interval, ramp };
-        let mut samples = idle(&LINES);
+        let mut samples = NONE;
         let mut encoder = StepSamples::new(LINES[0], TICKS, width);
         let pulse = i64::from(width * TICKS);
         let all: Vec<i64> = times(&segment).collect();
         let fits = all.windows(2).all(|pair| pair[1] - pair[0] >= 2 * pulse)
-            && all.last().is_none_or(|last| last + pulse <= i64::from(PERIOD));
+            && all.last().is_none_or(|last| *last < i64::from(PERIOD));
         let result = encoder.add(&segment, &mut samples);
         prop_assert_eq!(result.is_ok(), fits, "{:?}", segment);
         if fits {
             let mut port = Port::default();
             port.obey(&samples);
-            port.obey(&idle(&LINES));
+            let mut after = NONE;
+            prop_assert_eq!(encoder.add(&StepSegment::default(), &mut after), Ok(()));
+            port.obey(&after);
             compare(&port, LINES[0], width, 0, 0, &[segment]);
         } else {
-            prop_assert_eq!(samples, idle(&LINES));
+            // The line of a joint without a pulse is low, and may be set so.
+            samples[0] &= !LINES[0].fall();
+            prop_assert_eq!(samples, NONE);
         }
     }
 }
 
 #[test]
 fn a_step_too_soon_after_the_period_before_is_refused() {
-    let mut encoder = StepSamples::new(LINES[0], TICKS, 5);
-    let late = StepSegment {
-        count: 1,
-        delay: PERIOD - 5 * TICKS,
-        ..StepSegment::default()
-    };
-    let soon = |slots: u32| StepSegment {
+    let at = |slots: u32| StepSegment {
         count: 1,
         delay: slots * TICKS,
         ..StepSegment::default()
     };
-    assert_eq!(encoder.add(&late, &mut idle(&LINES)), Ok(()));
-    let mut again = encoder.clone();
-    assert_eq!(again.add(&soon(4), &mut idle(&LINES)), Err(Unfit));
-    assert_eq!(again.add(&soon(5), &mut idle(&LINES)), Ok(()));
-    // A period without steps is time enough.
-    assert_eq!(
-        encoder.add(&StepSegment::default(), &mut idle(&LINES)),
-        Ok(())
-    );
-    assert_eq!(encoder.add(&soon(0), &mut idle(&LINES)), Ok(()));
+    for begins in [395, 397, 399] {
+        let mut encoder = StepSamples::new(LINES[0], TICKS, 5);
+        assert_eq!(encoder.add(&at(begins), &mut [0; SLOTS]), Ok(()));
+        let ready = begins + 10 - 400;
+        let (mut again, mut refused) = (encoder.clone(), encoder.clone());
+        assert_eq!(
+            refused.add(&at(ready - 1), &mut [0; SLOTS]),
+            Err(Unfit),
+            "{begins}"
+        );
+        assert_eq!(again.add(&at(ready), &mut [0; SLOTS]), Ok(()), "{begins}");
+        // A period without steps is time enough.
+        for delay in [None, Some(0)] {
+            let segment = delay.map_or(StepSegment::default(), at);
+            assert_eq!(encoder.add(&segment, &mut [0; SLOTS]), Ok(()));
+        }
+    }
 }
 
+/// A pulse that the end of its period cuts has its whole width: before a period with steps, before
+/// one without, before a refused segment and before another width. A missed period makes it longer.
 #[test]
-fn a_missed_period_ends_the_pulse_and_has_no_steps() {
-    let mut samples = idle(&LINES);
-    let mut encoder = StepSamples::new(LINES[1], TICKS, 5);
-    let segment = StepSegment {
-        count: -1,
-        delay: PERIOD - 5 * TICKS,
+fn a_pulse_ends_in_the_next_period() {
+    let step = |slot: u32| StepSegment {
+        count: 1,
+        delay: slot * TICKS,
         ..StepSegment::default()
     };
-    assert_eq!(encoder.add(&segment, &mut samples), Ok(()));
-    let mut port = Port::default();
-    port.obey(&samples);
-    assert_eq!(port.levels >> LINES[1].step & 1, 1);
-    port.obey(&idle(&LINES));
-    assert_eq!(port.of(LINES[1].step, false), [SLOTS as u64]);
-    assert_eq!(port.of(LINES[1].step, true), [SLOTS as u64 - 5]);
+    let too_soon = step(1);
+    for begins in 390..400 {
+        for next in [StepSegment::default(), step(20), too_soon] {
+            let mut encoder = StepSamples::new(LINES[1], TICKS, 8);
+            let (mut first, mut second) = (NONE, NONE);
+            assert_eq!(encoder.add(&step(begins), &mut first), Ok(()));
+            assert_eq!(encoder.add(&next, &mut second).is_err(), next == too_soon);
+            let mut other = StepSamples::new(LINES[1], TICKS, 8);
+            let mut wider = NONE;
+            assert_eq!(other.add(&step(begins), &mut [0; SLOTS]), Ok(()));
+            let mut other = other.with_width(10);
+            assert_eq!(other.add(&StepSegment::default(), &mut wider), Ok(()));
+            for after in [&second, &wider] {
+                let mut port = Port::default();
+                port.obey(&first);
+                port.obey(after);
+                let begins = u64::from(begins);
+                assert_eq!(port.of(LINES[1].step, true)[0], begins);
+                assert_eq!(port.of(LINES[1].step, false)[0], begins + 8);
+            }
+            let mut port = Port::default();
+            port.obey(&first);
+            port.obey(&missed(&LINES));
+            let rose = port.of(LINES[1].step, true);
+            let fell = port.of(LINES[1].step, false);
+            assert_eq!((rose.len(), fell.len()), (1, 1));
+            assert!((8..=210).contains(&(fell[0] - rose[0])));
+        }
+    }
 }

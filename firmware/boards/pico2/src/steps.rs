@@ -67,6 +67,8 @@ pub struct Batch {
     /// Word of each joint that only waits for a period.
     gaps: [u32; JOINTS],
     widths: [u16; JOINTS],
+    /// Ticks into the next period at which the words of its batch begin; negative before it.
+    next_begins: [i16; JOINTS],
     /// Joints whose steps did not fit, one bit each.
     unfit: u8,
 }
@@ -111,6 +113,7 @@ impl Filler {
             steps: [0; JOINTS],
             gaps: [0; JOINTS],
             widths: *widths,
+            next_begins: [0; JOINTS],
             unfit: 0,
         };
         // SAFETY: see `Words`.
@@ -137,6 +140,8 @@ impl Filler {
                 }
             }
             batch.gaps[joint] = encoder.wait(PERIOD_TICKS);
+            // At most the width of a pulse, which is below half a period.
+            batch.next_begins[joint] = encoder.begins() as i16;
         }
         batch
     }
@@ -177,6 +182,8 @@ enum State {
 pub struct Engine {
     state: State,
     widths: [u16; JOINTS],
+    /// Of the last batch.
+    next_begins: [i16; JOINTS],
     /// Words of this period and the one before.
     handed_over: [HandedOver; 2],
     emitted: [i32; JOINTS],
@@ -196,6 +203,7 @@ impl Engine {
         let mut engine = Self {
             state: State::Running,
             widths: [LEAST_WIDTH; JOINTS],
+            next_begins: [0; JOINTS],
             handed_over: [NOTHING; 2],
             emitted: [0; JOINTS],
             lost: 0,
@@ -245,6 +253,9 @@ impl Engine {
                 self.emitted[joint] = self.emitted[joint].wrapping_add(before.steps[joint].into());
             }
         }
+        if let Some(batch) = &batch {
+            self.next_begins = batch.next_begins;
+        }
         match self.state {
             State::Running if (0..JOINTS).any(has_stopped) => {
                 self.stop();
@@ -253,6 +264,10 @@ impl Engine {
             State::Running => match batch {
                 Some(batch) if batch.widths != self.widths || late > TOO_LATE => {
                     self.lose(&batch);
+                    // The restart ends the last pulses of the period before.
+                    if let Some(before) = self.handed_over[0].batch {
+                        self.lose(&before);
+                    }
                     self.widths = batch.widths;
                     self.restart();
                     self.handed_over = [NOTHING; 2];
@@ -389,12 +404,12 @@ impl Engine {
             // SAFETY: only this module uses the gaps, and no DMA reads them now.
             unsafe { (*WORDS.gaps.get())[joint] = (PERIOD_TICKS - 3) << 2 };
         }
-        // The first word lasts to the start of the next period.
-        let left = read(SYSTICK, 0x8) + LEAD;
-        let first = (left / CYCLES_PER_TICK).saturating_sub(3) << 2;
+        // The first word lasts to the start of the words of the next period.
+        let left = (read(SYSTICK, 0x8) + LEAD) / CYCLES_PER_TICK;
         for joint in 0..JOINTS {
             let (block, machine) = place(joint);
-            write(PIO[block], 0x10 + 4 * machine, first);
+            let ticks = left.saturating_add_signed(self.next_begins[joint].into());
+            write(PIO[block], 0x10 + 4 * machine, ticks.saturating_sub(3) << 2);
         }
         // All state machines of both blocks in the same cycle.
         let second = (1 << (JOINTS - 4)) - 1;

@@ -25,7 +25,7 @@ use crate::registers::timer::{
 };
 use crate::registers::{DMA2, TIM1, TIM8, read, wait, write};
 use core::cell::UnsafeCell;
-use haptimill_board_common::step_samples::{SLOTS, Samples, StepSamples, idle, rises};
+use haptimill_board_common::step_samples::{SLOTS, Samples, StepSamples, fall, missed, rises};
 use haptimill_firmware::config::Drive;
 use haptimill_firmware::io::{DriveCommand, Outputs, StepSegment};
 use haptimill_firmware::machine::Machine;
@@ -76,8 +76,8 @@ unsafe impl Sync for Words {}
 
 static WORDS: Words = Words(UnsafeCell::new([[0; SLOTS]; BUFFERS]));
 
-/// Words of a period without steps, in the flash.
-static IDLE: Samples = idle(&STEP_LINES);
+/// Words of a missed period, in the flash.
+static MISSED: Samples = missed(&STEP_LINES);
 
 /// Words of a control period.
 #[derive(Clone, Copy)]
@@ -121,11 +121,11 @@ impl Filler {
         };
         // SAFETY: see `Words`.
         let samples = unsafe { &mut (*WORDS.0.get())[buffer] };
-        *samples = IDLE;
+        *samples = [0; SLOTS];
         for joint in 0..JOINTS {
             let encoder = &mut self.encoders[joint];
             if encoder.width() != widths[joint] {
-                *encoder = StepSamples::new(STEP_LINES[joint], SLOT_TICKS, widths[joint]);
+                *encoder = encoder.clone().with_width(widths[joint]);
             }
             let segment = match outputs.joints[joint] {
                 DriveCommand::Steps(segment) => segment,
@@ -288,7 +288,7 @@ impl Engine {
     /// Names the words that are next.
     fn hand_over(&mut self, batch: Option<Batch>) {
         self.second = read(DMA2, STREAM) & SECOND != 0;
-        let samples = batch.as_ref().map_or(&IDLE, Batch::samples);
+        let samples = batch.as_ref().map_or(&MISSED, Batch::samples);
         // The source that the DMA does not read now.
         write(DMA2, SOURCES[usize::from(!self.second)], address(samples));
         self.handed_over = [batch, self.handed_over[0]];
@@ -344,7 +344,7 @@ impl Engine {
         write(DMA2, LEFT, SLOTS as u32);
         write(DMA2, DESTINATION, (STEP_PORT + SET_RESET) as u32);
         for source in SOURCES {
-            write(DMA2, source, address(&IDLE));
+            write(DMA2, source, address(&MISSED));
         }
         // No FIFO: a word is read one slot before it is written.
         write(DMA2, FIFO, 0);
@@ -366,7 +366,7 @@ pub fn halt() {
     write(TIM8, CONTROL, 0);
     write(TIM8, ENABLES, 0);
     write(DMA2, STREAM, 0);
-    write(STEP_PORT, SET_RESET, IDLE[0]);
+    write(STEP_PORT, SET_RESET, fall(&STEP_LINES));
 }
 
 /// Address of words for the DMA.
