@@ -244,7 +244,7 @@ fn lost_motion_depends_on_the_place() {
             rate: Rate((direction * MM) as i32),
             acceleration: Acceleration(0),
         };
-        // 100 ms: the shift is complete after 19 ms.
+        // 100 ms: the shift is complete after 12 ms.
         let last = (0..500).map(|_| drive_to(&mut joint, &command)).last();
         let shift = f64::from(last.unwrap().following_error.0) / MM - at;
         let expected = direction * half_mm(at);

@@ -233,6 +233,46 @@ fn stuck_encoder_is_detected_a_static_load_is_not() {
     assert!(off < 0.06, "{off} mm");
 }
 
+/// The effort that accelerates a motor across the lost motion is no friction: a dead encoder is
+/// found as soon as without a crossing before.
+#[test]
+fn the_effort_of_a_crossing_does_not_hide_a_dead_encoder() {
+    let (axis, seen) = slide();
+    let found_at = |crossing: f64| {
+        let mut monitor = JointMonitor::default();
+        for period in 0..200 {
+            let place = Coordinate(seen.commanded.0 + period * mm(2e-3));
+            let seen = JointSample {
+                commanded: place,
+                measured: place,
+                commanded_rate: Rate(mm(10.0)),
+                effort: newtons(20.0 + crossing),
+                crossing: newtons(crossing),
+                ..seen
+            };
+            assert_eq!(look(&mut monitor, &axis, &seen, 1), None);
+        }
+        let from = seen.commanded.0 + 199 * mm(2e-3);
+        (0..10_000).find_map(|period| {
+            let off = f64::from(period) * 4e-5;
+            let seen = JointSample {
+                commanded: Coordinate(from + mm(off)),
+                measured: Coordinate(from),
+                commanded_rate: Rate(mm(0.2)),
+                effort: newtons(20.0 + off * 1600.0),
+                ..seen
+            };
+            look(&mut monitor, &axis, &seen, 1).map(|fault| (fault, off))
+        })
+    };
+    let without = found_at(0.0);
+    assert!(
+        matches!(without, Some((Fault::EncoderStuck { joint: 2 }, _))),
+        "{without:?}"
+    );
+    assert_eq!(found_at(120.0), without);
+}
+
 #[test]
 fn illegal_transitions_and_lost_steps_have_limits() {
     let (mut axis, seen) = slide();
@@ -307,6 +347,7 @@ proptest! {
                 rate: Rate(sight[3]),
                 moved: sight[6],
                 effort: Effort(sight[4]),
+                crossing: Effort(sight[3]),
                 illegal: 0,
                 step_error: Coordinate(sight[5]),
                 period_us,

@@ -96,6 +96,8 @@ pub struct ServoOutput {
     pub following_error: Coordinate,
     /// Commanded effort; zero on a step/dir axis.
     pub effort: Effort,
+    /// Part of the effort that accelerates the motor across the lost motion.
+    pub crossing: Effort,
     /// The effort was clamped at the drive's limit, or steps did not fit into the period.
     pub saturated: bool,
     /// Steps that did not fit and are still due.
@@ -445,6 +447,7 @@ impl JointDrive {
             measured: measurement.coordinate,
             moved: measurement.moved,
             effort: self.servo_output.effort,
+            crossing: self.servo_output.crossing,
             rate: if JointMonitor::pushes(axis, self.servo_output.effort) {
                 self.encoder.rate()
             } else {
@@ -526,11 +529,12 @@ impl JointDrive {
             *command = DriveCommand::Off;
             return false;
         }
-        let (shift, shift_rate) = self.backlash.shift(coordinate, rate);
+        let shift = self.backlash.shift(coordinate, rate);
         // The motor's rate includes the crossing of the backlash: friction reverses when the motor
         // sets off, before the slide does.
-        let rate = Rate(rate.0.saturating_add(shift_rate.0));
-        let target = sum(self.kind, coordinate, shift);
+        let rate = Rate(rate.0.saturating_add(shift.rate.0));
+        let acceleration = Acceleration(acceleration.0.saturating_add(shift.acceleration.0));
+        let target = sum(self.kind, coordinate, shift.coordinate);
         let following_error = difference(self.kind, target, self.measurement.motor);
         let servo_output = &mut self.servo_output;
         servo_output.following_error = following_error;
@@ -540,6 +544,7 @@ impl JointDrive {
                 let (code, clamped) = output.code(effort);
                 servo_output.command = DriveCommand::Torque(code);
                 servo_output.effort = effort;
+                servo_output.crossing = law.feedforward(shift.acceleration);
                 servo_output.saturated = cut | clamped;
                 *command = DriveCommand::Torque(code);
             }

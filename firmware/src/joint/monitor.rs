@@ -39,6 +39,8 @@ pub struct JointSample {
     pub moved: i32,
     /// Effort commanded in the previous period (torque drives).
     pub effort: Effort,
+    /// Part of that effort which accelerates the motor across the lost motion.
+    pub crossing: Effort,
     /// Illegal transitions since the joint was enabled.
     pub illegal: u16,
     /// Steps emitted minus encoder (step/dir drives).
@@ -359,11 +361,12 @@ impl JointMonitor {
     /// slide moves: 0.2 mm of commanded motion at 4 mm/s is a following error of 320 N and
     /// accelerates 40 kg to 150 mm/s. So the growth of the effort above what friction can hold is
     /// summed over time. The sum is an impulse that must have moved the joint. Its limit is the
-    /// momentum at 12.5/s times the following error limit (4 mm/s for 0.3 mm).
+    /// momentum at 10/s times the following error limit (3 mm/s for 0.3 mm).
     ///
     /// Growth is measured from the largest effort that motion needed recently, not from the effort
     /// at the last count: a slide with stick-slip needs little effort while it slips, and its
-    /// breakaway force again afterwards. Static loads are in both efforts and cancel. After a
+    /// breakaway force again afterwards. Static loads are in both efforts and cancel. The effort that
+    /// accelerates the motor across the lost motion is no friction and does not count. After a
     /// standstill or a reversal growth is measured from the same effort, or from twice the friction
     /// above the present effort if that is more. Friction is the compensated friction, and at least
     /// a 32nd of the drive's limit; growth up to that value is ignored.
@@ -382,7 +385,8 @@ impl JointMonitor {
             return None;
         };
         let direction = direction_of(sample.commanded_rate.0);
-        let along = sample.effort.0.saturating_mul(direction);
+        let effort = sample.effort.0.saturating_sub(sample.crossing.0);
+        let along = effort.saturating_mul(direction);
         let holds = friction(config, most.0.unsigned_abs()).min(1 << 28) as i32;
         let needed = self.last_count.map_or(0, |last_count| last_count.needed);
         let begun = LastCount {
@@ -429,7 +433,7 @@ impl JointMonitor {
         if last_count.impulse == 0 {
             return None;
         }
-        let rate = (magnitude(encoder.following) * 25 / 2) >> 8;
+        let rate = (magnitude(encoder.following) * 10) >> 8;
         let momentum = (i64::from(config.law.inertia) * rate) >> 20;
         // In effort units times microseconds: the quotient of the limit would cost a division.
         let impulse = product(last_count.impulse, i64::from(sample.period_us.max(1)));

@@ -153,6 +153,14 @@ impl ServoLaw {
         self.error_rate.shift(by.0);
     }
 
+    /// Part of the effort that a commanded acceleration causes.
+    #[must_use]
+    pub fn feedforward(&self, acceleration: Acceleration) -> Effort {
+        let effort = self.acceleration.apply(acceleration.0);
+        let effort = effort.wrapping_shr(self.fraction);
+        Effort(saturate(i64::from(effort) << self.lift))
+    }
+
     /// Returns the effort of a period and whether it was clamped at the limit.
     #[inline(always)]
     pub fn effort(

@@ -218,7 +218,7 @@ fn a_circle_at_20_mm_s_keeps_its_tolerance() {
 fn dome_streams_at_115200_baud_without_underrun() {
     let folder = TestFolder::new();
     let dome = job(&folder, "dome", "dome.ngc", &["--baud", "115200"]);
-    expect_small_errors(&dome, 0.009);
+    expect_small_errors(&dome, AIM_MM);
     assert!(number(&dome, "setpoints") > 2000.0);
     assert!(number(&dome, "angle_error_max_deg") < 0.05, "{dome:#}");
     assert!(number(&dome, "line_bytes_per_setpoint") <= 24.0, "{dome:#}");
