@@ -351,6 +351,9 @@ impl Wire {
 
     /// Replies whose first byte begins until now. Two at a time are noise.
     pub fn replies(&mut self, now: u64, bit: u64) -> Vec<u8> {
+        if self.replies.is_empty() {
+            return Vec::new();
+        }
         let due = self.replies.iter().filter(|(begin, _)| *begin <= now);
         let due: Vec<_> = due.copied().collect();
         self.replies.retain(|(begin, _)| *begin > now);
