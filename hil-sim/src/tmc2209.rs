@@ -1,8 +1,8 @@
 //! TMC2209 step drivers on one wire, byte by byte.
 //!
-//! Written from the data sheet (rev. 1.09), not from the driver in `firmware/drivers`: datagrams and
-//! their check, addresses, the delay of a reply, the counter of writes, the pauses after which a
-//! chip gives a datagram up, access and reset values of the registers, the latched flags, the
+//! Written from the data sheet, not from the driver in `firmware/drivers`: datagrams and their
+//! check, addresses, the delay of a reply, the counter of writes, the pauses after which a chip
+//! gives a datagram up, access and reset values of the registers, the latched flags, the
 //! temperature and the shorts. Motor, chopper and the electrical side of the wire are not modelled.
 
 /// Registers (data sheet 5): address, readable, writable, value after a reset.
@@ -178,7 +178,8 @@ impl Chip {
         }
     }
 
-    /// A phase of the motor is shorted to ground, or not any more. The chip sees it while it drives.
+    /// A phase of the motor is shorted to ground, or not any more. The chip sees it while it
+    /// drives.
     pub fn set_shorted(&mut self, shorted: bool) {
         self.shorted = shorted;
         self.set_enabled(self.enabled);
@@ -323,8 +324,8 @@ impl Wire {
         }
     }
 
-    /// The board has sent a byte, which ended at a time; a bit takes `bit` of it. The board receives
-    /// the byte, too: that is for the caller.
+    /// The board has sent a byte, which ended at a time; a bit takes `bit` of it. The board
+    /// receives the byte, too: that is for the caller.
     pub fn send(&mut self, byte: u8, end: u64, bit: u64) {
         self.sent += 1;
         let begin = end.saturating_sub(10 * bit);

@@ -1,5 +1,5 @@
-//! The chips of the drives on a simulated wire: what the keeper makes of them, against the registers
-//! of chips that follow the data sheet.
+//! The chips of the drives on a simulated wire: what the keeper makes of them, against the
+//! registers of chips that follow the data sheet.
 
 use embedded_hal_nb::serial::{ErrorKind, ErrorType, Read, Write};
 use haptimill_board_common::chips::{ATTEMPTS, Chips, Follower, INTERVAL_US};

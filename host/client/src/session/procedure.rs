@@ -81,8 +81,8 @@ impl<L: Line> Procedure<L> for StatusQuery {
     }
 }
 
-/// Longest wait for the chips of the drives, microseconds. The board sets four of them within 0.3 s,
-/// and tries a silent one again every 0.1 s or so.
+/// Longest wait for the chips of the drives, microseconds. The board sets four of them within 0.3
+/// s, and tries a silent one again every 0.1 s or so.
 const CHIPS_US: u64 = 1_000_000;
 
 /// Homes the machine.
