@@ -361,7 +361,9 @@ impl Config {
                     && u32::from(*pulse) * 2 + u32::from(*setup) + u32::from(*hold) < ticks;
                 // Lost steps show as a difference from the encoder.
                 let lost = (lost.0 > 0) == axis.encoder.is_some() && lost.0 >= 0;
-                let chip = tmc2209.is_none_or(|chip| self.is_sound_chip(&chip));
+                // Without its supply the chip loses its electrical angle.
+                let chip =
+                    tmc2209.is_none_or(|chip| !axis.keeps_position && self.is_sound_chip(&chip));
                 require(
                     steps && clock && is_consistent && lost && chip,
                     ConfigField::Drive,

@@ -384,6 +384,10 @@ fn read_step_drive(
         section.refuse(joint_drive::lost, what, "raise it");
     }
     let tmc2209 = tmc2209::read(section, steps);
+    if keeps_position && tmc2209.is_some() {
+        let what = "is true, and a TMC2209 loses its electrical angle with its supply";
+        section.refuse(joint_drive::keeps_position, what, "remove it");
+    }
     // Rounded up, because a shorter pulse may be lost.
     let in_ticks = |us: f64| to_u16((us * ticks).ceil());
     let drive = Drive::Steps {

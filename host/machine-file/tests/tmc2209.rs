@@ -135,6 +135,20 @@ fn problems_of_a_chip_are_named() {
     assert!(missing[0].contains("run_current_a: is missing"));
     let unknown = problems(&text.replacen("run_current_a", "run_current_ma", 1));
     assert_eq!(unknown.len(), 1, "{unknown:?}");
+    // Without power the chip loses what a joint needs that keeps its position.
+    let kept = text.replacen(
+        "direction = 1\n",
+        "direction = 1\nkeeps_position = true\n",
+        1,
+    );
+    let place = line("direction = 1\n") + 1;
+    assert_eq!(
+        problems(&kept),
+        [format!(
+            "bench.toml:{place}:18: joint[1].drive.keeps_position: is true, and a TMC2209 loses its \
+             electrical angle with its supply; remove it"
+        )]
+    );
     // A torque drive has no such chip.
     const MILL: &str = include_str!("../../../machines/h4.toml");
     let torque = MILL.replacen("\n[joint.law]", &format!("{}\n[joint.law]", chip(0)), 1);
