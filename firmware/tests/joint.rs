@@ -47,6 +47,7 @@ fn steps() -> Drive {
         setup: 360,
         hold: 360,
         lost: Coordinate((0.02 * MM) as i32),
+        tmc2209: None,
     }
 }
 
@@ -435,6 +436,7 @@ fn invalid_joint_configurations_are_refused() {
         setup,
         hold: 0,
         lost: Coordinate(1),
+        tmc2209: None,
     };
     assert_eq!(
         refused(&axis(step(1 << 23, 72, 100, 100), 0.0), 200),

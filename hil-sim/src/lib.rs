@@ -16,6 +16,7 @@
 //! * [`mod@line`]: the serial line; [`fault`], [`schedule`]: injected faults and their times.
 //! * [`rig`]: plant, controller and line in lockstep; [`io_log`]: all inputs and outputs of the
 //!   controller.
+//! * [`tmc2209`]: chips of step drives on one wire.
 
 pub mod check;
 pub mod config;
@@ -34,6 +35,7 @@ pub mod random;
 pub mod remote;
 pub mod rig;
 pub mod schedule;
+pub mod tmc2209;
 pub mod vector;
 
 pub use config::PlantConfig;

@@ -14,7 +14,7 @@
 //! These run when a board starts or in its main program, never in the control period: f32 is used
 //! here, and micromath's functions are approximate (each use states its error, and a test checks
 //! it). Bit positions and formulas are those of the data sheets of the chips. Only mocks of their
-//! buses were tried, no chip.
+//! buses were tried, and a model of the TMC2209, no chip.
 
 #![no_std]
 

@@ -1,12 +1,18 @@
 //! TMC2209, step motor driver with a one-wire UART.
 //!
 //! Step and direction come from the step generator of the board. The UART sets currents,
-//! microsteps and the stall threshold, and reads the state of the driver. A datagram is 8 bytes
-//! with an 8-bit check. The wire is shared: the board receives what it sends, and this driver reads
-//! that echo and compares it.
+//! microsteps and the stall threshold, and reads the state of the chip. Up to four chips share the
+//! wire. A datagram is 8 bytes with an 8-bit check, or 4 bytes if it asks for a register. The board
+//! receives what it sends, and compares it.
+//!
+//! The functions of [`Bus`] never wait: their futures return to the caller while bytes are under
+//! way. Nothing wakes them, so the caller polls them again and again, for instance in its main
+//! loop.
 
 use crate::{CurrentError, MicrostepError, microstep_code};
-use embedded_hal::delay::DelayNs;
+use core::future::poll_fn;
+use core::mem::replace;
+use core::task::Poll;
 use embedded_hal_nb::serial::{Read, Write};
 
 /// Registers.
@@ -14,6 +20,7 @@ mod register {
     pub const GCONF: u8 = 0x00;
     pub const GSTAT: u8 = 0x01;
     pub const IFCNT: u8 = 0x02;
+    pub const NODECONF: u8 = 0x03;
     pub const IOIN: u8 = 0x06;
     pub const IHOLD_IRUN: u8 = 0x10;
     pub const TCOOLTHRS: u8 = 0x14;
@@ -23,28 +30,40 @@ mod register {
     pub const DRV_STATUS: u8 = 0x6F;
 }
 
+/// Addresses of a bus, by the pins MS1 and MS2.
+pub const ADDRESSES: u8 = 4;
+
 const SYNC: u8 = 0x05;
 const WRITE: u8 = 0x80;
 /// Address of the board in a reply.
 const MASTER: u8 = 0xFF;
 /// Version that IOIN reports.
 const VERSION: u8 = 0x21;
-/// PDN_UART is a UART; microsteps by register; multistep filter.
+/// PDN_UART is a UART; microsteps by register; multistep filter. The reference of the currents is
+/// the internal one, not a potentiometer.
 const GCONF: u32 = 1 << 6 | 1 << 7 | 1 << 8;
+/// A reply begins 24 bit times after its request. With the 8 of the reset a chip that is not
+/// addressed may take the reply for an error (data sheet 4.4).
+const NODECONF: u32 = 2 << 8;
 /// Chopper of the data sheet: off time 3, hysteresis start 5; interpolation to 256 microsteps.
 const CHOPCONF: u32 = 0x1000_0053;
 /// Bit of CHOPCONF: the lower range of the sense voltage, 180 mV.
 const VSENSE: u32 = 1 << 17;
+/// Flags of GSTAT: reset, drive error, undervoltage of the charge pump.
+const GSTAT: u32 = 0b111;
 /// Full scale of the sense voltage, uV, without and with [`VSENSE`].
 const FULL_SCALE_UV: [u64; 2] = [325_000, 180_000];
 /// Resistance of the chip beside the sense resistor, mOhm.
 const INTERNAL_MOHM: u64 = 20;
 /// Delay from run to hold current, in 2^18 clocks per current step.
 const HOLD_DELAY: u32 = 6;
-/// Wait between two looks at the receiver, us, and number of looks. A reply comes after at most 20
-/// ms at the slowest usual rate (9600 baud).
-const POLL_US: u32 = 20;
-const POLLS: u32 = 1000;
+
+/// Longest time for a byte to leave or to arrive, us. A whole exchange takes less at 9600 baud, so
+/// this is a chip that is silent.
+const PATIENCE_US: u32 = 20_000;
+/// Bit times without a byte before a datagram. After 12 of them a chip that has lost the beginning
+/// of a datagram finds the next one (data sheet 4.1); some are for the rounding of the baud rate.
+const IDLE_BITS: u32 = 16;
 
 /// Reason why a command failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,18 +74,49 @@ pub enum Error<E> {
     NoReply,
     /// The board did not read back what it sent: the wire is shorted or driven by another chip.
     Echo,
+    /// The wire was not silent before a datagram.
+    Noise,
     /// The check of a reply is wrong.
     Check,
     /// A reply belongs to another register, or is not addressed to the board.
     WrongReply,
-    /// The driver did not take a write: its counter of writes did not advance.
+    /// The chip did not take every write: its counter of writes is another one.
     NotTaken,
+    /// A register does not have the value that was written.
+    ReadBack {
+        /// The register.
+        register: u8,
+        /// Its value.
+        found: u32,
+    },
     /// The chip is not a TMC2209; the version it reports.
     Version(u8),
+    /// The chip is configured, and does not drive its motor.
+    Trouble(Trouble),
+}
+
+/// Settings that the chip does not have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SettingError {
     /// The current cannot be set.
     Current(CurrentError),
     /// The number of microsteps does not exist.
     Microsteps(MicrostepError),
+}
+
+/// Reason why a configured chip does not drive its motor as it was told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Trouble {
+    /// It was reset since it was configured: its currents and microsteps are those of the factory.
+    Reset,
+    /// It switched the motor off because of its temperature.
+    Overheated,
+    /// A phase is shorted to ground or to the supply; it switched the motor off.
+    Shorted,
+    /// It switched the motor off, and its temperature and its phases are sound again.
+    SwitchedOff,
+    /// The supply is too low.
+    Undervoltage,
 }
 
 /// Check of a datagram: x^8 + x^2 + x + 1, each byte from its lowest bit (data sheet 4.2).
@@ -144,56 +194,146 @@ pub struct Currents {
     pub sense_mohm: u16,
 }
 
-/// A TMC2209 on a UART.
-pub struct Tmc2209<S, D> {
-    serial: S,
-    delay: D,
-    address: u8,
+/// Registers of a chip with its settings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Settings {
     chopper: u32,
+    holding: u32,
 }
 
-impl<S, D, E> Tmc2209<S, D>
+impl Settings {
+    /// Registers of these currents and this number of microsteps.
+    ///
+    /// # Errors
+    /// The chip does not have them.
+    pub fn new(currents: Currents, microsteps: u16) -> Result<Self, SettingError> {
+        let resolution = microstep_code(microsteps).map_err(SettingError::Microsteps)?;
+        let (range, run) =
+            current_code(currents.run_ma, currents).map_err(SettingError::Current)?;
+        let hold = hold_code(range, currents).map_err(SettingError::Current)?;
+        let mut chopper = CHOPCONF & !(0xF << 24) | resolution << 24;
+        if range == 1 {
+            chopper |= VSENSE;
+        }
+        Ok(Self {
+            chopper,
+            holding: HOLD_DELAY << 16 | u32::from(run) << 8 | u32::from(hold),
+        })
+    }
+}
+
+/// The one-wire UART of up to four TMC2209. Its receiver must hold a whole exchange, 12 bytes.
+pub struct Bus<S, C> {
+    serial: S,
+    /// A free running count; its counts in a microsecond, in [`PATIENCE_US`] and [`IDLE_BITS`].
+    clock: C,
+    counts_per_us: u32,
+    patience: u32,
+    idle: u32,
+}
+
+impl<S, C, E> Bus<S, C>
 where
-    S: Read<u8, Error = E> + Write<u8>,
-    D: DelayNs,
+    S: Read<u8, Error = E> + Write<u8, Error = E>,
+    C: FnMut() -> u32,
 {
-    /// The driver with an address, 0 to 3 (pins MS1 and MS2), on a one-wire UART.
-    pub const fn new(serial: S, delay: D, address: u8) -> Self {
+    /// A bus at a UART with this baud rate, 9600 to 500,000. The clock counts so many times in a
+    /// microsecond, and wraps around.
+    pub const fn new(serial: S, clock: C, counts_per_us: u32, baud: u32) -> Self {
         Self {
             serial,
-            delay,
-            address,
-            chopper: CHOPCONF,
+            clock,
+            counts_per_us,
+            patience: PATIENCE_US * counts_per_us,
+            idle: IDLE_BITS * (1_000_000 / baud + 1) * counts_per_us,
         }
     }
 
-    /// Returns the UART and the delay.
-    pub fn release(self) -> (S, D) {
-        (self.serial, self.delay)
+    /// Returns after this time, us; less than the clock needs to wrap around.
+    pub async fn wait_us(&mut self, us: u32) {
+        let counts = us.saturating_mul(self.counts_per_us);
+        let start = (self.clock)();
+        while (self.clock)().wrapping_sub(start) < counts {
+            turn().await;
+        }
     }
 
-    /// Checks that the chip answers, and sets currents and microsteps.
+    /// Delays the replies of all chips on the wire, so that none disturbs another one. Chips that
+    /// are there take it; nothing is read. Call it before anything is read from one of several
+    /// chips.
+    ///
+    /// # Errors
+    /// See [`Error`].
+    pub async fn separate_replies(&mut self) -> Result<(), Error<E>> {
+        for address in 0..ADDRESSES {
+            self.send_value(address, register::NODECONF, NODECONF)
+                .await?;
+        }
+        Ok(())
+    }
+
+    /// Checks that a chip answers, writes its settings, and reads them back.
+    ///
+    /// The registers of the currents and of the delay cannot be read: the counter of writes shows
+    /// that the chip took them.
     ///
     /// # Errors
     /// See [`Error`]. After an error the drive must stay disabled: its current is unknown.
-    pub fn configure(&mut self, currents: Currents, microsteps: u16) -> Result<(), Error<E>> {
-        let resolution = microstep_code(microsteps).map_err(Error::Microsteps)?;
-        let (range, run) = current_code(currents.run_ma, currents).map_err(Error::Current)?;
-        let hold = hold_code(range, currents).map_err(Error::Current)?;
-        let version = (self.read(register::IOIN)? >> 24) as u8;
+    pub async fn configure(&mut self, address: u8, settings: &Settings) -> Result<(), Error<E>> {
+        let version = (self.read(address, register::IOIN).await? >> 24) as u8;
         if version != VERSION {
             return Err(Error::Version(version));
         }
-        self.chopper = CHOPCONF & !(0xF << 24) | resolution << 24;
-        if range == 1 {
-            self.chopper |= VSENSE;
+        let kept = [
+            (register::GCONF, GCONF),
+            (register::CHOPCONF, settings.chopper),
+        ];
+        let [general, chopper] = kept;
+        let writes = [
+            (register::NODECONF, NODECONF),
+            general,
+            chopper,
+            (register::IHOLD_IRUN, settings.holding),
+            // Flags of the reset are cleared by writing ones, so that the next reset is seen.
+            (register::GSTAT, GSTAT),
+        ];
+        self.write_all(address, &writes).await?;
+        for (register, written) in kept {
+            let found = self.read(address, register).await?;
+            if found != written {
+                return Err(Error::ReadBack { register, found });
+            }
         }
-        self.write(register::GCONF, GCONF)?;
-        self.write(register::CHOPCONF, self.chopper)?;
-        let holding = HOLD_DELAY << 16 | u32::from(run) << 8 | u32::from(hold);
-        self.write(register::IHOLD_IRUN, holding)?;
-        // Flags of the reset are cleared by writing ones, so that the next reset is seen.
-        self.write(register::GSTAT, 0b111)
+        match self.trouble(address).await? {
+            None => Ok(()),
+            Some(trouble) => Err(Error::Trouble(trouble)),
+        }
+    }
+
+    /// What keeps a configured chip from driving its motor.
+    ///
+    /// # Errors
+    /// See [`Error`].
+    pub async fn trouble(&mut self, address: u8) -> Result<Option<Trouble>, Error<E>> {
+        let flags = self.read(address, register::GSTAT).await?;
+        let status = self.status(address).await?;
+        let found = [
+            (flags & 1 != 0, Trouble::Reset),
+            (status.is_overheated(), Trouble::Overheated),
+            (status.is_shorted(), Trouble::Shorted),
+            (flags >> 1 & 1 != 0, Trouble::SwitchedOff),
+            (flags >> 2 & 1 != 0, Trouble::Undervoltage),
+        ];
+        let first = found.into_iter().find(|(is_so, _)| *is_so);
+        Ok(first.map(|(_, trouble)| trouble))
+    }
+
+    /// State of a chip.
+    ///
+    /// # Errors
+    /// See [`Error`].
+    pub async fn status(&mut self, address: u8) -> Result<Status, Error<E>> {
+        self.read(address, register::DRV_STATUS).await.map(Status)
     }
 
     /// Sets the threshold of the stall detection: the DIAG pin rises when the load measure is below
@@ -202,106 +342,144 @@ where
     ///
     /// # Errors
     /// See [`Error`].
-    pub fn set_stall_threshold(
+    pub async fn set_stall_threshold(
         &mut self,
+        address: u8,
         threshold: u8,
         slowest_step: u32,
     ) -> Result<(), Error<E>> {
-        self.write(register::TCOOLTHRS, slowest_step.min(0xF_FFFF))?;
-        self.write(register::SGTHRS, u32::from(threshold))
+        let writes = [
+            (register::TCOOLTHRS, slowest_step.min(0xF_FFFF)),
+            (register::SGTHRS, u32::from(threshold)),
+        ];
+        self.write_all(address, &writes).await
     }
 
     /// Load measure of the motor, 0 (stalled) to 510.
     ///
     /// # Errors
     /// See [`Error`].
-    pub fn load_measure(&mut self) -> Result<u16, Error<E>> {
-        Ok((self.read(register::SG_RESULT)? & 0x3FF) as u16)
+    pub async fn load_measure(&mut self, address: u8) -> Result<u16, Error<E>> {
+        let measure = self.read(address, register::SG_RESULT).await?;
+        Ok((measure & 0x3FF) as u16)
     }
 
-    /// State of the driver.
-    ///
-    /// # Errors
-    /// See [`Error`].
-    pub fn status(&mut self) -> Result<Status, Error<E>> {
-        self.read(register::DRV_STATUS).map(Status)
-    }
-
-    /// Whether the driver was reset since [`Tmc2209::configure`]: its supply broke down, and its
-    /// currents are those of the factory.
-    ///
-    /// # Errors
-    /// See [`Error`].
-    pub fn was_reset(&mut self) -> Result<bool, Error<E>> {
-        Ok(self.read(register::GSTAT)? & 1 != 0)
-    }
-
-    /// Writes a register, and checks by the counter of writes that the driver took it.
-    ///
-    /// # Errors
-    /// See [`Error`].
-    pub fn write(&mut self, register: u8, value: u32) -> Result<(), Error<E>> {
-        let before = self.read(register::IFCNT)? as u8;
-        let [a, b, c, d] = value.to_be_bytes();
-        let bytes = [SYNC, self.address, register | WRITE, a, b, c, d];
-        self.send(&bytes)?;
-        if self.read(register::IFCNT)? as u8 == before.wrapping_add(1) {
+    /// Writes registers, and checks by the counter of writes that the chip took them.
+    async fn write_all(&mut self, address: u8, writes: &[(u8, u32)]) -> Result<(), Error<E>> {
+        let before = self.read(address, register::IFCNT).await? as u8;
+        for (register, value) in writes {
+            self.send_value(address, *register, *value).await?;
+        }
+        let after = self.read(address, register::IFCNT).await? as u8;
+        if after == before.wrapping_add(writes.len() as u8) {
             Ok(())
         } else {
             Err(Error::NotTaken)
         }
     }
 
+    /// Sends the value of a register, without a check that the chip took it.
+    async fn send_value(&mut self, address: u8, register: u8, value: u32) -> Result<(), Error<E>> {
+        let [a, b, c, d] = value.to_be_bytes();
+        self.send(&[SYNC, address, register | WRITE, a, b, c, d])
+            .await
+    }
+
     /// Reads a register.
     ///
     /// # Errors
     /// See [`Error`].
-    pub fn read(&mut self, register: u8) -> Result<u32, Error<E>> {
-        self.send(&[SYNC, self.address, register])?;
+    pub async fn read(&mut self, address: u8, register: u8) -> Result<u32, Error<E>> {
+        self.send(&[SYNC, address, register]).await?;
         let mut reply = [0; 8];
         for byte in &mut reply {
-            *byte = self.receive()?;
+            *byte = self.receive().await?;
         }
-        let [sync, address, replied, a, b, c, d, check] = reply;
+        let [sync, master, replied, a, b, c, d, check] = reply;
         if check_byte(&reply[..7]) != check {
             return Err(Error::Check);
         }
-        if (sync & 0xF, address, replied) != (SYNC, MASTER, register) {
+        if (sync & 0xF, master, replied) != (SYNC, MASTER, register) {
             return Err(Error::WrongReply);
         }
         Ok(u32::from_be_bytes([a, b, c, d]))
     }
 
     /// Sends bytes and their check, and compares the echo.
-    fn send(&mut self, bytes: &[u8]) -> Result<(), Error<E>> {
+    async fn send(&mut self, bytes: &[u8]) -> Result<(), Error<E>> {
+        self.wait_for_silence().await?;
         let check = check_byte(bytes);
-        for byte in bytes.iter().copied().chain([check]) {
-            let mut looks = 0;
-            while self.serial.write(byte).is_err() {
-                looks += 1;
-                if looks == POLLS {
-                    return Err(Error::NoReply);
+        let all = || bytes.iter().copied().chain([check]);
+        // One after the other without a pause: a chip gives a datagram up after a pause of 63 bit
+        // times.
+        for byte in all() {
+            let start = (self.clock)();
+            while let Err(error) = self.serial.write(byte) {
+                if let nb::Error::Other(error) = error {
+                    return Err(Error::Serial(error));
                 }
-                self.delay.delay_us(POLL_US);
+                self.pause(start).await?;
             }
-            // A byte at a time: its echo must leave the receiver before the next one.
-            if self.receive()? != byte {
+        }
+        for byte in all() {
+            if self.receive().await? != byte {
                 return Err(Error::Echo);
             }
         }
         Ok(())
     }
 
-    fn receive(&mut self) -> Result<u8, Error<E>> {
-        for _ in 0..POLLS {
+    /// Waits until the wire was silent for [`IDLE_BITS`]. What arrives meanwhile is late or noise.
+    async fn wait_for_silence(&mut self) -> Result<(), Error<E>> {
+        let start = (self.clock)();
+        let mut since = start;
+        loop {
+            if !matches!(self.serial.read(), Err(nb::Error::WouldBlock)) {
+                since = (self.clock)();
+            }
+            let now = (self.clock)();
+            if now.wrapping_sub(since) >= self.idle {
+                return Ok(());
+            }
+            if now.wrapping_sub(start) > self.patience {
+                return Err(Error::Noise);
+            }
+            turn().await;
+        }
+    }
+
+    async fn receive(&mut self) -> Result<u8, Error<E>> {
+        let start = (self.clock)();
+        loop {
             match self.serial.read() {
                 Ok(byte) => return Ok(byte),
-                Err(nb::Error::WouldBlock) => self.delay.delay_us(POLL_US),
+                Err(nb::Error::WouldBlock) => self.pause(start).await?,
                 Err(nb::Error::Other(error)) => return Err(Error::Serial(error)),
             }
         }
-        Err(Error::NoReply)
     }
+
+    /// Returns to the caller, unless it waits for too long since `start`.
+    async fn pause(&mut self, start: u32) -> Result<(), Error<E>> {
+        if (self.clock)().wrapping_sub(start) > self.patience {
+            return Err(Error::NoReply);
+        }
+        turn().await;
+        Ok(())
+    }
+}
+
+/// Returns to the caller of the future once.
+pub async fn turn() {
+    let mut was_here = false;
+    poll_fn(|_| {
+        if replace(&mut was_here, true) {
+            Poll::Ready(())
+        } else {
+            Poll::Pending
+        }
+    })
+    .await;
 }
 
 /// Current at a code in a range of the sense voltage, in mA rms: (code + 1) / 32 * full scale /

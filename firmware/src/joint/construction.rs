@@ -99,6 +99,7 @@ impl JointDrive {
                 setup,
                 hold,
                 lost,
+                ..
             } => {
                 if per_step.unsigned_abs() < 1 << 24 || !(1..=1000).contains(&ticks_per_us) {
                     return Err(DriveError::Step);

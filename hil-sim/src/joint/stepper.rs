@@ -7,8 +7,8 @@
 //! detect it.
 //!
 //! Pulses are checked against the drive's data sheet: width, pause, direction set-up and hold. Each
-//! pulse must begin within its period. A pulse that violates the data sheet is emitted and counted, but the
-//! drive ignores it. This is the worse of the two possible reactions of a drive.
+//! pulse must begin within its period. A pulse that violates the data sheet is emitted and counted,
+//! but the drive ignores it. This is the worse of the two possible reactions of a drive.
 //!
 //! Times within a period are in ticks of the board's step clock.
 

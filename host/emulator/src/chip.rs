@@ -11,6 +11,9 @@ const FLASH: u32 = 0x1000_0000;
 /// Clock of the chip once its image has set it, Hz.
 pub const CLOCK_HZ: u64 = 150_000_000;
 
+/// The first UART.
+const UART0: u32 = 0x4007_0000;
+
 /// Register of the devices that are in reset, and the bit of the USB controller.
 const RESETS: u32 = 0x4002_0000;
 const USB_RESET: u32 = 1 << 28;
@@ -175,6 +178,30 @@ impl Chip {
             true => self.usb_host.is_sent(),
             false => self.emulator.bus.uart[0].rx_line.is_empty(),
         }
+    }
+
+    /// Cycles of a bit of UART0, by the divider that the image has set; `None` while it has none.
+    pub fn uart_bit(&mut self) -> Option<u64> {
+        let whole = self.register(UART0 + 0x24);
+        let fraction = self.register(UART0 + 0x28);
+        let sixteenth = u64::from(whole) * 64 + u64::from(fraction);
+        (sixteenth != 0).then_some(sixteenth / 4)
+    }
+
+    /// Takes the bytes that UART0 has sent.
+    pub fn take_uart_bytes(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.emulator.bus.uart[0].tx_log)
+    }
+
+    /// UART0 has sent bytes that were not taken.
+    #[must_use]
+    pub fn has_uart_bytes(&self) -> bool {
+        !self.emulator.bus.uart[0].tx_log.is_empty()
+    }
+
+    /// Gives UART0 bytes, which arrive at its rate.
+    pub fn give_uart_bytes(&mut self, bytes: &[u8]) {
+        self.emulator.bus.uart[0].rx_line.extend(bytes);
     }
 
     /// Takes the bytes that left on the line of the image.

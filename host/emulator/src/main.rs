@@ -72,6 +72,7 @@ fn run(
         problems.join("\n")
     })?;
     let mut board = Pico2::new(&flash, plant)?;
+    board.connect_chips(&machine);
     let gone = |error: io::Error| format!("the host is gone: {error}");
     let mut sent = Vec::new();
     let mut time_us = 0;

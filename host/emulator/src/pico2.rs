@@ -6,6 +6,8 @@ use haptimill_client::session::pins::record::{JOINTS, Period, WORDS};
 use haptimill_client::session::{JobLine, JobRecording, Line};
 use haptimill_firmware::io::{DriveCommand, Inputs, Outputs, StepSegment};
 use haptimill_hil_sim::plant::Plant;
+use haptimill_hil_sim::tmc2209::{self, Wire};
+use haptimill_machine_file::MachineFile;
 use haptimill_pulses::Signal;
 use haptimill_trace::Recorder;
 
@@ -74,6 +76,13 @@ pub struct Pico2 {
     /// Inputs with noise: their levels are wrong in every other control period.
     noise: u32,
     is_noisy: bool,
+    /// Chips of the drives on the wire at GP0 and GP1.
+    pub wire: Wire,
+    /// Place on the wire of the chip of each joint; a joint without one has a drive that is set by
+    /// its switches.
+    chips: [Option<usize>; JOINTS],
+    /// Cycles of a bit on the wire.
+    bit: u64,
     /// Lines that the board drove.
     pub lines: Lines,
     /// Changes of the line of the charge pump.
@@ -107,6 +116,9 @@ impl Pico2 {
             high: 0,
             noise: 0,
             is_noisy: false,
+            wire: Wire::default(),
+            chips: [None; JOINTS],
+            bit: 0,
             pump: 0,
             lines: Lines::default(),
             steps: [0; JOINTS],
@@ -123,6 +135,56 @@ impl Pico2 {
             board.chip.set_memory(address, STACK_PAINT);
         }
         Ok(board)
+    }
+
+    /// Connects the chips that a machine file has for the drives of its joints, after power-on. An
+    /// image whose line is the UART has no wire for them.
+    pub fn connect_chips(&mut self, machine: &MachineFile) {
+        self.wire.chips.clear();
+        self.chips = [None; JOINTS];
+        if !self.chip.uses_usb() {
+            return;
+        }
+        for (place, joint) in self.chips.iter_mut().zip(&machine.config.joints) {
+            if let Some(chip) = joint.tmc2209() {
+                *place = Some(self.wire.chips.len());
+                self.wire.chips.push(tmc2209::Chip::new(chip.address));
+            }
+        }
+    }
+
+    /// The chip of a joint.
+    ///
+    /// # Panics
+    /// The joint has none.
+    pub fn drive_chip(&mut self, joint: usize) -> &mut tmc2209::Chip {
+        let place = self.chips[joint].expect("a joint with a chip");
+        &mut self.wire.chips[place]
+    }
+
+    /// Carries the bytes of the wire. The board receives what it sends, a byte later than on a real
+    /// wire: the emulated UART reports a byte at its end.
+    fn serve_wire(&mut self) {
+        if self.wire.chips.is_empty() {
+            return;
+        }
+        let now = self.chip.cycles();
+        if self.chip.has_uart_bytes() {
+            self.bit = self.chip.uart_bit().unwrap_or(1);
+            for byte in self.chip.take_uart_bytes() {
+                self.wire.send(byte, now, self.bit);
+                self.chip.give_uart_bytes(&[byte]);
+            }
+        }
+        let reply = self.wire.replies(now, self.bit);
+        if !reply.is_empty() {
+            self.chip.give_uart_bytes(&reply);
+        }
+    }
+
+    /// The drive of a joint moves its motor.
+    fn drives(&self, joint: usize) -> bool {
+        self.chips[joint].is_none_or(|place| self.wire.chips[place].drives())
     }
 
     /// Runs the image until its first control period has ended.
@@ -227,6 +289,7 @@ impl Pico2 {
         while self.chip.cycles() < end {
             let before = self.steps;
             let levels = self.chip.cycle()?;
+            self.serve_wire();
             if levels != self.levels {
                 self.note(levels, u64::MAX);
                 if self.steps != before {
@@ -247,6 +310,7 @@ impl Pico2 {
         let mut read_at = start;
         while self.chip.cycles() < end {
             let levels = self.chip.cycle()?;
+            self.serve_wire();
             if levels != self.levels {
                 self.note(levels, start);
             }
@@ -302,6 +366,9 @@ impl Pico2 {
         self.pump += u64::from(changed >> CHARGE_PUMP & 1);
         if changed >> ENABLE & 1 != 0 {
             self.lines.enable.changes.push(time);
+            for chip in &mut self.wire.chips {
+                chip.set_enabled(levels >> ENABLE & 1 != 0);
+            }
         }
         for joint in 0..JOINTS {
             let pin = FIRST_STEP + 2 * joint as u32;
@@ -315,7 +382,7 @@ impl Pico2 {
             if levels >> pin & 1 != 0 {
                 let up = levels >> (pin + 1) & 1 != 0;
                 self.steps[joint] += if up { 1 } else { -1 };
-                if start <= now {
+                if start <= now && self.drives(joint) {
                     let time_ns = (now - start) * 1000 / CYCLES_PER_US;
                     self.plant.add_pulse(joint, time_ns, up);
                 }

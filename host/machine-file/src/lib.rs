@@ -39,6 +39,7 @@ pub mod stock;
 pub mod template;
 #[cfg(test)]
 mod tests;
+mod tmc2209;
 pub mod work_data;
 
 pub use axes::AxisLimits;

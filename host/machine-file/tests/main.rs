@@ -8,3 +8,4 @@ mod one_mistake;
 mod plant_keys;
 mod plant_switches;
 mod setpoint_bits;
+mod tmc2209;

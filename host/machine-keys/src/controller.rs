@@ -194,6 +194,19 @@ joint_drive "joint.drive" "The drive of a joint." {
         .or_text("false").only_if("kind", "step").only("joints without an encoder");
 }
 
+joint_tmc2209 "joint.drive.tmc2209" "The chip of a step drive that the board sets by its UART; without it the drive is set by switches." {
+    address = whole(0, 3, "").is("address by the pins of the chip: 1 for MS1 high, and 2 for MS2 high")
+        .bounded("another one for each joint");
+    microsteps = whole(1, 256, "").is("microsteps of a full step")
+        .bounded("a power of two; with the full steps they are `steps_per_turn`");
+    full_steps_per_turn = whole(4, 10_000, "steps").is("full steps per motor turn").or(200.0);
+    run_current_a = real(0.01, 2.0, "A").is("rms current of the moving motor; the chip gets the largest one of its steps up to it")
+        .bounded("0.004 V to 0.2298 V divided by the sense resistor plus 0.02 ohm");
+    hold_current_a = real(0.0, 2.0, "A").is("rms current at standstill; its least step is 1/32 of the range")
+        .bounded("at most the run current");
+    sense_resistor_ohm = real(0.05, 1.0, "ohm").is("sense resistors of the module").or(0.11);
+}
+
 joint_law "joint.law" "The servo loop of a joint (docs/control.md 3.1 and 3.2)." {
     form = word(&["model", "pd"]).is("model-based or PD");
     kp = real(1.0, 4e6, "1/s^2").is("K_P, position gain")

@@ -2,6 +2,7 @@
 
 #![no_std]
 
+pub mod chips;
 pub mod config_store;
 pub mod counter;
 pub mod lamp;

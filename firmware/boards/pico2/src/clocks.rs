@@ -16,14 +16,14 @@ pub const PERIOD_CYCLES: u32 = CYCLES_PER_US * PERIOD_US as u32;
 /// Frequency of the crystal, MHz.
 const CRYSTAL_MHZ: u32 = 12;
 
-/// Devices of the line to the host: UART0, or the USB controller and its PLL.
-const LINE: u32 = if cfg!(feature = "uart") {
-    1 << 26
+/// The USB controller and its PLL, if they are the line to the host.
+const USB: u32 = if cfg!(feature = "uart") {
+    0
 } else {
     1 << 15 | 1 << 28
 };
-/// Devices that are used: DMA, I/O bank, pads, PIO0, PIO1, PLL, PWM, the line to the host.
-const USED: u32 = 1 << 2 | 1 << 6 | 1 << 9 | 1 << 11 | 1 << 12 | 1 << 14 | 1 << 16 | LINE;
+/// Devices that are used: DMA, I/O bank, pads, PIO0, PIO1, PLL, PWM, UART0, the USB.
+const USED: u32 = 1 << 2 | 1 << 6 | 1 << 9 | 1 << 11 | 1 << 12 | 1 << 14 | 1 << 16 | 1 << 26 | USB;
 
 /// Present count of the cycle counter.
 #[inline(always)]

@@ -1,6 +1,7 @@
 //! The Haptimill controller on a Raspberry Pi Pico 2 (RP2350).
 //!
-//! Up to five open-loop step drives. [`pins`] has the table of the pins.
+//! Up to five open-loop step drives, four of which may have a TMC2209 that the board sets. [`pins`]
+//! has the table of the pins.
 //!
 //! | module | |
 //! | --- | --- |
@@ -8,6 +9,8 @@
 //! | [`period`] | control period: SysTick latches and starts the pulses, PendSV computes |
 //! | `usb`, `usb_bus` | line to the host: a serial port on the USB |
 //! | `uart` | line to the host with the feature `uart`: UART0 |
+//! | [`chips`] | chips of the drives: what the control period has of them |
+//! | `chip_bus` | their one-wire bus at UART0, which the image with the feature `uart` does not have |
 //! | [`link`] | rings between the line and the controller |
 //! | [`ending`] | panic, processor fault, watchdog, and what the LED shows of them |
 //! | [`record`] | last control period, for a debugger or an emulator |
@@ -18,6 +21,9 @@
 #![no_main]
 
 mod boot_block;
+#[cfg(not(feature = "uart"))]
+mod chip_bus;
+mod chips;
 mod clocks;
 mod ending;
 mod link;
@@ -48,8 +54,9 @@ fn main() -> ! {
     pins::start();
     let (wire, bytes) = link::start();
     let (in_period, between) = line::start(wire);
-    period::start(in_period, bytes);
+    let (follower, keeper) = chips::start();
+    period::start(in_period, bytes, follower);
     // The drives stay off until the controller enables them, so the watchdog starts last.
     ending::start_watchdog();
-    between.serve(ending::Lamp::new(cause))
+    between.serve(ending::Lamp::new(cause), keeper)
 }

@@ -5,6 +5,7 @@
 //! the next period. While PendSV still computes, SysTick counts a missed period and leaves the data
 //! alone.
 
+use crate::chips::Follower;
 use crate::clocks::{PERIOD_CYCLES, PERIOD_US, cycles};
 use crate::ending;
 use crate::line::InPeriod;
@@ -40,6 +41,8 @@ struct Back {
     inputs: Inputs,
     outputs: Outputs,
     bytes: Bytes,
+    /// Chips of the drives.
+    chips: Follower,
     filler: Filler,
     /// Buffer for the words of the next period.
     buffer: usize,
@@ -59,7 +62,7 @@ static BACK: Shared<Back> = Shared::new();
 static BUSY: AtomicBool = AtomicBool::new(false);
 
 /// Starts the control periods.
-pub fn start(line: InPeriod, bytes: Bytes) {
+pub fn start(line: InPeriod, bytes: Bytes, chips: Follower) {
     let Some(mut core) = cortex_m::Peripherals::take() else {
         return;
     };
@@ -71,7 +74,7 @@ pub fn start(line: InPeriod, bytes: Bytes) {
     write(SYSTICK, 0x0, 0b101);
     // SAFETY: no handler runs yet, and this function runs once.
     unsafe {
-        put(BACK.place(), bytes);
+        put(BACK.place(), bytes, chips);
         FRONT.place().write(Front {
             engine: Engine::start(),
             line,
@@ -90,12 +93,13 @@ pub fn start(line: InPeriod, bytes: Bytes) {
 /// Creates the data, out of line: the compiler makes a copy on the stack, 47 KB, which is free
 /// again before the first control period.
 #[inline(never)]
-fn put(place: &mut MaybeUninit<Back>, bytes: Bytes) {
+fn put(place: &mut MaybeUninit<Back>, bytes: Bytes, chips: Follower) {
     place.write(Back {
         controller: Controller::new(PERIOD_US),
         inputs: Inputs::default(),
         outputs: Outputs::default(),
         bytes,
+        chips,
         filler: Filler::new(),
         buffer: 0,
         batch: None,
@@ -127,7 +131,7 @@ fn SysTick() {
     match back {
         None => front.missed = front.missed.saturating_add(1),
         Some(back) => {
-            apply(front, &back.outputs);
+            apply(front, back);
             latch(front, back, levels);
             back.glitches = front.filter.all_glitches();
             front.missed = 0;
@@ -141,12 +145,15 @@ fn SysTick() {
 }
 
 /// Applies the outputs of the call before, besides the pulses.
-fn apply(front: &mut Front, outputs: &Outputs) {
+fn apply(front: &mut Front, back: &Back) {
+    let outputs = &back.outputs;
     let on = outputs
         .joints
         .iter()
         .any(|command| *command != DriveCommand::Off);
-    pins::enable_drives(on && !front.engine.is_stopped());
+    // The controller sees a joint that is not ready one period later.
+    let ready = back.chips.not_ready() == 0;
+    pins::enable_drives(on && ready && !front.engine.is_stopped());
     if !on {
         front.engine.clear_lost_steps();
     }
@@ -160,7 +167,7 @@ fn latch(front: &Front, back: &mut Back, levels: Levels) {
     inputs.period = front.period;
     inputs.missed = front.missed;
     inputs.time_ns = (front.period as u32).wrapping_mul(u32::from(PERIOD_US) * 1000);
-    let broken = front.engine.lost() | back.wrong;
+    let broken = front.engine.lost() | back.wrong | back.chips.not_ready();
     for joint in 0..JOINTS {
         let input = &mut inputs.joints[joint];
         input.steps = front.engine.emitted(joint);
@@ -183,6 +190,7 @@ fn PendSV() {
         inputs,
         outputs,
         bytes,
+        chips,
         filler,
         ..
     } = back;
@@ -191,6 +199,7 @@ fn PendSV() {
     outputs.transmit.clear();
     controller.tick(inputs, outputs, &mut profile);
     bytes.send(&outputs.transmit);
+    chips.follow(controller.machine());
     let (widths, wrong) = requirements(controller.machine());
     back.wrong = wrong;
     back.batch = Some(filler.fill(back.buffer, &outputs.joints, &widths));

@@ -3,7 +3,7 @@
 //!
 //! | pin | direction | |
 //! | --- | --- | --- |
-//! | GP0, GP1 | out, in | line to the host with the feature `uart`: transmit, receive |
+//! | GP0, GP1 | out, in | bus of the chips of the drives; with the feature `uart` the line to the host |
 //! | GP2, GP4, GP6, GP8, GP10 | out | steps of joints 0 to 4 |
 //! | GP3, GP5, GP7, GP9, GP11 | out | directions of joints 0 to 4 |
 //! | GP12 | out | enable of all drives |
@@ -83,14 +83,32 @@ pub fn start() {
         assign(pin, BY_SOFTWARE, PULL_UP);
     }
     if cfg!(feature = "uart") {
-        for pin in UART_PINS {
-            assign(pin, UART, DRIVE_4_MA | PULL_UP);
-        }
+        give_to_uart();
     }
     write(PWM, SLICE + 0x10, PWM_COUNTS - 1);
     write(PWM, SLICE + 0xC, 0);
     write(PWM, SLICE, 1);
     assign(SPINDLE_SPEED, PWM_FUNCTION, DRIVE_4_MA | PULL_DOWN);
+}
+
+/// Gives the pins of UART0 to it.
+fn give_to_uart() {
+    for pin in UART_PINS {
+        assign(pin, UART, DRIVE_4_MA | PULL_UP);
+    }
+}
+
+/// Gives the pins of UART0 to the bus of the chips of the drives. A machine without these chips
+/// leaves them as they are after a reset.
+#[cfg(not(feature = "uart"))]
+pub fn give_to_chip_bus() {
+    give_to_uart();
+}
+
+/// The enable line of the drives is high.
+#[cfg(not(feature = "uart"))]
+pub fn drives_are_on() -> bool {
+    read(SIO, 0x10) >> ENABLE & 1 != 0
 }
 
 /// Gives the pins of a joint to its PIO block.

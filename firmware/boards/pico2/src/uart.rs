@@ -3,6 +3,7 @@
 //! No interrupt: the FIFOs of 32 bytes hold more than the 20 bytes of a control period, and SysTick
 //! empties and fills them in every period, also while a late period still computes.
 
+use crate::chips::Keeper;
 use crate::ending::Lamp;
 use crate::link::Wire;
 use crate::registers::{read, write};
@@ -54,7 +55,7 @@ impl InPeriod {
 
 impl Between {
     /// Shows the cause of the last reset for ever.
-    pub fn serve(self, mut lamp: Lamp) -> ! {
+    pub fn serve(self, mut lamp: Lamp, _: Keeper) -> ! {
         loop {
             lamp.update();
         }

@@ -5,11 +5,15 @@
 //! bytes of the controller they are dropped, as a serial line without a listener drops them: a host
 //! that opens the port later does not get old frames.
 
+use crate::chip_bus;
+use crate::chips::Keeper;
 use crate::clocks::{CYCLES_PER_US, cycles};
 use crate::ending::Lamp;
 use crate::link::Wire;
 use crate::registers::read;
 use crate::usb_bus::{Bus, PACKET};
+use core::pin::pin;
+use core::task::{Context, Waker};
 use usb_device::LangID;
 use usb_device::bus::UsbBusAllocator;
 use usb_device::device::{StringDescriptors, UsbDeviceBuilder, UsbDeviceState, UsbVidPid};
@@ -67,8 +71,8 @@ fn chip_number() -> [u8; 16] {
 }
 
 impl Between {
-    /// Serves the USB and the LED for ever.
-    pub fn serve(self, mut lamp: Lamp) -> ! {
+    /// Serves the USB, the LED and the chips of the drives for ever.
+    pub fn serve(self, mut lamp: Lamp, keeper: Keeper) -> ! {
         let mut wire = self.0;
         let number = chip_number();
         let names = StringDescriptors::new(LangID::EN_US)
@@ -92,8 +96,12 @@ impl Between {
             count: 0,
             since: cycles(),
         };
+        let mut chips = pin!(chip_bus::serve(keeper));
+        // The loop polls it again at once: nothing has to wake it.
+        let mut context = Context::from_waker(Waker::noop());
         loop {
             lamp.update();
+            let _ = chips.as_mut().poll(&mut context);
             device.poll(&mut [&mut port]);
             if device.state() == UsbDeviceState::Configured {
                 receive(&mut port, &mut wire);

@@ -153,6 +153,7 @@ pub fn requirements(machine: Option<&Machine>) -> ([u32; JOINTS], u8) {
                 ticks_per_us,
                 pulse,
                 setup,
+                tmc2209: None,
                 ..
             } if joint < JOINTS
                 && u32::from(*ticks_per_us) == TICKS_PER_US

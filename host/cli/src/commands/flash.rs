@@ -88,6 +88,9 @@ pub fn run(args: &FlashArgs) -> Result<(), CliError> {
         None => board.find_image()?,
     };
     let image = board.read_image(&path)?;
+    if let Some(machine) = &machine {
+        board.check_image(machine, &image)?;
+    }
     let wait = Duration::from_secs_f64(args.wait);
     let drive = match &args.drive {
         Some(folder) => drive_in(folder)?,

@@ -185,6 +185,39 @@ impl Board {
         Ok(())
     }
 
+    /// Checks that an image can set the chips of the drives of a machine: one whose line to the
+    /// host is the USB leaves the pins of their bus free.
+    ///
+    /// # Errors
+    /// The first joint with a chip, and what to do.
+    pub fn check_image(&self, machine: &MachineFile, image: &[u8]) -> Result<(), Error> {
+        let joints = machine.config.joints.iter();
+        let chip = joints.zip(&machine.joints);
+        let mut chip = chip
+            .filter(|(joint, _)| joint.tmc2209().is_some())
+            .map(|(_, limits)| &limits.name);
+        let Some(name) = chip.next() else {
+            return Ok(());
+        };
+        let pieces = uf2::read(image, self.family).unwrap_or_default();
+        let flash: Vec<u8> = pieces
+            .iter()
+            .flat_map(|(_, piece)| *piece)
+            .copied()
+            .collect();
+        let product = self.usb_product.as_bytes();
+        if flash.windows(product.len()).any(|at| at == product) {
+            return Ok(());
+        }
+        let what = format!(
+            "{}: joint {name}: [joint.drive.tmc2209]: the image has its line to the host at the \
+             pins of the bus of these chips; take the image with the USB, or remove the section \
+             ({})",
+            machine.file, self.title
+        );
+        Err(Error::new(ErrorKind::BadInput, what))
+    }
+
     /// The image of the source tree.
     ///
     /// # Errors

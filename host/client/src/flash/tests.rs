@@ -276,3 +276,59 @@ fn the_control_periods_are_those_of_the_image() {
         .collect();
     assert_eq!(periods, BOARDS[0].periods);
 }
+
+/// A UF2 file with these contents of the flash.
+fn uf2(flash: &[u8]) -> Vec<u8> {
+    let pieces: Vec<&[u8]> = flash.chunks(256).collect();
+    let mut file = Vec::new();
+    for (number, piece) in pieces.iter().enumerate() {
+        let mut block = [0; 512];
+        let words = [
+            0x0A32_4655,
+            0x9E5D_5157,
+            0x2000,
+            0x1000_0000 + 256 * number as u32,
+            piece.len() as u32,
+            number as u32,
+            pieces.len() as u32,
+            BOARDS[0].family,
+        ];
+        for (at, word) in words.into_iter().enumerate() {
+            block[4 * at..4 * at + 4].copy_from_slice(&word.to_le_bytes());
+        }
+        block[32..32 + piece.len()].copy_from_slice(piece);
+        block[508..].copy_from_slice(&0x0AB1_6F30_u32.to_le_bytes());
+        file.extend(block);
+    }
+    file
+}
+
+/// The bus of the chips is at the pins of the UART, so the image whose line is the UART has none.
+#[test]
+fn a_machine_file_with_chips_needs_the_image_with_the_usb() {
+    let bench = include_str!("../../../../machines/bench.toml");
+    let chip = "direction = 1\n\n[joint.drive.tmc2209]\naddress = 3\nmicrosteps = 16\n\
+                run_current_a = 0.8\nhold_current_a = 0.4\n";
+    let parse =
+        |text: &str| MachineFile::parse("own.toml", text).unwrap_or_else(|it| panic!("{it}"));
+    let plain = parse(bench);
+    let chips = parse(&bench.replacen("direction = 1\n", chip, 1));
+    let board = &BOARDS[0];
+    assert!(board.check_machine(&chips).is_ok());
+    // The name of the product crosses the end of a block.
+    let mut flash = vec![0xFF; 250];
+    flash.extend(b"Haptimill Pico 2");
+    let (usb, uart) = (uf2(&flash), uf2(&[0xFF; 600]));
+    assert_eq!(board.check_image(&chips, &usb), Ok(()));
+    for image in [&usb, &uart] {
+        assert_eq!(board.check_image(&plain, image), Ok(()));
+    }
+    let refused = board.check_image(&chips, &uart).unwrap_err();
+    assert_eq!(refused.kind, ErrorKind::BadInput);
+    assert_eq!(
+        refused.message,
+        "own.toml: joint x: [joint.drive.tmc2209]: the image has its line to the host at the pins \
+         of the bus of these chips; take the image with the USB, or remove the section \
+         (Raspberry Pi Pico 2)"
+    );
+}

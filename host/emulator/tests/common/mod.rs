@@ -114,7 +114,9 @@ pub fn three_in_period() -> MachineFile {
 pub fn board_with(image: &[u8], machine: &MachineFile) -> Pico2 {
     let config = machine.plant().expect("the file has a plant");
     let plant = Plant::new(&config, machine.config.period_us).expect("a sound plant");
-    Pico2::new(image, plant).expect("an emulator")
+    let mut board = Pico2::new(image, plant).expect("an emulator");
+    board.connect_chips(machine);
+    board
 }
 
 /// A board whose pins are wired to a machine.
