@@ -17,9 +17,9 @@ const OFF: f64 = 0.05;
 const FOUND: f64 = 0.12;
 const LASTING: f64 = 0.05;
 
-/// The same in a job or jog at less than [`CREEP`]. With a stuck channel the loop may oscillate about
-/// an edge of the live one with fewer reversals than 24 in 50 ms, while the joint drifts: 2 of 4,000
-/// seeds, by 0.129 mm at most and for 0.53 s at most.
+/// The same in a job or jog at less than [`CREEP`], in which the loop with a stuck channel may
+/// oscillate about an edge of the live one with fewer reversals than 24 in 50 ms, while the joint
+/// drifts: 2 of 4,000 seeds, by 0.129 mm at most and for 0.53 s at most.
 const CREPT: f64 = 0.14;
 const CREPT_LASTING: f64 = 0.6;
 const CREEP: f64 = 0.03;

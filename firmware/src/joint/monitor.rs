@@ -365,8 +365,8 @@ impl JointMonitor {
     ///
     /// Growth is measured from the largest effort that motion needed recently, not from the effort
     /// at the last count: a slide with stick-slip needs little effort while it slips, and its
-    /// breakaway force again afterwards. Static loads are in both efforts and cancel. The effort that
-    /// accelerates the motor across the lost motion is no friction and does not count. After a
+    /// breakaway force again afterwards. Static loads are in both efforts and cancel. The effort
+    /// that accelerates the motor across the lost motion is no friction and does not count. After a
     /// standstill or a reversal growth is measured from the same effort, or from twice the friction
     /// above the present effort if that is more. Friction is the compensated friction, and at least
     /// a 32nd of the drive's limit; growth up to that value is ignored.
