@@ -19,11 +19,10 @@
 //!   the lost motion. The shift passes two equal first-order filters in series, so position and
 //!   rate are continuous, and a reversal during the transition needs no special case. Its rate is
 //!   fed forward, and so is half of its acceleration, as the motor crosses alone and has about half
-//!   of the inertia of the joint. At rates below the lost motion per second the acceleration is
-//!   not: such a crossing need not be fast, and jitter of the command would cause efforts. With
-//!   [`TORQUE_SHIFT_US`] = 2.6 ms the crossing is 95 % done in 12 ms. A step motor has 4 ms, as it
-//!   loses steps where its acceleration is too high. On the 30 mm circle at 4 mm/s the hysteresis
-//!   takes 9 ms, in which the slide should have moved 0.4 um: that is the remaining error.
+//!   of the inertia of the joint. With [`TORQUE_SHIFT_US`] = 2.6 ms the crossing is 95 % done in 12
+//!   ms. A step motor has 4 ms, as it loses steps where its acceleration is too high. On the 30 mm
+//!   circle at 4 mm/s the hysteresis takes 9 ms, in which the slide should have moved 0.4 um: that
+//!   is the remaining error.
 //! - **Position.** A worn screw has more backlash where it was used most. Half the lost motion is
 //!   then a table over the stroke, linear between its nodes, taken at the motor for the slide
 //!   position and at the commanded slide for the commanded motor position.
@@ -253,10 +252,8 @@ impl Backlash {
             self.second = self.second.wrapping_add(change);
             self.settled = first == 0 && change == 0;
             shift.rate = Rate(self.rate.apply(change));
-            if rate.0.saturating_abs() > self.hysteresis {
-                let bend = change.wrapping_sub(self.change);
-                shift.acceleration = Acceleration(self.acceleration.apply(bend));
-            }
+            let bend = change.wrapping_sub(self.change);
+            shift.acceleration = Acceleration(self.acceleration.apply(bend));
             self.change = change;
         }
         let rounded = self.second.wrapping_add(self.rounding);
