@@ -19,9 +19,9 @@ const LASTING: f64 = 0.05;
 
 /// The same in a job or jog at less than [`CREEP`], in which the loop with a stuck channel may
 /// oscillate about an edge of the live one with fewer reversals than 24 in 50 ms, while the joint
-/// drifts: 2 of 4,000 seeds, by 0.129 mm at most and for 0.53 s at most.
-const CREPT: f64 = 0.14;
-const CREPT_LASTING: f64 = 0.6;
+/// drifts. One of the 120 seeds does, by 0.1245 mm and for 0.0502 s (`--nocapture` prints it).
+const CREPT: f64 = 0.13;
+const CREPT_LASTING: f64 = 0.06;
 const CREEP: f64 = 0.03;
 
 /// The same where faults come together and a push moves the slide. At most one reversal is counted

@@ -104,7 +104,7 @@ pub enum SettingError {
     Microsteps(MicrostepError),
 }
 
-/// Reason why a configured chip does not drive its motor as it was told.
+/// Reason why a configured chip does not drive its motor as commanded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trouble {
     /// It was reset since it was configured: its currents and microsteps are those of the factory.

@@ -111,8 +111,7 @@ fn the_check_of_the_tmc2209_is_the_one_of_its_data_sheet() {
     }
     // A read of GCONF of driver 0, a datagram that is often printed.
     assert_eq!(check_byte(&[0x05, 0x00, 0x00]), 0x48);
-    // A request and the reply of a chip, as a Raspberry Pi received them: IOIN with version 33
-    // (https://github.com/Chr157i4n/TMC2209_Raspberry_Pi/wiki/UART).
+    // A request and the reply of a real chip, as its users published them: IOIN with version 33.
     assert_eq!(check_byte(&[0x55, 0x00, 0x06]), 0xE8);
     assert_eq!(
         check_byte(&[0x05, 0xFF, 0x06, 0x21, 0x00, 0x02, 0x41]),

@@ -28,9 +28,9 @@ pub const ATTEMPTS: usize = 3;
 const JOINT_BITS: u32 = 8;
 const JOINT_MASK: u32 = (1 << JOINT_BITS) - 1;
 
-/// The chips of a configuration.
+/// The chips of a configuration, for the main loop to set.
 #[derive(Debug, Clone, Copy)]
-struct Wanted {
+struct Request {
     /// Number of the configuration, in the upper bits of the state.
     number: u32,
     chips: [Option<Tmc2209>; MAX_AXES],
@@ -39,7 +39,7 @@ struct Wanted {
 /// What both sides share.
 #[derive(Debug, Default)]
 pub struct Chips {
-    wanted: Queue<Wanted, 2>,
+    requests: Queue<Request, 2>,
     /// Number of the configuration, and joints that are not ready, one bit each.
     state: AtomicU32,
 }
@@ -49,22 +49,22 @@ impl Chips {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            wanted: Queue::new(),
+            requests: Queue::new(),
             state: AtomicU32::new(0),
         }
     }
 
     /// The two sides.
     pub fn split(&mut self) -> (Follower<'_>, Keeper<'_>) {
-        let (producer, wanted) = self.wanted.split();
+        let (producer, requests) = self.requests.split();
         let state = &self.state;
         let follower = Follower {
-            wanted: Some(producer),
+            requests: Some(producer),
             state,
             crc: 0,
         };
         let keeper = Keeper {
-            wanted,
+            requests,
             state,
             number: 0,
             chips: [None; MAX_AXES],
@@ -76,7 +76,7 @@ impl Chips {
     /// The side of the control period, on a board without the bus: no chip ever becomes ready.
     pub const fn without_bus(&mut self) -> Follower<'_> {
         Follower {
-            wanted: None,
+            requests: None,
             state: &self.state,
             crc: 0,
         }
@@ -85,7 +85,7 @@ impl Chips {
 
 /// The side of the control period.
 pub struct Follower<'a> {
-    wanted: Option<Producer<'a, Wanted>>,
+    requests: Option<Producer<'a, Request>>,
     state: &'a AtomicU32,
     /// CRC of the configuration that was passed on.
     crc: u32,
@@ -119,9 +119,9 @@ impl Follower<'_> {
         // Without room the main loop has not taken the configuration before: the next control
         // period tries it again.
         let is_passed = self
-            .wanted
+            .requests
             .as_mut()
-            .is_none_or(|wanted| wanted.enqueue(Wanted { number, chips }).is_ok());
+            .is_none_or(|requests| requests.enqueue(Request { number, chips }).is_ok());
         if is_passed {
             self.crc = crc;
         }
@@ -137,7 +137,7 @@ impl Follower<'_> {
 
 /// The side of the main loop.
 pub struct Keeper<'a> {
-    wanted: Consumer<'a, Wanted>,
+    requests: Consumer<'a, Request>,
     state: &'a AtomicU32,
     number: u32,
     chips: [Option<Tmc2209>; MAX_AXES],
@@ -179,9 +179,9 @@ impl Keeper<'_> {
     }
 
     fn take_newest(&mut self) {
-        while let Some(wanted) = self.wanted.dequeue() {
-            self.number = wanted.number;
-            self.chips = wanted.chips;
+        while let Some(request) = self.requests.dequeue() {
+            self.number = request.number;
+            self.chips = request.chips;
             self.unset = self
                 .joints()
                 .fold(0, |unset, (joint, _)| unset | 1 << joint);
@@ -207,7 +207,7 @@ impl Keeper<'_> {
         // Each chip reports for itself whether it has taken its settings.
         let _ = bus.separate_replies().await;
         for (joint, chip) in self.joints() {
-            if !self.is_unset(joint) || self.wanted.ready() {
+            if !self.is_unset(joint) || self.requests.ready() {
                 continue;
             }
             let currents = Currents {
@@ -232,7 +232,7 @@ impl Keeper<'_> {
         C: FnMut() -> u32,
     {
         for (joint, chip) in self.joints() {
-            if self.is_unset(joint) || self.wanted.ready() {
+            if self.is_unset(joint) || self.requests.ready() {
                 continue;
             }
             let mut answer = Err(());

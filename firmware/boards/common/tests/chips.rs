@@ -124,11 +124,11 @@ struct Board<'a> {
 
 impl Board<'_> {
     /// Runs the main loop for a time, us. The enable line follows the controller, which wants the
-    /// drives on where `wanted` says so, and the joints that are not ready.
-    fn run(&mut self, us: u64, wanted: bool) {
+    /// drives on where `on` says so, and the joints that are not ready.
+    fn run(&mut self, us: u64, on: bool) {
         let end = self.world.borrow().now + us * 1000;
         while self.world.borrow().now < end {
-            let on = wanted && self.follower.not_ready() == 0;
+            let on = on && self.follower.not_ready() == 0;
             self.are_off.set(!on);
             self.world.borrow_mut().advance();
             for chip in &mut self.world.borrow_mut().wire.chips {
@@ -190,7 +190,7 @@ fn chips_get_their_settings_before_the_joints_are_ready() {
             board.chip(place, |chip| {
                 assert_eq!(chip.microsteps(), microsteps);
                 let [run, hold] = chip.currents(0.11).expect("the internal reference");
-                // The largest currents up to the wanted ones; a code is 31 mA.
+                // The largest currents up to those of the machine file; a code is 31 mA.
                 assert!(run <= 0.8 && run > 0.769, "{run}");
                 assert!(hold <= 0.4 && hold > 0.369, "{hold}");
                 assert_eq!(chip.register(GSTAT), 0);

@@ -10,7 +10,7 @@
 //! | `usb`, `usb_bus` | line to the host: a serial port on the USB |
 //! | `uart` | line to the host with the feature `uart`: UART0 |
 //! | [`chips`] | chips of the drives: what the control period has of them |
-//! | `chip_bus` | their one-wire bus at UART0, which the image with the feature `uart` does not have |
+//! | `chip_bus` | their one-wire bus at UART0; not with the feature `uart` |
 //! | [`link`] | rings between the line and the controller |
 //! | [`ending`] | panic, processor fault, watchdog, and what the LED shows of them |
 //! | [`record`] | last control period, for a debugger or an emulator |

@@ -3,7 +3,7 @@
 //!
 //! | pin | direction | |
 //! | --- | --- | --- |
-//! | GP0, GP1 | out, in | bus of the chips of the drives; with the feature `uart` the line to the host |
+//! | GP0, GP1 | out, in | bus of the chips of the drives; with `uart` line to the host |
 //! | GP2, GP4, GP6, GP8, GP10 | out | steps of joints 0 to 4 |
 //! | GP3, GP5, GP7, GP9, GP11 | out | directions of joints 0 to 4 |
 //! | GP12 | out | enable of all drives |
