@@ -127,10 +127,9 @@ fn force_feedback_loop_is_stable_without_compliance() {
 }
 
 /// The same with more cases, and means over 36 s instead of 12 s: a soft grip oscillates with a
-/// period of seconds, and a mean over a few periods is off by 5 %. Within 51 s some cases oscillate
-/// once more after the leak of their energy deficit. Which ones and by how much depends on changes
-/// of 0.2 % of the stiffness of the hand: 13 hands from 0.988 to 1.012 N/mm at contacts of 19 to 21
-/// N/mm and a delay of 25 ms have 0.01 to 1.12 mm. Takes minutes.
+/// period of seconds, and a mean over a few periods is off by 5 %. Within 51 s eight of 330 cases
+/// oscillate once more after the leak of their energy deficit, by 0.22 to 1.04 mm. Which ones and
+/// by how much depends on changes of 0.2 % of the stiffness of the hand. Takes minutes.
 #[test]
 #[ignore = "long: run by hand when the loop is changed"]
 fn force_feedback_loop_is_stable_in_all_cases() {
@@ -143,6 +142,6 @@ fn force_feedback_loop_is_stable_in_all_cases() {
         &[0.0, 0.005, 0.01, 0.025, 0.05],
         true,
         51.0,
-        1.4,
+        1.2,
     );
 }
